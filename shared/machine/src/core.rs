@@ -1,0 +1,197 @@
+//! Events in, effects out.
+
+use muster_model::id::{FleetId, InstanceId, ServiceName};
+use muster_model::settings::Settings;
+use muster_model::time::Tick;
+use muster_wire::{Message, Packet, Pattern, Rejection, Request};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+/// Names a get that waits for its answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct QueryId(pub u64);
+
+/// What can happen to a core. The set is closed: nothing else ever reaches it.
+#[derive(Debug)]
+pub enum Event<Done> {
+    /// The service begins: the link to the bus is up and the subscriptions are declared.
+    Started,
+    /// A message arrived.
+    Received(Message),
+    /// A packet was refused before it became a message.
+    Rejected(Rejection),
+    /// [`Core::deadline`] has passed.
+    Timeout,
+    /// The job ended.
+    Done(Done),
+    /// The job panicked, with what it said.
+    JobFailed(String),
+    /// A fetch ended: everything that was answered in time.
+    Fetched {
+        /// The number that the core gave it.
+        fetch: u32,
+        /// The answers, in no particular order.
+        messages: Vec<Message>,
+    },
+    /// Somebody gets a key that the service serves.
+    Query {
+        /// To be named in the reply.
+        query: QueryId,
+        /// What is asked.
+        request: Request,
+    },
+    /// The link to the router was lost: silence says nothing about the robots now.
+    LinkLost,
+    /// The link to the router is back.
+    LinkRestored,
+}
+
+/// What a core wants done. The set is closed.
+#[derive(Debug)]
+pub enum Effect<Job> {
+    /// Put a message on the bus.
+    Publish(Message),
+    /// Answer a get: with messages, or with an error that names the remedy. Every get is answered
+    /// exactly once.
+    Reply {
+        /// Which get.
+        query: QueryId,
+        /// The get itself, which says which messages it selects and in which form.
+        request: Request,
+        /// The answer.
+        answer: Result<Vec<Message>, String>,
+    },
+    /// Run a job; a job that waits is replaced.
+    Start(Job),
+    /// Ask the bus for the newest messages; the answers come back as [`Event::Fetched`], within a
+    /// bounded time even if nobody answers.
+    Fetch {
+        /// A number of the core's own.
+        fetch: u32,
+        /// What is asked for.
+        patterns: Vec<Pattern>,
+    },
+    /// Keep something over a restart of the service.
+    Store(Stored),
+}
+
+/// The effects of one event, in order.
+#[derive(Debug)]
+pub struct Effects<Job>(Vec<Effect<Job>>);
+
+impl<Job> Default for Effects<Job> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
+}
+
+impl<Job> Effects<Job> {
+    /// Adds an effect.
+    pub fn push(&mut self, effect: Effect<Job>) {
+        self.0.push(effect);
+    }
+
+    /// Adds the publication of a message.
+    pub fn publish(&mut self, message: Message) {
+        self.push(Effect::Publish(message));
+    }
+
+    /// Takes all effects out, in order.
+    pub fn drain(&mut self) -> impl Iterator<Item = Effect<Job>> + '_ {
+        self.0.drain(..)
+    }
+}
+
+/// What a service keeps over a restart.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stored {
+    /// The last term that it began on this host.
+    pub term: u64,
+    /// The fields of the settings that operators have changed.
+    pub patch: Map<String, Value>,
+}
+
+/// What a core begins with.
+#[derive(Debug, Clone)]
+pub struct Start<S> {
+    /// The fleet.
+    pub fleet: FleetId,
+    /// This process.
+    pub instance: InstanceId,
+    /// Now.
+    pub now: Tick,
+    /// The settings by defaults, file, environment and flags.
+    pub settings: S,
+    /// What the service kept from its last run.
+    pub stored: Stored,
+}
+
+/// How packets of a subscription wait for the core.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Delivery {
+    /// One slot per key; a newer packet replaces the one that waits.
+    Latest,
+    /// A queue of at most so many packets per key; the oldest is dropped for a newer one. For
+    /// deltas, whose gaps the core sees and mends with a fetch.
+    Queue(usize),
+}
+
+/// One subscription.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Subscription {
+    /// Which keys.
+    pub pattern: Pattern,
+    /// How packets wait.
+    pub delivery: Delivery,
+    /// Larger payloads are cut off before they are stored.
+    pub max_payload: usize,
+}
+
+/// Which keys come in, and which are served.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Wiring {
+    /// Messages that come in.
+    pub subscriptions: Vec<Subscription>,
+    /// Liveliness tokens that come in.
+    pub tokens: Vec<Pattern>,
+    /// Keys that the service answers gets for. `true` for its own output; `false` where it only
+    /// repeats what it last heard from the holder of another role, in case that one is gone.
+    pub served: Vec<(Pattern, bool)>,
+}
+
+/// A service without its shell.
+pub trait Core: Send + Sized + 'static {
+    /// Its settings.
+    type Settings: Settings;
+    /// Long work.
+    type Job: Send + 'static;
+    /// What long work leads to.
+    type Done: Send + 'static;
+    /// Its name.
+    const SERVICE: ServiceName;
+
+    /// Which keys come in, and which are served. Settings and status are served for every core.
+    fn wiring() -> Wiring;
+
+    /// A core that has seen no event yet.
+    fn new(start: Start<Self::Settings>) -> Self;
+
+    /// Takes one event in.
+    fn handle(&mut self, now: Tick, event: Event<Self::Done>, effects: &mut Effects<Self::Job>);
+
+    /// When [`Event::Timeout`] is wanted next. It may be early or late, never lost.
+    fn deadline(&self) -> Option<Tick>;
+
+    /// Does long work. Runs on another thread, beside the core, and must not depend on anything
+    /// but the job.
+    fn run(job: Self::Job) -> Self::Done;
+
+    /// Understands a packet that one of the subscriptions received.
+    ///
+    /// # Errors
+    /// A [`Rejection`] that tells what is wrong with it.
+    fn understand(space: &muster_wire::KeySpace, packet: &Packet) -> Result<Message, Rejection> {
+        Message::decode(space, packet)
+    }
+}

@@ -1,0 +1,306 @@
+//! What all cores share: the term that they hold, the settings, events, and counters.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use muster_model::event::{Event as FleetEvent, EventKind, Severity};
+use muster_model::header::{Header, Revision, StageTime};
+use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
+use muster_model::settings::Settings;
+use muster_model::status::ServiceStatus;
+use muster_model::time::Tick;
+use muster_wire::{Key, KeySpace, Message, Rejection, Request};
+use serde_json::{Map, Value, json};
+
+use crate::core::{Effect, Effects, QueryId, Start, Stored};
+
+/// The number of the fetch that every core makes as it starts: its own last output and what it reads.
+pub const START_FETCH: u32 = 0;
+
+/// How long refused messages of one robot and key are only counted after one was told of: an
+/// offender must not flood the event stream.
+const QUARANTINE_SILENCE: Duration = Duration::from_secs(2);
+
+/// How many robots and keys are watched for such repetition at once; beyond it, further offenders
+/// are counted and not told of until others have been silent.
+const MAX_OFFENDERS: usize = 256;
+
+/// Largest patch of settings in bytes.
+const MAX_PATCH: usize = 64 * 1024;
+
+/// The holder of a service's role: its identity, its place among the outputs, its settings.
+#[derive(Debug)]
+pub struct Role<S> {
+    space: KeySpace,
+    service: ServiceName,
+    instance: InstanceId,
+    started: Tick,
+    revision: Revision,
+    event_epoch: u64,
+    base: S,
+    settings: S,
+    stored: Stored,
+    holding: bool,
+    counters: BTreeMap<&'static str, u64>,
+    offenders: BTreeMap<(Option<RobotId>, String), Offender>,
+}
+
+#[derive(Debug)]
+struct Offender {
+    told: Tick,
+    untold: u64,
+}
+
+impl<S: Settings> Role<S> {
+    /// A holder that has not begun its term. A stored patch that does not fit the settings any more
+    /// is dropped, so that a service with an old state starts all the same.
+    #[must_use]
+    pub fn new(service: ServiceName, start: Start<S>) -> Self {
+        let mut stored = start.stored;
+        let patched = start.settings.patched(&Value::Object(stored.patch.clone()));
+        let settings = patched.unwrap_or_else(|_| {
+            stored.patch = Map::new();
+            start.settings.clone()
+        });
+        Self {
+            space: KeySpace::new(start.fleet),
+            service,
+            instance: start.instance,
+            started: start.now,
+            revision: Revision { term: stored.term, epoch: 0 },
+            event_epoch: 0,
+            base: start.settings,
+            settings,
+            stored,
+            holding: false,
+            counters: BTreeMap::new(),
+            offenders: BTreeMap::new(),
+        }
+    }
+
+    /// The settings in force.
+    #[must_use]
+    pub fn settings(&self) -> &S {
+        &self.settings
+    }
+
+    /// The fleet.
+    #[must_use]
+    pub fn fleet(&self) -> &FleetId {
+        self.space.fleet()
+    }
+
+    /// The key space of the fleet.
+    #[must_use]
+    pub fn space(&self) -> &KeySpace {
+        &self.space
+    }
+
+    /// The last output's place.
+    #[must_use]
+    pub fn revision(&self) -> Revision {
+        self.revision
+    }
+
+    /// Whether the term has begun, so that outputs may be published.
+    #[must_use]
+    pub fn is_holding(&self) -> bool {
+        self.holding
+    }
+
+    /// Begins a term above every term that was seen on the bus or held on this host.
+    pub fn begin_term<J>(&mut self, now: Tick, seen: Option<Revision>, effects: &mut Effects<J>) {
+        let seen = seen.map_or(0, |revision| revision.term).max(self.stored.term);
+        self.revision = Revision { term: seen.saturating_add(1), epoch: 0 };
+        self.event_epoch = 0;
+        self.stored.term = self.revision.term;
+        self.holding = true;
+        effects.push(Effect::Store(self.stored.clone()));
+        let term = self.revision.term;
+        self.tell(now, Severity::Info, EventKind::ServiceStarted { term }, effects);
+        self.announce_settings(effects);
+    }
+
+    /// The place of the next output.
+    pub fn next_revision(&mut self) -> Revision {
+        self.revision.epoch = self.revision.epoch.saturating_add(1);
+        self.revision
+    }
+
+    /// The stage of this service for a header.
+    #[must_use]
+    pub fn stage(&self, received: Tick, published: Tick) -> StageTime {
+        StageTime { stage: self.service, received, published }
+    }
+
+    /// Counts something by a name.
+    pub fn count(&mut self, name: &'static str) {
+        self.count_many(name, 1);
+    }
+
+    /// Counts several of something by a name.
+    pub fn count_many(&mut self, name: &'static str, many: u64) {
+        let counter = self.counters.entry(name).or_default();
+        *counter = counter.saturating_add(many);
+    }
+
+    /// Publishes an event.
+    pub fn tell<J>(
+        &mut self,
+        now: Tick,
+        severity: Severity,
+        kind: EventKind,
+        effects: &mut Effects<J>,
+    ) {
+        self.event_epoch = self.event_epoch.saturating_add(1);
+        effects.publish(Message::Event(FleetEvent {
+            header: Header {
+                fleet: self.fleet().clone(),
+                revision: Revision { term: self.revision.term, epoch: self.event_epoch },
+                oldest: None,
+                newest: None,
+                stages: vec![self.stage(now, now)],
+            },
+            source: self.service,
+            severity,
+            kind,
+        }));
+    }
+
+    /// Counts a refused message, and tells of it unless its robot and key have just been told of.
+    pub fn quarantine<J>(&mut self, now: Tick, rejection: Rejection, effects: &mut Effects<J>) {
+        self.count("messages_refused");
+        let Rejection { robot, key, reason } = rejection;
+        let offence = (robot.clone(), key.clone());
+        if let Some(offender) = self.offenders.get_mut(&offence) {
+            offender.untold += 1;
+            if now.since(offender.told) < QUARANTINE_SILENCE {
+                return;
+            }
+        } else {
+            if self.offenders.len() >= MAX_OFFENDERS {
+                self.offenders.retain(|_, offender| now.since(offender.told) < QUARANTINE_SILENCE);
+            }
+            if self.offenders.len() >= MAX_OFFENDERS {
+                return;
+            }
+            self.offenders.insert(offence.clone(), Offender { told: now, untold: 1 });
+        }
+        let Some(offender) = self.offenders.get_mut(&offence) else { return };
+        offender.told = now;
+        let count = std::mem::take(&mut offender.untold);
+        let kind = EventKind::Quarantined { robot, key, reason, count };
+        self.tell(now, Severity::Warning, kind, effects);
+    }
+
+    /// Answers gets of the settings and the status. A get with a payload changes the settings, as a
+    /// whole or not at all; what is returned tells the core that they changed.
+    ///
+    /// Gets of other keys are handed back.
+    pub fn answer<J>(
+        &mut self,
+        now: Tick,
+        query: QueryId,
+        request: Request,
+        state: &str,
+        effects: &mut Effects<J>,
+    ) -> Answered {
+        if request.selects(&self.space, &Key::Settings(self.service)) {
+            let (answer, changed) = match &request.payload {
+                None => (Ok(vec![self.settings_message()]), false),
+                Some(_) if !request.is_exact() => {
+                    let problem = "settings are changed on exactly one key, without wildcards";
+                    (Err(error_json("(key)", problem)), false)
+                }
+                Some(payload) => match self.change_settings(payload) {
+                    Ok(()) => (Ok(vec![self.settings_message()]), true),
+                    Err(error) => (Err(error), false),
+                },
+            };
+            effects.push(Effect::Reply { query, request, answer });
+            if changed {
+                self.count("settings_changed");
+                effects.push(Effect::Store(self.stored.clone()));
+                self.announce_settings(effects);
+                let kind = EventKind::SettingsChanged { settings: self.settings_json() };
+                self.tell(now, Severity::Info, kind, effects);
+            }
+            return if changed { Answered::SettingsChanged } else { Answered::Done };
+        }
+        if request.selects(&self.space, &Key::Status(self.service)) {
+            let answer = Ok(vec![Message::Status(Box::new(self.status(now, state)))]);
+            effects.push(Effect::Reply { query, request, answer });
+            return Answered::Done;
+        }
+        Answered::NotOurs(query, request)
+    }
+
+    fn change_settings(&mut self, payload: &[u8]) -> Result<(), String> {
+        if payload.len() > MAX_PATCH {
+            return Err(error_json("(patch)", &format!("may have at most {MAX_PATCH} bytes")));
+        }
+        let patch: Value = serde_json::from_slice(payload)
+            .map_err(|error| error_json("(patch)", &format!("is no JSON: {error}")))?;
+        let settings = self
+            .settings
+            .patched(&patch)
+            .map_err(|error| error_json(&error.field, &error.problem))?;
+        self.stored.patch = difference(&self.base, &settings);
+        self.settings = settings;
+        Ok(())
+    }
+
+    fn settings_json(&self) -> String {
+        serde_json::to_string(&self.settings).unwrap_or_default()
+    }
+
+    fn settings_message(&self) -> Message {
+        Message::Settings(self.service, self.settings_json())
+    }
+
+    fn announce_settings<J>(&self, effects: &mut Effects<J>) {
+        effects.publish(self.settings_message());
+    }
+
+    /// What the service tells of itself.
+    #[must_use]
+    pub fn status(&self, now: Tick, state: &str) -> ServiceStatus {
+        let counters = self.counters.iter().map(|(name, count)| ((*name).to_owned(), *count));
+        ServiceStatus {
+            fleet: self.fleet().clone(),
+            service: self.service,
+            instance: self.instance.clone(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            started: self.started,
+            now,
+            revision: self.revision,
+            state: state.to_owned(),
+            counters: counters.collect(),
+        }
+    }
+}
+
+/// What became of a get.
+#[derive(Debug)]
+pub enum Answered {
+    /// It is answered.
+    Done,
+    /// It is answered, and the settings are new.
+    SettingsChanged,
+    /// It is of another key and must be answered by the core.
+    NotOurs(QueryId, Request),
+}
+
+fn error_json(field: &str, problem: &str) -> String {
+    json!({"error": format!("{field}: {problem}"), "field": field}).to_string()
+}
+
+/// The fields in which settings differ from what file and flags say: what a restart must restore.
+fn difference<S: Settings>(base: &S, settings: &S) -> Map<String, Value> {
+    match (serde_json::to_value(base), serde_json::to_value(settings)) {
+        (Ok(Value::Object(base)), Ok(Value::Object(settings))) => {
+            settings.into_iter().filter(|(name, value)| base.get(name) != Some(value)).collect()
+        }
+        _ => Map::new(),
+    }
+}

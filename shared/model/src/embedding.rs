@@ -1,0 +1,85 @@
+//! One vector per robot: its rows of the leading singular vectors of the Katz similarity.
+
+use serde::{Deserialize, Serialize};
+
+use crate::header::{Header, Revision};
+use crate::id::{Modality, RobotId};
+
+/// Which way the embedding was computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EmbeddingMode {
+    /// The similarity was solved for by LU and decomposed whole.
+    Dense,
+    /// The cached similarity was still that of the graphs, and was decomposed anew.
+    Cached,
+}
+
+/// What the embedding rests on and how exact it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EmbeddingQuality {
+    /// Lower and upper bound of the spectral radius of the fused graph.
+    pub spectral_radius: (f64, f64),
+    /// The decay that was used.
+    pub alpha: f64,
+    /// The K leading singular values, falling.
+    pub singular_values: Vec<f64>,
+    /// The singular value after them.
+    pub next_singular_value: f64,
+    /// Largest ‖S v − σ u‖ or ‖Sᵀ u − σ v‖ over the K triplets, relative to σ₁.
+    pub residual: f64,
+    /// ‖M (S + I) z − z‖ / ‖z‖ for a random sign vector z and M = I − α A*.
+    pub katz_residual: f64,
+    /// (σ_K − σ_{K+1}) / σ₁: how far the chosen subspace stands apart from the rest.
+    pub gap: f64,
+    /// Whether the gap is so small that another basis would be as good.
+    pub ambiguous: bool,
+    /// Which way it was computed.
+    pub mode: EmbeddingMode,
+    /// Microseconds that fusing and the spectral radius, the similarity, and the decomposition took.
+    pub stage_us: [u64; 3],
+}
+
+/// The vectors of all robots.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Embedding {
+    /// The head of the message.
+    pub header: Header,
+    /// The revision of the roster that it was made from.
+    pub roster: Revision,
+    /// The graphs that it was made from, with the weight of each.
+    pub graphs: Vec<(Modality, Revision, f64)>,
+    /// The robots, ordered by name: row i of `values` is that of robot i.
+    pub robots: Vec<RobotId>,
+    /// Length D = 2K of each vector.
+    pub dimension: u32,
+    /// The vectors, row after row.
+    pub values: Vec<f64>,
+    /// Robots that the K leading singular vectors do not see: no division can be read off their row.
+    pub unseen: Vec<bool>,
+    /// What it rests on and how exact it is.
+    pub quality: EmbeddingQuality,
+}
+
+impl Embedding {
+    /// Whether all parts have the shapes that they promise, and all numbers are finite.
+    ///
+    /// # Errors
+    /// Names the part that is wrong.
+    pub fn check(&self) -> Result<(), &'static str> {
+        let robots = self.robots.len();
+        if self.unseen.len() != robots {
+            return Err("unseen: must have one entry per robot");
+        }
+        if robots.checked_mul(self.dimension as usize) != Some(self.values.len()) {
+            return Err("values: must have one row of the dimension's length per robot");
+        }
+        if !self.robots.is_sorted_by(|left, right| left < right) {
+            return Err("robots: must be ordered by name without repetition");
+        }
+        if !self.values.iter().all(|value| value.is_finite()) {
+            return Err("values: must be finite");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,62 @@
+//! What every message between services carries beside its content.
+
+use serde::{Deserialize, Serialize};
+
+use crate::id::{FleetId, ServiceName};
+use crate::time::Tick;
+
+/// A place in the outputs of one role: first by term, then by epoch.
+///
+/// The term counts the holders of the role (each takes the highest it has heard of, plus one), the
+/// epoch counts the outputs of one holder. A consumer never goes back to a lower revision.
+#[derive(
+    Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+pub struct Revision {
+    /// Which holder of the role.
+    pub term: u64,
+    /// Which output of that holder.
+    pub epoch: u64,
+}
+
+/// When one service had received what it needed, and when it published what it made of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StageTime {
+    /// The service.
+    pub stage: ServiceName,
+    /// By the clock of the service's host.
+    pub received: Tick,
+    /// By the clock of the service's host.
+    pub published: Tick,
+}
+
+/// The head of every message between services.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Header {
+    /// Whose message this is.
+    pub fleet: FleetId,
+    /// Where it stands among the outputs of its role.
+    pub revision: Revision,
+    /// When the oldest pose behind it was received, among robots that are not stale.
+    pub oldest: Option<Tick>,
+    /// When the newest pose behind it was received.
+    pub newest: Option<Tick>,
+    /// The stages that the data has passed, in order.
+    pub stages: Vec<StageTime>,
+}
+
+impl Header {
+    /// Age in seconds of the oldest robot data behind the message; zero if none is.
+    #[must_use]
+    pub fn data_age_s(&self, now: Tick) -> f64 {
+        self.oldest.map_or(0.0, |oldest| now.since(oldest).as_secs_f64())
+    }
+
+    /// The head of a message that is made from this one: same data, one stage further.
+    #[must_use]
+    pub fn next_stage(&self, revision: Revision, stage: StageTime) -> Self {
+        let mut stages = self.stages.clone();
+        stages.push(stage);
+        Self { revision, stages, ..self.clone() }
+    }
+}

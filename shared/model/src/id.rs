@@ -1,0 +1,222 @@
+//! Checked names: robots, fleets, teams, modalities, service instances.
+//!
+//! All ids obey one rule, `[a-z0-9_-]{1,64}`, so that each may stand as one chunk of a key
+//! expression, in a log line and in a file name without being escaped.
+
+use std::fmt;
+use std::sync::Arc;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::limits::MAX_ID_LENGTH;
+
+/// Why a text is not an id.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum IdError {
+    /// The text has no character.
+    #[error("an id must have at least one character out of a-z 0-9 _ -")]
+    Empty,
+    /// The text has more than [`MAX_ID_LENGTH`] characters.
+    #[error("an id may have at most {MAX_ID_LENGTH} characters, this has {0}")]
+    TooLong(usize),
+    /// The text has a character outside of `[a-z0-9_-]`.
+    #[error("an id may hold only a-z 0-9 _ -, this holds {0:?}")]
+    Character(char),
+}
+
+/// Checks the rule of all ids.
+///
+/// # Errors
+/// Says which part of `[a-z0-9_-]{1,64}` the text breaks.
+pub fn check_id(text: &str) -> Result<(), IdError> {
+    if text.is_empty() {
+        return Err(IdError::Empty);
+    }
+    if let Some(character) = text.chars().find(|c| !matches!(c, 'a'..='z' | '0'..='9' | '_' | '-'))
+    {
+        return Err(IdError::Character(character));
+    }
+    if text.len() > MAX_ID_LENGTH {
+        return Err(IdError::TooLong(text.len()));
+    }
+    Ok(())
+}
+
+macro_rules! id {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub struct $name(Arc<str>);
+
+        impl $name {
+            /// Checks and wraps a text.
+            ///
+            /// # Errors
+            /// Says which part of `[a-z0-9_-]{1,64}` the text breaks.
+            pub fn new(text: impl AsRef<str>) -> Result<Self, IdError> {
+                check_id(text.as_ref())?;
+                Ok(Self(text.as_ref().into()))
+            }
+
+            /// The text of the id.
+            #[must_use]
+            pub fn as_str(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str(&self.0)
+            }
+        }
+
+        impl fmt::Debug for $name {
+            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(formatter, "{:?}", &self.0)
+            }
+        }
+
+        impl std::str::FromStr for $name {
+            type Err = IdError;
+            fn from_str(text: &str) -> Result<Self, IdError> {
+                Self::new(text)
+            }
+        }
+
+        impl Serialize for $name {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(&self.0)
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                let text = String::deserialize(deserializer)?;
+                Self::new(&text).map_err(serde::de::Error::custom)
+            }
+        }
+    };
+}
+
+id!(
+    /// A robot.
+    RobotId
+);
+id!(
+    /// A fleet: the robots and services that belong together on a bus.
+    FleetId
+);
+id!(
+    /// A team. It keeps its id for as long as it can be matched with itself.
+    TeamId
+);
+id!(
+    /// One relation among the robots: `spatial`, `connectivity`, `hierarchy` or a declared one.
+    Modality
+);
+id!(
+    /// One running process of a service.
+    InstanceId
+);
+
+impl Modality {
+    /// Where the robots are.
+    #[must_use]
+    pub fn spatial() -> Self {
+        Self("spatial".into())
+    }
+
+    /// Who can hear whom.
+    #[must_use]
+    pub fn connectivity() -> Self {
+        Self("connectivity".into())
+    }
+
+    /// Who commands whom.
+    #[must_use]
+    pub fn hierarchy() -> Self {
+        Self("hierarchy".into())
+    }
+
+    /// Whether this is one of the three modalities that every fleet has.
+    #[must_use]
+    pub fn is_built_in(&self) -> bool {
+        matches!(self.as_str(), "spatial" | "connectivity" | "hierarchy")
+    }
+}
+
+impl TeamId {
+    /// The id of the n-th team that a fleet has ever had.
+    #[must_use]
+    pub fn numbered(number: u64) -> Self {
+        Self(format!("t{number}").into())
+    }
+}
+
+/// The four services that turn observations into audited teams.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ServiceName {
+    /// Robot streams to graphs.
+    Ingest,
+    /// Graphs to an embedding.
+    Embedder,
+    /// Embedding to teams.
+    Clusterer,
+    /// Teams to silhouettes.
+    Auditor,
+}
+
+impl ServiceName {
+    /// All services in the order of the data's path.
+    pub const ALL: [Self; 4] = [Self::Ingest, Self::Embedder, Self::Clusterer, Self::Auditor];
+
+    /// The name as it stands in keys and on the command line.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Ingest => "ingest",
+            Self::Embedder => "embedder",
+            Self::Clusterer => "clusterer",
+            Self::Auditor => "auditor",
+        }
+    }
+}
+
+impl fmt::Display for ServiceName {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.as_str())
+    }
+}
+
+impl std::str::FromStr for ServiceName {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::ALL.into_iter().find(|service| service.as_str() == text).ok_or_else(|| {
+            format!("no service is called {text:?}; there are ingest, embedder, clusterer, auditor")
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_id_is_one_to_sixty_four_plain_characters() {
+        assert!(RobotId::new("r1_a-z").is_ok());
+        assert!(RobotId::new("a".repeat(64)).is_ok());
+        assert_eq!(RobotId::new(""), Err(IdError::Empty));
+        assert_eq!(RobotId::new("a".repeat(65)), Err(IdError::TooLong(65)));
+        for bad in ["R1", "r/1", "r*", "r 1", "r$", "ä", "r\n", "@r", "r.1"] {
+            assert!(matches!(RobotId::new(bad), Err(IdError::Character(_))), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn a_bad_id_does_not_deserialize() {
+        assert!(serde_json::from_str::<RobotId>("\"r1\"").is_ok());
+        assert!(serde_json::from_str::<RobotId>("\"R 1\"").is_err());
+    }
+}

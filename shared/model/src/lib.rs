@@ -1,0 +1,23 @@
+//! The vocabulary of Muster: plain types that every other crate shares.
+//!
+//! The data's path reads top to bottom: robots put [`observation`]s, `ingest` turns them into a
+//! [`roster`] and one [`graph`] per modality, `embedder` makes an [`embedding`], `clusterer` makes
+//! [`teams`] and `auditor` an [`audit`]. Every message carries a [`header`]; what happens on the way
+//! is told by [`event`]s, and what may be changed while it runs stands in [`settings`].
+//!
+//! This crate knows no bytes, no bus, no clock and no file. Its types derive serde, and none uses
+//! `#[serde(default)]` or `skip_serializing_if`, because the binary codec is positional.
+
+pub mod audit;
+pub mod embedding;
+pub mod event;
+pub mod graph;
+pub mod header;
+pub mod id;
+pub mod limits;
+pub mod observation;
+pub mod roster;
+pub mod settings;
+pub mod status;
+pub mod teams;
+pub mod time;

@@ -1,0 +1,37 @@
+//! Every limit on what a fleet may say, each with its reason.
+
+/// Longest id in characters: long enough for a serial number with a prefix, short enough that a key
+/// expression with three ids stays readable in a log.
+pub const MAX_ID_LENGTH: usize = 64;
+
+/// Longest free text (frame, role, boot id) in bytes: these are names, not documents, and they are
+/// repeated in every roster.
+pub const MAX_TEXT_LENGTH: usize = 64;
+
+/// Most links that one robot may report at once: a radio hears far fewer neighbours, and a report of
+/// this size still fits [`MAX_ROBOT_PAYLOAD`].
+pub const MAX_LINKS: usize = 1024;
+
+/// Most edges that one robot may report of one further modality, for the same reason.
+pub const MAX_RELATION_EDGES: usize = 1024;
+
+/// Most modalities that a fleet may declare beside the three built-in ones: each is a graph that is
+/// fused in every frame.
+pub const MAX_DECLARED_MODALITIES: usize = 16;
+
+/// Most robots that a fleet may have, whatever its settings say: the dense similarity matrix of a
+/// larger fleet does not fit the machines that Muster is made for.
+pub const MAX_ROBOTS: usize = 100_000;
+
+/// Most teams that may be asked for: the division is read by people, and k-means is linear in it.
+pub const MAX_TEAMS: u32 = 1024;
+
+/// Largest payload of a robot in bytes: [`MAX_LINKS`] links in JSON with the longest ids fit.
+pub const MAX_ROBOT_PAYLOAD: usize = 192 * 1024;
+
+/// Largest coordinate in metres: a tenth of the distance to the moon. Squares of it stay far from
+/// overflow, and a larger value is a broken sensor.
+pub const MAX_COORDINATE_M: f64 = 4.0e7;
+
+/// Largest weight of an edge: products of weights stay finite over the longest sums that are formed.
+pub const MAX_WEIGHT: f64 = 1.0e6;

@@ -1,0 +1,53 @@
+//! Who belongs to the fleet now, and where each robot is.
+
+use serde::{Deserialize, Serialize};
+
+use crate::graph::Node;
+use crate::header::{Header, Revision};
+use crate::id::{Modality, RobotId};
+use crate::time::Tick;
+
+/// How sure it is that a robot is still there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Presence {
+    /// It has been heard of lately.
+    Active,
+    /// It has been silent, or its liveliness token has been lost, for longer than it should.
+    Stale,
+}
+
+/// One robot of the fleet.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RosterEntry {
+    /// Its number in the graphs.
+    pub node: Node,
+    /// Its name.
+    pub robot: RobotId,
+    /// How sure it is that the robot is still there.
+    pub presence: Presence,
+    /// Metres east, north, up; none while the robot is known but unplaced.
+    pub position: Option<[f64; 3]>,
+    /// Radians, counter-clockwise from east.
+    pub heading: Option<f64>,
+    /// The coordinate frame of the position.
+    pub frame: Option<String>,
+    /// Whom it answers to.
+    pub superior: Option<RobotId>,
+    /// What it is within its unit.
+    pub role: Option<String>,
+    /// When anything was last received from it.
+    pub last_seen: Tick,
+}
+
+/// All robots of a frame, published after the graphs of the frame: who has applied the graphs that
+/// it lists holds one consistent state of the fleet.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Roster {
+    /// The head of the message.
+    pub header: Header,
+    /// The robots, ordered by name.
+    pub robots: Vec<RosterEntry>,
+    /// The modalities and the revision that each graph has in this frame, ordered by name.
+    pub graphs: Vec<(Modality, Revision)>,
+}

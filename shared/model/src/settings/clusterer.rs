@@ -1,0 +1,62 @@
+//! Settings of `clusterer`.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Settings, SettingsError, check_range};
+use crate::limits::MAX_TEAMS;
+
+/// How the centroids of a start of k-means are chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CentroidStart {
+    /// Robots far from each other with higher probability (Arthur and Vassilvitskii 2007).
+    #[serde(rename = "kmeans++")]
+    PlusPlus,
+    /// Robots drawn evenly, as in the paper.
+    #[serde(rename = "random")]
+    Random,
+}
+
+/// Settings of `clusterer`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClustererSettings {
+    /// How many teams the fleet is divided into. There are fewer while the robots do not allow more.
+    pub teams: u32,
+    /// How many starts of k-means are tried beside the previous division.
+    pub restarts: u32,
+    /// How the centroids of a start are chosen.
+    pub init: CentroidStart,
+    /// Most iterations of one start.
+    pub max_iterations: u32,
+    /// Seed of the random choices.
+    pub seed: u64,
+    /// The previous division is kept while no start is better than it by more than this share of
+    /// the inertia, so that noise moves nobody.
+    pub hysteresis: f64,
+    /// An unchanged division is told again after this many seconds.
+    pub heartbeat_s: f64,
+}
+
+impl Default for ClustererSettings {
+    fn default() -> Self {
+        Self {
+            teams: 2,
+            restarts: 50,
+            init: CentroidStart::PlusPlus,
+            max_iterations: 100,
+            seed: 0,
+            hysteresis: 0.05,
+            heartbeat_s: 1.0,
+        }
+    }
+}
+
+impl Settings for ClustererSettings {
+    fn check(&self) -> Result<(), SettingsError> {
+        check_range("teams", f64::from(self.teams), 1.0..=f64::from(MAX_TEAMS))?;
+        check_range("restarts", f64::from(self.restarts), 1.0..=10_000.0)?;
+        check_range("max_iterations", f64::from(self.max_iterations), 1.0..=100_000.0)?;
+        check_range("hysteresis", self.hysteresis, 0.0..=10.0)?;
+        check_range("heartbeat_s", self.heartbeat_s, 0.1..=3600.0)
+    }
+}

@@ -1,0 +1,163 @@
+//! Settings of `embedder`.
+
+use std::collections::BTreeMap;
+
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::{Settings, SettingsError, check_range};
+use crate::id::Modality;
+
+/// How far the weights of the modalities may sum from 1: rounding of a few decimal fractions.
+const WEIGHT_SUM_TOLERANCE: f64 = 1e-9;
+
+/// Largest dimension that may be asked for: beyond it k-means drowns in noise, and a message of
+/// 10,000 robots would pass its limit.
+const MAX_DIMENSION: u32 = 256;
+
+/// The decay of longer paths.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "must be a number, or {\"fraction\": number}")]
+pub enum Alpha {
+    /// α itself; a frame in which α ρ ≥ 1 is refused.
+    Value(f64),
+    /// α as a fraction of 1/ρ.
+    Fraction {
+        /// Between 0 and 1.
+        fraction: f64,
+    },
+}
+
+/// Length D = 2K of the vectors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Dimension {
+    /// K by the largest ratio of neighbouring singular values, from 2 to the number of teams.
+    Auto,
+    /// D itself: even, at least 2.
+    Fixed(u32),
+}
+
+impl Serialize for Dimension {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Auto => serializer.serialize_str("auto"),
+            Self::Fixed(dimension) => serializer.serialize_u32(*dimension),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Dimension {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(untagged, expecting = "must be \"auto\" or an even number from 2")]
+        enum Form {
+            Word(String),
+            Number(u32),
+        }
+        match Form::deserialize(deserializer)? {
+            Form::Word(word) if word == "auto" => Ok(Self::Auto),
+            Form::Word(_) => Err(D::Error::custom("must be \"auto\" or an even number from 2")),
+            Form::Number(dimension) => Ok(Self::Fixed(dimension)),
+        }
+    }
+}
+
+/// How each graph is scaled before its weight applies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Normalization {
+    /// As it is, as in the paper.
+    None,
+    /// By its largest singular value, so that weights mean the same for every modality.
+    Spectral,
+}
+
+/// How the singular vectors are scaled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SingularValueScaling {
+    /// Not at all, as in the paper.
+    None,
+    /// By the square root of their singular values.
+    SqrtSigma,
+}
+
+/// How the rows are scaled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RowScaling {
+    /// Not at all, as in the paper.
+    None,
+    /// To length 1; rows of zeros stay.
+    Unit,
+}
+
+/// Settings of `embedder`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EmbedderSettings {
+    /// Weight of each modality; they sum to 1, and one that is not named has none. Empty: all equal.
+    pub weights: BTreeMap<Modality, f64>,
+    /// How each graph is scaled before its weight applies.
+    pub normalize: Normalization,
+    /// The decay of longer paths.
+    pub alpha: Alpha,
+    /// Length of the vectors.
+    pub dimension: Dimension,
+    /// How the singular vectors are scaled.
+    pub scale: SingularValueScaling,
+    /// How the rows are scaled.
+    pub rows: RowScaling,
+    /// Residual above which the cached similarity is thrown away and computed anew.
+    pub residual_tolerance: f64,
+}
+
+impl Default for EmbedderSettings {
+    fn default() -> Self {
+        Self {
+            weights: BTreeMap::new(),
+            normalize: Normalization::Spectral,
+            alpha: Alpha::Fraction { fraction: 0.5 },
+            dimension: Dimension::Auto,
+            scale: SingularValueScaling::SqrtSigma,
+            rows: RowScaling::Unit,
+            residual_tolerance: 1e-8,
+        }
+    }
+}
+
+/// Checks that weights are not negative and sum to 1.
+///
+/// # Errors
+/// Names `weights` or the weight that is wrong.
+pub fn check_weights(weights: &BTreeMap<Modality, f64>) -> Result<(), SettingsError> {
+    for (modality, weight) in weights {
+        check_range(&format!("weights.{modality}"), *weight, 0.0..=1.0)?;
+    }
+    let sum: f64 = weights.values().sum();
+    if !weights.is_empty() && (sum - 1.0).abs() > WEIGHT_SUM_TOLERANCE {
+        return Err(SettingsError::new("weights", format!("must sum to 1, not to {sum}")));
+    }
+    Ok(())
+}
+
+impl Settings for EmbedderSettings {
+    fn check(&self) -> Result<(), SettingsError> {
+        check_weights(&self.weights)?;
+        match self.alpha {
+            Alpha::Value(alpha) => check_range("alpha", alpha, 1e-12..=1e12)?,
+            Alpha::Fraction { fraction } => {
+                check_range("alpha.fraction", fraction, 1e-6..=0.999_999)?;
+            }
+        }
+        if let Dimension::Fixed(dimension) = self.dimension
+            && (dimension % 2 != 0 || !(2..=MAX_DIMENSION).contains(&dimension))
+        {
+            return Err(SettingsError::new(
+                "dimension",
+                format!("must be \"auto\" or an even number from 2 to {MAX_DIMENSION}"),
+            ));
+        }
+        check_range("residual_tolerance", self.residual_tolerance, 1e-14..=1.0)
+    }
+}

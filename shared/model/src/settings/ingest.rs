@@ -1,0 +1,196 @@
+//! Settings of `ingest`.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Settings, SettingsError, check_range};
+use crate::id::Modality;
+use crate::limits::{MAX_DECLARED_MODALITIES, MAX_ROBOTS, MAX_TEXT_LENGTH};
+
+/// Highest rate of frames: above it a frame is shorter than the way over a radio.
+pub const MAX_TICK_HZ: f64 = 100.0;
+
+/// Most coordinate frames that a fleet may use: positions of different frames are not comparable.
+const MAX_FRAMES: usize = 8;
+
+/// How the weight of a spatial edge falls with the distance d, in units of the width w (a multiple of
+/// the median distance to the nearest neighbour).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SpatialKernel {
+    /// exp(−(d/w)²/2)
+    Gaussian,
+    /// exp(−d/w)
+    Exponential,
+}
+
+/// How positions become the spatial graph.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SpatialSettings {
+    /// How the weight falls with distance.
+    pub kernel: SpatialKernel,
+    /// Width in multiples of the median distance to the nearest neighbour.
+    pub width: f64,
+    /// Fleets up to this size relate all pairs; larger ones the nearest neighbours.
+    pub all_pairs_up_to: u32,
+    /// How many nearest neighbours each robot of a larger fleet is related to.
+    pub neighbours: u32,
+    /// No edge is longer than this, in metres; null for no limit.
+    pub radius_m: Option<f64>,
+}
+
+/// In which unit robots report how well they hear each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LinkUnit {
+    /// A quality from 0 to 1.
+    Quality,
+    /// A delivery ratio from 0 to 1.
+    DeliveryRatio,
+    /// A received signal strength in dBm, mapped linearly from the floor (0) to the ceiling (1).
+    RssiDbm,
+}
+
+/// How link reports become the connectivity graph.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ConnectivitySettings {
+    /// The unit of all reports.
+    pub unit: LinkUnit,
+    /// Signal strength in dBm at and below which a link is worth nothing.
+    pub rssi_floor_dbm: f64,
+    /// Signal strength in dBm at and above which a link is worth 1.
+    pub rssi_ceiling_dbm: f64,
+}
+
+/// Settings of `ingest`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IngestSettings {
+    /// Frames per second; nothing is published while nothing changes.
+    pub tick_hz: f64,
+    /// A robot is stale this many seconds after its last pose, or after its token was lost.
+    pub stale_after_s: f64,
+    /// A robot is gone this many seconds after the last sign of it.
+    pub gone_after_s: f64,
+    /// Most messages per second that one robot may put on one stream; more are refused.
+    pub max_rate_hz: f64,
+    /// Most robots of the fleet; more are refused.
+    pub max_robots: u32,
+    /// Coordinate frames that poses may name. The first is meant where a pose names none.
+    pub frames: Vec<String>,
+    /// Modalities beside spatial, connectivity and hierarchy that robots may report.
+    pub modalities: Vec<Modality>,
+    /// How positions become the spatial graph.
+    pub spatial: SpatialSettings,
+    /// How link reports become the connectivity graph.
+    pub connectivity: ConnectivitySettings,
+}
+
+impl Default for IngestSettings {
+    fn default() -> Self {
+        Self {
+            tick_hz: 10.0,
+            stale_after_s: 2.0,
+            gone_after_s: 10.0,
+            max_rate_hz: 100.0,
+            max_robots: 10_000,
+            frames: vec!["map".to_owned()],
+            modalities: Vec::new(),
+            spatial: SpatialSettings {
+                kernel: SpatialKernel::Gaussian,
+                width: 2.0,
+                all_pairs_up_to: 200,
+                neighbours: 16,
+                radius_m: None,
+            },
+            connectivity: ConnectivitySettings {
+                unit: LinkUnit::Quality,
+                rssi_floor_dbm: -90.0,
+                rssi_ceiling_dbm: -40.0,
+            },
+        }
+    }
+}
+
+impl SpatialSettings {
+    /// Checks every field. The fields in errors begin with `spatial.`.
+    ///
+    /// # Errors
+    /// Names the first field that is wrong.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        check_range("spatial.width", self.width, 0.01..=1000.0)?;
+        check_range("spatial.neighbours", f64::from(self.neighbours), 1.0..=256.0)?;
+        check_range("spatial.all_pairs_up_to", f64::from(self.all_pairs_up_to), 0.0..=4000.0)?;
+        self.radius_m.map_or(Ok(()), |radius| check_range("spatial.radius_m", radius, 1e-6..=1e9))
+    }
+}
+
+impl ConnectivitySettings {
+    /// Checks every field. The fields in errors begin with `connectivity.`.
+    ///
+    /// # Errors
+    /// Names the first field that is wrong.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        check_range("connectivity.rssi_floor_dbm", self.rssi_floor_dbm, -200.0..=100.0)?;
+        check_range("connectivity.rssi_ceiling_dbm", self.rssi_ceiling_dbm, -200.0..=100.0)?;
+        if self.rssi_ceiling_dbm - self.rssi_floor_dbm < 1.0 {
+            return Err(SettingsError::new(
+                "connectivity.rssi_ceiling_dbm",
+                "must be at least 1 dB above connectivity.rssi_floor_dbm",
+            ));
+        }
+        Ok(())
+    }
+}
+
+impl Settings for IngestSettings {
+    fn check(&self) -> Result<(), SettingsError> {
+        check_range("tick_hz", self.tick_hz, 0.1..=MAX_TICK_HZ)?;
+        check_range("stale_after_s", self.stale_after_s, 0.1..=86_400.0)?;
+        check_range("gone_after_s", self.gone_after_s, 0.1..=604_800.0)?;
+        if self.gone_after_s <= self.stale_after_s {
+            return Err(SettingsError::new(
+                "gone_after_s",
+                "must be more than stale_after_s, so that a robot is marked before it is gone",
+            ));
+        }
+        check_range("max_rate_hz", self.max_rate_hz, 1.0..=10_000.0)?;
+        #[expect(clippy::cast_precision_loss, reason = "the limit is far below 2⁵³")]
+        check_range("max_robots", f64::from(self.max_robots), 1.0..=MAX_ROBOTS as f64)?;
+        if self.frames.is_empty() || self.frames.len() > MAX_FRAMES {
+            return Err(SettingsError::new(
+                "frames",
+                format!("must name 1 to {MAX_FRAMES} frames"),
+            ));
+        }
+        if self.frames.iter().any(|frame| {
+            frame.is_empty() || frame.len() > MAX_TEXT_LENGTH || frame.chars().any(char::is_control)
+        }) {
+            return Err(SettingsError::new(
+                "frames",
+                format!("each must have 1 to {MAX_TEXT_LENGTH} bytes and no control characters"),
+            ));
+        }
+        if self.modalities.len() > MAX_DECLARED_MODALITIES {
+            return Err(SettingsError::new(
+                "modalities",
+                format!("may declare at most {MAX_DECLARED_MODALITIES}"),
+            ));
+        }
+        if let Some(built_in) = self.modalities.iter().find(|modality| modality.is_built_in()) {
+            return Err(SettingsError::new(
+                "modalities",
+                format!("{built_in} is built in and needs no declaration"),
+            ));
+        }
+        let mut names = self.modalities.clone();
+        names.sort_unstable();
+        names.dedup();
+        if names.len() != self.modalities.len() {
+            return Err(SettingsError::new("modalities", "a modality is declared twice"));
+        }
+        self.spatial.check()?;
+        self.connectivity.check()
+    }
+}

@@ -1,0 +1,197 @@
+//! What may be changed while the fleet runs, per service.
+//!
+//! Settings are checked as a whole: a patch either leads to settings that hold together, or changes
+//! nothing and is answered with the field that is wrong. A patch is a JSON object of the fields to
+//! change; `null` puts a field back to its default, and fields of nested tables may be named alone.
+
+mod auditor;
+mod clusterer;
+mod embedder;
+mod ingest;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
+
+pub use auditor::AuditorSettings;
+pub use clusterer::{CentroidStart, ClustererSettings};
+pub use embedder::{
+    Alpha, Dimension, EmbedderSettings, Normalization, RowScaling, SingularValueScaling,
+    check_weights,
+};
+pub use ingest::{
+    ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialSettings,
+};
+
+/// Why settings are refused: the field, and what it should have been.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{field}: {problem}")]
+pub struct SettingsError {
+    /// The path of the field, with dots.
+    pub field: String,
+    /// What is wrong and what would be right.
+    pub problem: String,
+}
+
+impl SettingsError {
+    /// An error of one field.
+    #[must_use]
+    pub fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self { field: field.into(), problem: problem.into() }
+    }
+}
+
+/// Settings of a service.
+pub trait Settings:
+    Clone + std::fmt::Debug + Default + PartialEq + Serialize + DeserializeOwned + Send + 'static
+{
+    /// Checks every field, and that the fields fit each other.
+    ///
+    /// # Errors
+    /// Names the first field that is wrong.
+    fn check(&self) -> Result<(), SettingsError>;
+
+    /// These settings with the fields of a patch changed.
+    ///
+    /// # Errors
+    /// Names the field that is unknown, of the wrong type, or out of range; nothing is changed then.
+    fn patched(&self, patch: &Value) -> Result<Self, SettingsError> {
+        let Value::Object(patch) = patch else {
+            return Err(SettingsError::new(
+                "(patch)",
+                "must be a JSON object of the fields to change, such as {\"teams\": 3}",
+            ));
+        };
+        let mut current = to_object(self)?;
+        merge(&mut current, patch, &to_object(&Self::default())?, "")?;
+        let settings = from_value::<Self>(Value::Object(current))?;
+        settings.check()?;
+        Ok(settings)
+    }
+}
+
+/// Reads settings out of a JSON value and names the field that does not fit.
+///
+/// # Errors
+/// Names the path of the field that is unknown or of the wrong type.
+pub fn from_value<T: DeserializeOwned>(value: Value) -> Result<T, SettingsError> {
+    serde_path_to_error::deserialize(value).map_err(|error| {
+        let path = error.path().to_string();
+        let field = if path == "." { "(settings)".to_owned() } else { path };
+        SettingsError::new(field, error.into_inner().to_string())
+    })
+}
+
+fn to_object<T: Serialize>(settings: &T) -> Result<Map<String, Value>, SettingsError> {
+    match serde_json::to_value(settings) {
+        Ok(Value::Object(object)) => Ok(object),
+        Ok(_) => Err(SettingsError::new("(settings)", "must be an object")),
+        Err(error) => Err(SettingsError::new("(settings)", error.to_string())),
+    }
+}
+
+/// Tables that the defaults have as tables are merged field by field; everything else, such as the
+/// map of weights, whose keys are the fleet's own, is replaced as a whole.
+fn merge(
+    current: &mut Map<String, Value>,
+    patch: &Map<String, Value>,
+    defaults: &Map<String, Value>,
+    path: &str,
+) -> Result<(), SettingsError> {
+    for (name, value) in patch {
+        let field = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+        let Some(default) = defaults.get(name) else {
+            let known = defaults.keys().cloned().collect::<Vec<_>>().join(", ");
+            return Err(SettingsError::new(
+                field.chars().take(64).collect::<String>(),
+                format!("is no setting; there are {known}"),
+            ));
+        };
+        match (value, default, current.get_mut(name)) {
+            (Value::Null, _, _) => {
+                current.insert(name.clone(), default.clone());
+            }
+            (Value::Object(patch), Value::Object(default), Some(Value::Object(current)))
+                if is_table(default) =>
+            {
+                merge(current, patch, default, &field)?;
+            }
+            _ => {
+                current.insert(name.clone(), value.clone());
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A table of several named fields, as against a choice with one field such as `{"fraction": 0.5}`.
+fn is_table(default: &Map<String, Value>) -> bool {
+    default.len() > 1
+}
+
+pub(crate) fn check_range(
+    field: &str,
+    value: f64,
+    range: std::ops::RangeInclusive<f64>,
+) -> Result<(), SettingsError> {
+    if range.contains(&value) {
+        Ok(())
+    } else {
+        Err(SettingsError::new(
+            field,
+            format!("must be a number from {} to {}, not {value}", range.start(), range.end()),
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn the_defaults_hold_together() {
+        assert_eq!(IngestSettings::default().check(), Ok(()));
+        assert_eq!(EmbedderSettings::default().check(), Ok(()));
+        assert_eq!(ClustererSettings::default().check(), Ok(()));
+        assert_eq!(AuditorSettings::default().check(), Ok(()));
+    }
+
+    #[test]
+    fn a_patch_changes_its_fields_and_null_restores_the_default() {
+        let settings = ClustererSettings::default().patched(&json!({"teams": 5})).unwrap();
+        assert_eq!(settings.teams, 5);
+        assert_eq!(settings.restarts, ClustererSettings::default().restarts);
+        let back = settings.patched(&json!({"teams": null})).unwrap();
+        assert_eq!(back, ClustererSettings::default());
+    }
+
+    #[test]
+    fn nested_tables_merge_and_maps_are_replaced() {
+        let settings = IngestSettings::default();
+        let patched = settings.patched(&json!({"spatial": {"radius_m": 12.5}})).unwrap();
+        assert_eq!(patched.spatial.radius_m, Some(12.5));
+        assert_eq!(patched.spatial.kernel, settings.spatial.kernel);
+
+        let first = EmbedderSettings::default().patched(&json!({"weights": {"spatial": 1.0}}));
+        let second = first.unwrap().patched(&json!({"weights": {"hierarchy": 1.0}})).unwrap();
+        assert_eq!(second.weights.len(), 1);
+        let alpha = second.patched(&json!({"alpha": 0.25})).unwrap().alpha;
+        assert_eq!(alpha, Alpha::Value(0.25));
+    }
+
+    #[test]
+    fn a_bad_patch_names_its_field() {
+        let field = |patch: Value| ClustererSettings::default().patched(&patch).unwrap_err().field;
+        assert_eq!(field(json!({"team": 5})), "team");
+        assert_eq!(field(json!({"teams": "five"})), "teams");
+        assert_eq!(field(json!({"teams": -1})), "teams");
+        assert_eq!(field(json!({"teams": 0})), "teams");
+        assert_eq!(field(json!({"init": "best"})), "init");
+        assert_eq!(field(json!([1])), "(patch)");
+        let spatial = |patch: Value| IngestSettings::default().patched(&patch).unwrap_err().field;
+        assert_eq!(spatial(json!({"spatial": {"radius": 1}})), "spatial.radius");
+        assert_eq!(spatial(json!({"spatial": {"width": 0.0}})), "spatial.width");
+    }
+}

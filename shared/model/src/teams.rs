@@ -1,0 +1,199 @@
+//! The division of the fleet, and what changed since the one before.
+
+use serde::{Deserialize, Serialize};
+
+use crate::header::{Header, Revision};
+use crate::id::{RobotId, TeamId};
+
+/// One robot within its team.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Member {
+    /// The robot.
+    pub robot: RobotId,
+    /// (b − a) / max(a, b), where a is the distance to the own centroid and b that to the nearest
+    /// other one: 1 in the middle of a lone team, 0 on the border, negative beyond it.
+    pub margin: f64,
+}
+
+/// One team.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Team {
+    /// Its lasting name.
+    pub id: TeamId,
+    /// Its robots, ordered by name.
+    pub members: Vec<Member>,
+    /// The robot that commands most of the others; the one before if nobody commands.
+    pub leader: RobotId,
+    /// The mean of its members' vectors.
+    pub centroid: Vec<f64>,
+}
+
+/// How a division came from the one before.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TeamChange {
+    /// A team without a predecessor.
+    Born {
+        /// The new team.
+        team: TeamId,
+    },
+    /// A team whose robots are gone or in other teams.
+    Died {
+        /// The old team.
+        team: TeamId,
+    },
+    /// A new team whose members mostly come from an older one that lives on.
+    Split {
+        /// The older team.
+        from: TeamId,
+        /// The new team.
+        into: TeamId,
+    },
+    /// A team that died into another one.
+    Merged {
+        /// The team that died.
+        from: TeamId,
+        /// The team that most of its members are in now.
+        into: TeamId,
+    },
+    /// A robot whose team is another than before.
+    Moved {
+        /// The robot.
+        robot: RobotId,
+        /// Its team before; none if it had none.
+        from: Option<TeamId>,
+        /// Its team now; none if it has none.
+        to: Option<TeamId>,
+    },
+}
+
+/// The division of the fleet.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Teams {
+    /// The head of the message.
+    pub header: Header,
+    /// The embedding that was divided.
+    pub embedding: Revision,
+    /// How many teams were asked for; there may be fewer.
+    pub requested: u32,
+    /// The teams, ordered by id as people count: t2 before t10.
+    pub teams: Vec<Team>,
+    /// Robots that belong to no team, ordered by name: nothing relates them to the others.
+    pub unassigned: Vec<RobotId>,
+    /// Robots, with or without a team, that have not been heard of lately, ordered by name.
+    pub stale: Vec<RobotId>,
+    /// Sum of squared distances of the members to their centroids.
+    pub inertia: f64,
+    /// What changed since the division before.
+    pub changes: Vec<TeamChange>,
+    /// The number that the next new team will get; numbers are never given twice.
+    pub next_team: u64,
+}
+
+impl Teams {
+    /// The team of each member, in the order of the teams.
+    pub fn assignments(&self) -> impl Iterator<Item = (&RobotId, &TeamId)> {
+        self.teams
+            .iter()
+            .flat_map(|team| team.members.iter().map(move |member| (&member.robot, &team.id)))
+    }
+
+    /// Whether another division has the same teams with the same members and leaders, and the same
+    /// robots without a team or stale.
+    #[must_use]
+    pub fn same_division(&self, other: &Self) -> bool {
+        self.unassigned == other.unassigned
+            && self.stale == other.stale
+            && self.teams.len() == other.teams.len()
+            && self.teams.iter().zip(&other.teams).all(|(left, right)| {
+                left.id == right.id
+                    && left.leader == right.leader
+                    && left.members.len() == right.members.len()
+                    && left.members.iter().zip(&right.members).all(|(l, r)| l.robot == r.robot)
+            })
+    }
+
+    /// Whether every robot stands once, and all numbers are finite.
+    ///
+    /// # Errors
+    /// Names the part that is wrong.
+    pub fn check(&self) -> Result<(), &'static str> {
+        let mut robots: Vec<_> =
+            self.assignments().map(|(robot, _)| robot).chain(&self.unassigned).collect();
+        let count = robots.len();
+        robots.sort_unstable();
+        robots.dedup();
+        if robots.len() != count {
+            return Err("teams: a robot stands twice");
+        }
+        let mut ids: Vec<_> = self.teams.iter().map(|team| &team.id).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        if ids.len() != self.teams.len() {
+            return Err("teams.id: a team stands twice");
+        }
+        for team in &self.teams {
+            if !team.members.iter().any(|member| member.robot == team.leader) {
+                return Err("teams.leader: is no member of the team");
+            }
+            let mut numbers = team.members.iter().map(|member| member.margin);
+            if !numbers.all(f64::is_finite) || !team.centroid.iter().all(|x| x.is_finite()) {
+                return Err("teams: a margin or centroid is not finite");
+            }
+        }
+        if self.inertia.is_finite() { Ok(()) } else { Err("inertia: must be finite") }
+    }
+}
+
+/// What one robot is told of its team.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RobotTeam {
+    /// The head of the message; its revision is that of the division.
+    pub header: Header,
+    /// Who is told.
+    pub robot: RobotId,
+    /// Its team; none if nothing relates it to the others.
+    pub team: Option<TeamId>,
+    /// All robots of the team, itself among them, ordered by name.
+    pub members: Vec<RobotId>,
+    /// Who leads the team.
+    pub leader: Option<RobotId>,
+    /// How clearly it belongs there: its margin, and 0 where that is negative.
+    pub confidence: f64,
+}
+
+impl Teams {
+    /// What each robot of the fleet is told, in the order of the teams.
+    pub fn robot_teams(&self) -> impl Iterator<Item = RobotTeam> {
+        let assigned = self.teams.iter().flat_map(move |team| {
+            team.members.iter().map(move |member| self.told(&member.robot, Some((team, member))))
+        });
+        assigned.chain(self.unassigned.iter().map(|robot| self.told(robot, None)))
+    }
+
+    /// What one robot of the fleet is told; none if the division does not know it.
+    #[must_use]
+    pub fn robot_team(&self, robot: &RobotId) -> Option<RobotTeam> {
+        let place = self.teams.iter().find_map(|team| {
+            let found = team.members.binary_search_by(|member| member.robot.cmp(robot)).ok()?;
+            Some((team, &team.members[found]))
+        });
+        if place.is_none() && self.unassigned.binary_search(robot).is_err() {
+            return None;
+        }
+        Some(self.told(robot, place))
+    }
+
+    fn told(&self, robot: &RobotId, place: Option<(&Team, &Member)>) -> RobotTeam {
+        RobotTeam {
+            header: self.header.clone(),
+            robot: robot.clone(),
+            team: place.map(|(team, _)| team.id.clone()),
+            members: place.map_or_else(Vec::new, |(team, _)| {
+                team.members.iter().map(|member| member.robot.clone()).collect()
+            }),
+            leader: place.map(|(team, _)| team.leader.clone()),
+            confidence: place.map_or(0.0, |(_, member)| member.margin.clamp(0.0, 1.0)),
+        }
+    }
+}

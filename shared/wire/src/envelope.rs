@@ -1,0 +1,168 @@
+//! The binary form of a message: magic byte, schema version, kind, and the content in bincode.
+//!
+//! bincode is used in this module and nowhere else, so that another codec would be one file. Its
+//! standard configuration (little-endian, variable-length integers) is bounded by the limit of the
+//! kind, and what it leaves unread is refused.
+
+use bincode::config::Configuration;
+use muster_model::audit::Audit;
+use muster_model::embedding::Embedding;
+use muster_model::event::Event;
+use muster_model::graph::GraphDelta;
+use muster_model::id::{RobotId, ServiceName};
+use muster_model::limits::MAX_ROBOT_PAYLOAD;
+use muster_model::observation::{Links, Pose, Rank, Relation};
+use muster_model::roster::Roster;
+use muster_model::teams::{RobotTeam, Teams};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+/// First byte of every binary message: no text and no JSON begins with it.
+pub const MAGIC: u8 = 0xB7;
+
+/// Version of the schema of all kinds. Any change of a type is a new version.
+pub const VERSION: u8 = 1;
+
+/// Magic byte, version and kind.
+const HEAD: usize = 3;
+
+/// Largest message between services in bytes: a graph of 100,000 robots with 30 edges each.
+pub const MAX_SERVICE_PAYLOAD: usize = 64 * 1024 * 1024;
+
+/// Largest event in bytes: an event is a few names and one reason.
+const MAX_EVENT_PAYLOAD: usize = 64 * 1024;
+
+/// Why bytes are not the message that they should be.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum EnvelopeError {
+    /// There are more bytes than the kind may have.
+    #[error("{size} bytes are more than the limit of {limit}")]
+    TooLarge {
+        /// How many there are.
+        size: usize,
+        /// How many there may be.
+        limit: usize,
+    },
+    /// There are not even a head's bytes, or the first is not the magic byte.
+    #[error("this is no binary message of Muster: it must begin with the byte 0x{MAGIC:02X}")]
+    NotMuster,
+    /// The schema version is another one.
+    #[error("schema version {0} is not understood; this program speaks version {VERSION}")]
+    Version(u8),
+    /// The message is of another kind than its key demands.
+    #[error("the message is of kind {got}, but its key demands kind {expected}")]
+    Kind {
+        /// The kind that it has.
+        got: u8,
+        /// The kind that it must have.
+        expected: u8,
+    },
+    /// The content does not decode.
+    #[error("the content does not decode: {0}")]
+    Content(String),
+    /// Bytes follow the content.
+    #[error("{0} bytes follow the content")]
+    Trailing(usize),
+    /// The content cannot be encoded.
+    #[error("the content does not encode: {0}")]
+    Encode(String),
+}
+
+/// A content that has a binary form.
+pub trait BinaryMessage: Serialize + DeserializeOwned {
+    /// The number of the kind; never given twice.
+    const KIND: u8;
+    /// The name of the kind, as it stands in the encoding's schema.
+    const NAME: &'static str;
+    /// Most bytes of a message of the kind.
+    const LIMIT: usize;
+}
+
+/// A robot's own words in binary form. The robot stands inside as well as in the key, so that a
+/// message that is put to another robot's key is seen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FromRobot<T> {
+    /// Who says it.
+    pub robot: RobotId,
+    /// What it says.
+    pub body: T,
+}
+
+/// Settings as they are announced to the other services.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AnnouncedSettings {
+    /// Whose settings.
+    pub service: ServiceName,
+    /// The settings as JSON text.
+    pub settings: String,
+}
+
+macro_rules! kinds {
+    ($($kind:literal $type:ty, $name:literal, $limit:expr;)*) => {
+        $(impl BinaryMessage for $type {
+            const KIND: u8 = $kind;
+            const NAME: &'static str = $name;
+            const LIMIT: usize = $limit;
+        })*
+    };
+}
+
+kinds! {
+    1 FromRobot<Pose>, "Pose", MAX_ROBOT_PAYLOAD;
+    2 FromRobot<Links>, "Links", MAX_ROBOT_PAYLOAD;
+    3 FromRobot<Rank>, "Rank", MAX_ROBOT_PAYLOAD;
+    4 FromRobot<Relation>, "Relation", MAX_ROBOT_PAYLOAD;
+    5 GraphDelta, "GraphDelta", MAX_SERVICE_PAYLOAD;
+    6 Roster, "Roster", MAX_SERVICE_PAYLOAD;
+    7 Embedding, "Embedding", MAX_SERVICE_PAYLOAD;
+    8 Teams, "Teams", MAX_SERVICE_PAYLOAD;
+    9 RobotTeam, "RobotTeam", MAX_SERVICE_PAYLOAD;
+    10 Audit, "Audit", MAX_SERVICE_PAYLOAD;
+    11 Event, "Event", MAX_EVENT_PAYLOAD;
+    12 AnnouncedSettings, "Settings", MAX_EVENT_PAYLOAD;
+}
+
+/// Writes a message.
+///
+/// # Errors
+/// [`EnvelopeError::TooLarge`] past the limit of the kind, [`EnvelopeError::Encode`] if bincode
+/// refuses the content.
+pub fn encode<T: BinaryMessage>(content: &T) -> Result<Vec<u8>, EnvelopeError> {
+    let mut bytes = vec![MAGIC, VERSION, T::KIND];
+    bincode::serde::encode_into_std_write(content, &mut bytes, bincode::config::standard())
+        .map_err(|error| EnvelopeError::Encode(error.to_string()))?;
+    if bytes.len() > T::LIMIT {
+        return Err(EnvelopeError::TooLarge { size: bytes.len(), limit: T::LIMIT });
+    }
+    Ok(bytes)
+}
+
+/// Reads a message of a known kind.
+///
+/// # Errors
+/// Says what is wrong with the bytes. No input allocates more than the limit of the kind.
+pub fn decode<T: BinaryMessage>(bytes: &[u8]) -> Result<T, EnvelopeError> {
+    if bytes.len() > T::LIMIT {
+        return Err(EnvelopeError::TooLarge { size: bytes.len(), limit: T::LIMIT });
+    }
+    let &[magic, version, kind, ref content @ ..] = bytes else {
+        return Err(EnvelopeError::NotMuster);
+    };
+    if magic != MAGIC {
+        return Err(EnvelopeError::NotMuster);
+    }
+    if version != VERSION {
+        return Err(EnvelopeError::Version(version));
+    }
+    if kind != T::KIND {
+        return Err(EnvelopeError::Kind { got: kind, expected: T::KIND });
+    }
+    let limited: Configuration<_, _, bincode::config::Limit<MAX_SERVICE_PAYLOAD>> =
+        bincode::config::standard().with_limit::<MAX_SERVICE_PAYLOAD>();
+    let (message, read) = bincode::serde::decode_from_slice(content, limited)
+        .map_err(|error| EnvelopeError::Content(error.to_string()))?;
+    match bytes.len() - HEAD - read {
+        0 => Ok(message),
+        trailing => Err(EnvelopeError::Trailing(trailing)),
+    }
+}

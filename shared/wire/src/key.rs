@@ -1,0 +1,320 @@
+//! The key space: every key that Muster uses, typed.
+//!
+//! All keys stand under `muster/v1/{fleet}/`, so that fleets share a bus without seeing each other
+//! and a later version of the key space can live beside this one. The text of a key is canonical
+//! (a test checks that against the bus itself).
+
+use std::fmt;
+
+use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
+
+/// What stands before the fleet in every key.
+const ROOT: &str = "muster/v1";
+
+/// Last chunks that stand for something of the service itself and are no instance.
+const RESERVED_INSTANCES: [&str; 2] = ["settings", "status"];
+
+/// One place of a fleet on the bus.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Key {
+    /// `robot/{robot}`: liveliness token of a robot.
+    RobotToken(RobotId),
+    /// `robot/{robot}/pose`: where the robot is.
+    Pose(RobotId),
+    /// `robot/{robot}/links`: whom the robot hears.
+    Links(RobotId),
+    /// `robot/{robot}/rank`: whom the robot answers to.
+    Rank(RobotId),
+    /// `robot/{robot}/relation/{modality}`: edges of a declared modality.
+    Relation(RobotId, Modality),
+    /// `robot/{robot}/team`: what the robot is told of its team.
+    RobotTeam(RobotId),
+    /// `graph/{modality}`: one relation of all robots.
+    Graph(Modality),
+    /// `roster`: who belongs to the fleet, and which graphs belong together.
+    Roster,
+    /// `embedding`: one vector per robot.
+    Embedding,
+    /// `teams`: the division.
+    Teams,
+    /// `audit`: the judgement of the division.
+    Audit,
+    /// `event`: what happens.
+    Event,
+    /// `json/teams`: the division as JSON.
+    JsonTeams,
+    /// `json/audit`: the judgement as JSON.
+    JsonAudit,
+    /// `json/event`: what happens, as JSON.
+    JsonEvent,
+    /// `service/{service}/settings`: a get answers with the settings, one with a payload changes them.
+    Settings(ServiceName),
+    /// `service/{service}/status`: a get answers with what the service tells of itself.
+    Status(ServiceName),
+    /// `service/{service}/{instance}`: liveliness token of a running service.
+    ServiceToken(ServiceName, InstanceId),
+}
+
+/// A set of keys to subscribe to, serve or get.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Pattern {
+    /// `robot/*`, of liveliness tokens.
+    RobotTokens,
+    /// `robot/*/pose`
+    Poses,
+    /// `robot/*/links`
+    Links,
+    /// `robot/*/rank`
+    Ranks,
+    /// `robot/*/relation/*`
+    Relations,
+    /// `robot/*/team`
+    RobotTeams,
+    /// `graph/*`
+    Graphs,
+    /// `service/*/*`, of liveliness tokens.
+    ServiceTokens,
+    /// `service/*/status`
+    Statuses,
+    /// One key.
+    One(Key),
+}
+
+/// Why a text is not a key of the fleet.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum KeyError {
+    /// It does not stand under the fleet.
+    #[error("the key does not stand under {ROOT}/{0}/")]
+    Elsewhere(FleetId),
+    /// It has wild chunks: a sample must name exactly one place.
+    #[error("the key is wild; put to exactly one key")]
+    Wild,
+    /// No key has this form.
+    #[error("no key of the fleet has this form")]
+    Unknown,
+}
+
+/// The keys of one fleet.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeySpace {
+    fleet: FleetId,
+    prefix: String,
+}
+
+impl KeySpace {
+    /// The keys of a fleet.
+    #[must_use]
+    pub fn new(fleet: FleetId) -> Self {
+        let prefix = format!("{ROOT}/{fleet}/");
+        Self { fleet, prefix }
+    }
+
+    /// The fleet.
+    #[must_use]
+    pub fn fleet(&self) -> &FleetId {
+        &self.fleet
+    }
+
+    /// The text of a key on the bus.
+    #[must_use]
+    pub fn format(&self, key: &Key) -> String {
+        format!("{}{key}", self.prefix)
+    }
+
+    /// The key expression of a set of keys.
+    #[must_use]
+    pub fn pattern(&self, pattern: &Pattern) -> String {
+        let tail = match pattern {
+            Pattern::RobotTokens => "robot/*",
+            Pattern::Poses => "robot/*/pose",
+            Pattern::Links => "robot/*/links",
+            Pattern::Ranks => "robot/*/rank",
+            Pattern::Relations => "robot/*/relation/*",
+            Pattern::RobotTeams => "robot/*/team",
+            Pattern::Graphs => "graph/*",
+            Pattern::ServiceTokens => "service/*/*",
+            Pattern::Statuses => "service/*/status",
+            Pattern::One(key) => return self.format(key),
+        };
+        format!("{}{tail}", self.prefix)
+    }
+
+    /// Reads a key off the bus.
+    ///
+    /// # Errors
+    /// [`KeyError`] if it is wild, of another fleet, or of no known form.
+    pub fn parse(&self, text: &str) -> Result<Key, KeyError> {
+        let Some(tail) = text.strip_prefix(&self.prefix) else {
+            return Err(KeyError::Elsewhere(self.fleet.clone()));
+        };
+        if tail.contains(['*', '$']) {
+            return Err(KeyError::Wild);
+        }
+        // The longest key has four chunks; a fifth means that the form is not known.
+        let mut chunks = tail.splitn(5, '/');
+        let chunks = [chunks.next(), chunks.next(), chunks.next(), chunks.next(), chunks.next()];
+        parse_chunks(chunks).ok_or(KeyError::Unknown)
+    }
+}
+
+fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
+    Some(match chunks {
+        [Some("roster"), None, ..] => Key::Roster,
+        [Some("embedding"), None, ..] => Key::Embedding,
+        [Some("teams"), None, ..] => Key::Teams,
+        [Some("audit"), None, ..] => Key::Audit,
+        [Some("event"), None, ..] => Key::Event,
+        [Some("json"), Some("teams"), None, ..] => Key::JsonTeams,
+        [Some("json"), Some("audit"), None, ..] => Key::JsonAudit,
+        [Some("json"), Some("event"), None, ..] => Key::JsonEvent,
+        [Some("graph"), Some(modality), None, ..] => Key::Graph(modality.parse().ok()?),
+        [Some("robot"), Some(robot), None, ..] => Key::RobotToken(robot.parse().ok()?),
+        [Some("robot"), Some(robot), Some(stream), None, _] => {
+            let robot = robot.parse().ok()?;
+            match stream {
+                "pose" => Key::Pose(robot),
+                "links" => Key::Links(robot),
+                "rank" => Key::Rank(robot),
+                "team" => Key::RobotTeam(robot),
+                _ => return None,
+            }
+        }
+        [Some("robot"), Some(robot), Some("relation"), Some(modality), None] => {
+            Key::Relation(robot.parse().ok()?, modality.parse().ok()?)
+        }
+        [Some("service"), Some(service), Some(last), None, _] => {
+            let service = service.parse().ok()?;
+            match last {
+                "settings" => Key::Settings(service),
+                "status" => Key::Status(service),
+                instance => Key::ServiceToken(service, instance.parse().ok()?),
+            }
+        }
+        _ => return None,
+    })
+}
+
+/// Whether an instance may be called so: not like the keys that stand beside it.
+#[must_use]
+pub fn is_free_instance_name(instance: &InstanceId) -> bool {
+    !RESERVED_INSTANCES.contains(&instance.as_str())
+}
+
+impl Key {
+    /// The robot whose key this is.
+    #[must_use]
+    pub fn robot(&self) -> Option<&RobotId> {
+        match self {
+            Self::RobotToken(robot)
+            | Self::Pose(robot)
+            | Self::Links(robot)
+            | Self::Rank(robot)
+            | Self::Relation(robot, _)
+            | Self::RobotTeam(robot) => Some(robot),
+            _ => None,
+        }
+    }
+}
+
+/// The text of the key below the fleet's prefix.
+impl fmt::Display for Key {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::RobotToken(robot) => write!(formatter, "robot/{robot}"),
+            Self::Pose(robot) => write!(formatter, "robot/{robot}/pose"),
+            Self::Links(robot) => write!(formatter, "robot/{robot}/links"),
+            Self::Rank(robot) => write!(formatter, "robot/{robot}/rank"),
+            Self::Relation(robot, modality) => {
+                write!(formatter, "robot/{robot}/relation/{modality}")
+            }
+            Self::RobotTeam(robot) => write!(formatter, "robot/{robot}/team"),
+            Self::Graph(modality) => write!(formatter, "graph/{modality}"),
+            Self::Roster => formatter.write_str("roster"),
+            Self::Embedding => formatter.write_str("embedding"),
+            Self::Teams => formatter.write_str("teams"),
+            Self::Audit => formatter.write_str("audit"),
+            Self::Event => formatter.write_str("event"),
+            Self::JsonTeams => formatter.write_str("json/teams"),
+            Self::JsonAudit => formatter.write_str("json/audit"),
+            Self::JsonEvent => formatter.write_str("json/event"),
+            Self::Settings(service) => write!(formatter, "service/{service}/settings"),
+            Self::Status(service) => write!(formatter, "service/{service}/status"),
+            Self::ServiceToken(service, instance) => {
+                write!(formatter, "service/{service}/{instance}")
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn space() -> KeySpace {
+        KeySpace::new(FleetId::new("alpha").unwrap())
+    }
+
+    #[test]
+    fn every_key_is_read_back_from_its_text() {
+        let robot = RobotId::new("r1").unwrap();
+        let thermal = Modality::new("thermal").unwrap();
+        let mut keys = vec![
+            Key::RobotToken(robot.clone()),
+            Key::Pose(robot.clone()),
+            Key::Links(robot.clone()),
+            Key::Rank(robot.clone()),
+            Key::Relation(robot.clone(), thermal.clone()),
+            Key::RobotTeam(robot),
+            Key::Graph(thermal),
+            Key::Roster,
+            Key::Embedding,
+            Key::Teams,
+            Key::Audit,
+            Key::Event,
+            Key::JsonTeams,
+            Key::JsonAudit,
+            Key::JsonEvent,
+        ];
+        for service in ServiceName::ALL {
+            keys.push(Key::Settings(service));
+            keys.push(Key::Status(service));
+            keys.push(Key::ServiceToken(service, InstanceId::new("host-1").unwrap()));
+        }
+        for key in keys {
+            let text = space().format(&key);
+            assert_eq!(space().parse(&text), Ok(key), "{text}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_key_of_the_fleet_is_refused() {
+        let parse = |text: &str| space().parse(text).unwrap_err();
+        assert!(matches!(parse("muster/v1/beta/teams"), KeyError::Elsewhere(_)));
+        assert!(matches!(parse("muster/v2/alpha/teams"), KeyError::Elsewhere(_)));
+        assert_eq!(parse("muster/v1/alpha/robot/*/pose"), KeyError::Wild);
+        assert_eq!(parse("muster/v1/alpha/**"), KeyError::Wild);
+        for unknown in [
+            "",
+            "team",
+            "teams/x",
+            "robot",
+            "robot/R1/pose",
+            "robot/r1/pose/x",
+            "robot//pose",
+            "robot/r1/relation",
+            "robot/r1/relation/a/b",
+            "service/ingest",
+            "service/x/settings",
+            "json/embedding",
+            "graph",
+            "graph/a/b",
+            "robot/r1/relation/a/",
+        ] {
+            assert_eq!(
+                parse(&format!("muster/v1/alpha/{unknown}")),
+                KeyError::Unknown,
+                "{unknown}"
+            );
+        }
+    }
+}

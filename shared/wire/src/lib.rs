@@ -1,0 +1,16 @@
+//! Everything that crosses the bus: where it stands, and how it is written.
+//!
+//! [`key`] is the key space in one typed place; [`envelope`] the binary form (magic byte, schema
+//! version, kind, bincode); [`json`] the form at the edge; [`message`] ties a key to a content and
+//! both forms; [`request`] reads gets. Nothing outside of this crate handles bytes, and nothing in
+//! it knows the bus.
+
+pub mod envelope;
+pub mod json;
+pub mod key;
+pub mod message;
+pub mod request;
+
+pub use key::{Key, KeySpace, Pattern};
+pub use message::{Message, Outbound, Packet, Rejection, Source};
+pub use request::{Format, Request};

@@ -1,0 +1,155 @@
+//! Gets: which keys they select, in which form they want the answer.
+
+use crate::key::{Key, KeySpace};
+
+/// Longest text of a get's parameters that is read: `format=json` and a few more.
+const MAX_PARAMETERS: usize = 1024;
+
+/// In which form an answer is wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// JSON, for the edge.
+    Json,
+    /// The binary envelope, between services.
+    Binary,
+}
+
+/// A get as a service receives it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Request {
+    selector: String,
+    /// The form that `?format=` asks for; none if the get leaves it to the key.
+    pub format: Option<Format>,
+    /// What the get carries, such as a patch of settings.
+    pub payload: Option<Vec<u8>>,
+}
+
+impl Request {
+    /// Reads a get.
+    ///
+    /// # Errors
+    /// If the parameters ask for a form that there is not; the text names the remedy.
+    pub fn new(
+        selector: impl Into<String>,
+        parameters: &str,
+        payload: Option<Vec<u8>>,
+    ) -> Result<Self, String> {
+        if parameters.len() > MAX_PARAMETERS {
+            return Err(format!("parameters may have at most {MAX_PARAMETERS} bytes"));
+        }
+        let mut format = None;
+        for parameter in parameters.split([';', '&']) {
+            match parameter.split_once('=') {
+                Some(("format", "json")) => format = Some(Format::Json),
+                Some(("format", "bincode" | "binary")) => format = Some(Format::Binary),
+                Some(("format", other)) => {
+                    let other: String = other.chars().take(32).collect();
+                    return Err(format!("format {other:?} is unknown; ask for json or bincode"));
+                }
+                _ => {}
+            }
+        }
+        Ok(Self { selector: selector.into(), format, payload })
+    }
+
+    /// Whether the get names exactly one key. What changes something must.
+    #[must_use]
+    pub fn is_exact(&self) -> bool {
+        !self.selector.contains('*')
+    }
+
+    /// Whether the get selects a key.
+    #[must_use]
+    pub fn selects(&self, space: &KeySpace, key: &Key) -> bool {
+        let text = space.format(key);
+        let selector: Vec<&str> = self.selector.split('/').collect();
+        let key: Vec<&str> = text.split('/').collect();
+        chunks_match(&selector, &key)
+    }
+}
+
+/// Whether a key expression of chunks, `*` (one chunk) and `**` (any number) matches a plain key.
+/// Partial wildcards (`$*`) match within one chunk.
+///
+/// The dynamic programme over (chunk of the expression, chunk of the key) takes no more than the
+/// product of the lengths, whatever the expression.
+fn chunks_match(selector: &[&str], key: &[&str]) -> bool {
+    let mut reachable = vec![false; key.len() + 1];
+    reachable[0] = true;
+    for chunk in selector {
+        if *chunk == "**" {
+            let mut open = false;
+            for place in &mut reachable {
+                open |= *place;
+                *place = open;
+            }
+        } else {
+            for at in (0..key.len()).rev() {
+                reachable[at + 1] = reachable[at] && chunk_matches(chunk, key[at]);
+            }
+            reachable[0] = false;
+        }
+    }
+    reachable[key.len()]
+}
+
+fn chunk_matches(chunk: &str, key: &str) -> bool {
+    if chunk == "*" {
+        return true;
+    }
+    let mut parts = chunk.split("$*");
+    let Some(rest) = parts.next().and_then(|first| key.strip_prefix(first)) else {
+        return false;
+    };
+    let mut rest = rest;
+    let mut last: Option<&str> = None;
+    for part in parts {
+        if let Some(part) = last {
+            match rest.find(part) {
+                Some(at) => rest = &rest[at + part.len()..],
+                None => return false,
+            }
+        }
+        last = Some(part);
+    }
+    last.map_or(rest.is_empty(), |part| rest.ends_with(part))
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::id::FleetId;
+
+    use super::*;
+
+    fn selects(selector: &str, key: &str) -> bool {
+        let space = KeySpace::new(FleetId::new("f").unwrap());
+        let key = space.parse(&format!("muster/v1/f/{key}")).unwrap();
+        Request::new(selector, "", None).unwrap().selects(&space, &key)
+    }
+
+    #[test]
+    fn wild_gets_select_what_they_should() {
+        assert!(selects("muster/v1/f/teams", "teams"));
+        assert!(!selects("muster/v1/f/teams", "audit"));
+        assert!(selects("muster/v1/f/*", "teams"));
+        assert!(!selects("muster/v1/f/*", "json/teams"));
+        assert!(selects("muster/v1/f/**", "json/teams"));
+        assert!(selects("**/teams", "json/teams"));
+        assert!(selects("**", "teams"));
+        assert!(selects("muster/v1/f/robot/*/team", "robot/r1/team"));
+        assert!(selects("muster/*/f/graph/spa$*", "graph/spatial"));
+        assert!(selects("muster/*/f/graph/$*a$*l", "graph/spatial"));
+        assert!(!selects("muster/*/f/graph/$*x$*", "graph/spatial"));
+        assert!(!selects("muster/v1/g/**", "teams"));
+        assert!(selects("muster/**/f/**/**/teams", "teams"));
+    }
+
+    #[test]
+    fn the_form_is_read_from_the_parameters() {
+        let format = |text: &str| Request::new("a", text, None).map(|request| request.format);
+        assert_eq!(format(""), Ok(None));
+        assert_eq!(format("format=json"), Ok(Some(Format::Json)));
+        assert_eq!(format("x=1;format=bincode"), Ok(Some(Format::Binary)));
+        assert!(format("format=xml").unwrap_err().contains("json"));
+    }
+}
