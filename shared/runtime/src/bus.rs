@@ -1,0 +1,436 @@
+//! The bus: a Zenoh session with the keys of one fleet. Nothing outside of this crate knows Zenoh.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context;
+use muster_machine::{Delivery, Subscription};
+use muster_wire::{Key, KeySpace, Outbound, Packet, Pattern, Source};
+use tokio::sync::{mpsc, watch};
+use zenoh::Wait;
+use zenoh::config::{EndPoint, WhatAmI};
+use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+use zenoh::sample::{Locality, Sample, SampleKind};
+
+use crate::config::{Mode, Origin, ProcessConfig};
+use crate::exit::ExitError;
+use crate::inbox::Inbox;
+
+/// How long a silent link counts as alive. Zenoh's own default of 10 s would leave a lost robot
+/// unnoticed for as long.
+const LEASE_MS: u64 = 2000;
+
+/// How soon a lost router is tried again, at first and at most.
+const RETRY_MS: (u64, u64) = (100, 1000);
+
+/// How long a message may wait for a busy link before it is dropped: long enough for a snapshot of
+/// some megabytes to leave, short enough that newer data is not far behind.
+const WAIT_BEFORE_DROP_US: u64 = 100_000;
+
+/// The same for the fragments of one large message.
+const WAIT_FOR_FRAGMENTS_US: u64 = 1_000_000;
+
+/// Most answers to one get that are kept.
+const MAX_ANSWERS: usize = 4096;
+
+/// How long closing a session may take.
+const CLOSE_WITHIN: Duration = Duration::from_secs(1);
+
+/// When waiting for a router is first told of.
+const TELL_WAITING_AFTER: Duration = Duration::from_secs(1);
+
+/// Checks the form of an endpoint.
+///
+/// # Errors
+/// Says what an endpoint looks like.
+pub fn check_endpoint(text: &str) -> Result<(), String> {
+    text.parse::<EndPoint>().map(drop).map_err(|_| {
+        let text = muster_wire::message::quoted(text);
+        format!("{text:?} is no endpoint; write one like tcp/192.168.1.10:7447")
+    })
+}
+
+/// How long opening the bus may wait for a router.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Patience {
+    /// Until there is one: what services and robots do.
+    Forever,
+    /// Only so long: what a command at a console does.
+    AtMost(Duration),
+}
+
+/// Zenoh's configuration for a process.
+fn zenoh_config(config: &ProcessConfig) -> anyhow::Result<zenoh::Config> {
+    let mut zenoh = match &config.zenoh_config.value {
+        Some(path) => zenoh::Config::from_file(path).map_err(|error| {
+            ExitError::usage(format!("zenoh_config {}: {error}", path.display()))
+        })?,
+        None => built_in_config()?,
+    };
+    // What a user wrote into Zenoh's own file stands, unless a flag, variable or file of ours says
+    // otherwise.
+    let own = config.zenoh_config.value.is_some();
+    let says = |origin: &Origin| !own || *origin != Origin::Default;
+    let mut insert = |key: &str, value: String| {
+        zenoh.insert_json5(key, &value).map_err(|error| anyhow::anyhow!("{key} = {value}: {error}"))
+    };
+    if says(&config.mode.origin) {
+        insert("mode", serde_json::to_string(&config.mode.value.to_string())?)?;
+    }
+    if says(&config.connect.origin) {
+        insert("connect/endpoints", serde_json::to_string(&config.connect.value)?)?;
+    }
+    if says(&config.listen.origin) {
+        insert("listen/endpoints", serde_json::to_string(&config.listen.value)?)?;
+    }
+    Ok(zenoh)
+}
+
+fn built_in_config() -> anyhow::Result<zenoh::Config> {
+    let mut zenoh = zenoh::Config::default();
+    let (retry, retry_at_most) = RETRY_MS;
+    let retries = format!(
+        "{{period_init_ms: {retry}, period_max_ms: {retry_at_most}, period_increase_factor: 2}}"
+    );
+    let drop_after = format!(
+        "{{wait_before_drop: {WAIT_BEFORE_DROP_US}, max_wait_before_drop_fragments: {WAIT_FOR_FRAGMENTS_US}}}"
+    );
+    let values = [
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("scouting/gossip/enabled", "false".to_owned()),
+        // A router waits so long for others before it opens; nobody is scouted, so that nothing comes.
+        ("scouting/delay", "1".to_owned()),
+        ("connect/timeout_ms", "-1".to_owned()),
+        ("connect/exit_on_failure", "false".to_owned()),
+        ("connect/retry", retries),
+        ("listen/timeout_ms", "0".to_owned()),
+        ("listen/exit_on_failure", "true".to_owned()),
+        ("transport/link/tx/lease", LEASE_MS.to_string()),
+        ("transport/link/tx/queue/congestion_control/drop", drop_after),
+        ("transport/unicast/max_sessions", "10000".to_owned()),
+    ];
+    for (key, value) in values {
+        zenoh
+            .insert_json5(key, &value)
+            .map_err(|error| anyhow::anyhow!("Zenoh refuses {key} = {value}: {error}"))?;
+    }
+    Ok(zenoh)
+}
+
+/// An open session with the keys of one fleet.
+#[derive(Debug, Clone)]
+pub struct Bus {
+    session: zenoh::Session,
+    space: KeySpace,
+    link: watch::Receiver<bool>,
+}
+
+/// A liveliness token; others see it for as long as this lives.
+#[derive(Debug)]
+pub struct Token(zenoh::liveliness::LivelinessToken);
+
+impl Token {
+    /// Withdraws the token, as a robot does that leaves on purpose.
+    ///
+    /// # Errors
+    /// If the bus refuses it.
+    pub async fn withdraw(self) -> anyhow::Result<()> {
+        self.0.undeclare().await.map_err(|error| anyhow::anyhow!("{error}"))
+    }
+}
+
+/// One answer to a get.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Answer {
+    /// A message on a key.
+    Packet(Packet),
+    /// An error, as text.
+    Error(String),
+}
+
+impl Bus {
+    /// Opens a session.
+    ///
+    /// # Errors
+    /// If the configuration is wrong, an endpoint cannot be listened to, or no router was found in
+    /// the time that was given.
+    pub async fn open(config: &ProcessConfig, patience: Patience) -> anyhow::Result<Self> {
+        let zenoh = zenoh_config(config)?;
+        let routers = config.connect.value.join(", ");
+        let mut opening = std::pin::pin!(async { zenoh::open(zenoh).await });
+        let remedy = format!(
+            "no router answers at {routers}; start one with `muster router`, or name another with --connect"
+        );
+        let at_once = match patience {
+            Patience::Forever => TELL_WAITING_AFTER,
+            Patience::AtMost(limit) => limit,
+        };
+        let opened = match tokio::time::timeout(at_once, &mut opening).await {
+            Ok(opened) => opened,
+            Err(_) if patience == Patience::Forever => {
+                tracing::warn!("waiting: {remedy}");
+                let opened = opening.await;
+                tracing::info!("a router answers now");
+                opened
+            }
+            Err(_) => return Err(ExitError::unreachable(remedy).into()),
+        };
+        let session = opened.map_err(|error| match config.mode.value {
+            Mode::Client => ExitError::unreachable(format!("{remedy} ({error})")),
+            Mode::Peer | Mode::Router => ExitError::unreachable(format!(
+                "the bus does not open at {}: {error}; is the address taken? Choose another with --listen",
+                config.listen.value.join(", ")
+            )),
+        })?;
+        let link = watch_link(&session).await?;
+        Ok(Self { session, space: KeySpace::new(config.fleet.value.clone()), link })
+    }
+
+    /// The keys of the fleet.
+    #[must_use]
+    pub fn space(&self) -> &KeySpace {
+        &self.space
+    }
+
+    /// Whether a router is linked, and every change of it.
+    #[must_use]
+    pub fn link(&self) -> watch::Receiver<bool> {
+        self.link.clone()
+    }
+
+    /// The addresses that this process listens on.
+    pub async fn locators(&self) -> Vec<String> {
+        self.session.info().locators().await.iter().map(ToString::to_string).collect()
+    }
+
+    /// Puts a message. May wait for a busy link, as long as the configuration allows.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub fn put(&self, message: Outbound) -> anyhow::Result<()> {
+        self.session
+            .put(self.space.format(&message.key), message.payload)
+            .encoding(message.encoding.as_ref())
+            .wait()
+            .map_err(|error| anyhow::anyhow!("cannot put to {}: {error}", message.key))
+    }
+
+    /// Declares a liveliness token.
+    ///
+    /// # Errors
+    /// If the bus refuses it.
+    pub async fn declare_token(&self, key: &Key) -> anyhow::Result<Token> {
+        let token = self.session.liveliness().declare_token(self.space.format(key)).await;
+        token.map(Token).map_err(|error| anyhow::anyhow!("cannot declare {key}: {error}"))
+    }
+
+    /// The keys of the liveliness tokens that are there now.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn tokens(&self, pattern: &Pattern, within: Duration) -> anyhow::Result<Vec<Key>> {
+        let text = self.space.pattern(pattern);
+        let replies = self.session.liveliness().get(text.as_str()).timeout(within).await;
+        let replies = replies.map_err(|error| anyhow::anyhow!("cannot ask for {text}: {error}"))?;
+        let mut keys = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            if let Ok(sample) = reply.result()
+                && let Ok(key) = self.space.parse(sample.key_expr().as_str())
+                && keys.len() < muster_model::limits::MAX_ROBOTS
+            {
+                keys.push(key);
+            }
+        }
+        keys.sort_unstable();
+        keys.dedup();
+        Ok(keys)
+    }
+
+    /// Lets messages of a subscription into an inbox, for as long as the session lives.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn subscribe(
+        &self,
+        subscription: &Subscription,
+        inbox: &Arc<Inbox>,
+    ) -> anyhow::Result<()> {
+        let text = self.space.pattern(&subscription.pattern);
+        let inbox = Arc::clone(inbox);
+        let (delivery, limit) = (subscription.delivery, subscription.max_payload);
+        self.session
+            .declare_subscriber(text.as_str())
+            .callback(move |sample| inbox.push(packet(&sample, limit), delivery))
+            .background()
+            .await
+            .map_err(|error| anyhow::anyhow!("cannot subscribe to {text}: {error}"))
+    }
+
+    /// Lets liveliness tokens into an inbox, those that are there already as well.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn subscribe_tokens(
+        &self,
+        pattern: &Pattern,
+        inbox: &Arc<Inbox>,
+    ) -> anyhow::Result<()> {
+        let text = self.space.pattern(pattern);
+        let inbox = Arc::clone(inbox);
+        self.session
+            .liveliness()
+            .declare_subscriber(text.as_str())
+            .history(true)
+            .callback(move |sample| {
+                let source = match sample.kind() {
+                    SampleKind::Put => Source::TokenAlive,
+                    SampleKind::Delete => Source::TokenGone,
+                };
+                inbox.push(Packet { source, ..packet(&sample, 0) }, Delivery::Latest);
+            })
+            .background()
+            .await
+            .map_err(|error| anyhow::anyhow!("cannot subscribe to tokens {text}: {error}"))
+    }
+
+    /// Hands gets of a pattern to a channel; a get that finds it full is left unanswered. A
+    /// `complete` server is the one whose answer suffices.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub(crate) async fn serve(
+        &self,
+        pattern: &Pattern,
+        complete: bool,
+        queries: mpsc::Sender<Query>,
+    ) -> anyhow::Result<()> {
+        let text = self.space.pattern(pattern);
+        self.session
+            .declare_queryable(text.as_str())
+            .complete(complete)
+            .callback(move |query| {
+                if queries.try_send(query).is_err() {
+                    tracing::warn!("a get is dropped: too many wait");
+                }
+            })
+            .background()
+            .await
+            .map_err(|error| anyhow::anyhow!("cannot serve {text}: {error}"))
+    }
+
+    /// Asks for a pattern and gathers what is answered in time, by everybody or by the best.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn get(&self, pattern: &Pattern, ask: Ask<'_>) -> anyhow::Result<Vec<Answer>> {
+        let mut selector = self.space.pattern(pattern);
+        if !ask.parameters.is_empty() {
+            selector = format!("{selector}?{}", ask.parameters);
+        }
+        let target = if ask.everybody { QueryTarget::All } else { QueryTarget::BestMatching };
+        let mut get = self
+            .session
+            .get(selector.as_str())
+            .target(target)
+            .consolidation(ConsolidationMode::None)
+            .allowed_destination(Locality::Remote)
+            .timeout(ask.within);
+        if let Some(payload) = ask.payload {
+            get = get.payload(payload).encoding(muster_wire::message::JSON);
+        }
+        let (sender, mut receiver) = mpsc::channel(MAX_ANSWERS);
+        // A callback into a bounded channel: a handler that is not drained would stall the link.
+        get.callback(move |reply| {
+            let answer = match reply.into_result() {
+                Ok(sample) => Answer::Packet(packet(&sample, ask.max_payload)),
+                Err(error) => Answer::Error(error_text(error.payload())),
+            };
+            let _ = sender.try_send(answer);
+        })
+        .await
+        .map_err(|error| anyhow::anyhow!("cannot ask for {selector}: {error}"))?;
+        let mut answers = Vec::new();
+        while let Some(answer) = receiver.recv().await {
+            answers.push(answer);
+        }
+        Ok(answers)
+    }
+
+    /// Closes the session; gives up waiting after a moment.
+    pub async fn close(&self) {
+        let closed = tokio::time::timeout(CLOSE_WITHIN, async { self.session.close().await }).await;
+        if !matches!(closed, Ok(Ok(()))) {
+            tracing::debug!("the session did not close in time");
+        }
+    }
+}
+
+/// How a get is asked.
+#[derive(Debug, Clone, Copy)]
+pub struct Ask<'a> {
+    /// What follows the `?` of the selector.
+    pub parameters: &'a str,
+    /// What the get carries.
+    pub payload: Option<&'a [u8]>,
+    /// How long answers are waited for.
+    pub within: Duration,
+    /// Whether everybody who serves the pattern is asked, or only who serves it completely.
+    pub everybody: bool,
+    /// Larger answers are cut off.
+    pub max_payload: usize,
+}
+
+fn error_text(payload: &zenoh::bytes::ZBytes) -> String {
+    payload.try_to_string().map_or_else(
+        |_| "an error without text".to_owned(),
+        |text| text.chars().take(4096).collect(),
+    )
+}
+
+fn packet(sample: &Sample, limit: usize) -> Packet {
+    let payload = sample.payload();
+    Packet {
+        key: sample.key_expr().as_str().to_owned(),
+        encoding: sample.encoding().to_string(),
+        source: match sample.kind() {
+            SampleKind::Put => Source::Put,
+            SampleKind::Delete => Source::Delete,
+        },
+        payload: if payload.len() > limit {
+            Err(payload.len())
+        } else {
+            Ok(payload.to_bytes().into_owned())
+        },
+    }
+}
+
+/// Follows whether a router is linked. A process that never had one (a router, a peer) counts as
+/// linked.
+async fn watch_link(session: &zenoh::Session) -> anyhow::Result<watch::Receiver<bool>> {
+    let (sender, receiver) = watch::channel(true);
+    let linked = std::sync::Mutex::new(std::collections::HashSet::new());
+    session
+        .info()
+        .transport_events_listener()
+        .history(true)
+        .callback(move |event| {
+            if event.transport().whatami() != WhatAmI::Router {
+                return;
+            }
+            let mut linked = linked.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            match event.kind() {
+                SampleKind::Put => linked.insert(*event.transport().zid()),
+                SampleKind::Delete => linked.remove(event.transport().zid()),
+            };
+            sender.send_if_modified(|up| {
+                let changed = *up == linked.is_empty();
+                *up = !linked.is_empty();
+                changed
+            });
+        })
+        .background()
+        .await
+        .map_err(|error| anyhow::anyhow!("{error}"))
+        .context("cannot follow the links of the session")?;
+    Ok(receiver)
+}

@@ -1,0 +1,72 @@
+//! Exit codes, the same for every program.
+
+use std::process::ExitCode;
+
+/// Why a program ends without success.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Exit {
+    /// Something failed while it ran.
+    Failure = 1,
+    /// A flag, a file or a setting is wrong.
+    Usage = 2,
+    /// The bus cannot be reached, or nobody answered on it.
+    Unreachable = 3,
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(exit as u8)
+    }
+}
+
+/// What `--help` says of them.
+pub const HELP: &str = "Exit codes: 0 done, or stopped by a signal; 1 something failed while running; \
+2 a flag, file or setting is wrong; 3 the bus cannot be reached or nobody answered.";
+
+/// An error that knows its exit code.
+#[derive(Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct ExitError {
+    /// The code to end with.
+    pub exit: Exit,
+    /// What went wrong and what to do.
+    pub message: String,
+}
+
+impl ExitError {
+    /// A wrong flag, file or setting.
+    #[must_use]
+    pub fn usage(message: impl Into<String>) -> Self {
+        Self { exit: Exit::Usage, message: message.into() }
+    }
+
+    /// An unreachable bus.
+    #[must_use]
+    pub fn unreachable(message: impl Into<String>) -> Self {
+        Self { exit: Exit::Unreachable, message: message.into() }
+    }
+}
+
+/// Ends a `main`: writes the error with its causes to standard error, and chooses the code.
+#[must_use]
+pub fn finish(result: anyhow::Result<()>) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // A reader that has gone away, as in `muster teams | head -1`, is no failure to tell of.
+            if is_broken_pipe(&error) {
+                return ExitCode::SUCCESS;
+            }
+            eprintln!("error: {error:#}");
+            error.downcast_ref::<ExitError>().map_or(Exit::Failure, |error| error.exit).into()
+        }
+    }
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        cause
+            .downcast_ref::<std::io::Error>()
+            .is_some_and(|error| error.kind() == std::io::ErrorKind::BrokenPipe)
+    })
+}

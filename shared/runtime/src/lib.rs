@@ -1,0 +1,19 @@
+//! The shell around the pure cores: everything that touches the bus, a clock, a thread or a file.
+//!
+//! [`config`] reads flags, environment and file; [`bus`] opens a Zenoh session and is the only place
+//! that knows Zenoh; [`inbox`] and [`outbox`] are the bounded ways in and out; [`shell`] runs one
+//! core; [`store`] keeps settings over a restart; [`router`] embeds a Zenoh router; [`service`] is the
+//! whole `main` of a service binary; [`stop`] turns signals into a clean end.
+
+pub mod bus;
+pub mod clock;
+pub mod config;
+pub mod exit;
+pub mod inbox;
+pub mod logging;
+pub mod outbox;
+pub mod router;
+pub mod service;
+pub mod shell;
+pub mod stop;
+pub mod store;

@@ -1,0 +1,25 @@
+//! Logs on standard error, human or JSON lines.
+
+use tracing_subscriber::EnvFilter;
+
+/// What is logged when neither a flag nor `MUSTER_LOG` says otherwise: what Muster does, and what
+/// goes wrong below it.
+const DEFAULT_FILTER: &str = "warn,muster=info";
+
+/// Starts logging. Calling it again, as tests do, changes nothing.
+///
+/// # Errors
+/// If the filter is not understood; the text names the form.
+pub fn start(filter: Option<&str>, json: bool) -> Result<(), String> {
+    let filter = EnvFilter::try_new(filter.unwrap_or(DEFAULT_FILTER)).map_err(|error| {
+        format!("log: {error}; use a level such as info, or target=level pairs with commas")
+    })?;
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_target(false);
+    let started = if json { builder.json().try_init() } else { builder.try_init() };
+    // Another subscriber is there already: whoever set it wins.
+    drop(started);
+    Ok(())
+}

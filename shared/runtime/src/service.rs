@@ -1,0 +1,123 @@
+//! The whole `main` of a service binary: build, start, run until told to stop, end.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::{CommandFactory, FromArgMatches, Parser};
+use muster_machine::Core;
+use muster_model::id::ServiceName;
+
+use crate::bus::{Bus, Patience};
+use crate::config::{Mode, ProcessArgs, ProcessConfig, instance_name, process_environment};
+use crate::exit::{self, ExitError};
+use crate::shell::{self, ServiceOptions};
+use crate::stop::{self, STOP_WITHIN, Stop};
+use crate::store::Store;
+
+/// How long computations that still run at the end are waited for.
+const SHUTDOWN_WITHIN: Duration = Duration::from_millis(500);
+
+/// The flags of a service binary.
+#[derive(Debug, Parser)]
+#[command(version)]
+struct ServiceArgs {
+    #[command(flatten)]
+    process: ProcessArgs,
+    /// Change a setting, such as teams=3 or spatial.width=1.5
+    #[arg(long, value_name = "FIELD=VALUE")]
+    set: Vec<String>,
+}
+
+/// Runs the service of a core as a process. `about` is the first line of `--help`.
+#[must_use]
+pub fn main<C: Core>(about: &'static str) -> ExitCode {
+    let name = C::SERVICE;
+    let examples = format!(
+        "Examples:\n  muster-{name}\n  muster-{name} --fleet alpha --connect tcp/192.168.1.10:7447\n  \
+         muster-{name} --config /etc/muster/muster.toml --check-config\n\n\
+         Settings can be changed while it runs: muster set {name} --help\n\n{}",
+        exit::HELP
+    );
+    let command =
+        ServiceArgs::command().name(format!("muster-{name}")).about(about).after_help(examples);
+    let args =
+        match command.try_get_matches().and_then(|matches| ServiceArgs::from_arg_matches(&matches))
+        {
+            Ok(args) => args,
+            Err(error) => error.exit(),
+        };
+    exit::finish(start::<C>(&args))
+}
+
+fn start<C: Core>(args: &ServiceArgs) -> anyhow::Result<()> {
+    let mut config = ProcessConfig::resolve(&args.process, Mode::Client, &process_environment)?;
+    config.set(C::SERVICE, &args.set)?;
+    if report(&args.process, &config, &[C::SERVICE])? {
+        return Ok(());
+    }
+    block_on(&config, async |config, stop| run::<C>(config, stop).await)
+}
+
+/// Does what `--check-config` and `--print-config` ask for; true if the process is to end then.
+///
+/// # Errors
+/// If settings do not hold together.
+pub fn report(
+    args: &ProcessArgs,
+    config: &ProcessConfig,
+    services: &[ServiceName],
+) -> anyhow::Result<bool> {
+    use std::io::Write as _;
+    if args.print_config {
+        write!(std::io::stdout(), "{}", config.print(services)?)?;
+    } else if args.check_config {
+        writeln!(std::io::stdout(), "the configuration is valid")?;
+    }
+    Ok(args.print_config || args.check_config)
+}
+
+/// Starts logging and the runtime, runs a main job, and ends within a bounded time after a signal.
+///
+/// # Errors
+/// What the job returns; or what keeps the runtime from starting.
+pub fn block_on<T, F>(config: &ProcessConfig, job: F) -> anyhow::Result<T>
+where
+    F: AsyncFnOnce(ProcessConfig, Stop) -> anyhow::Result<T>,
+{
+    crate::logging::start(config.log.value.as_deref(), config.log_json.value)
+        .map_err(ExitError::usage)?;
+    // Zenoh does not work on a single-threaded runtime.
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let result = runtime.block_on(async {
+        let (stopper, stop) = stop::channel();
+        stop::on_signals(stopper.clone())?;
+        let mut asked = stop.clone();
+        let overdue = async {
+            asked.stopped().await;
+            tokio::time::sleep(STOP_WITHIN).await;
+        };
+        tokio::select! {
+            result = job(config.clone(), stop) => result,
+            () = overdue => Err(anyhow::anyhow!("it did not stop in time and was ended")),
+        }
+    });
+    runtime.shutdown_timeout(SHUTDOWN_WITHIN);
+    result
+}
+
+/// Opens a bus of its own for one service and runs it until it is time to stop.
+///
+/// # Errors
+/// If the bus does not open, or refuses what the service declares.
+pub async fn run<C: Core>(config: ProcessConfig, mut stop: Stop) -> anyhow::Result<()> {
+    let options = ServiceOptions {
+        instance: instance_name(),
+        settings: config.settings(C::SERVICE)?,
+        store: Store::new(config.state_directory.value.as_deref(), &config.fleet.value, C::SERVICE),
+    };
+    let bus = tokio::select! {
+        bus = Bus::open(&config, Patience::Forever) => bus?,
+        () = stop.stopped() => return Ok(()),
+    };
+    shell::run::<C>(bus, options, stop).await
+}

@@ -1,0 +1,398 @@
+//! Runs one core: a loop that hands it every event in turn and carries out what it wants.
+//!
+//! The loop never waits for the bus, a disk or a computation. Packets wait in the [`Inbox`], what
+//! is sent in the [`Outbox`]; jobs run on blocking threads, fetches in tasks, and both come back as
+//! events. A panic in a job becomes [`Event::JobFailed`]; one in the core ends the process.
+
+use std::any::Any;
+use std::collections::HashMap;
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context;
+use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stored};
+use muster_model::id::InstanceId;
+use muster_model::limits::MAX_ROBOT_PAYLOAD;
+use muster_model::time::Tick;
+use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
+use muster_wire::{Key, Message, Outbound, Pattern, Request};
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinSet;
+use zenoh::Wait;
+use zenoh::query::Query;
+
+use crate::bus::{Answer, Ask, Bus};
+use crate::clock::Clock;
+use crate::inbox::Inbox;
+use crate::outbox::Outbox;
+use crate::stop::Stop;
+use crate::store::Store;
+
+/// How long a fetch waits for answers: a service that hangs must not hold up one that starts.
+const FETCH_WITHIN: Duration = Duration::from_secs(1);
+
+/// Most gets that wait for the core.
+const MAX_QUERIES: usize = 256;
+
+/// Most answers that wait to be sent.
+const MAX_REPLIES: usize = 256;
+
+/// Most ended jobs and fetches that wait for the core; one job and a few fetches are under way.
+const MAX_ENDED: usize = 16;
+
+/// Shortest sleep before a deadline: a core that names a past moment again and again must not keep
+/// the loop from everything else.
+const SHORTEST_SLEEP: Duration = Duration::from_millis(1);
+
+/// How many packets are handled before deadlines and gets are looked after again.
+const BATCH: usize = 256;
+
+/// What a service is run with.
+#[derive(Debug)]
+pub struct ServiceOptions<S> {
+    /// This process.
+    pub instance: InstanceId,
+    /// The settings by defaults, file, environment and flags.
+    pub settings: S,
+    /// Where it keeps settings over a restart.
+    pub store: Store,
+}
+
+/// An answer on its way to whoever asked.
+struct Reply {
+    query: Query,
+    answer: Result<Vec<Outbound>, String>,
+}
+
+/// A job or fetch that has ended.
+enum Ended<Done> {
+    Job(Event<Done>),
+    Fetch { fetch: u32, messages: Vec<Message> },
+}
+
+/// Runs a core on a bus until it is time to stop.
+///
+/// # Errors
+/// If the bus refuses a declaration, or a thread cannot be started.
+pub async fn run<C: Core>(
+    bus: Bus,
+    options: ServiceOptions<C::Settings>,
+    mut stop: Stop,
+) -> anyhow::Result<()> {
+    let clock = Clock::start();
+    let inbox = Arc::new(Inbox::default());
+    let outbox = Outbox::default();
+    let (queries, mut asked) = mpsc::channel(MAX_QUERIES);
+    let (ended_sender, mut ended) = mpsc::channel(MAX_ENDED);
+    let (stored, to_store) = watch::channel(None);
+
+    let driver = Driver::<C>::new(Start {
+        fleet: bus.space().fleet().clone(),
+        instance: options.instance.clone(),
+        now: clock.now(),
+        settings: options.settings,
+        stored: options.store.load(),
+    });
+    let sending = bus.clone();
+    outbox.start(move |message| {
+        if let Err(error) = sending.put(message) {
+            tracing::debug!("{error:#}");
+        }
+    })?;
+    let replies = start_replying(bus.clone())?;
+    let storing = tokio::spawn(keep_storing(options.store, to_store));
+    declare::<C>(&bus, &inbox, queries).await?;
+    let token = Key::ServiceToken(C::SERVICE, options.instance);
+    let token = bus.declare_token(&token).await?;
+    let mut link = bus.link();
+    link.mark_unchanged();
+
+    let mut shell = Shell {
+        driver,
+        bus: bus.clone(),
+        clock,
+        inbox: Arc::clone(&inbox),
+        outbox: outbox.clone(),
+        replies,
+        ended: ended_sender,
+        stored,
+        queries: HashMap::new(),
+        next_query: 0,
+    };
+    tracing::info!("{} serves fleet {}", C::SERVICE, bus.space().fleet());
+    shell.step(Event::Started);
+    loop {
+        let deadline = shell.driver.deadline();
+        let due = async {
+            match deadline {
+                Some(tick) => {
+                    tokio::time::sleep(shell.clock.until(tick).max(SHORTEST_SLEEP)).await;
+                }
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            () = stop.stopped() => break,
+            () = due => shell.step(Event::Timeout),
+            () = inbox.arrived() => shell.take_packets(),
+            Some(query) = asked.recv() => shell.take_query(query),
+            Some(ended) = ended.recv() => shell.step(match ended {
+                Ended::Job(event) => event,
+                Ended::Fetch { fetch, messages } => Event::Fetched { fetch, messages },
+            }),
+            Ok(()) = link.changed() => {
+                let up = *link.borrow_and_update();
+                tracing::warn!("the link to the router is {}", if up { "back" } else { "lost" });
+                shell.step(if up { Event::LinkRestored } else { Event::LinkLost });
+            }
+        }
+    }
+    drop(shell);
+    // What is stored last must reach the disk; everything else may be lost.
+    let _ = tokio::time::timeout(Duration::from_secs(1), storing).await;
+    let _ = token.withdraw().await;
+    let _ = tokio::task::spawn_blocking(move || outbox.close()).await;
+    bus.close().await;
+    tracing::info!("{} has stopped", C::SERVICE);
+    Ok(())
+}
+
+async fn declare<C: Core>(
+    bus: &Bus,
+    inbox: &Arc<Inbox>,
+    queries: mpsc::Sender<Query>,
+) -> anyhow::Result<()> {
+    let wiring = C::wiring();
+    for (pattern, complete) in &wiring.served {
+        bus.serve(pattern, *complete, queries.clone()).await?;
+    }
+    for key in [Key::Settings(C::SERVICE), Key::Status(C::SERVICE)] {
+        bus.serve(&Pattern::One(key), true, queries.clone()).await?;
+    }
+    for subscription in &wiring.subscriptions {
+        bus.subscribe(subscription, inbox).await?;
+    }
+    for pattern in &wiring.tokens {
+        bus.subscribe_tokens(pattern, inbox).await?;
+    }
+    Ok(())
+}
+
+struct Shell<C: Core> {
+    driver: Driver<C>,
+    bus: Bus,
+    clock: Clock,
+    inbox: Arc<Inbox>,
+    outbox: Outbox,
+    replies: mpsc::Sender<Reply>,
+    ended: mpsc::Sender<Ended<C::Done>>,
+    stored: watch::Sender<Option<Stored>>,
+    queries: HashMap<QueryId, Query>,
+    next_query: u64,
+}
+
+impl<C: Core> Shell<C> {
+    fn step(&mut self, event: Event<C::Done>) {
+        let now = self.clock.now();
+        for command in self.driver.step(now, event) {
+            self.carry_out(now, command);
+        }
+    }
+
+    fn take_packets(&mut self) {
+        for _ in 0..BATCH {
+            let Some(packet) = self.inbox.pop() else { return };
+            match C::understand(self.bus.space(), &packet) {
+                Ok(message) => self.step(Event::Received(message)),
+                Err(rejection) => self.step(Event::Rejected(rejection)),
+            }
+        }
+        self.inbox.rewake();
+    }
+
+    fn take_query(&mut self, query: Query) {
+        let payload = query.payload().map(|payload| {
+            // A payload past the limit is refused by its length alone; nothing serves so much.
+            payload.to_bytes().get(..payload.len().min(MAX_ROBOT_PAYLOAD)).map(<[u8]>::to_vec)
+        });
+        let request =
+            Request::new(query.key_expr().as_str(), query.parameters().as_str(), payload.flatten());
+        match request {
+            Ok(request) => {
+                let id = QueryId(self.next_query);
+                self.next_query += 1;
+                self.queries.insert(id, query);
+                self.step(Event::Query { query: id, request });
+            }
+            Err(problem) => self.reply(Reply { query, answer: Err(problem) }),
+        }
+    }
+
+    fn reply(&self, reply: Reply) {
+        if self.replies.try_send(reply).is_err() {
+            tracing::warn!("an answer is dropped: too many wait");
+        }
+    }
+
+    fn carry_out(&mut self, now: Tick, command: Command<C::Job>) {
+        match command {
+            Command::Publish(message) => match message.publish(now) {
+                Ok(outbound) => outbound.into_iter().for_each(|message| self.outbox.push(message)),
+                Err(error) => tracing::error!("{} is not published: {error}", message.keys().0),
+            },
+            Command::Reply { query, request, answer } => {
+                if let Some(query) = self.queries.remove(&query) {
+                    let answer = self.encode_answer(&request, answer, now);
+                    self.reply(Reply { query, answer });
+                }
+            }
+            Command::Run(job) => self.run_job(job),
+            Command::Fetch { fetch, patterns } => self.fetch(fetch, patterns),
+            Command::Store(stored) => {
+                self.stored.send_replace(Some(stored));
+            }
+        }
+    }
+
+    fn encode_answer(
+        &self,
+        request: &Request,
+        answer: Result<Vec<Message>, String>,
+        now: Tick,
+    ) -> Result<Vec<Outbound>, String> {
+        let mut outbound = Vec::new();
+        for mut message in answer? {
+            if let Message::Status(status) = &mut message {
+                self.add_counters(&mut status.counters);
+            }
+            let encoded = message.answer(self.bus.space(), request, now);
+            outbound.extend(encoded.map_err(|error| error.to_string())?);
+        }
+        Ok(outbound)
+    }
+
+    fn add_counters(&self, counters: &mut std::collections::BTreeMap<String, u64>) {
+        let inbox = self.inbox.counts();
+        let (sent, dropped) = self.outbox.counts();
+        for (name, count) in [
+            ("inbox_superseded", inbox.superseded),
+            ("inbox_dropped", inbox.dropped),
+            ("outbox_sent", sent),
+            ("outbox_dropped", dropped),
+            ("jobs_superseded", self.driver.superseded_jobs()),
+        ] {
+            counters.insert(name.to_owned(), count);
+        }
+    }
+
+    fn run_job(&self, job: C::Job) {
+        let ended = self.ended.clone();
+        tokio::task::spawn_blocking(move || {
+            let event = match std::panic::catch_unwind(AssertUnwindSafe(|| C::run(job))) {
+                Ok(done) => Event::Done(done),
+                Err(panic) => Event::JobFailed(panic_text(panic.as_ref())),
+            };
+            // The loop has ended if nobody receives; then nobody needs the result.
+            let _ = ended.blocking_send(Ended::Job(event));
+        });
+    }
+
+    fn fetch(&self, fetch: u32, patterns: Vec<Pattern>) {
+        let (bus, ended) = (self.bus.clone(), self.ended.clone());
+        tokio::spawn(async move {
+            let mut asked = JoinSet::new();
+            for pattern in patterns {
+                let bus = bus.clone();
+                asked.spawn(async move { fetch_one::<C>(&bus, &pattern).await });
+            }
+            let messages = asked.join_all().await.into_iter().flatten().collect();
+            let _ = ended.send(Ended::Fetch { fetch, messages }).await;
+        });
+    }
+}
+
+async fn fetch_one<C: Core>(bus: &Bus, pattern: &Pattern) -> Vec<Message> {
+    let ask = Ask {
+        parameters: "format=bincode",
+        payload: None,
+        within: FETCH_WITHIN,
+        everybody: true,
+        max_payload: MAX_SERVICE_PAYLOAD,
+    };
+    let answers = match bus.get(pattern, ask).await {
+        Ok(answers) => answers,
+        Err(error) => {
+            tracing::debug!("{error:#}");
+            return Vec::new();
+        }
+    };
+    let understood = answers.into_iter().filter_map(|answer| match answer {
+        Answer::Packet(packet) => match C::understand(bus.space(), &packet) {
+            Ok(message) => Some(message),
+            Err(rejection) => {
+                tracing::warn!("an answer on {} is refused: {}", rejection.key, rejection.reason);
+                None
+            }
+        },
+        Answer::Error(error) => {
+            tracing::debug!("a fetch is answered with: {}", muster_wire::message::quoted(&error));
+            None
+        }
+    });
+    understood.collect()
+}
+
+fn panic_text(panic: &(dyn Any + Send)) -> String {
+    let text = panic
+        .downcast_ref::<&str>()
+        .copied()
+        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("a panic without text");
+    muster_wire::message::quoted(text)
+}
+
+/// Starts the thread that answers gets: replying may wait for a busy link.
+fn start_replying(bus: Bus) -> anyhow::Result<mpsc::Sender<Reply>> {
+    let (sender, mut receiver) = mpsc::channel::<Reply>(MAX_REPLIES);
+    std::thread::Builder::new()
+        .name("muster-replies".to_owned())
+        .spawn(move || {
+            while let Some(Reply { query, answer }) = receiver.blocking_recv() {
+                let sent = match answer {
+                    Ok(messages) => messages.into_iter().try_for_each(|message| {
+                        query
+                            .reply(bus.space().format(&message.key), message.payload)
+                            .encoding(message.encoding.as_ref())
+                            .wait()
+                    }),
+                    Err(error) => {
+                        query.reply_err(error).encoding(muster_wire::message::JSON).wait()
+                    }
+                };
+                if let Err(error) = sent {
+                    tracing::debug!("an answer is not sent: {error}");
+                }
+            }
+        })
+        .context("cannot start the thread that answers gets")?;
+    Ok(sender)
+}
+
+/// Writes the newest state whenever there is one, and once more at the end.
+async fn keep_storing(store: Store, mut newest: watch::Receiver<Option<Stored>>) {
+    loop {
+        let closed = newest.changed().await.is_err();
+        let stored = newest.borrow_and_update().clone();
+        if let Some(stored) = stored.filter(|_| !closed) {
+            let store = store.clone();
+            let saved = tokio::task::spawn_blocking(move || store.save(&stored)).await;
+            if let Ok(Err(error)) = saved {
+                tracing::error!("settings will not survive a restart: {error:#}");
+            }
+        }
+        if closed {
+            return;
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! A clean end: signals and other reasons, told to every task of the process.
+
+use std::time::Duration;
+
+use tokio::sync::watch;
+
+/// How long a process may take to end after it was told to: service managers and operators expect a
+/// few seconds, and everything that must be kept is stored as it happens.
+pub const STOP_WITHIN: Duration = Duration::from_secs(3);
+
+/// Tells tasks to stop.
+#[derive(Debug, Clone)]
+pub struct Stopper(watch::Sender<bool>);
+
+/// Hears that it is time to stop.
+#[derive(Debug, Clone)]
+pub struct Stop(watch::Receiver<bool>);
+
+/// A stopper and what hears it.
+#[must_use]
+pub fn channel() -> (Stopper, Stop) {
+    let (sender, receiver) = watch::channel(false);
+    (Stopper(sender), Stop(receiver))
+}
+
+impl Stopper {
+    /// Tells every task to stop.
+    pub fn stop(&self) {
+        self.0.send_replace(true);
+    }
+}
+
+impl Stop {
+    /// Returns once it is time to stop, or nobody is left who could say so.
+    pub async fn stopped(&mut self) {
+        // An error means that the stopper is gone, which is an end as well.
+        let _ = self.0.wait_for(|stop| *stop).await;
+    }
+
+    /// Whether it is time to stop.
+    #[must_use]
+    pub fn is_stopped(&self) -> bool {
+        *self.0.borrow()
+    }
+}
+
+/// Stops on SIGINT and SIGTERM; ends the process at once on a second signal.
+///
+/// # Errors
+/// If the signals cannot be listened to.
+pub fn on_signals(stopper: Stopper) -> std::io::Result<()> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut terminate = signal(SignalKind::terminate())?;
+    tokio::spawn(async move {
+        let mut asked = false;
+        loop {
+            let code = tokio::select! {
+                _ = interrupt.recv() => 130,
+                _ = terminate.recv() => 143,
+            };
+            if asked {
+                std::process::exit(code);
+            }
+            asked = true;
+            stopper.stop();
+        }
+    });
+    Ok(())
+}

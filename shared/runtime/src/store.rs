@@ -1,0 +1,105 @@
+//! What a service keeps over a restart, as one small JSON file per fleet and service.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use muster_machine::Stored;
+use muster_model::id::{FleetId, ServiceName};
+
+/// Largest file that is read back: the patch of settings is far smaller.
+const MAX_FILE: u64 = 1024 * 1024;
+
+/// The file of one service.
+#[derive(Debug, Clone)]
+pub struct Store {
+    path: Option<PathBuf>,
+}
+
+impl Store {
+    /// The file `{directory}/{fleet}/{service}.json`, or nothing at all without a directory.
+    #[must_use]
+    pub fn new(directory: Option<&Path>, fleet: &FleetId, service: ServiceName) -> Self {
+        let path = directory
+            .map(|directory| directory.join(fleet.as_str()).join(format!("{service}.json")));
+        Self { path }
+    }
+
+    /// What was kept; nothing if there is no file, or none that can be read (which is logged, and
+    /// the file is left for an operator to look at until the next write).
+    #[must_use]
+    pub fn load(&self) -> Stored {
+        let Some(path) = &self.path else { return Stored::default() };
+        match self.read(path) {
+            Ok(stored) => stored,
+            Err(error) => {
+                tracing::warn!("the stored state is not used: {error:#}");
+                Stored::default()
+            }
+        }
+    }
+
+    fn read(&self, path: &Path) -> anyhow::Result<Stored> {
+        let name = path.display();
+        match std::fs::metadata(path) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Ok(Stored::default());
+            }
+            Err(error) => return Err(error).with_context(|| format!("cannot read {name}")),
+            Ok(data) if data.len() > MAX_FILE => anyhow::bail!("{name} is too large"),
+            Ok(_) => {}
+        }
+        let bytes = std::fs::read(path).with_context(|| format!("cannot read {name}"))?;
+        serde_json::from_slice(&bytes).with_context(|| format!("{name} is not what was written"))
+    }
+
+    /// Writes the file anew, whole or not at all.
+    ///
+    /// # Errors
+    /// If the directory or file cannot be written; the text names it.
+    pub fn save(&self, stored: &Stored) -> anyhow::Result<()> {
+        let Some(path) = &self.path else { return Ok(()) };
+        let directory = path.parent().unwrap_or(Path::new("."));
+        std::fs::create_dir_all(directory)
+            .with_context(|| format!("cannot make the directory {}", directory.display()))?;
+        let mut file = tempfile::NamedTempFile::new_in(directory)
+            .with_context(|| format!("cannot write in {}", directory.display()))?;
+        serde_json::to_writer_pretty(&mut file, stored)?;
+        file.flush()?;
+        file.as_file().sync_all()?;
+        file.persist(path).with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn store(directory: &Path) -> Store {
+        Store::new(Some(directory), &FleetId::new("f").unwrap(), ServiceName::Clusterer)
+    }
+
+    #[test]
+    fn what_is_saved_is_loaded() {
+        let directory = tempfile::tempdir().unwrap();
+        let store = store(directory.path());
+        assert_eq!(store.load(), Stored::default());
+        let mut stored = Stored { term: 7, ..Stored::default() };
+        stored.patch.insert("teams".to_owned(), 3.into());
+        store.save(&stored).unwrap();
+        assert_eq!(store.load(), stored);
+    }
+
+    #[test]
+    fn a_damaged_file_is_as_good_as_none() {
+        let directory = tempfile::tempdir().unwrap();
+        let store = store(directory.path());
+        store.save(&Stored { term: 7, ..Stored::default() }).unwrap();
+        let path = directory.path().join("f/clusterer.json");
+        for damage in ["", "{", "[1]", "{\"term\":-1,\"patch\":{}}", "{\"term\":1,\"x\":2}"] {
+            std::fs::write(&path, damage).unwrap();
+            assert_eq!(store.load(), Stored::default(), "{damage}");
+        }
+    }
+}
