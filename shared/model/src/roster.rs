@@ -51,3 +51,26 @@ pub struct Roster {
     /// The modalities and the revision that each graph has in this frame, ordered by name.
     pub graphs: Vec<(Modality, Revision)>,
 }
+
+impl Roster {
+    /// Whether the robots are ordered without repetition, and all numbers are finite.
+    ///
+    /// # Errors
+    /// Names the part that is wrong.
+    pub fn check(&self) -> Result<(), &'static str> {
+        if !self.robots.is_sorted_by(|left, right| left.robot < right.robot) {
+            return Err("robots: must be ordered by name without repetition");
+        }
+        let numbers = self
+            .robots
+            .iter()
+            .flat_map(|entry| entry.position.iter().flatten().chain(entry.heading.iter()).copied());
+        if !numbers.into_iter().all(f64::is_finite) {
+            return Err("robots.position: must be finite");
+        }
+        if !self.graphs.is_sorted_by(|left, right| left.0 < right.0) {
+            return Err("graphs: must be ordered by name without repetition");
+        }
+        Ok(())
+    }
+}

@@ -258,7 +258,11 @@ impl Message {
                 }
                 Self::Graph(Arc::new(delta))
             }
-            Key::Roster => Self::Roster(Arc::new(binary(format, bytes)?)),
+            Key::Roster => {
+                let roster: Roster = binary(format, bytes)?;
+                roster.check()?;
+                Self::Roster(Arc::new(roster))
+            }
             Key::Embedding => {
                 let embedding: Embedding = binary(format, bytes)?;
                 embedding.check()?;

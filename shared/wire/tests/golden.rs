@@ -1,0 +1,82 @@
+//! The bytes of every message are frozen: a robot of last year must be understood.
+//!
+//! A deliberate change of the schema is a new `VERSION`; then run with `UPDATE_GOLDEN=1`.
+
+mod samples;
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use muster_wire::{Format, KeySpace, Message, Packet, Source};
+
+fn check(name: &str, content: &str) {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
+    if std::env::var_os("UPDATE_GOLDEN").is_some() {
+        std::fs::write(&path, content).unwrap();
+    }
+    let golden = std::fs::read_to_string(&path).unwrap_or_else(|_| panic!("no file {name}"));
+    assert_eq!(content, golden, "{name} is written differently than before");
+}
+
+fn hex(bytes: &[u8]) -> String {
+    let mut text = String::new();
+    for line in bytes.chunks(32) {
+        for byte in line {
+            write!(text, "{byte:02x}").unwrap();
+        }
+        text.push('\n');
+    }
+    text
+}
+
+#[test]
+fn the_binary_form_of_every_message_is_frozen_and_read_back() {
+    let space = KeySpace::new(samples::fleet());
+    for (name, message) in samples::all() {
+        if matches!(message, Message::Status(_)) {
+            continue;
+        }
+        let outbound = message.encode(message.keys().0, Format::Binary, samples::NOW).unwrap();
+        check(&format!("{name}.hex"), &hex(&outbound.payload));
+        let packet = Packet {
+            key: space.format(&outbound.key),
+            encoding: outbound.encoding.into_owned(),
+            source: Source::Put,
+            payload: Ok(outbound.payload),
+        };
+        assert_eq!(Message::decode(&space, &packet), Ok(message), "{name}");
+    }
+}
+
+#[test]
+fn the_json_form_of_every_message_is_frozen() {
+    for (name, message) in samples::all() {
+        let outbound = message.encode(message.keys().0, Format::Json, samples::NOW).unwrap();
+        let value: serde_json::Value = serde_json::from_slice(&outbound.payload).unwrap();
+        check(
+            &format!("{name}.json"),
+            &format!("{}\n", serde_json::to_string_pretty(&value).unwrap()),
+        );
+    }
+}
+
+#[test]
+fn robots_are_understood_in_json() {
+    let space = KeySpace::new(samples::fleet());
+    for (name, message) in samples::all().into_iter().take(4) {
+        let outbound = message.encode(message.keys().0, Format::Json, samples::NOW).unwrap();
+        for encoding in ["application/json", "", "zenoh/bytes", "zenoh/string", "text/plain"] {
+            let packet = Packet {
+                key: space.format(&outbound.key),
+                encoding: encoding.to_owned(),
+                source: Source::Put,
+                payload: Ok(outbound.payload.clone()),
+            };
+            assert_eq!(
+                Message::decode(&space, &packet).as_ref(),
+                Ok(&message),
+                "{name} {encoding}"
+            );
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! One message of every kind, with every field filled.
+
+#![allow(unreachable_pub, dead_code, reason = "shared by test programs that use parts of it")]
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
+use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
+use muster_model::event::{Event, EventKind, Severity};
+use muster_model::graph::{GraphDelta, GraphRow};
+use muster_model::header::{Header, Revision, StageTime};
+use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
+use muster_model::observation::{Link, Links, Pose, Rank, Relation};
+use muster_model::roster::{Presence, Roster, RosterEntry};
+use muster_model::status::ServiceStatus;
+use muster_model::teams::{Member, Team, TeamChange, Teams};
+use muster_model::time::Tick;
+use muster_wire::Message;
+
+/// The moment at which all samples are written.
+pub const NOW: Tick = Tick(1_795_208_990_000_000);
+
+pub fn fleet() -> FleetId {
+    FleetId::new("alpha").unwrap()
+}
+
+pub fn robot(name: &str) -> RobotId {
+    RobotId::new(name).unwrap()
+}
+
+fn team(name: &str) -> TeamId {
+    TeamId::new(name).unwrap()
+}
+
+fn revision(epoch: u64) -> Revision {
+    Revision { term: 3, epoch }
+}
+
+pub fn header(epoch: u64) -> Header {
+    let tick = |ms: u64| Tick(NOW.0 - 1_000_000 + ms * 1000);
+    Header {
+        fleet: fleet(),
+        revision: revision(epoch),
+        oldest: Some(tick(0)),
+        newest: Some(tick(90)),
+        stages: vec![
+            StageTime { stage: ServiceName::Ingest, received: tick(90), published: tick(100) },
+            StageTime { stage: ServiceName::Embedder, received: tick(101), published: tick(110) },
+        ],
+    }
+}
+
+fn provenance() -> (Option<f64>, Option<String>, Option<u64>) {
+    (Some(1_795_208_988.7), Some("a1".to_owned()), Some(17))
+}
+
+pub fn all() -> Vec<(&'static str, Message)> {
+    let (stamp, boot, seq) = provenance();
+    let pose = Pose {
+        x: 1.0,
+        y: -2.5,
+        z: Some(0.0),
+        heading: Some(0.5),
+        frame: Some("map".to_owned()),
+        stamp,
+        boot: boot.clone(),
+        seq,
+    };
+    let links = Links {
+        links: vec![Link { peer: robot("r2"), quality: 0.93 }],
+        stamp,
+        boot: boot.clone(),
+        seq,
+    };
+    let rank = Rank {
+        superior: Some(robot("r1")),
+        weight: Some(1.0),
+        role: Some("rifleman".to_owned()),
+        stamp,
+        boot: boot.clone(),
+        seq,
+    };
+    let relation = Relation { edges: vec![(robot("r1"), robot("r2"), 0.25)], stamp, boot, seq };
+    let graph = GraphDelta {
+        header: header(42),
+        modality: Modality::hierarchy(),
+        base: Some(revision(40)),
+        nodes_added: vec![(0, robot("r1")), (7, robot("r2"))],
+        nodes_removed: vec![5],
+        rows: vec![GraphRow { source: 0, edges: vec![(7, 1.0)] }],
+    };
+    let roster = Roster {
+        header: header(42),
+        robots: vec![RosterEntry {
+            node: 0,
+            robot: robot("r1"),
+            presence: Presence::Stale,
+            position: Some([1.0, -2.5, 0.0]),
+            heading: Some(0.5),
+            frame: Some("map".to_owned()),
+            superior: Some(robot("r9")),
+            role: Some("leader".to_owned()),
+            last_seen: Tick(NOW.0 - 3_000_000),
+        }],
+        graphs: vec![(Modality::hierarchy(), revision(42)), (Modality::spatial(), revision(41))],
+    };
+    let embedding = Embedding {
+        header: header(43),
+        roster: revision(42),
+        graphs: vec![(Modality::hierarchy(), revision(42), 0.6)],
+        robots: vec![robot("r1"), robot("r2")],
+        dimension: 2,
+        values: vec![0.25, -0.5, 0.0, 0.0],
+        unseen: vec![false, true],
+        quality: EmbeddingQuality {
+            spectral_radius: (0.5, 0.5),
+            alpha: 1.0,
+            singular_values: vec![2.0],
+            next_singular_value: 0.5,
+            residual: 1e-15,
+            katz_residual: 2e-16,
+            gap: 0.75,
+            ambiguous: false,
+            mode: EmbeddingMode::Dense,
+            stage_us: [10, 20, 30],
+        },
+    };
+    let teams = Teams {
+        header: header(44),
+        embedding: revision(43),
+        requested: 2,
+        teams: vec![Team {
+            id: team("t1"),
+            members: vec![Member { robot: robot("r1"), margin: 0.75 }],
+            leader: robot("r1"),
+            centroid: vec![0.25, -0.5],
+        }],
+        unassigned: vec![robot("r2")],
+        stale: vec![robot("r1")],
+        inertia: 0.125,
+        changes: vec![
+            TeamChange::Split { from: team("t1"), into: team("t2") },
+            TeamChange::Moved { robot: robot("r2"), from: Some(team("t1")), to: None },
+        ],
+        next_team: 3,
+    };
+    let told = teams.robot_team(&robot("r1")).unwrap();
+    let report = |space, mean| SilhouetteReport {
+        space,
+        mean,
+        per_team: vec![(team("t1"), 0.5)],
+        per_robot: vec![(robot("r1"), 0.5)],
+    };
+    let audit = Audit {
+        header: header(45),
+        teams: revision(44),
+        embedding: revision(43),
+        in_embedding: report(Space::Embedding, Some(0.5)),
+        in_physical: report(Space::Physical, None),
+        verdict: Verdict::Good,
+    };
+    let event = |kind| {
+        Message::Event(Event {
+            header: header(46),
+            source: ServiceName::Clusterer,
+            severity: Severity::Warning,
+            kind,
+        })
+    };
+    let quarantined = EventKind::Quarantined {
+        robot: Some(robot("r1")),
+        key: "muster/v1/alpha/robot/r1/pose".to_owned(),
+        reason: "x: must be finite".to_owned(),
+        count: 2,
+    };
+    let status = ServiceStatus {
+        fleet: fleet(),
+        service: ServiceName::Ingest,
+        instance: InstanceId::new("host-1").unwrap(),
+        version: "0.1.0".to_owned(),
+        started: Tick(NOW.0 - 60_000_000),
+        now: NOW,
+        revision: revision(42),
+        state: "2 robots, 1 stale".to_owned(),
+        counters: BTreeMap::from([("poses_accepted".to_owned(), 600)]),
+    };
+    vec![
+        ("pose", Message::Pose(robot("r1"), pose)),
+        ("links", Message::Links(robot("r1"), links)),
+        ("rank", Message::Rank(robot("r2"), rank)),
+        ("relation", Message::Relation(robot("r1"), Modality::new("thermal").unwrap(), relation)),
+        ("graph", Message::Graph(Arc::new(graph))),
+        ("roster", Message::Roster(Arc::new(roster))),
+        ("embedding", Message::Embedding(Arc::new(embedding))),
+        ("teams", Message::Teams { teams: Arc::new(teams), mirror: false }),
+        ("robot_team", Message::RobotTeam(told)),
+        ("audit", Message::Audit(Arc::new(audit))),
+        ("event", event(quarantined)),
+        (
+            "event_change",
+            event(EventKind::TeamChanged(TeamChange::Merged {
+                from: team("t2"),
+                into: team("t1"),
+            })),
+        ),
+        ("settings", Message::Settings(ServiceName::Clusterer, "{\"teams\":3}".to_owned())),
+        ("status", Message::Status(Box::new(status))),
+    ]
+}
