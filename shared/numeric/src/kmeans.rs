@@ -1,0 +1,227 @@
+//! k-means division of the rows of a matrix (equation 6 and algorithm 1 of the paper).
+//!
+//! The paper assigns every robot to the nearest of C centroids drawn at random and repeats until
+//! the labels stay (Lloyd 1982). One such run often ends in a poor local optimum, so that this
+//! module adds restarts, greedy k-means++ seeding (Arthur and Vassilvitskii, SODA 2007) and, after
+//! Lloyd, single-point exchanges (Hartigan and Wong, 1979), whose optima are a subset of Lloyd's.
+//!
+//! Restart r draws from stream r of one generator, so that results depend on the seed alone and
+//! not on the order in which restarts run.
+
+mod partition;
+mod seeding;
+mod warm;
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use thiserror::Error;
+
+use crate::matrix::DenseMatrix;
+use partition::Partition;
+
+pub(crate) use partition::squared_distance;
+pub use seeding::DISTINCT;
+
+/// Relative improvement of the inertia below which an earlier restart is kept.
+const TIE: f64 = 1e-12;
+
+/// How the first centroids of a restart are chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Init {
+    /// Greedy k-means++: far from one another, the best of 2 + ln k candidates each.
+    #[default]
+    PlusPlus,
+    /// As in the paper, at random: distinct points drawn uniformly. (Positions drawn from the
+    /// bounding box would start with empty clusters in a large share of runs.)
+    Random,
+}
+
+/// What to compute.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KMeansOptions<'a> {
+    /// Number of clusters k, from 1 to the number of points.
+    pub clusters: usize,
+    /// Choice of the first centroids.
+    pub init: Init,
+    /// Independent starts, at least 1 (0 counts as 1).
+    pub restarts: usize,
+    /// Bound on the Lloyd iterations of one start, and on its exchange passes; at least 1.
+    pub max_iterations: usize,
+    /// Seed of all random choices.
+    pub seed: u64,
+    /// Cluster of every point in the previous division, if there was one: any numbers, `None`
+    /// for a point that is new.
+    pub warm_labels: Option<&'a [Option<usize>]>,
+    /// Relative advantage, from 0 to below 1, that a change must have over the previous
+    /// division, for one point to move and for a restart to replace it altogether.
+    pub hysteresis: f64,
+}
+
+impl KMeansOptions<'_> {
+    /// Defaults for `clusters` clusters: 50 greedy k-means++ starts, no previous division.
+    #[must_use]
+    pub fn new(clusters: usize) -> Self {
+        Self {
+            clusters,
+            init: Init::PlusPlus,
+            restarts: 50,
+            max_iterations: 300,
+            seed: 0,
+            warm_labels: None,
+            hysteresis: 0.0,
+        }
+    }
+}
+
+/// A division of N points.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KMeans {
+    /// Cluster of every point, numbered in order of first appearance; every number below the
+    /// number of rows of `centroids` occurs.
+    pub labels: Vec<usize>,
+    /// Mean of every cluster, one row each; fewer than asked for when there are not enough
+    /// distinct points.
+    pub centroids: DenseMatrix,
+    /// Sum of squared distances of the points to their centroids.
+    pub inertia: f64,
+    /// Lloyd iterations and exchange passes of the start that won.
+    pub iterations: usize,
+    /// Whether that start reached a fixed point within its iterations.
+    pub converged: bool,
+    /// Number of points that differ by more than [`DISTINCT`], counted up to the number of
+    /// clusters asked for. Smaller than that number: there are fewer clusters.
+    pub distinct_points: usize,
+    /// Whether the previous division, refined, was kept.
+    pub warm: bool,
+}
+
+/// Why points could not be divided.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum KMeansError {
+    /// There are no points.
+    #[error("no points to divide")]
+    NoPoints,
+    /// The number of clusters is 0 or above the number of points.
+    #[error("{clusters} clusters cannot be made of {points} points")]
+    Clusters {
+        /// Clusters asked for.
+        clusters: usize,
+        /// Points given.
+        points: usize,
+    },
+    /// The previous division has another number of points.
+    #[error("{labels} previous labels for {points} points")]
+    WarmLabels {
+        /// Labels given.
+        labels: usize,
+        /// Points given.
+        points: usize,
+    },
+    /// The hysteresis is not a number from 0 to below 1.
+    #[error("hysteresis {0} is not a number from 0 to below 1")]
+    Hysteresis(f64),
+}
+
+/// Divides the rows of `x`, N × D, so that the sum of squared distances to the cluster means is
+/// small.
+///
+/// The best of all restarts is taken. With `warm_labels` the previous division is refined by
+/// moving single points whose advantage exceeds the hysteresis h, and is kept unless a restart is
+/// better by more than the factor 1 + h: unchanged points keep their labels, and noise on a
+/// border moves nobody. Clusters never end up empty, and there are never more of them than distinct
+/// points.
+///
+/// # Errors
+/// [`KMeansError`] for an impossible number of clusters or unusable options.
+pub fn kmeans(x: &DenseMatrix, options: &KMeansOptions<'_>) -> Result<KMeans, KMeansError> {
+    check(x, options)?;
+    let distinct_points = seeding::count_distinct(x, options.clusters);
+    let clusters = options.clusters.min(distinct_points);
+    let limit = options.max_iterations.max(1);
+
+    let mut best = restart(x, clusters, 0, options, limit);
+    for number in 1..options.restarts.max(1) as u64 {
+        let next = restart(x, clusters, number, options, limit);
+        if next.inertia < best.inertia * (1.0 - TIE) {
+            best = next;
+        }
+    }
+    let mut warm = false;
+    if let Some(labels) = options.warm_labels {
+        let kept = warm::refine(x, labels, clusters, options.hysteresis, limit);
+        // Inertia that is rounding noise beside the spread of the points counts as none.
+        let noise = TIE * Partition::from_labels(x, vec![0; x.rows()], 1).inertia(x);
+        if let Some(kept) = kept
+            && kept.inertia <= (1.0 + options.hysteresis) * best.inertia + noise
+        {
+            best = kept;
+            warm = true;
+        }
+    }
+    let (labels, centroids) = best.partition.renumbered();
+    Ok(KMeans {
+        labels,
+        centroids,
+        inertia: best.inertia,
+        iterations: best.iterations,
+        converged: best.converged,
+        distinct_points,
+        warm,
+    })
+}
+
+fn check(x: &DenseMatrix, options: &KMeansOptions<'_>) -> Result<(), KMeansError> {
+    let (points, clusters) = (x.rows(), options.clusters);
+    if points == 0 {
+        return Err(KMeansError::NoPoints);
+    }
+    if clusters == 0 || clusters > points {
+        return Err(KMeansError::Clusters { clusters, points });
+    }
+    if let Some(labels) = options.warm_labels.map(<[_]>::len)
+        && labels != points
+    {
+        return Err(KMeansError::WarmLabels { labels, points });
+    }
+    if !(0.0..1.0).contains(&options.hysteresis) {
+        return Err(KMeansError::Hysteresis(options.hysteresis));
+    }
+    Ok(())
+}
+
+/// A finished start.
+struct Solution {
+    partition: Partition,
+    inertia: f64,
+    iterations: usize,
+    converged: bool,
+}
+
+/// One cold start: seeding, Lloyd, exchanges.
+fn restart(
+    x: &DenseMatrix,
+    clusters: usize,
+    number: u64,
+    options: &KMeansOptions<'_>,
+    limit: usize,
+) -> Solution {
+    let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+    rng.set_stream(number);
+    let centroids = match options.init {
+        Init::PlusPlus => seeding::plus_plus(x, clusters, &mut rng),
+        Init::Random => seeding::random(x, clusters, &mut rng),
+    };
+    polish(x, Partition::from_centroids(x, centroids), limit)
+}
+
+/// Lloyd iterations and then exchanges, from a given partition.
+fn polish(x: &DenseMatrix, mut partition: Partition, limit: usize) -> Solution {
+    let (iterations, _) = partition.lloyd(x, limit);
+    let (passes, converged) = partition.exchange(x, limit, 0.0);
+    Solution {
+        inertia: partition.inertia(x),
+        partition,
+        iterations: iterations + passes,
+        converged,
+    }
+}

@@ -1,0 +1,43 @@
+//! The mathematics of dividing a fleet into teams, from weighted graphs to labels.
+//!
+//! The method is that of Reily, Reardon and Zhang, *Representing Multi-Robot Structure through
+//! Multimodal Graph Embedding for the Selection of Robot Teams* (ICRA 2020), called "the paper"
+//! in this crate. Its steps, in the order in which they are applied:
+//!
+//! | step | module |
+//! | --- | --- |
+//! | fuse the graphs of all modalities into one, A* = Σ w_m A_m | [`fuse`] |
+//! | bound the spectral radius of A*, on which the choice of α rests | [`spectral_radius`] |
+//! | Katz similarity S = (I − αA*)⁻¹ − I | [`katz`] |
+//! | singular value decomposition of S, cut at K | [`svd`], [`dimension`] |
+//! | representation X = \[U, V\], one row per node | [`embedding`], [`alignment`] |
+//! | k-means on the rows of X | [`kmeans`], [`margins`] |
+//! | carry cluster identities over from the previous division | [`matching`] |
+//! | score the division | [`silhouette`] |
+//!
+//! The crate knows nodes by their index only, does no input or output, keeps no state, and is
+//! deterministic: the same input gives the same output, bit for bit, on the same machine.
+//! All linear algebra runs on the calling thread. Public signatures use the types of this crate;
+//! the linear algebra library behind them can be exchanged without touching a caller.
+//!
+//! Every entry of a [`matrix::DenseMatrix`] or [`matrix::SparseMatrix`] is finite and bounded by
+//! [`matrix::MAX_ENTRY`], which is checked on construction; functions that take them rely on it.
+
+pub mod alignment;
+mod backend;
+mod components;
+pub mod dimension;
+pub mod embedding;
+pub mod fuse;
+mod jacobi;
+pub mod katz;
+pub mod kmeans;
+pub mod margins;
+pub mod matching;
+pub mod matrix;
+mod noda;
+pub mod norm;
+mod scaling;
+pub mod silhouette;
+pub mod spectral_radius;
+pub mod svd;

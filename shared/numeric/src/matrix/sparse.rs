@@ -1,0 +1,189 @@
+//! Sparse square non-negative matrix in compressed rows: the adjacency matrix of a graph.
+
+use super::{DenseMatrix, MAX_ENTRY, MAX_NODES, MIN_WEIGHT, MatrixError};
+
+/// Adjacency matrix of a weighted directed graph, n × n, in compressed sparse rows.
+///
+/// Entry (i, j) is the weight of the edge from node i to node j: finite, positive, between
+/// [`MIN_WEIGHT`] and [`MAX_ENTRY`]; everything else is zero. Columns ascend within a row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SparseMatrix {
+    nodes: usize,
+    starts: Vec<usize>,
+    columns: Vec<usize>,
+    weights: Vec<f64>,
+}
+
+impl SparseMatrix {
+    /// Matrix of `nodes` nodes from triplets (row, column, weight) in any order. Triplets at the
+    /// same position are summed; weights below [`MIN_WEIGHT`] are dropped.
+    ///
+    /// # Errors
+    /// [`MatrixError::OutOfBounds`] for a position beyond `nodes`, [`MatrixError::Entry`] for a
+    /// weight (or sum of weights) that is not finite or above [`MAX_ENTRY`],
+    /// [`MatrixError::Negative`], and [`MatrixError::TooLarge`] beyond [`MAX_NODES`] nodes.
+    pub fn from_triplets(
+        nodes: usize,
+        triplets: impl IntoIterator<Item = (usize, usize, f64)>,
+    ) -> Result<Self, MatrixError> {
+        if nodes > MAX_NODES {
+            return Err(MatrixError::TooLarge { rows: nodes, cols: nodes });
+        }
+        let mut entries: Vec<(usize, usize, f64)> = Vec::new();
+        for (row, col, value) in triplets {
+            if row >= nodes || col >= nodes {
+                return Err(MatrixError::OutOfBounds { row, col, nodes });
+            }
+            if !value.is_finite() {
+                return Err(MatrixError::Entry { row, col, value });
+            }
+            if value < 0.0 {
+                return Err(MatrixError::Negative { row, col, value });
+            }
+            entries.push((row, col, value));
+        }
+        // Stable, so that duplicates are summed in the order in which they were given.
+        entries.sort_by_key(|&(row, col, _)| (row, col));
+        entries.dedup_by(|next, kept| {
+            let same = (next.0, next.1) == (kept.0, kept.1);
+            if same {
+                kept.2 += next.2;
+            }
+            same
+        });
+        entries.retain(|&(_, _, value)| value >= MIN_WEIGHT);
+        if let Some(&(row, col, value)) = entries.iter().find(|e| e.2 > MAX_ENTRY) {
+            return Err(MatrixError::Entry { row, col, value });
+        }
+        Ok(Self::from_sorted(nodes, &entries))
+    }
+
+    /// Compresses checked entries that are sorted by (row, column) and free of duplicates.
+    fn from_sorted(nodes: usize, entries: &[(usize, usize, f64)]) -> Self {
+        let mut starts = vec![0; nodes + 1];
+        for &(row, _, _) in entries {
+            starts[row + 1] += 1;
+        }
+        for i in 0..nodes {
+            starts[i + 1] += starts[i];
+        }
+        Self {
+            nodes,
+            starts,
+            columns: entries.iter().map(|e| e.1).collect(),
+            weights: entries.iter().map(|e| e.2).collect(),
+        }
+    }
+
+    /// Matrix from entries that come from checked matrices and are free of duplicates.
+    pub(crate) fn from_checked(nodes: usize, mut entries: Vec<(usize, usize, f64)>) -> Self {
+        entries.sort_by_key(|e| (e.0, e.1));
+        Self::from_sorted(nodes, &entries)
+    }
+
+    /// Matrix from a dense square one; negative entries are refused.
+    ///
+    /// # Errors
+    /// [`MatrixError::Shape`] when `dense` is not square, otherwise as
+    /// [`SparseMatrix::from_triplets`].
+    pub fn from_dense(dense: &DenseMatrix) -> Result<Self, MatrixError> {
+        if dense.rows() != dense.cols() {
+            return Err(MatrixError::Shape {
+                rows: dense.rows(),
+                cols: dense.rows(),
+                len: dense.data().len(),
+            });
+        }
+        let n = dense.cols();
+        let entries = dense.data().iter().enumerate().filter(|e| *e.1 != 0.0);
+        Self::from_triplets(n, entries.map(|(at, &value)| (at / n, at % n, value)))
+    }
+
+    /// Number of nodes n.
+    #[must_use]
+    pub fn nodes(&self) -> usize {
+        self.nodes
+    }
+
+    /// Number of stored edges.
+    #[must_use]
+    pub fn edges(&self) -> usize {
+        self.weights.len()
+    }
+
+    /// True when no edge is stored.
+    #[must_use]
+    pub fn is_zero(&self) -> bool {
+        self.weights.is_empty()
+    }
+
+    /// Edges that leave node `i` as (column, weight), columns ascending; none beyond the matrix.
+    pub fn row(&self, i: usize) -> impl ExactSizeIterator<Item = (usize, f64)> {
+        let range = if i < self.nodes { self.starts[i]..self.starts[i + 1] } else { 0..0 };
+        let columns = self.columns[range.clone()].iter();
+        columns.zip(&self.weights[range]).map(|(&j, &w)| (j, w))
+    }
+
+    /// All edges as (row, column, weight), sorted by row and column.
+    pub fn triplets(&self) -> impl Iterator<Item = (usize, usize, f64)> {
+        (0..self.nodes).flat_map(move |i| self.row(i).map(move |(j, w)| (i, j, w)))
+    }
+
+    /// Weight of the edge from `i` to `j`, 0 when there is none.
+    #[must_use]
+    pub fn weight(&self, i: usize, j: usize) -> f64 {
+        self.row(i).find(|e| e.0 == j).map_or(0.0, |e| e.1)
+    }
+
+    /// Largest weight, 0 without edges.
+    #[must_use]
+    pub fn max_weight(&self) -> f64 {
+        self.weights.iter().fold(0.0, |m, &w| w.max(m))
+    }
+
+    /// Most edges that leave one node.
+    pub(crate) fn max_degree(&self) -> usize {
+        let degrees = self.starts.windows(2).map(|w| w[1] - w[0]);
+        degrees.max().unwrap_or(0)
+    }
+
+    /// Dense copy, n × n.
+    ///
+    /// # Errors
+    /// [`MatrixError::TooLarge`] when n² exceeds [`super::MAX_DENSE_ENTRIES`].
+    pub fn to_dense(&self) -> Result<DenseMatrix, MatrixError> {
+        let mut dense = DenseMatrix::zeros(self.nodes, self.nodes)?;
+        for i in 0..self.nodes {
+            let out = dense.row_mut(i);
+            for (j, w) in self.row(i) {
+                out[j] = w;
+            }
+        }
+        Ok(dense)
+    }
+
+    /// Transposed copy: every edge reversed.
+    #[must_use]
+    pub fn transpose(&self) -> Self {
+        let entries = self.triplets().map(|(i, j, w)| (j, i, w)).collect();
+        Self::from_checked(self.nodes, entries)
+    }
+
+    /// True when the matrix equals its transpose exactly.
+    #[must_use]
+    pub fn is_symmetric(&self) -> bool {
+        *self == self.transpose()
+    }
+
+    /// Product A x.
+    ///
+    /// # Errors
+    /// [`MatrixError::Vector`] when `x` does not have one entry per node.
+    pub fn mat_vec(&self, x: &[f64]) -> Result<Vec<f64>, MatrixError> {
+        if x.len() != self.nodes {
+            return Err(MatrixError::Vector { cols: self.nodes, len: x.len() });
+        }
+        let product = |i| self.row(i).map(|(j, w)| w * x[j]).sum();
+        Ok((0..self.nodes).map(product).collect())
+    }
+}
