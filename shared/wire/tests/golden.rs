@@ -2,6 +2,8 @@
 //!
 //! A deliberate change of the schema is a new `VERSION`; then run with `UPDATE_GOLDEN=1`.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
 mod samples;
 
 use std::fmt::Write as _;
