@@ -93,9 +93,8 @@ impl<C: Core> Driver<C> {
     #[must_use = "commands that are not carried out are lost"]
     pub fn step(&mut self, now: Tick, event: Event<C::Done>) -> Vec<Command<C::Job>> {
         let ended = matches!(event, Event::Done(_) | Event::JobFailed(_));
-        // The job that waited goes first: a request that the core makes now is newer and waits.
-        let mut commands: Vec<_> =
-            ended.then(|| self.flight.ended()).flatten().map(Command::Run).into_iter().collect();
+        let mut commands = Vec::new();
+        // The core hears of the end first: what it wants now is newer than what waits.
         self.core.handle(now, event, &mut self.effects);
         for effect in self.effects.drain() {
             match effect {
@@ -111,6 +110,9 @@ impl<C: Core> Driver<C> {
                 }
                 Effect::Store(stored) => commands.push(Command::Store(stored)),
             }
+        }
+        if ended {
+            commands.extend(self.flight.ended().map(Command::Run));
         }
         commands
     }

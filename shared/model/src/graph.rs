@@ -171,6 +171,18 @@ impl GraphReplica {
                 return wrong("a node is removed that is not there");
             }
         }
+        if !added.is_empty() {
+            let staying =
+                self.nodes.iter().filter(|(node, _)| !from_nothing && !removed.contains(*node));
+            let mut robots = std::collections::BTreeSet::new();
+            if !staying
+                .map(|(_, robot)| robot)
+                .chain(added.values().copied())
+                .all(|r| robots.insert(r))
+            {
+                return wrong("a robot has two nodes");
+            }
+        }
         let exists = |node: &Node| {
             added.contains_key(node)
                 || (!from_nothing && self.nodes.contains_key(node) && !removed.contains(node))
@@ -265,7 +277,8 @@ mod tests {
 
     #[test]
     fn a_contradictory_delta_changes_nothing() {
-        let spoil: [fn(&mut GraphDelta); 7] = [
+        let spoil: [fn(&mut GraphDelta); 8] = [
+            |d| d.nodes_added = vec![(8, RobotId::new("r1").unwrap())],
             |d| d.nodes_added = vec![(1, RobotId::new("again").unwrap())],
             |d| d.nodes_removed = vec![9],
             |d| d.rows = vec![GraphRow { source: 9, edges: vec![] }],

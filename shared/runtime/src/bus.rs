@@ -9,6 +9,7 @@ use muster_wire::{Key, KeySpace, Outbound, Packet, Pattern, Source};
 use tokio::sync::{mpsc, watch};
 use zenoh::Wait;
 use zenoh::config::{EndPoint, WhatAmI};
+use zenoh::key_expr::KeyExpr;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
@@ -137,6 +138,15 @@ impl Token {
     pub async fn withdraw(self) -> anyhow::Result<()> {
         self.0.undeclare().await.map_err(|error| anyhow::anyhow!("{error}"))
     }
+}
+
+/// A get that reached one server of this process.
+#[derive(Debug)]
+pub(crate) struct Asked {
+    /// The get.
+    pub(crate) query: Query,
+    /// What the server serves, where the get asks for all of it and perhaps for more.
+    pub(crate) narrowed: Option<String>,
 }
 
 /// One answer to a get.
@@ -302,14 +312,18 @@ impl Bus {
         &self,
         pattern: &Pattern,
         complete: bool,
-        queries: mpsc::Sender<Query>,
+        queries: mpsc::Sender<Asked>,
     ) -> anyhow::Result<()> {
         let text = self.space.pattern(pattern);
+        let served = KeyExpr::try_from(text.clone())
+            .map_err(|error| anyhow::anyhow!("{text} is no key expression: {error}"))?;
         self.session
             .declare_queryable(text.as_str())
             .complete(complete)
             .callback(move |query| {
-                if queries.try_send(query).is_err() {
+                let narrowed =
+                    query.key_expr().includes(&served).then(|| served.as_str().to_owned());
+                if queries.try_send(Asked { query, narrowed }).is_err() {
                     tracing::warn!("a get is dropped: too many wait");
                 }
             })

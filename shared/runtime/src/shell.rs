@@ -22,7 +22,7 @@ use tokio::task::JoinSet;
 use zenoh::Wait;
 use zenoh::query::Query;
 
-use crate::bus::{Answer, Ask, Bus};
+use crate::bus::{Answer, Ask, Asked, Bus};
 use crate::clock::Clock;
 use crate::inbox::Inbox;
 use crate::outbox::Outbox;
@@ -136,7 +136,7 @@ pub async fn run<C: Core>(
             () = stop.stopped() => break,
             () = due => shell.step(Event::Timeout),
             () = inbox.arrived() => shell.take_packets(),
-            Some(query) = asked.recv() => shell.take_query(query),
+            Some(asked) = asked.recv() => shell.take_query(asked),
             Some(ended) = ended.recv() => shell.step(match ended {
                 Ended::Job(event) => event,
                 Ended::Fetch { fetch, messages } => Event::Fetched { fetch, messages },
@@ -161,7 +161,7 @@ pub async fn run<C: Core>(
 async fn declare<C: Core>(
     bus: &Bus,
     inbox: &Arc<Inbox>,
-    queries: mpsc::Sender<Query>,
+    queries: mpsc::Sender<Asked>,
 ) -> anyhow::Result<()> {
     let wiring = C::wiring();
     for (pattern, complete) in &wiring.served {
@@ -211,7 +211,8 @@ impl<C: Core> Shell<C> {
         self.inbox.rewake();
     }
 
-    fn take_query(&mut self, query: Query) {
+    fn take_query(&mut self, asked: Asked) {
+        let Asked { query, narrowed } = asked;
         let payload = query.payload().map(|payload| {
             // A payload past the limit is refused by its length alone; nothing serves so much.
             payload.to_bytes().get(..payload.len().min(MAX_ROBOT_PAYLOAD)).map(<[u8]>::to_vec)
@@ -220,6 +221,10 @@ impl<C: Core> Shell<C> {
             Request::new(query.key_expr().as_str(), query.parameters().as_str(), payload.flatten());
         match request {
             Ok(request) => {
+                let request = match narrowed {
+                    Some(served) => request.narrowed(served),
+                    None => request,
+                };
                 let id = QueryId(self.next_query);
                 self.next_query += 1;
                 self.queries.insert(id, query);

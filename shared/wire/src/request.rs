@@ -18,6 +18,7 @@ pub enum Format {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Request {
     selector: String,
+    exact: bool,
     /// The form that `?format=` asks for; none if the get leaves it to the key.
     pub format: Option<Format>,
     /// What the get carries, such as a patch of settings.
@@ -49,13 +50,22 @@ impl Request {
                 _ => {}
             }
         }
-        Ok(Self { selector: selector.into(), format, payload })
+        let selector = selector.into();
+        let exact = !selector.contains('*');
+        Ok(Self { selector, exact, format, payload })
     }
 
-    /// Whether the get names exactly one key. What changes something must.
+    /// The part of the get that one server of several is to answer: a wild get reaches each server
+    /// of a service, and each answers for its own keys alone.
+    #[must_use]
+    pub fn narrowed(self, selector: impl Into<String>) -> Self {
+        Self { selector: selector.into(), ..self }
+    }
+
+    /// Whether the get named exactly one key. What changes something must.
     #[must_use]
     pub fn is_exact(&self) -> bool {
-        !self.selector.contains('*')
+        self.exact
     }
 
     /// Whether the get selects a key.

@@ -1,0 +1,399 @@
+//! State and policy: when an embedding is computed, published, repeated, and who is told of faults.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use muster_machine::{
+    Answered, Core, Delivery, Effect, Effects, Event, Role, START_FETCH, Start, Subscription,
+    Wiring,
+};
+use muster_model::embedding::{Embedding, EmbeddingMode};
+use muster_model::event::{EventKind, Severity};
+use muster_model::graph::GraphError;
+use muster_model::id::ServiceName;
+use muster_model::settings::{
+    ClustererSettings, Dimension, EmbedderSettings, Settings, SettingsError, from_value,
+};
+use muster_model::time::Tick;
+use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
+use muster_wire::{Key, Message, Pattern, Rejection, Request};
+
+use crate::cache::Cache;
+use crate::compute::{Basis, Done, Job, run};
+use crate::failure::Failures;
+use crate::follow::{Follower, Frame, Taken};
+
+/// How often an embedding is told again while rosters go on and nothing that it rests on changes, so
+/// that who reads it sees that the data behind it is fresh.
+const HEARTBEAT: Duration = Duration::from_secs(1);
+
+/// How long after a panic the same frame is tried again.
+const PANIC_RETRY: Duration = Duration::from_secs(1);
+
+/// Packets of one graph that wait for the core: some seconds of deltas.
+const GRAPH_QUEUE: usize = 64;
+
+/// Largest settings of another service in bytes.
+const MAX_SETTINGS_PAYLOAD: usize = 64 * 1024;
+
+/// The service that turns graphs into an embedding.
+#[derive(Debug)]
+pub struct Embedder {
+    role: Role<EmbedderSettings>,
+    follow: Follower,
+    /// How many teams `clusterer` divides the fleet into.
+    teams: u32,
+    /// The cache of the last job, while none runs.
+    cache: Option<Cache>,
+    running: bool,
+    /// What the last job was started for.
+    asked: Option<Basis>,
+    /// When what was asked for last is to be asked for again.
+    retry: Option<Tick>,
+    /// The last good embedding, the one of the holder before at first.
+    embedding: Option<Arc<Embedding>>,
+    /// What the embedding rests on, and when it was last published; none for one that was learned.
+    published: Option<(Basis, Tick)>,
+    heartbeat: Option<Tick>,
+    failures: Failures,
+}
+
+impl Core for Embedder {
+    type Settings = EmbedderSettings;
+    type Job = Job;
+    type Done = Done;
+    const SERVICE: ServiceName = ServiceName::Embedder;
+
+    fn wiring() -> Wiring {
+        let subscription =
+            |pattern, delivery, max_payload| Subscription { pattern, delivery, max_payload };
+        let settings = Pattern::One(Key::Settings(ServiceName::Clusterer));
+        Wiring {
+            subscriptions: vec![
+                subscription(Pattern::Graphs, Delivery::Queue(GRAPH_QUEUE), MAX_SERVICE_PAYLOAD),
+                subscription(Pattern::One(Key::Roster), Delivery::Latest, MAX_SERVICE_PAYLOAD),
+                subscription(settings, Delivery::Latest, MAX_SETTINGS_PAYLOAD),
+            ],
+            tokens: Vec::new(),
+            served: vec![
+                (Pattern::One(Key::Embedding), true),
+                (Pattern::One(Key::Roster), false),
+                (Pattern::Graphs, false),
+            ],
+        }
+    }
+
+    fn new(start: Start<EmbedderSettings>) -> Self {
+        Self {
+            role: Role::new(Self::SERVICE, start),
+            follow: Follower::default(),
+            teams: ClustererSettings::default().teams,
+            cache: None,
+            running: false,
+            asked: None,
+            retry: None,
+            embedding: None,
+            published: None,
+            heartbeat: None,
+            failures: Failures::default(),
+        }
+    }
+
+    fn handle(&mut self, now: Tick, event: Event<Done>, effects: &mut Effects<Job>) {
+        match event {
+            Event::Started => {
+                self.follow.fetch_begun(now, START_FETCH);
+                let patterns = vec![
+                    Pattern::One(Key::Embedding),
+                    Pattern::One(Key::Roster),
+                    Pattern::Graphs,
+                    Pattern::One(Key::Settings(ServiceName::Clusterer)),
+                ];
+                effects.push(Effect::Fetch { fetch: START_FETCH, patterns });
+            }
+            Event::Received(message) => {
+                if self.take(now, message, effects) == Some(Taken::Old) {
+                    self.role.count("messages_old");
+                }
+            }
+            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
+            Event::Fetched { fetch, messages } => self.fetched(now, fetch, messages, effects),
+            Event::Done(done) => self.done(now, done, effects),
+            Event::JobFailed(reason) => {
+                self.running = false;
+                self.retry = Some(now.after(PANIC_RETRY));
+                let told = self.failures.panicked(now, &reason);
+                self.fail(now, told, effects);
+            }
+            Event::Query { query, request } => {
+                let state = self.state();
+                match self.role.answer(now, query, request, &state, effects) {
+                    Answered::NotOurs(query, request) => {
+                        let answer = Ok(self.answer(&request));
+                        effects.push(Effect::Reply { query, request, answer });
+                    }
+                    Answered::Done | Answered::SettingsChanged => {}
+                }
+            }
+            Event::LinkRestored => self.follow.refresh(),
+            Event::LinkLost | Event::Timeout => {}
+        }
+        self.advance(now, effects);
+    }
+
+    fn deadline(&self) -> Option<Tick> {
+        if !self.role.is_holding() {
+            return None;
+        }
+        let retry = self.retry.filter(|_| !self.running);
+        [self.follow.fetch_due(), retry, self.heartbeat].into_iter().flatten().min()
+    }
+
+    fn run(job: Job) -> Done {
+        run(job)
+    }
+}
+
+impl Embedder {
+    /// Takes a message in; what became of it, if it is a roster or a graph that is not refused.
+    fn take(&mut self, now: Tick, message: Message, effects: &mut Effects<Job>) -> Option<Taken> {
+        let (key, _) = message.keys();
+        let taken = match message {
+            Message::Graph(delta) => {
+                self.follow.take_graph(&delta).map_err(|error: GraphError| error.to_string())
+            }
+            Message::Roster(roster) => self.follow.take_roster(roster).map_err(str::to_owned),
+            Message::Settings(ServiceName::Clusterer, text) => {
+                match teams_of(&text) {
+                    Ok(teams) => self.teams = teams,
+                    Err(error) => self.refuse(now, &key, &error.to_string(), effects),
+                }
+                return None;
+            }
+            _ => return None,
+        };
+        match taken {
+            Ok(taken) => {
+                match taken {
+                    Taken::Gap => self.role.count("gaps"),
+                    Taken::Ignored => self.role.count("modalities_ignored"),
+                    Taken::Applied | Taken::Known | Taken::Old => {}
+                }
+                Some(taken)
+            }
+            Err(reason) => {
+                self.refuse(now, &key, &reason, effects);
+                None
+            }
+        }
+    }
+
+    fn refuse(&mut self, now: Tick, key: &Key, reason: &str, effects: &mut Effects<Job>) {
+        let text = self.role.space().format(key);
+        let rejection = Rejection::new(self.role.space(), &text, reason);
+        self.role.quarantine(now, rejection, effects);
+    }
+
+    /// Takes the answers of a fetch in: graphs first, since the roster says which belong together.
+    /// Several services answer, and what is older than what is known is nothing unusual.
+    fn fetched(
+        &mut self,
+        now: Tick,
+        fetch: u32,
+        messages: Vec<Message>,
+        effects: &mut Effects<Job>,
+    ) {
+        let mut learned: Option<Arc<Embedding>> = None;
+        let mut seen = None;
+        let mut rosters = Vec::new();
+        for message in messages {
+            match message {
+                Message::Embedding(embedding) if fetch == START_FETCH => {
+                    seen = seen.max(Some(embedding.header.revision));
+                    if let Err(reason) = embedding.check() {
+                        self.refuse(now, &Key::Embedding, reason, effects);
+                    } else if learned
+                        .as_ref()
+                        .is_none_or(|best| best.header.revision < embedding.header.revision)
+                    {
+                        learned = Some(embedding);
+                    }
+                }
+                Message::Roster(_) => rosters.push(message),
+                other => {
+                    self.take(now, other, effects);
+                }
+            }
+        }
+        for roster in rosters {
+            self.take(now, roster, effects);
+        }
+        self.follow.fetch_ended(fetch);
+        if fetch == START_FETCH && !self.role.is_holding() {
+            self.embedding = learned;
+            self.role.begin_term(now, seen, effects);
+        }
+    }
+
+    /// Does what has become due, whatever happened.
+    fn advance(&mut self, now: Tick, effects: &mut Effects<Job>) {
+        if self.follow.settle(now) {
+            self.role.count("frames_consistent");
+        }
+        if !self.role.is_holding() {
+            return;
+        }
+        if let Some((fetch, patterns)) = self.follow.fetch(now) {
+            self.role.count("fetches");
+            effects.push(Effect::Fetch { fetch, patterns });
+        }
+        if self.retry.take_if(|retry| *retry <= now).is_some() {
+            self.asked = None;
+        }
+        self.heartbeat = None;
+        let Some(frame) = self.follow.frame().filter(|frame| !frame.robots.is_empty()) else {
+            return;
+        };
+        let frame = frame.clone();
+        let basis = self.basis(&frame);
+        self.beat(now, &frame, &basis, effects);
+        if !self.running && self.asked.as_ref() != Some(&basis) {
+            self.start(frame, basis, effects);
+        }
+    }
+
+    /// What the embedding of a frame rests on by the settings in force.
+    fn basis(&self, frame: &Frame) -> Basis {
+        let settings = self.role.settings().clone();
+        let graphs = frame.graphs.iter().map(|(name, graph)| (name.clone(), graph.revision()));
+        Basis {
+            robots: frame.robots.clone(),
+            graphs: graphs.collect(),
+            teams: (settings.dimension == Dimension::Auto).then_some(self.teams),
+            settings,
+        }
+    }
+
+    /// Starts a job. None is started while one runs: the cache is with that one, and once it ends
+    /// the newest frame is the one to go on with.
+    fn start(&mut self, frame: Arc<Frame>, basis: Basis, effects: &mut Effects<Job>) {
+        self.role.count("jobs_started");
+        self.running = true;
+        self.retry = None;
+        self.asked = Some(basis.clone());
+        let (previous, cache) = (self.embedding.clone(), self.cache.take());
+        effects.push(Effect::Start(Job { frame, basis, previous, cache }));
+    }
+
+    fn done(&mut self, now: Tick, done: Done, effects: &mut Effects<Job>) {
+        self.running = false;
+        self.cache = done.cache;
+        match done.result {
+            Err(error) => {
+                let told = self.failures.refused(now, &error);
+                self.fail(now, told, effects);
+            }
+            Ok(computed) => {
+                self.role.count("jobs_done");
+                self.failures.end();
+                let roster = &done.frame.roster;
+                let stage = self.role.stage(done.frame.received, now);
+                let embedding = Embedding {
+                    header: roster.header.next_stage(self.role.next_revision(), stage),
+                    roster: roster.header.revision,
+                    graphs: computed.graphs,
+                    robots: done.basis.robots.to_vec(),
+                    dimension: computed.dimension,
+                    values: computed.values,
+                    unseen: computed.unseen,
+                    quality: computed.quality,
+                };
+                self.publish(now, embedding, done.basis, effects);
+            }
+        }
+    }
+
+    fn publish(
+        &mut self,
+        now: Tick,
+        embedding: Embedding,
+        basis: Basis,
+        effects: &mut Effects<Job>,
+    ) {
+        self.role.count("embeddings_published");
+        let embedding = Arc::new(embedding);
+        self.embedding = Some(embedding.clone());
+        self.published = Some((basis, now));
+        effects.publish(Message::Embedding(embedding));
+    }
+
+    /// Tells the embedding again with the head of the newest roster, if it still is that of the
+    /// newest frame and has not been told lately; or says when that will be due.
+    fn beat(&mut self, now: Tick, frame: &Frame, basis: &Basis, effects: &mut Effects<Job>) {
+        let (Some((of, at)), Some(embedding)) = (&self.published, &self.embedding) else { return };
+        let roster = &frame.roster.header;
+        if of != basis || roster.revision <= embedding.roster {
+            return;
+        }
+        let due = at.after(HEARTBEAT);
+        if now < due {
+            self.heartbeat = Some(due);
+            return;
+        }
+        let mut again = Embedding::clone(embedding);
+        let stage = self.role.stage(frame.received, now);
+        again.header = roster.next_stage(self.role.next_revision(), stage);
+        again.roster = roster.revision;
+        again.quality.mode = EmbeddingMode::Cached;
+        again.quality.stage_us = [0; 3];
+        self.publish(now, again, basis.clone(), effects);
+    }
+
+    /// The last good embedding stands.
+    fn fail(&mut self, now: Tick, told: Option<String>, effects: &mut Effects<Job>) {
+        self.role.count("jobs_failed");
+        if let Some(reason) = told {
+            self.role.tell(now, Severity::Error, EventKind::JobFailed { reason }, effects);
+        }
+    }
+
+    /// The own output, and what was last heard of `ingest`.
+    fn answer(&self, request: &Request) -> Vec<Message> {
+        let space = self.role.space();
+        let own = self.embedding.iter().cloned().map(Message::Embedding);
+        let own = own.filter(|_| request.selects(space, &Key::Embedding));
+        own.chain(self.follow.answer(space, request)).collect()
+    }
+
+    /// What the service is doing, in a few words.
+    fn state(&self) -> String {
+        let fault = |text: String| match self.failures.standing() {
+            Some(reason) => format!("{text}; the newest frame failed: {reason}"),
+            None => text,
+        };
+        if !self.role.is_holding() {
+            return "starting".to_owned();
+        }
+        match (self.follow.has_roster(), self.follow.frame(), &self.embedding) {
+            (false, ..) => "waiting for a roster".to_owned(),
+            (_, None, _) => "waiting for the graphs that the roster lists".to_owned(),
+            (_, Some(frame), _) if frame.robots.is_empty() => "no robots".to_owned(),
+            (_, _, None) => fault("no embedding yet".to_owned()),
+            (_, _, Some(embedding)) => fault(format!(
+                "{} robots, dimension {}, residual {:.0e}",
+                embedding.robots.len(),
+                embedding.dimension,
+                embedding.quality.residual,
+            )),
+        }
+    }
+}
+
+/// The number of teams in settings of `clusterer`.
+fn teams_of(text: &str) -> Result<u32, SettingsError> {
+    let value = serde_json::from_str(text)
+        .map_err(|error| SettingsError::new("(settings)", format!("is no JSON: {error}")))?;
+    let settings: ClustererSettings = from_value(value)?;
+    settings.check()?;
+    Ok(settings.teams)
+}

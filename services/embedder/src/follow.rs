@@ -1,0 +1,322 @@
+//! Follows rosters and graphs into frames that belong together, and knows when to ask the bus.
+//!
+//! A roster comes after the graphs of its frame and lists the revision of each. Once every listed
+//! graph is at exactly that revision, roster and graphs are one consistent [`Frame`]. Revisions go
+//! forward only. What is missing is fetched, one fetch at a time.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use muster_model::graph::{GraphDelta, GraphError, GraphReplica};
+use muster_model::header::Revision;
+use muster_model::id::{Modality, RobotId};
+use muster_model::limits::{MAX_DECLARED_MODALITIES, MAX_ROBOTS};
+use muster_model::roster::Roster;
+use muster_model::time::Tick;
+use muster_wire::{Key, KeySpace, Message, Pattern, Request};
+
+/// Most graphs that are followed: the declared modalities and the three built-in ones.
+const MAX_GRAPHS: usize = MAX_DECLARED_MODALITIES + 3;
+
+/// Least time between the starts of two fetches.
+const FETCH_INTERVAL: Duration = Duration::from_millis(500);
+
+/// How long a graph may be behind the roster without a known gap: its delta may wait in a queue
+/// while the roster, on another key, has overtaken it.
+const BEHIND_PATIENCE: Duration = Duration::from_millis(50);
+
+/// How long a graph may be ahead of the roster: the roster of its frame is on the way.
+const AHEAD_PATIENCE: Duration = Duration::from_secs(1);
+
+/// How often a roster is asked for while none is known: `ingest` tells nothing while nothing
+/// changes, so that the one answer that was lost would be missed for good.
+const ROSTER_INTERVAL: Duration = Duration::from_secs(2);
+
+/// One consistent state of the fleet.
+#[derive(Debug)]
+pub(crate) struct Frame {
+    /// Who belongs to the fleet.
+    pub(crate) roster: Arc<Roster>,
+    /// When the last part arrived.
+    pub(crate) received: Tick,
+    /// The robots of the roster, ordered by name. The same allocation as in the frame before while
+    /// nobody comes or goes.
+    pub(crate) robots: Arc<[RobotId]>,
+    /// The graphs that the roster lists, in its order and at its revisions.
+    pub(crate) graphs: Vec<(Modality, Arc<GraphReplica>)>,
+}
+
+/// What became of a roster or delta that is not refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Taken {
+    /// It led further.
+    Applied,
+    /// It is what is known already.
+    Known,
+    /// It is older than what is known.
+    Old,
+    /// A delta starts from a revision that was never seen; the graph is to be fetched.
+    Gap,
+    /// It is of one modality more than a fleet may have.
+    Ignored,
+}
+
+/// One graph that is followed. The replica is shared with frames and copied when it changes.
+#[derive(Debug, Default)]
+struct Followed {
+    graph: Arc<GraphReplica>,
+    gap: bool,
+}
+
+/// How far the graphs are from the newest roster.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Distance {
+    None,
+    Ahead,
+    Behind,
+    Gap,
+}
+
+/// Rosters and graphs as far as they are known.
+#[derive(Debug, Default)]
+pub(crate) struct Follower {
+    graphs: BTreeMap<Modality, Followed>,
+    roster: Option<Arc<Roster>>,
+    frame: Option<Arc<Frame>>,
+    /// Since when the graphs have not been those of the newest roster.
+    apart_since: Option<Tick>,
+    /// The fetch that is under way.
+    in_flight: Option<u32>,
+    last_fetch: u32,
+    fetched: Tick,
+    /// Whether everything is to be fetched, whatever is known.
+    refresh: bool,
+}
+
+impl Follower {
+    /// Whether a roster is known, complete or not.
+    pub(crate) fn has_roster(&self) -> bool {
+        self.roster.is_some()
+    }
+
+    /// The newest consistent state.
+    pub(crate) fn frame(&self) -> Option<&Arc<Frame>> {
+        self.frame.as_ref()
+    }
+
+    /// What a get is answered with: the newest roster, and the newest state of each graph that it
+    /// lists. Either says by its own revision how new it is.
+    pub(crate) fn answer(&self, space: &KeySpace, request: &Request) -> Vec<Message> {
+        let Some(roster) = &self.roster else { return Vec::new() };
+        let mut messages = Vec::new();
+        if request.selects(space, &Key::Roster) {
+            messages.push(Message::Roster(roster.clone()));
+        }
+        for (name, _) in &roster.graphs {
+            let known = self.graphs.get(name).map(|followed| &followed.graph);
+            let Some(graph) = known.filter(|graph| graph.revision() > Revision::default()) else {
+                continue;
+            };
+            if request.selects(space, &Key::Graph(name.clone())) {
+                let snapshot = graph.snapshot(roster.header.clone(), name.clone());
+                messages.push(Message::Graph(Arc::new(snapshot)));
+            }
+        }
+        messages
+    }
+
+    /// Takes a delta or snapshot of a graph.
+    ///
+    /// # Errors
+    /// Tells why the delta is to be refused; the graph stays as it was.
+    pub(crate) fn take_graph(&mut self, delta: &GraphDelta) -> Result<Taken, GraphError> {
+        let known = self.graphs.contains_key(&delta.modality);
+        if !known && !self.has_room_for(&delta.modality) {
+            return Ok(Taken::Ignored);
+        }
+        let followed = self.graphs.entry(delta.modality.clone()).or_default();
+        match Arc::make_mut(&mut followed.graph).apply(delta) {
+            Ok(()) => {
+                followed.gap &= delta.base.is_some();
+                Ok(Taken::Applied)
+            }
+            Err(GraphError::Old(at)) if delta.header.revision == at => Ok(Taken::Known),
+            Err(GraphError::Old(_)) => Ok(Taken::Old),
+            Err(GraphError::Gap { .. }) => {
+                followed.gap = true;
+                Ok(Taken::Gap)
+            }
+            Err(error @ GraphError::Inconsistent(_)) => {
+                if !known {
+                    self.graphs.remove(&delta.modality);
+                }
+                Err(error)
+            }
+        }
+    }
+
+    /// Whether one more graph may be followed. One that the roster lists displaces one that it does
+    /// not list, so that no flood of invented modalities keeps the fleet's own out.
+    fn has_room_for(&mut self, modality: &Modality) -> bool {
+        if self.graphs.len() < MAX_GRAPHS {
+            return true;
+        }
+        let listed = |name: &Modality| lists(self.roster.as_deref(), name);
+        if !listed(modality) {
+            return false;
+        }
+        let foreign = self.graphs.keys().find(|name| !listed(name)).cloned();
+        foreign.is_some_and(|name| self.graphs.remove(&name).is_some())
+    }
+
+    /// Takes a roster.
+    ///
+    /// # Errors
+    /// Tells why the roster is to be refused; the one before stands.
+    pub(crate) fn take_roster(&mut self, roster: Arc<Roster>) -> Result<Taken, &'static str> {
+        if let Some(have) = &self.roster {
+            match roster.header.revision.cmp(&have.header.revision) {
+                std::cmp::Ordering::Less => return Ok(Taken::Old),
+                std::cmp::Ordering::Equal => return Ok(Taken::Known),
+                std::cmp::Ordering::Greater => {}
+            }
+        }
+        check_roster(&roster)?;
+        self.roster = Some(roster);
+        Ok(Taken::Applied)
+    }
+
+    /// Makes a frame if roster and graphs belong together now; whether there is a new one.
+    pub(crate) fn settle(&mut self, now: Tick) -> bool {
+        let Some(roster) = &self.roster else { return false };
+        let is_at = |(name, revision): &(Modality, _)| {
+            self.graphs.get(name).is_some_and(|followed| followed.graph.revision() == *revision)
+        };
+        if !roster.graphs.iter().all(is_at) {
+            self.apart_since.get_or_insert(now);
+            return false;
+        }
+        self.apart_since = None;
+        let last = self.frame.as_ref();
+        if last.is_some_and(|frame| frame.roster.header.revision == roster.header.revision) {
+            return false;
+        }
+        self.graphs.retain(|name, _| lists(Some(roster), name));
+        let names = roster.robots.iter().map(|entry| &entry.robot);
+        let robots = match last {
+            Some(frame) if frame.robots.iter().eq(names.clone()) => frame.robots.clone(),
+            _ => names.cloned().collect(),
+        };
+        let graph =
+            |(name, _): &(Modality, _)| Some((name.clone(), self.graphs.get(name)?.graph.clone()));
+        let graphs = roster.graphs.iter().filter_map(graph).collect();
+        let roster = roster.clone();
+        self.frame = Some(Arc::new(Frame { roster, received: now, robots, graphs }));
+        true
+    }
+
+    /// Counts a fetch of the caller's own as under way.
+    pub(crate) fn fetch_begun(&mut self, now: Tick, fetch: u32) {
+        self.in_flight = Some(fetch);
+        self.last_fetch = fetch;
+        self.fetched = now;
+    }
+
+    /// The fetch has ended and its answers have been taken. What it did not mend shows by the
+    /// revisions that the roster lists.
+    pub(crate) fn fetch_ended(&mut self, fetch: u32) {
+        if self.in_flight == Some(fetch) {
+            self.in_flight = None;
+            self.graphs.values_mut().for_each(|followed| followed.gap = false);
+        }
+    }
+
+    /// Asks for everything anew: what the bus said meanwhile was not heard.
+    pub(crate) fn refresh(&mut self) {
+        self.refresh = true;
+        self.in_flight = None;
+    }
+
+    /// When a fetch is wanted; none while all is well or one is under way.
+    pub(crate) fn fetch_due(&self) -> Option<Tick> {
+        if self.in_flight.is_some() {
+            return None;
+        }
+        if self.refresh {
+            return Some(Tick::default());
+        }
+        let Some(roster) = &self.roster else { return Some(self.fetched.after(ROSTER_INTERVAL)) };
+        let worst = roster.graphs.iter().map(|(name, at)| self.distance(name, *at)).max_by_key(
+            |distance| match distance {
+                Distance::None => 0,
+                Distance::Ahead => 1,
+                Distance::Behind => 2,
+                Distance::Gap => 3,
+            },
+        );
+        let since = self.apart_since.unwrap_or_default();
+        let wanted = match worst? {
+            Distance::None => return None,
+            Distance::Ahead => since.after(AHEAD_PATIENCE),
+            Distance::Behind => since.after(BEHIND_PATIENCE),
+            Distance::Gap => Tick::default(),
+        };
+        Some(wanted.max(self.fetched.after(FETCH_INTERVAL)))
+    }
+
+    /// The fetch that is due: its number and what it asks for.
+    pub(crate) fn fetch(&mut self, now: Tick) -> Option<(u32, Vec<Pattern>)> {
+        if self.fetch_due()? > now {
+            return None;
+        }
+        let mut patterns = vec![Pattern::One(Key::Roster)];
+        match &self.roster {
+            Some(roster) if !self.refresh => {
+                let apart =
+                    |(name, at): &&(Modality, _)| self.distance(name, *at) != Distance::None;
+                let names = roster.graphs.iter().filter(apart).map(|(name, _)| name.clone());
+                patterns.extend(names.map(|name| Pattern::One(Key::Graph(name))));
+            }
+            _ => patterns.push(Pattern::Graphs),
+        }
+        self.refresh = false;
+        // Zero is the fetch that every core makes as it starts.
+        self.fetch_begun(now, self.last_fetch.checked_add(1).unwrap_or(1));
+        Some((self.last_fetch, patterns))
+    }
+
+    fn distance(&self, name: &Modality, listed: Revision) -> Distance {
+        let Some(followed) = self.graphs.get(name) else { return Distance::Behind };
+        match followed.graph.revision().cmp(&listed) {
+            _ if followed.gap => Distance::Gap,
+            std::cmp::Ordering::Less => Distance::Behind,
+            std::cmp::Ordering::Equal => Distance::None,
+            std::cmp::Ordering::Greater => Distance::Ahead,
+        }
+    }
+}
+
+/// Whether a roster lists a modality. Its list is ordered by name.
+fn lists(roster: Option<&Roster>, modality: &Modality) -> bool {
+    roster.is_some_and(|roster| {
+        roster.graphs.binary_search_by(|(name, _)| name.cmp(modality)).is_ok()
+    })
+}
+
+/// Whether a roster keeps to what it promises.
+fn check_roster(roster: &Roster) -> Result<(), &'static str> {
+    if roster.robots.len() > MAX_ROBOTS {
+        return Err("robots: there are more than a fleet may have");
+    }
+    if roster.graphs.len() > MAX_GRAPHS {
+        return Err("graphs: there are more modalities than a fleet may have");
+    }
+    if !roster.robots.is_sorted_by(|left, right| left.robot < right.robot) {
+        return Err("robots: must be ordered by name without repetition");
+    }
+    if !roster.graphs.is_sorted_by(|left, right| left.0 < right.0) {
+        return Err("graphs: must be ordered by name without repetition");
+    }
+    Ok(())
+}

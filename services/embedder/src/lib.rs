@@ -1,0 +1,23 @@
+//! Graphs in, one vector per robot out.
+//!
+//! `embedder` follows the graphs of all modalities into frames that belong together (module
+//! `follow`), fuses each frame, takes the leading singular vectors of its Katz similarity (module
+//! `compute`, with the similarity of the last frame kept by module `cache`), and publishes them as
+//! [`muster_model::embedding::Embedding`]. When it does so is decided by module `core`, and which
+//! failures are told by module `failure`.
+//!
+//! | comes in | goes out |
+//! | --- | --- |
+//! | `graph/*`, `roster`, `service/clusterer/settings` | `embedding`, `event`, `service/embedder/settings` |
+//!
+//! For an `ingest` that restarts it also repeats the last `roster` and the graphs that this lists.
+//! The last good embedding stands through every fault: it is served until a newer one exists.
+
+mod cache;
+mod compute;
+mod core;
+mod failure;
+mod follow;
+
+pub use crate::compute::{Done, Job};
+pub use crate::core::Embedder;

@@ -1,0 +1,367 @@
+//! What the core computes, when, and what it does when it cannot.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod common;
+
+use std::sync::Arc;
+
+use common::{Bench, Ingest, dot, robot, row};
+use muster_machine::Event;
+use muster_model::embedding::{Embedding, EmbeddingMode};
+use muster_model::event::EventKind;
+use muster_model::header::Revision;
+use muster_model::id::ServiceName;
+use muster_model::settings::{Alpha, Dimension, EmbedderSettings};
+use muster_wire::{Message, Rejection};
+
+const NAMES: [&str; 3] = ["connectivity", "hierarchy", "spatial"];
+
+fn fleet() -> Ingest {
+    Ingest::two_cliques(&NAMES, 4)
+}
+
+fn following() -> (Bench, Ingest) {
+    let (mut bench, mut ingest) = (Bench::fresh(), fleet());
+    bench.frame(&mut ingest);
+    assert_eq!(bench.published.len(), 1);
+    (bench, ingest)
+}
+
+fn learned(bench: &mut Bench) -> Vec<Message> {
+    bench.ask("embedding", None).unwrap()
+}
+
+#[test]
+fn two_cliques_have_vectors_apart() {
+    let (mut bench, _) = following();
+    let embedding = bench.last();
+    for i in 0..4 {
+        for j in 0..4 {
+            let (a, b) = (row(embedding, &format!("a{i}")), row(embedding, &format!("b{j}")));
+            assert!(dot(a, row(embedding, &format!("a{j}"))) > 0.9);
+            assert!(dot(a, b).abs() < 1e-9);
+        }
+    }
+    assert!(embedding.unseen.iter().all(|unseen| !unseen));
+    assert_eq!(embedding.dimension, 4);
+    assert!(embedding.quality.residual < 1e-12 && embedding.quality.katz_residual < 1e-12);
+    assert_eq!(embedding.quality.mode, EmbeddingMode::Dense);
+    let weights: Vec<_> = embedding.graphs.iter().map(|(_, _, weight)| *weight).collect();
+    assert_eq!(weights, [1.0 / 3.0; 3]);
+    assert_eq!(embedding.header.stages.last().unwrap().stage, ServiceName::Embedder);
+    assert_eq!(embedding.header.revision, Revision { term: 1, epoch: 1 });
+    let state = bench.state();
+    assert!(state.starts_with("8 robots, dimension 4, residual "), "{state}");
+}
+
+#[test]
+fn robots_without_relations_are_unseen() {
+    let (mut bench, mut ingest) = following();
+    ingest.join("loner");
+    bench.frame(&mut ingest);
+    let embedding = bench.last();
+    let unseen = embedding.robots.iter().zip(&embedding.unseen).filter(|(_, unseen)| **unseen);
+    assert!(unseen.map(|(name, _)| name).eq([&robot("loner")]));
+    assert!(row(embedding, "loner").iter().all(|value| *value == 0.0));
+}
+
+#[test]
+fn small_and_empty_fleets_have_an_answer_or_none() {
+    let (mut bench, mut ingest) = (Bench::fresh(), Ingest::new(&NAMES));
+    bench.frame(&mut ingest);
+    assert!(bench.published.is_empty());
+    assert_eq!(bench.state(), "no robots");
+    for count in 1..3 {
+        ingest.join(&format!("r{count}"));
+        bench.frame(&mut ingest);
+        let embedding = bench.last();
+        assert_eq!((embedding.robots.len(), embedding.dimension), (count, 2));
+        assert_eq!(embedding.unseen, vec![true; count]);
+    }
+    ingest.edge("spatial", "r1", "r2", 1.0);
+    bench.frame(&mut ingest);
+    assert!(bench.last().unseen.iter().any(|unseen| !unseen));
+    bench.set(r#"{"dimension": 64}"#);
+    assert_eq!(bench.last().dimension, 4, "no more than two columns per robot");
+}
+
+#[test]
+fn an_unchanged_frame_is_not_computed_again_but_told_at_intervals() {
+    let (mut bench, mut ingest) = following();
+    let first = bench.last().clone();
+    for _ in 0..25 {
+        bench.frame(&mut ingest);
+    }
+    assert_eq!(bench.counter("jobs_started"), 1);
+    assert_eq!(bench.published.len(), 3, "after one second, and after two");
+    let again = bench.last();
+    assert_eq!((&again.values, &again.graphs), (&first.values, &first.graphs));
+    assert!(again.header.revision > first.header.revision);
+    assert!(again.header.oldest > first.header.oldest && again.roster > first.roster);
+    assert_eq!(again.quality.mode, EmbeddingMode::Cached);
+    assert_eq!(learned(&mut bench), [Message::Embedding(bench.published[2].clone())]);
+    // Without rosters the data ages, and nothing says otherwise.
+    bench.pass(1.0);
+    let count = bench.published.len();
+    bench.pass(5.0);
+    assert_eq!(bench.published.len(), count);
+}
+
+#[test]
+fn a_repetition_that_no_roster_triggers_is_told_by_the_deadline() {
+    let (mut bench, mut ingest) = following();
+    bench.frame(&mut ingest);
+    bench.pass(2.0);
+    assert_eq!(bench.published.len(), 2);
+}
+
+#[test]
+fn who_comes_and_goes_is_a_reason_to_compute() {
+    let (mut bench, mut ingest) = following();
+    ingest.leave("b3");
+    bench.frame(&mut ingest);
+    assert_eq!(bench.last().robots.len(), 7);
+    assert_eq!(bench.counter("jobs_started"), 2);
+}
+
+#[test]
+fn the_newest_frame_follows_a_long_job() {
+    let (mut bench, mut ingest) = following();
+    bench.hold_jobs = true;
+    for weight in [0.2, 0.3, 0.4, 0.5] {
+        ingest.edge("spatial", "a0", "a1", weight);
+        bench.frame(&mut ingest);
+    }
+    let told = ingest.frame(bench.now);
+    bench.deliver(&told);
+    bench.hold_jobs = false;
+    bench.run_job();
+    assert_eq!(bench.published.len(), 3, "the frame that was begun, and the newest");
+    assert_eq!(bench.last().roster, told.roster.header.revision);
+    assert_eq!(bench.counter("jobs_started"), 3);
+}
+
+#[test]
+fn settings_recompute_the_frame_and_keep_the_similarity() {
+    let (mut bench, _) = following();
+    bench.set(r#"{"dimension": 2}"#);
+    assert_eq!((bench.published.len(), bench.last().dimension), (2, 2));
+    assert_eq!(bench.last().quality.mode, EmbeddingMode::Cached);
+    bench.set(r#"{"alpha": {"fraction": 0.25}}"#);
+    assert_eq!(bench.last().quality.mode, EmbeddingMode::Dense);
+    bench.set(r#"{"weights": {"spatial": 0.5, "thermal": 0.5}}"#);
+    let weights: Vec<_> = bench.last().graphs.iter().map(|(_, _, weight)| *weight).collect();
+    assert_eq!(weights, [0.0, 0.0, 1.0], "the fleet has no thermal modality");
+    assert!(bench.ask("service/embedder/settings", Some(r#"{"dimension": 3}"#)).is_err());
+    assert_eq!(bench.published.len(), 4);
+}
+
+#[test]
+fn the_number_of_teams_reaches_the_rule_for_the_dimension() {
+    let mut ingest = Ingest::new(&["spatial"]);
+    for (prefix, weight) in [("a", 1.0), ("b", 0.9), ("c", 0.8)] {
+        ingest.clique("spatial", prefix, 4, weight);
+    }
+    let mut bench = Bench::fresh();
+    bench.frame(&mut ingest);
+    assert_eq!(bench.last().dimension, 4);
+    let teams = |teams: u32| {
+        let settings = muster_model::settings::ClustererSettings { teams, ..Default::default() };
+        serde_json::to_string(&settings).unwrap()
+    };
+    bench.told_teams(&teams(3));
+    assert_eq!(bench.last().dimension, 6);
+    assert_eq!(bench.last().quality.mode, EmbeddingMode::Cached);
+    bench.told_teams(&teams(3));
+    assert_eq!(bench.published.len(), 2);
+    for bad in ["{", r#"{"teams": 3}"#, &teams(0)] {
+        bench.told_teams(bad);
+    }
+    assert_eq!(bench.counter("messages_refused"), 3);
+    assert_eq!(bench.published.len(), 2);
+    // A dimension that is set does not ask for the teams.
+    bench.set(r#"{"dimension": 4}"#);
+    bench.told_teams(&teams(5));
+    assert_eq!(bench.published.len(), 3);
+}
+
+#[test]
+fn the_number_of_teams_is_known_from_the_start() {
+    let text = serde_json::to_string(&muster_model::settings::ClustererSettings {
+        teams: 3,
+        ..Default::default()
+    });
+    let settings = Message::Settings(ServiceName::Clusterer, text.unwrap());
+    let mut bench = Bench::started(EmbedderSettings::default(), vec![settings]);
+    let mut ingest = Ingest::new(&["spatial"]);
+    for prefix in ["a", "b", "c"] {
+        ingest.clique("spatial", prefix, 3, 1.0);
+    }
+    bench.frame(&mut ingest);
+    assert_eq!(bench.last().dimension, 6);
+}
+
+#[test]
+fn a_decay_that_is_too_large_is_refused_and_the_last_embedding_stands() {
+    let (mut bench, mut ingest) = following();
+    let good = learned(&mut bench);
+    bench.set(r#"{"alpha": 50.0}"#);
+    assert_eq!(bench.failures(), 1);
+    let Some(EventKind::JobFailed { reason }) = bench.events.last() else { panic!() };
+    assert!(reason.starts_with("alpha: 50 must be less than 1/ρ = 0.99999999"), "{reason}");
+    assert_eq!(learned(&mut bench), good);
+    assert!(bench.state().contains("the newest frame failed: alpha"));
+    // The same input is not tried again; frames that change are, and are told of only seldom.
+    bench.pass(5.0);
+    assert_eq!(bench.counter("jobs_failed"), 1);
+    for number in 1..=30_u32 {
+        ingest.edge("spatial", "a0", "a1", f64::from(number) / 40.0);
+        bench.frame(&mut ingest);
+    }
+    assert_eq!(bench.counter("jobs_failed"), 31);
+    assert_eq!(bench.failures(), 3);
+    assert_eq!(bench.published.len(), 1, "an embedding of another frame is not made to look fresh");
+    bench.set(r#"{"alpha": 0.1}"#);
+    assert_eq!(bench.published.len(), 2);
+    assert!(!bench.state().contains("failed"));
+}
+
+#[test]
+fn weights_of_absent_modalities_alone_are_an_error() {
+    let (mut bench, _) = following();
+    bench.set(r#"{"weights": {"thermal": 1.0}}"#);
+    let Some(EventKind::JobFailed { reason }) = bench.events.last() else { panic!() };
+    assert!(reason.contains("connectivity, hierarchy, spatial"), "{reason}");
+    assert_eq!(bench.published.len(), 1);
+}
+
+#[test]
+fn a_panic_costs_the_cache_and_nothing_else() {
+    let (mut bench, mut ingest) = following();
+    bench.hold_jobs = true;
+    bench.set(r#"{"dimension": 2}"#);
+    drop(bench.jobs.pop_front().unwrap());
+    bench.step(Event::JobFailed("index out of bounds\n".to_owned()));
+    assert_eq!((bench.failures(), bench.jobs.len()), (1, 0));
+    assert!(bench.state().contains("panicked"));
+    // The same frame is tried again after a while, not at once.
+    bench.pass(0.9);
+    assert!(bench.jobs.is_empty());
+    bench.pass(0.2);
+    bench.step(Event::JobFailed("index out of bounds\n".to_owned()));
+    drop(bench.jobs.pop_front().unwrap());
+    assert_eq!(bench.failures(), 1, "it was told just now");
+    // A frame that differs is tried at once.
+    bench.hold_jobs = false;
+    ingest.edge("spatial", "a0", "a1", 0.5);
+    bench.frame(&mut ingest);
+    assert_eq!(bench.last().quality.mode, EmbeddingMode::Dense);
+    assert_eq!((bench.published.len(), bench.counter("jobs_failed")), (2, 2));
+    bench.pass(5.0);
+    assert_eq!(bench.counter("jobs_started"), 4);
+}
+
+#[test]
+fn a_panic_in_a_fleet_that_is_gone_asks_for_nothing() {
+    let (mut bench, mut ingest) = following();
+    bench.hold_jobs = true;
+    bench.set(r#"{"dimension": 2}"#);
+    drop(bench.jobs.pop_front().unwrap());
+    bench.step(Event::JobFailed("out of memory".to_owned()));
+    for name in ["a0", "a1", "a2", "a3", "b0", "b1", "b2", "b3"] {
+        ingest.leave(name);
+    }
+    bench.frame(&mut ingest);
+    bench.pass(5.0);
+    assert_eq!((bench.jobs.len(), bench.driver.deadline()), (0, None));
+}
+
+#[test]
+fn a_restart_goes_on_from_the_embedding_that_others_remember() {
+    let (mut first, mut ingest) = following();
+    let Some(Message::Embedding(old)) = learned(&mut first).pop() else { panic!() };
+    // Signs are arbitrary: the next holder keeps to those that it finds.
+    let mut flipped = Embedding::clone(&old);
+    flipped.header.revision = Revision { term: 7, epoch: 900 };
+    flipped.values.iter_mut().for_each(|value| *value = -*value);
+    let flipped = Arc::new(flipped);
+    let older = Message::Embedding(old);
+    let answers = vec![older, Message::Embedding(flipped.clone())];
+    let mut bench = Bench::started(EmbedderSettings::default(), answers);
+    assert_eq!(bench.stored.last().unwrap().term, 8);
+    assert_eq!(learned(&mut bench), [Message::Embedding(flipped.clone())]);
+    bench.pass(3.0);
+    assert!(bench.published.is_empty(), "what was learned is served and not repeated");
+
+    bench.fetches.clear();
+    ingest.join("c0");
+    ingest.edge("spatial", "c0", "a0", 0.01);
+    let told = ingest.frame(bench.now);
+    bench.deliver(&told);
+    bench.step(Event::LinkRestored);
+    bench.answer_fetches(&ingest);
+    assert_eq!(bench.last().header.revision, Revision { term: 8, epoch: 1 });
+    for (at, name) in flipped.robots.iter().enumerate() {
+        let dimension = flipped.dimension as usize;
+        let before = &flipped.values[at * dimension..(at + 1) * dimension];
+        let cosine = dot(row(bench.last(), name.as_str()), before);
+        assert!(cosine > 0.99, "{name}: {cosine}");
+    }
+}
+
+#[test]
+fn an_unusable_embedding_of_the_holder_before_is_refused_but_its_term_counts() {
+    let (mut first, _) = following();
+    let Some(Message::Embedding(old)) = learned(&mut first).pop() else { panic!() };
+    let mut bad = Embedding::clone(&old);
+    bad.header.revision.term = 4;
+    bad.values.pop();
+    let answers = vec![Message::Embedding(Arc::new(bad))];
+    let mut bench = Bench::started(EmbedderSettings::default(), answers);
+    assert_eq!(bench.quarantined().len(), 1);
+    assert!(learned(&mut bench).is_empty());
+    assert_eq!(bench.stored.last().unwrap().term, 5);
+}
+
+#[test]
+fn every_get_is_answered_once() {
+    let mut bench = Bench::new(EmbedderSettings::default());
+    let keys = ["embedding", "roster", "graph/*", "graph/spatial", "teams", "service/*/status"];
+    for key in keys.into_iter().chain(["service/embedder/settings", "no/such/key"]) {
+        let empty = !key.starts_with("service");
+        assert_eq!(bench.ask(key, None).unwrap().is_empty(), empty, "{key}");
+    }
+    let (mut bench, _) = following();
+    for (key, count) in keys.into_iter().zip([1, 1, 3, 1, 0, 1]) {
+        assert_eq!(bench.ask(key, None).unwrap().len(), count, "{key}");
+    }
+    assert_eq!(bench.ask("*", None).unwrap().len(), 2);
+}
+
+#[test]
+fn refused_packets_are_told_of() {
+    let mut bench = Bench::fresh();
+    let key = common::space().format(&muster_wire::Key::Roster);
+    let rejection = Rejection::new(&common::space(), &key, "cut off");
+    bench.step(Event::Rejected(rejection));
+    assert_eq!(bench.quarantined().len(), 1);
+}
+
+#[test]
+fn the_paper_as_it_stands_is_a_matter_of_settings() {
+    let mut settings = EmbedderSettings { dimension: Dimension::Fixed(4), ..Default::default() };
+    settings.alpha = Alpha::Value(0.05);
+    settings.normalize = muster_model::settings::Normalization::None;
+    settings.scale = muster_model::settings::SingularValueScaling::None;
+    settings.rows = muster_model::settings::RowScaling::None;
+    let mut bench = Bench::started(settings, Vec::new());
+    bench.frame(&mut fleet());
+    let embedding = bench.last();
+    assert!((embedding.quality.alpha - 0.05).abs() < 1e-15);
+    // Columns of length one.
+    for column in 0..4 {
+        let length: f64 = embedding.values.iter().skip(column).step_by(4).map(|x| x * x).sum();
+        assert!((length - 1.0).abs() < 1e-12);
+    }
+}

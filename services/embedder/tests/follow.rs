@@ -1,0 +1,413 @@
+//! How the core follows rosters and graphs over a bus that loses, delays and repeats.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod common;
+
+use std::sync::Arc;
+
+use common::{Bench, Ingest, Told, difference_of_shape, modality};
+use muster_machine::{Core, Event};
+use muster_model::event::EventKind;
+use muster_model::graph::{GraphReplica, GraphRow};
+use muster_model::header::Revision;
+use muster_model::settings::EmbedderSettings;
+use muster_wire::{Key, Message, Pattern};
+use proptest::prelude::*;
+
+const NAMES: [&str; 3] = ["connectivity", "hierarchy", "spatial"];
+
+fn fleet() -> Ingest {
+    Ingest::two_cliques(&NAMES, 4)
+}
+
+/// A bench that has seen one whole frame.
+fn following() -> (Bench, Ingest) {
+    let (mut bench, mut ingest) = (Bench::fresh(), fleet());
+    bench.frame(&mut ingest);
+    assert_eq!(bench.published.len(), 1);
+    (bench, ingest)
+}
+
+/// A frame that changes one modality, not delivered yet.
+fn changed(bench: &Bench, ingest: &mut Ingest, name: &str, weight: f64) -> Told {
+    ingest.edge(name, "a0", "a1", weight);
+    ingest.frame(bench.now)
+}
+
+fn revision_of(bench: &Bench, name: &str) -> Revision {
+    bench.last().graphs.iter().find(|(graph, ..)| *graph == modality(name)).unwrap().1
+}
+
+#[test]
+fn nothing_is_published_before_the_first_fetch_has_ended() {
+    let (mut bench, mut ingest) = (Bench::new(EmbedderSettings::default()), fleet());
+    bench.step(Event::Started);
+    assert_eq!(bench.state(), "starting");
+    bench.frame(&mut ingest);
+    assert!(bench.published.is_empty() && bench.events.is_empty());
+    bench.step(Event::Fetched { fetch: 0, messages: Vec::new() });
+    assert_eq!(bench.published.len(), 1);
+}
+
+#[test]
+fn the_answers_of_the_first_fetch_are_a_frame() {
+    let mut ingest = fleet();
+    let told = ingest.frame(muster_model::time::Tick(7));
+    // The roster first: answers come in no particular order.
+    let mut answers: Vec<_> = told.messages().collect();
+    answers.reverse();
+    let bench = Bench::started(EmbedderSettings::default(), answers);
+    assert_eq!(bench.last().roster, told.roster.header.revision);
+}
+
+#[test]
+fn a_frame_is_complete_only_with_all_its_graphs() {
+    let (mut bench, mut ingest) = following();
+    ingest.edge("spatial", "a0", "a1", 0.3);
+    ingest.edge("hierarchy", "a0", "a1", 0.4);
+    let told = ingest.frame(bench.now);
+    bench.receive(told.graph("spatial"));
+    bench.receive(told.roster());
+    assert_eq!(bench.published.len(), 1);
+    bench.receive(told.graph("hierarchy"));
+    assert_eq!(bench.published.len(), 2);
+    assert_eq!(bench.last().roster, told.roster.header.revision);
+    assert_eq!(bench.fetches.len(), 0, "a roster that overtakes its graphs is no reason to fetch");
+    let revisions: Vec<_> = bench.last().graphs.iter().map(|(n, r, _)| (n.clone(), *r)).collect();
+    assert_eq!(revisions, told.roster.graphs);
+}
+
+#[test]
+fn a_gap_is_mended_by_a_fetch_of_that_graph() {
+    let (mut bench, mut ingest) = following();
+    bench.pass(1.0);
+    let _lost = changed(&bench, &mut ingest, "spatial", 0.3);
+    let told = changed(&bench, &mut ingest, "spatial", 0.4);
+    bench.receive(told.graph("spatial"));
+    bench.receive(told.roster());
+    assert_eq!(bench.counter("gaps"), 1);
+    assert_eq!(bench.published.len(), 1);
+    let wanted = vec![Pattern::One(Key::Roster), Pattern::One(Key::Graph(modality("spatial")))];
+    assert!(bench.fetches.iter().map(|(_, patterns)| patterns).eq([&wanted]));
+    bench.answer_fetches(&ingest);
+    assert_eq!(revision_of(&bench, "spatial"), told.roster.header.revision);
+    assert_eq!((bench.counter("fetches"), bench.counter("frames_consistent")), (1, 2));
+}
+
+#[test]
+fn a_lost_last_delta_shows_by_the_roster() {
+    let (mut bench, mut ingest) = following();
+    bench.pass(1.0);
+    let told = changed(&bench, &mut ingest, "spatial", 0.3);
+    bench.receive(told.roster());
+    assert_eq!(bench.fetches.len(), 0);
+    bench.pass(0.06);
+    assert_eq!(bench.answer_fetches(&ingest), 1);
+    assert_eq!(revision_of(&bench, "spatial"), told.roster.header.revision);
+}
+
+#[test]
+fn deltas_in_the_wrong_order_are_mended() {
+    let (mut bench, mut ingest) = following();
+    bench.pass(1.0);
+    let first = changed(&bench, &mut ingest, "spatial", 0.3);
+    let second = changed(&bench, &mut ingest, "spatial", 0.4);
+    bench.receive(second.graph("spatial"));
+    bench.receive(first.graph("spatial"));
+    bench.receive(first.roster());
+    bench.receive(second.roster());
+    bench.answer_fetches(&ingest);
+    assert_eq!(bench.last().roster, second.roster.header.revision);
+}
+
+#[test]
+fn fetches_without_an_answer_are_repeated_at_intervals() {
+    let (mut bench, mut ingest) = following();
+    bench.pass(1.0);
+    let told = changed(&bench, &mut ingest, "spatial", 0.3);
+    bench.receive(told.roster());
+    for _ in 0..40 {
+        bench.pass(0.1);
+        // One fetch is in flight at most, and nobody answers.
+        assert!(bench.fetches.len() <= 1);
+        if let Some((fetch, _)) = bench.fetches.pop_front() {
+            bench.step(Event::Fetched { fetch, messages: Vec::new() });
+        }
+    }
+    assert!((7..=9).contains(&bench.counter("fetches")));
+    bench.pass(0.5);
+    bench.answer_fetches(&ingest);
+    assert_eq!(bench.published.len(), 2);
+}
+
+#[test]
+fn a_graph_ahead_of_the_roster_waits_but_not_for_ever() {
+    let (mut bench, mut ingest) = following();
+    bench.pass(1.0);
+    let told = changed(&bench, &mut ingest, "spatial", 0.3);
+    bench.receive(told.graph("spatial"));
+    bench.pass(0.9);
+    assert_eq!(bench.fetches.len(), 0);
+    bench.pass(0.2);
+    assert_eq!(bench.answer_fetches(&ingest), 1);
+    assert_eq!(bench.last().roster, told.roster.header.revision);
+}
+
+#[test]
+fn a_fetch_that_crosses_the_next_frame_is_repeated() {
+    let (mut bench, mut ingest) = following();
+    bench.pass(1.0);
+    let lost = changed(&bench, &mut ingest, "spatial", 0.3);
+    bench.receive(lost.roster());
+    bench.pass(0.1);
+    let (fetch, patterns) = bench.fetches.pop_front().unwrap();
+    let stale = ingest.answer(&patterns);
+    let next = changed(&bench, &mut ingest, "spatial", 0.4);
+    bench.deliver(&next);
+    bench.step(Event::Fetched { fetch, messages: stale });
+    assert_eq!(bench.published.len(), 1);
+    bench.pass(0.6);
+    bench.answer_fetches(&ingest);
+    assert_eq!(bench.last().roster, next.roster.header.revision);
+}
+
+#[test]
+fn a_new_term_begins_with_snapshots_and_the_old_one_is_over() {
+    let (mut bench, mut ingest) = following();
+    let late = changed(&bench, &mut ingest, "spatial", 0.3);
+    ingest.restart();
+    let told = bench.frame(&mut ingest);
+    assert!(told.graphs.iter().all(|delta| delta.base.is_none()));
+    assert_eq!(bench.last().roster, Revision { term: 2, epoch: 1 });
+    bench.deliver(&late);
+    assert_eq!(bench.counter("messages_old"), 2);
+    assert_eq!(bench.last().roster.term, 2);
+    bench.deliver(&told);
+    assert_eq!(bench.counter("messages_old"), 2, "a repetition is not old");
+}
+
+#[test]
+fn a_contradictory_delta_or_roster_is_refused_and_the_graph_stays() {
+    let (mut bench, mut ingest) = following();
+    let before = bench.ask("graph/spatial", None).unwrap();
+    let told = changed(&bench, &mut ingest, "spatial", 0.3);
+    let Message::Graph(delta) = told.graph("spatial") else { panic!() };
+    let mut bad = delta.as_ref().clone();
+    bad.rows = vec![GraphRow { source: 999, edges: Vec::new() }];
+    bench.receive(Message::Graph(Arc::new(bad)));
+    assert_eq!(bench.ask("graph/spatial", None).unwrap(), before);
+    let mut roster = told.roster.as_ref().clone();
+    roster.robots.reverse();
+    bench.receive(Message::Roster(Arc::new(roster)));
+    let told_of: Vec<_> = bench
+        .quarantined()
+        .into_iter()
+        .map(|kind| match kind {
+            EventKind::Quarantined { key, reason, .. } => (key.as_str(), reason.as_str()),
+            _ => panic!(),
+        })
+        .collect();
+    assert_eq!(
+        told_of.iter().map(|(key, _)| *key).collect::<Vec<_>>(),
+        ["muster/v1/f/graph/spatial", "muster/v1/f/roster"]
+    );
+    assert!(told_of[0].1.contains("unknown node") && told_of[1].1.contains("ordered by name"));
+    bench.deliver(&told);
+    assert_eq!(bench.published.len(), 2);
+}
+
+#[test]
+fn a_modality_that_the_roster_does_not_list_is_dropped() {
+    let (mut bench, mut ingest) = following();
+    let told = ingest.frame(bench.now);
+    let Some(Message::Graph(model)) = bench.ask("graph/spatial", None).unwrap().pop() else {
+        panic!()
+    };
+    for number in 0..40 {
+        let mut invented = model.as_ref().clone();
+        invented.modality = modality(&format!("m{number}"));
+        bench.receive(Message::Graph(Arc::new(invented)));
+    }
+    assert_eq!(bench.counter("modalities_ignored"), 40 - 16);
+    bench.deliver(&told);
+    assert_eq!(bench.ask("graph/*", None).unwrap().len(), 3);
+    assert_eq!(bench.last().graphs.len(), 3);
+}
+
+#[test]
+fn a_modality_that_is_declared_later_is_followed_without_a_fetch() {
+    let (mut bench, mut ingest) = following();
+    ingest.clique("thermal", "a", 4, 0.5);
+    let told = ingest.frame(bench.now);
+    bench.receive(told.graph("thermal"));
+    bench.step(Event::Timeout);
+    bench.receive(told.roster());
+    assert_eq!((bench.last().graphs.len(), bench.fetches.len()), (4, 0));
+}
+
+#[test]
+fn invented_modalities_keep_the_fleets_own_out_for_no_longer_than_a_fetch() {
+    let (mut bench, mut ingest) = (Bench::fresh(), fleet());
+    let told = ingest.frame(bench.now);
+    for number in 0..40 {
+        let mut invented = told.graphs[0].as_ref().clone();
+        invented.modality = modality(&format!("m{number}"));
+        bench.receive(Message::Graph(Arc::new(invented)));
+    }
+    bench.deliver(&told);
+    assert!(bench.published.is_empty());
+    bench.pass(1.0);
+    bench.answer_fetches(&ingest);
+    assert_eq!(bench.last().graphs.len(), 3);
+}
+
+#[test]
+fn without_a_roster_the_bus_is_asked_again() {
+    let mut bench = Bench::fresh();
+    let mut ingest = fleet();
+    assert_eq!(bench.state(), "waiting for a roster");
+    let _unheard = ingest.frame(bench.now);
+    bench.pass(2.5);
+    assert_eq!(bench.answer_fetches(&ingest), 1);
+    assert_eq!(bench.published.len(), 1);
+}
+
+#[test]
+fn a_link_that_is_back_leads_to_a_fetch_of_everything() {
+    let (mut bench, mut ingest) = following();
+    bench.step(Event::LinkLost);
+    let _unheard = changed(&bench, &mut ingest, "spatial", 0.3);
+    bench.step(Event::LinkRestored);
+    let all = vec![Pattern::One(Key::Roster), Pattern::Graphs];
+    assert_eq!(bench.fetches.front().unwrap().1, all);
+    bench.answer_fetches(&ingest);
+    assert_eq!(bench.published.len(), 2);
+}
+
+#[test]
+fn what_ingest_told_is_repeated_for_it() {
+    let (mut bench, ingest) = following();
+    let wiring = muster_embedder::Embedder::wiring();
+    assert_eq!(wiring.served.iter().filter(|(_, complete)| !complete).count(), 2);
+    let answers = bench.ask("graph/*", None).unwrap();
+    for answer in &answers {
+        let Message::Graph(delta) = answer else { panic!() };
+        let mut copy = GraphReplica::default();
+        copy.apply(delta).unwrap();
+        assert_eq!(copy, ingest.told[&delta.modality]);
+    }
+    assert_eq!(answers.len(), 3);
+    assert!(matches!(bench.ask("roster", None).unwrap()[..], [Message::Roster(_)]));
+}
+
+/// One frame of a random history.
+#[derive(Debug, Clone)]
+struct Step {
+    changes: Vec<(usize, usize, usize, u8)>,
+    join: Option<usize>,
+    leave: Option<usize>,
+    restart: bool,
+    lost: u8,
+    roster_first: bool,
+    /// 0: answered at once, 1: answered with the frame before, 2: not answered.
+    fetch: u8,
+    wait: f64,
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let change = (0..3_usize, 0..6_usize, 0..6_usize, 0..3_u8);
+    (
+        prop::collection::vec(change, 0..4),
+        prop::option::weighted(0.3, 0..6_usize),
+        prop::option::weighted(0.2, 0..6_usize),
+        prop::bool::weighted(0.05),
+        prop_oneof![3 => Just(0_u8), 2 => 0..16_u8],
+        prop::bool::weighted(0.2),
+        0..3_u8,
+        prop_oneof![3 => Just(0.1), 1 => Just(0.7)],
+    )
+        .prop_map(|(changes, join, leave, restart, lost, roster_first, fetch, wait)| Step {
+            changes,
+            join,
+            leave,
+            restart,
+            lost,
+            roster_first,
+            fetch,
+            wait,
+        })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(96))]
+
+    #[test]
+    fn whatever_is_lost_the_end_is_the_truth(steps in prop::collection::vec(step(), 1..25)) {
+        let (mut bench, mut ingest) = (Bench::fresh(), Ingest::new(&NAMES));
+        for name in ["r0", "r1", "r2"] {
+            ingest.join(name);
+        }
+        for step in steps {
+            let stale: Vec<_> = bench
+                .fetches
+                .iter()
+                .map(|(fetch, patterns)| (*fetch, ingest.answer(patterns)))
+                .collect();
+            if step.restart {
+                ingest.restart();
+            }
+            if let Some(number) = step.join {
+                ingest.join(&format!("r{number}"));
+            }
+            if let Some(number) = step.leave {
+                ingest.leave(&format!("r{number}"));
+            }
+            for (name, from, to, weight) in step.changes {
+                let (from, to) = (format!("r{from}"), format!("r{to}"));
+                ingest.edge(NAMES[name], &from, &to, f64::from(weight));
+            }
+            let told = ingest.frame(bench.now);
+            let mut messages: Vec<_> = told.messages().collect();
+            if step.roster_first {
+                messages.rotate_right(1);
+            }
+            for (place, message) in messages.into_iter().enumerate() {
+                if step.lost & (1 << place) == 0 {
+                    bench.receive(message);
+                }
+            }
+            bench.fetches.retain(|(fetch, _)| !stale.iter().any(|(number, _)| number == fetch));
+            for (fetch, answers) in stale {
+                let messages = if step.fetch == 2 { Vec::new() } else { answers };
+                bench.step(Event::Fetched { fetch, messages });
+            }
+            if step.fetch == 0 {
+                bench.answer_fetches(&ingest);
+            }
+            bench.pass(step.wait);
+        }
+        // From here on nothing is lost but what was lost before.
+        let last = ingest.frame(bench.now);
+        bench.receive(last.roster());
+        for _ in 0..20 {
+            bench.pass(0.2);
+            bench.answer_fetches(&ingest);
+        }
+        for answer in bench.ask("graph/*", None).unwrap() {
+            let Message::Graph(delta) = answer else { panic!() };
+            let mut copy = GraphReplica::default();
+            copy.apply(&delta).unwrap();
+            prop_assert_eq!(&copy, &ingest.told[&delta.modality]);
+        }
+        prop_assert_eq!(bench.quarantined().len(), 0);
+        if ingest.count() > 0 {
+            let graphs: Vec<_> =
+                bench.last().graphs.iter().map(|(name, at, _)| (name.clone(), *at)).collect();
+            prop_assert_eq!(graphs, last.roster.graphs.clone());
+            let whole = ingest.answer(&[Pattern::One(Key::Roster), Pattern::Graphs]);
+            let truth = Bench::started(EmbedderSettings::default(), whole);
+            prop_assert!(difference_of_shape(bench.last(), truth.last()) < 1e-9);
+        }
+    }
+}
