@@ -8,7 +8,7 @@ use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::id::{Modality, RobotId, ServiceName};
-use muster_model::limits::MAX_ROBOT_PAYLOAD;
+use muster_model::limits::{MAX_REVISION, MAX_ROBOT_PAYLOAD};
 use muster_model::observation::{Links, Observation, Pose, Rank, Relation};
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
@@ -296,18 +296,15 @@ impl Message {
                 return Err("no service reads this key".to_owned());
             }
         };
-        match message.fleet() {
-            Some(fleet) if fleet != space.fleet() => {
-                Err(format!("the key speaks for fleet {}, the message for {fleet}", space.fleet()))
-            }
-            _ => Ok(message),
+        let Some(header) = message.header() else { return Ok(message) };
+        if header.fleet != *space.fleet() {
+            let (ours, theirs) = (space.fleet(), &header.fleet);
+            return Err(format!("the key speaks for fleet {ours}, the message for {theirs}"));
         }
-    }
-
-    /// The fleet that the content names.
-    #[must_use]
-    pub fn fleet(&self) -> Option<&muster_model::id::FleetId> {
-        self.header().map(|header| &header.fleet)
+        if header.revision.term.max(header.revision.epoch) > MAX_REVISION {
+            return Err(format!("term and epoch may be at most {MAX_REVISION}"));
+        }
+        Ok(message)
     }
 
     /// The head of a message between services.

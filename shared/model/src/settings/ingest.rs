@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Settings, SettingsError, check_range};
 use crate::id::Modality;
-use crate::limits::{MAX_DECLARED_MODALITIES, MAX_ROBOTS, MAX_TEXT_LENGTH};
+use crate::limits::{MAX_DECLARED_MODALITIES, MAX_GRAPH_EDGES, MAX_ROBOTS, MAX_TEXT_LENGTH};
 
 /// Highest rate of frames: above it a frame is shorter than the way over a radio.
 pub const MAX_TICK_HZ: f64 = 100.0;
@@ -121,7 +121,7 @@ impl SpatialSettings {
     pub fn check(&self) -> Result<(), SettingsError> {
         check_range("spatial.width", self.width, 0.01..=1000.0)?;
         check_range("spatial.neighbours", f64::from(self.neighbours), 1.0..=256.0)?;
-        check_range("spatial.all_pairs_up_to", f64::from(self.all_pairs_up_to), 0.0..=4000.0)?;
+        check_range("spatial.all_pairs_up_to", f64::from(self.all_pairs_up_to), 0.0..=2000.0)?;
         self.radius_m.map_or(Ok(()), |radius| check_range("spatial.radius_m", radius, 1e-6..=1e9))
     }
 }
@@ -191,6 +191,17 @@ impl Settings for IngestSettings {
             return Err(SettingsError::new("modalities", "a modality is declared twice"));
         }
         self.spatial.check()?;
+        // A neighbour relation is made symmetric, so that a robot may have twice as many edges.
+        let edges = 2 * u64::from(self.max_robots) * u64::from(self.spatial.neighbours);
+        if edges > MAX_GRAPH_EDGES {
+            return Err(SettingsError::new(
+                "spatial.neighbours",
+                format!(
+                    "times max_robots may be at most {}: a larger graph fits no message",
+                    MAX_GRAPH_EDGES / 2
+                ),
+            ));
+        }
         self.connectivity.check()
     }
 }

@@ -1,0 +1,214 @@
+//! After a restart: what other services still remember of the last holder's outputs.
+//!
+//! A roster holds positions and superiors, a connectivity graph holds link reports (an edge runs to
+//! the robot that reported it), a hierarchy the strengths of ties, a declared graph the relations.
+//! What was reported of robots that the fleet did not know is not in them and is lost until it is
+//! reported again.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use muster_model::graph::{GraphDelta, GraphReplica, Node};
+use muster_model::header::Revision;
+use muster_model::id::{Modality, RobotId};
+use muster_model::observation::{Pose, Rank};
+use muster_model::roster::{Roster, RosterEntry};
+use muster_model::settings::IngestSettings;
+use muster_model::time::Tick;
+use muster_relation::hierarchy::DEFAULT_TIE;
+use muster_wire::Message;
+
+use crate::admission::{self, Content, Observed, Stream};
+use crate::roster::Fleet;
+
+/// Other ends and weights of edges.
+type Edges = Vec<(RobotId, f64)>;
+
+/// The edges that each robot reported.
+type ByRobot = BTreeMap<RobotId, Edges>;
+
+/// One observation.
+type Said = (Stream, Content);
+
+/// The highest revision of any output of the role.
+pub(crate) fn highest_revision(messages: &[Message]) -> Option<Revision> {
+    outputs(messages).map(|(revision, ..)| revision).max()
+}
+
+/// Fills the fleet with what is remembered; streams that were heard in this run stay as they are.
+/// Returns the robots that are remembered and known now.
+///
+/// Every robot is treated as heard now: it has its whole patience to speak again, while `last_seen`
+/// and the age of the data stay what they are.
+pub(crate) fn restore(
+    now: Tick,
+    messages: &[Message],
+    settings: &IngestSettings,
+    fleet: &mut Fleet,
+) -> BTreeSet<RobotId> {
+    let rosters = outputs(messages).filter_map(|(revision, roster, _)| Some((revision, roster?)));
+    let newest = rosters.max_by_key(|(revision, _)| *revision).map(|(_, roster)| roster);
+    let Some(roster) = newest.filter(|roster| is_consistent(roster)) else {
+        return BTreeSet::new();
+    };
+    let graphs = remembered_graphs(messages, roster);
+    let mut said = said_of_graphs(&graphs, settings);
+    let ties = graphs.get(&Modality::hierarchy()).map(Ties::new);
+    let mut restored = BTreeSet::new();
+    for entry in &roster.robots {
+        let Ok((robot, joined)) = fleet.find_or_join(now, &entry.robot, settings) else { continue };
+        let last_seen = entry.last_seen.min(now);
+        if joined {
+            robot.heard = last_seen;
+        }
+        let mut contents = said.remove(&entry.robot).unwrap_or_default();
+        let observed = pose_of(entry, settings).into_iter().chain(rank_of(entry, ties.as_ref()));
+        contents.extend(observed.map(|observed| (observed.stream, observed.content)));
+        for (stream, content) in contents {
+            if !robot.has_spoken(&stream) {
+                robot.take(last_seen, now, content);
+            }
+        }
+        fleet.expect(&entry.robot, settings.into());
+        restored.insert(entry.robot.clone());
+    }
+    restored
+}
+
+/// Rosters and graphs with their revisions.
+fn outputs(
+    messages: &[Message],
+) -> impl Iterator<Item = (Revision, Option<&Roster>, Option<&GraphDelta>)> {
+    messages.iter().filter_map(|message| match message {
+        Message::Roster(roster) => Some((roster.header.revision, Some(roster.as_ref()), None)),
+        Message::Graph(delta) => Some((delta.header.revision, None, Some(delta.as_ref()))),
+        _ => None,
+    })
+}
+
+fn is_consistent(roster: &Roster) -> bool {
+    let nodes: BTreeSet<_> = roster.robots.iter().map(|entry| entry.node).collect();
+    nodes.len() == roster.robots.len()
+        && roster.robots.is_sorted_by(|left, right| left.robot < right.robot)
+}
+
+/// The graphs that a roster lists. A graph of the same term that is a frame off is better than none:
+/// a rank may have been reported once, long ago.
+fn remembered_graphs(messages: &[Message], roster: &Roster) -> BTreeMap<Modality, GraphReplica> {
+    let names: BTreeMap<Node, &RobotId> =
+        roster.robots.iter().map(|entry| (entry.node, &entry.robot)).collect();
+    let agrees = |graph: &GraphReplica| {
+        graph.nodes().iter().all(|(node, robot)| names.get(node).is_none_or(|name| *name == robot))
+    };
+    let mut graphs = BTreeMap::new();
+    for (modality, listed) in &roster.graphs {
+        let of_term = outputs(messages)
+            .filter(|(revision, ..)| revision.term == listed.term)
+            .filter_map(|(revision, _, delta)| Some((revision, delta?)))
+            .filter(|(_, delta)| delta.modality == *modality && delta.base.is_none())
+            .filter_map(|(revision, delta)| {
+                let mut graph = GraphReplica::default();
+                graph.apply(delta).ok()?;
+                agrees(&graph).then_some((revision, graph))
+            });
+        let best = of_term.max_by_key(|(revision, _)| (revision == listed, *revision));
+        graphs.extend(best.map(|(_, graph)| (modality.clone(), graph)));
+    }
+    graphs
+}
+
+/// What the robots must have said for the graphs to be what they are.
+fn said_of_graphs(
+    graphs: &BTreeMap<Modality, GraphReplica>,
+    settings: &IngestSettings,
+) -> BTreeMap<RobotId, Vec<Said>> {
+    let mut said: BTreeMap<RobotId, Vec<Said>> = BTreeMap::new();
+    let mut say = |edges: ByRobot, stream: Stream, content: &dyn Fn(Edges) -> Content| {
+        for (robot, mut edges) in edges {
+            edges.sort_unstable_by(|left, right| left.0.cmp(&right.0));
+            said.entry(robot).or_default().push((stream.clone(), content(edges)));
+        }
+    };
+    if let Some(graph) = graphs.get(&Modality::connectivity()) {
+        let mut links = ByRobot::new();
+        for (peer, hearer, weight) in named_edges(graph) {
+            links.entry(hearer.clone()).or_default().push((peer.clone(), weight.min(1.0)));
+        }
+        say(links, Stream::Links, &Content::Links);
+    }
+    for modality in &settings.modalities {
+        let Some(graph) = graphs.get(modality) else { continue };
+        let mut relations = ByRobot::new();
+        for (from, to, weight) in named_edges(graph) {
+            relations.entry(from.clone()).or_default().push((to.clone(), weight));
+        }
+        say(relations, Stream::Relation(modality.clone()), &|edges| {
+            Content::Relation(modality.clone(), edges)
+        });
+    }
+    said
+}
+
+/// How strongly robots are tied to their superiors.
+struct Ties<'a> {
+    robots: BTreeSet<&'a RobotId>,
+    strengths: BTreeMap<(&'a RobotId, &'a RobotId), f64>,
+}
+
+impl<'a> Ties<'a> {
+    fn new(hierarchy: &'a GraphReplica) -> Self {
+        Self {
+            robots: hierarchy.nodes().values().collect(),
+            strengths: named_edges(hierarchy)
+                .map(|(superior, robot, weight)| ((superior, robot), weight))
+                .collect(),
+        }
+    }
+
+    /// A superior that the fleet knew and that has no edge has a tie of 0; one that the fleet did not
+    /// know left no trace of its strength.
+    fn strength(&self, superior: &RobotId, robot: &RobotId) -> f64 {
+        let unknown = if self.robots.contains(superior) { 0.0 } else { DEFAULT_TIE };
+        self.strengths.get(&(superior, robot)).copied().unwrap_or(unknown)
+    }
+}
+
+/// The edges between different robots, by name.
+fn named_edges(graph: &GraphReplica) -> impl Iterator<Item = (&RobotId, &RobotId, f64)> {
+    let nodes = graph.nodes();
+    let edges = graph.rows().iter().flat_map(|(source, edges)| {
+        edges.iter().map(move |(target, weight)| (*source, *target, *weight))
+    });
+    edges.filter(|(source, target, _)| source != target).filter_map(|(source, target, weight)| {
+        Some((nodes.get(&source)?, nodes.get(&target)?, weight))
+    })
+}
+
+/// The pose of an entry, if it would be let in today.
+fn pose_of(entry: &RosterEntry, settings: &IngestSettings) -> Option<Observed> {
+    let [x, y, z] = entry.position?;
+    let pose = Pose {
+        x,
+        y,
+        z: Some(z),
+        heading: entry.heading,
+        frame: entry.frame.clone(),
+        stamp: None,
+        boot: None,
+        seq: None,
+    };
+    admission::pose(settings, pose).ok()
+}
+
+/// The rank of an entry, if it would be let in today.
+fn rank_of(entry: &RosterEntry, ties: Option<&Ties<'_>>) -> Option<Observed> {
+    let superior = entry.superior.as_ref();
+    let rank = Rank {
+        superior: superior.cloned(),
+        weight: superior.zip(ties).map(|(superior, ties)| ties.strength(superior, &entry.robot)),
+        role: entry.role.clone(),
+        stamp: None,
+        boot: None,
+        seq: None,
+    };
+    admission::rank(&entry.robot, rank).ok()
+}

@@ -1,0 +1,270 @@
+//! One robot: the last observation of each of its streams, and how sure it is that it is there.
+//!
+//! A robot is *stale* when its last pose is older than `stale_after_s`, or, without a pose, when its
+//! last sign is; a liveliness token keeps a robot without a pose from growing stale. (A lost token
+//! needs no rule of its own for a robot with a pose: its last pose is older than the loss.) It is
+//! *gone* when its last sign is older than `gone_after_s`, whatever its token says, because a process
+//! that hangs keeps its token; only a robot that has a token and no pose may stay silent.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use muster_model::graph::Node;
+use muster_model::id::{Modality, RobotId};
+use muster_model::roster::{Presence, RosterEntry};
+use muster_model::settings::IngestSettings;
+use muster_model::time::{Tick, seconds};
+
+use crate::admission::{Content, Gate, Stream, Tie};
+
+/// How long before the loss of the link a token's loss is no sign of a dead robot: a router that dies
+/// deletes every token a moment before its link is seen to be lost.
+const TOKENS_LOST_WITH_LINK: Duration = Duration::from_secs(1);
+
+/// Where a robot is.
+#[derive(Debug, Clone)]
+pub(crate) struct Placed {
+    /// Metres east, north, up.
+    pub(crate) position: [f64; 3],
+    /// Radians.
+    pub(crate) heading: Option<f64>,
+    /// The frame, named.
+    pub(crate) frame: String,
+    /// When it was received.
+    pub(crate) received: Tick,
+    /// From when its age is judged: later than `received` by the outages of the link since.
+    judged_from: Tick,
+}
+
+/// What the bus says of a robot's liveliness token.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Token {
+    /// Nothing.
+    Unseen,
+    /// It is there.
+    Alive,
+    /// It was there, and was lost at this moment.
+    Lost(Tick),
+}
+
+/// One robot.
+#[derive(Debug)]
+pub(crate) struct Robot {
+    /// Its number in the graphs.
+    pub(crate) node: Node,
+    /// What was last told of its presence.
+    pub(crate) presence: Presence,
+    /// When anything was last received from it.
+    pub(crate) heard: Tick,
+    judged_from: Tick,
+    token: Token,
+    /// Where it is, if it ever said so.
+    pub(crate) pose: Option<Placed>,
+    /// Whom it hears, with weights from 0 to 1.
+    pub(crate) links: Vec<(RobotId, f64)>,
+    /// Whom it answers to.
+    pub(crate) tie: Tie,
+    /// Its edges of declared modalities.
+    pub(crate) relations: BTreeMap<Modality, Vec<(RobotId, f64)>>,
+    /// What passed on each stream that was heard in this run.
+    pub(crate) gates: BTreeMap<Stream, Gate>,
+}
+
+/// How long a robot may be silent.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Patience {
+    stale_after: Duration,
+    gone_after: Duration,
+}
+
+impl From<&IngestSettings> for Patience {
+    fn from(settings: &IngestSettings) -> Self {
+        Self {
+            stale_after: seconds(settings.stale_after_s),
+            gone_after: seconds(settings.gone_after_s),
+        }
+    }
+}
+
+/// What changed by an observation.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Change {
+    /// The robot was not known before.
+    pub(crate) joined: bool,
+    /// What the roster says of the robot is new, beside when it was last heard.
+    pub(crate) roster: bool,
+    /// What the graph of the stream is made of is new.
+    pub(crate) graph: bool,
+}
+
+/// How the presence of a robot changed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Transition {
+    /// It has been silent for too long.
+    Stale,
+    /// It is heard again.
+    Recovered,
+    /// It is not part of the fleet any more.
+    Left,
+}
+
+impl Robot {
+    /// A robot that has just joined.
+    pub(crate) fn new(node: Node, now: Tick, token: Token) -> Self {
+        Self {
+            node,
+            presence: Presence::Active,
+            heard: now,
+            judged_from: now,
+            token,
+            pose: None,
+            links: Vec::new(),
+            tie: Tie::default(),
+            relations: BTreeMap::new(),
+            gates: BTreeMap::new(),
+        }
+    }
+
+    /// A message of it was let in.
+    pub(crate) fn hear(&mut self, now: Tick) {
+        self.heard = now;
+        self.judged_from = now;
+    }
+
+    /// Its token is there. If that was known, it says nothing new.
+    pub(crate) fn show_token(&mut self, now: Tick) {
+        if self.token != Token::Alive {
+            self.token = Token::Alive;
+            self.hear(now);
+        }
+    }
+
+    /// Its token was lost.
+    pub(crate) fn lose_token(&mut self, now: Tick) {
+        if self.token == Token::Alive {
+            self.token = Token::Lost(now);
+        }
+    }
+
+    /// Whether its token is there.
+    pub(crate) fn has_token(&self) -> bool {
+        self.token == Token::Alive
+    }
+
+    fn last_sign(&self) -> Tick {
+        match self.token {
+            Token::Lost(at) => self.judged_from.max(at),
+            Token::Unseen | Token::Alive => self.judged_from,
+        }
+    }
+
+    fn stale_at(&self, patience: Patience) -> Option<Tick> {
+        match (&self.pose, self.token) {
+            (Some(pose), _) => Some(pose.judged_from.after(patience.stale_after)),
+            (None, Token::Alive) => None,
+            (None, _) => Some(self.last_sign().after(patience.stale_after)),
+        }
+    }
+
+    fn gone_at(&self, patience: Patience) -> Option<Tick> {
+        let may_be_silent = self.pose.is_none() && self.token == Token::Alive;
+        (!may_be_silent).then(|| self.last_sign().after(patience.gone_after))
+    }
+
+    /// When its presence changes next if nothing more is heard of it.
+    pub(crate) fn next_judgement(&self, patience: Patience) -> Option<Tick> {
+        let stale = self.stale_at(patience).filter(|_| self.presence == Presence::Active);
+        stale.into_iter().chain(self.gone_at(patience)).min()
+    }
+
+    /// Brings the presence up to date.
+    pub(crate) fn judge(&mut self, now: Tick, patience: Patience) -> Option<Transition> {
+        if self.gone_at(patience).is_some_and(|at| at <= now) {
+            return Some(Transition::Left);
+        }
+        let stale = self.stale_at(patience).is_some_and(|at| at <= now);
+        let (presence, transition) = match self.presence {
+            Presence::Active if stale => (Presence::Stale, Transition::Stale),
+            Presence::Stale if !stale => (Presence::Active, Transition::Recovered),
+            Presence::Active | Presence::Stale => return None,
+        };
+        self.presence = presence;
+        Some(transition)
+    }
+
+    /// Whether a stream was heard in this run.
+    pub(crate) fn has_spoken(&self, stream: &Stream) -> bool {
+        self.gates.contains_key(stream)
+    }
+
+    /// Puts an observation in place of the one before.
+    pub(crate) fn take(&mut self, received: Tick, judged_from: Tick, content: Content) -> Change {
+        let mut change = Change::default();
+        match content {
+            Content::Pose { position, heading, frame } => {
+                let old = self.pose.as_ref();
+                change.graph = old.is_none_or(|old| old.position != position || old.frame != frame);
+                change.roster = change.graph || old.is_none_or(|old| old.heading != heading);
+                self.pose = Some(Placed { position, heading, frame, received, judged_from });
+            }
+            Content::Links(links) => {
+                change.graph = self.links != links;
+                self.links = links;
+            }
+            Content::Rank(tie) => {
+                let same_superior = self.tie.superior == tie.superior;
+                let weighs = tie.superior.is_some() && self.tie.weight != tie.weight;
+                change.graph = !same_superior || weighs;
+                change.roster = !same_superior || self.tie.role != tie.role;
+                self.tie = tie;
+            }
+            Content::Relation(modality, edges) => {
+                let old = self.relations.get(&modality).map_or(&[][..], Vec::as_slice);
+                change.graph = old != edges;
+                self.relations.insert(modality, edges);
+            }
+        }
+        change
+    }
+
+    /// What the roster says of it.
+    pub(crate) fn entry(&self, name: &RobotId) -> RosterEntry {
+        let pose = self.pose.as_ref();
+        RosterEntry {
+            node: self.node,
+            robot: name.clone(),
+            presence: self.presence,
+            position: pose.map(|pose| pose.position),
+            heading: pose.and_then(|pose| pose.heading),
+            frame: pose.map(|pose| pose.frame.clone()),
+            superior: self.tie.superior.clone(),
+            role: self.tie.role.clone(),
+            last_seen: self.heard,
+        }
+    }
+
+    /// Gives it the patience back that it had when the link was lost.
+    ///
+    /// A token that was lost with the link is lost as of now: a robot that is there shows it again.
+    pub(crate) fn forgive_outage(&mut self, lost: Tick, now: Tick) {
+        let outage = now.since(lost);
+        let forgiven = |tick: Tick| tick.after(outage).min(now);
+        self.judged_from = forgiven(self.judged_from);
+        if let Some(pose) = &mut self.pose {
+            pose.judged_from = forgiven(pose.judged_from);
+        }
+        if let Token::Lost(at) = self.token {
+            let with_link = at.after(TOKENS_LOST_WITH_LINK) >= lost;
+            self.token = Token::Lost(if with_link { now } else { forgiven(at) });
+        }
+    }
+
+    /// Forgets what it said of modalities that are not declared any more.
+    pub(crate) fn keep_modalities(&mut self, declared: &[Modality]) {
+        self.relations.retain(|modality, _| declared.contains(modality));
+        self.gates.retain(|stream, _| match stream {
+            Stream::Relation(modality) => declared.contains(modality),
+            Stream::Pose | Stream::Links | Stream::Rank => true,
+        });
+    }
+}

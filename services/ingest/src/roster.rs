@@ -1,0 +1,189 @@
+//! All robots that are known: who joins, who is judged when, who leaves.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use muster_model::graph::Node;
+use muster_model::id::{Modality, RobotId};
+use muster_model::roster::{Presence, RosterEntry};
+use muster_model::settings::IngestSettings;
+use muster_model::time::Tick;
+
+use crate::admission::{Gate, Observed, Refusal};
+use crate::robot::{Change, Patience, Robot, Token, Transition};
+
+/// All robots that are known.
+#[derive(Debug, Default)]
+pub(crate) struct Fleet {
+    robots: BTreeMap<RobotId, Robot>,
+    next_node: Node,
+    /// Robots that left and whose token is still there.
+    hung: BTreeSet<RobotId>,
+    /// No presence changes before this; none if it never does.
+    next_judgement: Option<Tick>,
+    newest_message: Option<Tick>,
+}
+
+impl Fleet {
+    /// The robots, ordered by name.
+    pub(crate) fn robots(&self) -> &BTreeMap<RobotId, Robot> {
+        &self.robots
+    }
+
+    /// The entries of a roster, ordered by name.
+    pub(crate) fn entries(&self) -> Vec<RosterEntry> {
+        self.robots.iter().map(|(name, robot)| robot.entry(name)).collect()
+    }
+
+    /// When the newest message was received.
+    pub(crate) fn newest_message(&self) -> Option<Tick> {
+        self.newest_message
+    }
+
+    /// No presence changes before this; none if it never does.
+    pub(crate) fn next_judgement(&self) -> Option<Tick> {
+        self.next_judgement
+    }
+
+    /// How many robots are stale.
+    pub(crate) fn stale_count(&self) -> usize {
+        self.robots.values().filter(|robot| robot.presence == Presence::Stale).count()
+    }
+
+    /// Lets an observation in, or refuses it and stays as it is.
+    pub(crate) fn observe(
+        &mut self,
+        now: Tick,
+        name: &RobotId,
+        observed: Observed,
+        settings: &IngestSettings,
+    ) -> Result<Change, Refusal> {
+        let Observed { stream, provenance, content } = observed;
+        let known = self.robots.get_mut(name);
+        let mut fresh = Gate::new(now, settings);
+        match known.and_then(|robot| robot.gates.get_mut(&stream)) {
+            Some(gate) => gate.pass(now, &provenance, settings)?,
+            None => fresh.pass(now, &provenance, settings)?,
+        }
+        let (robot, joined) = self.find_or_join(now, name, settings)?;
+        robot.gates.entry(stream).or_insert(fresh);
+        robot.hear(now);
+        let change = robot.take(now, now, content);
+        self.newest_message = Some(now);
+        self.expect(name, settings.into());
+        Ok(Change { joined, roster: change.roster || joined, ..change })
+    }
+
+    /// Takes in that a token appeared or was lost. One that was known to be there says nothing new,
+    /// and that of a robot that left although it had its token does not bring the robot back.
+    pub(crate) fn token(
+        &mut self,
+        now: Tick,
+        name: &RobotId,
+        alive: bool,
+        settings: &IngestSettings,
+    ) -> Result<Change, Refusal> {
+        let mut change = Change::default();
+        if !alive {
+            self.hung.remove(name);
+            if let Some(robot) = self.robots.get_mut(name) {
+                robot.lose_token(now);
+            }
+        } else if !self.hung.contains(name) {
+            let (robot, joined) = self.find_or_join(now, name, settings)?;
+            robot.show_token(now);
+            change = Change { joined, roster: joined, graph: joined };
+        }
+        self.expect(name, settings.into());
+        Ok(change)
+    }
+
+    /// The robot, given the next node number if it is new.
+    pub(crate) fn find_or_join(
+        &mut self,
+        now: Tick,
+        name: &RobotId,
+        settings: &IngestSettings,
+    ) -> Result<(&mut Robot, bool), Refusal> {
+        let joins = !self.robots.contains_key(name);
+        if joins && self.robots.len() >= settings.max_robots as usize {
+            let most = settings.max_robots;
+            return Err(format!("the fleet is full: max_robots is {most}").into());
+        }
+        let node = self.next_node;
+        if joins {
+            self.next_node = node.checked_add(1).ok_or_else(|| {
+                "no node number is left in this term; restart ingest to begin another".to_owned()
+            })?;
+        }
+        let token = if joins && self.hung.remove(name) { Token::Alive } else { Token::Unseen };
+        let robot = self.robots.entry(name.clone());
+        Ok((robot.or_insert_with(|| Robot::new(node, now, token)), joins))
+    }
+
+    /// Makes sure that a robot is judged in time.
+    pub(crate) fn expect(&mut self, name: &RobotId, patience: Patience) {
+        let next = self.robots.get(name).and_then(|robot| robot.next_judgement(patience));
+        self.next_judgement = self.next_judgement.into_iter().chain(next).min();
+    }
+
+    /// Judges every robot at the next opportunity.
+    pub(crate) fn judge_soon(&mut self, now: Tick) {
+        self.next_judgement = Some(now);
+    }
+
+    /// Judges one robot that may have recovered.
+    pub(crate) fn has_recovered(&mut self, now: Tick, name: &RobotId, patience: Patience) -> bool {
+        let stale = self.robots.get_mut(name).filter(|robot| robot.presence == Presence::Stale);
+        let recovered =
+            stale.is_some_and(|robot| robot.judge(now, patience) == Some(Transition::Recovered));
+        if recovered {
+            self.expect(name, patience);
+        }
+        recovered
+    }
+
+    /// Judges all robots, and lets those go that are gone.
+    pub(crate) fn judge(
+        &mut self,
+        now: Tick,
+        settings: &IngestSettings,
+    ) -> Vec<(RobotId, Transition)> {
+        let patience = Patience::from(settings);
+        let mut transitions = Vec::new();
+        self.next_judgement = None;
+        for (name, robot) in &mut self.robots {
+            let transition = robot.judge(now, patience);
+            transitions.extend(transition.map(|transition| (name.clone(), transition)));
+            if transition != Some(Transition::Left) {
+                let next = robot.next_judgement(patience);
+                self.next_judgement = self.next_judgement.into_iter().chain(next).min();
+            }
+        }
+        for (name, transition) in &transitions {
+            if *transition != Transition::Left {
+                continue;
+            }
+            let left = self.robots.remove(name);
+            let has_token = left.is_some_and(|robot| robot.has_token());
+            if has_token && self.hung.len() < settings.max_robots as usize {
+                self.hung.insert(name.clone());
+            }
+        }
+        transitions
+    }
+
+    /// The link is back: nothing could be heard since `lost`, so that nobody's patience ran.
+    pub(crate) fn forgive_outage(&mut self, lost: Tick, now: Tick) {
+        for robot in self.robots.values_mut() {
+            robot.forgive_outage(lost, now);
+        }
+        self.judge_soon(now);
+    }
+
+    /// Forgets what was said of modalities that are not declared any more.
+    pub(crate) fn keep_modalities(&mut self, declared: &[Modality]) {
+        for robot in self.robots.values_mut() {
+            robot.keep_modalities(declared);
+        }
+    }
+}

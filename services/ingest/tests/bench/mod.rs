@@ -1,0 +1,288 @@
+//! A driver for `ingest` with a clock of its own, that follows every output as a consumer does.
+
+#![allow(dead_code, reason = "each test file uses another part")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use muster_ingest::Ingest;
+use muster_machine::{Command, Driver, Event, QueryId, START_FETCH, Start, Stored};
+use muster_model::event::EventKind;
+use muster_model::graph::GraphReplica;
+use muster_model::id::{FleetId, InstanceId, Modality, RobotId};
+use muster_model::observation::{Link, Links, Pose, Rank, Relation};
+use muster_model::roster::{Presence, Roster, RosterEntry};
+use muster_model::settings::IngestSettings;
+use muster_model::status::ServiceStatus;
+use muster_model::time::Tick;
+use muster_wire::{KeySpace, Message, Pattern, Request};
+use serde_json::Value;
+
+/// Some moment: cores know no absolute time.
+pub(crate) const START: Tick = Tick(1_800_000_000_000_000);
+
+pub(crate) fn robot(name: &str) -> RobotId {
+    RobotId::new(name).unwrap()
+}
+
+pub(crate) fn modality(name: &str) -> Modality {
+    Modality::new(name).unwrap()
+}
+
+pub(crate) fn fleet() -> FleetId {
+    FleetId::new("alpha").unwrap()
+}
+
+pub(crate) fn seconds(seconds: f64) -> Duration {
+    Duration::from_secs_f64(seconds)
+}
+
+pub(crate) fn bare_pose(x: f64, y: f64) -> Pose {
+    Pose { x, y, z: None, heading: None, frame: None, stamp: None, boot: None, seq: None }
+}
+
+pub(crate) fn pose(name: &str, x: f64, y: f64) -> Message {
+    Message::Pose(robot(name), bare_pose(x, y))
+}
+
+pub(crate) fn links(name: &str, peers: &[(&str, f64)]) -> Message {
+    let links = peers.iter().map(|(peer, quality)| Link { peer: robot(peer), quality: *quality });
+    let links = Links { links: links.collect(), stamp: None, boot: None, seq: None };
+    Message::Links(robot(name), links)
+}
+
+pub(crate) fn rank(name: &str, superior: Option<&str>, weight: Option<f64>) -> Message {
+    let superior = superior.map(robot);
+    let rank = Rank { superior, weight, role: None, stamp: None, boot: None, seq: None };
+    Message::Rank(robot(name), rank)
+}
+
+pub(crate) fn relation(name: &str, of: &str, edges: &[(&str, f64)]) -> Message {
+    let edges = edges.iter().map(|(to, weight)| (robot(name), robot(to), *weight)).collect();
+    let relation = Relation { edges, stamp: None, boot: None, seq: None };
+    Message::Relation(robot(name), modality(of), relation)
+}
+
+pub(crate) fn token(name: &str, alive: bool) -> Message {
+    Message::RobotToken { robot: robot(name), alive }
+}
+
+/// Edges by name.
+pub(crate) type Named = BTreeMap<(RobotId, RobotId), f64>;
+
+pub(crate) struct Bench {
+    pub(crate) driver: Driver<Ingest>,
+    pub(crate) now: Tick,
+    /// Everything but events and settings, with its time, in order.
+    pub(crate) published: Vec<(Tick, Message)>,
+    pub(crate) events: Vec<EventKind>,
+    pub(crate) stored: Stored,
+    pub(crate) roster: Option<Arc<Roster>>,
+    pub(crate) graphs: BTreeMap<Modality, GraphReplica>,
+    pub(crate) fetches: Vec<(u32, Vec<Pattern>)>,
+    replies: Vec<(QueryId, Result<Vec<Message>, String>)>,
+    queries: u64,
+}
+
+impl Bench {
+    /// Before its first event.
+    pub(crate) fn asleep_at(now: Tick, settings: IngestSettings, stored: Stored) -> Self {
+        let instance = InstanceId::new("host-1").unwrap();
+        let start = Start { fleet: fleet(), instance, now, settings, stored };
+        Self {
+            driver: Driver::new(start),
+            now,
+            published: Vec::new(),
+            events: Vec::new(),
+            stored: Stored::default(),
+            roster: None,
+            graphs: BTreeMap::new(),
+            fetches: Vec::new(),
+            replies: Vec::new(),
+            queries: 0,
+        }
+    }
+
+    pub(crate) fn asleep(settings: IngestSettings) -> Self {
+        Self::asleep_at(START, settings, Stored::default())
+    }
+
+    /// In its term, with the first, empty frame behind it.
+    pub(crate) fn new(settings: IngestSettings) -> Self {
+        let mut bench = Self::asleep(settings);
+        bench.begin(Vec::new());
+        bench.wait(0.5);
+        bench
+    }
+
+    pub(crate) fn default() -> Self {
+        Self::new(IngestSettings::default())
+    }
+
+    pub(crate) fn begin(&mut self, remembered: Vec<Message>) {
+        self.step(Event::Started);
+        self.step(Event::Fetched { fetch: START_FETCH, messages: remembered });
+    }
+
+    pub(crate) fn step(&mut self, event: Event<()>) {
+        for command in self.driver.step(self.now, event) {
+            match command {
+                Command::Publish(message) => self.follow(message),
+                Command::Reply { query, answer, .. } => self.replies.push((query, answer)),
+                Command::Store(stored) => self.stored = stored,
+                Command::Fetch { fetch, patterns } => self.fetches.push((fetch, patterns)),
+                Command::Run(()) => panic!("ingest has no jobs"),
+            }
+        }
+    }
+
+    /// What every consumer relies on.
+    fn follow(&mut self, message: Message) {
+        match &message {
+            Message::Event(event) => return self.events.push(event.kind.clone()),
+            Message::Settings(..) => return,
+            Message::Graph(delta) => {
+                let replica = self.graphs.entry(delta.modality.clone()).or_default();
+                replica.apply(delta).unwrap();
+            }
+            Message::Roster(roster) => {
+                let last = self.roster.as_ref().map(|last| last.header.revision);
+                assert!(last < Some(roster.header.revision), "revisions grow");
+                assert!(roster.graphs.is_sorted());
+                let nodes: BTreeMap<_, _> =
+                    roster.robots.iter().map(|entry| (entry.node, entry.robot.clone())).collect();
+                assert_eq!(nodes.len(), roster.robots.len());
+                assert!(roster.robots.is_sorted_by(|left, right| left.robot < right.robot));
+                self.graphs.retain(|modality, _| {
+                    roster.graphs.iter().any(|(listed, _)| listed == modality)
+                });
+                assert_eq!(self.graphs.len(), roster.graphs.len());
+                for (modality, revision) in &roster.graphs {
+                    assert_eq!(self.graphs[modality].revision(), *revision, "{modality}");
+                    assert_eq!(*self.graphs[modality].nodes(), nodes, "{modality}");
+                }
+                self.roster = Some(Arc::clone(roster));
+            }
+            other => panic!("ingest does not publish {other:?}"),
+        }
+        self.published.push((self.now, message));
+    }
+
+    pub(crate) fn say(&mut self, message: Message) {
+        self.step(Event::Received(message));
+    }
+
+    /// Lets time pass, with every deadline met.
+    pub(crate) fn wait(&mut self, duration_s: f64) {
+        let end = self.now.after(seconds(duration_s));
+        let mut at_this_moment = 0;
+        while let Some(deadline) = self.driver.deadline().filter(|deadline| *deadline <= end) {
+            at_this_moment = if deadline > self.now { 0 } else { at_this_moment + 1 };
+            assert!(at_this_moment < 4, "a deadline that has passed stays");
+            self.now = self.now.max(deadline);
+            self.step(Event::Timeout);
+        }
+        self.now = end;
+    }
+
+    pub(crate) fn get(
+        &mut self,
+        key: &str,
+        payload: Option<&Value>,
+    ) -> Result<Vec<Message>, String> {
+        self.queries += 1;
+        let query = QueryId(self.queries);
+        let payload = payload.map(|payload| payload.to_string().into_bytes());
+        let request = Request::new(format!("muster/v1/alpha/{key}"), "", payload).unwrap();
+        self.step(Event::Query { query, request });
+        let (answered, answer) = self.replies.pop().unwrap();
+        assert!(self.replies.is_empty(), "a get is answered once");
+        assert_eq!(answered, query);
+        answer
+    }
+
+    pub(crate) fn set(&mut self, patch: &Value) {
+        self.get("service/ingest/settings", Some(patch)).unwrap();
+    }
+
+    pub(crate) fn status(&mut self) -> ServiceStatus {
+        match self.get("service/ingest/status", None).unwrap().remove(0) {
+            Message::Status(status) => *status,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    pub(crate) fn counter(&mut self, name: &str) -> u64 {
+        self.status().counters.get(name).copied().unwrap_or_default()
+    }
+
+    /// Everything that a witness would remember.
+    pub(crate) fn remembered(&mut self) -> Vec<Message> {
+        let mut messages = self.get("graph/*", None).unwrap();
+        messages.extend(self.get("roster", None).unwrap());
+        messages
+    }
+
+    pub(crate) fn graph(&self, name: &str) -> Named {
+        named(&self.graphs[&modality(name)])
+    }
+
+    pub(crate) fn weight(&self, of: &str, from: &str, to: &str) -> Option<f64> {
+        self.graph(of).get(&(robot(from), robot(to))).copied()
+    }
+
+    pub(crate) fn entry(&self, name: &str) -> Option<&RosterEntry> {
+        let robots = &self.roster.as_ref()?.robots;
+        robots.iter().find(|entry| entry.robot.as_str() == name)
+    }
+
+    pub(crate) fn presence(&self, name: &str) -> Option<Presence> {
+        self.entry(name).map(|entry| entry.presence)
+    }
+
+    pub(crate) fn names(&self) -> Vec<&str> {
+        let robots = self.roster.iter().flat_map(|roster| &roster.robots);
+        robots.map(|entry| entry.robot.as_str()).collect()
+    }
+
+    /// The names of what happened since the last call, such as `joined r1`.
+    pub(crate) fn happened(&mut self) -> Vec<String> {
+        let told = self.events.drain(..).filter_map(|event| match event {
+            EventKind::RobotJoined { robot } => Some(format!("joined {robot}")),
+            EventKind::RobotStale { robot } => Some(format!("stale {robot}")),
+            EventKind::RobotRecovered { robot } => Some(format!("recovered {robot}")),
+            EventKind::RobotLeft { robot } => Some(format!("left {robot}")),
+            EventKind::LinkRestored { outage_s } => Some(format!("link back after {outage_s} s")),
+            EventKind::Quarantined { robot, reason, .. } => Some(format!(
+                "refused {}: {reason}",
+                robot.map_or_else(String::new, |r| r.to_string())
+            )),
+            _ => None,
+        });
+        told.collect()
+    }
+
+    /// When frames were published.
+    pub(crate) fn frame_times(&self) -> Vec<Tick> {
+        let rosters = self.published.iter().filter(|(_, m)| matches!(m, Message::Roster(_)));
+        rosters.map(|(at, _)| *at).collect()
+    }
+
+    pub(crate) fn delta_count(&self) -> usize {
+        self.published.iter().filter(|(_, message)| matches!(message, Message::Graph(_))).count()
+    }
+}
+
+pub(crate) fn named(graph: &GraphReplica) -> Named {
+    let name = |node: &u32| graph.nodes()[node].clone();
+    let edges = graph.rows().iter().flat_map(|(source, edges)| {
+        edges.iter().map(move |(target, weight)| ((name(source), name(target)), *weight))
+    });
+    edges.collect()
+}
+
+pub(crate) fn space() -> KeySpace {
+    KeySpace::new(fleet())
+}

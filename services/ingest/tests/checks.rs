@@ -1,0 +1,264 @@
+//! Every check on what robots say, and that a refused message changes nothing.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
+
+mod bench;
+
+use bench::{Bench, bare_pose, links, modality, pose, rank, relation, robot, token};
+use muster_machine::Event;
+use muster_model::observation::{Observation, Pose, Relation};
+use muster_model::settings::IngestSettings;
+use muster_wire::{Message, Rejection};
+use serde_json::json;
+
+fn settings() -> IngestSettings {
+    IngestSettings {
+        max_robots: 3,
+        frames: vec!["map".to_owned(), "odom".to_owned()],
+        modalities: vec![modality("thermal")],
+        ..IngestSettings::default()
+    }
+}
+
+/// Three robots with everything that robots can say.
+fn three_robots() -> Bench {
+    let mut bench = Bench::new(settings());
+    for (name, x) in [("r1", 0.0), ("r2", 1.0), ("r3", 3.0)] {
+        bench.say(pose(name, x, 0.0));
+    }
+    bench.say(links("r1", &[("r2", 0.75), ("r3", 0.25)]));
+    bench.say(rank("r2", Some("r1"), Some(2.0)));
+    bench.say(relation("r3", "thermal", &[("r1", 5.0)]));
+    bench.wait(0.2);
+    bench.happened();
+    bench
+}
+
+/// The event that a message leads to.
+fn refusal(bench: &mut Bench, message: Message) -> String {
+    bench.happened();
+    bench.say(message);
+    let told = bench.happened();
+    assert_eq!(told.len(), 1, "{told:?}");
+    told[0].clone()
+}
+
+fn ordered(boot: Option<&str>, seq: Option<u64>, stamp: Option<f64>) -> Message {
+    let boot = boot.map(str::to_owned);
+    Message::Pose(robot("r1"), Pose { boot, seq, stamp, ..bare_pose(0.0, 0.0) })
+}
+
+/// Whether a message is let in.
+fn passes(bench: &mut Bench, message: Message) -> bool {
+    bench.wait(2.5);
+    bench.happened();
+    bench.say(message);
+    !bench.happened().iter().any(|told| told.starts_with("refused"))
+}
+
+#[test]
+fn content_that_does_not_fit_is_refused_with_its_reason() {
+    let in_frame = |frame: &str| Pose { frame: Some(frame.to_owned()), ..bare_pose(0.0, 0.0) };
+    let foreign = Relation {
+        edges: vec![(robot("r2"), robot("r3"), 1.0)],
+        stamp: None,
+        boot: None,
+        seq: None,
+    };
+    let cases = [
+        (
+            Message::Pose(robot("r1"), in_frame("mars")),
+            "frame: \"mars\" is not known; there are map",
+        ),
+        (pose("r1", f64::NAN, 0.0), "x: must be a finite number"),
+        (links("r1", &[("r2", 1.5)]), "links.quality: must be a quality from 0 to 1"),
+        (links("r1", &[("r1", 0.5)]), "hears itself"),
+        (links("r1", &[("r2", 0.5), ("r2", 0.6)]), "named twice"),
+        (rank("r1", Some("r1"), None), "superior: a robot does not answer to itself"),
+        (rank("r1", Some("r2"), Some(-1.0)), "weight: must be"),
+        (relation("r1", "smell", &[("r2", 1.0)]), "smell is not declared"),
+        (relation("r1", "thermal", &[("r1", 1.0)]), "no edge to itself"),
+        (Message::Relation(robot("r1"), modality("thermal"), foreign), "an edge for r2"),
+        (pose("r4", 0.0, 0.0), "the fleet is full: max_robots is 3"),
+        (token("r5", true), "the fleet is full: max_robots is 3"),
+    ];
+    for (message, reason) in cases {
+        let mut bench = three_robots();
+        let told = refusal(&mut bench, message.clone());
+        assert!(told.contains(reason), "{message:?}: {told}");
+        assert!(told.starts_with("refused r"), "{told}");
+        assert_eq!(bench.counter("messages_refused"), 1);
+    }
+    let mut bench = three_robots();
+    bench.say(Message::Pose(robot("r1"), in_frame("odom")));
+    assert!(bench.happened().is_empty());
+}
+
+#[test]
+fn a_rejected_packet_is_told_as_it_is() {
+    let mut bench = three_robots();
+    let key = "muster/v1/alpha/robot/r1/pose";
+    bench.step(Event::Rejected(Rejection::new(&bench::space(), key, "x: no number")));
+    assert_eq!(bench.happened(), ["refused r1: x: no number"]);
+}
+
+#[test]
+fn the_unit_of_links_is_that_of_the_settings() {
+    let mut bench = three_robots();
+    bench.set(&json!({"connectivity": {"unit": "rssi_dbm"}}));
+    bench.say(links("r1", &[("r2", -65.0), ("r3", -95.0)]));
+    bench.wait(0.2);
+    assert_eq!(bench.weight("connectivity", "r2", "r1"), Some(0.5));
+    assert_eq!(bench.weight("connectivity", "r3", "r1"), None);
+}
+
+#[test]
+fn within_a_boot_the_sequence_grows() {
+    let mut bench = three_robots();
+    assert!(passes(&mut bench, ordered(Some("a"), Some(5), None)));
+    assert!(!passes(&mut bench, ordered(Some("a"), Some(5), None)));
+    assert!(!passes(&mut bench, ordered(Some("a"), Some(4), Some(1e9))));
+    assert!(passes(&mut bench, ordered(Some("a"), Some(900), None)));
+    assert_eq!(bench.counter("messages_late"), 2);
+    // Not even patience lets in what the robot itself says is old.
+    bench.wait(5.0);
+    bench.say(token("r1", true));
+    assert!(!passes(&mut bench, ordered(Some("a"), Some(900), None)));
+}
+
+#[test]
+fn a_boot_that_was_left_does_not_come_back() {
+    let mut bench = three_robots();
+    assert!(passes(&mut bench, ordered(Some("a"), Some(100), None)));
+    assert!(passes(&mut bench, ordered(Some("b"), Some(1), None)));
+    let told = refusal(&mut bench, ordered(Some("a"), Some(101), None));
+    assert!(told.contains("replayed or out of order"), "{told}");
+    // The last eight are remembered.
+    for boot in 0..7 {
+        assert!(passes(&mut bench, ordered(Some(&format!("c{boot}")), Some(1), None)));
+    }
+    assert!(!passes(&mut bench, ordered(Some("a"), Some(101), None)));
+    assert!(passes(&mut bench, ordered(Some("c7"), Some(1), None)));
+    assert!(passes(&mut bench, ordered(Some("a"), Some(101), None)));
+    assert!(!passes(&mut bench, ordered(Some("c0"), Some(2), None)));
+}
+
+#[test]
+fn streams_are_ordered_each_by_itself() {
+    let mut bench = three_robots();
+    assert!(passes(&mut bench, ordered(Some("a"), Some(7), None)));
+    let Message::Links(_, mut report) = links("r1", &[("r2", 0.5)]) else { unreachable!() };
+    report.boot = Some("a".to_owned());
+    report.seq = Some(2);
+    assert!(passes(&mut bench, Message::Links(robot("r1"), report)));
+}
+
+#[test]
+fn without_a_sequence_the_stamp_does_not_go_back() {
+    let mut bench = three_robots();
+    assert!(passes(&mut bench, ordered(None, None, Some(100.0))));
+    assert!(passes(&mut bench, ordered(None, None, Some(100.0))));
+    assert!(!passes(&mut bench, ordered(None, None, Some(99.0))));
+    assert!(passes(&mut bench, ordered(None, None, Some(101.0))));
+    assert!(passes(&mut bench, ordered(None, None, None)));
+    assert!(!passes(&mut bench, ordered(None, None, Some(100.5))));
+    // A new boot begins anew.
+    assert!(passes(&mut bench, ordered(Some("a"), None, Some(1.0))));
+}
+
+#[test]
+fn an_absurd_stamp_is_counted_and_does_not_block_the_stream_for_good() {
+    let mut bench = three_robots();
+    assert!(passes(&mut bench, ordered(None, None, Some(9e12))));
+    assert_eq!(bench.counter("stamps_absurd"), 1);
+    let sane = || ordered(None, None, Some(bench::START.as_seconds()));
+    let before = bench.now;
+    // Other streams keep the robot in the fleet.
+    let mut refused = 0;
+    while !passes(&mut bench, sane()) {
+        refused += 1;
+        bench.say(links("r1", &[]));
+        assert!(refused < 100);
+    }
+    assert!(refused >= 4, "{refused}");
+    assert!(bench.now.since(before).as_secs_f64() > 10.0);
+    assert!(passes(&mut bench, sane()));
+    assert_eq!(bench.counter("stamps_absurd"), 1);
+}
+
+#[test]
+fn a_stream_has_a_rate_and_a_burst() {
+    let mut bench = Bench::new(IngestSettings { max_rate_hz: 10.0, ..IngestSettings::default() });
+    let mut burst = |count: u32| {
+        for _ in 0..count {
+            bench.say(pose("r1", 0.0, 0.0));
+        }
+        let accepted = bench.counter("poses_accepted");
+        bench.wait(0.25);
+        (accepted, bench.happened())
+    };
+    assert_eq!(burst(10).0, 10);
+    let (accepted, told) = burst(10);
+    assert_eq!(accepted, 12, "0.25 s at 10 Hz are two and a half more");
+    assert!(told[0].contains("rate: at most 10 messages per second"), "{told:?}");
+    assert_eq!(burst(1).0, 13);
+    // Refused messages take nothing from what the robot may say.
+    for _ in 0..20 {
+        bench.say(pose("r1", f64::NAN, 0.0));
+    }
+    bench.wait(0.1);
+    let before = bench.counter("poses_accepted");
+    bench.say(pose("r1", 0.0, 0.0));
+    assert_eq!(bench.counter("poses_accepted"), before + 1);
+    // Another stream and another robot have their own.
+    bench.say(links("r1", &[]));
+    bench.say(pose("r2", 0.0, 0.0));
+    assert_eq!(bench.counter("links_accepted"), 1);
+    assert_eq!(bench.counter("poses_accepted"), before + 2);
+}
+
+#[test]
+fn lower_limits_evict_nobody() {
+    let mut bench = three_robots();
+    bench.set(&json!({"max_robots": 1}));
+    bench.say(pose("r2", 1.0, 1.0));
+    bench.wait(0.5);
+    assert_eq!(bench.names(), ["r1", "r2", "r3"]);
+    assert!(bench.happened().is_empty());
+}
+
+#[test]
+fn refused_messages_change_nothing() {
+    let run = |with_refused: bool| {
+        let mut bench = three_robots();
+        for round in 0..40_u32 {
+            let at = f64::from(round);
+            if with_refused {
+                bench.say(pose("r4", at, at));
+                bench.say(pose("r1", f64::INFINITY, at));
+                bench.say(links("r2", &[("r2", 0.5)]));
+                bench.say(links("r2", &[("r3", 7.0)]));
+                bench.say(rank("r3", Some("r3"), None));
+                bench.say(relation("r1", "smell", &[("r2", 1.0)]));
+                bench.say(ordered(Some("a"), Some(0), None));
+                bench.say(token("r9", true));
+                bench.say(token("r9", false));
+            }
+            let mut moved = bare_pose(at, 0.0);
+            moved.boot = Some("a".to_owned());
+            moved.seq = Some(u64::from(round) * 2);
+            assert!(moved.check().is_ok());
+            bench.say(Message::Pose(robot("r1"), moved));
+            if with_refused {
+                bench.say(ordered(Some("a"), Some(u64::from(round) * 2), None));
+            }
+            bench.wait(0.07);
+        }
+        bench.wait(20.0);
+        if with_refused {
+            assert!(bench.counter("messages_refused") > 300);
+        }
+        bench.published
+    };
+    assert_eq!(run(true), run(false));
+}

@@ -1,0 +1,303 @@
+//! Who is there: joining, growing stale, leaving, with and without tokens, and lost links.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
+
+mod bench;
+
+use bench::{Bench, links, pose, rank, token};
+use muster_machine::Event;
+use muster_model::roster::Presence::{Active, Stale};
+use serde_json::json;
+
+#[test]
+fn a_robot_joins_by_any_message_and_by_its_token() {
+    let mut bench = Bench::default();
+    for message in
+        [pose("r1", 0.0, 0.0), links("r2", &[]), rank("r3", None, None), token("r4", true)]
+    {
+        bench.say(message);
+    }
+    assert_eq!(bench.happened(), ["joined r1", "joined r2", "joined r3", "joined r4"]);
+    bench.wait(0.2);
+    assert_eq!(bench.names(), ["r1", "r2", "r3", "r4"]);
+    let nodes: Vec<_> = bench.roster.as_ref().unwrap().robots.iter().map(|r| r.node).collect();
+    assert_eq!(nodes, [0, 1, 2, 3]);
+    assert_eq!(bench.entry("r4").unwrap().position, None);
+    assert_eq!(bench.counter("robots_joined"), 4);
+    assert_eq!(bench.status().state, "4 robots, 0 stale");
+}
+
+#[test]
+fn a_silent_robot_is_stale_and_then_gone() {
+    let mut bench = Bench::default();
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(1.999);
+    assert_eq!(bench.happened(), ["joined r1"]);
+    bench.wait(0.001);
+    assert_eq!(bench.happened(), ["stale r1"]);
+    bench.wait(0.2);
+    assert_eq!(bench.presence("r1"), Some(Stale));
+    assert_eq!(bench.status().state, "1 robot, 1 stale");
+    assert_eq!(bench.roster.as_ref().unwrap().header.oldest, None);
+    bench.wait(7.799);
+    assert!(bench.happened().is_empty());
+    bench.wait(0.001);
+    assert_eq!(bench.happened(), ["left r1"]);
+    bench.wait(0.2);
+    assert!(bench.names().is_empty());
+    assert_eq!(bench.counter("robots_left"), 1);
+}
+
+#[test]
+fn a_stale_robot_recovers_by_a_pose_only_and_is_stale_again() {
+    let mut bench = Bench::default();
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(3.0);
+    bench.happened();
+    bench.say(links("r1", &[]));
+    bench.say(token("r1", true));
+    assert!(bench.happened().is_empty());
+    bench.say(pose("r1", 0.0, 0.0));
+    assert_eq!(bench.happened(), ["recovered r1"]);
+    bench.wait(0.2);
+    assert_eq!(bench.presence("r1"), Some(Active));
+    bench.wait(1.8);
+    assert_eq!(bench.happened(), ["stale r1"]);
+}
+
+#[test]
+fn other_streams_keep_a_stale_robot_in_the_fleet() {
+    let mut bench = Bench::default();
+    bench.say(pose("r1", 0.0, 0.0));
+    for _ in 0..30 {
+        bench.wait(1.0);
+        bench.say(links("r1", &[]));
+    }
+    assert_eq!(bench.happened(), ["joined r1", "stale r1"]);
+    bench.wait(9.9);
+    assert!(bench.happened().is_empty());
+    bench.wait(0.1);
+    assert_eq!(bench.happened(), ["left r1"]);
+}
+
+#[test]
+fn a_token_keeps_an_unplaced_robot() {
+    let mut bench = Bench::default();
+    bench.say(token("r1", true));
+    bench.wait(100.0);
+    assert_eq!(bench.happened(), ["joined r1"]);
+    assert_eq!(bench.presence("r1"), Some(Active));
+    bench.say(token("r1", false));
+    bench.wait(1.999);
+    assert!(bench.happened().is_empty());
+    bench.wait(0.001);
+    assert_eq!(bench.happened(), ["stale r1"]);
+    bench.say(token("r1", true));
+    assert_eq!(bench.happened(), ["recovered r1"]);
+    bench.wait(50.0);
+    bench.say(token("r1", false));
+    bench.wait(10.0);
+    assert_eq!(bench.happened(), ["stale r1", "left r1"]);
+}
+
+#[test]
+fn an_unplaced_robot_without_a_token_lives_by_its_messages() {
+    let mut bench = Bench::default();
+    bench.say(rank("r1", None, None));
+    bench.wait(2.0);
+    assert_eq!(bench.happened(), ["joined r1", "stale r1"]);
+    bench.say(links("r1", &[]));
+    assert_eq!(bench.happened(), ["recovered r1"]);
+    bench.wait(2.0);
+    assert_eq!(bench.happened(), ["stale r1"]);
+    bench.wait(8.0);
+    assert_eq!(bench.happened(), ["left r1"]);
+}
+
+#[test]
+fn the_loss_of_a_token_is_a_sign_and_a_message_after_it_another() {
+    let mut bench = Bench::default();
+    bench.say(token("r1", true));
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(1.0);
+    bench.say(token("r1", false));
+    bench.wait(1.0);
+    assert_eq!(bench.happened(), ["joined r1", "stale r1"], "its pose is two seconds old");
+    bench.wait(8.5);
+    assert!(bench.happened().is_empty(), "gone ten seconds after the token");
+    bench.say(rank("r1", None, None));
+    bench.wait(9.9);
+    assert!(bench.happened().is_empty());
+    bench.wait(0.1);
+    assert_eq!(bench.happened(), ["left r1"]);
+}
+
+#[test]
+fn a_process_that_hangs_leaves_though_its_token_stays() {
+    let mut bench = Bench::default();
+    bench.say(token("r1", true));
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(10.0);
+    assert_eq!(bench.happened(), ["joined r1", "stale r1", "left r1"]);
+    bench.say(token("r1", true));
+    bench.wait(20.0);
+    assert!(bench.happened().is_empty(), "its token does not bring it back");
+    bench.say(rank("r1", None, None));
+    bench.wait(50.0);
+    assert_eq!(bench.happened(), ["joined r1"], "its token keeps it, unplaced as it is");
+    assert_eq!(bench.entry("r1").unwrap().position, None);
+    assert_eq!(bench.entry("r1").unwrap().node, 1, "a node is never given twice");
+}
+
+#[test]
+fn a_hung_robot_that_restarts_joins_by_its_new_token() {
+    let mut bench = Bench::default();
+    bench.say(token("r1", true));
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(15.0);
+    bench.happened();
+    bench.say(token("r1", false));
+    assert!(bench.happened().is_empty());
+    bench.say(token("r1", true));
+    assert_eq!(bench.happened(), ["joined r1"]);
+}
+
+#[test]
+fn whoever_leaves_takes_all_that_was_said_along() {
+    let mut bench = Bench::default();
+    for _ in 0..30 {
+        bench.say(pose("r2", 1.0, 0.0));
+        bench.say(pose("r3", 2.0, 0.0));
+        if bench.entry("r1").is_none() && bench.names().is_empty() {
+            bench.say(pose("r1", 0.0, 0.0));
+            bench.say(links("r1", &[("r2", 0.5)]));
+            bench.say(rank("r2", Some("r1"), None));
+        }
+        bench.wait(0.5);
+    }
+    assert_eq!(bench.names(), ["r2", "r3"]);
+    assert!(bench.graph("connectivity").is_empty());
+    assert!(bench.graph("hierarchy").is_empty());
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(0.5);
+    assert!(bench.graph("connectivity").is_empty(), "what it said before it left is forgotten");
+    assert_eq!(bench.weight("hierarchy", "r1", "r2"), Some(1.0), "what others say counts again");
+}
+
+#[test]
+fn relations_to_unknown_robots_count_once_these_join() {
+    let mut bench = Bench::default();
+    bench.say(links("r1", &[("r2", 0.5)]));
+    bench.say(rank("r1", Some("r2"), Some(3.0)));
+    bench.wait(0.5);
+    assert!(bench.graph("connectivity").is_empty());
+    assert_eq!(bench.entry("r1").unwrap().superior, Some(bench::robot("r2")));
+    bench.say(token("r2", true));
+    bench.wait(0.5);
+    assert_eq!(bench.weight("connectivity", "r2", "r1"), Some(0.5));
+    assert_eq!(bench.weight("hierarchy", "r2", "r1"), Some(3.0));
+}
+
+#[test]
+fn nobody_is_judged_while_the_link_is_lost() {
+    let mut bench = Bench::default();
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.say(rank("r2", None, None));
+    bench.wait(1.5);
+    bench.happened();
+    bench.step(Event::LinkLost);
+    let frames = bench.frame_times().len();
+    bench.wait(100.0);
+    bench.step(Event::LinkLost);
+    bench.step(Event::Timeout);
+    assert!(bench.happened().is_empty());
+    assert_eq!(bench.frame_times().len(), frames);
+    assert_eq!(bench.status().state, "2 robots, 0 stale, the link to the router is lost");
+    bench.step(Event::LinkRestored);
+    assert_eq!(bench.happened(), ["link back after 100 s"]);
+    bench.wait(0.499);
+    assert!(bench.happened().is_empty(), "half a second of patience is left");
+    assert_eq!(bench.frame_times().len(), frames + 1, "consumers are told at once");
+    bench.wait(0.001);
+    assert_eq!(bench.happened(), ["stale r1", "stale r2"]);
+    bench.wait(8.0);
+    assert_eq!(bench.happened(), ["left r1", "left r2"]);
+    bench.step(Event::LinkRestored);
+    assert!(bench.happened().is_empty(), "the link was not lost");
+}
+
+#[test]
+fn the_age_of_the_data_is_not_forgiven_with_the_outage() {
+    let mut bench = Bench::default();
+    bench.say(pose("r1", 0.0, 0.0));
+    let said = bench.now;
+    bench.wait(1.0);
+    bench.step(Event::LinkLost);
+    bench.wait(30.0);
+    bench.step(Event::LinkRestored);
+    bench.wait(0.1);
+    assert_eq!(bench.presence("r1"), Some(Active));
+    assert_eq!(bench.entry("r1").unwrap().last_seen, said);
+    assert_eq!(bench.roster.as_ref().unwrap().header.oldest, Some(said));
+}
+
+#[test]
+fn tokens_that_are_lost_with_the_link_are_no_sign_of_dead_robots() {
+    let mut bench = Bench::default();
+    for name in ["dead", "shortly", "during", "never"] {
+        bench.say(token(name, true));
+    }
+    bench.wait(1.0);
+    bench.happened();
+    bench.say(token("dead", false));
+    bench.wait(1.5);
+    bench.say(token("shortly", false));
+    bench.wait(0.3);
+    bench.step(Event::LinkLost);
+    bench.say(token("during", false));
+    bench.wait(60.0);
+    bench.step(Event::LinkRestored);
+    bench.happened();
+    bench.say(token("shortly", true));
+    bench.wait(0.2);
+    assert_eq!(bench.happened(), ["stale dead"], "lost long before the link was");
+    bench.wait(1.7);
+    assert!(bench.happened().is_empty());
+    bench.wait(0.1);
+    assert_eq!(bench.happened(), ["stale during"], "has not come back");
+    bench.wait(20.0);
+    assert_eq!(bench.happened(), ["left dead", "left during"]);
+    assert_eq!(bench.names(), ["never", "shortly"]);
+}
+
+#[test]
+fn messages_during_an_outage_are_kept() {
+    let mut bench = Bench::default();
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(3.0);
+    bench.step(Event::LinkLost);
+    bench.wait(1.0);
+    bench.happened();
+    bench.say(pose("r1", 5.0, 0.0));
+    bench.say(pose("r2", 6.0, 0.0));
+    assert_eq!(bench.happened(), ["joined r2"]);
+    bench.wait(1.0);
+    bench.step(Event::LinkRestored);
+    bench.wait(0.2);
+    assert_eq!(bench.happened(), ["link back after 2 s", "recovered r1"]);
+    assert_eq!(bench.entry("r1").unwrap().position, Some([5.0, 0.0, 0.0]));
+}
+
+#[test]
+fn new_patience_is_applied_at_once() {
+    let mut bench = Bench::default();
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(3.0);
+    assert_eq!(bench.happened(), ["joined r1", "stale r1"]);
+    bench.set(&json!({"stale_after_s": 5.0}));
+    bench.wait(0.1);
+    assert_eq!(bench.happened(), ["recovered r1"]);
+    bench.set(&json!({"stale_after_s": 1.0, "gone_after_s": 2.0}));
+    bench.wait(0.0);
+    assert_eq!(bench.happened(), ["left r1"]);
+}

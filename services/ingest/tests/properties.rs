@@ -1,0 +1,169 @@
+//! Random lives of a fleet: what a consumer follows is what a get answers, and what a restart
+//! restores.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
+
+mod bench;
+
+use bench::{Bench, links, modality, named, pose, rank, relation, seconds, token};
+use muster_machine::{Event, Stored};
+use muster_model::graph::GraphReplica;
+use muster_model::settings::{IngestSettings, Settings};
+use muster_wire::Message;
+use proptest::prelude::*;
+use serde_json::{Value, json};
+
+const NAMES: [&str; 6] = ["a", "b", "c", "d", "e", "f"];
+
+#[derive(Debug, Clone)]
+enum Step {
+    Say(Message),
+    Wait(f64),
+    Set(Value),
+    Link(bool),
+}
+
+fn name() -> impl Strategy<Value = &'static str> {
+    prop::sample::select(&NAMES[..])
+}
+
+/// Other robots with weights; some weights and some relations to oneself are to be refused.
+fn peers() -> impl Strategy<Value = Vec<(&'static str, f64)>> {
+    let weight = prop::sample::select(vec![0.0, 0.25, 0.5, 1.0, 1.0, 1.5]);
+    prop::collection::vec((name(), weight), 0..4)
+}
+
+fn message() -> impl Strategy<Value = Message> {
+    prop_oneof![
+        4 => (name(), 0..5_i32, 0..3_i32).prop_map(|(r, x, y)| pose(r, x.into(), y.into())),
+        2 => (name(), peers()).prop_map(|(r, peers)| links(r, &peers)),
+        2 => (name(), prop::option::of(name()), prop::sample::select(vec![0.0, 1.0, 9.0]))
+            .prop_map(|(r, superior, weight)| rank(r, superior, Some(weight))),
+        2 => (name(), prop::sample::select(vec!["thermal", "trust"]), peers())
+            .prop_map(|(r, of, peers)| relation(r, of, &peers)),
+        2 => (name(), any::<bool>()).prop_map(|(r, alive)| token(r, alive)),
+    ]
+}
+
+fn patch() -> impl Strategy<Value = Value> {
+    prop::sample::select(vec![
+        json!({"modalities": []}),
+        json!({"modalities": ["thermal"]}),
+        json!({"modalities": ["trust", "thermal"]}),
+        json!({"tick_hz": 5.0}),
+        json!({"max_robots": 4}),
+        json!({"max_robots": 6}),
+        json!({"spatial": {"all_pairs_up_to": 0, "neighbours": 1}}),
+        json!({"spatial": null}),
+        json!({"stale_after_s": 0.5, "gone_after_s": 1.5}),
+        json!({"stale_after_s": 1.0, "gone_after_s": 4.0}),
+    ])
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        12 => message().prop_map(Step::Say),
+        6 => (0..40_u32).prop_map(|tenths| Step::Wait(f64::from(tenths * tenths) / 400.0)),
+        2 => patch().prop_map(Step::Set),
+        1 => any::<bool>().prop_map(Step::Link),
+    ]
+}
+
+/// What is answered to a get of every graph is what the deltas lead to.
+fn answers_are_what_was_followed(bench: &mut Bench) {
+    let answer = bench.get("graph/*", None).unwrap();
+    assert_eq!(answer.len(), bench.graphs.len());
+    for message in answer {
+        let Message::Graph(delta) = message else { panic!("{message:?}") };
+        let mut replica = GraphReplica::default();
+        replica.apply(&delta).unwrap();
+        assert_eq!(replica, bench.graphs[&delta.modality], "{}", delta.modality);
+    }
+    let roster = bench.roster.clone().unwrap();
+    assert_eq!(bench.get("roster", None), Ok(vec![Message::Roster(roster)]));
+}
+
+fn frames_keep_their_rate(bench: &Bench) {
+    for pair in bench.frame_times().windows(2) {
+        assert!(pair[1].since(pair[0]) >= seconds(0.1), "the fastest rate is 10 Hz");
+    }
+}
+
+/// Whoever has left a moment ago is out of the roster with the next frame, if not sooner.
+fn the_roster_catches_up(bench: &mut Bench) -> bool {
+    (0..5).any(|_| {
+        let known = bench.counter("robots_joined") - bench.counter("robots_left");
+        let is_told = known == bench.names().len() as u64;
+        if !is_told {
+            bench.wait(0.2);
+        }
+        is_told
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn consumers_follow_every_life_and_a_restart_restores_its_end(
+        steps in prop::collection::vec(step(), 1..120),
+    ) {
+        let settings =
+            IngestSettings { modalities: vec![modality("thermal")], ..IngestSettings::default() };
+        let mut bench = Bench::new(settings.clone());
+        for step in steps {
+            match step {
+                Step::Say(message) => bench.say(message),
+                Step::Wait(duration_s) => {
+                    bench.wait(duration_s);
+                    answers_are_what_was_followed(&mut bench);
+                }
+                Step::Set(patch) => bench.set(&patch),
+                Step::Link(true) => bench.step(Event::LinkRestored),
+                Step::Link(false) => bench.step(Event::LinkLost),
+            }
+        }
+        bench.step(Event::LinkRestored);
+        bench.wait(0.3);
+        answers_are_what_was_followed(&mut bench);
+        frames_keep_their_rate(&bench);
+        prop_assert!(the_roster_catches_up(&mut bench));
+
+        // The new process has the same settings, and room for everybody.
+        let patch = Value::Object(bench.stored.patch.clone());
+        let mut settings = settings.patched(&patch).unwrap();
+        settings.max_robots = 6;
+        let mut new = Bench::asleep_at(bench.now, settings, Stored::default());
+        new.begin(bench.remembered());
+        new.wait(0.0);
+        prop_assert_eq!(new.names(), bench.names());
+        prop_assert_eq!(new.graphs.len(), bench.graphs.len());
+        for (modality, graph) in &bench.graphs {
+            prop_assert_eq!(named(&new.graphs[modality]), named(graph), "{}", modality);
+        }
+        answers_are_what_was_followed(&mut new);
+    }
+
+    /// Refused messages between the others change no output.
+    #[test]
+    fn the_outputs_do_not_depend_on_refused_messages(
+        steps in prop::collection::vec((message(), 0..30_u32), 1..60),
+    ) {
+        let run = |with_refused: bool| {
+            let mut bench = Bench::new(IngestSettings::default());
+            for (message, hundredths) in &steps {
+                if with_refused {
+                    bench.say(pose("a", f64::NAN, 0.0));
+                    bench.say(links("b", &[("c", 2.0)]));
+                    bench.say(rank("x", Some("x"), None));
+                    bench.say(relation("y", "thermal", &[("a", 1.0)]));
+                }
+                bench.say(message.clone());
+                bench.wait(f64::from(*hundredths) / 100.0);
+            }
+            bench.wait(1.0);
+            bench.published
+        };
+        prop_assert_eq!(run(true), run(false));
+    }
+}

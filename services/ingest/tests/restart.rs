@@ -1,0 +1,270 @@
+//! A new process takes up what other services remember of the last one.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
+
+mod bench;
+
+use std::sync::Arc;
+
+use bench::{
+    Bench, Named, bare_pose, links, modality, pose, rank, relation, robot, seconds, token,
+};
+use muster_machine::{Event, START_FETCH, Stored};
+use muster_model::graph::GraphDelta;
+use muster_model::observation::Pose;
+use muster_model::roster::Presence::{Active, Stale};
+use muster_model::roster::Roster;
+use muster_model::settings::IngestSettings;
+use muster_model::time::Tick;
+use muster_wire::Message;
+
+const MODALITIES: [&str; 4] = ["connectivity", "hierarchy", "spatial", "thermal"];
+
+fn settings() -> IngestSettings {
+    IngestSettings { modalities: vec![modality("thermal")], ..IngestSettings::default() }
+}
+
+fn graphs(bench: &Bench) -> Vec<Named> {
+    MODALITIES.iter().map(|name| bench.graph(name)).collect()
+}
+
+/// Four robots with everything that robots can say, one of which has left, so that nodes differ from
+/// those of a new term.
+fn before() -> Bench {
+    let mut bench = Bench::new(settings());
+    bench.say(rank("gone", None, None));
+    bench.wait(11.0);
+    for (name, x) in [("r3", 3.0), ("r2", 1.0), ("r1", 0.0)] {
+        bench.say(pose(name, x, 0.0));
+    }
+    bench.say(token("r4", true));
+    bench.say(links("r1", &[("r2", 0.75), ("r3", 0.25), ("unknown", 1.0)]));
+    bench.say(links("r4", &[("r1", 0.5)]));
+    let Message::Rank(name, mut ranked) = rank("r2", Some("r1"), Some(2.0)) else { unreachable!() };
+    ranked.role = Some("scout".to_owned());
+    bench.say(Message::Rank(name, ranked));
+    bench.say(rank("r3", Some("r2"), Some(0.0)));
+    bench.say(rank("r4", Some("unknown"), Some(3.0)));
+    bench.say(relation("r3", "thermal", &[("r1", 5.0), ("r4", 6.0)]));
+    bench.wait(0.2);
+    bench
+}
+
+fn after(now: Tick, remembered: Vec<Message>) -> Bench {
+    let mut bench = Bench::asleep_at(now, settings(), Stored::default());
+    bench.begin(remembered);
+    bench
+}
+
+#[test]
+fn a_restart_leads_to_the_same_fleet_in_a_higher_term() {
+    let mut old = before();
+    let mut new = after(old.now, old.remembered());
+    new.wait(0.0);
+    assert_eq!(graphs(&new), graphs(&old));
+    let (old_roster, new_roster) = (old.roster.clone().unwrap(), new.roster.clone().unwrap());
+    assert_eq!(new_roster.header.revision.term, old_roster.header.revision.term + 1);
+    assert_eq!(new.stored.term, new_roster.header.revision.term);
+    for (old, new) in old_roster.robots.iter().zip(&new_roster.robots) {
+        let mut renumbered = new.clone();
+        renumbered.node = old.node;
+        assert_eq!(renumbered, *old);
+    }
+    let nodes: Vec<_> = new_roster.robots.iter().map(|entry| entry.node).collect();
+    assert_eq!(nodes, [0, 1, 2, 3], "nodes begin anew");
+    assert_eq!(new_roster.header.oldest, old_roster.header.oldest, "ages stay what they are");
+    assert!(new.happened().is_empty(), "nobody joined");
+    assert_eq!(new.counter("robots_restored"), 4);
+    assert_eq!(new.counter("robots_joined"), 0);
+    // A consumer goes on from the old graphs.
+    for (_, message) in &new.published {
+        if let Message::Graph(delta) = message {
+            old.graphs.get_mut(&delta.modality).unwrap().apply(delta).unwrap();
+        }
+    }
+    assert_eq!(old.graphs, new.graphs);
+}
+
+#[test]
+fn restored_robots_have_their_whole_patience() {
+    let mut old = before();
+    let remembered = old.remembered();
+    old.now = old.now.after(seconds(3600.0));
+    let mut new = after(old.now, remembered);
+    new.wait(1.999);
+    assert!(new.happened().is_empty());
+    assert_eq!(new.presence("r1"), Some(Active));
+    assert!(new.now.since(new.entry("r1").unwrap().last_seen) > seconds(3600.0));
+    assert!(new.roster.as_ref().unwrap().header.data_age_s(new.now) > 3600.0);
+    new.wait(0.1);
+    assert_eq!(new.happened(), ["stale r1", "stale r2", "stale r3", "stale r4"]);
+    assert_eq!(new.presence("r1"), Some(Stale));
+    new.say(token("r4", true));
+    new.say(pose("r1", 0.0, 0.0));
+    assert_eq!(new.happened(), ["recovered r4", "recovered r1"]);
+    new.wait(7.9);
+    new.happened();
+    new.wait(0.2);
+    let left = new.happened();
+    assert!(left.ends_with(&["left r2".to_owned(), "left r3".to_owned()]), "{left:?}");
+    assert_eq!(new.names(), ["r1", "r4"]);
+}
+
+#[test]
+fn what_was_said_in_this_run_wins_and_the_rest_is_restored() {
+    let mut old = before();
+    let mut new = Bench::asleep_at(old.now, settings(), Stored::default());
+    new.step(Event::Started);
+    new.say(pose("r1", 100.0, 0.0));
+    new.say(links("r4", &[]));
+    new.say(pose("r9", 0.0, 0.0));
+    new.wait(0.1);
+    new.step(Event::Fetched { fetch: START_FETCH, messages: old.remembered() });
+    new.wait(0.0);
+    assert_eq!(new.happened(), ["joined r9"]);
+    assert_eq!(new.names(), ["r1", "r2", "r3", "r4", "r9"]);
+    assert_eq!(new.entry("r1").unwrap().position, Some([100.0, 0.0, 0.0]));
+    assert_eq!(new.weight("connectivity", "r2", "r1"), Some(0.75), "its links were not said anew");
+    assert_eq!(new.weight("connectivity", "r1", "r4"), None);
+    assert_eq!(new.weight("hierarchy", "r1", "r2"), Some(2.0));
+}
+
+#[test]
+fn restored_observations_know_no_order() {
+    let mut old = before();
+    let boot = Some("a".to_owned());
+    old.say(Message::Pose(
+        robot("r1"),
+        Pose { boot: boot.clone(), seq: Some(900), ..bare_pose(0.0, 0.0) },
+    ));
+    old.wait(0.2);
+    let mut new = after(old.now, old.remembered());
+    let restarted = Pose { boot, seq: Some(3), ..bare_pose(9.0, 0.0) };
+    new.say(Message::Pose(robot("r1"), restarted));
+    new.wait(0.2);
+    assert!(new.happened().is_empty());
+    assert_eq!(new.entry("r1").unwrap().position, Some([9.0, 0.0, 0.0]));
+}
+
+#[test]
+fn the_newest_roster_counts_and_the_term_is_above_all() {
+    let mut old = before();
+    let stale_memory = old.remembered();
+    old.say(pose("r1", 50.0, 0.0));
+    old.wait(0.2);
+    let mut remembered = old.remembered();
+    remembered.extend(stale_memory);
+    let Some(Message::Graph(delta)) = remembered.first().cloned() else { panic!() };
+    let mut other = GraphDelta::clone(&delta);
+    other.modality = modality("elsewhere");
+    other.header.revision.term = 40;
+    remembered.push(Message::Graph(Arc::new(other)));
+    for _ in 0..remembered.len() {
+        remembered.rotate_left(1);
+        let mut new = after(old.now, remembered.clone());
+        new.wait(0.0);
+        assert_eq!(new.entry("r1").unwrap().position, Some([50.0, 0.0, 0.0]));
+        assert_eq!(graphs(&new), graphs(&old));
+        assert_eq!(new.roster.as_ref().unwrap().header.revision.term, 41);
+    }
+}
+
+#[test]
+fn the_term_that_was_held_on_this_host_counts_too() {
+    let stored = Stored { term: 7, ..Stored::default() };
+    let mut bench = Bench::asleep_at(bench::START, settings(), stored);
+    bench.begin(Vec::new());
+    bench.wait(0.0);
+    assert_eq!(bench.roster.as_ref().unwrap().header.revision.term, 8);
+}
+
+/// Applies a change to every graph or roster that is remembered.
+fn spoiled(
+    remembered: &[Message],
+    graph: impl Fn(&mut GraphDelta),
+    roster: impl Fn(&mut Roster),
+) -> Vec<Message> {
+    let mut remembered = remembered.to_vec();
+    for message in &mut remembered {
+        match message {
+            Message::Graph(delta) => graph(Arc::make_mut(delta)),
+            Message::Roster(entries) => roster(Arc::make_mut(entries)),
+            _ => {}
+        }
+    }
+    remembered
+}
+
+#[test]
+fn what_contradicts_itself_is_not_restored() {
+    let mut old = before();
+    let remembered = old.remembered();
+    let restored = |messages: Vec<Message>| {
+        let mut new = after(old.now, messages);
+        new.wait(0.0);
+        new
+    };
+    let links_lost = |new: &Bench| {
+        assert_eq!(new.names().len(), 4);
+        assert!(new.graph("connectivity").is_empty() && new.graph("thermal").is_empty());
+        assert_eq!(new.graph("spatial"), old.graph("spatial"), "positions are in the roster");
+        assert_eq!(new.weight("hierarchy", "r1", "r2"), Some(1.0), "the superior is in the roster");
+    };
+    let spoil: [fn(&mut GraphDelta); 4] = [
+        |delta| delta.base = Some(delta.header.revision),
+        |delta| delta.header.revision.term += 1,
+        |delta| delta.nodes_added.reverse_names(),
+        |delta| delta.nodes_added.truncate(1),
+    ];
+    for change in spoil {
+        links_lost(&restored(spoiled(&remembered, change, |_| {})));
+    }
+    // A graph that is a frame off is better than none.
+    let off = restored(spoiled(&remembered, |delta| delta.header.revision.epoch += 1, |_| {}));
+    assert_eq!(graphs(&off), graphs(&old));
+
+    let twice =
+        spoiled(&remembered, |_| {}, |roster| roster.robots[1].node = roster.robots[0].node);
+    assert!(restored(twice).names().is_empty());
+    let absurd = restored(spoiled(
+        &remembered,
+        |_| {},
+        |roster| {
+            roster.robots[0].position = Some([f64::NAN, 0.0, 0.0]);
+            roster.robots[1].frame = Some("mars".to_owned());
+            roster.robots[2].superior = Some(robot("r3"));
+        },
+    ));
+    assert_eq!(absurd.names().len(), 4);
+    for name in ["r1", "r2"] {
+        assert_eq!(absurd.entry(name).unwrap().position, None, "{name}");
+    }
+    assert_eq!(absurd.entry("r3").unwrap().superior, None);
+    let only_graphs = remembered.iter().filter(|m| matches!(m, Message::Graph(_))).cloned();
+    let empty = restored(only_graphs.collect());
+    assert!(empty.names().is_empty());
+    assert_eq!(empty.roster.as_ref().unwrap().header.revision.term, 2, "its term is known though");
+}
+
+trait ReverseNames {
+    fn reverse_names(&mut self);
+}
+
+impl ReverseNames for Vec<(u32, muster_model::id::RobotId)> {
+    fn reverse_names(&mut self) {
+        let names: Vec<_> = self.iter().rev().map(|(_, name)| name.clone()).collect();
+        for (node, name) in self.iter_mut().zip(names) {
+            node.1 = name;
+        }
+    }
+}
+
+#[test]
+fn no_more_robots_are_restored_than_there_may_be() {
+    let mut old = before();
+    let few = IngestSettings { max_robots: 2, ..settings() };
+    let mut new = Bench::asleep_at(old.now, few, Stored::default());
+    new.begin(old.remembered());
+    new.wait(0.0);
+    assert_eq!(new.names(), ["r1", "r2"]);
+}

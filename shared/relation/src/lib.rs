@@ -1,0 +1,17 @@
+//! From observations of robots to one weighted directed graph per modality.
+//!
+//! Robots are indices from 0 here; whoever calls knows their names. Every function is pure, so that
+//! the live fleet and a fleet in a file are judged by the same rules. All edge lists are ordered by
+//! source, then target, and name no edge twice.
+
+pub mod connectivity;
+pub mod edge;
+pub mod hierarchy;
+mod neighbours;
+pub mod spatial;
+
+pub use connectivity::{connectivity_edges, link_weight};
+pub use edge::{Edge, EdgeError, relation_edges};
+pub use hierarchy::hierarchy_edges;
+pub use neighbours::median_nearest_neighbour_distance;
+pub use spatial::spatial_edges;
