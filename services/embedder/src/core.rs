@@ -163,8 +163,8 @@ impl Embedder {
                 self.follow.take_graph(&delta).map_err(|error: GraphError| error.to_string())
             }
             Message::Roster(roster) => self.follow.take_roster(roster).map_err(str::to_owned),
-            Message::Settings(ServiceName::Clusterer, text) => {
-                match teams_of(&text) {
+            Message::Settings(announced) if announced.service == ServiceName::Clusterer => {
+                match teams_of(&announced.settings) {
                     Ok(teams) => self.teams = teams,
                     Err(error) => self.refuse(now, &key, &error.to_string(), effects),
                 }

@@ -6,7 +6,7 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Bench, Ingest, dot, robot, row};
+use common::{Bench, Ingest, announced, dot, robot, row};
 use muster_machine::Event;
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::EventKind;
@@ -192,7 +192,7 @@ fn the_number_of_teams_is_known_from_the_start() {
         teams: 3,
         ..Default::default()
     });
-    let settings = Message::Settings(ServiceName::Clusterer, text.unwrap());
+    let settings = announced(&text.unwrap());
     let mut bench = Bench::started(EmbedderSettings::default(), vec![settings]);
     let mut ingest = Ingest::new(&["spatial"]);
     for prefix in ["a", "b", "c"] {

@@ -9,6 +9,7 @@ use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::settings::Settings;
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
+use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{Key, KeySpace, Message, Rejection, Request};
 use serde_json::{Map, Value, json};
 
@@ -118,7 +119,7 @@ impl<S: Settings> Role<S> {
         effects.push(Effect::Store(self.stored.clone()));
         let term = self.revision.term;
         self.tell(now, Severity::Info, EventKind::ServiceStarted { term }, effects);
-        self.announce_settings(effects);
+        effects.publish(self.settings_message(now));
     }
 
     /// The place of the next output.
@@ -154,13 +155,8 @@ impl<S: Settings> Role<S> {
     ) {
         self.event_epoch = self.event_epoch.saturating_add(1);
         effects.publish(Message::Event(FleetEvent {
-            header: Header {
-                fleet: self.fleet().clone(),
-                revision: Revision { term: self.revision.term, epoch: self.event_epoch },
-                oldest: None,
-                newest: None,
-                stages: vec![self.stage(now, now)],
-            },
+            header: self
+                .own_header(now, Revision { term: self.revision.term, epoch: self.event_epoch }),
             source: self.service,
             severity,
             kind,
@@ -207,13 +203,13 @@ impl<S: Settings> Role<S> {
     ) -> Answered {
         if request.selects(&self.space, &Key::Settings(self.service)) {
             let (answer, changed) = match &request.payload {
-                None => (Ok(vec![self.settings_message()]), false),
+                None => (Ok(vec![self.settings_message(now)]), false),
                 Some(_) if !request.is_exact() => {
                     let problem = "settings are changed on exactly one key, without wildcards";
                     (Err(error_json("(key)", problem)), false)
                 }
                 Some(payload) => match self.change_settings(payload) {
-                    Ok(()) => (Ok(vec![self.settings_message()]), true),
+                    Ok(()) => (Ok(vec![self.settings_message(now)]), true),
                     Err(error) => (Err(error), false),
                 },
             };
@@ -221,7 +217,7 @@ impl<S: Settings> Role<S> {
             if changed {
                 self.count("settings_changed");
                 effects.push(Effect::Store(self.stored.clone()));
-                self.announce_settings(effects);
+                effects.publish(self.settings_message(now));
                 let kind = EventKind::SettingsChanged { settings: self.settings_json() };
                 self.tell(now, Severity::Info, kind, effects);
             }
@@ -254,12 +250,23 @@ impl<S: Settings> Role<S> {
         serde_json::to_string(&self.settings).unwrap_or_default()
     }
 
-    fn settings_message(&self) -> Message {
-        Message::Settings(self.service, self.settings_json())
+    fn settings_message(&self, now: Tick) -> Message {
+        Message::Settings(Box::new(AnnouncedSettings {
+            header: self.own_header(now, self.revision),
+            service: self.service,
+            settings: self.settings_json(),
+        }))
     }
 
-    fn announce_settings<J>(&self, effects: &mut Effects<J>) {
-        effects.publish(self.settings_message());
+    /// The head of what the service says of itself, with no robot's data behind it.
+    fn own_header(&self, now: Tick, revision: Revision) -> Header {
+        Header {
+            fleet: self.fleet().clone(),
+            revision,
+            oldest: None,
+            newest: None,
+            stages: vec![self.stage(now, now)],
+        }
     }
 
     /// What the service tells of itself.

@@ -9,6 +9,7 @@ use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
+use muster_model::header::Header;
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::{Links, Pose, Rank, Relation};
@@ -91,6 +92,8 @@ pub struct FromRobot<T> {
 /// Settings as they are announced to the other services.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AnnouncedSettings {
+    /// The head of the message; its revision is that of the service's last output.
+    pub header: Header,
     /// Whose settings.
     pub service: ServiceName,
     /// The settings as JSON text.

@@ -7,7 +7,7 @@ use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
-use muster_model::id::{Modality, RobotId, ServiceName};
+use muster_model::id::{Modality, RobotId};
 use muster_model::limits::{MAX_REVISION, MAX_ROBOT_PAYLOAD};
 use muster_model::observation::{Links, Observation, Pose, Rank, Relation};
 use muster_model::roster::Roster;
@@ -67,8 +67,8 @@ pub enum Message {
     Audit(Arc<Audit>),
     /// Something that happened.
     Event(Event),
-    /// The settings of a service, as JSON text.
-    Settings(ServiceName, String),
+    /// The settings of a service.
+    Settings(Box<AnnouncedSettings>),
     /// What a service tells of itself.
     Status(Box<ServiceStatus>),
 }
@@ -287,7 +287,7 @@ impl Message {
                 if announced.service != service {
                     return Err("the key and the content name different services".to_owned());
                 }
-                Self::Settings(service, announced.settings)
+                Self::Settings(Box::new(announced))
             }
             Key::RobotToken(_) | Key::ServiceToken(..) => {
                 return Err("this key takes liveliness tokens and no messages".to_owned());
@@ -318,6 +318,7 @@ impl Message {
             Self::Teams { teams, .. } => Some(&teams.header),
             Self::Audit(audit) => Some(&audit.header),
             Self::Event(event) => Some(&event.header),
+            Self::Settings(announced) => Some(&announced.header),
             _ => None,
         }
     }
@@ -340,7 +341,7 @@ impl Message {
             Self::Teams { .. } => (Key::Teams, Some(Key::JsonTeams)),
             Self::Audit(_) => (Key::Audit, Some(Key::JsonAudit)),
             Self::Event(_) => (Key::Event, Some(Key::JsonEvent)),
-            Self::Settings(service, _) => (Key::Settings(*service), None),
+            Self::Settings(announced) => (Key::Settings(announced.service), None),
             Self::Status(status) => (Key::Status(status.service), None),
         }
     }
@@ -374,7 +375,7 @@ impl Message {
     ) -> Result<Vec<Outbound>, EnvelopeError> {
         let (key, mirror) = self.keys();
         let native = match self {
-            Self::RobotTeam(_) | Self::Settings(..) | Self::Status(_) => Format::Json,
+            Self::RobotTeam(_) | Self::Settings(_) | Self::Status(_) => Format::Json,
             _ => Format::Binary,
         };
         let mut all = Vec::new();
@@ -421,7 +422,7 @@ impl Message {
             Self::Teams { teams, .. } => teams.to_json(now),
             Self::Audit(audit) => audit.to_json(now),
             Self::Event(event) => event.to_json(now),
-            Self::Settings(_, settings) => Ok(settings.clone().into_bytes()),
+            Self::Settings(announced) => Ok(announced.settings.clone().into_bytes()),
             Self::Status(status) => serde_json::to_vec(status),
         }
     }
@@ -445,9 +446,7 @@ impl Message {
             Self::Teams { teams, .. } => named(teams.as_ref()),
             Self::Audit(audit) => named(audit.as_ref()),
             Self::Event(event) => named(event),
-            Self::Settings(service, settings) => {
-                named(&AnnouncedSettings { service: *service, settings: settings.clone() })
-            }
+            Self::Settings(announced) => named(announced.as_ref()),
             Self::RobotToken { .. } | Self::Status(_) => {
                 Err(EnvelopeError::Encode("this message has no binary form".to_owned()))
             }

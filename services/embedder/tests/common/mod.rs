@@ -17,6 +17,7 @@ use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::EmbedderSettings;
 use muster_model::time::Tick;
+use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{Key, KeySpace, Message, Pattern, Request};
 
 /// Seconds since the epoch at which every test begins, in microseconds.
@@ -402,7 +403,7 @@ impl Bench {
     }
 
     pub fn told_teams(&mut self, settings: &str) {
-        self.receive(Message::Settings(ServiceName::Clusterer, settings.to_owned()));
+        self.receive(announced(settings));
     }
 
     pub fn counter(&mut self, name: &str) -> u64 {
@@ -460,4 +461,19 @@ pub fn difference_of_shape(left: &Embedding, right: &Embedding) -> f64 {
         }
     }
     worst
+}
+
+/// Settings of the clusterer as it announces them.
+pub fn announced(settings: &str) -> Message {
+    Message::Settings(Box::new(AnnouncedSettings {
+        header: Header {
+            fleet: FleetId::new("f").unwrap(),
+            revision: Revision { term: 1, epoch: 1 },
+            oldest: None,
+            newest: None,
+            stages: Vec::new(),
+        },
+        service: ServiceName::Clusterer,
+        settings: settings.to_owned(),
+    }))
 }

@@ -17,6 +17,7 @@ use muster_model::status::ServiceStatus;
 use muster_model::teams::{Member, Team, TeamChange, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
+use muster_wire::envelope::AnnouncedSettings;
 
 /// The moment at which all samples are written.
 pub const NOW: Tick = Tick(1_795_208_990_000_000);
@@ -204,7 +205,14 @@ pub fn all() -> Vec<(&'static str, Message)> {
                 into: team("t1"),
             })),
         ),
-        ("settings", Message::Settings(ServiceName::Clusterer, "{\"teams\":3}".to_owned())),
+        (
+            "settings",
+            Message::Settings(Box::new(AnnouncedSettings {
+                header: header(44),
+                service: ServiceName::Clusterer,
+                settings: "{\"teams\":3}".to_owned(),
+            })),
+        ),
         ("status", Message::Status(Box::new(status))),
     ]
 }

@@ -1,0 +1,18 @@
+//! Seeded fleets for demonstrations and tests: where robots are, whom they hear and whom they answer
+//! to, at any moment, and the teams that they truly form.
+//!
+//! There is no clock and no input or output here. Everything follows from the options and the moment
+//! that is asked for, so that the same seed tells the same story again, from any moment on, and in
+//! several processes at once.
+
+mod clusters;
+mod crossing;
+mod fleet;
+mod formation;
+mod noise;
+mod options;
+mod radio;
+mod random;
+
+pub use fleet::{Fleet, RobotObservation};
+pub use options::{FleetOptions, ScenarioError, ScenarioKind};
