@@ -14,7 +14,6 @@ use muster_model::id::ServiceName;
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Pose;
 use muster_model::settings::IngestSettings;
-use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern};
 use serde_json::json;
 
@@ -379,43 +378,4 @@ fn the_graph_does_not_depend_on_who_came_first() {
         bench.graph("spatial")
     };
     assert_eq!(graph(true), graph(false));
-}
-
-/// Run with `--release -- --ignored --nocapture`.
-#[test]
-#[ignore = "a measurement"]
-fn five_thousand_robots_at_ten_hertz() {
-    const ROBOTS: u32 = 5000;
-    let mut bench = Bench::new(IngestSettings::default());
-    let names: Vec<_> = (0..ROBOTS).map(|n| format!("r{n}")).collect();
-    let mut seed = 1_u64;
-    let mut random = move || {
-        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        f64::from(u32::try_from(seed >> 33).unwrap()) / f64::from(1_u32 << 31)
-    };
-    let mut places: Vec<_> = names.iter().map(|_| (random() * 700.0, random() * 700.0)).collect();
-    for round in 0..8 {
-        let start = std::time::Instant::now();
-        for (place, name) in names.iter().enumerate() {
-            let (x, y) = &mut places[place];
-            *x += random() - 0.5;
-            *y += random() - 0.5;
-            let message = pose(name, *x, *y);
-            for command in bench.driver.step(bench.now, Event::Received(message)) {
-                drop(command);
-            }
-            if round == 0 || round > 5 {
-                let peers: Vec<_> = (1..20).map(|k| &names[(place + k) % names.len()]).collect();
-                let heard: Vec<_> = peers.iter().map(|peer| (peer.as_str(), random())).collect();
-                drop(bench.driver.step(bench.now, Event::Received(links(name, &heard))));
-            }
-        }
-        let said = start.elapsed();
-        bench.now = bench.now.after(seconds(0.1));
-        let start = std::time::Instant::now();
-        let commands = bench.driver.step(bench.now, Event::Timeout);
-        let framed = start.elapsed();
-        println!("round {round}: taken in {said:?}, {} outputs in {framed:?}", commands.len());
-        assert!(bench.now > Tick(0));
-    }
 }

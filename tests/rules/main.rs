@@ -1,0 +1,112 @@
+//! The rules of the house that a compiler does not check: who may depend on whom.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::process::Command;
+
+/// The names of all packages that a package depends on when it is built.
+fn dependencies(package: &str, flags: &[&str]) -> BTreeSet<String> {
+    let output = Command::new(env!("CARGO"))
+        .args(["tree", "--offline", "-e", "normal", "--prefix", "none", "-f", "{p}", "-p", package])
+        .args(flags)
+        .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8(output.stdout).unwrap();
+    text.lines().filter_map(|line| line.split(' ').next()).map(str::to_owned).collect()
+}
+
+const SERVICES: [&str; 4] =
+    ["muster-ingest", "muster-embedder", "muster-clusterer", "muster-auditor"];
+
+#[test]
+fn the_cores_are_built_without_bus_and_runtime() {
+    for service in SERVICES {
+        let all = dependencies(service, &["--no-default-features"]);
+        for forbidden in ["zenoh", "tokio", "clap", "muster-runtime"] {
+            assert!(!all.contains(forbidden), "the core of {service} depends on {forbidden}");
+        }
+        // The same look finds them where they belong, so that it would see them.
+        let all = dependencies(service, &[]);
+        assert!(all.contains("zenoh") && all.contains("tokio"), "{service}");
+    }
+}
+
+#[test]
+fn no_service_imports_another() {
+    for service in SERVICES {
+        let all = dependencies(service, &[]);
+        for other in SERVICES.iter().filter(|other| **other != service) {
+            assert!(!all.contains(*other), "{service} depends on {other}");
+        }
+    }
+}
+
+#[test]
+fn shared_crates_know_only_what_they_may() {
+    let rules: [(&str, &[&str]); 6] = [
+        ("muster-model", &["muster-model"]),
+        ("muster-numeric", &["muster-numeric"]),
+        ("muster-relation", &["muster-model", "muster-relation"]),
+        ("muster-wire", &["muster-model", "muster-wire"]),
+        ("muster-machine", &["muster-machine", "muster-model", "muster-wire"]),
+        ("muster-scenario", &["muster-model", "muster-scenario"]),
+    ];
+    for (package, allowed) in rules {
+        let all = dependencies(package, &[]);
+        let ours: BTreeSet<_> =
+            all.iter().filter(|name| name.starts_with("muster-")).map(String::as_str).collect();
+        assert_eq!(ours, BTreeSet::from_iter(allowed.iter().copied()), "{package}");
+        assert!(!all.contains("zenoh") && !all.contains("tokio"), "{package}");
+    }
+    let only = |crate_name: &str, owner: &str| {
+        for (package, _) in rules {
+            let has = dependencies(package, &["--depth", "1"]).contains(crate_name);
+            assert_eq!(has, package == owner, "{package} and {crate_name}");
+        }
+    };
+    only("bincode", "muster-wire");
+    only("faer", "muster-numeric");
+    let ingest = dependencies("muster-ingest", &[]);
+    assert!(!ingest.contains("faer"), "a robot that runs only ingest links no linear algebra");
+}
+
+/// Every source file outside of a folder.
+fn sources(of: &Path, outside: &str) -> Vec<(String, String)> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(of).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.to_string_lossy().into_owned();
+        if name.contains(outside) || name.ends_with("/target") || name.contains("/.") {
+            continue;
+        }
+        if path.is_dir() {
+            found.extend(sources(&path, outside));
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            found.push((name, std::fs::read_to_string(&path).unwrap()));
+        }
+    }
+    found
+}
+
+#[test]
+fn each_foreign_crate_is_spoken_to_in_one_place() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
+    for (what, place) in
+        [("zenoh::", "shared/runtime"), ("bincode::", "shared/wire"), ("faer::", "shared/numeric")]
+    {
+        for folder in ["services", "shared"] {
+            for (name, text) in sources(&root.join(folder), place) {
+                assert!(!text.contains(what), "{name} speaks to {what}");
+            }
+        }
+    }
+}

@@ -1,0 +1,227 @@
+//! A robot or dashboard that somebody else wrote: plain Zenoh and JSON.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use tokio::time::sleep;
+use zenoh::Session;
+use zenoh::bytes::Encoding;
+use zenoh::liveliness::LivelinessToken;
+
+/// How often a waiting test looks again.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// Most messages that a watch keeps.
+const MAX_KEPT: usize = 100_000;
+
+/// An outside client.
+#[derive(Debug, Clone)]
+pub struct Client {
+    session: Session,
+    prefix: String,
+}
+
+/// What was received on a key expression, in order.
+#[derive(Debug, Clone)]
+pub struct Watch(Arc<Mutex<Vec<(String, Value)>>>);
+
+/// Which team each robot is in.
+pub type Division = BTreeMap<String, Option<String>>;
+
+/// The division that a message on `json/teams` tells.
+#[must_use]
+pub fn division(teams: &Value) -> Division {
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
+    let mut division = Division::new();
+    for team in list(&teams["teams"]) {
+        for robot in list(&team["members"]) {
+            division.insert(text(&robot), Some(text(&team["id"])));
+        }
+    }
+    for robot in list(&teams["unassigned"]) {
+        division.insert(text(&robot), None);
+    }
+    division
+}
+
+fn fail(error: zenoh::Error) -> anyhow::Error {
+    anyhow::anyhow!("{error}")
+}
+
+impl Client {
+    /// Connects to a router.
+    ///
+    /// # Errors
+    /// If the router does not answer.
+    pub async fn connect(endpoint: &str, fleet: &str) -> anyhow::Result<Self> {
+        let mut config = zenoh::Config::default();
+        for (key, value) in [
+            ("mode", "\"client\"".to_owned()),
+            ("connect/endpoints", format!("[\"{endpoint}\"]")),
+            ("connect/timeout_ms", "10000".to_owned()),
+            ("scouting/multicast/enabled", "false".to_owned()),
+        ] {
+            config.insert_json5(key, &value).map_err(fail)?;
+        }
+        let session = zenoh::open(config).await.map_err(fail)?;
+        Ok(Self { session, prefix: format!("muster/v1/{fleet}/") })
+    }
+
+    /// The session, for what the helpers do not do.
+    #[must_use]
+    pub fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// The whole text of a key of the fleet.
+    #[must_use]
+    pub fn key(&self, tail: &str) -> String {
+        format!("{}{tail}", self.prefix)
+    }
+
+    /// Puts JSON.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn put(&self, tail: &str, value: &Value) -> anyhow::Result<()> {
+        self.put_bytes(tail, value.to_string().into_bytes(), "application/json").await
+    }
+
+    /// Puts bytes with an encoding.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn put_bytes(
+        &self,
+        tail: &str,
+        bytes: Vec<u8>,
+        encoding: &str,
+    ) -> anyhow::Result<()> {
+        let encoding = Encoding::from(encoding);
+        self.session.put(self.key(tail), bytes).encoding(encoding).await.map_err(fail)
+    }
+
+    /// Declares a liveliness token.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn token(&self, tail: &str) -> anyhow::Result<LivelinessToken> {
+        self.session.liveliness().declare_token(self.key(tail)).await.map_err(fail)
+    }
+
+    /// Gets JSON: every answer with its key, errors as their text.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn get(
+        &self,
+        tail: &str,
+        payload: Option<&Value>,
+    ) -> anyhow::Result<Vec<(String, Result<Value, String>)>> {
+        let selector = self.key(tail);
+        let mut get = self.session.get(selector.as_str()).timeout(Duration::from_secs(3));
+        if let Some(payload) = payload {
+            get = get.payload(payload.to_string());
+        }
+        let replies = get.await.map_err(fail)?;
+        let mut answers = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            answers.push(match reply.result() {
+                Ok(sample) => {
+                    let value = serde_json::from_slice(&sample.payload().to_bytes());
+                    let key = sample.key_expr().as_str().replacen(&self.prefix, "", 1);
+                    (key, value.map_err(|error| error.to_string()))
+                }
+                Err(error) => {
+                    let text = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
+                    (String::new(), Err(text))
+                }
+            });
+        }
+        Ok(answers)
+    }
+
+    /// The first good answer to a get.
+    ///
+    /// # Errors
+    /// If there is none; the text holds what was answered.
+    pub async fn get_one(&self, tail: &str) -> anyhow::Result<Value> {
+        let answers = self.get(tail, None).await?;
+        let good = answers.iter().find_map(|(_, answer)| answer.as_ref().ok());
+        good.cloned().ok_or_else(|| anyhow::anyhow!("{tail} is answered with {answers:?}"))
+    }
+
+    /// Keeps all JSON that arrives on a key expression of the fleet.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn watch(&self, tail: &str) -> anyhow::Result<Watch> {
+        let kept = Arc::new(Mutex::new(Vec::new()));
+        let (keeping, prefix) = (Arc::clone(&kept), self.prefix.clone());
+        self.session
+            .declare_subscriber(self.key(tail))
+            .callback(move |sample| {
+                let mut kept = keeping.lock().unwrap_or_else(PoisonError::into_inner);
+                if kept.len() < MAX_KEPT
+                    && let Ok(value) = serde_json::from_slice(&sample.payload().to_bytes())
+                {
+                    kept.push((sample.key_expr().as_str().replacen(&prefix, "", 1), value));
+                }
+            })
+            .background()
+            .await
+            .map_err(fail)?;
+        Ok(Watch(kept))
+    }
+}
+
+impl Watch {
+    /// Everything that has arrived, in order, with its key.
+    #[must_use]
+    pub fn all(&self) -> Vec<(String, Value)> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The newest that has arrived.
+    #[must_use]
+    pub fn newest(&self) -> Option<Value> {
+        let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.last().map(|(_, value)| value.clone())
+    }
+
+    /// Forgets everything that has arrived.
+    pub fn clear(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
+    /// Waits until a message that has arrived, or arrives, is right.
+    ///
+    /// # Errors
+    /// If none is in time; the text holds the newest.
+    pub async fn until(
+        &self,
+        what: &str,
+        within: Duration,
+        right: impl Fn(&Value) -> bool,
+    ) -> anyhow::Result<Value> {
+        let start = Instant::now();
+        loop {
+            let found = {
+                let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+                kept.iter().rev().map(|(_, value)| value).find(|value| right(value)).cloned()
+            };
+            if let Some(found) = found {
+                return Ok(found);
+            }
+            anyhow::ensure!(
+                start.elapsed() < within,
+                "not within {within:?}: {what}; the newest is {:?}",
+                self.newest()
+            );
+            sleep(LOOK_EVERY).await;
+        }
+    }
+}

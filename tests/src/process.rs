@@ -1,0 +1,152 @@
+//! One program as a process of its own, with its output in a file.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, ensure};
+
+/// How often a waiting test looks again.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// A running program. It is killed when the test lets go of it.
+#[derive(Debug)]
+pub struct Process {
+    name: String,
+    child: Child,
+    log: PathBuf,
+}
+
+/// The path of a program of this workspace, as built beside the tests.
+///
+/// # Errors
+/// If it is not built; the text names the remedy.
+pub fn program(name: &str) -> anyhow::Result<PathBuf> {
+    let tests = std::env::current_exe()?;
+    let directory = tests.ancestors().nth(2).context("the tests stand in no target folder")?;
+    let path = directory.join(name);
+    ensure!(path.exists(), "{} is not built; run `cargo build --workspace` first", path.display());
+    Ok(path)
+}
+
+impl Process {
+    /// Starts a program; what it prints goes to `{name}.log` in a folder.
+    ///
+    /// # Errors
+    /// If it is not built or does not start.
+    pub fn start(
+        program_name: &str,
+        arguments: &[&str],
+        environment: &[(&str, &str)],
+        folder: &Path,
+    ) -> anyhow::Result<Self> {
+        static NEXT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
+        let number = NEXT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        let log = folder.join(format!("{number}-{program_name}.log"));
+        let output = std::fs::File::create(&log)?;
+        let child = Command::new(program(program_name)?)
+            .args(arguments)
+            .envs(environment.iter().copied())
+            .stdin(Stdio::null())
+            .stdout(output.try_clone()?)
+            .stderr(output)
+            .spawn()
+            .with_context(|| format!("{program_name} does not start"))?;
+        Ok(Self { name: program_name.to_owned(), child, log })
+    }
+
+    /// What it has printed so far.
+    #[must_use]
+    pub fn output(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
+    /// Ends it at once, as a crash would.
+    ///
+    /// # Errors
+    /// If it cannot be killed.
+    pub fn kill(&mut self) -> anyhow::Result<()> {
+        self.child.kill()?;
+        self.child.wait()?;
+        Ok(())
+    }
+
+    /// Sends it a signal by name, such as `TERM` or `STOP`.
+    ///
+    /// # Errors
+    /// If the signal cannot be sent.
+    pub fn signal(&self, signal: &str) -> anyhow::Result<()> {
+        let id = self.child.id().to_string();
+        let status = Command::new("kill").args(["-s", signal, &id]).status()?;
+        ensure!(status.success(), "cannot signal {}", self.name);
+        Ok(())
+    }
+
+    /// Waits for its end.
+    ///
+    /// # Errors
+    /// If it has not ended in time; the text holds what it has printed.
+    pub fn wait(&mut self, within: Duration) -> anyhow::Result<ExitStatus> {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait()? {
+                return Ok(status);
+            }
+            ensure!(start.elapsed() < within, "{} has not ended:\n{}", self.name, self.output());
+            std::thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    /// Whether it has not ended.
+    ///
+    /// # Errors
+    /// If that cannot be found out.
+    pub fn is_running(&mut self) -> anyhow::Result<bool> {
+        Ok(self.child.try_wait()?.is_none())
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.kill();
+        if std::thread::panicking() {
+            eprintln!("--- {} ---\n{}", self.name, self.output());
+        }
+    }
+}
+
+/// Runs a program to its end and returns its code, standard output and standard error.
+///
+/// # Errors
+/// If it does not start, or has not ended in time.
+pub fn run(
+    program_name: &str,
+    arguments: &[&str],
+    within: Duration,
+) -> anyhow::Result<(Option<i32>, String, String)> {
+    let folder = tempfile::tempdir()?;
+    let (out, err) = (folder.path().join("out"), folder.path().join("err"));
+    let mut child = Command::new(program(program_name)?)
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stdout(std::fs::File::create(&out)?)
+        .stderr(std::fs::File::create(&err)?)
+        .spawn()?;
+    let start = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        if start.elapsed() > within {
+            child.kill()?;
+            child.wait()?;
+            anyhow::bail!(
+                "{program_name} {arguments:?} has not ended:\n{}{}",
+                std::fs::read_to_string(&out)?,
+                std::fs::read_to_string(&err)?
+            );
+        }
+        std::thread::sleep(LOOK_EVERY);
+    };
+    Ok((status.code(), std::fs::read_to_string(&out)?, std::fs::read_to_string(&err)?))
+}

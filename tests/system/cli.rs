@@ -1,0 +1,170 @@
+//! What an operator types, and what comes back.
+
+use std::time::{Duration, Instant};
+
+use muster_tests::cluster::{Cluster, SERVICES, free_endpoint};
+use muster_tests::process::{Process, run};
+use serde_json::Value;
+
+use crate::pipeline::{formed, truth};
+
+const SOON: Duration = Duration::from_secs(20);
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_console_shows_the_live_fleet() {
+    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let scenario = ["--scenario", "clusters", "--robots", "8"];
+    let _robots = cluster.robots(&scenario).unwrap();
+    let client = cluster.client().await.unwrap();
+    formed(&client, &truth(&cluster, &scenario)).await;
+    client.watch("json/audit").await.unwrap().until("an audit", SOON, |_| true).await.unwrap();
+    let show = |arguments: &[&str]| {
+        let (code, out, err) = cluster.muster(arguments).unwrap();
+        assert_eq!(code, Some(0), "{arguments:?}: {err}");
+        out
+    };
+    let json = |arguments: &[&str]| -> Value {
+        serde_json::from_str(show(arguments).lines().next().unwrap()).unwrap()
+    };
+    assert!(show(&["teams"]).contains("t2"));
+    assert_eq!(json(&["teams", "--json"])["fleet"], "alpha");
+    assert!(show(&["audit"]).contains("verdict Good"));
+    assert!(json(&["audit", "--json"])["silhouette"]["mean"].is_number());
+    let graphs = show(&["graph"]);
+    for name in ["spatial", "connectivity", "hierarchy"] {
+        assert!(graphs.contains(name), "{graphs}");
+    }
+    assert!(show(&["graph", "hierarchy"]).contains("weight"));
+    assert_eq!(json(&["graph", "spatial", "--json"])["modality"], "spatial");
+    let status = show(&["status"]);
+    for service in SERVICES {
+        assert!(status.contains(service), "{status}");
+    }
+    assert!(status.contains("8 robots: 8 active"), "{status}");
+    assert_eq!(json(&["status", "--json"])["robots"].as_array().unwrap().len(), 8);
+
+    let arguments =
+        ["teams", "--watch", "--json", "--fleet", "alpha", "--connect", &cluster.endpoint];
+    let mut watch = Process::start("muster", &arguments, &[], cluster.folder()).unwrap();
+    client.get("service/clusterer/settings", Some(&serde_json::json!({"teams": 4}))).await.unwrap();
+    let start = Instant::now();
+    while !watch.output().lines().any(|line| line.contains("\"t4\"")) {
+        assert!(start.elapsed() < SOON, "{}", watch.output());
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    watch.signal("INT").unwrap();
+    assert_eq!(watch.wait(Duration::from_secs(5)).unwrap().code(), Some(0));
+}
+
+#[test]
+fn nobody_home_is_told_with_a_remedy_and_code_3() {
+    let endpoint = free_endpoint().unwrap();
+    let (code, _, err) = run("muster", &["teams", "--connect", &endpoint], SOON).unwrap();
+    assert_eq!(code, Some(3));
+    assert!(err.contains("muster router"), "{err}");
+    let folder = tempfile::tempdir().unwrap();
+    let _router = muster_tests::cluster::start_router(&endpoint, folder.path()).unwrap();
+    for command in [&["teams"][..], &["audit"], &["graph"], &["set", "ingest"]] {
+        let arguments = [command, &["--connect", &endpoint]].concat();
+        let (code, _, err) = run("muster", &arguments, SOON).unwrap();
+        assert_eq!(code, Some(3), "{command:?}");
+        assert!(err.contains("muster status"), "{command:?}: {err}");
+    }
+    let arguments = ["status", "--connect", &endpoint];
+    let (code, out, _) = run("muster", &arguments, SOON).unwrap();
+    assert_eq!(code, Some(0));
+    assert!(out.contains("muster up ingest"), "{out}");
+    let taken = ["router", "--listen", &endpoint];
+    let (code, _, err) = run("muster", &taken, SOON).unwrap();
+    assert_eq!(code, Some(3));
+    assert!(err.contains("--listen"), "{err}");
+}
+
+#[test]
+fn every_program_ends_cleanly_within_five_seconds_of_a_signal() {
+    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let mut robots = cluster.robots(&["--robots", "6"]).unwrap();
+    let up = ["up", "--router", "--listen", &free_endpoint().unwrap(), "--state-directory", "none"];
+    let mut up = Process::start("muster", &up, &[], cluster.folder()).unwrap();
+    std::thread::sleep(Duration::from_secs(3));
+    for service in SERVICES {
+        let process = cluster.service(service).unwrap();
+        process.signal("TERM").unwrap();
+        let status = process.wait(Duration::from_secs(5)).unwrap();
+        assert_eq!(status.code(), Some(0), "{service}: {}", process.output());
+    }
+    for process in [&mut robots, &mut up] {
+        process.signal("TERM").unwrap();
+        let status = process.wait(Duration::from_secs(5)).unwrap();
+        assert_eq!(status.code(), Some(0), "{}", process.output());
+    }
+    // Also while no router answers.
+    let arguments = ["--connect", &free_endpoint().unwrap(), "--state-directory", "none"];
+    let mut waiting = Process::start("muster-ingest", &arguments, &[], cluster.folder()).unwrap();
+    std::thread::sleep(Duration::from_millis(1500));
+    waiting.signal("TERM").unwrap();
+    assert_eq!(waiting.wait(Duration::from_secs(5)).unwrap().code(), Some(0));
+}
+
+#[test]
+fn every_program_explains_itself_and_its_configuration() {
+    let mut programs = vec!["muster".to_owned()];
+    programs.extend(SERVICES.map(|service| format!("muster-{service}")));
+    for program in programs {
+        let of = |arguments: &[&str]| {
+            // `muster` alone wants a command; the others are one.
+            let command: &[&str] = if program == "muster" { &["up"] } else { &[] };
+            run(&program, &[command, arguments].concat(), SOON).unwrap()
+        };
+        let (code, out, _) = run(&program, &["--help"], SOON).unwrap();
+        assert_eq!(code, Some(0));
+        for flag in [
+            "--fleet",
+            "--connect",
+            "--listen",
+            "--mode",
+            "--zenoh-config",
+            "--config",
+            "--check-config",
+            "--print-config",
+            "Exit codes",
+        ] {
+            assert!(out.contains(flag), "{program} --help does not tell {flag}:\n{out}");
+        }
+        let (_, out, _) = of(&["--help"]);
+        assert!(out.contains("Examples:"), "{program}:\n{out}");
+        assert_eq!(of(&["--check-config"]).0, Some(0));
+        let (code, printed, _) = of(&["--print-config", "--fleet", "beta"]);
+        assert_eq!(code, Some(0));
+        assert!(printed.contains("fleet = \"beta\"  # flag"), "{printed}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("muster.toml");
+        std::fs::write(&path, printed).unwrap();
+        let path = path.to_str().unwrap();
+        assert_eq!(of(&["--check-config", "--config", path]).0, Some(0));
+        std::fs::write(path, "[clusterer]\nteams = 0\n").unwrap();
+        let (code, _, err) = of(&["--check-config", "--config", path]);
+        assert_eq!(code, Some(2));
+        assert!(err.contains("clusterer.teams"), "{err}");
+        for wrong in [["--fleet", "A B"], ["--connect", "here"], ["--zenoh-config", "/none.json5"]]
+        {
+            assert_eq!(of(&wrong).0, Some(2), "{program} {wrong:?}");
+        }
+    }
+}
+
+#[test]
+fn the_shipped_configuration_is_the_built_in_one() {
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/muster.toml");
+    let (code, _, err) =
+        run("muster", &["up", "--check-config", "--config", shipped], SOON).unwrap();
+    assert_eq!(code, Some(0), "{err}");
+    let values = |arguments: &[&str]| -> Vec<String> {
+        let (_, out, _) = run("muster", arguments, SOON).unwrap();
+        out.lines().map(|line| line.split("  # ").next().unwrap().to_owned()).collect()
+    };
+    assert_eq!(
+        values(&["up", "--print-config", "--config", shipped]),
+        values(&["up", "--print-config"])
+    );
+}

@@ -1,0 +1,95 @@
+//! The bus itself agrees with what is said of the keys.
+
+use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
+use muster_wire::{Key, KeySpace, Pattern, Request};
+use zenoh::key_expr::KeyExpr;
+
+fn every_key() -> Vec<Key> {
+    let robot = RobotId::new("r_1-x").unwrap();
+    let modality = Modality::new("thermal").unwrap();
+    let mut keys = vec![
+        Key::RobotToken(robot.clone()),
+        Key::Pose(robot.clone()),
+        Key::Links(robot.clone()),
+        Key::Rank(robot.clone()),
+        Key::Relation(robot.clone(), modality.clone()),
+        Key::RobotTeam(robot),
+        Key::Graph(modality),
+        Key::Roster,
+        Key::Embedding,
+        Key::Teams,
+        Key::Audit,
+        Key::Event,
+        Key::JsonTeams,
+        Key::JsonAudit,
+        Key::JsonEvent,
+    ];
+    for service in ServiceName::ALL {
+        keys.push(Key::Settings(service));
+        keys.push(Key::Status(service));
+        keys.push(Key::ServiceToken(service, InstanceId::new("host-1").unwrap()));
+    }
+    keys
+}
+
+fn space() -> KeySpace {
+    KeySpace::new(FleetId::new("alpha").unwrap())
+}
+
+#[test]
+fn every_key_and_pattern_is_canonical() {
+    for key in every_key() {
+        let text = space().format(&key);
+        assert_eq!(KeyExpr::autocanonize(text.clone()).unwrap().as_str(), text);
+        KeyExpr::try_from(text).unwrap();
+    }
+    for pattern in [
+        Pattern::RobotTokens,
+        Pattern::Poses,
+        Pattern::Links,
+        Pattern::Ranks,
+        Pattern::Relations,
+        Pattern::RobotTeams,
+        Pattern::Graphs,
+        Pattern::ServiceTokens,
+        Pattern::Statuses,
+    ] {
+        let text = space().pattern(&pattern);
+        assert_eq!(KeyExpr::autocanonize(text.clone()).unwrap().as_str(), text);
+    }
+}
+
+#[test]
+fn gets_select_what_the_bus_says_they_do() {
+    let selectors = [
+        "muster/v1/alpha/teams",
+        "muster/v1/alpha/*",
+        "muster/v1/alpha/**",
+        "muster/v1/*/teams",
+        "**",
+        "**/teams",
+        "muster/v1/alpha/robot/*",
+        "muster/v1/alpha/robot/*/team",
+        "muster/v1/alpha/robot/**",
+        "muster/v1/alpha/robot/r_1$*/pose",
+        "muster/$*/alpha/**",
+        "muster/v1/alpha/service/*/settings",
+        "muster/v1/beta/**",
+        "muster/v1/alpha/json/*",
+        "muster/**/relation/*",
+        "muster/v1/alpha/graph/th$*al",
+        "muster/v1/alpha/graph/$*x$*",
+    ];
+    for selector in selectors {
+        let expression = KeyExpr::try_from(selector).unwrap();
+        let request = Request::new(selector, "", None).unwrap();
+        for key in every_key() {
+            let text = KeyExpr::try_from(space().format(&key)).unwrap();
+            assert_eq!(
+                request.selects(&space(), &key),
+                expression.intersects(&text),
+                "{selector} and {text}"
+            );
+        }
+    }
+}

@@ -1,0 +1,17 @@
+//! Whole processes over a real bus: what a fleet, an operator and an attacker see.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test fails by panicking"
+)]
+
+mod cli;
+mod demo;
+mod hostile;
+mod keys;
+mod pipeline;
+mod presence;
+mod restarts;
+mod settings;

@@ -1,0 +1,159 @@
+//! Services and routers that die, and come back.
+
+use std::time::{Duration, Instant};
+
+use muster_tests::client::{Division, Watch, division};
+use muster_tests::cluster::{Cluster, SERVICES};
+use serde_json::Value;
+
+use crate::pipeline::{formed, truth};
+
+/// What is promised after a service was started again.
+const RECOVERED_WITHIN: Duration = Duration::from_secs(5);
+
+const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "15"];
+
+/// Waits for fresh teams (data of a service started after `since`) with the same members and ids.
+async fn same_again(teams: &Watch, wanted: &Division, fresh: impl Fn(&Value) -> bool) -> Duration {
+    let start = Instant::now();
+    teams
+        .until("the same teams from fresh data", RECOVERED_WITHIN, |value| {
+            fresh(value) && division(value) == *wanted
+        })
+        .await
+        .unwrap();
+    start.elapsed()
+}
+
+fn stage(value: &Value, name: &str) -> f64 {
+    let stages = value["stages"].as_array().cloned().unwrap_or_default();
+    stages
+        .iter()
+        .find(|stage| stage["stage"] == name)
+        .and_then(|stage| stage["published"].as_f64())
+        .unwrap_or_default()
+}
+
+fn now() -> f64 {
+    std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs_f64()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_service_dies_alone_and_the_teams_keep_their_ids() {
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
+    let _robots = cluster.robots(&SCENARIO).unwrap();
+    let client = cluster.client().await.unwrap();
+    let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
+    let teams = client.watch("json/teams").await.unwrap();
+    let audits = client.watch("json/audit").await.unwrap();
+    let told = client.watch("robot/*/team").await.unwrap();
+    for service in SERVICES {
+        cluster.service(service).unwrap().kill().unwrap();
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        // The last good answer is there while the service is not.
+        let answers = client.get("teams?format=json", None).await.unwrap();
+        let last = answers.iter().find_map(|(_, answer)| answer.as_ref().ok());
+        assert_eq!(division(last.expect("somebody knows the teams")), wanted, "without {service}");
+
+        let since = now();
+        cluster.start_service(service).unwrap();
+        teams.clear();
+        audits.clear();
+        let took = if service == "auditor" {
+            let start = Instant::now();
+            let fresh = |value: &Value| {
+                stage(value, "auditor") > since && value["silhouette"]["mean"].is_number()
+            };
+            audits.until("a fresh audit", RECOVERED_WITHIN, fresh).await.unwrap();
+            start.elapsed()
+        } else {
+            same_again(&teams, &wanted, |value| stage(value, service) > since).await
+        };
+        eprintln!("{service}: teams from fresh data after {took:?}");
+        // No division in between told anybody else.
+        for (_, value) in teams.all() {
+            assert_eq!(division(&value), wanted, "while {service} came back");
+        }
+    }
+    for (key, value) in told.all() {
+        let robot = value["robot"].as_str().unwrap();
+        assert_eq!(value["team"].as_str().map(str::to_owned), wanted[robot], "{key}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn terms_rise_with_each_restart() {
+    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let scenario = ["--scenario", "clusters", "--robots", "6"];
+    let _robots = cluster.robots(&scenario).unwrap();
+    let client = cluster.client().await.unwrap();
+    let wanted = formed(&client, &truth(&cluster, &scenario)).await;
+    let teams = client.watch("json/teams").await.unwrap();
+    let mut last = (0, 0);
+    for round in 0..3 {
+        // The state of the service is lost as well: the bus remembers the term.
+        std::fs::remove_dir_all(cluster.folder().join("state")).unwrap();
+        cluster.service("clusterer").unwrap().kill().unwrap();
+        cluster.start_service("clusterer").unwrap();
+        let since = now();
+        same_again(&teams, &wanted, |value| stage(value, "clusterer") > since).await;
+        assert!(teams.newest().unwrap()["term"].as_u64() > Some(round + 1));
+    }
+    for (_, value) in teams.all() {
+        let place = (value["term"].as_u64().unwrap(), value["epoch"].as_u64().unwrap());
+        assert!(place > last, "{place:?} after {last:?}");
+        last = place;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_router_that_dies_costs_nobody_a_team() {
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
+    let _robots = cluster.robots(&SCENARIO).unwrap();
+    let client = cluster.client().await.unwrap();
+    let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
+    let events = client.watch("json/event").await.unwrap();
+    cluster.kill_router().unwrap();
+    tokio::time::sleep(Duration::from_secs(4)).await;
+    cluster.restart_router().unwrap();
+    let fresh = cluster.client().await.unwrap();
+    let teams = fresh.watch("json/teams").await.unwrap();
+    let since = now();
+    let start = Instant::now();
+    teams
+        .until("teams from fresh data", Duration::from_secs(10), |value| {
+            ["ingest", "embedder", "clusterer"].iter().all(|name| stage(value, name) > since)
+        })
+        .await
+        .unwrap();
+    eprintln!("teams from fresh data {:?} after the router came back", start.elapsed());
+    for (_, value) in teams.all() {
+        assert_eq!(division(&value), wanted);
+    }
+    for (_, event) in events.all() {
+        assert_ne!(event["event"], "robot_left", "{event}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn services_wait_for_their_router_and_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let arguments = ["--connect", endpoint.as_str(), "--state-directory", "none"];
+    let mut service =
+        muster_tests::process::Process::start("muster-ingest", &arguments, &[], folder.path())
+            .unwrap();
+    let start = Instant::now();
+    while !service.output().contains("muster router") {
+        assert!(start.elapsed() < Duration::from_secs(10), "{}", service.output());
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    assert!(service.is_running().unwrap());
+    let _router = muster_tests::cluster::start_router(&endpoint, folder.path()).unwrap();
+    let client = muster_tests::client::Client::connect(&endpoint, "default").await.unwrap();
+    let start = Instant::now();
+    while client.get_one("service/ingest/status").await.is_err() {
+        assert!(start.elapsed() < Duration::from_secs(10), "{}", service.output());
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
