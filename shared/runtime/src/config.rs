@@ -360,6 +360,27 @@ impl ProcessConfig {
         Ok(())
     }
 
+    /// The configuration of a router in the same process.
+    #[must_use]
+    pub fn as_router(&self, listen: Vec<String>) -> Self {
+        self.as_mode(Mode::Router, Vec::new(), listen)
+    }
+
+    /// The configuration of a client of a router in the same process.
+    #[must_use]
+    pub fn as_client(&self, connect: Vec<String>) -> Self {
+        self.as_mode(Mode::Client, connect, Vec::new())
+    }
+
+    fn as_mode(&self, mode: Mode, connect: Vec<String>, listen: Vec<String>) -> Self {
+        Self {
+            mode: Sourced { value: mode, origin: Origin::Flag },
+            connect: Sourced { value: connect, origin: Origin::Flag },
+            listen: Sourced { value: listen, origin: Origin::Flag },
+            ..self.clone()
+        }
+    }
+
     /// Adds `--set` flags to the settings of a service.
     ///
     /// # Errors

@@ -1,5 +1,7 @@
 //! Logs on standard error, human or JSON lines.
 
+use std::io::IsTerminal;
+
 use tracing_subscriber::EnvFilter;
 
 /// What is logged when neither a flag nor `MUSTER_LOG` says otherwise: what Muster does, and what
@@ -17,7 +19,8 @@ pub fn start(filter: Option<&str>, json: bool) -> Result<(), String> {
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
-        .with_target(false);
+        .with_target(false)
+        .with_ansi(colours);
     let started = if json { builder.json().try_init() } else { builder.try_init() };
     // Another subscriber is there already: whoever set it wins.
     drop(started);

@@ -1,0 +1,129 @@
+//! `muster demo`: a router, all services and a simulated fleet in one process.
+//!
+//! Nothing is simulated but the robots: every service has a session of its own, and every message
+//! crosses a real socket.
+
+use std::net::TcpListener;
+
+use muster_model::id::ServiceName;
+use muster_model::teams::Teams;
+use muster_runtime::bus::{Bus, Patience};
+use muster_runtime::clock::Clock;
+use muster_runtime::config::{DEFAULT_ENDPOINT, Origin, ProcessConfig, Sourced};
+use muster_runtime::stop::Stop;
+use muster_scenario::{FleetOptions, ScenarioKind};
+use muster_wire::{Format, Key, Message};
+
+use crate::fleet::{FleetOnBus, Speech};
+use crate::{ask, show, up};
+
+/// Arguments of `muster demo`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Two platoons march, split at a crossing, where one squad is handed over for a \
+while, and rejoin. The table is printed whenever the division changes. While it runs, look at it from \
+another terminal with `muster teams --watch`, `muster audit`, `muster graph` and `muster status`.\n\n\
+Examples:\n  muster demo\n  muster demo --robots 60 --teams 3 --seconds 60\n  muster demo --json | jq .teams"
+)]
+pub(crate) struct DemoArgs {
+    /// How many robots
+    #[arg(long, default_value_t = 18)]
+    robots: usize,
+    /// How many teams to divide them into
+    #[arg(long, default_value_t = 2)]
+    teams: u32,
+    /// End after so many seconds; without it, run until Ctrl-C
+    #[arg(long)]
+    seconds: Option<f64>,
+    /// Seed of the simulated fleet
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Print one line of JSON per change, in the shape of json/teams
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the demo until it is time to stop.
+///
+/// # Errors
+/// If the numbers make no fleet, the router cannot listen, or a service fails.
+pub(crate) async fn run(
+    args: &DemoArgs,
+    mut config: ProcessConfig,
+    stop: Stop,
+) -> anyhow::Result<()> {
+    let fleet = crate::robot::simulate(ScenarioKind::Crossing, &options(args))?;
+    let seconds = crate::robot::check_seconds(args.seconds)?;
+    config.set(ServiceName::Clusterer, &[format!("teams={}", args.teams)])?;
+    // Every demo begins anew: what an earlier one was told must not surprise a newcomer.
+    config.state_directory = Sourced { value: None, origin: Origin::Flag };
+    let listen = if config.listen.value.is_empty() {
+        vec![free_endpoint()?]
+    } else {
+        config.listen.value.clone()
+    };
+    let router = muster_runtime::router::open(&config.as_router(listen)).await?;
+    let endpoints = router.locators().await;
+    let config = config.as_client(endpoints.clone());
+    let mut services = up::start(&ServiceName::ALL, &config, &stop);
+
+    let robots_bus = Bus::open(&config, Patience::Forever).await?;
+    let speech = Speech { rate_hz: 10.0, format: Format::Json };
+    let everybody = (0..fleet.robots().len()).collect();
+    let console = Bus::open(&config, Patience::Forever).await?;
+    let mut follow = ask::follow(&console, Key::Teams).await?;
+    let robots = FleetOnBus::join(robots_bus.clone(), fleet, everybody, speech).await?;
+    let mut marching = tokio::spawn(robots.run(0.0, seconds, stop.clone()));
+    eprintln!(
+        "{} robots and 4 services on a router at {}; Ctrl-C ends it",
+        args.robots,
+        endpoints.join(", ")
+    );
+    let connect = endpoints.first().map_or("", String::as_str);
+    let flag =
+        if connect == DEFAULT_ENDPOINT { String::new() } else { format!(" --connect {connect}") };
+    eprintln!("from another terminal: muster teams --watch{flag}");
+
+    let clock = Clock::start();
+    let mut shown: Option<std::sync::Arc<Teams>> = None;
+    let ended = loop {
+        let message = tokio::select! {
+            message = follow.next() => message,
+            ended = &mut marching => break ended?,
+            Some(ended) = services.join_next() => break match ended? {
+                Ok(()) if stop.is_stopped() => Ok(()),
+                Ok(()) => Err(anyhow::anyhow!("a service ended by itself")),
+                Err(error) => Err(error),
+            },
+        };
+        if let Message::Teams { teams, .. } = message
+            && !shown.as_ref().is_some_and(|shown| teams.same_division(shown))
+        {
+            show::teams::print(&teams, args.json, clock.now())?;
+            shown = Some(teams);
+        }
+    };
+    services.shutdown().await;
+    for bus in [robots_bus, console, router] {
+        bus.close().await;
+    }
+    ended
+}
+
+/// As many platoons as teams are asked for, where there are robots enough; two otherwise.
+fn options(args: &DemoArgs) -> FleetOptions {
+    let asked = args.teams as usize;
+    let teams = if (2..=args.robots / 2).contains(&asked) { asked } else { 2 };
+    FleetOptions { robots: args.robots, seed: args.seed, teams, ..FleetOptions::default() }
+}
+
+/// The usual endpoint if it is free, so that other terminals need no flag; else one with a free port.
+fn free_endpoint() -> anyhow::Result<String> {
+    let address = DEFAULT_ENDPOINT.trim_start_matches("tcp/");
+    if TcpListener::bind(address).is_ok() {
+        return Ok(DEFAULT_ENDPOINT.to_owned());
+    }
+    let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
+    eprintln!("{address} is taken, perhaps by another router; the demo listens elsewhere");
+    Ok(format!("tcp/127.0.0.1:{port}"))
+}

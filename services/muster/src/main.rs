@@ -1,0 +1,117 @@
+//! `muster`: the operator's command.
+//!
+//! It starts things ([`demo`], [`up`], [`router`], [`robot`]), looks at a live fleet ([`show`]),
+//! changes its settings ([`set`]), and runs the method once on a file ([`solve`]). It is the one
+//! program that knows all services: it composes them and adds nothing to them.
+
+mod ask;
+mod demo;
+mod fleet;
+mod robot;
+mod router;
+mod set;
+mod show;
+mod solve;
+mod up;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use muster_model::id::ServiceName;
+use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
+use muster_runtime::exit::{self, Exit, ExitError};
+use muster_runtime::service::{block_on, report};
+
+/// Divides a fleet of robots into teams, live, from how the robots relate.
+#[derive(Debug, Parser)]
+#[command(
+    version,
+    propagate_version = true,
+    after_help = format!(
+        "Start here:\n  muster demo                 everything on this machine, with a simulated fleet\n  \
+         muster teams --watch        the teams of a live fleet, as they change\n  \
+         muster set clusterer teams=3\n\n{}", exit::HELP)
+)]
+struct Arguments {
+    #[command(flatten)]
+    process: ProcessArgs,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run a router, all services and a simulated fleet in this process, and print the teams
+    Demo(demo::DemoArgs),
+    /// Run services in this process
+    Up(up::UpArgs),
+    /// Run a Zenoh router
+    Router(router::RouterArgs),
+    /// Run one or many simulated robots
+    Robot(robot::RobotArgs),
+    /// Show the teams of the live fleet
+    Teams(show::ShowArgs),
+    /// Show the silhouettes of the live division
+    Audit(show::ShowArgs),
+    /// Show the graphs of the live fleet
+    Graph(show::graph::GraphArgs),
+    /// Show services and robots of the live fleet
+    Status(show::ShowArgs),
+    /// Show or change the settings of a running service
+    Set(set::SetArgs),
+    /// Divide a fleet that is described in a file, once, without a bus
+    Solve(solve::SolveArgs),
+}
+
+fn main() -> ExitCode {
+    exit::finish(run(&Arguments::parse()))
+}
+
+fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let default_mode = match &arguments.command {
+        Command::Router(_) => Mode::Router,
+        _ => Mode::Client,
+    };
+    let mut config =
+        ProcessConfig::resolve(&arguments.process, default_mode, &process_environment)?;
+    if matches!(arguments.command, Command::Demo(_)) {
+        // The table is what people look at; the services speak up when something is wrong.
+        config.log.value.get_or_insert_with(|| "warn".to_owned());
+    }
+    if report(&arguments.process, &config, &ServiceName::ALL)? {
+        return Ok(());
+    }
+    match &arguments.command {
+        Command::Demo(args) => {
+            block_on(&config, async |config, stop| demo::run(args, config, stop).await)
+        }
+        Command::Up(args) => {
+            block_on(&config, async |config, stop| up::run(args, config, stop).await)
+        }
+        Command::Router(args) => {
+            block_on(&config, async |config, stop| router::run(args, &config, stop).await)
+        }
+        Command::Robot(args) => {
+            block_on(&config, async |config, stop| robot::run(args, &config, stop).await)
+        }
+        Command::Teams(args) => {
+            block_on(&config, async |config, stop| show::teams::run(args, &config, stop).await)
+        }
+        Command::Audit(args) => {
+            block_on(&config, async |config, stop| show::audit::run(args, &config, stop).await)
+        }
+        Command::Graph(args) => {
+            block_on(&config, async |config, stop| show::graph::run(args, &config, stop).await)
+        }
+        Command::Status(args) => {
+            block_on(&config, async |config, stop| show::status::run(args, &config, stop).await)
+        }
+        Command::Set(args) => block_on(&config, async |config, _| set::run(args, &config).await),
+        Command::Solve(args) => {
+            solve::run(args).map_err(|error| match error.downcast::<solve::SolveError>() {
+                Ok(error) => ExitError { exit: Exit::Usage, message: error.to_string() }.into(),
+                Err(error) => error,
+            })
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! `muster robot`: one or many simulated robots as a process.
+
+use muster_model::id::RobotId;
+use muster_runtime::bus::{Bus, Patience};
+use muster_runtime::clock::Clock;
+use muster_runtime::config::ProcessConfig;
+use muster_runtime::exit::ExitError;
+use muster_runtime::stop::Stop;
+use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
+use muster_wire::Format;
+
+use crate::fleet::{FleetOnBus, Speech};
+
+/// Highest rate of poses that makes sense: faster than any controller that positions robots.
+const MAX_RATE_HZ: f64 = 1000.0;
+
+/// Longest run in seconds.
+const MAX_SECONDS: f64 = 1e9;
+
+/// Arguments of `muster robot`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Robots of one scenario and seed belong together, however many processes they are \
+spread over with --only.\n\nExamples:\n  muster robot                                  18 robots that march\n  \
+muster robot --scenario clusters --teams 3 --robots 30\n  muster robot --scenario clusters --list\n  \
+muster robot --scenario clusters --only r3,r4   two of them; others in other processes"
+)]
+pub(crate) struct RobotArgs {
+    /// What the robots do: crossing (march, split, rejoin), clusters (stand in groups), random
+    #[arg(long, default_value_t = ScenarioKind::Crossing)]
+    scenario: ScenarioKind,
+    /// How many robots the scenario has
+    #[arg(long, default_value_t = 18)]
+    robots: usize,
+    /// How many groups the scenario has
+    #[arg(long, default_value_t = 2)]
+    teams: usize,
+    /// Seed of the scenario
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Only these robots of the scenario, by name, with commas
+    #[arg(long, value_delimiter = ',', value_name = "ROBOT")]
+    only: Vec<RobotId>,
+    /// Print the robots of the scenario, each with its group, and end
+    #[arg(long)]
+    list: bool,
+    /// Poses per second
+    #[arg(long, default_value_t = 10.0)]
+    rate: f64,
+    /// Speak bincode instead of JSON
+    #[arg(long)]
+    bincode: bool,
+    /// End after so many seconds; without it, run until stopped
+    #[arg(long)]
+    seconds: Option<f64>,
+}
+
+/// A fleet by the numbers of a user.
+///
+/// # Errors
+/// Names what makes no fleet.
+pub(crate) fn simulate(kind: ScenarioKind, options: &FleetOptions) -> anyhow::Result<Fleet> {
+    Fleet::new(kind, options.clone()).map_err(|error| ExitError::usage(error.to_string()).into())
+}
+
+/// Checks a duration of a user.
+///
+/// # Errors
+/// Names the flag.
+pub(crate) fn check_seconds(seconds: Option<f64>) -> anyhow::Result<Option<f64>> {
+    match seconds {
+        Some(seconds) if !(0.0..=MAX_SECONDS).contains(&seconds) => {
+            Err(ExitError::usage("--seconds: must be a number from 0").into())
+        }
+        seconds => Ok(seconds),
+    }
+}
+
+/// Runs robots until it is time to stop.
+///
+/// # Errors
+/// If a flag is wrong, or the bus fails.
+pub(crate) async fn run(
+    args: &RobotArgs,
+    config: &ProcessConfig,
+    mut stop: Stop,
+) -> anyhow::Result<()> {
+    let options = FleetOptions {
+        robots: args.robots,
+        seed: args.seed,
+        teams: args.teams,
+        ..FleetOptions::default()
+    };
+    let fleet = simulate(args.scenario, &options)?;
+    let seconds = check_seconds(args.seconds)?;
+    if !(args.rate > 0.0 && args.rate <= MAX_RATE_HZ) {
+        return Err(
+            ExitError::usage(format!("--rate: must be above 0, at most {MAX_RATE_HZ}")).into()
+        );
+    }
+    if args.list {
+        for (robot, team) in fleet.robots().iter().zip(fleet.truth(0.0)) {
+            println!("{robot} {team}");
+        }
+        return Ok(());
+    }
+    let speakers = speakers(&fleet, &args.only)?;
+    let bus = tokio::select! {
+        bus = Bus::open(config, Patience::Forever) => bus?,
+        () = stop.stopped() => return Ok(()),
+    };
+    let format = if args.bincode { Format::Binary } else { Format::Json };
+    let speech = Speech { rate_hz: args.rate, format };
+    tracing::info!("{} robots speak on fleet {}", speakers.len(), config.fleet.value);
+    let robots = FleetOnBus::join(bus.clone(), fleet, speakers, speech).await?;
+    // All processes of a scenario tell the same moment of its story, whenever they were started.
+    let result = robots.run(Clock::start().now().as_seconds(), seconds, stop).await;
+    bus.close().await;
+    result
+}
+
+fn speakers(fleet: &Fleet, only: &[RobotId]) -> anyhow::Result<Vec<usize>> {
+    if only.is_empty() {
+        return Ok((0..fleet.robots().len()).collect());
+    }
+    only.iter()
+        .map(|name| {
+            fleet.robots().iter().position(|robot| robot == name).ok_or_else(|| {
+                let problem = format!("--only: the scenario has no robot {name}; --list names all");
+                ExitError::usage(problem).into()
+            })
+        })
+        .collect()
+}

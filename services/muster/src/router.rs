@@ -1,0 +1,37 @@
+//! `muster router`: an embedded Zenoh router.
+
+use muster_runtime::config::ProcessConfig;
+use muster_runtime::exit::ExitError;
+use muster_runtime::stop::Stop;
+
+/// Arguments of `muster router`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Robots and services connect to a router of their host or site, and routers \
+connect to each other.\n\nExamples:\n  muster router                                    for this host only\n  \
+muster router --listen tcp/0.0.0.0:7447          for the network\n  \
+muster router --listen tcp/0.0.0.0:7447 --connect tcp/base:7447"
+)]
+pub(crate) struct RouterArgs {}
+
+/// Runs a router until it is time to stop.
+///
+/// # Errors
+/// If it cannot listen where it should.
+pub(crate) async fn run(
+    _: &RouterArgs,
+    config: &ProcessConfig,
+    mut stop: Stop,
+) -> anyhow::Result<()> {
+    if config.mode.value != muster_runtime::config::Mode::Router {
+        return Err(ExitError::usage("mode: a router runs in mode router; leave --mode out").into());
+    }
+    let bus = tokio::select! {
+        bus = muster_runtime::router::open(config) => bus?,
+        () = stop.stopped() => return Ok(()),
+    };
+    println!("router listens at {}", bus.locators().await.join(", "));
+    stop.stopped().await;
+    bus.close().await;
+    Ok(())
+}

@@ -1,0 +1,198 @@
+//! `muster solve`: the whole method once, offline, on one file.
+//!
+//! The input goes through [`file`], which reads it, and [`problem`], which checks it, with
+//! [`observations`] for raw observations; [`method`] computes and [`output`] writes. Nothing here
+//! knows the bus.
+
+mod file;
+mod memory;
+mod method;
+mod observations;
+mod output;
+mod problem;
+#[cfg(test)]
+mod tests;
+
+use std::io::{IsTerminal, Read};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context;
+
+/// Largest file that is read: the matrix of the largest fleet in short decimals fits.
+const MAX_FILE_BYTES: u64 = 1 << 30;
+
+/// Fleets above this size take long enough to say what is being done.
+const LONG: usize = 1000;
+
+/// Longest error message in characters; the rest of it is text of the file.
+const MAX_MESSAGE: usize = 800;
+
+const AFTER_HELP: &str = r#"A minimal file (edges that are not given do not exist; [from, to, weight]):
+
+  {"robots": ["r1", "r2", "r3", "r4"],
+   "modalities": [{"name": "radio", "edges": [["r1", "r2", 1], ["r2", "r1", 1],
+                                              ["r3", "r4", 1], ["r4", "r3", 1]]}],
+   "teams": 2}
+
+All keys, with what is taken where they are left out:
+
+  robots      names out of a-z 0-9 _ -, the order of all rows; at most 16384
+  modalities  list of {"name", "weight", "matrix" or "edges"}; row i, column j of a matrix is the
+              weight of the edge from robot i to robot j, 0 or more; weights sum to 1, equal if none
+              is given
+  normalize   "spectral" (default): each matrix is divided by its largest singular value; "none"
+  alpha       a number below 1/ρ, or {"fraction": 0.5} of 1/ρ (default)
+  dimension   even, from 2 to twice the number of robots, or "auto" (default)
+  scale       "sqrt-sigma" (default) or "none"
+  rows        "unit" (default) or "none"
+  teams       how many, or instead of it:
+  labels      one whole number per robot: the division to judge
+  init        "kmeans++" (default) or "random"; restarts (50); seed (0)
+  emit        any of "katz", "embedding", "diagnostics": added to the output of --json
+
+Instead of modalities, raw observations, which become graphs as in the live fleet:
+
+  {"robots": ["r1", "r2"], "teams": 1,
+   "poses": {"r1": {"x": 0, "y": 0}, "r2": {"x": 3, "y": 4, "z": 0}},
+   "links": {"r1": [{"peer": "r2", "quality": 0.9}]},
+   "ranks": {"r2": {"superior": "r1"}},
+   "weights": {"spatial": 0.5, "connectivity": 0.25, "hierarchy": 0.25},
+   "spatial": {"width": 2.0}, "connectivity": {"unit": "quality"}}
+
+The method as printed in the paper: "normalize": "none", "scale": "none", "rows": "none",
+"init": "random", "restarts": 1.
+
+In the output, labels are numbered by first appearance (given ones stay as they are), and
+silhouette.per_team is ordered by label. Silhouettes are those in the embedding.
+
+Examples:
+  muster solve fleet.json
+  muster solve fleet.json --json | jq .teams
+  generate-fleet | muster solve - --json"#;
+
+/// Arguments of `muster solve`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub(crate) struct SolveArgs {
+    /// The file to read, or - for standard input.
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Write one JSON object to standard output, numbers in full precision.
+    #[arg(long)]
+    json: bool,
+    /// Divide the weights of the modalities by their sum instead of refusing them.
+    #[arg(long)]
+    normalize_weights: bool,
+}
+
+/// What is wrong with the input.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum SolveError {
+    /// The file cannot be read.
+    #[error("cannot be read: {0}")]
+    Read(std::io::Error),
+    /// The file is larger than [`MAX_FILE_BYTES`].
+    #[error("has more than {MAX_FILE_BYTES} bytes")]
+    Size,
+    /// A field is wrong.
+    #[error("{field}: {problem}")]
+    Field {
+        /// Its path, such as `modalities[1].matrix[0][2]`.
+        field: String,
+        /// What is wrong and what would be right.
+        problem: String,
+    },
+    /// The text is no JSON, or lacks a field.
+    #[error("{0}")]
+    Json(String),
+}
+
+/// An error of one field.
+fn refuse<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, SolveError> {
+    Err(SolveError::Field { field: tidy(&field.into()), problem: tidy(&problem.into()) })
+}
+
+/// Text of the file as it may stand on a terminal: control characters escaped, and not too long.
+fn tidy(text: &str) -> String {
+    let mut tidied = String::new();
+    for (count, character) in text.chars().enumerate() {
+        if count >= MAX_MESSAGE {
+            tidied.push('…');
+            break;
+        }
+        if character.is_control() {
+            tidied.extend(character.escape_default());
+        } else {
+            tidied.push(character);
+        }
+    }
+    tidied
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A [`SolveError`] where the input is wrong; an input or output error where writing fails.
+pub(crate) fn run(args: &SolveArgs) -> anyhow::Result<()> {
+    let name = if args.file == Path::new("-") {
+        "standard input".to_owned()
+    } else {
+        tidy(&args.file.to_string_lossy())
+    };
+    let text = read(&args.file).with_context(|| name.clone())?;
+    let mut progress = Progress::start();
+    let problem = parse(&text, args.normalize_weights).with_context(|| name.clone())?;
+    drop(text);
+    progress.shown = problem.robots.len() > LONG && std::io::stderr().is_terminal();
+    progress.done("read and checked");
+    let solution = method::solve(&problem, &mut progress).with_context(|| name)?;
+    for warning in &solution.warnings {
+        eprintln!("warning: {warning}");
+    }
+    if args.json {
+        output::write_json(&problem, &solution)?;
+    } else {
+        output::write_summary(&problem, &solution)?;
+    }
+    Ok(())
+}
+
+/// A text as a checked input.
+fn parse(text: &[u8], normalize_weights: bool) -> Result<problem::Problem, SolveError> {
+    problem::check(file::read(text)?, normalize_weights)
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, SolveError> {
+    if path == Path::new("-") {
+        return read_limited(std::io::stdin().lock());
+    }
+    read_limited(std::fs::File::open(path).map_err(SolveError::Read)?)
+}
+
+fn read_limited(source: impl Read) -> Result<Vec<u8>, SolveError> {
+    let mut text = Vec::new();
+    source.take(MAX_FILE_BYTES + 1).read_to_end(&mut text).map_err(SolveError::Read)?;
+    if text.len() as u64 > MAX_FILE_BYTES { Err(SolveError::Size) } else { Ok(text) }
+}
+
+/// Tells an operator who waits what has been done.
+struct Progress {
+    shown: bool,
+    since: Instant,
+}
+
+impl Progress {
+    /// A silent one.
+    fn start() -> Self {
+        Self { shown: false, since: Instant::now() }
+    }
+
+    /// A stage is done.
+    fn done(&mut self, stage: &str) {
+        if self.shown {
+            eprintln!("{stage}: {:.2} s", self.since.elapsed().as_secs_f64());
+        }
+        self.since = Instant::now();
+    }
+}

@@ -1,0 +1,237 @@
+//! The results: one JSON object, or a summary to read.
+
+use std::collections::BTreeMap;
+use std::io::{BufWriter, Write};
+
+use comfy_table::presets::UTF8_BORDERS_ONLY;
+use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
+use muster_model::id::RobotId;
+use muster_model::settings::{Alpha, Dimension};
+use muster_numeric::matrix::DenseMatrix;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
+
+use super::file::Emit;
+use super::method::Solution;
+use super::problem::{Division, Problem};
+
+/// Columns of the table; the standard output may be no terminal.
+const WIDTH: u16 = 100;
+
+/// Singular values that the summary shows.
+const MOST_VALUES: usize = 8;
+
+/// The results as JSON.
+#[derive(Serialize)]
+struct Report<'a> {
+    robots: &'a [RobotId],
+    rho: f64,
+    alpha: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    katz: Option<Matrix<'a>>,
+    singular_values: &'a [f64],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    embedding: Option<Matrix<'a>>,
+    labels: &'a [usize],
+    teams: Teams<'a>,
+    inertia: f64,
+    silhouette: SilhouetteReport<'a>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    diagnostics: Option<DiagnosticsReport<'a>>,
+}
+
+#[derive(Serialize)]
+struct SilhouetteReport<'a> {
+    mean: Option<f64>,
+    per_team: Vec<f64>,
+    per_robot: &'a [f64],
+}
+
+#[derive(Serialize)]
+struct DiagnosticsReport<'a> {
+    spectral_radius: [f64; 2],
+    dimension: usize,
+    next_singular_value: Option<f64>,
+    gap: f64,
+    ambiguous: bool,
+    residual: f64,
+    katz_residual: f64,
+    unseen: Vec<&'a RobotId>,
+}
+
+/// A matrix as an array of its rows.
+struct Matrix<'a>(&'a DenseMatrix);
+
+impl Serialize for Matrix<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.0.iter_rows())
+    }
+}
+
+/// The label of each robot by name, in the order of the file.
+struct Teams<'a>(&'a [RobotId], &'a [usize]);
+
+impl Serialize for Teams<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.0.len()))?;
+        for (robot, label) in self.0.iter().zip(self.1) {
+            map.serialize_entry(robot, label)?;
+        }
+        map.end()
+    }
+}
+
+/// Writes the results as one JSON object and a line feed to the standard output.
+pub(super) fn write_json(problem: &Problem, solution: &Solution) -> std::io::Result<()> {
+    let mut out = BufWriter::new(std::io::stdout().lock());
+    // Through the io::Error, by which a reader that has gone away is known.
+    serde_json::to_writer(&mut out, &report(problem, solution)).map_err(std::io::Error::from)?;
+    out.write_all(b"\n")?;
+    out.flush()
+}
+
+/// The results as one JSON object.
+#[cfg(test)]
+pub(super) fn to_json(problem: &Problem, solution: &Solution) -> serde_json::Result<String> {
+    serde_json::to_string(&report(problem, solution))
+}
+
+/// Writes a summary to the standard output.
+pub(super) fn write_summary(problem: &Problem, solution: &Solution) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    out.write_all(summary(problem, solution).as_bytes())?;
+    out.flush()
+}
+
+/// The results as they are serialised.
+fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
+    let silhouette = solution.silhouette.as_ref();
+    let per_cluster = silhouette.map(|s| s.per_cluster.as_slice()).unwrap_or_default();
+    let unseen = problem.robots.iter().zip(&solution.unseen);
+    Report {
+        robots: &problem.robots,
+        rho: solution.radius.value,
+        alpha: solution.alpha,
+        katz: solution.katz.as_ref().map(Matrix),
+        singular_values: &solution.singular_values,
+        embedding: problem.emit.contains(&Emit::Embedding).then_some(Matrix(&solution.embedding)),
+        labels: &solution.labels,
+        teams: Teams(&problem.robots, &solution.labels),
+        inertia: solution.inertia,
+        silhouette: SilhouetteReport {
+            mean: silhouette.map(|s| s.mean),
+            per_team: per_cluster.iter().map(|cluster| cluster.1).collect(),
+            per_robot: silhouette.map(|s| s.per_point.as_slice()).unwrap_or_default(),
+        },
+        diagnostics: solution.diagnostics.as_ref().map(|measured| DiagnosticsReport {
+            spectral_radius: [solution.radius.lower, solution.radius.upper],
+            dimension: solution.embedding.cols(),
+            next_singular_value: solution.next_singular_value,
+            gap: solution.gap,
+            ambiguous: solution.ambiguous,
+            residual: measured.residual,
+            katz_residual: measured.katz_residual,
+            unseen: unseen.filter(|(_, unseen)| **unseen).map(|(robot, _)| robot).collect(),
+        }),
+    }
+}
+
+/// The results to read.
+pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
+    let modalities: Vec<String> = problem
+        .graphs
+        .iter()
+        .map(|graph| format!("{} {}", graph.name, rounded(graph.weight)))
+        .collect();
+    let alpha = match problem.alpha {
+        Alpha::Value(_) => String::new(),
+        Alpha::Fraction { fraction } if solution.radius.upper > 0.0 => {
+            format!(" (fraction {fraction} of 1/ρ)")
+        }
+        Alpha::Fraction { fraction } => format!(" (fraction {fraction}; ρ is 0 without cycles)"),
+    };
+    let chosen = match problem.dimension {
+        Dimension::Auto => " (chosen by the largest drop of the singular values)",
+        Dimension::Fixed(_) => "",
+    };
+    let values = solution.singular_values.iter().take(MOST_VALUES);
+    let values: Vec<String> = values.map(|value| rounded(*value)).collect();
+    let more = match solution.singular_values.len().saturating_sub(MOST_VALUES) {
+        0 => String::new(),
+        more => format!(", {more} more"),
+    };
+    let next = solution
+        .next_singular_value
+        .map_or_else(|| "none is left".to_owned(), |next| format!("{} is next", rounded(next)));
+    let ambiguous = if solution.ambiguous { ", ambiguous" } else { "" };
+    let mean = solution
+        .silhouette
+        .as_ref()
+        .map_or_else(|| "undefined for one team".to_owned(), |s| rounded(s.mean));
+    format!(
+        "robots            {robots}\n\
+         modalities        {modalities}\n\
+         spectral radius ρ {rho}\n\
+         decay α           {decay}{alpha}\n\
+         dimension         {dimension}{chosen}\n\
+         singular values σ {values}{more}; {next}\n\
+         gap               {gap}{ambiguous}\n\
+         inertia           {inertia}\n\
+         mean silhouette   {mean}\n\
+         {table}\n",
+        robots = problem.robots.len(),
+        modalities = modalities.join(", "),
+        rho = rounded(solution.radius.value),
+        decay = rounded(solution.alpha),
+        dimension = solution.embedding.cols(),
+        values = values.join(", "),
+        gap = rounded(solution.gap),
+        inertia = rounded(solution.inertia),
+        table = table(problem, solution),
+    )
+}
+
+fn table(problem: &Problem, solution: &Solution) -> Table {
+    let mut teams: BTreeMap<usize, Vec<&str>> = BTreeMap::new();
+    for (robot, label) in problem.robots.iter().zip(&solution.labels) {
+        teams.entry(*label).or_default().push(robot.as_str());
+    }
+    let silhouettes: BTreeMap<usize, f64> = solution
+        .silhouette
+        .iter()
+        .flat_map(|silhouette| silhouette.per_cluster.iter().copied())
+        .collect();
+    let label = match problem.division {
+        Division::Wanted(_) => "team",
+        Division::Given(_) => "label",
+    };
+    let mut table = Table::new();
+    table.load_style(UTF8_BORDERS_ONLY);
+    table.set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH);
+    table.set_header([label, "robots", "silhouette", "members"]);
+    for (label, members) in teams {
+        let silhouette =
+            silhouettes.get(&label).map_or_else(|| "-".to_owned(), |s| format!("{s:.3}"));
+        let right = |text: String| Cell::new(text).set_alignment(CellAlignment::Right);
+        table.add_row([
+            right(label.to_string()),
+            right(members.len().to_string()),
+            right(silhouette),
+            Cell::new(members.join(" ")),
+        ]);
+    }
+    table
+}
+
+/// Six significant digits, which is what a person reads.
+pub(super) fn rounded(value: f64) -> String {
+    if value == 0.0 || (1e-3..1e6).contains(&value.abs()) {
+        let digits = 5 - value.abs().max(1e-3).log10().floor().clamp(-3.0, 5.0) as i32;
+        let text = format!("{value:.*}", usize::try_from(digits).unwrap_or(0));
+        if text.contains('.') {
+            return text.trim_end_matches('0').trim_end_matches('.').to_owned();
+        }
+        return text;
+    }
+    format!("{value:.3e}")
+}

@@ -1,0 +1,346 @@
+//! The checks on an input, and what passes them.
+
+use std::collections::{BTreeSet, HashMap};
+
+use muster_model::id::{Modality, RobotId};
+use muster_model::limits::MAX_WEIGHT;
+use muster_model::settings::{
+    Alpha, ClustererSettings, Dimension, EmbedderSettings, Normalization, RowScaling, Settings,
+    SingularValueScaling,
+};
+use muster_numeric::matrix::{MAX_DENSE_ENTRIES, MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
+
+use super::file::{Emit, File, ModalityEntry, Object};
+use super::observations::{Graphs, Observations};
+use super::{SolveError, memory, refuse};
+
+/// Most robots: the square of it is the largest dense matrix.
+pub(super) const MAX_SOLVE_ROBOTS: usize = MAX_DENSE_ENTRIES.isqrt();
+
+/// How far the weights of the modalities may sum from 1: rounding of a few decimal fractions.
+const WEIGHT_SUM_TOLERANCE: f64 = 1e-9;
+
+/// A checked input.
+#[derive(Debug)]
+pub(super) struct Problem {
+    /// The robots, in the order of all rows.
+    pub(super) robots: Vec<RobotId>,
+    /// One graph per modality with its weight; the weights sum to 1.
+    pub(super) graphs: Vec<Graph>,
+    pub(super) normalize: Normalization,
+    pub(super) alpha: Alpha,
+    pub(super) dimension: Dimension,
+    pub(super) scale: SingularValueScaling,
+    pub(super) rows: RowScaling,
+    pub(super) division: Division,
+    pub(super) emit: BTreeSet<Emit>,
+}
+
+/// The graph of one modality.
+#[derive(Debug)]
+pub(super) struct Graph {
+    pub(super) name: Modality,
+    pub(super) weight: f64,
+    pub(super) matrix: SparseMatrix,
+}
+
+/// Where the division comes from.
+#[derive(Debug)]
+pub(super) enum Division {
+    /// From k-means.
+    Wanted(ClustererSettings),
+    /// From the file: one label per robot.
+    Given(Vec<u32>),
+}
+
+/// Checks a file. With `normalize_weights`, weights of any sum are accepted and divided by it.
+pub(super) fn check(mut file: File, normalize_weights: bool) -> Result<Problem, SolveError> {
+    let places = places(&file.robots)?;
+    let graphs = graphs(&mut file, &places, normalize_weights)?;
+    let division = division(&mut file)?;
+    let defaults = EmbedderSettings::default();
+    let alpha = file.alpha.map_or(defaults.alpha, |decay| decay.0);
+    check_alpha(alpha)?;
+    let dimension = file.dimension.unwrap_or(defaults.dimension);
+    check_dimension(dimension, file.robots.len())?;
+    Ok(Problem {
+        robots: file.robots,
+        graphs,
+        normalize: file.normalize.unwrap_or(defaults.normalize),
+        alpha,
+        dimension,
+        scale: file.scale.unwrap_or(defaults.scale),
+        rows: file.rows.unwrap_or(defaults.rows),
+        division,
+        emit: file.emit.unwrap_or_default().into_iter().collect(),
+    })
+}
+
+/// The graphs of a file, which gives either them or observations.
+fn graphs(
+    file: &mut File,
+    places: &HashMap<RobotId, usize>,
+    normalize_weights: bool,
+) -> Result<Vec<Graph>, SolveError> {
+    let observed = [
+        ("poses", file.poses.is_some()),
+        ("links", file.links.is_some()),
+        ("ranks", file.ranks.is_some()),
+        ("weights", file.weights.is_some()),
+        ("spatial", file.spatial.is_some()),
+        ("connectivity", file.connectivity.is_some()),
+    ];
+    let observed = observed.into_iter().find(|(_, given)| *given).map(|(field, _)| field);
+    if let Some(modalities) = file.modalities.take() {
+        if let Some(field) = observed {
+            let problem = "must not stand beside \"modalities\", which are graphs with weights; \
+                           give either them or \"poses\", \"links\" and \"ranks\"";
+            return refuse(field, problem);
+        }
+        return weighted(modality_graphs(modalities, places)?, "modalities", normalize_weights);
+    }
+    if file.poses.is_none() && file.links.is_none() && file.ranks.is_none() {
+        let problem = "is missing; give it, or at least one of \"poses\", \"links\", \"ranks\"";
+        return refuse("modalities", problem);
+    }
+    let observations = Observations {
+        poses: file.poses.take(),
+        links: file.links.take(),
+        ranks: file.ranks.take(),
+        weights: file.weights.take(),
+        spatial: file.spatial.take(),
+        connectivity: file.connectivity.take(),
+    };
+    weighted(observations.into_graphs(places)?, "weights", normalize_weights)
+}
+
+/// How the division of a file comes about.
+fn division(file: &mut File) -> Result<Division, SolveError> {
+    let robots = file.robots.len();
+    let defaults = ClustererSettings::default();
+    let settings = ClustererSettings {
+        teams: file.teams.unwrap_or(defaults.teams),
+        init: file.init.unwrap_or(defaults.init),
+        restarts: file.restarts.unwrap_or(defaults.restarts),
+        seed: file.seed.unwrap_or(defaults.seed),
+        ..defaults
+    };
+    settings.check().or_else(|error| refuse(error.field, error.problem))?;
+    match (file.teams, file.labels.take()) {
+        (Some(teams), None) if teams as usize > robots => {
+            refuse("teams", format!("{teams} teams cannot be made of {robots} robots"))
+        }
+        (Some(_), None) => Ok(Division::Wanted(settings)),
+        (None, Some(labels)) if labels.len() != robots => refuse(
+            "labels",
+            format!("must be one per robot: {} labels for {robots} robots", labels.len()),
+        ),
+        (None, Some(labels)) => Ok(Division::Given(labels)),
+        (None, None) => {
+            refuse("teams", "is missing; say how many, or give \"labels\" to judge them")
+        }
+        (Some(_), Some(_)) => {
+            refuse("teams", "must not stand beside \"labels\": give one of the two")
+        }
+    }
+}
+
+/// The index of each robot.
+fn places(robots: &[RobotId]) -> Result<HashMap<RobotId, usize>, SolveError> {
+    if robots.is_empty() {
+        return refuse("robots", "must name at least one robot");
+    }
+    if robots.len() > MAX_SOLVE_ROBOTS {
+        let count = robots.len();
+        return refuse(
+            "robots",
+            format!(
+                "{count} are too many: this command works on dense matrices, of at most \
+                 {MAX_SOLVE_ROBOTS} robots"
+            ),
+        );
+    }
+    memory::check(robots.len())?;
+    let mut places = HashMap::with_capacity(robots.len());
+    for (place, robot) in robots.iter().enumerate() {
+        if let Some(first) = places.insert(robot.clone(), place) {
+            return refuse(
+                format!("robots[{place}]"),
+                format!("{robot} is named twice, first as robots[{first}]"),
+            );
+        }
+    }
+    Ok(places)
+}
+
+/// The place of a robot that a field names.
+pub(super) fn place(
+    places: &HashMap<RobotId, usize>,
+    robot: &RobotId,
+    field: impl FnOnce() -> String,
+) -> Result<usize, SolveError> {
+    match places.get(robot) {
+        Some(place) => Ok(*place),
+        None => refuse(field(), format!("{robot} is not among \"robots\"")),
+    }
+}
+
+fn modality_graphs(
+    modalities: Vec<Object<ModalityEntry>>,
+    places: &HashMap<RobotId, usize>,
+) -> Result<Graphs, SolveError> {
+    if modalities.is_empty() {
+        return refuse("modalities", "must hold at least one graph");
+    }
+    let mut graphs = Graphs::new();
+    for (index, Object(entry)) in modalities.into_iter().enumerate() {
+        let path = format!("modalities[{index}]");
+        if graphs.iter().any(|(_, name, ..)| *name == entry.name) {
+            let name = entry.name;
+            return refuse(format!("{path}.name"), format!("there are two modalities {name}"));
+        }
+        let triplets = match (entry.matrix, entry.edges) {
+            (Some(matrix), None) => matrix_triplets(&matrix, places.len(), &path)?,
+            (None, Some(edges)) => edge_triplets(&edges, places, &path)?,
+            (None, None) => return refuse(path, "lacks its graph; give \"matrix\" or \"edges\""),
+            (Some(_), Some(_)) => {
+                return refuse(path, "has both \"matrix\" and \"edges\"; give one of the two");
+            }
+        };
+        let matrix = SparseMatrix::from_triplets(places.len(), triplets)
+            .or_else(|error| refuse(&path, error.to_string()))?;
+        graphs.push((format!("{path}.weight"), entry.name, entry.weight, matrix));
+    }
+    Ok(graphs)
+}
+
+fn matrix_triplets(
+    matrix: &[Vec<f64>],
+    robots: usize,
+    path: &str,
+) -> Result<Vec<(usize, usize, f64)>, SolveError> {
+    if matrix.len() != robots {
+        let found = matrix.len();
+        return refuse(
+            format!("{path}.matrix"),
+            format!("must have one row per robot: {found} rows for {robots} robots"),
+        );
+    }
+    let mut triplets = Vec::new();
+    for (i, row) in matrix.iter().enumerate() {
+        if row.len() != robots {
+            let found = row.len();
+            return refuse(
+                format!("{path}.matrix[{i}]"),
+                format!("must have one entry per robot: {found} entries for {robots} robots"),
+            );
+        }
+        for (j, &weight) in row.iter().enumerate() {
+            check_edge(weight, || format!("{path}.matrix[{i}][{j}]"))?;
+            if weight > 0.0 {
+                triplets.push((i, j, weight));
+            }
+        }
+    }
+    Ok(triplets)
+}
+
+fn edge_triplets(
+    edges: &[(RobotId, RobotId, f64)],
+    places: &HashMap<RobotId, usize>,
+    path: &str,
+) -> Result<Vec<(usize, usize, f64)>, SolveError> {
+    let mut triplets = Vec::with_capacity(edges.len());
+    let mut seen = HashMap::with_capacity(edges.len());
+    for (index, (from, to, weight)) in edges.iter().enumerate() {
+        let field = |part: &str| format!("{path}.edges[{index}]{part}");
+        let i = place(places, from, || field("[0]"))?;
+        let j = place(places, to, || field("[1]"))?;
+        check_edge(*weight, || field("[2]"))?;
+        if let Some(first) = seen.insert((i, j), index) {
+            return refuse(
+                field(""),
+                format!("the edge from {from} to {to} is given twice, first as edges[{first}]"),
+            );
+        }
+        triplets.push((i, j, *weight));
+    }
+    Ok(triplets)
+}
+
+fn check_edge(weight: f64, field: impl FnOnce() -> String) -> Result<(), SolveError> {
+    if weight == 0.0 || (MIN_WEIGHT..=MAX_ENTRY).contains(&weight) {
+        return Ok(());
+    }
+    refuse(
+        field(),
+        format!("must be 0, or a number from {MIN_WEIGHT:e} to {MAX_ENTRY:e}, not {weight:?}"),
+    )
+}
+
+/// Graphs with weights that sum to 1. `field` is where the weights stand.
+fn weighted(graphs: Graphs, field: &str, normalize: bool) -> Result<Vec<Graph>, SolveError> {
+    let given = graphs.iter().filter(|graph| graph.2.is_some()).count();
+    #[expect(clippy::cast_precision_loss, reason = "there are a few modalities")]
+    let equal = 1.0 / graphs.len() as f64;
+    let mut weights = Vec::with_capacity(graphs.len());
+    for (path, _, weight, _) in &graphs {
+        match weight {
+            None if given == 0 => weights.push(equal),
+            None => return refuse(path, "is missing; give the weights of all or of none"),
+            Some(weight) if (0.0..=MAX_WEIGHT).contains(weight) => weights.push(*weight),
+            Some(weight) => {
+                let problem = format!("must be a number from 0 to {MAX_WEIGHT:e}, not {weight:?}");
+                return refuse(path, problem);
+            }
+        }
+    }
+    let sum: f64 = weights.iter().sum();
+    if normalize && given > 0 {
+        if sum < MIN_WEIGHT {
+            return refuse(field, "at least one weight must be above 0");
+        }
+        for weight in &mut weights {
+            *weight /= sum;
+        }
+    } else if (sum - 1.0).abs() > WEIGHT_SUM_TOLERANCE {
+        return refuse(
+            field,
+            format!(
+                "the weights sum to {sum} instead of 1; change them, or pass --normalize-weights \
+                 to have them divided by their sum"
+            ),
+        );
+    }
+    let graphs = graphs.into_iter().zip(weights);
+    Ok(graphs.map(|((_, name, _, matrix), weight)| Graph { name, weight, matrix }).collect())
+}
+
+fn check_alpha(alpha: Alpha) -> Result<(), SolveError> {
+    match alpha {
+        Alpha::Value(value) if !(value.is_finite() && value > 0.0) => {
+            refuse("alpha", format!("must be above 0, not {value:?}"))
+        }
+        Alpha::Fraction { fraction } if !(fraction > 0.0 && fraction < 1.0) => {
+            let problem = format!("must be above 0 and below 1, not {fraction:?}");
+            refuse("alpha.fraction", problem)
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_dimension(dimension: Dimension, robots: usize) -> Result<(), SolveError> {
+    match dimension {
+        Dimension::Fixed(value) if value % 2 != 0 || value < 2 || value as usize > 2 * robots => {
+            refuse(
+                "dimension",
+                format!(
+                    "must be \"auto\" or an even number from 2 to {} (twice the number of \
+                     robots), not {value}",
+                    2 * robots
+                ),
+            )
+        }
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,112 @@
+//! `muster up`: services in one process, each with a session of its own.
+
+use muster_auditor::Auditor;
+use muster_clusterer::Clusterer;
+use muster_embedder::Embedder;
+use muster_ingest::Ingest;
+use muster_model::id::ServiceName;
+use muster_runtime::config::{DEFAULT_ENDPOINT, ProcessConfig};
+use muster_runtime::exit::ExitError;
+use muster_runtime::service;
+use muster_runtime::stop::Stop;
+use tokio::task::JoinSet;
+
+/// Arguments of `muster up`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  muster up --router                  all services and a router: enough for one host\n  \
+muster up embedder clusterer        two of them, beside others on other hosts\n  \
+muster up --router --set clusterer.teams=3"
+)]
+pub(crate) struct UpArgs {
+    /// Services to run: ingest, embedder, clusterer, auditor; all if none is named
+    #[arg(value_name = "SERVICE")]
+    services: Vec<ServiceName>,
+    /// Run a router in this process as well, at --listen
+    #[arg(long)]
+    router: bool,
+    /// Change a setting, such as clusterer.teams=3
+    #[arg(long, value_name = "SERVICE.FIELD=VALUE")]
+    set: Vec<String>,
+}
+
+/// Changes settings by `SERVICE.FIELD=VALUE`.
+///
+/// # Errors
+/// Names the assignment that is wrong.
+pub(crate) fn apply_settings(
+    config: &mut ProcessConfig,
+    assignments: &[String],
+) -> anyhow::Result<()> {
+    for assignment in assignments {
+        let (service, rest) = assignment.split_once('.').ok_or_else(|| {
+            ExitError::usage(format!("--set {assignment}: must be SERVICE.FIELD=VALUE"))
+        })?;
+        let service: ServiceName = service
+            .parse()
+            .map_err(|problem| ExitError::usage(format!("--set {assignment}: {problem}")))?;
+        config.set(service, &[rest.to_owned()])?;
+    }
+    Ok(())
+}
+
+/// Starts services as tasks; each ends when it is time to stop.
+pub(crate) fn start(
+    services: &[ServiceName],
+    config: &ProcessConfig,
+    stop: &Stop,
+) -> JoinSet<anyhow::Result<()>> {
+    let mut tasks = JoinSet::new();
+    for name in services {
+        let (config, stop) = (config.clone(), stop.clone());
+        match name {
+            ServiceName::Ingest => tasks.spawn(service::run::<Ingest>(config, stop)),
+            ServiceName::Embedder => tasks.spawn(service::run::<Embedder>(config, stop)),
+            ServiceName::Clusterer => tasks.spawn(service::run::<Clusterer>(config, stop)),
+            ServiceName::Auditor => tasks.spawn(service::run::<Auditor>(config, stop)),
+        };
+    }
+    tasks
+}
+
+/// Waits until all services have ended, or one has failed.
+///
+/// # Errors
+/// The first failure; a service that panics is one.
+pub(crate) async fn wait(mut tasks: JoinSet<anyhow::Result<()>>) -> anyhow::Result<()> {
+    while let Some(ended) = tasks.join_next().await {
+        ended.map_err(|error| anyhow::anyhow!("a service failed: {error}"))??;
+    }
+    Ok(())
+}
+
+/// Runs services until it is time to stop.
+///
+/// # Errors
+/// If a service fails.
+pub(crate) async fn run(
+    args: &UpArgs,
+    mut config: ProcessConfig,
+    stop: Stop,
+) -> anyhow::Result<()> {
+    apply_settings(&mut config, &args.set)?;
+    let services =
+        if args.services.is_empty() { ServiceName::ALL.to_vec() } else { args.services.clone() };
+    let mut router = None;
+    if args.router {
+        let listen = match config.listen.value.as_slice() {
+            [] => vec![DEFAULT_ENDPOINT.to_owned()],
+            listen => listen.to_vec(),
+        };
+        let bus = muster_runtime::router::open(&config.as_router(listen)).await?;
+        let endpoints = bus.locators().await;
+        println!("router listens at {}", endpoints.join(", "));
+        config = config.as_client(endpoints);
+        router = Some(bus);
+    }
+    wait(start(&services, &config, &stop)).await?;
+    if let Some(router) = router {
+        router.close().await;
+    }
+    Ok(())
+}
