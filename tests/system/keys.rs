@@ -72,7 +72,7 @@ fn gets_select_what_the_bus_says_they_do() {
         "muster/v1/alpha/robot/*/team",
         "muster/v1/alpha/robot/**",
         "muster/v1/alpha/robot/r_1$*/pose",
-        "muster/$*/alpha/**",
+        "muster/v$*/alpha/**",
         "muster/v1/alpha/service/*/settings",
         "muster/v1/beta/**",
         "muster/v1/alpha/json/*",

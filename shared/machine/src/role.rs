@@ -163,9 +163,13 @@ impl<S: Settings> Role<S> {
         }));
     }
 
-    /// Counts a refused message, and tells of it unless its robot and key have just been told of.
+    /// Counts a refused message, and tells of it unless the term has not begun or its robot and key
+    /// have just been told of.
     pub fn quarantine<J>(&mut self, now: Tick, rejection: Rejection, effects: &mut Effects<J>) {
         self.count("messages_refused");
+        if !self.holding {
+            return;
+        }
         let Rejection { robot, key, reason } = rejection;
         let offence = (robot.clone(), key.clone());
         if let Some(offender) = self.offenders.get_mut(&offence) {

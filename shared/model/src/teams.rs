@@ -132,6 +132,13 @@ impl Teams {
         if ids.len() != self.teams.len() {
             return Err("teams.id: a team stands twice");
         }
+        let by_name = |members: &[Member]| members.is_sorted_by(|l, r| l.robot < r.robot);
+        if !self.teams.iter().all(|team| by_name(&team.members))
+            || !self.unassigned.is_sorted()
+            || !self.stale.is_sorted()
+        {
+            return Err("teams: robots must be ordered by name");
+        }
         for team in &self.teams {
             if !team.members.iter().any(|member| member.robot == team.leader) {
                 return Err("teams.leader: is no member of the team");

@@ -167,7 +167,9 @@ impl Bus {
     pub async fn open(config: &ProcessConfig, patience: Patience) -> anyhow::Result<Self> {
         let zenoh = zenoh_config(config)?;
         let routers = config.connect.value.join(", ");
-        let mut opening = std::pin::pin!(async { zenoh::open(zenoh).await });
+        // Zenoh opens, and waits for its router, on the thread that asks: a thread of its own can be
+        // left behind when it is time to stop.
+        let mut opening = tokio::task::spawn_blocking(move || zenoh::open(zenoh).wait());
         let remedy = format!(
             "no router answers at {routers}; start one with `muster router`, or name another with --connect"
         );
@@ -185,7 +187,7 @@ impl Bus {
             }
             Err(_) => return Err(ExitError::unreachable(remedy).into()),
         };
-        let session = opened.map_err(|error| match config.mode.value {
+        let session = opened.context("opening the bus failed")?.map_err(|error| match config.mode.value {
             Mode::Client => ExitError::unreachable(format!("{remedy} ({error})")),
             Mode::Peer | Mode::Router => ExitError::unreachable(format!(
                 "the bus does not open at {}: {error}; is the address taken? Choose another with --listen",
@@ -372,8 +374,10 @@ impl Bus {
 
     /// Closes the session; gives up waiting after a moment.
     pub async fn close(&self) {
-        let closed = tokio::time::timeout(CLOSE_WITHIN, async { self.session.close().await }).await;
-        if !matches!(closed, Ok(Ok(()))) {
+        let session = self.session.clone();
+        let closing = tokio::task::spawn_blocking(move || session.close().wait());
+        let closed = tokio::time::timeout(CLOSE_WITHIN, closing).await;
+        if !matches!(closed, Ok(Ok(Ok(())))) {
             tracing::debug!("the session did not close in time");
         }
     }

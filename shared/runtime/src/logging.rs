@@ -16,6 +16,8 @@ pub fn start(filter: Option<&str>, json: bool) -> Result<(), String> {
     let filter = EnvFilter::try_new(filter.unwrap_or(DEFAULT_FILTER)).map_err(|error| {
         format!("log: {error}; use a level such as info, or target=level pairs with commas")
     })?;
+    // Colours are for people: a file or a service manager gets plain text.
+    let colours = std::io::stderr().is_terminal();
     let builder = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

@@ -56,7 +56,7 @@ impl Settings for ClustererSettings {
         check_range("teams", f64::from(self.teams), 1.0..=f64::from(MAX_TEAMS))?;
         check_range("restarts", f64::from(self.restarts), 1.0..=10_000.0)?;
         check_range("max_iterations", f64::from(self.max_iterations), 1.0..=100_000.0)?;
-        check_range("hysteresis", self.hysteresis, 0.0..=10.0)?;
+        check_range("hysteresis", self.hysteresis, 0.0..=0.99)?;
         check_range("heartbeat_s", self.heartbeat_s, 0.1..=3600.0)
     }
 }

@@ -1,0 +1,501 @@
+//! What is judged when, and what is told of it.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+use muster_machine::{
+    Answered, Core, Delivery, Effect, Effects, Event, QueryId, Role, START_FETCH, Start,
+    Subscription, Wiring,
+};
+use muster_model::audit::{Audit, Verdict};
+use muster_model::embedding::Embedding;
+use muster_model::event::{EventKind, Severity};
+use muster_model::header::Revision;
+use muster_model::id::ServiceName;
+use muster_model::roster::Roster;
+use muster_model::settings::AuditorSettings;
+use muster_model::teams::Teams;
+use muster_model::time::Tick;
+use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
+use muster_wire::{Key, Message, Pattern, Rejection, Request};
+
+use crate::alert::Alert;
+use crate::judge::{Case, Job, Judgement, Outcome, judge, verdict};
+
+/// The number of the fetch of an embedding that a division names and that has not come.
+const PAIR_FETCH: u32 = 1;
+
+/// Most embeddings, and most rosters, that are kept for divisions that name them: three seconds at
+/// ten per second, longer than a division takes. Those before the one that the newest division
+/// names are dropped at once.
+const HISTORY: usize = 32;
+
+/// Most packets that wait between two turns of the loop: the slot of the newest alone would lose
+/// the embedding that a division names when two come at once.
+const QUEUE: usize = 4;
+
+/// An unchanged judgement is told again after this long, so that a reader can tell silence from
+/// loss.
+const HEARTBEAT: Duration = Duration::from_secs(1);
+
+/// How long a division waits for its embedding before that is asked for: the two keys overtake each
+/// other on the bus by far less.
+const PATIENCE: Duration = Duration::from_millis(250);
+
+/// How long after an asking that did not help the next one follows.
+const ASK_AGAIN: Duration = Duration::from_secs(1);
+
+/// Most names in all the answers to one get of robots' teams: the answer for a whole fleet grows
+/// with the square of its teams.
+const MAX_NAMES_ANSWERED: usize = 4_000_000;
+
+/// A division, and when it was heard of.
+#[derive(Debug, Clone)]
+struct Heard {
+    teams: Arc<Teams>,
+    received: Tick,
+}
+
+/// A judgement, and what it is about.
+#[derive(Debug)]
+struct Judged {
+    case: Case,
+    judgement: Judgement,
+    /// The newest division that it holds for.
+    source: Heard,
+    published: Tick,
+}
+
+/// Judges divisions.
+#[derive(Debug)]
+pub struct Auditor {
+    role: Role<AuditorSettings>,
+    newest: Option<Heard>,
+    embeddings: VecDeque<Arc<Embedding>>,
+    rosters: VecDeque<Arc<Roster>>,
+    running: Option<(Case, Heard)>,
+    failed: Option<Case>,
+    judged: Option<Judged>,
+    /// The last good answer; of the holder before until this one has its own.
+    audit: Option<Arc<Audit>>,
+    alert: Alert,
+    /// When to ask for the embedding that the newest division names.
+    ask: Option<Tick>,
+}
+
+/// A message that comes in order, and is kept for a while.
+trait Kept {
+    fn revision(&self) -> Revision;
+}
+
+impl Kept for Arc<Embedding> {
+    fn revision(&self) -> Revision {
+        self.header.revision
+    }
+}
+
+impl Kept for Arc<Roster> {
+    fn revision(&self) -> Revision {
+        self.header.revision
+    }
+}
+
+/// What became of a message that came in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Taken {
+    /// It is dropped: a newer one was there.
+    Old,
+    /// It is there, and the newest division does not rest on it; or was there before; or is
+    /// refused.
+    Kept,
+    /// There may be something to judge now.
+    Wanted,
+}
+
+/// Keeps a message in the order of revisions. One that is older than the newest is kept only if it
+/// is wanted.
+fn keep<T: Kept>(history: &mut VecDeque<T>, message: T, wanted: Option<Revision>) -> Taken {
+    let revision = message.revision();
+    let is_wanted = wanted == Some(revision);
+    match history.binary_search_by_key(&revision, Kept::revision) {
+        Ok(_) => return Taken::Kept,
+        Err(at) if at == history.len() || is_wanted => history.insert(at, message),
+        Err(_) => return Taken::Old,
+    }
+    if history.len() > HISTORY {
+        // What is wanted stays, however old it is.
+        let spare = usize::from(history.front().map(Kept::revision) == wanted);
+        history.remove(spare);
+    }
+    if is_wanted { Taken::Wanted } else { Taken::Kept }
+}
+
+fn find<T: Kept + Clone>(history: &VecDeque<T>, revision: Revision) -> Option<T> {
+    let at = history.binary_search_by_key(&revision, Kept::revision).ok()?;
+    history.get(at).cloned()
+}
+
+impl Auditor {
+    fn take_in(&mut self, now: Tick, message: Message, effects: &mut Effects<Job>) {
+        let taken = match message {
+            Message::Teams { teams, .. } => self.take_teams(now, teams, effects),
+            Message::Embedding(embedding) => self.take_embedding(now, embedding, effects),
+            Message::Roster(roster) => self.take_roster(roster),
+            _ => Taken::Kept,
+        };
+        match taken {
+            Taken::Old => self.role.count("messages_old"),
+            Taken::Wanted => self.consider(now, effects),
+            Taken::Kept => {}
+        }
+    }
+
+    fn take_teams(&mut self, now: Tick, teams: Arc<Teams>, effects: &mut Effects<Job>) -> Taken {
+        let revision = teams.header.revision;
+        let last = self.newest.as_ref().map(|heard| heard.teams.header.revision);
+        if last.is_some_and(|last| revision <= last) {
+            // The same one may well come twice: by subscription and by fetch.
+            return if last == Some(revision) { Taken::Kept } else { Taken::Old };
+        }
+        if let Err(reason) = teams.check() {
+            self.refuse(now, &Key::Teams, reason, effects);
+            return Taken::Kept;
+        }
+        // Divisions go forward through the embeddings: no later one names what lies before this
+        // one.
+        let named = teams.embedding;
+        if find(&self.embeddings, named).is_some() {
+            self.embeddings.retain(|embedding| embedding.header.revision >= named);
+        }
+        self.newest = Some(Heard { teams, received: now });
+        Taken::Wanted
+    }
+
+    fn take_embedding(
+        &mut self,
+        now: Tick,
+        embedding: Arc<Embedding>,
+        effects: &mut Effects<Job>,
+    ) -> Taken {
+        if let Err(reason) = embedding.check() {
+            self.refuse(now, &Key::Embedding, reason, effects);
+            return Taken::Kept;
+        }
+        let wanted = self.newest.as_ref().map(|heard| heard.teams.embedding);
+        keep(&mut self.embeddings, embedding, wanted)
+    }
+
+    fn take_roster(&mut self, roster: Arc<Roster>) -> Taken {
+        let named = self.newest.as_ref().map(|heard| heard.teams.embedding);
+        let wanted = named.and_then(|named| Some(find(&self.embeddings, named)?.roster));
+        keep(&mut self.rosters, roster, wanted)
+    }
+
+    fn refuse(&mut self, now: Tick, key: &Key, reason: &str, effects: &mut Effects<Job>) {
+        let key = self.role.space().format(key);
+        let rejection = Rejection::new(self.role.space(), &key, reason);
+        self.role.quarantine(now, rejection, effects);
+    }
+
+    /// The newest division with what it was made from, if that is there.
+    fn case(&self) -> Option<(Case, Heard)> {
+        let heard = self.newest.as_ref()?;
+        let embedding = find(&self.embeddings, heard.teams.embedding)?;
+        let roster = find(&self.rosters, embedding.roster).or_else(|| self.rosters.back().cloned());
+        let case = Case::new(Arc::clone(&heard.teams), embedding, roster.as_deref());
+        Some((case, heard.clone()))
+    }
+
+    /// Starts a job if there is something to judge that is neither judged nor failed.
+    fn consider(&mut self, now: Tick, effects: &mut Effects<Job>) {
+        if !self.role.is_holding() || self.running.is_some() || self.newest.is_none() {
+            return;
+        }
+        let Some((case, heard)) = self.case() else {
+            self.ask = self.ask.or_else(|| Some(now.after(PATIENCE)));
+            return;
+        };
+        self.ask = None;
+        if let Some(judged) = self.judged.as_mut().filter(|judged| judged.case.is_same(&case)) {
+            judged.source = heard;
+            return;
+        }
+        if self.failed.as_ref().is_some_and(|failed| failed.is_same(&case)) {
+            return;
+        }
+        self.running = Some((case.clone(), heard));
+        self.role.count("jobs_started");
+        effects.push(Effect::Start(Job { case }));
+    }
+
+    fn finish(&mut self, now: Tick, result: Result<Judgement, String>, effects: &mut Effects<Job>) {
+        if let Some((case, source)) = self.running.take() {
+            match result {
+                Ok(judgement) => {
+                    self.failed = None;
+                    self.role.count("divisions_judged");
+                    self.judged = Some(Judged { case, judgement, source, published: now });
+                    // The same division may have come again, fresher, while the job ran.
+                    self.consider(now, effects);
+                    self.publish(now, effects);
+                    self.watch(now, effects);
+                    return;
+                }
+                Err(reason) => {
+                    self.role.count("jobs_failed");
+                    let kind = EventKind::JobFailed { reason };
+                    self.role.tell(now, Severity::Error, kind, effects);
+                    self.failed = Some(case);
+                }
+            }
+        }
+        self.consider(now, effects);
+    }
+
+    /// Tells the last judgement.
+    fn publish(&mut self, now: Tick, effects: &mut Effects<Job>) {
+        let Some(judged) = &mut self.judged else { return };
+        judged.published = now;
+        let revision = self.role.next_revision();
+        let stage = self.role.stage(judged.source.received, now);
+        let teams = &judged.source.teams;
+        let audit = Arc::new(Audit {
+            header: teams.header.next_stage(revision, stage),
+            teams: teams.header.revision,
+            embedding: teams.embedding,
+            in_embedding: judged.judgement.in_embedding.clone(),
+            in_physical: judged.judgement.in_physical.clone(),
+            verdict: verdict(judged.judgement.in_embedding.mean, self.role.settings()),
+        });
+        self.audit = Some(Arc::clone(&audit));
+        effects.publish(Message::Audit(audit));
+    }
+
+    /// Raises or ends the alert.
+    fn watch(&mut self, now: Tick, effects: &mut Effects<Job>) {
+        let Some(judged) = &self.judged else { return };
+        let mean = judged.judgement.in_embedding.mean;
+        let Some(kind) = self.alert.observe(now, mean, self.role.settings()) else { return };
+        let severity = if matches!(kind, EventKind::QualityLow { .. }) {
+            self.role.count("alerts");
+            Severity::Warning
+        } else {
+            Severity::Info
+        };
+        self.role.tell(now, severity, kind, effects);
+    }
+
+    fn begin(&mut self, now: Tick, messages: Vec<Message>, effects: &mut Effects<Job>) {
+        for message in &messages {
+            if let Message::Audit(audit) = message {
+                let last = self.audit.as_ref().map(|audit| audit.header.revision);
+                if last.is_none_or(|last| audit.header.revision > last) {
+                    self.audit = Some(Arc::clone(audit));
+                }
+            }
+        }
+        let seen = self.audit.as_ref().map(|audit| audit.header.revision);
+        self.role.begin_term(now, seen, effects);
+        self.take_all(now, messages, effects);
+    }
+
+    /// Takes answers in, which come in no order: divisions last, when all that they may name is
+    /// there, and the older of two before the newer.
+    fn take_all(&mut self, now: Tick, mut messages: Vec<Message>, effects: &mut Effects<Job>) {
+        messages.sort_by_key(|message| {
+            let teams = matches!(message, Message::Teams { .. });
+            (teams, message.header().map(|header| header.revision))
+        });
+        for message in messages {
+            self.take_in(now, message, effects);
+        }
+        self.consider(now, effects);
+    }
+
+    fn expire(&mut self, now: Tick, effects: &mut Effects<Job>) {
+        if self.ask.is_some_and(|due| now >= due) {
+            self.ask = Some(now.after(ASK_AGAIN));
+            let patterns = vec![Pattern::One(Key::Embedding), Pattern::One(Key::Teams)];
+            effects.push(Effect::Fetch { fetch: PAIR_FETCH, patterns });
+        }
+        if self.judged.as_ref().is_some_and(|judged| now >= judged.published.after(HEARTBEAT)) {
+            self.publish(now, effects);
+        }
+        if self.alert.due(self.role.settings()).is_some_and(|due| now >= due) {
+            self.watch(now, effects);
+        }
+    }
+
+    fn answer(&mut self, now: Tick, query: QueryId, request: Request, effects: &mut Effects<Job>) {
+        let state = self.state();
+        match self.role.answer(now, query, request, &state, effects) {
+            Answered::Done => {}
+            Answered::SettingsChanged => {
+                // The thresholds judge the same silhouettes.
+                self.publish(now, effects);
+                self.watch(now, effects);
+            }
+            Answered::NotOurs(query, request) => {
+                let answer = self.select(&request);
+                effects.push(Effect::Reply { query, request, answer });
+            }
+        }
+    }
+
+    fn select(&self, request: &Request) -> Result<Vec<Message>, String> {
+        let space = self.role.space();
+        let selects = |key: &Key| request.selects(space, key);
+        let mut messages = Vec::new();
+        if let Some(audit) = &self.audit
+            && (selects(&Key::Audit) || selects(&Key::JsonAudit))
+        {
+            messages.push(Message::Audit(Arc::clone(audit)));
+        }
+        if let Some(Heard { teams, .. }) = &self.newest {
+            if selects(&Key::Teams) || selects(&Key::JsonTeams) {
+                messages.push(Message::Teams { teams: Arc::clone(teams), mirror: true });
+            }
+            let mut names: usize = 0;
+            let sizes = teams
+                .teams
+                .iter()
+                .flat_map(|team| team.members.iter().map(|m| (&m.robot, team.members.len())))
+                .chain(teams.unassigned.iter().map(|robot| (robot, 0)));
+            let mut robots = Vec::new();
+            for (robot, size) in sizes {
+                if selects(&Key::RobotTeam(robot.clone())) {
+                    names = names.saturating_add(size);
+                    robots.push(robot);
+                }
+            }
+            if names > MAX_NAMES_ANSWERED {
+                return Err(format!(
+                    "the teams of these robots name {names} members, which is more than one answer \
+                     may hold; get {} or the team of one robot",
+                    space.format(&Key::Teams)
+                ));
+            }
+            messages.extend(
+                robots.into_iter().filter_map(|r| teams.robot_team(r)).map(Message::RobotTeam),
+            );
+        }
+        if let Some(embedding) = self.embeddings.back()
+            && selects(&Key::Embedding)
+        {
+            messages.push(Message::Embedding(Arc::clone(embedding)));
+        }
+        if let Some(roster) = self.rosters.back()
+            && selects(&Key::Roster)
+        {
+            messages.push(Message::Roster(Arc::clone(roster)));
+        }
+        Ok(messages)
+    }
+
+    fn state(&self) -> String {
+        match (&self.judged, &self.newest) {
+            (Some(judged), _) => {
+                let mean = judged.judgement.in_embedding.mean;
+                let word = match verdict(mean, self.role.settings()) {
+                    Verdict::Good => "good",
+                    Verdict::Fair => "fair",
+                    Verdict::Poor => "poor",
+                    Verdict::Undefined => "undefined with fewer than two teams",
+                };
+                let mean =
+                    mean.map_or(String::new(), |mean| format!(", mean silhouette {mean:.2}"));
+                format!("{word}{mean}")
+            }
+            (None, Some(_)) if self.ask.is_some() => {
+                "waiting for the embedding of a division".to_owned()
+            }
+            (None, Some(_)) => "judging the first division".to_owned(),
+            (None, None) => "waiting for a division".to_owned(),
+        }
+    }
+}
+
+impl Core for Auditor {
+    type Settings = AuditorSettings;
+    type Job = Job;
+    type Done = Outcome;
+    const SERVICE: ServiceName = ServiceName::Auditor;
+
+    fn wiring() -> Wiring {
+        let subscription = |key, delivery| Subscription {
+            pattern: Pattern::One(key),
+            delivery,
+            max_payload: MAX_SERVICE_PAYLOAD,
+        };
+        Wiring {
+            subscriptions: vec![
+                subscription(Key::Teams, Delivery::Latest),
+                subscription(Key::Embedding, Delivery::Queue(QUEUE)),
+                subscription(Key::Roster, Delivery::Queue(QUEUE)),
+            ],
+            tokens: vec![],
+            served: vec![
+                (Pattern::One(Key::Audit), true),
+                (Pattern::One(Key::JsonAudit), true),
+                (Pattern::One(Key::Teams), false),
+                (Pattern::One(Key::JsonTeams), false),
+                (Pattern::RobotTeams, false),
+                (Pattern::One(Key::Embedding), false),
+                (Pattern::One(Key::Roster), false),
+            ],
+        }
+    }
+
+    fn new(start: Start<AuditorSettings>) -> Self {
+        Self {
+            role: Role::new(Self::SERVICE, start),
+            newest: None,
+            embeddings: VecDeque::new(),
+            rosters: VecDeque::new(),
+            running: None,
+            failed: None,
+            judged: None,
+            audit: None,
+            alert: Alert::default(),
+            ask: None,
+        }
+    }
+
+    fn handle(&mut self, now: Tick, event: Event<Outcome>, effects: &mut Effects<Job>) {
+        match event {
+            Event::Started => effects.push(Effect::Fetch {
+                fetch: START_FETCH,
+                patterns: [Key::Audit, Key::Teams, Key::Embedding, Key::Roster]
+                    .map(Pattern::One)
+                    .to_vec(),
+            }),
+            Event::Fetched { fetch: START_FETCH, messages } if !self.role.is_holding() => {
+                self.begin(now, messages, effects);
+            }
+            Event::Fetched { messages, .. } => self.take_all(now, messages, effects),
+            Event::Received(message) => self.take_in(now, message, effects),
+            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
+            Event::Timeout => self.expire(now, effects),
+            Event::Done(Outcome(result)) => self.finish(now, result, effects),
+            Event::JobFailed(reason) => self.finish(now, Err(reason), effects),
+            Event::Query { query, request } => self.answer(now, query, request, effects),
+            Event::LinkLost => {}
+            Event::LinkRestored => {
+                let patterns = [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One);
+                effects.push(Effect::Fetch { fetch: PAIR_FETCH, patterns: patterns.to_vec() });
+                self.publish(now, effects);
+            }
+        }
+    }
+
+    fn deadline(&self) -> Option<Tick> {
+        let heartbeat = self.judged.as_ref().map(|judged| judged.published.after(HEARTBEAT));
+        let alert = self.alert.due(self.role.settings());
+        [self.ask, heartbeat, alert].into_iter().flatten().min()
+    }
+
+    fn run(job: Job) -> Outcome {
+        Outcome(judge(&job.case))
+    }
+}

@@ -1,0 +1,146 @@
+//! The job: exact silhouettes of a division among the vectors and among the positions.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use muster_model::audit::{SilhouetteReport, Space, Verdict};
+use muster_model::embedding::Embedding;
+use muster_model::id::{RobotId, TeamId};
+use muster_model::limits::MAX_COORDINATE_M;
+use muster_model::roster::Roster;
+use muster_model::settings::AuditorSettings;
+use muster_model::teams::Teams;
+use muster_numeric::matrix::DenseMatrix;
+use muster_numeric::silhouette::silhouette;
+
+/// One division to judge, with what it was made from.
+#[derive(Debug, Clone)]
+pub struct Job {
+    pub(crate) case: Case,
+}
+
+/// What became of a [`Job`]: a judgement, or what was wrong.
+#[derive(Debug, Clone)]
+pub struct Outcome(pub(crate) Result<Judgement, String>);
+
+/// Silhouettes of one division.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Judgement {
+    /// Among the vectors.
+    pub in_embedding: SilhouetteReport,
+    /// Among the positions.
+    pub in_physical: SilhouetteReport,
+}
+
+/// A division, and what it is judged by.
+#[derive(Debug, Clone)]
+pub(crate) struct Case {
+    pub(crate) teams: Arc<Teams>,
+    pub(crate) embedding: Arc<Embedding>,
+    pub(crate) positions: Arc<BTreeMap<RobotId, [f64; 3]>>,
+}
+
+impl Case {
+    /// A division with its embedding, and the positions of its robots by a roster.
+    pub(crate) fn new(
+        teams: Arc<Teams>,
+        embedding: Arc<Embedding>,
+        roster: Option<&Roster>,
+    ) -> Self {
+        let positions = roster.map(|roster| positions(&teams, roster)).unwrap_or_default();
+        Self { teams, embedding, positions: Arc::new(positions) }
+    }
+
+    /// Whether another case would be judged alike.
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
+        self.teams.assignments().eq(other.teams.assignments())
+            && same_vectors(&self.embedding, &other.embedding)
+            && self.positions == other.positions
+    }
+}
+
+fn same_vectors(left: &Embedding, right: &Embedding) -> bool {
+    std::ptr::eq(left, right)
+        || left.dimension == right.dimension
+            && left.robots == right.robots
+            && left.values == right.values
+}
+
+/// The positions of the robots that have a team, in the frame that most of them use: distances
+/// between frames mean nothing. Among equally many, the first frame by name.
+fn positions(teams: &Teams, roster: &Roster) -> BTreeMap<RobotId, [f64; 3]> {
+    let mut frames: BTreeMap<Option<&str>, BTreeMap<RobotId, [f64; 3]>> = BTreeMap::new();
+    let entries: BTreeMap<&RobotId, _> =
+        roster.robots.iter().map(|entry| (&entry.robot, entry)).collect();
+    for (robot, _) in teams.assignments() {
+        let Some(entry) = entries.get(robot) else { continue };
+        let sound = |x: &f64| x.abs() <= MAX_COORDINATE_M;
+        if let Some(position) = entry.position.filter(|position| position.iter().all(sound)) {
+            frames.entry(entry.frame.as_deref()).or_default().insert(robot.clone(), position);
+        }
+    }
+    // Of equal elements the last is the maximum; from the back, that is the first by name.
+    frames.into_values().rev().max_by_key(BTreeMap::len).unwrap_or_default()
+}
+
+/// Judges a division in both spaces.
+pub(crate) fn judge(case: &Case) -> Result<Judgement, String> {
+    let embedding = &*case.embedding;
+    embedding.check()?;
+    let dimension = embedding.dimension as usize;
+    let in_embedding = report(Space::Embedding, &case.teams, dimension, |robot| {
+        let row = embedding.robots.binary_search(robot).ok()?;
+        embedding.values.get(row * dimension..(row + 1) * dimension)
+    })?;
+    let in_physical = report(Space::Physical, &case.teams, 3, |robot| {
+        case.positions.get(robot).map(|position| &position[..])
+    })?;
+    Ok(Judgement { in_embedding, in_physical })
+}
+
+/// Silhouettes over the robots that have a team and a place.
+fn report<'a>(
+    space: Space,
+    teams: &Teams,
+    dimension: usize,
+    place: impl Fn(&RobotId) -> Option<&'a [f64]>,
+) -> Result<SilhouetteReport, String> {
+    let mut scored: Vec<(&RobotId, usize)> = Vec::new();
+    let mut present = 0;
+    for (number, team) in teams.teams.iter().enumerate() {
+        let before = scored.len();
+        let members = team.members.iter().map(|member| &member.robot);
+        scored.extend(members.filter(|robot| place(robot).is_some()).map(|r| (r, number)));
+        present += usize::from(scored.len() > before);
+    }
+    let undefined =
+        SilhouetteReport { space, mean: None, per_team: Vec::new(), per_robot: Vec::new() };
+    if present < 2 {
+        return Ok(undefined);
+    }
+    scored.sort_unstable();
+    let values = scored.iter().filter_map(|(robot, _)| place(robot)).flatten().copied();
+    let x = DenseMatrix::new(scored.len(), dimension, values.collect())
+        .map_err(|error| error.to_string())?;
+    let labels: Vec<usize> = scored.iter().map(|(_, number)| *number).collect();
+    let found = silhouette(&x, &labels).map_err(|error| error.to_string())?;
+    let named = |(number, mean): (usize, f64)| -> Option<(TeamId, f64)> {
+        Some((teams.teams.get(number)?.id.clone(), mean))
+    };
+    Ok(SilhouetteReport {
+        space,
+        mean: Some(found.mean),
+        per_team: found.per_cluster.into_iter().filter_map(named).collect(),
+        per_robot: scored.into_iter().map(|(r, _)| r.clone()).zip(found.per_point).collect(),
+    })
+}
+
+/// The judgement in one word.
+pub(crate) fn verdict(mean: Option<f64>, settings: &AuditorSettings) -> Verdict {
+    match mean {
+        None => Verdict::Undefined,
+        Some(mean) if mean >= settings.good => Verdict::Good,
+        Some(mean) if mean < settings.poor => Verdict::Poor,
+        Some(_) => Verdict::Fair,
+    }
+}

@@ -1,0 +1,22 @@
+//! `auditor`: judges every division by silhouettes, independent of the service that made it.
+//!
+//! Read in the order of the data's path: [`Auditor`] takes events in, finds the embedding and the
+//! roster that a division was made from, and decides what is told when; `judge` is the job, exact
+//! silhouettes among the vectors and among the positions; `alert` tells an operator of lasting bad
+//! quality, and of its end.
+//!
+//! What holds at all times:
+//! - A division is judged by the embedding that it names, or not at all; one that comes late is
+//!   waited for, and asked for after a while.
+//! - The same division of the same data is judged once. What is told again is the same judgement
+//!   with a new revision, and its data grows older honestly.
+//! - A job that fails changes nothing: the last judgement stands and is told on.
+//! - What was last heard of the other services is repeated to whoever asks, so that one of them
+//!   that was killed finds its last output again.
+
+mod alert;
+mod core;
+mod judge;
+
+pub use crate::core::Auditor;
+pub use crate::judge::{Job, Judgement, Outcome};

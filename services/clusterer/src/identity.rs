@@ -1,0 +1,344 @@
+//! Lasting team ids, and what changed since the division before.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use muster_model::id::{RobotId, TeamId};
+use muster_model::teams::{TeamChange, Teams};
+use muster_numeric::matching::{MatchError, match_by_overlap};
+
+/// The names of the clusters.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Named {
+    /// The id of each cluster.
+    pub(crate) ids: Vec<TeamId>,
+    /// What changed: teams first, then robots, each in order.
+    pub(crate) changes: Vec<TeamChange>,
+    /// The number that the next new team will get.
+    pub(crate) next_team: u64,
+}
+
+/// How team ids are ordered: numbered ones by number, others after them by name.
+pub(crate) fn order(id: &TeamId) -> (u64, &str) {
+    match number(id) {
+        Some(number) => (number, ""),
+        None => (u64::MAX, id.as_str()),
+    }
+}
+
+/// The number of an id that [`TeamId::numbered`] made.
+fn number(id: &TeamId) -> Option<u64> {
+    let digits = id.as_str().strip_prefix('t')?;
+    let number = digits.parse().ok()?;
+    // `t01` and `t+1` are names, not numbers.
+    (TeamId::numbered(number) == *id).then_some(number)
+}
+
+/// Names clusters of robots after the teams with which they share most, and those without such a
+/// team by the next free numbers, in the order in which they are given.
+pub(crate) fn name(
+    clusters: &[Vec<&RobotId>],
+    unassigned: &[RobotId],
+    previous: Option<&Teams>,
+) -> Result<Named, MatchError> {
+    let Some(previous) = previous else {
+        let mut numbers = Numbers::new(1, BTreeSet::new());
+        let ids: Vec<TeamId> = clusters.iter().map(|_| numbers.next()).collect();
+        let changes = ids.iter().map(|id| TeamChange::Born { team: id.clone() }).collect();
+        return Ok(Named { ids, changes, next_team: numbers.next });
+    };
+    let teams = &previous.teams;
+    let old_of: BTreeMap<&RobotId, usize> = teams
+        .iter()
+        .enumerate()
+        .flat_map(|(number, team)| team.members.iter().map(move |m| (&m.robot, number)))
+        .collect();
+    let mut overlap = vec![vec![0_u64; teams.len()]; clusters.len()];
+    for (row, robots) in overlap.iter_mut().zip(clusters) {
+        for old in robots.iter().filter_map(|robot| old_of.get(robot)) {
+            row[*old] += 1;
+        }
+    }
+    let heirs = match_by_overlap(&overlap)?;
+
+    let highest = teams.iter().filter_map(|team| number(&team.id)).max().unwrap_or(0);
+    let used = teams.iter().map(|team| &team.id).collect();
+    let mut numbers = Numbers::new(previous.next_team.max(highest.saturating_add(1)).max(1), used);
+    let ids: Vec<TeamId> = heirs
+        .iter()
+        .map(|heir| heir.map_or_else(|| numbers.next(), |old| teams[old].id.clone()))
+        .collect();
+
+    let mut changes = team_changes(clusters, unassigned, &overlap, &heirs, &ids, previous);
+    changes.extend(moves(clusters, unassigned, &ids, previous));
+    Ok(Named { ids, changes, next_team: numbers.next })
+}
+
+/// Gives numbers that no team has or had.
+struct Numbers<'a> {
+    next: u64,
+    used: BTreeSet<&'a TeamId>,
+}
+
+impl<'a> Numbers<'a> {
+    fn new(next: u64, used: BTreeSet<&'a TeamId>) -> Self {
+        Self { next, used }
+    }
+
+    fn next(&mut self) -> TeamId {
+        loop {
+            let id = TeamId::numbered(self.next);
+            // Wraps only if the bus told of a number near the end of the range.
+            self.next = self.next.wrapping_add(1);
+            if !self.used.contains(&id) {
+                return id;
+            }
+        }
+    }
+}
+
+/// Births, splits, mergers and deaths, ordered by the team that they are about.
+fn team_changes(
+    clusters: &[Vec<&RobotId>],
+    unassigned: &[RobotId],
+    overlap: &[Vec<u64>],
+    heirs: &[Option<usize>],
+    ids: &[TeamId],
+    previous: &Teams,
+) -> Vec<TeamChange> {
+    let teams = &previous.teams;
+    let mut lives = vec![false; teams.len()];
+    for old in heirs.iter().flatten() {
+        lives[*old] = true;
+    }
+    let mut changes: Vec<(&TeamId, TeamChange)> = Vec::new();
+    for ((row, robots), (heir, id)) in overlap.iter().zip(clusters).zip(heirs.iter().zip(ids)) {
+        if heir.is_some() {
+            continue;
+        }
+        let most = majority(row.iter().copied(), robots.len()).filter(|old| lives[*old]);
+        let change = match most {
+            Some(old) => TeamChange::Split { from: teams[old].id.clone(), into: id.clone() },
+            None => TeamChange::Born { team: id.clone() },
+        };
+        changes.push((id, change));
+    }
+    for (old, team) in teams.iter().enumerate().filter(|(old, _)| !lives[*old]) {
+        let placed: u64 = overlap.iter().map(|row| row[old]).sum();
+        let loose = team.members.iter().filter(|m| unassigned.binary_search(&m.robot).is_ok());
+        let left = usize::try_from(placed).unwrap_or(usize::MAX).saturating_add(loose.count());
+        let change = match majority(overlap.iter().map(|row| row[old]), left) {
+            Some(new) => TeamChange::Merged { from: team.id.clone(), into: ids[new].clone() },
+            None => TeamChange::Died { team: team.id.clone() },
+        };
+        changes.push((&team.id, change));
+    }
+    changes.sort_by(|left, right| order(left.0).cmp(&order(right.0)));
+    changes.into_iter().map(|(_, change)| change).collect()
+}
+
+/// The place of the count that is more than half of the total.
+fn majority(counts: impl Iterator<Item = u64>, total: usize) -> Option<usize> {
+    counts
+        .enumerate()
+        .find(|(_, count)| u128::from(*count) * 2 > total as u128)
+        .map(|(place, _)| place)
+}
+
+/// Robots that were there before and are now elsewhere, ordered by name.
+fn moves(
+    clusters: &[Vec<&RobotId>],
+    unassigned: &[RobotId],
+    ids: &[TeamId],
+    previous: &Teams,
+) -> Vec<TeamChange> {
+    let mut now: BTreeMap<&RobotId, Option<&TeamId>> =
+        unassigned.iter().map(|robot| (robot, None)).collect();
+    for (robots, id) in clusters.iter().zip(ids) {
+        now.extend(robots.iter().map(|robot| (*robot, Some(id))));
+    }
+    let assigned = previous.assignments().map(|(robot, team)| (robot, Some(team)));
+    let before = assigned.chain(previous.unassigned.iter().map(|robot| (robot, None)));
+    let mut moved: Vec<TeamChange> = before
+        .filter_map(|(robot, from)| {
+            let to = *now.get(robot)?;
+            (from != to).then(|| TeamChange::Moved {
+                robot: robot.clone(),
+                from: from.cloned(),
+                to: to.cloned(),
+            })
+        })
+        .collect();
+    moved.sort_by(|left, right| robot_of(left).cmp(&robot_of(right)));
+    moved
+}
+
+fn robot_of(change: &TeamChange) -> Option<&RobotId> {
+    match change {
+        TeamChange::Moved { robot, .. } => Some(robot),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::header::{Header, Revision};
+    use muster_model::id::FleetId;
+    use muster_model::teams::{Member, Team};
+
+    use super::*;
+
+    fn robot(name: &str) -> RobotId {
+        RobotId::new(name).unwrap()
+    }
+
+    fn team(id: &str) -> TeamId {
+        TeamId::new(id).unwrap()
+    }
+
+    /// A division: teams as `("t1", "a b c")`, robots without a team, the next number.
+    fn division(teams: &[(&str, &str)], unassigned: &str, next_team: u64) -> Teams {
+        let header = Header {
+            fleet: FleetId::new("f").unwrap(),
+            revision: Revision::default(),
+            oldest: None,
+            newest: None,
+            stages: vec![],
+        };
+        let teams = teams.iter().map(|(id, names)| {
+            let members: Vec<Member> = names
+                .split_whitespace()
+                .map(|name| Member { robot: robot(name), margin: 0.5 })
+                .collect();
+            Team { id: team(id), leader: members[0].robot.clone(), members, centroid: vec![] }
+        });
+        Teams {
+            header,
+            embedding: Revision::default(),
+            requested: 2,
+            teams: teams.collect(),
+            unassigned: unassigned.split_whitespace().map(robot).collect(),
+            stale: vec![],
+            inertia: 0.0,
+            changes: vec![],
+            next_team,
+        }
+    }
+
+    fn named(clusters: &[&str], unassigned: &str, previous: Option<&Teams>) -> Named {
+        let robots: Vec<Vec<RobotId>> =
+            clusters.iter().map(|names| names.split_whitespace().map(robot).collect()).collect();
+        let clusters: Vec<Vec<&RobotId>> = robots.iter().map(|r| r.iter().collect()).collect();
+        let unassigned: Vec<RobotId> = unassigned.split_whitespace().map(robot).collect();
+        name(&clusters, &unassigned, previous).unwrap()
+    }
+
+    fn ids(named: &Named) -> Vec<&str> {
+        named.ids.iter().map(TeamId::as_str).collect()
+    }
+
+    fn moved(name: &str, from: Option<&str>, to: Option<&str>) -> TeamChange {
+        TeamChange::Moved { robot: robot(name), from: from.map(team), to: to.map(team) }
+    }
+
+    #[test]
+    fn the_first_teams_are_numbered_from_one_and_born() {
+        let first = named(&["a c", "b d"], "e", None);
+        assert_eq!(ids(&first), ["t1", "t2"]);
+        assert_eq!(first.next_team, 3);
+        let born = |id| TeamChange::Born { team: team(id) };
+        assert_eq!(first.changes, [born("t1"), born("t2")]);
+    }
+
+    #[test]
+    fn ids_follow_the_members_and_not_the_numbers_of_the_clusters() {
+        let before = division(&[("t1", "a b c"), ("t2", "d e f")], "", 3);
+        let same = named(&["d e f", "a b c"], "", Some(&before));
+        assert_eq!(ids(&same), ["t2", "t1"]);
+        assert_eq!((same.changes.as_slice(), same.next_team), (&[][..], 3));
+        let one = named(&["a b d", "c e f"], "", Some(&before));
+        assert_eq!(ids(&one), ["t1", "t2"]);
+        assert_eq!(
+            one.changes,
+            [moved("c", Some("t1"), Some("t2")), moved("d", Some("t2"), Some("t1"))]
+        );
+    }
+
+    #[test]
+    fn a_part_that_leaves_is_a_split() {
+        let before = division(&[("t1", "a b c d e")], "", 2);
+        let split = named(&["a b", "c d e"], "", Some(&before));
+        assert_eq!(ids(&split), ["t2", "t1"]);
+        assert_eq!(
+            split.changes,
+            [
+                TeamChange::Split { from: team("t1"), into: team("t2") },
+                moved("a", Some("t1"), Some("t2")),
+                moved("b", Some("t1"), Some("t2")),
+            ]
+        );
+        assert_eq!(split.next_team, 3);
+    }
+
+    #[test]
+    fn a_new_team_of_mostly_new_robots_is_born() {
+        let before = division(&[("t1", "a b c")], "", 2);
+        let born = named(&["a b", "c x y"], "", Some(&before));
+        assert_eq!(ids(&born), ["t1", "t2"]);
+        assert_eq!(
+            born.changes,
+            [TeamChange::Born { team: team("t2") }, moved("c", Some("t1"), Some("t2"))]
+        );
+    }
+
+    #[test]
+    fn a_team_that_ends_in_another_is_merged_and_one_that_ends_nowhere_died() {
+        let before = division(&[("t1", "a b c"), ("t2", "d e"), ("t3", "f g")], "", 4);
+        let merged = named(&["a b c d e"], "", Some(&before));
+        assert_eq!(ids(&merged), ["t1"]);
+        assert_eq!(
+            merged.changes,
+            [
+                TeamChange::Merged { from: team("t2"), into: team("t1") },
+                TeamChange::Died { team: team("t3") },
+                moved("d", Some("t2"), Some("t1")),
+                moved("e", Some("t2"), Some("t1")),
+            ]
+        );
+        // Two of three have no team now: that is no merger.
+        let before = division(&[("t1", "a b c d"), ("t2", "e f g")], "", 3);
+        let loose = named(&["a b c d e"], "f g", Some(&before));
+        assert_eq!(
+            loose.changes,
+            [
+                TeamChange::Died { team: team("t2") },
+                moved("e", Some("t2"), Some("t1")),
+                moved("f", Some("t2"), None),
+                moved("g", Some("t2"), None),
+            ]
+        );
+    }
+
+    #[test]
+    fn robots_that_joined_or_left_have_not_moved() {
+        let before = division(&[("t1", "a b c")], "x y", 2);
+        let after = named(&["a b new x"], "y", Some(&before));
+        assert_eq!(after.changes, [moved("x", None, Some("t1"))]);
+    }
+
+    #[test]
+    fn a_number_is_never_given_twice() {
+        let before = division(&[("t9", "a"), ("blue", "b")], "", 2);
+        assert_eq!(ids(&named(&["a", "b", "c"], "", Some(&before))), ["t9", "blue", "t10"]);
+        let end = division(&[("t18446744073709551615", "a")], "", u64::MAX);
+        let wrapped = named(&["a", "b", "c"], "", Some(&end));
+        assert_eq!(ids(&wrapped), ["t18446744073709551615", "t0", "t1"]);
+    }
+
+    #[test]
+    fn teams_are_ordered_as_people_count() {
+        let mut all: Vec<TeamId> =
+            ["t10", "blue", "t2", "t01", "t1"].into_iter().map(team).collect();
+        all.sort_by(|left, right| order(left).cmp(&order(right)));
+        assert_eq!(all, ["t1", "t2", "t10", "blue", "t01"].map(team));
+    }
+}
