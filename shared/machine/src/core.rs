@@ -71,7 +71,7 @@ pub enum Effect<Job> {
         /// What is asked for.
         patterns: Vec<Pattern>,
     },
-    /// Keep something over a restart of the service.
+    /// Keep something over a restart of the service. It is kept before any later reply is sent.
     Store(Stored),
 }
 

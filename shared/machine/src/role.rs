@@ -217,10 +217,13 @@ impl<S: Settings> Role<S> {
                     Err(error) => (Err(error), false),
                 },
             };
+            if changed {
+                // The shell stores before it answers: what is confirmed survives a crash.
+                effects.push(Effect::Store(self.stored.clone()));
+            }
             effects.push(Effect::Reply { query, request, answer });
             if changed {
                 self.count("settings_changed");
-                effects.push(Effect::Store(self.stored.clone()));
                 effects.publish(self.settings_message(now));
                 let kind = EventKind::SettingsChanged { settings: self.settings_json() };
                 self.tell(now, Severity::Info, kind, effects);

@@ -1,15 +1,17 @@
 //! The shell around the pure cores: everything that touches the bus, a clock, a thread or a file.
 //!
 //! [`config`] reads flags, environment and file; [`bus`] opens a Zenoh session and is the only place
-//! that knows Zenoh; [`inbox`] and [`outbox`] are the bounded ways in and out; [`shell`] runs one
+//! that knows Zenoh; [`inbox`] and [`outbox`] are the bounded ways in and out, `errands` the thread that answers gets; [`shell`] runs one
 //! core; [`store`] keeps settings over a restart; [`router`] embeds a Zenoh router; [`service`] is the
 //! whole `main` of a service binary; [`stop`] turns signals into a clean end.
 
 pub mod bus;
 pub mod clock;
 pub mod config;
+mod errands;
 pub mod exit;
 pub mod inbox;
+pub mod instance;
 pub mod logging;
 pub mod outbox;
 pub mod router;

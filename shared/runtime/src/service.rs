@@ -8,8 +8,9 @@ use muster_machine::Core;
 use muster_model::id::ServiceName;
 
 use crate::bus::{Bus, Patience};
-use crate::config::{Mode, ProcessArgs, ProcessConfig, instance_name, process_environment};
+use crate::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use crate::exit::{self, ExitError};
+use crate::instance::instance_name;
 use crate::shell::{self, ServiceOptions};
 use crate::stop::{self, STOP_WITHIN, Stop};
 use crate::store::Store;

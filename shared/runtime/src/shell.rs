@@ -10,20 +10,19 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::Context;
-use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stored};
+use muster_machine::{Command, Core, Driver, Event, QueryId, Start};
 use muster_model::id::InstanceId;
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::time::Tick;
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::{Key, Message, Outbound, Pattern, Request};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::mpsc;
 use tokio::task::JoinSet;
-use zenoh::Wait;
 use zenoh::query::Query;
 
 use crate::bus::{Answer, Ask, Asked, Bus};
 use crate::clock::Clock;
+use crate::errands::Errands;
 use crate::inbox::Inbox;
 use crate::outbox::Outbox;
 use crate::stop::Stop;
@@ -35,8 +34,8 @@ const FETCH_WITHIN: Duration = Duration::from_secs(1);
 /// Most gets that wait for the core.
 const MAX_QUERIES: usize = 256;
 
-/// Most answers that wait to be sent.
-const MAX_REPLIES: usize = 256;
+/// How long the last errands are waited for at the end.
+const ERRANDS_WITHIN: Duration = Duration::from_secs(1);
 
 /// Most ended jobs and fetches that wait for the core; one job and a few fetches are under way.
 const MAX_ENDED: usize = 16;
@@ -59,12 +58,6 @@ pub struct ServiceOptions<S> {
     pub store: Store,
 }
 
-/// An answer on its way to whoever asked.
-struct Reply {
-    query: Query,
-    answer: Result<Vec<Outbound>, String>,
-}
-
 /// A job or fetch that has ended.
 enum Ended<Done> {
     Job(Event<Done>),
@@ -85,7 +78,6 @@ pub async fn run<C: Core>(
     let outbox = Outbox::default();
     let (queries, mut asked) = mpsc::channel(MAX_QUERIES);
     let (ended_sender, mut ended) = mpsc::channel(MAX_ENDED);
-    let (stored, to_store) = watch::channel(None);
 
     let driver = Driver::<C>::new(Start {
         fleet: bus.space().fleet().clone(),
@@ -100,8 +92,7 @@ pub async fn run<C: Core>(
             tracing::debug!("{error:#}");
         }
     })?;
-    let replies = start_replying(bus.clone())?;
-    let storing = tokio::spawn(keep_storing(options.store, to_store));
+    let (errands, errands_done) = Errands::start(bus.clone(), options.store)?;
     declare::<C>(&bus, &inbox, queries).await?;
     let token = Key::ServiceToken(C::SERVICE, options.instance);
     let token = bus.declare_token(&token).await?;
@@ -114,9 +105,8 @@ pub async fn run<C: Core>(
         clock,
         inbox: Arc::clone(&inbox),
         outbox: outbox.clone(),
-        replies,
+        errands,
         ended: ended_sender,
-        stored,
         queries: HashMap::new(),
         next_query: 0,
     };
@@ -150,7 +140,7 @@ pub async fn run<C: Core>(
     }
     drop(shell);
     // What is stored last must reach the disk; everything else may be lost.
-    let _ = tokio::time::timeout(Duration::from_secs(1), storing).await;
+    let _ = tokio::time::timeout(ERRANDS_WITHIN, errands_done).await;
     let _ = token.withdraw().await;
     let _ = tokio::task::spawn_blocking(move || outbox.close()).await;
     bus.close().await;
@@ -185,9 +175,8 @@ struct Shell<C: Core> {
     clock: Clock,
     inbox: Arc<Inbox>,
     outbox: Outbox,
-    replies: mpsc::Sender<Reply>,
+    errands: Errands,
     ended: mpsc::Sender<Ended<C::Done>>,
-    stored: watch::Sender<Option<Stored>>,
     queries: HashMap<QueryId, Query>,
     next_query: u64,
 }
@@ -230,13 +219,7 @@ impl<C: Core> Shell<C> {
                 self.queries.insert(id, query);
                 self.step(Event::Query { query: id, request });
             }
-            Err(problem) => self.reply(Reply { query, answer: Err(problem) }),
-        }
-    }
-
-    fn reply(&self, reply: Reply) {
-        if self.replies.try_send(reply).is_err() {
-            tracing::warn!("an answer is dropped: too many wait");
+            Err(problem) => self.errands.reply(query, Err(problem)),
         }
     }
 
@@ -249,14 +232,12 @@ impl<C: Core> Shell<C> {
             Command::Reply { query, request, answer } => {
                 if let Some(query) = self.queries.remove(&query) {
                     let answer = self.encode_answer(&request, answer, now);
-                    self.reply(Reply { query, answer });
+                    self.errands.reply(query, answer);
                 }
             }
             Command::Run(job) => self.run_job(job),
             Command::Fetch { fetch, patterns } => self.fetch(fetch, patterns),
-            Command::Store(stored) => {
-                self.stored.send_replace(Some(stored));
-            }
+            Command::Store(stored) => self.errands.store(stored),
         }
     }
 
@@ -355,49 +336,4 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
         .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
         .unwrap_or("a panic without text");
     muster_wire::message::quoted(text)
-}
-
-/// Starts the thread that answers gets: replying may wait for a busy link.
-fn start_replying(bus: Bus) -> anyhow::Result<mpsc::Sender<Reply>> {
-    let (sender, mut receiver) = mpsc::channel::<Reply>(MAX_REPLIES);
-    std::thread::Builder::new()
-        .name("muster-replies".to_owned())
-        .spawn(move || {
-            while let Some(Reply { query, answer }) = receiver.blocking_recv() {
-                let sent = match answer {
-                    Ok(messages) => messages.into_iter().try_for_each(|message| {
-                        query
-                            .reply(bus.space().format(&message.key), message.payload)
-                            .encoding(message.encoding.as_ref())
-                            .wait()
-                    }),
-                    Err(error) => {
-                        query.reply_err(error).encoding(muster_wire::message::JSON).wait()
-                    }
-                };
-                if let Err(error) = sent {
-                    tracing::debug!("an answer is not sent: {error}");
-                }
-            }
-        })
-        .context("cannot start the thread that answers gets")?;
-    Ok(sender)
-}
-
-/// Writes the newest state whenever there is one, and once more at the end.
-async fn keep_storing(store: Store, mut newest: watch::Receiver<Option<Stored>>) {
-    loop {
-        let closed = newest.changed().await.is_err();
-        let stored = newest.borrow_and_update().clone();
-        if let Some(stored) = stored.filter(|_| !closed) {
-            let store = store.clone();
-            let saved = tokio::task::spawn_blocking(move || store.save(&stored)).await;
-            if let Ok(Err(error)) = saved {
-                tracing::error!("settings will not survive a restart: {error:#}");
-            }
-        }
-        if closed {
-            return;
-        }
-    }
 }

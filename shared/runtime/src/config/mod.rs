@@ -1,0 +1,310 @@
+//! The configuration of a process: defaults, then file, then environment, then flags.
+//!
+//! Every value remembers where it came from, so that `--print-config` can tell. Unknown keys are
+//! errors at every level. One file may serve all services of a host: each reads the table of its own
+//! name, and `--check-config` checks them all.
+
+mod args;
+mod assignments;
+mod layers;
+mod print;
+
+use std::path::PathBuf;
+
+use muster_model::id::{FleetId, ServiceName};
+use muster_model::settings::{
+    AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, Settings, SettingsError,
+};
+use serde_json::Value;
+
+pub use self::args::{Mode, ProcessArgs};
+pub use self::assignments::parse_assignments;
+pub use self::layers::{Environment, Origin, Sourced, process_environment};
+use self::layers::{Layers, default_state_directory, read_file, split};
+use crate::bus::check_endpoint;
+use crate::exit::ExitError;
+
+/// The fleet of a process that is told of none.
+const DEFAULT_FLEET: &str = "default";
+
+/// Where the router of this host listens, by the custom of Zenoh.
+pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+
+/// The configuration of a process.
+#[derive(Debug, Clone)]
+pub struct ProcessConfig {
+    /// The fleet.
+    pub fleet: Sourced<FleetId>,
+    /// Routers to connect to.
+    pub connect: Sourced<Vec<String>>,
+    /// Where to listen.
+    pub listen: Sourced<Vec<String>>,
+    /// How to take part in the bus.
+    pub mode: Sourced<Mode>,
+    /// Zenoh's own configuration.
+    pub zenoh_config: Sourced<Option<PathBuf>>,
+    /// Where settings are kept.
+    pub state_directory: Sourced<Option<PathBuf>>,
+    /// What is logged.
+    pub log: Sourced<Option<String>>,
+    /// Whether logs are JSON lines.
+    pub log_json: Sourced<bool>,
+    patches: Vec<(ServiceName, Origin, Value)>,
+}
+
+impl ProcessConfig {
+    /// Puts the layers together.
+    ///
+    /// # Errors
+    /// Names the field, variable or file that is wrong, and the remedy.
+    pub fn resolve(
+        args: &ProcessArgs,
+        default_mode: Mode,
+        environment: Environment<'_>,
+    ) -> Result<Self, ExitError> {
+        let path = args.config.clone().or_else(|| environment("MUSTER_CONFIG").map(PathBuf::from));
+        let file = path.as_deref().map(read_file).transpose()?.unwrap_or_default();
+        let layers = Layers { environment, file: path.clone() };
+        let text = |text: &str| Ok(text.to_owned());
+        let paths = |text: &str| Ok(Some(PathBuf::from(text)));
+        let lists = |text: &str| Ok(split(text));
+
+        let fleet = layers.pick(
+            args.fleet.clone(),
+            "MUSTER_FLEET",
+            text,
+            file.fleet,
+            DEFAULT_FLEET.to_owned(),
+        )?;
+        let fleet = Sourced {
+            value: FleetId::new(&fleet.value)
+                .map_err(|error| ExitError::usage(format!("fleet: {error}")))?,
+            origin: fleet.origin,
+        };
+        let mode = layers.pick(
+            args.mode,
+            "MUSTER_MODE",
+            |text| clap::ValueEnum::from_str(text, false),
+            file.mode,
+            default_mode,
+        )?;
+        let default_connect = match mode.value {
+            Mode::Router => Vec::new(),
+            Mode::Client | Mode::Peer => vec![DEFAULT_ENDPOINT.to_owned()],
+        };
+        let default_listen = match mode.value {
+            Mode::Router => vec![DEFAULT_ENDPOINT.to_owned()],
+            Mode::Client | Mode::Peer => Vec::new(),
+        };
+        let connect = layers.pick(
+            args.connect.clone(),
+            "MUSTER_CONNECT",
+            lists,
+            file.connect,
+            default_connect,
+        )?;
+        let listen = layers.pick(
+            args.listen.clone(),
+            "MUSTER_LISTEN",
+            lists,
+            file.listen,
+            default_listen,
+        )?;
+        for (field, endpoints) in [("connect", &connect.value), ("listen", &listen.value)] {
+            for endpoint in endpoints {
+                check_endpoint(endpoint)
+                    .map_err(|problem| ExitError::usage(format!("{field}: {problem}")))?;
+            }
+        }
+        let zenoh_config = layers.pick(
+            args.zenoh_config.clone().map(Some),
+            "MUSTER_ZENOH_CONFIG",
+            paths,
+            file.zenoh_config.map(Some),
+            None,
+        )?;
+        let mut state_directory = layers.pick(
+            args.state_directory.clone().map(Some),
+            "STATE_DIRECTORY",
+            // A service manager may name several directories with colons; the first is ours.
+            |text| Ok(text.split(':').next().map(PathBuf::from)),
+            file.state_directory.map(Some),
+            default_state_directory(environment),
+        )?;
+        state_directory.value.take_if(|directory| directory.as_os_str() == "none");
+        let log = layers.pick(
+            args.log.clone().map(Some),
+            "MUSTER_LOG",
+            |text| Ok(Some(text.to_owned())),
+            file.log.map(Some),
+            None,
+        )?;
+        let log_json = layers.pick(
+            args.log_json.then_some(true),
+            "MUSTER_LOG_JSON",
+            |text| text.parse().map_err(|_| "must be true or false".to_owned()),
+            file.log_json,
+            false,
+        )?;
+
+        let mut patches = Vec::new();
+        let tables = [
+            (ServiceName::Ingest, file.ingest),
+            (ServiceName::Embedder, file.embedder),
+            (ServiceName::Clusterer, file.clusterer),
+            (ServiceName::Auditor, file.auditor),
+        ];
+        for (service, table) in tables {
+            if let (Some(table), Some(path)) = (table, &path) {
+                patches.push((service, Origin::File(path.clone()), table));
+            }
+            let variable = format!("MUSTER_{}", service.as_str().to_uppercase());
+            if let Some(text) = environment(&variable) {
+                let patch = serde_json::from_str(&text).map_err(|error| {
+                    ExitError::usage(format!("{variable}: must be a JSON object: {error}"))
+                })?;
+                patches.push((service, Origin::Environment(variable), patch));
+            }
+        }
+        let config = Self {
+            fleet,
+            connect,
+            listen,
+            mode,
+            zenoh_config,
+            state_directory,
+            log,
+            log_json,
+            patches,
+        };
+        config.check_all_settings()?;
+        Ok(config)
+    }
+
+    fn check_all_settings(&self) -> Result<(), ExitError> {
+        self.settings::<IngestSettings>(ServiceName::Ingest)?;
+        self.settings::<EmbedderSettings>(ServiceName::Embedder)?;
+        self.settings::<ClustererSettings>(ServiceName::Clusterer)?;
+        self.settings::<AuditorSettings>(ServiceName::Auditor)?;
+        Ok(())
+    }
+
+    /// The configuration of a router in the same process.
+    #[must_use]
+    pub fn as_router(&self, listen: Vec<String>) -> Self {
+        self.as_mode(Mode::Router, Vec::new(), listen)
+    }
+
+    /// The configuration of a client of a router in the same process.
+    #[must_use]
+    pub fn as_client(&self, connect: Vec<String>) -> Self {
+        self.as_mode(Mode::Client, connect, Vec::new())
+    }
+
+    fn as_mode(&self, mode: Mode, connect: Vec<String>, listen: Vec<String>) -> Self {
+        Self {
+            mode: Sourced { value: mode, origin: Origin::Flag },
+            connect: Sourced { value: connect, origin: Origin::Flag },
+            listen: Sourced { value: listen, origin: Origin::Flag },
+            ..self.clone()
+        }
+    }
+
+    /// Adds `--set` flags to the settings of a service.
+    ///
+    /// # Errors
+    /// Names the field that is wrong.
+    pub fn set(&mut self, service: ServiceName, assignments: &[String]) -> Result<(), ExitError> {
+        if !assignments.is_empty() {
+            let patch = parse_assignments(assignments)
+                .map_err(|error| ExitError::usage(format!("--set {error}")))?;
+            self.patches.push((service, Origin::Flag, patch));
+        }
+        self.check_all_settings()
+    }
+
+    /// The settings of a service by defaults, file, environment and flags.
+    ///
+    /// # Errors
+    /// Names the field that is wrong, and where it stands.
+    pub fn settings<S: Settings>(&self, service: ServiceName) -> Result<S, ExitError> {
+        let mut settings = S::default();
+        for (_, origin, patch) in self.patches.iter().filter(|(of, ..)| *of == service) {
+            settings = settings.patched(patch).map_err(|SettingsError { field, problem }| {
+                ExitError::usage(format!("{service}.{field} ({origin}): {problem}"))
+            })?;
+        }
+        Ok(settings)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn none(_: &str) -> Option<String> {
+        None
+    }
+
+    fn resolve(args: &ProcessArgs, environment: Environment<'_>) -> Result<ProcessConfig, String> {
+        ProcessConfig::resolve(args, Mode::Client, environment).map_err(|error| error.message)
+    }
+
+    fn with_file(text: &str) -> (tempfile::TempDir, ProcessArgs) {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("muster.toml");
+        std::fs::write(&path, text).unwrap();
+        (directory, ProcessArgs { config: Some(path), ..ProcessArgs::default() })
+    }
+
+    #[test]
+    fn flags_beat_environment_beats_file_beats_default() {
+        let (_directory, args) = with_file("fleet = \"from-file\"\n[clusterer]\nteams = 3\n");
+        let config = resolve(&args, &none).unwrap();
+        assert_eq!(config.fleet.value.as_str(), "from-file");
+        let teams = |config: &ProcessConfig| {
+            config.settings::<ClustererSettings>(ServiceName::Clusterer).unwrap().teams
+        };
+        assert_eq!(teams(&config), 3);
+        let environment = |name: &str| match name {
+            "MUSTER_FLEET" => Some("from-env".to_owned()),
+            "MUSTER_CLUSTERER" => Some("{\"teams\": 4}".to_owned()),
+            _ => None,
+        };
+        let mut config = resolve(&args, &environment).unwrap();
+        assert_eq!(config.fleet.value.as_str(), "from-env");
+        assert_eq!(teams(&config), 4);
+        config.set(ServiceName::Clusterer, &["teams=5".to_owned()]).unwrap();
+        assert_eq!(teams(&config), 5);
+        let args = ProcessArgs { fleet: Some("from-flag".to_owned()), ..args };
+        assert_eq!(resolve(&args, &environment).unwrap().fleet.origin, Origin::Flag);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let problem = |text: &str| resolve(&with_file(text).1, &none).unwrap_err();
+        let with = |text: &str| {
+            let (_directory, args) = with_file(text);
+            resolve(&args, &none).unwrap_err()
+        };
+        assert!(with("flet = 1").contains("flet"));
+        assert!(with("[clusterer]\nteams = 0").contains("clusterer.teams"));
+        assert!(with("[clusterer]\nteam = 1").contains("clusterer.team"));
+        assert!(with("connect = [\"localhost\"]").contains("connect"));
+        assert!(with("fleet = \"A b\"").contains("fleet"));
+        assert!(with("mode = \"boss\"").contains("mode"));
+        assert!(problem("fleet = ").contains("muster.toml"));
+        let absent = ProcessArgs { config: Some("/nowhere.toml".into()), ..ProcessArgs::default() };
+        assert!(resolve(&absent, &none).unwrap_err().contains("nowhere"));
+    }
+
+    #[test]
+    fn what_is_printed_is_accepted_again() {
+        let (_directory, args) = with_file("[ingest]\nspatial = { width = 3.0 }\n");
+        let text = resolve(&args, &none).unwrap().print(&ServiceName::ALL).unwrap();
+        assert!(text.contains("spatial.width = 3.0  # file"), "{text}");
+        assert!(text.contains("teams = 2  # default"), "{text}");
+        let (_directory, args) = with_file(&text);
+        resolve(&args, &none).unwrap();
+    }
+}

@@ -1,0 +1,90 @@
+//! What a service does beside its loop, in order, on a thread of its own: keep state, answer gets.
+//!
+//! Both may wait, the one for a disk and the other for a busy link. State is kept before any later
+//! answer is sent, so that what an operator is told survives a crash.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use anyhow::Context;
+use muster_machine::Stored;
+use muster_wire::Outbound;
+use tokio::sync::{mpsc, oneshot};
+use zenoh::Wait;
+use zenoh::query::Query;
+
+use crate::bus::Bus;
+use crate::store::Store;
+
+/// Most answers that wait to be sent.
+const MAX_WAITING: usize = 256;
+
+/// An answer on its way to whoever asked; or none, where only the state is to be kept.
+type Errand = Option<(Query, Result<Vec<Outbound>, String>)>;
+
+/// Hands out errands. The thread ends when all handles are gone.
+pub(crate) struct Errands {
+    sender: mpsc::Sender<Errand>,
+    /// The newest state that is not kept yet. It has its own place, so that it is never dropped.
+    newest: Arc<Mutex<Option<Stored>>>,
+}
+
+impl Errands {
+    /// Starts the thread. The receiver that is returned hears of its end.
+    pub(crate) fn start(bus: Bus, store: Store) -> anyhow::Result<(Self, oneshot::Receiver<()>)> {
+        let (sender, mut errands) = mpsc::channel::<Errand>(MAX_WAITING);
+        let (done, ended) = oneshot::channel();
+        let newest = Arc::new(Mutex::new(None));
+        let to_store = Arc::clone(&newest);
+        std::thread::Builder::new()
+            .name("muster-errands".to_owned())
+            .spawn(move || {
+                while let Some(errand) = errands.blocking_recv() {
+                    let stored = to_store.lock().unwrap_or_else(PoisonError::into_inner).take();
+                    if let Some(stored) = stored {
+                        keep(&store, &stored);
+                    }
+                    if let Some((query, answer)) = errand {
+                        send(&bus, &query, answer);
+                    }
+                }
+                let _ = done.send(());
+            })
+            .context("cannot start the thread that answers gets")?;
+        Ok((Self { sender, newest }, ended))
+    }
+
+    /// Keeps a state over a restart. Never waits.
+    pub(crate) fn store(&self, stored: Stored) {
+        *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(stored);
+        // If the queue is full, the errands in it take the state along.
+        let _ = self.sender.try_send(None);
+    }
+
+    /// Answers a get. Never waits; an answer is dropped when too many wait.
+    pub(crate) fn reply(&self, query: Query, answer: Result<Vec<Outbound>, String>) {
+        if self.sender.try_send(Some((query, answer))).is_err() {
+            tracing::warn!("an answer is dropped: too many wait");
+        }
+    }
+}
+
+fn keep(store: &Store, stored: &Stored) {
+    if let Err(error) = store.save(stored) {
+        tracing::error!("settings will not survive a restart: {error:#}");
+    }
+}
+
+fn send(bus: &Bus, query: &Query, answer: Result<Vec<Outbound>, String>) {
+    let sent = match answer {
+        Ok(messages) => messages.into_iter().try_for_each(|message| {
+            query
+                .reply(bus.space().format(&message.key), message.payload)
+                .encoding(message.encoding.as_ref())
+                .wait()
+        }),
+        Err(error) => query.reply_err(error).encoding(muster_wire::message::JSON).wait(),
+    };
+    if let Err(error) = sent {
+        tracing::debug!("an answer is not sent: {error}");
+    }
+}
