@@ -204,12 +204,18 @@ impl Embedder {
         effects: &mut Effects<Job>,
     ) {
         let mut learned: Option<Arc<Embedding>> = None;
-        let mut seen = None;
         let mut rosters = Vec::new();
+        let starting = fetch == START_FETCH && !self.role.is_holding();
+        if starting {
+            let revisions = messages.iter().filter_map(|message| match message {
+                Message::Embedding(embedding) => Some(embedding.header.revision),
+                _ => None,
+            });
+            self.role.begin_term(now, revisions.max(), effects);
+        }
         for message in messages {
             match message {
-                Message::Embedding(embedding) if fetch == START_FETCH => {
-                    seen = seen.max(Some(embedding.header.revision));
+                Message::Embedding(embedding) if starting => {
                     if let Err(reason) = embedding.check() {
                         self.refuse(now, &Key::Embedding, reason, effects);
                     } else if learned
@@ -229,9 +235,8 @@ impl Embedder {
             self.take(now, roster, effects);
         }
         self.follow.fetch_ended(fetch);
-        if fetch == START_FETCH && !self.role.is_holding() {
+        if starting {
             self.embedding = learned;
-            self.role.begin_term(now, seen, effects);
         }
     }
 

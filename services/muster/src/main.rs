@@ -19,7 +19,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use muster_model::id::ServiceName;
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
-use muster_runtime::exit::{self, Exit, ExitError};
+use muster_runtime::exit::{self, ExitError};
 use muster_runtime::service::{block_on, report};
 
 /// Divides a fleet of robots into teams, live, from how the robots relate.
@@ -107,11 +107,12 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             block_on(&config, async |config, stop| show::status::run(args, &config, stop).await)
         }
         Command::Set(args) => block_on(&config, async |config, _| set::run(args, &config).await),
-        Command::Solve(args) => {
-            solve::run(args).map_err(|error| match error.downcast::<solve::SolveError>() {
-                Ok(error) => ExitError { exit: Exit::Usage, message: error.to_string() }.into(),
-                Err(error) => error,
-            })
-        }
+        Command::Solve(args) => solve::run(args).map_err(|error| {
+            if error.is::<solve::SolveError>() {
+                ExitError::usage(format!("{error:#}")).into()
+            } else {
+                error
+            }
+        }),
     }
 }

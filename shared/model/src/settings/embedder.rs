@@ -17,7 +17,7 @@ const MAX_DIMENSION: u32 = 256;
 
 /// The decay of longer paths.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(untagged, expecting = "must be a number, or {\"fraction\": number}")]
+#[serde(untagged, deny_unknown_fields, expecting = "must be a number, or {\"fraction\": number}")]
 pub enum Alpha {
     /// α itself; a frame in which α ρ ≥ 1 is refused.
     Value(f64),

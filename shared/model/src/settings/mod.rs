@@ -193,5 +193,10 @@ mod tests {
         let spatial = |patch: Value| IngestSettings::default().patched(&patch).unwrap_err().field;
         assert_eq!(spatial(json!({"spatial": {"radius": 1}})), "spatial.radius");
         assert_eq!(spatial(json!({"spatial": {"width": 0.0}})), "spatial.width");
+        let alpha = |patch: Value| EmbedderSettings::default().patched(&patch).unwrap_err();
+        for wrong in [json!("x"), json!({"fraction": 0.5, "x": 1}), json!({}), json!([1])] {
+            let error = alpha(json!({ "alpha": wrong }));
+            assert!(error.field == "alpha" && error.problem.contains("fraction"), "{error}");
+        }
     }
 }
