@@ -111,11 +111,7 @@ fn every_program_explains_itself_and_its_configuration() {
     let mut programs = vec!["muster".to_owned()];
     programs.extend(SERVICES.map(|service| format!("muster-{service}")));
     for program in programs {
-        let of = |arguments: &[&str]| {
-            // `muster` alone wants a command; the others are one.
-            let command: &[&str] = if program == "muster" { &["up"] } else { &[] };
-            run(&program, &[command, arguments].concat(), SOON).unwrap()
-        };
+        let of = |arguments: &[&str]| run(&program, arguments, SOON).unwrap();
         let (code, out, _) = run(&program, &["--help"], SOON).unwrap();
         assert_eq!(code, Some(0));
         for flag in [
@@ -131,7 +127,6 @@ fn every_program_explains_itself_and_its_configuration() {
         ] {
             assert!(out.contains(flag), "{program} --help does not tell {flag}:\n{out}");
         }
-        let (_, out, _) = of(&["--help"]);
         assert!(out.contains("Examples:"), "{program}:\n{out}");
         assert_eq!(of(&["--check-config"]).0, Some(0));
         let (code, printed, _) = of(&["--print-config", "--fleet", "beta"]);
@@ -167,4 +162,18 @@ fn the_shipped_configuration_is_the_built_in_one() {
         values(&["up", "--print-config", "--config", shipped]),
         values(&["up", "--print-config"])
     );
+}
+
+#[test]
+fn every_command_has_examples() {
+    for command in
+        ["demo", "up", "router", "robot", "teams", "audit", "graph", "status", "set", "solve"]
+    {
+        let (code, out, _) = run("muster", &[command, "--help"], SOON).unwrap();
+        assert_eq!(code, Some(0));
+        assert!(out.contains("Examples:"), "{command}:\n{out}");
+    }
+    let (code, _, err) = run("muster", &[], SOON).unwrap();
+    assert_eq!(code, Some(2));
+    assert!(err.contains("muster demo"), "{err}");
 }

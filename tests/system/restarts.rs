@@ -2,9 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use muster_tests::client::{Division, Watch, division};
+use muster_tests::client::{Client, Division, Watch, division};
 use muster_tests::cluster::{Cluster, SERVICES};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::pipeline::{formed, truth};
 
@@ -150,10 +150,78 @@ async fn services_wait_for_their_router_and_say_so() {
     }
     assert!(service.is_running().unwrap());
     let _router = muster_tests::cluster::start_router(&endpoint, folder.path()).unwrap();
-    let client = muster_tests::client::Client::connect(&endpoint, "default").await.unwrap();
+    let client = Client::connect(&endpoint, "default").await.unwrap();
     let start = Instant::now();
     while client.get_one("service/ingest/status").await.is_err() {
         assert!(start.elapsed() < Duration::from_secs(10), "{}", service.output());
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
+}
+
+/// The edges of each graph, once all of them have as many as wanted.
+async fn edges(client: &Client, wanted: &[(&str, usize)]) -> Vec<Value> {
+    let start = Instant::now();
+    loop {
+        let mut all = Vec::new();
+        for (modality, _) in wanted {
+            let graph = client.get_one(&format!("graph/{modality}?format=json")).await;
+            all.push(graph.map_or(Value::Null, |graph| graph["edges"].clone()));
+        }
+        let complete = all
+            .iter()
+            .zip(wanted)
+            .all(|(edges, (_, count))| edges.as_array().map(Vec::len) == Some(*count));
+        if complete {
+            return all;
+        }
+        assert!(start.elapsed() < Duration::from_secs(10), "{all:?}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_robots_said_once_survives_the_death_of_ingest() {
+    let mut cluster = Cluster::start("alpha", &[("ingest", "modalities=[\"thermal\"]")]).unwrap();
+    let client = cluster.client().await.unwrap();
+    edges(&client, &[("thermal", 0)]).await;
+    let posing = client.clone();
+    let poses = tokio::spawn(async move {
+        loop {
+            for (robot, x) in [("r1", 0.0), ("r2", 5.0), ("r3", 90.0), ("r4", 95.0)] {
+                let pose = json!({"x": x, "y": 0.0});
+                posing.put(&format!("robot/{robot}/pose"), &pose).await.unwrap();
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    });
+    let once = [
+        ("robot/r2/rank", json!({"superior": "r1", "weight": 0.5})),
+        ("robot/r4/rank", json!({"superior": "r3"})),
+        ("robot/r1/links", json!({"links": [{"peer": "r2", "quality": 0.75}]})),
+        ("robot/r3/relation/thermal", json!({"edges": [["r3", "r4", 2.0]]})),
+    ];
+    for (key, value) in once {
+        client.put(key, &value).await.unwrap();
+    }
+    let wanted = [("hierarchy", 2), ("connectivity", 1), ("thermal", 1)];
+    let before = edges(&client, &wanted).await;
+    assert_eq!(before[0], json!([["r1", "r2", 0.5], ["r3", "r4", 1.0]]));
+    assert_eq!(before[1], json!([["r2", "r1", 0.75]]));
+    // Others must have heard of it before it can be asked back.
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    cluster.service("ingest").unwrap().kill().unwrap();
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    cluster.start_service("ingest").unwrap();
+    let start = Instant::now();
+    while client
+        .get_one("service/ingest/status")
+        .await
+        .map_or(0, |status| status["revision"]["term"].as_u64().unwrap_or_default())
+        < 2
+    {
+        assert!(start.elapsed() < RECOVERED_WITHIN);
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    assert_eq!(edges(&client, &wanted).await, before);
+    poses.abort();
 }

@@ -16,7 +16,7 @@ mod up;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use muster_model::id::ServiceName;
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use muster_runtime::exit::{self, ExitError};
@@ -28,7 +28,7 @@ use muster_runtime::service::{block_on, report};
     version,
     propagate_version = true,
     after_help = format!(
-        "Start here:\n  muster demo                 everything on this machine, with a simulated fleet\n  \
+        "Examples:\n  muster demo                 everything on this machine, with a simulated fleet\n  \
          muster teams --watch        the teams of a live fleet, as they change\n  \
          muster set clusterer teams=3\n\n{}", exit::HELP)
 )]
@@ -36,7 +36,7 @@ struct Arguments {
     #[command(flatten)]
     process: ProcessArgs,
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -69,19 +69,23 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let default_mode = match &arguments.command {
-        Command::Router(_) => Mode::Router,
+        Some(Command::Router(_)) => Mode::Router,
         _ => Mode::Client,
     };
     let mut config =
         ProcessConfig::resolve(&arguments.process, default_mode, &process_environment)?;
-    if matches!(arguments.command, Command::Demo(_)) {
+    if matches!(arguments.command, Some(Command::Demo(_))) {
         // The table is what people look at; the services speak up when something is wrong.
         config.log.value.get_or_insert_with(|| "warn".to_owned());
     }
     if report(&arguments.process, &config, &ServiceName::ALL)? {
         return Ok(());
     }
-    match &arguments.command {
+    let Some(command) = &arguments.command else {
+        let help = Arguments::command().render_help();
+        return Err(ExitError::usage(format!("a command is missing\n\n{help}")).into());
+    };
+    match command {
         Command::Demo(args) => {
             block_on(&config, async |config, stop| demo::run(args, config, stop).await)
         }
