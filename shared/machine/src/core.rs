@@ -61,7 +61,7 @@ pub enum Effect<Job> {
         /// The answer.
         answer: Result<Vec<Message>, String>,
     },
-    /// Run a job; a job that waits is replaced.
+    /// Run a job. A core starts one at a time, by its [`crate::JobGate`].
     Start(Job),
     /// Ask the bus for the newest messages; the answers come back as [`Event::Fetched`], within a
     /// bounded time even if nobody answers.

@@ -10,13 +10,24 @@ use muster_model::settings::Settings;
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_wire::envelope::AnnouncedSettings;
-use muster_wire::{Key, KeySpace, Message, Rejection, Request};
+use muster_wire::{Key, KeySpace, Message, Pattern, Rejection, Request};
 use serde_json::{Map, Value, json};
 
 use crate::core::{Effect, Effects, QueryId, Start, Stored};
 
 /// The number of the fetch that every core makes as it starts: its own last output and what it reads.
 pub const START_FETCH: u32 = 0;
+
+/// The number of the fetch by which [`Role::advance`] looks after its own last output.
+pub const TERM_FETCH: u32 = u32::MAX;
+
+/// How often a holder looks whether its readers have seen a higher revision than its own, which is
+/// so when its start could not ask them: they would drop all that it says.
+const TERM_CHECK: Duration = Duration::from_secs(5);
+
+/// How soon it looks again when they have. Another holder that lives goes on meanwhile, and is left
+/// alone.
+const TERM_CHECK_AGAIN: Duration = Duration::from_secs(1);
 
 /// How long refused messages of one robot and key are only counted after one was told of: an
 /// offender must not flood the event stream.
@@ -42,6 +53,8 @@ pub struct Role<S> {
     settings: S,
     stored: Stored,
     holding: bool,
+    check_at: Option<Tick>,
+    higher: Option<Revision>,
     counters: BTreeMap<&'static str, u64>,
     offenders: BTreeMap<(Option<RobotId>, String), Offender>,
 }
@@ -74,6 +87,8 @@ impl<S: Settings> Role<S> {
             settings,
             stored,
             holding: false,
+            check_at: None,
+            higher: None,
             counters: BTreeMap::new(),
             offenders: BTreeMap::new(),
         }
@@ -116,10 +131,57 @@ impl<S: Settings> Role<S> {
         self.event_epoch = 0;
         self.stored.term = self.revision.term;
         self.holding = true;
+        self.check_at = Some(now.after(TERM_CHECK));
+        self.higher = None;
         effects.push(Effect::Store(self.stored.clone()));
         let term = self.revision.term;
         self.tell(now, Severity::Info, EventKind::ServiceStarted { term }, effects);
         effects.publish(self.settings_message(now));
+    }
+
+    /// Looks after the own last output on the bus when it is time, or at once after a lost link.
+    pub fn advance<J>(&mut self, now: Tick, own: Pattern, effects: &mut Effects<J>) {
+        if self.check_at.is_some_and(|at| at <= now) {
+            self.check_at = Some(now.after(TERM_CHECK));
+            effects.push(Effect::Fetch { fetch: TERM_FETCH, patterns: vec![own] });
+        }
+    }
+
+    /// The link is back: others may have taken the role meanwhile.
+    pub fn link_restored(&mut self, now: Tick) {
+        if self.holding {
+            self.check_at = Some(now);
+        }
+    }
+
+    /// Takes in what [`TERM_FETCH`] has found. True if a new term has begun, because readers have
+    /// seen a revision above the own one from nobody who still goes on: everything is to be
+    /// published anew.
+    #[must_use]
+    pub fn checked<J>(&mut self, now: Tick, found: &[Message], effects: &mut Effects<J>) -> bool {
+        let revisions = found.iter().filter_map(|message| Some(message.header()?.revision));
+        let higher = revisions.max().filter(|found| self.holding && *found > self.revision);
+        if higher.is_some() && higher == self.higher {
+            self.begin_term(now, higher, effects);
+            return true;
+        }
+        if higher.is_some() {
+            self.check_at = Some(now.after(TERM_CHECK_AGAIN));
+        }
+        self.higher = higher;
+        false
+    }
+
+    /// When [`Role::advance`] has something to do.
+    #[must_use]
+    pub fn deadline(&self) -> Option<Tick> {
+        self.check_at
+    }
+
+    /// Refuses the content of a message, as [`Role::quarantine`] does.
+    pub fn refuse<J>(&mut self, now: Tick, key: &Key, reason: &str, effects: &mut Effects<J>) {
+        let rejection = Rejection::new(&self.space, &self.space.format(key), reason);
+        self.quarantine(now, rejection, effects);
     }
 
     /// The place of the next output.
@@ -145,7 +207,7 @@ impl<S: Settings> Role<S> {
         *counter = counter.saturating_add(many);
     }
 
-    /// Publishes an event.
+    /// Publishes an event; nothing before the term has begun.
     pub fn tell<J>(
         &mut self,
         now: Tick,
@@ -153,6 +215,9 @@ impl<S: Settings> Role<S> {
         kind: EventKind,
         effects: &mut Effects<J>,
     ) {
+        if !self.holding {
+            return;
+        }
         self.event_epoch = self.event_epoch.saturating_add(1);
         effects.publish(Message::Event(FleetEvent {
             header: self
@@ -224,6 +289,10 @@ impl<S: Settings> Role<S> {
             effects.push(Effect::Reply { query, request, answer });
             if changed {
                 self.count("settings_changed");
+                if !self.holding {
+                    // The term begins with an announcement.
+                    return Answered::SettingsChanged;
+                }
                 effects.publish(self.settings_message(now));
                 let kind = EventKind::SettingsChanged { settings: self.settings_json() };
                 self.tell(now, Severity::Info, kind, effects);

@@ -37,7 +37,8 @@ pub struct Header {
     pub fleet: FleetId,
     /// Where it stands among the outputs of its role.
     pub revision: Revision,
-    /// When the oldest pose behind it was received, among robots that are not stale.
+    /// When the oldest pose behind it was received: among the robots that are not stale, or among all
+    /// where every robot is.
     pub oldest: Option<Tick>,
     /// When the newest pose behind it was received.
     pub newest: Option<Tick>,
@@ -46,10 +47,10 @@ pub struct Header {
 }
 
 impl Header {
-    /// Age in seconds of the oldest robot data behind the message; zero if none is.
+    /// Age in seconds of the oldest robot data behind the message; none if there is no such data.
     #[must_use]
-    pub fn data_age_s(&self, now: Tick) -> f64 {
-        self.oldest.map_or(0.0, |oldest| now.since(oldest).as_secs_f64())
+    pub fn data_age_s(&self, now: Tick) -> Option<f64> {
+        self.oldest.map(|oldest| now.since(oldest).as_secs_f64())
     }
 
     /// The head of a message that is made from this one: same data, one stage further.

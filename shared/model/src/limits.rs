@@ -36,9 +36,13 @@ pub const MAX_COORDINATE_M: f64 = 4.0e7;
 /// Largest weight of an edge: products of weights stay finite over the longest sums that are formed.
 pub const MAX_WEIGHT: f64 = 1.0e6;
 
-/// Highest term or epoch that is believed. They count restarts and frames one by one: only a forged
+/// No term or epoch from here on is believed. They count restarts and frames one by one: only a forged
 /// message is beyond it, and believing that one would leave no higher term for anybody else.
 pub const MAX_REVISION: u64 = 1 << 48;
+
+/// Largest team whose members are all named in what each robot is told: beyond it, telling everybody
+/// of everybody would be more than the rest of the traffic together.
+pub const MAX_MEMBERS_TOLD: usize = 256;
 
 /// Most edges of one graph that fit a message between services, at about 12 bytes each.
 pub const MAX_GRAPH_EDGES: u64 = 5_000_000;

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::header::{Header, Revision};
 use crate::id::{RobotId, TeamId};
+use crate::limits::MAX_MEMBERS_TOLD;
 
 /// One robot within its team.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -161,8 +162,9 @@ pub struct RobotTeam {
     pub robot: RobotId,
     /// Its team; none if nothing relates it to the others.
     pub team: Option<TeamId>,
-    /// All robots of the team, itself among them, ordered by name.
-    pub members: Vec<RobotId>,
+    /// All robots of the team, itself among them, ordered by name; none if they are more than
+    /// [`MAX_MEMBERS_TOLD`], whom the division names.
+    pub members: Option<Vec<RobotId>>,
     /// Who leads the team.
     pub leader: Option<RobotId>,
     /// How clearly it belongs there: its margin, and 0 where that is negative.
@@ -196,9 +198,13 @@ impl Teams {
             header: self.header.clone(),
             robot: robot.clone(),
             team: place.map(|(team, _)| team.id.clone()),
-            members: place.map_or_else(Vec::new, |(team, _)| {
-                team.members.iter().map(|member| member.robot.clone()).collect()
-            }),
+            members: match place {
+                None => Some(Vec::new()),
+                Some((team, _)) if team.members.len() > MAX_MEMBERS_TOLD => None,
+                Some((team, _)) => {
+                    Some(team.members.iter().map(|member| member.robot.clone()).collect())
+                }
+            },
             leader: place.map(|(team, _)| team.leader.clone()),
             confidence: place.map_or(0.0, |(_, member)| member.margin.clamp(0.0, 1.0)),
         }

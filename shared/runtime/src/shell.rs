@@ -266,7 +266,6 @@ impl<C: Core> Shell<C> {
             ("inbox_dropped", inbox.dropped),
             ("outbox_sent", sent),
             ("outbox_dropped", dropped),
-            ("jobs_superseded", self.driver.superseded_jobs()),
         ] {
             counters.insert(name.to_owned(), count);
         }

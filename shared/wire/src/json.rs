@@ -1,7 +1,7 @@
 //! The JSON form of messages at the edge, for dashboards and robots in any language.
 //!
 //! Every object begins with the same head: `fleet`, `term`, `epoch`, `data_age_s` (age of the oldest
-//! robot data behind it when it was written) and `stages` (each service passed, with the seconds
+//! robot data behind it when it was written; null where there is none) and `stages` (each service passed, with the seconds
 //! since the Unix epoch at which it received and published).
 
 use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
@@ -23,7 +23,7 @@ struct Head<'a> {
     fleet: &'a FleetId,
     term: u64,
     epoch: u64,
-    data_age_s: f64,
+    data_age_s: Option<f64>,
     stages: Vec<Stage>,
 }
 
@@ -109,7 +109,7 @@ impl EdgeJson for RobotTeam {
             head: Head<'a>,
             robot: &'a RobotId,
             team: Option<&'a TeamId>,
-            members: &'a [RobotId],
+            members: Option<&'a [RobotId]>,
             leader: Option<&'a RobotId>,
             confidence: f64,
         }
@@ -117,7 +117,7 @@ impl EdgeJson for RobotTeam {
             head: head(&self.header, now),
             robot: &self.robot,
             team: self.team.as_ref(),
-            members: &self.members,
+            members: self.members.as_deref(),
             leader: self.leader.as_ref(),
             confidence: self.confidence,
         })

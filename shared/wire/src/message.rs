@@ -301,8 +301,8 @@ impl Message {
             let (ours, theirs) = (space.fleet(), &header.fleet);
             return Err(format!("the key speaks for fleet {ours}, the message for {theirs}"));
         }
-        if header.revision.term.max(header.revision.epoch) > MAX_REVISION {
-            return Err(format!("term and epoch may be at most {MAX_REVISION}"));
+        if header.revision.term.max(header.revision.epoch) >= MAX_REVISION {
+            return Err(format!("term and epoch must be below {MAX_REVISION}"));
         }
         Ok(message)
     }

@@ -64,11 +64,11 @@ pub(crate) fn print(teams: &Teams, json: bool, now: Tick) -> anyhow::Result<()> 
     let header = &teams.header;
     writeln!(
         out,
-        "fleet {}  term {}  epoch {}  data {:.2} s old",
+        "fleet {}  term {}  epoch {}  {}",
         header.fleet,
         header.revision.term,
         header.revision.epoch,
-        header.data_age_s(now)
+        header.data_age_s(now).map_or("no poses".to_owned(), |age| format!("data {age:.2} s old"))
     )?;
     let mut table = table(&["team", "robots", "leader", "members"]);
     for team in &teams.teams {
