@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, QueryId, Role, START_FETCH, Start,
-    Subscription, Wiring,
+    Answered, Core, Delivery, Effect, Effects, Event, JobGate, QueryId, Role, START_FETCH, Start,
+    Subscription, TERM_FETCH, Wiring, answer_teams,
 };
 use muster_model::audit::{Audit, Verdict};
 use muster_model::embedding::Embedding;
@@ -18,7 +18,7 @@ use muster_model::settings::AuditorSettings;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
-use muster_wire::{Key, Message, Pattern, Rejection, Request};
+use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::alert::Alert;
 use crate::judge::{Case, Job, Judgement, Outcome, judge, verdict};
@@ -46,10 +46,6 @@ const PATIENCE: Duration = Duration::from_millis(250);
 /// How long after an asking that did not help the next one follows.
 const ASK_AGAIN: Duration = Duration::from_secs(1);
 
-/// Most names in all the answers to one get of robots' teams: the answer for a whole fleet grows
-/// with the square of its teams.
-const MAX_NAMES_ANSWERED: usize = 4_000_000;
-
 /// A division, and when it was heard of.
 #[derive(Debug, Clone)]
 struct Heard {
@@ -57,10 +53,22 @@ struct Heard {
     received: Tick,
 }
 
+/// What a job is for.
+#[derive(Debug, Clone)]
+struct Task {
+    case: Case,
+    source: Heard,
+}
+
+impl PartialEq for Task {
+    fn eq(&self, other: &Self) -> bool {
+        self.case.is_same(&other.case)
+    }
+}
+
 /// A judgement, and what it is about.
 #[derive(Debug)]
 struct Judged {
-    case: Case,
     judgement: Judgement,
     /// The newest division that it holds for.
     source: Heard,
@@ -74,8 +82,7 @@ pub struct Auditor {
     newest: Option<Heard>,
     embeddings: VecDeque<Arc<Embedding>>,
     rosters: VecDeque<Arc<Roster>>,
-    running: Option<(Case, Heard)>,
-    failed: Option<Case>,
+    gate: JobGate<Task>,
     judged: Option<Judged>,
     /// The last good answer; of the holder before until this one has its own.
     audit: Option<Arc<Audit>>,
@@ -137,10 +144,16 @@ fn find<T: Kept + Clone>(history: &VecDeque<T>, revision: Revision) -> Option<T>
 }
 
 impl Auditor {
-    fn take_in(&mut self, now: Tick, message: Message, effects: &mut Effects<Job>) {
+    fn take_in(
+        &mut self,
+        now: Tick,
+        message: Message,
+        wanted: Option<Revision>,
+        effects: &mut Effects<Job>,
+    ) {
         let taken = match message {
             Message::Teams { teams, .. } => self.take_teams(now, teams, effects),
-            Message::Embedding(embedding) => self.take_embedding(now, embedding, effects),
+            Message::Embedding(embedding) => self.take_embedding(now, embedding, wanted, effects),
             Message::Roster(roster) => self.take_roster(roster),
             _ => Taken::Kept,
         };
@@ -159,7 +172,7 @@ impl Auditor {
             return if last == Some(revision) { Taken::Kept } else { Taken::Old };
         }
         if let Err(reason) = teams.check() {
-            self.refuse(now, &Key::Teams, reason, effects);
+            self.role.refuse(now, &Key::Teams, reason, effects);
             return Taken::Kept;
         }
         // Divisions go forward through the embeddings: no later one names what lies before this
@@ -176,26 +189,24 @@ impl Auditor {
         &mut self,
         now: Tick,
         embedding: Arc<Embedding>,
+        wanted: Option<Revision>,
         effects: &mut Effects<Job>,
     ) -> Taken {
         if let Err(reason) = embedding.check() {
-            self.refuse(now, &Key::Embedding, reason, effects);
+            self.role.refuse(now, &Key::Embedding, reason, effects);
             return Taken::Kept;
         }
-        let wanted = self.newest.as_ref().map(|heard| heard.teams.embedding);
         keep(&mut self.embeddings, embedding, wanted)
     }
 
     fn take_roster(&mut self, roster: Arc<Roster>) -> Taken {
-        let named = self.newest.as_ref().map(|heard| heard.teams.embedding);
-        let wanted = named.and_then(|named| Some(find(&self.embeddings, named)?.roster));
+        let wanted = self.wanted().and_then(|named| Some(find(&self.embeddings, named)?.roster));
         keep(&mut self.rosters, roster, wanted)
     }
 
-    fn refuse(&mut self, now: Tick, key: &Key, reason: &str, effects: &mut Effects<Job>) {
-        let key = self.role.space().format(key);
-        let rejection = Rejection::new(self.role.space(), &key, reason);
-        self.role.quarantine(now, rejection, effects);
+    /// The embedding that the newest division names.
+    fn wanted(&self) -> Option<Revision> {
+        self.newest.as_ref().map(|heard| heard.teams.embedding)
     }
 
     /// The newest division with what it was made from, if that is there.
@@ -209,48 +220,62 @@ impl Auditor {
 
     /// Starts a job if there is something to judge that is neither judged nor failed.
     fn consider(&mut self, now: Tick, effects: &mut Effects<Job>) {
-        if !self.role.is_holding() || self.running.is_some() || self.newest.is_none() {
+        if !self.role.is_holding() || self.gate.is_running() || self.newest.is_none() {
             return;
         }
-        let Some((case, heard)) = self.case() else {
+        let Some((case, source)) = self.case() else {
             self.ask = self.ask.or_else(|| Some(now.after(PATIENCE)));
             return;
         };
         self.ask = None;
-        if let Some(judged) = self.judged.as_mut().filter(|judged| judged.case.is_same(&case)) {
-            judged.source = heard;
+        let task = Task { case, source };
+        if !self.gate.wants(now, &task) {
+            if self.gate.standing_failure().is_none()
+                && let Some(judged) = &mut self.judged
+            {
+                judged.source = task.source;
+            }
             return;
         }
-        if self.failed.as_ref().is_some_and(|failed| failed.is_same(&case)) {
-            return;
-        }
-        self.running = Some((case.clone(), heard));
+        let job = Job { case: task.case.clone() };
+        self.gate.started(task);
         self.role.count("jobs_started");
-        effects.push(Effect::Start(Job { case }));
+        effects.push(Effect::Start(job));
     }
 
     fn finish(&mut self, now: Tick, result: Result<Judgement, String>, effects: &mut Effects<Job>) {
-        if let Some((case, source)) = self.running.take() {
-            match result {
-                Ok(judgement) => {
-                    self.failed = None;
-                    self.role.count("divisions_judged");
-                    self.judged = Some(Judged { case, judgement, source, published: now });
-                    // The same division may have come again, fresher, while the job ran.
-                    self.consider(now, effects);
-                    self.publish(now, effects);
-                    self.watch(now, effects);
-                    return;
-                }
-                Err(reason) => {
-                    self.role.count("jobs_failed");
-                    let kind = EventKind::JobFailed { reason };
-                    self.role.tell(now, Severity::Error, kind, effects);
-                    self.failed = Some(case);
-                }
+        match result {
+            Ok(judgement) => {
+                self.gate.succeeded();
+                let Some(task) = self.gate.settled() else { return };
+                self.role.count("divisions_judged");
+                let source = task.source.clone();
+                self.judged = Some(Judged { judgement, source, published: now });
+                // The same division may have come again, fresher, while the job ran.
+                self.consider(now, effects);
+                self.publish(now, effects);
+                self.watch(now, effects);
+            }
+            Err(reason) => {
+                let told = self.gate.refused(now, "judgement", reason);
+                self.fail(now, told, effects);
             }
         }
+    }
+
+    fn fail(&mut self, now: Tick, told: Option<String>, effects: &mut Effects<Job>) {
+        self.role.count("jobs_failed");
+        if let Some(reason) = told {
+            let kind = EventKind::JobFailed { reason };
+            self.role.tell(now, Severity::Error, kind, effects);
+        }
         self.consider(now, effects);
+    }
+
+    /// When a job that has panicked is to be tried again. One whose embedding is missing now waits
+    /// for that first.
+    fn retry_at(&self) -> Option<Tick> {
+        self.gate.deadline().filter(|_| self.ask.is_none())
     }
 
     /// Tells the last judgement.
@@ -287,7 +312,15 @@ impl Auditor {
     }
 
     fn begin(&mut self, now: Tick, messages: Vec<Message>, effects: &mut Effects<Job>) {
-        for message in &messages {
+        self.inherit(&messages);
+        let seen = self.audit.as_ref().map(|audit| audit.header.revision);
+        self.role.begin_term(now, seen, effects);
+        self.take_all(now, messages, effects);
+    }
+
+    /// Takes over the newest audit of an earlier holder.
+    fn inherit(&mut self, messages: &[Message]) {
+        for message in messages {
             if let Message::Audit(audit) = message {
                 let last = self.audit.as_ref().map(|audit| audit.header.revision);
                 if last.is_none_or(|last| audit.header.revision > last) {
@@ -295,20 +328,36 @@ impl Auditor {
                 }
             }
         }
-        let seen = self.audit.as_ref().map(|audit| audit.header.revision);
-        self.role.begin_term(now, seen, effects);
-        self.take_all(now, messages, effects);
+    }
+
+    /// Looks whether readers hold a higher revision, and if so, tells the judgement under a new term.
+    fn check_term(&mut self, now: Tick, messages: &[Message], effects: &mut Effects<Job>) {
+        if self.role.checked(now, messages, effects) {
+            if self.judged.is_none() {
+                self.inherit(messages);
+            }
+            self.publish(now, effects);
+        }
     }
 
     /// Takes answers in, which come in no order: divisions last, when all that they may name is
-    /// there, and the older of two before the newer.
+    /// there, and the older of two before the newer. An embedding that a division among them names
+    /// is taken however old it is.
     fn take_all(&mut self, now: Tick, mut messages: Vec<Message>, effects: &mut Effects<Job>) {
         messages.sort_by_key(|message| {
             let teams = matches!(message, Message::Teams { .. });
             (teams, message.header().map(|header| header.revision))
         });
+        let divisions = messages.iter().filter_map(|message| match message {
+            Message::Teams { teams, .. } => Some(teams),
+            _ => None,
+        });
+        let newest = divisions
+            .chain(self.newest.as_ref().map(|heard| &heard.teams))
+            .max_by_key(|teams| teams.header.revision);
+        let wanted = newest.map(|teams| teams.embedding);
         for message in messages {
-            self.take_in(now, message, effects);
+            self.take_in(now, message, wanted, effects);
         }
         self.consider(now, effects);
     }
@@ -324,6 +373,9 @@ impl Auditor {
         }
         if self.alert.due(self.role.settings()).is_some_and(|due| now >= due) {
             self.watch(now, effects);
+        }
+        if self.retry_at().is_some_and(|due| now >= due) {
+            self.consider(now, effects);
         }
     }
 
@@ -353,32 +405,7 @@ impl Auditor {
             messages.push(Message::Audit(Arc::clone(audit)));
         }
         if let Some(Heard { teams, .. }) = &self.newest {
-            if selects(&Key::Teams) || selects(&Key::JsonTeams) {
-                messages.push(Message::Teams { teams: Arc::clone(teams), mirror: true });
-            }
-            let mut names: usize = 0;
-            let sizes = teams
-                .teams
-                .iter()
-                .flat_map(|team| team.members.iter().map(|m| (&m.robot, team.members.len())))
-                .chain(teams.unassigned.iter().map(|robot| (robot, 0)));
-            let mut robots = Vec::new();
-            for (robot, size) in sizes {
-                if selects(&Key::RobotTeam(robot.clone())) {
-                    names = names.saturating_add(size);
-                    robots.push(robot);
-                }
-            }
-            if names > MAX_NAMES_ANSWERED {
-                return Err(format!(
-                    "the teams of these robots name {names} members, which is more than one answer \
-                     may hold; get {} or the team of one robot",
-                    space.format(&Key::Teams)
-                ));
-            }
-            messages.extend(
-                robots.into_iter().filter_map(|r| teams.robot_team(r)).map(Message::RobotTeam),
-            );
+            messages.extend(answer_teams(space, request, teams)?);
         }
         if let Some(embedding) = self.embeddings.back()
             && selects(&Key::Embedding)
@@ -453,8 +480,7 @@ impl Core for Auditor {
             newest: None,
             embeddings: VecDeque::new(),
             rosters: VecDeque::new(),
-            running: None,
-            failed: None,
+            gate: JobGate::default(),
             judged: None,
             audit: None,
             alert: Alert::default(),
@@ -473,26 +499,38 @@ impl Core for Auditor {
             Event::Fetched { fetch: START_FETCH, messages } if !self.role.is_holding() => {
                 self.begin(now, messages, effects);
             }
+            Event::Fetched { fetch: TERM_FETCH, messages } => {
+                self.check_term(now, &messages, effects);
+            }
             Event::Fetched { messages, .. } => self.take_all(now, messages, effects),
-            Event::Received(message) => self.take_in(now, message, effects),
+            Event::Received(message) => {
+                let wanted = self.wanted();
+                self.take_in(now, message, wanted, effects);
+            }
             Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
             Event::Timeout => self.expire(now, effects),
             Event::Done(Outcome(result)) => self.finish(now, result, effects),
-            Event::JobFailed(reason) => self.finish(now, Err(reason), effects),
+            Event::JobFailed(said) => {
+                let told = self.gate.panicked(now, &said);
+                self.fail(now, told, effects);
+            }
             Event::Query { query, request } => self.answer(now, query, request, effects),
             Event::LinkLost => {}
             Event::LinkRestored => {
+                self.role.link_restored(now);
                 let patterns = [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One);
                 effects.push(Effect::Fetch { fetch: PAIR_FETCH, patterns: patterns.to_vec() });
                 self.publish(now, effects);
             }
         }
+        self.role.advance(now, Pattern::One(Key::Audit), effects);
     }
 
     fn deadline(&self) -> Option<Tick> {
         let heartbeat = self.judged.as_ref().map(|judged| judged.published.after(HEARTBEAT));
         let alert = self.alert.due(self.role.settings());
-        [self.ask, heartbeat, alert].into_iter().flatten().min()
+        let retry = self.retry_at();
+        [self.ask, heartbeat, alert, retry, self.role.deadline()].into_iter().flatten().min()
     }
 
     fn run(job: Job) -> Outcome {

@@ -10,7 +10,8 @@
 //!   waited for, and asked for after a while.
 //! - The same division of the same data is judged once. What is told again is the same judgement
 //!   with a new revision, and its data grows older honestly.
-//! - A job that fails changes nothing: the last judgement stands and is told on.
+//! - A job that fails changes nothing: the last judgement stands and is told on. One that panics is
+//!   tried again.
 //! - What was last heard of the other services is repeated to whoever asks, so that one of them
 //!   that was killed finds its last output again.
 

@@ -1,12 +1,13 @@
 //! What is divided when, and what is told of it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, QueryId, Role, START_FETCH, Start,
-    Subscription, Wiring,
+    Answered, Core, Delivery, Effect, Effects, Event, JobGate, QueryId, Role, START_FETCH, Start,
+    Subscription, TERM_FETCH, Wiring, answer_teams,
 };
+use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{RobotId, ServiceName};
@@ -15,10 +16,12 @@ use muster_model::settings::ClustererSettings;
 use muster_model::teams::Teams;
 use muster_model::time::{Tick, seconds};
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
-use muster_wire::{Key, Message, Pattern, Rejection, Request};
+use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::division::{Job, Outcome, divide, same_data};
+use crate::identity::Memory;
 use crate::leader::leaders;
+use crate::telling::{Turn, counted, robots_to_tell, shortage};
 
 /// The number of the fetch that is made when a lost link is back: what came meanwhile was missed.
 const LINK_FETCH: u32 = 1;
@@ -26,10 +29,6 @@ const LINK_FETCH: u32 = 1;
 /// Most changes of one division that are told as events: when a whole fleet is divided anew, the
 /// division itself says it better than one event per robot. The others are counted.
 const MAX_CHANGE_EVENTS: usize = 64;
-
-/// Most names in all the answers to one get of robots' teams. Each robot is told all members of its
-/// team, so that the answer for a whole fleet grows with the square of its teams.
-const MAX_NAMES_ANSWERED: usize = 4_000_000;
 
 /// An embedding, and when it was heard of.
 #[derive(Debug, Clone)]
@@ -46,9 +45,9 @@ struct Task {
     settings: ClustererSettings,
 }
 
-impl Task {
-    fn is_same(&self, heard: &Heard, settings: &ClustererSettings) -> bool {
-        self.settings == *settings && same_data(&self.heard.embedding, &heard.embedding)
+impl PartialEq for Task {
+    fn eq(&self, other: &Self) -> bool {
+        self.settings == other.settings && same_data(&self.heard.embedding, &other.heard.embedding)
     }
 }
 
@@ -69,14 +68,17 @@ pub struct Clusterer {
     role: Role<ClustererSettings>,
     newest: Option<Heard>,
     roster: Option<Arc<Roster>>,
-    running: Option<Task>,
-    divided: Option<Task>,
-    failed: Option<Task>,
+    /// What the auditor last said, for the case that it is gone.
+    audit: Option<Arc<Audit>>,
+    gate: JobGate<Task>,
     /// The last good answer; of the holder before until this one has its own.
     division: Option<Arc<Teams>>,
+    /// The embedding that the division names.
+    divided: Option<Arc<Embedding>>,
+    /// Teams that robots had before the division.
+    memory: Arc<Memory>,
     told: Option<Told>,
-    /// Whether every robot has been told of its team by this holder over this link.
-    robots_told: bool,
+    turn: Turn,
     /// How many teams were asked for and formed when that was last told to be too few.
     fewer: Option<(u32, u32)>,
 }
@@ -86,7 +88,24 @@ impl Clusterer {
         match message {
             Message::Embedding(embedding) => self.take_embedding(now, embedding, effects),
             Message::Roster(roster) => self.take_roster(now, roster, effects),
+            Message::Audit(audit) => self.take_audit(audit),
             _ => {}
+        }
+    }
+
+    /// Takes answers in, the newest first, so that no older one is divided before it.
+    fn take_all(&mut self, now: Tick, mut messages: Vec<Message>, effects: &mut Effects<Job>) {
+        let revision = |message: &Message| message.header().map(|header| header.revision);
+        messages.sort_by_key(|message| std::cmp::Reverse(revision(message)));
+        for message in messages {
+            self.take_in(now, message, effects);
+        }
+    }
+
+    fn take_audit(&mut self, audit: Arc<Audit>) {
+        let last = self.audit.as_ref().map(|audit| audit.header.revision);
+        if last.is_none_or(|last| audit.header.revision > last) {
+            self.audit = Some(audit);
         }
     }
 
@@ -101,14 +120,12 @@ impl Clusterer {
             return;
         }
         if let Err(reason) = embedding.check() {
-            let key = self.role.space().format(&Key::Embedding);
-            let rejection = Rejection::new(self.role.space(), &key, reason);
-            self.role.quarantine(now, rejection, effects);
+            self.role.refuse(now, &Key::Embedding, reason, effects);
             return;
         }
         self.role.count("embeddings_received");
         self.newest = Some(Heard { embedding, received: now });
-        self.consider(effects);
+        self.consider(now, effects);
     }
 
     fn take_roster(&mut self, now: Tick, roster: Arc<Roster>, effects: &mut Effects<Job>) {
@@ -120,10 +137,14 @@ impl Clusterer {
             }
             return;
         }
+        if let Err(reason) = roster.check() {
+            self.role.refuse(now, &Key::Roster, reason, effects);
+            return;
+        }
         self.roster = Some(roster);
-        // Robots went silent, or command others now: the same labels, told anew.
+        // Robots went silent, left, or command others now: the same labels, told anew.
         if let (Some(told), Some(division)) = (&self.told, &self.division) {
-            let (leaders, stale) = self.roster_view(division);
+            let (leaders, stale) = self.roster_view(division, &told.source.embedding);
             let led = division.teams.iter().zip(leaders);
             if stale != division.stale
                 || led.into_iter().any(|(team, leader)| leader.is_some_and(|l| l != team.leader))
@@ -134,80 +155,93 @@ impl Clusterer {
         }
     }
 
-    /// What the newest roster says of a division: the leader of each team, and who is stale.
-    fn roster_view(&self, teams: &Teams) -> (Vec<Option<RobotId>>, Vec<RobotId>) {
-        let roster = self.roster.as_deref();
-        let leaders = leaders(&teams.teams, roster, self.division.as_deref());
-        let silent: BTreeSet<&RobotId> = match roster {
-            Some(roster) => roster
-                .robots
-                .iter()
-                .filter(|entry| entry.presence == Presence::Stale)
-                .map(|entry| &entry.robot)
-                .collect(),
-            None => self.division.iter().flat_map(|division| &division.stale).collect(),
-        };
-        if silent.is_empty() {
-            return (leaders, Vec::new());
+    /// What the newest roster says of the division of an embedding: the leader of each team, and who
+    /// is stale. Who is missing from a roster that is not older than the embedding's is about to go.
+    fn roster_view(
+        &self,
+        teams: &Teams,
+        embedding: &Embedding,
+    ) -> (Vec<Option<RobotId>>, Vec<RobotId>) {
+        let mut stale = Vec::new();
+        if let Some(roster) = self.roster.as_deref() {
+            let is_new = roster.header.revision >= embedding.roster;
+            let mut entries = roster.robots.iter().peekable();
+            for robot in &embedding.robots {
+                while entries.next_if(|entry| entry.robot < *robot).is_some() {}
+                let is_stale = match entries.peek().filter(|entry| entry.robot == *robot) {
+                    Some(entry) => entry.presence == Presence::Stale,
+                    None => is_new,
+                };
+                if is_stale {
+                    stale.push(robot.clone());
+                }
+            }
+        } else if let Some(division) = &self.division {
+            let known = |robot: &&RobotId| embedding.robots.binary_search(robot).is_ok();
+            stale.extend(division.stale.iter().filter(known).cloned());
         }
-        let mut stale: Vec<RobotId> = teams
-            .assignments()
-            .map(|(robot, _)| robot)
-            .chain(&teams.unassigned)
-            .filter(|robot| silent.contains(robot))
-            .cloned()
-            .collect();
-        stale.sort_unstable();
-        (leaders, stale)
+        let roster = self.roster.as_deref();
+        (leaders(&teams.teams, roster, self.division.as_deref(), &stale), stale)
     }
 
     /// Starts a job if there is something to divide that is neither divided nor failed.
-    fn consider(&mut self, effects: &mut Effects<Job>) {
-        if !self.role.is_holding() || self.running.is_some() {
+    fn consider(&mut self, now: Tick, effects: &mut Effects<Job>) {
+        if !self.role.is_holding() || self.gate.is_running() {
             return;
         }
         let Some(newest) = &self.newest else { return };
         let settings = ClustererSettings { heartbeat_s: 1.0, ..self.role.settings().clone() };
-        if self.divided.as_ref().is_some_and(|task| task.is_same(newest, &settings)) {
-            if let Some(told) = &mut self.told {
+        let task = Task { heard: newest.clone(), settings };
+        if !self.gate.wants(now, &task) {
+            if self.gate.standing_failure().is_none()
+                && let Some(told) = &mut self.told
+            {
                 told.source = newest.clone();
             }
             return;
         }
-        if self.failed.as_ref().is_some_and(|task| task.is_same(newest, &settings)) {
-            return;
+        if self.memory.is_overdue(now) {
+            Arc::make_mut(&mut self.memory).forget(now);
         }
         let job = Job {
             embedding: Arc::clone(&newest.embedding),
-            settings: settings.clone(),
+            settings: task.settings.clone(),
             previous: self.division.clone(),
+            memory: Arc::clone(&self.memory),
         };
-        self.running = Some(Task { heard: newest.clone(), settings });
+        self.gate.started(task);
         self.role.count("jobs_started");
         effects.push(Effect::Start(job));
     }
 
     fn finish(&mut self, now: Tick, result: Result<Teams, String>, effects: &mut Effects<Job>) {
-        if let Some(task) = self.running.take() {
-            match result {
-                Ok(teams) => self.accept(now, task, teams, effects),
-                Err(reason) => {
-                    self.role.count("jobs_failed");
-                    let kind = EventKind::JobFailed { reason };
-                    self.role.tell(now, Severity::Error, kind, effects);
-                    self.failed = Some(task);
-                }
+        match result {
+            Ok(teams) => {
+                self.gate.succeeded();
+                self.accept(now, teams, effects);
+            }
+            Err(reason) => {
+                let told = self.gate.refused(now, "division", reason);
+                self.fail(now, told, effects);
             }
         }
-        self.consider(effects);
+        self.consider(now, effects);
     }
 
-    fn accept(&mut self, now: Tick, task: Task, teams: Teams, effects: &mut Effects<Job>) {
+    fn fail(&mut self, now: Tick, told: Option<String>, effects: &mut Effects<Job>) {
+        self.role.count("jobs_failed");
+        if let Some(reason) = told {
+            let kind = EventKind::JobFailed { reason };
+            self.role.tell(now, Severity::Error, kind, effects);
+        }
+    }
+
+    fn accept(&mut self, now: Tick, teams: Teams, effects: &mut Effects<Job>) {
+        let Some(task) = self.gate.settled() else { return };
         // An embedding with the same data may have come while the job ran.
         let newer = self.newest.as_ref().filter(|h| same_data(&h.embedding, &task.heard.embedding));
         let source = newer.unwrap_or(&task.heard).clone();
-        self.divided = Some(task);
-        self.failed = None;
+        Arc::make_mut(&mut self.memory).follow(now, self.division.as_deref(), &teams);
         let changes = teams.changes.clone();
         let shortage = shortage(&teams);
         self.publish(now, teams, source, effects);
@@ -239,7 +273,7 @@ impl Clusterer {
     }
 
     fn publish(&mut self, now: Tick, teams: Teams, source: Heard, effects: &mut Effects<Job>) {
-        let (leaders, stale) = self.roster_view(&teams);
+        let (leaders, stale) = self.roster_view(&teams, &source.embedding);
         let mut teams = Teams { stale, ..teams };
         for (team, leader) in teams.teams.iter_mut().zip(leaders) {
             if let Some(leader) = leader {
@@ -260,41 +294,120 @@ impl Clusterer {
         effects.publish(Message::Teams { teams: Arc::clone(&teams), mirror });
         self.role.count("divisions_published");
 
-        for robot in robots_to_tell(&teams, before.filter(|_| self.robots_told)) {
+        let changed = robots_to_tell(&teams, before);
+        for robot in &changed {
             if let Some(told) = teams.robot_team(robot) {
                 effects.publish(Message::RobotTeam(told));
             }
         }
-        self.robots_told = true;
+        let changed: BTreeSet<&RobotId> = changed.into_iter().collect();
         let mirrored = if mirror { now } else { mirrored.unwrap_or(now) };
+        self.divided = Some(Arc::clone(&source.embedding));
         self.told = Some(Told { source, published: now, mirrored });
-        self.division = Some(teams);
+        self.division = Some(Arc::clone(&teams));
+        self.retell(now, &changed, effects);
+    }
+
+    /// When the next robots are to be told again.
+    fn retell_at(&self) -> Option<Tick> {
+        self.told.as_ref()?;
+        Some(self.turn.due(seconds(self.role.settings().heartbeat_s)))
+    }
+
+    /// Tells the robots whose turn it is of their team again, if it is time, but for those that have
+    /// just been told.
+    fn retell(&mut self, now: Tick, just_told: &BTreeSet<&RobotId>, effects: &mut Effects<Job>) {
+        if self.retell_at().is_none_or(|due| now < due) {
+            return;
+        }
+        let (Some(told), Some(teams)) = (&self.told, &self.division) else { return };
+        // The embedding has the robots of the division, ordered by name.
+        for robot in self.turn.next(now, &told.source.embedding.robots) {
+            if !just_told.contains(&robot)
+                && let Some(told) = teams.robot_team(&robot)
+            {
+                effects.publish(Message::RobotTeam(told));
+            }
+        }
+    }
+
+    /// Takes over the newest division of an earlier holder among messages. Whatever is told was
+    /// checked, but a division that contradicts itself would spoil every later one.
+    fn inherit(&mut self, messages: &[Message]) {
+        for message in messages {
+            let Message::Teams { teams, .. } = message else { continue };
+            let last = self.division.as_ref().map(|division| division.header.revision);
+            if last.is_none_or(|last| teams.header.revision > last) && teams.check().is_ok() {
+                self.division = Some(Arc::clone(teams));
+            }
+        }
+        let named = self.division.as_ref().map(|division| division.embedding);
+        for message in messages {
+            if let Message::Embedding(embedding) = message
+                && named == Some(embedding.header.revision)
+                && embedding.check().is_ok()
+            {
+                self.divided = Some(Arc::clone(embedding));
+            }
+        }
     }
 
     fn begin(&mut self, now: Tick, messages: Vec<Message>, effects: &mut Effects<Job>) {
-        for message in &messages {
-            if let Message::Teams { teams, .. } = message {
-                let last = self.division.as_ref().map(|division| division.header.revision);
-                // Whatever is told was checked, but a division that contradicts itself would spoil
-                // every later one.
-                if last.is_none_or(|last| teams.header.revision > last) && teams.check().is_ok() {
-                    self.division = Some(Arc::clone(teams));
-                }
-            }
-        }
+        self.inherit(&messages);
         let seen = self.division.as_ref().map(|division| division.header.revision);
         self.role.begin_term(now, seen, effects);
-        for message in messages {
-            self.take_in(now, message, effects);
+        self.take_all(now, messages, effects);
+        self.consider(now, effects);
+    }
+
+    /// Looks whether readers hold a higher revision, and if so, tells everything under a new term.
+    fn check_term(&mut self, now: Tick, messages: &[Message], effects: &mut Effects<Job>) {
+        if !self.role.checked(now, messages, effects) {
+            return;
         }
-        self.consider(effects);
+        for message in messages {
+            if let Message::Teams { teams, .. } = message {
+                // The numbers of that division are taken, whoever has given them.
+                let memory = Arc::make_mut(&mut self.memory);
+                memory.next_team = memory.next_team.max(teams.next_team);
+            }
+        }
+        self.turn.hurry();
+        if self.told.is_some() {
+            self.tell_again(now, effects);
+        } else if !self.gate.is_running() {
+            self.inherit(messages);
+        }
+    }
+
+    /// Tells the last division of this holder anew, if there is one.
+    fn tell_again(&mut self, now: Tick, effects: &mut Effects<Job>) {
+        if let Some(told) = &self.told {
+            let source = told.source.clone();
+            self.repeat(now, source, effects);
+        }
+    }
+
+    fn expire(&mut self, now: Tick, effects: &mut Effects<Job>) {
+        if self.heartbeat_at().is_some_and(|due| now >= due) {
+            self.tell_again(now, effects);
+        }
+        self.retell(now, &BTreeSet::new(), effects);
+        if self.gate.deadline().is_some_and(|due| now >= due) {
+            self.consider(now, effects);
+        }
+    }
+
+    fn heartbeat_at(&self) -> Option<Tick> {
+        let told = self.told.as_ref()?;
+        Some(told.published.after(seconds(self.role.settings().heartbeat_s)))
     }
 
     fn answer(&mut self, now: Tick, query: QueryId, request: Request, effects: &mut Effects<Job>) {
         let state = self.state();
         match self.role.answer(now, query, request, &state, effects) {
             Answered::Done => {}
-            Answered::SettingsChanged => self.consider(effects),
+            Answered::SettingsChanged => self.consider(now, effects),
             Answered::NotOurs(query, request) => {
                 let answer = self.select(&request);
                 effects.push(Effect::Reply { query, request, answer });
@@ -307,37 +420,20 @@ impl Clusterer {
         let selects = |key: &Key| request.selects(space, key);
         let mut messages = Vec::new();
         if let Some(teams) = &self.division {
-            if selects(&Key::Teams) || selects(&Key::JsonTeams) {
-                messages.push(Message::Teams { teams: Arc::clone(teams), mirror: true });
-            }
-            let mut names: usize = 0;
-            let sizes = teams
-                .teams
-                .iter()
-                .flat_map(|team| team.members.iter().map(|m| (&m.robot, team.members.len())))
-                .chain(teams.unassigned.iter().map(|robot| (robot, 0)));
-            let mut robots = Vec::new();
-            for (robot, size) in sizes {
-                if selects(&Key::RobotTeam(robot.clone())) {
-                    names = names.saturating_add(size);
-                    robots.push(robot);
-                }
-            }
-            if names > MAX_NAMES_ANSWERED {
-                return Err(format!(
-                    "the teams of these robots name {names} members, which is more than one answer \
-                     may hold; get {} or the team of one robot",
-                    space.format(&Key::Teams)
-                ));
-            }
-            messages.extend(
-                robots.into_iter().filter_map(|r| teams.robot_team(r)).map(Message::RobotTeam),
-            );
+            messages.extend(answer_teams(space, request, teams)?);
         }
-        if let Some(newest) = &self.newest
-            && selects(&Key::Embedding)
+        if selects(&Key::Embedding) {
+            // Whoever judges the division needs the embedding that it names, however old it is.
+            let newest = self.newest.as_ref().map(|newest| &newest.embedding);
+            let named = self.divided.as_ref().filter(|named| {
+                newest.is_none_or(|newest| newest.header.revision != named.header.revision)
+            });
+            messages.extend(newest.into_iter().chain(named).cloned().map(Message::Embedding));
+        }
+        if let Some(audit) = &self.audit
+            && (selects(&Key::Audit) || selects(&Key::JsonAudit))
         {
-            messages.push(Message::Embedding(Arc::clone(&newest.embedding)));
+            messages.push(Message::Audit(Arc::clone(audit)));
         }
         Ok(messages)
     }
@@ -356,48 +452,6 @@ impl Clusterer {
     }
 }
 
-fn counted(many: usize, what: &str) -> String {
-    if many == 1 { format!("1 {what}") } else { format!("{many} {what}s") }
-}
-
-/// How many teams were asked for, how many there are, and why, if they are too few.
-fn shortage(teams: &Teams) -> Option<(u32, u32, String)> {
-    let formed = u32::try_from(teams.teams.len()).unwrap_or(u32::MAX);
-    if formed >= teams.requested {
-        return None;
-    }
-    let placed: usize = teams.teams.iter().map(|team| team.members.len()).sum();
-    let reason = if placed == 0 && teams.unassigned.is_empty() {
-        "there are no robots".to_owned()
-    } else if placed == 0 {
-        "nothing relates the robots to each other".to_owned()
-    } else if placed < teams.requested as usize {
-        format!("only {} can be placed", counted(placed, "robot"))
-    } else {
-        format!("the robots' places differ in only {}", counted(formed as usize, "way"))
-    };
-    Some((teams.requested, formed, reason))
-}
-
-/// The robots whose team is another than before, or has other members or another leader; all if
-/// nothing was told before.
-fn robots_to_tell<'a>(teams: &'a Teams, before: Option<&Teams>) -> Vec<&'a RobotId> {
-    let old: BTreeMap<_, _> =
-        before.into_iter().flat_map(|b| b.teams.iter().map(|team| (&team.id, team))).collect();
-    let changed = teams.teams.iter().filter(|team| {
-        old.get(&team.id).is_none_or(|old| {
-            old.leader != team.leader
-                || old.members.len() != team.members.len()
-                || old.members.iter().zip(&team.members).any(|(old, new)| old.robot != new.robot)
-        })
-    });
-    let members = changed.flat_map(|team| team.members.iter().map(|member| &member.robot));
-    let loose = teams.unassigned.iter().filter(|robot| {
-        before.is_none_or(|before| before.unassigned.binary_search(robot).is_err())
-    });
-    members.chain(loose).collect()
-}
-
 impl Core for Clusterer {
     type Settings = ClustererSettings;
     type Job = Job;
@@ -411,13 +465,15 @@ impl Core for Clusterer {
             max_payload: MAX_SERVICE_PAYLOAD,
         };
         Wiring {
-            subscriptions: vec![subscription(Key::Embedding), subscription(Key::Roster)],
+            subscriptions: [Key::Embedding, Key::Roster, Key::Audit].map(subscription).to_vec(),
             tokens: vec![],
             served: vec![
                 (Pattern::One(Key::Teams), true),
                 (Pattern::One(Key::JsonTeams), true),
                 (Pattern::RobotTeams, true),
                 (Pattern::One(Key::Embedding), false),
+                (Pattern::One(Key::Audit), false),
+                (Pattern::One(Key::JsonAudit), false),
             ],
         }
     }
@@ -427,12 +483,13 @@ impl Core for Clusterer {
             role: Role::new(Self::SERVICE, start),
             newest: None,
             roster: None,
-            running: None,
-            divided: None,
-            failed: None,
+            audit: None,
+            gate: JobGate::default(),
             division: None,
+            divided: None,
+            memory: Arc::default(),
             told: None,
-            robots_told: false,
+            turn: Turn::default(),
             fewer: None,
         }
     }
@@ -450,42 +507,38 @@ impl Core for Clusterer {
             Event::Fetched { fetch: START_FETCH, messages } if !self.role.is_holding() => {
                 self.begin(now, messages, effects);
             }
-            Event::Fetched { messages, .. } => {
-                for message in messages {
-                    self.take_in(now, message, effects);
-                }
+            Event::Fetched { fetch: TERM_FETCH, messages } => {
+                self.check_term(now, &messages, effects);
             }
+            Event::Fetched { messages, .. } => self.take_all(now, messages, effects),
             Event::Received(message) => self.take_in(now, message, effects),
             Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
-            Event::Timeout => {
-                if self.deadline().is_some_and(|due| now >= due)
-                    && let Some(told) = &self.told
-                {
-                    let source = told.source.clone();
-                    self.repeat(now, source, effects);
-                }
-            }
+            Event::Timeout => self.expire(now, effects),
             Event::Done(Outcome(result)) => self.finish(now, result, effects),
-            Event::JobFailed(reason) => self.finish(now, Err(reason), effects),
+            Event::JobFailed(said) => {
+                let told = self.gate.panicked(now, &said);
+                self.fail(now, told, effects);
+                self.consider(now, effects);
+            }
             Event::Query { query, request } => self.answer(now, query, request, effects),
             Event::LinkLost => {}
             Event::LinkRestored => {
+                self.role.link_restored(now);
                 effects.push(Effect::Fetch {
                     fetch: LINK_FETCH,
                     patterns: vec![Pattern::One(Key::Embedding), Pattern::One(Key::Roster)],
                 });
-                self.robots_told = false;
-                if let Some(told) = &self.told {
-                    let source = told.source.clone();
-                    self.repeat(now, source, effects);
-                }
+                self.turn.hurry();
+                self.tell_again(now, effects);
             }
         }
+        self.role.advance(now, Pattern::One(Key::Teams), effects);
     }
 
     fn deadline(&self) -> Option<Tick> {
-        let told = self.told.as_ref()?;
-        Some(told.published.after(seconds(self.role.settings().heartbeat_s)))
+        let times =
+            [self.heartbeat_at(), self.retell_at(), self.gate.deadline(), self.role.deadline()];
+        times.into_iter().flatten().min()
     }
 
     fn run(job: Job) -> Outcome {

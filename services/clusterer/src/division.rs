@@ -11,7 +11,7 @@ use muster_numeric::kmeans::{Init, KMeans, KMeansOptions, kmeans};
 use muster_numeric::margins::margins;
 use muster_numeric::matrix::DenseMatrix;
 
-use crate::identity;
+use crate::identity::{self, Memory};
 
 /// Largest hysteresis that the division takes: a share of 1 would hold every robot where it is,
 /// whatever happens, so that larger settings mean "just below 1".
@@ -23,6 +23,7 @@ pub struct Job {
     pub(crate) embedding: Arc<Embedding>,
     pub(crate) settings: ClustererSettings,
     pub(crate) previous: Option<Arc<Teams>>,
+    pub(crate) memory: Arc<Memory>,
 }
 
 /// What became of a [`Job`]: a division whose head, leaders and stale robots the core fills in, or
@@ -75,7 +76,7 @@ pub(crate) fn divide(job: &Job) -> Result<Teams, String> {
         .iter()
         .map(|cluster| cluster.rows.iter().map(|&i| &embedding.robots[i]).collect())
         .collect();
-    let named = identity::name(&members, &unassigned, job.previous.as_deref())
+    let named = identity::name(&members, &unassigned, job.previous.as_deref(), &job.memory)
         .map_err(|error| error.to_string())?;
     let mut teams: Vec<Team> = clusters
         .iter()

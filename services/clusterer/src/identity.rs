@@ -3,8 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use muster_model::id::{RobotId, TeamId};
-use muster_model::teams::{TeamChange, Teams};
+use muster_model::teams::{Team, TeamChange, Teams};
 use muster_numeric::matching::{MatchError, match_by_overlap};
+
+pub(crate) use crate::memory::Memory;
 
 /// The names of the clusters.
 #[derive(Debug, PartialEq, Eq)]
@@ -33,43 +35,75 @@ fn number(id: &TeamId) -> Option<u64> {
     (TeamId::numbered(number) == *id).then_some(number)
 }
 
+/// How much a robot of a team that lives counts, against one of a team that ended: the living win
+/// where both would be right.
+const LIVING: u64 = 2;
+
 /// Names clusters of robots after the teams with which they share most, and those without such a
 /// team by the next free numbers, in the order in which they are given.
+///
+/// A robot without a team counts for the one that it had last, as long as that is remembered. A team
+/// that ended lives again under its id if most of its robots that are there are most of a cluster;
+/// that is told as a birth, or as a split where most robots come from a team that lives on.
 pub(crate) fn name(
     clusters: &[Vec<&RobotId>],
     unassigned: &[RobotId],
     previous: Option<&Teams>,
+    memory: &Memory,
 ) -> Result<Named, MatchError> {
-    let Some(previous) = previous else {
-        let mut numbers = Numbers::new(1, BTreeSet::new());
-        let ids: Vec<TeamId> = clusters.iter().map(|_| numbers.next()).collect();
-        let changes = ids.iter().map(|id| TeamChange::Born { team: id.clone() }).collect();
-        return Ok(Named { ids, changes, next_team: numbers.next });
-    };
-    let teams = &previous.teams;
+    let teams = previous.map_or(&[][..], |previous| &previous.teams);
     let old_of: BTreeMap<&RobotId, usize> = teams
         .iter()
         .enumerate()
         .flat_map(|(number, team)| team.members.iter().map(move |m| (&m.robot, number)))
         .collect();
+    let number_of: BTreeMap<&TeamId, usize> =
+        teams.iter().enumerate().map(|(number, team)| (&team.id, number)).collect();
     let mut overlap = vec![vec![0_u64; teams.len()]; clusters.len()];
-    for (row, robots) in overlap.iter_mut().zip(clusters) {
-        for old in robots.iter().filter_map(|robot| old_of.get(robot)) {
-            row[*old] += 1;
+    let mut votes = overlap.clone();
+    for ((row, votes), robots) in overlap.iter_mut().zip(&mut votes).zip(clusters) {
+        for robot in robots {
+            if let Some(old) = old_of.get(robot) {
+                row[*old] += 1;
+                votes[*old] += LIVING;
+            } else if let Some(last) = memory.last_team(robot).and_then(|id| number_of.get(id)) {
+                votes[*last] += LIVING;
+            }
         }
     }
-    let heirs = match_by_overlap(&overlap)?;
+    let ended: Vec<(&TeamId, usize, u64)> = memory
+        .revivable(clusters, unassigned)
+        .into_iter()
+        .filter(|(id, ..)| !number_of.contains_key(id))
+        .collect();
+    for (at, (_, cluster, shared)) in ended.iter().enumerate() {
+        for (number, votes) in votes.iter_mut().enumerate() {
+            debug_assert_eq!(votes.len(), teams.len() + at);
+            votes.push(if number == *cluster { *shared } else { 0 });
+        }
+    }
+    let matched = match_by_overlap(&votes)?;
 
     let highest = teams.iter().filter_map(|team| number(&team.id)).max().unwrap_or(0);
-    let used = teams.iter().map(|team| &team.id).collect();
-    let mut numbers = Numbers::new(previous.next_team.max(highest.saturating_add(1)).max(1), used);
-    let ids: Vec<TeamId> = heirs
+    let used = number_of.keys().copied().chain(memory.ended.keys()).collect();
+    let next = previous.map_or(1, |previous| previous.next_team).max(memory.next_team);
+    let mut numbers = Numbers::new(next.max(highest.saturating_add(1)).max(1), used);
+    let ids: Vec<TeamId> = matched
         .iter()
-        .map(|heir| heir.map_or_else(|| numbers.next(), |old| teams[old].id.clone()))
+        .map(|heir| match heir {
+            None => numbers.next(),
+            Some(old) => teams
+                .get(*old)
+                .map_or_else(|| ended[*old - teams.len()].0.clone(), |team| team.id.clone()),
+        })
         .collect();
+    let heirs: Vec<Option<usize>> =
+        matched.into_iter().map(|heir| heir.filter(|old| *old < teams.len())).collect();
 
-    let mut changes = team_changes(clusters, unassigned, &overlap, &heirs, &ids, previous);
-    changes.extend(moves(clusters, unassigned, &ids, previous));
+    let mut changes = team_changes(clusters, unassigned, &overlap, &heirs, &ids, teams);
+    if let Some(previous) = previous {
+        changes.extend(moves(clusters, unassigned, &ids, previous));
+    }
     Ok(Named { ids, changes, next_team: numbers.next })
 }
 
@@ -103,9 +137,8 @@ fn team_changes(
     overlap: &[Vec<u64>],
     heirs: &[Option<usize>],
     ids: &[TeamId],
-    previous: &Teams,
+    teams: &[Team],
 ) -> Vec<TeamChange> {
-    let teams = &previous.teams;
     let mut lives = vec![false; teams.len()];
     for old in heirs.iter().flatten() {
         lives[*old] = true;
@@ -229,7 +262,7 @@ mod tests {
             clusters.iter().map(|names| names.split_whitespace().map(robot).collect()).collect();
         let clusters: Vec<Vec<&RobotId>> = robots.iter().map(|r| r.iter().collect()).collect();
         let unassigned: Vec<RobotId> = unassigned.split_whitespace().map(robot).collect();
-        name(&clusters, &unassigned, previous).unwrap()
+        name(&clusters, &unassigned, previous, &Memory::default()).unwrap()
     }
 
     fn ids(named: &Named) -> Vec<&str> {

@@ -6,12 +6,14 @@ use muster_model::id::{RobotId, TeamId};
 use muster_model::roster::Roster;
 use muster_model::teams::{Team, Teams};
 
-/// The leader of each team. Among members that command equally many, the one before stays, and
-/// otherwise the first by name leads. A team without members, which there is not, has none.
+/// The leader of each team, among its members that are not absent. Among those that command equally
+/// many, the one before stays, and otherwise the first by name leads. Where all are absent, the one
+/// before stays. A team without members, which there is not, has none.
 pub(crate) fn leaders(
     teams: &[Team],
     roster: Option<&Roster>,
     previous: Option<&Teams>,
+    absent: &[RobotId],
 ) -> Vec<Option<RobotId>> {
     let commanded = commanded(teams, roster);
     let before: BTreeMap<&TeamId, &RobotId> = previous
@@ -21,15 +23,22 @@ pub(crate) fn leaders(
     teams
         .iter()
         .map(|team| {
+            let members = || team.members.iter().map(|member| &member.robot);
+            let mut fit: Vec<&RobotId> =
+                members().filter(|robot| absent.binary_search(robot).is_err()).collect();
+            if fit.is_empty() {
+                let kept = before.get(&team.id).filter(|leader| members().any(|r| r == **leader));
+                if let Some(leader) = kept {
+                    return Some((*leader).clone());
+                }
+                fit = members().collect();
+            }
             let count = |robot: &RobotId| commanded.get(robot).copied().unwrap_or(0);
-            let most = team.members.iter().map(|member| count(&member.robot)).max()?;
-            let mut tied =
-                team.members.iter().map(|m| &m.robot).filter(|robot| count(robot) == most);
-            let stays = before.get(&team.id).copied().filter(|leader| {
-                count(leader) == most
-                    && team.members.binary_search_by(|m| m.robot.cmp(leader)).is_ok()
-            });
-            stays.or_else(|| tied.next()).cloned()
+            let most = fit.iter().map(|robot| count(robot)).max()?;
+            let stays = before
+                .get(&team.id)
+                .filter(|leader| count(leader) == most && fit.binary_search(leader).is_ok());
+            stays.or_else(|| fit.iter().find(|robot| count(robot) == most)).copied().cloned()
         })
         .collect()
 }

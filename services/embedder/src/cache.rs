@@ -13,7 +13,8 @@ use crate::compute::{ComputeError, micros};
 /// What was last computed from a fused graph.
 #[derive(Debug)]
 pub(crate) struct Cache {
-    fused: SparseMatrix,
+    /// A*.
+    pub(crate) fused: SparseMatrix,
     alpha: f64,
     /// Bounds of the spectral radius of the fused graph.
     pub(crate) radius: SpectralRadius,

@@ -16,7 +16,7 @@ use muster_model::settings::{
     Alpha, Dimension, EmbedderSettings, Normalization, RowScaling, SingularValueScaling,
 };
 use muster_numeric::alignment::align;
-use muster_numeric::dimension::choose_dimension;
+use muster_numeric::dimension::choose_seeing_dimension;
 use muster_numeric::embedding::{Rows, Scale, embed};
 use muster_numeric::fuse::{self, fuse};
 use muster_numeric::katz::{self, KatzError};
@@ -100,6 +100,20 @@ pub(crate) enum ComputeError {
     Svd(#[from] SvdError),
 }
 
+impl ComputeError {
+    /// What tells failures apart, whatever numbers stand in their text.
+    pub(crate) fn kind(&self) -> &'static str {
+        match self {
+            Self::Weightless(_) => "weights",
+            Self::Diverges { .. } => "alpha",
+            Self::Graph(_) => "graph",
+            Self::Fuse(_) => "fuse",
+            Self::Katz(_) => "katz",
+            Self::Svd(_) => "svd",
+        }
+    }
+}
+
 /// Microseconds since a moment.
 pub(crate) fn micros(since: Instant) -> u64 {
     u64::try_from(since.elapsed().as_micros()).unwrap_or(u64::MAX)
@@ -120,7 +134,12 @@ fn compute(
 ) -> Result<Computed, ComputeError> {
     let settings = &basis.settings;
     let started = Instant::now();
-    let weights = weights(&settings.weights, basis.graphs.iter().map(|(name, _)| name))?;
+    let names = basis.graphs.iter().map(|(name, _)| name);
+    let weights = match weights(&settings.weights, names) {
+        // Whatever the weights, nobody is left to be divided, and that must be told.
+        Err(_) if basis.robots.is_empty() => vec![0.0; basis.graphs.len()],
+        weights => weights?,
+    };
     let fused = fused(frame, &weights, settings.normalize)?;
     let radius = radius_of(cache.as_ref(), &fused);
     let alpha = match settings.alpha {
@@ -160,7 +179,9 @@ fn compute(
     let wanted = match (settings.dimension, basis.teams) {
         (Dimension::Fixed(dimension), _) => dimension as usize / 2,
         (Dimension::Auto, teams) => {
-            choose_dimension(kept.svd.singular_values(), teams.unwrap_or(2) as usize)
+            let teams = teams.unwrap_or(2) as usize;
+            let before = previous.map(|embedding| embedding.dimension as usize / 2);
+            choose_seeing_dimension(&kept.svd, &related(&kept.fused), teams, before)
         }
     };
     let svd = kept.svd.truncate(wanted.clamp(1, robots))?;
@@ -258,6 +279,16 @@ fn adjacency(graph: &GraphReplica, robots: &[RobotId]) -> Result<SparseMatrix, M
         )
     });
     SparseMatrix::from_triplets(robots.len(), edges.flatten())
+}
+
+/// Whether each robot has an edge, from it or to it.
+fn related(fused: &SparseMatrix) -> Vec<bool> {
+    let mut related = vec![false; fused.nodes()];
+    for (from, to, _) in fused.triplets() {
+        related[from] = true;
+        related[to] = true;
+    }
+    related
 }
 
 /// X with its columns turned onto those of the embedding before, over the robots that both have.

@@ -4,31 +4,27 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, Role, START_FETCH, Start, Subscription,
-    Wiring,
+    Answered, Core, Delivery, Effect, Effects, Event, JobGate, Role, START_FETCH, Start,
+    Subscription, TERM_FETCH, Wiring,
 };
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::{EventKind, Severity};
 use muster_model::graph::GraphError;
 use muster_model::id::ServiceName;
-use muster_model::settings::{
-    ClustererSettings, Dimension, EmbedderSettings, Settings, SettingsError, from_value,
-};
+use muster_model::settings::{Dimension, EmbedderSettings};
 use muster_model::time::Tick;
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
-use muster_wire::{Key, Message, Pattern, Rejection, Request};
+use muster_wire::message::quoted;
+use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::cache::Cache;
 use crate::compute::{Basis, Done, Job, run};
-use crate::failure::Failures;
 use crate::follow::{Follower, Frame, Taken};
+use crate::teams::{SETTINGS_FETCH, TeamsWanted};
 
 /// How often an embedding is told again while rosters go on and nothing that it rests on changes, so
 /// that who reads it sees that the data behind it is fresh.
 const HEARTBEAT: Duration = Duration::from_secs(1);
-
-/// How long after a panic the same frame is tried again.
-const PANIC_RETRY: Duration = Duration::from_secs(1);
 
 /// Packets of one graph that wait for the core: some seconds of deltas.
 const GRAPH_QUEUE: usize = 64;
@@ -42,20 +38,16 @@ pub struct Embedder {
     role: Role<EmbedderSettings>,
     follow: Follower,
     /// How many teams `clusterer` divides the fleet into.
-    teams: u32,
+    teams: TeamsWanted,
     /// The cache of the last job, while none runs.
     cache: Option<Cache>,
-    running: bool,
-    /// What the last job was started for.
-    asked: Option<Basis>,
-    /// When what was asked for last is to be asked for again.
-    retry: Option<Tick>,
+    /// None is started while one runs: the cache is with that one.
+    gate: JobGate<Basis>,
     /// The last good embedding, the one of the holder before at first.
     embedding: Option<Arc<Embedding>>,
     /// What the embedding rests on, and when it was last published; none for one that was learned.
     published: Option<(Basis, Tick)>,
     heartbeat: Option<Tick>,
-    failures: Failures,
 }
 
 impl Core for Embedder {
@@ -87,15 +79,12 @@ impl Core for Embedder {
         Self {
             role: Role::new(Self::SERVICE, start),
             follow: Follower::default(),
-            teams: ClustererSettings::default().teams,
+            teams: TeamsWanted::default(),
             cache: None,
-            running: false,
-            asked: None,
-            retry: None,
+            gate: JobGate::default(),
             embedding: None,
             published: None,
             heartbeat: None,
-            failures: Failures::default(),
         }
     }
 
@@ -103,6 +92,7 @@ impl Core for Embedder {
         match event {
             Event::Started => {
                 self.follow.fetch_begun(now, START_FETCH);
+                self.teams.asked(now);
                 let patterns = vec![
                     Pattern::One(Key::Embedding),
                     Pattern::One(Key::Roster),
@@ -117,12 +107,18 @@ impl Core for Embedder {
                 }
             }
             Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
+            Event::Fetched { fetch: TERM_FETCH, messages } => {
+                if self.role.checked(now, &messages, effects) {
+                    self.repeat(now, effects);
+                }
+            }
+            Event::Fetched { fetch: SETTINGS_FETCH, messages } => {
+                self.settings_answered(now, &messages, effects);
+            }
             Event::Fetched { fetch, messages } => self.fetched(now, fetch, messages, effects),
             Event::Done(done) => self.done(now, done, effects),
             Event::JobFailed(reason) => {
-                self.running = false;
-                self.retry = Some(now.after(PANIC_RETRY));
-                let told = self.failures.panicked(now, &reason);
+                let told = self.gate.panicked(now, &quoted(&reason));
                 self.fail(now, told, effects);
             }
             Event::Query { query, request } => {
@@ -135,7 +131,10 @@ impl Core for Embedder {
                     Answered::Done | Answered::SettingsChanged => {}
                 }
             }
-            Event::LinkRestored => self.follow.refresh(),
+            Event::LinkRestored => {
+                self.follow.refresh();
+                self.role.link_restored(now);
+            }
             Event::LinkLost | Event::Timeout => {}
         }
         self.advance(now, effects);
@@ -145,8 +144,9 @@ impl Core for Embedder {
         if !self.role.is_holding() {
             return None;
         }
-        let retry = self.retry.filter(|_| !self.running);
-        [self.follow.fetch_due(), retry, self.heartbeat].into_iter().flatten().min()
+        let retry = self.gate.deadline().filter(|_| self.wanted().is_some());
+        let asking = [self.follow.fetch_due(), Some(self.teams.due()), self.role.deadline()];
+        asking.into_iter().chain([retry, self.heartbeat]).flatten().min()
     }
 
     fn run(job: Job) -> Done {
@@ -155,7 +155,7 @@ impl Core for Embedder {
 }
 
 impl Embedder {
-    /// Takes a message in; what became of it, if it is a roster or a graph that is not refused.
+    /// Takes a message in; what became of it, if it is known what to say of that.
     fn take(&mut self, now: Tick, message: Message, effects: &mut Effects<Job>) -> Option<Taken> {
         let (key, _) = message.keys();
         let taken = match message {
@@ -164,11 +164,10 @@ impl Embedder {
             }
             Message::Roster(roster) => self.follow.take_roster(roster).map_err(str::to_owned),
             Message::Settings(announced) if announced.service == ServiceName::Clusterer => {
-                match teams_of(&announced.settings) {
-                    Ok(teams) => self.teams = teams,
-                    Err(error) => self.refuse(now, &key, &error.to_string(), effects),
+                match self.teams.take(&announced) {
+                    Ok(taken) => return (!taken).then_some(Taken::Old),
+                    Err(error) => Err(error.to_string()),
                 }
-                return None;
             }
             _ => return None,
         };
@@ -182,16 +181,23 @@ impl Embedder {
                 Some(taken)
             }
             Err(reason) => {
-                self.refuse(now, &key, &reason, effects);
+                self.role.refuse(now, &key, &reason, effects);
                 None
             }
         }
     }
 
-    fn refuse(&mut self, now: Tick, key: &Key, reason: &str, effects: &mut Effects<Job>) {
-        let text = self.role.space().format(key);
-        let rejection = Rejection::new(self.role.space(), &text, reason);
-        self.role.quarantine(now, rejection, effects);
+    /// Takes the answers of `clusterer` in.
+    fn settings_answered(&mut self, now: Tick, found: &[Message], effects: &mut Effects<Job>) {
+        let announced = found.iter().filter_map(|message| match message {
+            Message::Settings(told) if told.service == ServiceName::Clusterer => Some(told),
+            _ => None,
+        });
+        let newest = announced.max_by_key(|announced| announced.header.revision);
+        if let Some(Err(error)) = newest.map(|newest| self.teams.take_answer(newest)) {
+            let key = Key::Settings(ServiceName::Clusterer);
+            self.role.refuse(now, &key, &error.to_string(), effects);
+        }
     }
 
     /// Takes the answers of a fetch in: graphs first, since the roster says which belong together.
@@ -205,6 +211,7 @@ impl Embedder {
     ) {
         let mut learned: Option<Arc<Embedding>> = None;
         let mut rosters = Vec::new();
+        let mut passed = Vec::new();
         let starting = fetch == START_FETCH && !self.role.is_holding();
         if starting {
             let revisions = messages.iter().filter_map(|message| match message {
@@ -216,16 +223,19 @@ impl Embedder {
         for message in messages {
             match message {
                 Message::Embedding(embedding) if starting => {
-                    if let Err(reason) = embedding.check() {
-                        self.refuse(now, &Key::Embedding, reason, effects);
-                    } else if learned
-                        .as_ref()
-                        .is_none_or(|best| best.header.revision < embedding.header.revision)
-                    {
+                    let newer =
+                        |best: &Arc<Embedding>| best.header.revision < embedding.header.revision;
+                    if learned.as_ref().is_none_or(newer) {
                         learned = Some(embedding);
                     }
                 }
                 Message::Roster(_) => rosters.push(message),
+                Message::Graph(delta) => {
+                    let taken = self.take(now, Message::Graph(delta.clone()), effects);
+                    if taken == Some(Taken::Old) {
+                        passed.push(delta);
+                    }
+                }
                 other => {
                     self.take(now, other, effects);
                 }
@@ -233,6 +243,11 @@ impl Embedder {
         }
         for roster in rosters {
             self.take(now, roster, effects);
+        }
+        for delta in passed {
+            if self.follow.take_back(now, &delta) {
+                self.role.count("graphs_taken_back");
+            }
         }
         self.follow.fetch_ended(fetch);
         if starting {
@@ -252,19 +267,27 @@ impl Embedder {
             self.role.count("fetches");
             effects.push(Effect::Fetch { fetch, patterns });
         }
-        if self.retry.take_if(|retry| *retry <= now).is_some() {
-            self.asked = None;
+        self.role.advance(now, Pattern::One(Key::Embedding), effects);
+        if self.teams.due() <= now {
+            self.teams.asked(now);
+            let patterns = vec![Pattern::One(Key::Settings(ServiceName::Clusterer))];
+            effects.push(Effect::Fetch { fetch: SETTINGS_FETCH, patterns });
         }
         self.heartbeat = None;
-        let Some(frame) = self.follow.frame().filter(|frame| !frame.robots.is_empty()) else {
-            return;
-        };
-        let frame = frame.clone();
+        let Some(frame) = self.wanted().cloned() else { return };
         let basis = self.basis(&frame);
         self.beat(now, &frame, &basis, effects);
-        if !self.running && self.asked.as_ref() != Some(&basis) {
+        if self.gate.wants(now, &basis) {
             self.start(frame, basis, effects);
         }
+    }
+
+    /// The newest frame, if it is to have an embedding. That of an empty fleet is told only where
+    /// there was one before: robots that have left must not stay in a division.
+    fn wanted(&self) -> Option<&Arc<Frame>> {
+        let left = |embedding: &Arc<Embedding>| !embedding.robots.is_empty();
+        let told = self.published.is_some() || self.embedding.as_ref().is_some_and(left);
+        self.follow.frame().filter(|frame| told || !frame.robots.is_empty())
     }
 
     /// What the embedding of a frame rests on by the settings in force.
@@ -274,33 +297,28 @@ impl Embedder {
         Basis {
             robots: frame.robots.clone(),
             graphs: graphs.collect(),
-            teams: (settings.dimension == Dimension::Auto).then_some(self.teams),
+            teams: (settings.dimension == Dimension::Auto).then_some(self.teams.teams()),
             settings,
         }
     }
 
-    /// Starts a job. None is started while one runs: the cache is with that one, and once it ends
-    /// the newest frame is the one to go on with.
     fn start(&mut self, frame: Arc<Frame>, basis: Basis, effects: &mut Effects<Job>) {
         self.role.count("jobs_started");
-        self.running = true;
-        self.retry = None;
-        self.asked = Some(basis.clone());
+        self.gate.started(basis.clone());
         let (previous, cache) = (self.embedding.clone(), self.cache.take());
         effects.push(Effect::Start(Job { frame, basis, previous, cache }));
     }
 
     fn done(&mut self, now: Tick, done: Done, effects: &mut Effects<Job>) {
-        self.running = false;
         self.cache = done.cache;
         match done.result {
             Err(error) => {
-                let told = self.failures.refused(now, &error);
+                let told = self.gate.refused(now, error.kind(), error.to_string());
                 self.fail(now, told, effects);
             }
             Ok(computed) => {
                 self.role.count("jobs_done");
-                self.failures.end();
+                self.gate.succeeded();
                 let roster = &done.frame.roster;
                 let stage = self.role.stage(done.frame.received, now);
                 let embedding = Embedding {
@@ -313,23 +331,31 @@ impl Embedder {
                     unseen: computed.unseen,
                     quality: computed.quality,
                 };
-                self.publish(now, embedding, done.basis, effects);
+                self.published = Some((done.basis, now));
+                self.publish(embedding, effects);
             }
         }
     }
 
-    fn publish(
-        &mut self,
-        now: Tick,
-        embedding: Embedding,
-        basis: Basis,
-        effects: &mut Effects<Job>,
-    ) {
+    fn publish(&mut self, embedding: Embedding, effects: &mut Effects<Job>) {
         self.role.count("embeddings_published");
         let embedding = Arc::new(embedding);
         self.embedding = Some(embedding.clone());
-        self.published = Some((basis, now));
         effects.publish(Message::Embedding(embedding));
+    }
+
+    /// Tells the last good embedding again as it is, with the next revision.
+    fn repeat(&mut self, now: Tick, effects: &mut Effects<Job>) {
+        let Some(embedding) = &self.embedding else { return };
+        let mut again = repetition(embedding);
+        again.header.revision = self.role.next_revision();
+        if let Some(stage) = again.header.stages.last_mut() {
+            stage.published = now;
+        }
+        if let Some((_, at)) = &mut self.published {
+            *at = now;
+        }
+        self.publish(again, effects);
     }
 
     /// Tells the embedding again with the head of the newest roster, if it still is that of the
@@ -345,13 +371,12 @@ impl Embedder {
             self.heartbeat = Some(due);
             return;
         }
-        let mut again = Embedding::clone(embedding);
+        let mut again = repetition(embedding);
         let stage = self.role.stage(frame.received, now);
         again.header = roster.next_stage(self.role.next_revision(), stage);
         again.roster = roster.revision;
-        again.quality.mode = EmbeddingMode::Cached;
-        again.quality.stage_us = [0; 3];
-        self.publish(now, again, basis.clone(), effects);
+        self.published = Some((basis.clone(), now));
+        self.publish(again, effects);
     }
 
     /// The last good embedding stands.
@@ -372,7 +397,7 @@ impl Embedder {
 
     /// What the service is doing, in a few words.
     fn state(&self) -> String {
-        let fault = |text: String| match self.failures.standing() {
+        let fault = |text: String| match self.gate.standing_failure() {
             Some(reason) => format!("{text}; the newest frame failed: {reason}"),
             None => text,
         };
@@ -394,11 +419,10 @@ impl Embedder {
     }
 }
 
-/// The number of teams in settings of `clusterer`.
-fn teams_of(text: &str) -> Result<u32, SettingsError> {
-    let value = serde_json::from_str(text)
-        .map_err(|error| SettingsError::new("(settings)", format!("is no JSON: {error}")))?;
-    let settings: ClustererSettings = from_value(value)?;
-    settings.check()?;
-    Ok(settings.teams)
+/// An embedding that is told again: nothing was computed for it.
+fn repetition(embedding: &Embedding) -> Embedding {
+    let mut again = embedding.clone();
+    again.quality.mode = EmbeddingMode::Cached;
+    again.quality.stage_us = [0; 3];
+    again
 }

@@ -1,20 +1,24 @@
 //! Follows rosters and graphs into frames that belong together, and knows when to ask the bus.
 //!
 //! A roster comes after the graphs of its frame and lists the revision of each. Once every listed
-//! graph is at exactly that revision, roster and graphs are one consistent [`Frame`]. Revisions go
-//! forward only. What is missing is fetched, one fetch at a time.
+//! graph is at exactly that revision, roster and graphs are one consistent [`Frame`]. What is missing
+//! is fetched, one fetch at a time. Revisions go forward only, with one exception: a graph that stays
+//! ahead of the rosters is taken back to what they list (see [`Follower::take_back`]).
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_machine::START_FETCH;
 use muster_model::graph::{GraphDelta, GraphError, GraphReplica};
 use muster_model::header::Revision;
-use muster_model::id::{Modality, RobotId};
+use muster_model::id::{Modality, RobotId, ServiceName};
 use muster_model::limits::{MAX_DECLARED_MODALITIES, MAX_ROBOTS};
 use muster_model::roster::Roster;
 use muster_model::time::Tick;
 use muster_wire::{Key, KeySpace, Message, Pattern, Request};
+
+use crate::teams::SETTINGS_FETCH;
 
 /// Most graphs that are followed: the declared modalities and the three built-in ones.
 const MAX_GRAPHS: usize = MAX_DECLARED_MODALITIES + 3;
@@ -156,6 +160,32 @@ impl Follower {
         }
     }
 
+    /// Takes a fetched snapshot although the graph is at a later revision; whether it was taken.
+    ///
+    /// So it is if the newest roster lists exactly the snapshot's revision, and rosters and graphs
+    /// have been apart for longer than a roster is under way. Then nobody stands behind the later
+    /// revision: it was forged, or told in a term that was lost.
+    pub(crate) fn take_back(&mut self, now: Tick, snapshot: &GraphDelta) -> bool {
+        let at = (&snapshot.modality, snapshot.header.revision);
+        let listed = |roster: &Arc<Roster>| {
+            roster.graphs.iter().any(|(name, revision)| (name, *revision) == at)
+        };
+        if snapshot.base.is_some()
+            || !self.roster.as_ref().is_some_and(listed)
+            || self.apart_since.is_none_or(|since| since.after(AHEAD_PATIENCE) > now)
+            || self.distance(at.0, at.1) != Distance::Ahead
+        {
+            return false;
+        }
+        let mut graph = GraphReplica::default();
+        if graph.apply(snapshot).is_err() {
+            return false;
+        }
+        let followed = Followed { graph: Arc::new(graph), gap: false };
+        self.graphs.insert(snapshot.modality.clone(), followed);
+        true
+    }
+
     /// Whether one more graph may be followed. One that the roster lists displaces one that it does
     /// not list, so that no flood of invented modalities keeps the fleet's own out.
     fn has_room_for(&mut self, modality: &Modality) -> bool {
@@ -182,7 +212,7 @@ impl Follower {
                 std::cmp::Ordering::Greater => {}
             }
         }
-        check_roster(&roster)?;
+        check_size(&roster)?;
         self.roster = Some(roster);
         Ok(Taken::Applied)
     }
@@ -278,11 +308,15 @@ impl Follower {
                 let names = roster.graphs.iter().filter(apart).map(|(name, _)| name.clone());
                 patterns.extend(names.map(|name| Pattern::One(Key::Graph(name))));
             }
-            _ => patterns.push(Pattern::Graphs),
+            _ => {
+                patterns.push(Pattern::Graphs);
+                patterns.push(Pattern::One(Key::Settings(ServiceName::Clusterer)));
+            }
         }
         self.refresh = false;
-        // Zero is the fetch that every core makes as it starts.
-        self.fetch_begun(now, self.last_fetch.checked_add(1).unwrap_or(1));
+        // Between the numbers of the fetches that are not made here.
+        let next = self.last_fetch + 1;
+        self.fetch_begun(now, if next < SETTINGS_FETCH { next } else { START_FETCH + 1 });
         Some((self.last_fetch, patterns))
     }
 
@@ -304,19 +338,13 @@ fn lists(roster: Option<&Roster>, modality: &Modality) -> bool {
     })
 }
 
-/// Whether a roster keeps to what it promises.
-fn check_roster(roster: &Roster) -> Result<(), &'static str> {
+/// Whether a roster is small enough to follow; decoding has checked its content.
+fn check_size(roster: &Roster) -> Result<(), &'static str> {
     if roster.robots.len() > MAX_ROBOTS {
         return Err("robots: there are more than a fleet may have");
     }
     if roster.graphs.len() > MAX_GRAPHS {
         return Err("graphs: there are more modalities than a fleet may have");
-    }
-    if !roster.robots.is_sorted_by(|left, right| left.robot < right.robot) {
-        return Err("robots: must be ordered by name without repetition");
-    }
-    if !roster.graphs.is_sorted_by(|left, right| left.0 < right.0) {
-        return Err("graphs: must be ordered by name without repetition");
     }
     Ok(())
 }

@@ -3,8 +3,8 @@
 //! `embedder` follows the graphs of all modalities into frames that belong together (module
 //! `follow`), fuses each frame, takes the leading singular vectors of its Katz similarity (module
 //! `compute`, with the similarity of the last frame kept by module `cache`), and publishes them as
-//! [`muster_model::embedding::Embedding`]. When it does so is decided by module `core`, and which
-//! failures are told by module `failure`.
+//! [`muster_model::embedding::Embedding`]. When it does so is decided by module `core`; how many
+//! teams are wanted, on which the dimension depends, is heard by module `teams`.
 //!
 //! | comes in | goes out |
 //! | --- | --- |
@@ -16,8 +16,8 @@
 mod cache;
 mod compute;
 mod core;
-mod failure;
 mod follow;
+mod teams;
 
 pub use crate::compute::{Done, Job};
 pub use crate::core::Embedder;

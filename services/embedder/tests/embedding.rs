@@ -6,8 +6,8 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Bench, Ingest, announced, dot, robot, row};
-use muster_machine::Event;
+use common::{Bench, Ingest, announced, announced_at, dot, robot, row};
+use muster_machine::{Event, TERM_FETCH};
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
@@ -159,17 +159,10 @@ fn settings_recompute_the_frame_and_keep_the_similarity() {
 
 #[test]
 fn the_number_of_teams_reaches_the_rule_for_the_dimension() {
-    let mut ingest = Ingest::new(&["spatial"]);
-    for (prefix, weight) in [("a", 1.0), ("b", 0.9), ("c", 0.8)] {
-        ingest.clique("spatial", prefix, 4, weight);
-    }
+    let mut ingest = three_bridged_cliques();
     let mut bench = Bench::fresh();
     bench.frame(&mut ingest);
     assert_eq!(bench.last().dimension, 4);
-    let teams = |teams: u32| {
-        let settings = muster_model::settings::ClustererSettings { teams, ..Default::default() };
-        serde_json::to_string(&settings).unwrap()
-    };
     bench.told_teams(&teams(3));
     assert_eq!(bench.last().dimension, 6);
     assert_eq!(bench.last().quality.mode, EmbeddingMode::Cached);
@@ -184,6 +177,176 @@ fn the_number_of_teams_reaches_the_rule_for_the_dimension() {
     bench.set(r#"{"dimension": 4}"#);
     bench.told_teams(&teams(5));
     assert_eq!(bench.published.len(), 3);
+}
+
+/// Settings of a clusterer.
+fn teams(teams: u32) -> String {
+    let settings = muster_model::settings::ClustererSettings { teams, ..Default::default() };
+    serde_json::to_string(&settings).unwrap()
+}
+
+/// Three groups that hardly know each other: two vectors see all of them, three tell them apart.
+fn three_bridged_cliques() -> Ingest {
+    let mut ingest = Ingest::new(&["spatial"]);
+    for (prefix, weight) in [("a", 1.0), ("b", 0.9), ("c", 0.8)] {
+        ingest.clique("spatial", prefix, 4, weight);
+    }
+    for (from, to) in [("a0", "b0"), ("b0", "a0"), ("b1", "c0"), ("c0", "b1")] {
+        ingest.edge("spatial", from, to, 0.05);
+    }
+    ingest
+}
+
+#[test]
+fn an_announcement_that_was_overtaken_does_not_count() {
+    let (mut bench, mut ingest) = (Bench::fresh(), three_bridged_cliques());
+    bench.frame(&mut ingest);
+    let at = |epoch| Revision { term: 1, epoch };
+    bench.receive(announced_at(at(5), &teams(3)));
+    assert_eq!(bench.last().dimension, 6);
+    bench.receive(announced_at(at(4), &teams(2)));
+    assert_eq!((bench.last().dimension, bench.counter("messages_old")), (6, 1));
+    bench.receive(announced_at(at(5), &teams(2)));
+    assert_eq!(bench.last().dimension, 4, "settings change between two outputs");
+}
+
+#[test]
+fn a_lost_announcement_is_asked_for_again() {
+    let (mut bench, mut ingest) = (Bench::fresh(), three_bridged_cliques());
+    bench.frame(&mut ingest);
+    bench.pass(9.8);
+    assert!(bench.settings_fetches.is_empty());
+    bench.pass(0.2);
+    let fetch = bench.settings_fetches.pop_front().unwrap();
+    bench.step(Event::Fetched { fetch, messages: vec![announced(&teams(3))] });
+    assert_eq!(bench.last().dimension, 6);
+    bench.pass(30.0);
+    assert_eq!(bench.settings_fetches.len(), 3, "whether anybody answers or not");
+}
+
+#[test]
+fn a_forged_announcement_lasts_until_the_clusterer_has_contradicted_twice() {
+    let (mut bench, mut ingest) = (Bench::fresh(), three_bridged_cliques());
+    bench.frame(&mut ingest);
+    bench.receive(announced_at(Revision { term: 900, epoch: 1 }, &teams(3)));
+    let mut dimensions = Vec::new();
+    for _ in 0..2 {
+        bench.pass(10.0);
+        let fetch = bench.settings_fetches.pop_front().unwrap();
+        bench.step(Event::Fetched { fetch, messages: vec![announced(&teams(2))] });
+        dimensions.push(bench.last().dimension);
+    }
+    assert_eq!(dimensions, [6, 4]);
+}
+
+#[test]
+fn no_group_is_unseen_and_the_dimension_does_not_flap() {
+    // Three groups of five, two teams: by noise of the distances, each group is the least at times.
+    let mut ingest = Ingest::new(&["spatial"]);
+    for prefix in ["a", "b", "c"] {
+        ingest.clique("spatial", prefix, 5, 1.0);
+    }
+    let mut bench = Bench::fresh();
+    let mut state = 1_u32;
+    let mut noise = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(state >> 8) / f64::from(1_u32 << 24) - 0.5
+    };
+    for _ in 0..60 {
+        for prefix in ["a", "b", "c"] {
+            for (i, j) in (0..5).flat_map(|i| (0..i).map(move |j| (i, j))) {
+                let weight = 1.0 / (1.0 + 0.2 * noise());
+                let (from, to) = (format!("{prefix}{i}"), format!("{prefix}{j}"));
+                ingest.edge("spatial", &from, &to, weight);
+                ingest.edge("spatial", &to, &from, weight);
+            }
+        }
+        bench.frame(&mut ingest);
+        assert!(bench.last().unseen.iter().all(|unseen| !unseen));
+        assert_eq!(bench.last().dimension, 6);
+    }
+    ingest.join("loner");
+    bench.frame(&mut ingest);
+    assert_eq!(bench.last().unseen.iter().filter(|unseen| **unseen).count(), 1);
+    // A dimension that is set is obeyed.
+    bench.set(r#"{"dimension": 4}"#);
+    assert_eq!(bench.last().unseen.iter().filter(|unseen| **unseen).count(), 6);
+}
+
+#[test]
+fn where_two_dimensions_are_as_good_that_of_the_frame_before_is_kept() {
+    let settled = |weights: &[f64]| -> Vec<u32> {
+        let mut ingest = three_bridged_cliques();
+        let mut bench = Bench::started(EmbedderSettings::default(), vec![announced(&teams(3))]);
+        for weight in weights {
+            ingest.clique("spatial", "c", 4, *weight);
+            bench.frame(&mut ingest);
+        }
+        bench.published.iter().map(|embedding| embedding.dimension).collect()
+    };
+    let weights: Vec<f64> = (1..90).map(|step| f64::from(step) / 100.0).collect();
+    let turn = weights.windows(2).find(|pair| settled(&pair[..1]) != settled(&pair[1..]));
+    let &[below, above] = turn.unwrap() else { panic!() };
+    let (low, high) = (settled(&[below])[0], settled(&[above])[0]);
+    assert_ne!(low, high);
+    assert_eq!(settled(&[below, above, below]), [low; 3]);
+    assert_eq!(settled(&[above, below, above]), [high; 3]);
+}
+
+#[test]
+fn a_fleet_that_has_left_leaves_an_empty_embedding() {
+    let (mut bench, mut ingest) = following();
+    let names: Vec<_> = bench.last().robots.iter().map(|name| name.as_str().to_owned()).collect();
+    names.iter().for_each(|name| ingest.leave(name));
+    let told = bench.frame(&mut ingest);
+    let empty = bench.last().clone();
+    assert_eq!((empty.robots.len(), empty.dimension, empty.values.len()), (0, 2, 0));
+    assert_eq!(empty.roster, told.roster.header.revision);
+    assert_eq!(bench.state(), "no robots");
+    let count = bench.published.len();
+    bench.pass(3.0);
+    assert_eq!(bench.published.len(), count);
+    // So it is for a holder that only learned of the fleet, and not for one that knows an empty one.
+    for (known, published) in [(bench.published[0].clone(), 1), (Arc::new(empty), 0)] {
+        let answers = vec![Message::Embedding(known)];
+        let mut next = Bench::started(EmbedderSettings::default(), answers);
+        told.messages().for_each(|message| next.receive(message));
+        next.step(Event::LinkRestored);
+        next.answer_fetches(&ingest);
+        assert_eq!(next.published.len(), published);
+    }
+    // Weights that fit no modality are no reason to keep who has left.
+    ingest.join("a0");
+    bench.frame(&mut ingest);
+    bench.set(r#"{"weights": {"thermal": 1.0}}"#);
+    ingest.leave("a0");
+    bench.frame(&mut ingest);
+    assert!(bench.last().robots.is_empty());
+}
+
+#[test]
+fn a_term_that_readers_have_passed_is_begun_anew() {
+    let (mut bench, mut ingest) = following();
+    let values = bench.last().values.clone();
+    bench.pass(5.5);
+    assert_eq!(bench.term_fetches, 1);
+    let mut other = Embedding::clone(bench.last());
+    other.header.revision = Revision { term: 6, epoch: 3 };
+    let found = || vec![Message::Embedding(Arc::new(other.clone()))];
+    bench.step(Event::Fetched { fetch: TERM_FETCH, messages: found() });
+    assert_eq!(bench.published.len(), 1, "the other may be alive");
+    bench.pass(1.5);
+    assert_eq!(bench.term_fetches, 2);
+    bench.step(Event::Fetched { fetch: TERM_FETCH, messages: found() });
+    assert_eq!(bench.published.len(), 2);
+    assert_eq!(bench.last().header.revision, Revision { term: 7, epoch: 1 });
+    assert_eq!(bench.last().values, values);
+    assert_eq!(bench.last().header.stages.last().unwrap().published, bench.now);
+    assert_eq!(bench.last().header.stages.len(), 1);
+    bench.frame(&mut ingest);
+    bench.pass(1.5);
+    assert_eq!(bench.last().header.revision, Revision { term: 7, epoch: 2 });
+    assert_eq!(bench.counter("jobs_started"), 1);
 }
 
 #[test]
@@ -264,17 +427,18 @@ fn a_panic_costs_the_cache_and_nothing_else() {
 
 #[test]
 fn a_panic_in_a_fleet_that_is_gone_asks_for_nothing() {
-    let (mut bench, mut ingest) = following();
+    let (mut bench, mut ingest) = (Bench::fresh(), fleet());
     bench.hold_jobs = true;
-    bench.set(r#"{"dimension": 2}"#);
+    bench.frame(&mut ingest);
     drop(bench.jobs.pop_front().unwrap());
     bench.step(Event::JobFailed("out of memory".to_owned()));
     for name in ["a0", "a1", "a2", "a3", "b0", "b1", "b2", "b3"] {
         ingest.leave(name);
     }
     bench.frame(&mut ingest);
-    bench.pass(5.0);
-    assert_eq!((bench.jobs.len(), bench.driver.deadline()), (0, None));
+    // It asks for timeouts, but not without end.
+    bench.pass(4.0);
+    assert_eq!((bench.jobs.len(), bench.published.len()), (0, 0));
 }
 
 #[test]
@@ -311,17 +475,19 @@ fn a_restart_goes_on_from_the_embedding_that_others_remember() {
 }
 
 #[test]
-fn an_unusable_embedding_of_the_holder_before_is_refused_but_its_term_counts() {
-    let (mut first, _) = following();
+fn an_embedding_of_the_holder_before_that_cannot_be_used_does_no_harm() {
+    let (mut first, mut ingest) = following();
     let Some(Message::Embedding(old)) = learned(&mut first).pop() else { panic!() };
     let mut bad = Embedding::clone(&old);
     bad.header.revision.term = 4;
     bad.values.pop();
     let answers = vec![Message::Embedding(Arc::new(bad))];
     let mut bench = Bench::started(EmbedderSettings::default(), answers);
-    assert_eq!(bench.quarantined().len(), 1);
-    assert!(learned(&mut bench).is_empty());
     assert_eq!(bench.stored.last().unwrap().term, 5);
+    let _unheard = ingest.frame(bench.now);
+    bench.pass(2.0);
+    bench.answer_fetches(&ingest);
+    assert_eq!(bench.last().dimension, 4);
 }
 
 #[test]

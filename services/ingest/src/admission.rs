@@ -19,8 +19,8 @@ const REMEMBERED_BOOTS: usize = 8;
 /// How many seconds' worth of messages may come at once: a link that stalled delivers in a burst.
 const BURST_S: f64 = 1.0;
 
-/// A robot's clock that is further off than this is not set at all. That is counted, not refused:
-/// age is judged by the receiver's clock.
+/// A robot's clock that is further off than this is not set at all. That is counted, not refused, and
+/// says nothing of the order: age is judged by the receiver's clock.
 const ABSURD_STAMP: Duration = Duration::from_secs(86_400);
 
 /// One stream of one robot; each is the source of one graph.
@@ -121,6 +121,9 @@ pub(crate) struct Observed {
 pub(crate) enum Refusal {
     /// It is a repetition, or comes after a later one.
     Late(String),
+    /// It seems to be the same, but it may be the robot itself that began anew. It is let in if it
+    /// goes on for `stale_after_s`; until then it only keeps the robot from being judged silent.
+    Doubtful(String),
     /// Anything else.
     Wrong(String),
 }
@@ -227,23 +230,54 @@ pub(crate) fn has_absurd_stamp(now: Tick, provenance: &Provenance) -> bool {
 /// Judges order and rate of one stream of one robot.
 ///
 /// A refused message takes nothing of the allowance, so that a flood of what is refused anyway does
-/// not shut out the robot's good messages.
+/// not shut out the robot's good messages. Nothing that anybody can put shuts a robot out for good,
+/// but for a forged sequence within its own boot.
 #[derive(Debug)]
 pub(crate) struct Gate {
     allowance: f64,
-    refilled: Tick,
+    passed: Tick,
+    run: Run,
+    left: VecDeque<Run>,
+    late_since: Option<Tick>,
+    excused: bool,
+}
+
+/// How far one run of a robot's software has come.
+#[derive(Debug, Default)]
+struct Run {
     boot: Option<String>,
-    left: VecDeque<String>,
     seq: Option<u64>,
     stamp: Option<f64>,
-    late_since: Option<Tick>,
 }
 
 /// How a message is out of order.
-struct Late {
-    reason: &'static str,
-    /// Whether what the robot says of itself proves it.
-    proven: bool,
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Late {
+    /// By what the robot says of itself: never let in.
+    Proven(&'static str),
+    /// By a sequence without a boot, or by stamps: a robot that restarted, or whose clock was set
+    /// back, looks the same.
+    Unproven(&'static str),
+    /// It goes on with a run that was followed by another. Whether that other one was the robot's
+    /// shows in whether it goes on.
+    Followed,
+}
+
+impl Run {
+    /// Whether a message of the run comes after a later one.
+    fn late(&self, boot: Option<&String>, seq: Option<u64>, stamp: Option<f64>) -> Option<Late> {
+        match (seq, self.seq, stamp, self.stamp) {
+            (Some(seq), Some(last), ..) if seq <= last => {
+                let reason = if seq == last { "seq was seen before" } else { "seq goes back" };
+                Some(if boot.is_some() { Late::Proven(reason) } else { Late::Unproven(reason) })
+            }
+            (Some(_), Some(_), ..) => None,
+            (_, _, Some(stamp), Some(last)) => {
+                (stamp < last).then_some(Late::Unproven("stamp goes back"))
+            }
+            _ => None,
+        }
+    }
 }
 
 impl Gate {
@@ -251,13 +285,17 @@ impl Gate {
     pub(crate) fn new(now: Tick, settings: &IngestSettings) -> Self {
         Self {
             allowance: capacity(settings),
-            refilled: now,
-            boot: None,
+            passed: now,
+            run: Run::default(),
             left: VecDeque::new(),
-            seq: None,
-            stamp: None,
             late_since: None,
+            excused: false,
         }
+    }
+
+    /// The robot has certainly begun anew: the next message need not follow the last one.
+    pub(crate) fn excuse(&mut self) {
+        self.excused = true;
     }
 
     /// Lets a message pass or refuses it.
@@ -267,60 +305,72 @@ impl Gate {
         provenance: &Provenance,
         settings: &IngestSettings,
     ) -> Result<(), Refusal> {
-        let late = self.late(provenance);
-        if let Some(Late { reason, proven }) = &late {
-            // Without boot id and sequence, a robot whose clock was set back or that restarted looks
-            // like an old message. It must not be shut out for good.
-            let since = *self.late_since.get_or_insert(now);
-            if *proven || now.since(since) < seconds(settings.gone_after_s) {
-                return Err(Refusal::Late(format!("replayed or out of order: {reason}")));
-            }
-        }
-        let refill = now.since(self.refilled).as_secs_f64() * settings.max_rate_hz;
+        let Provenance { boot, seq, stamp } = provenance;
+        let stamp = stamp.filter(|_| !has_absurd_stamp(now, provenance));
+        let returns = boot
+            .as_ref()
+            .and_then(|boot| self.left.iter().position(|run| run.boot.as_ref() == Some(boot)));
+        let boots = boot.is_some() && *boot != self.run.boot;
+        // A message without a boot id belongs to the boot that was named last.
+        let late = match returns.and_then(|at| self.left.get(at)) {
+            Some(run) => run.late(boot.as_ref(), *seq, stamp).or(Some(Late::Followed)),
+            None if boots => None,
+            None => self.run.late(boot.as_ref(), *seq, stamp),
+        };
+        self.excuse_late(now, late, seconds(settings.stale_after_s))?;
+        let refill = now.since(self.passed).as_secs_f64() * settings.max_rate_hz;
         let allowance = (self.allowance + refill).min(capacity(settings));
         if allowance < 1.0 {
             let rate = settings.max_rate_hz;
             return Err(Refusal::Wrong(format!("rate: at most {rate} messages per second")));
         }
         self.allowance = allowance - 1.0;
-        self.refilled = now;
+        self.passed = now;
         self.late_since = None;
-        let rebooted = provenance.boot.is_some() && provenance.boot != self.boot;
-        if rebooted || late.is_some() {
-            self.seq = None;
-            self.stamp = None;
-        }
-        if rebooted {
-            if self.left.len() >= REMEMBERED_BOOTS {
+        self.excused = false;
+        if boots {
+            let run = returns.and_then(|at| self.left.remove(at)).unwrap_or_default();
+            let left = std::mem::replace(&mut self.run, run);
+            if left.boot.is_some() {
+                self.left.push_back(left);
+            }
+            if self.left.len() > REMEMBERED_BOOTS {
                 self.left.pop_front();
             }
-            self.left.extend(self.boot.take());
-            self.boot.clone_from(&provenance.boot);
+            self.run.boot.clone_from(boot);
         }
-        self.seq = provenance.seq.or(self.seq);
-        self.stamp = provenance.stamp.or(self.stamp);
+        if matches!(late, Some(Late::Unproven(_))) {
+            self.run.seq = None;
+            self.run.stamp = None;
+        }
+        self.run.seq = seq.or(self.run.seq);
+        self.run.stamp = stamp.or(self.run.stamp);
         Ok(())
     }
 
-    /// Whether a message comes after a later one. One without a boot id belongs to the boot that was
-    /// named last.
-    fn late(&self, provenance: &Provenance) -> Option<Late> {
-        if let Some(boot) = &provenance.boot
-            && self.boot.as_ref() != Some(boot)
-        {
-            let reason = "this boot was followed by another one";
-            return self.left.contains(boot).then_some(Late { reason, proven: true });
-        }
-        match (provenance.seq, self.seq, provenance.stamp, self.stamp) {
-            (Some(seq), Some(last), ..) => {
-                let reason = if seq == last { "seq was seen before" } else { "seq goes back" };
-                (seq <= last).then_some(Late { reason, proven: provenance.boot.is_some() })
+    /// Refuses what is late, unless it has gone on for so long that it is the robot itself.
+    fn excuse_late(
+        &mut self,
+        now: Tick,
+        late: Option<Late>,
+        patience: Duration,
+    ) -> Result<(), Refusal> {
+        let (reason, excused) = match late {
+            None => return Ok(()),
+            Some(Late::Proven(reason)) => {
+                return Err(Refusal::Late(format!("replayed or out of order: {reason}")));
             }
-            (_, _, Some(stamp), Some(last)) => {
-                (stamp < last).then_some(Late { reason: "stamp goes back", proven: false })
+            Some(Late::Unproven(reason)) => {
+                let since = *self.late_since.get_or_insert(now);
+                (reason, self.excused || now.since(since) >= patience)
             }
-            _ => None,
-        }
+            Some(Late::Followed) => {
+                let reason = "this boot was followed by another one";
+                (reason, now.since(self.passed) >= patience)
+            }
+        };
+        let refusal = || Refusal::Doubtful(format!("replayed or out of order: {reason}"));
+        if excused { Ok(()) } else { Err(refusal()) }
     }
 }
 

@@ -1,21 +1,28 @@
 //! Events in, effects out: what is let in, what is judged when, and what is told.
 
+use std::time::Duration;
+
 use muster_machine::{
     Answered, Core, Delivery, Effect, Effects, Event, QueryId, Role, START_FETCH, Start,
-    Subscription, Wiring,
+    Subscription, TERM_FETCH, Wiring,
 };
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::settings::IngestSettings;
 use muster_model::time::Tick;
-use muster_wire::{Key, Message, Pattern, Rejection, Request};
+use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::admission::{self, Observed, Refusal};
 use crate::frames::Frames;
 use crate::restore;
 use crate::robot::{Change, Patience, Transition};
 use crate::roster::Fleet;
+
+/// How long after the first robot of a start from nothing the first frame waits for the others. The
+/// robots of a fleet join within a moment; a first division of half a fleet would number the teams by
+/// whoever happened to be heard first.
+const GATHERING: Duration = Duration::from_secs(1);
 
 /// From the streams of the robots to one weighted directed graph per modality.
 ///
@@ -28,6 +35,10 @@ pub struct Ingest {
     fleet: Fleet,
     frames: Frames,
     link_lost: Option<Tick>,
+    /// Whether nobody was known in this run so far.
+    unpeopled: bool,
+    /// No frame is made before this.
+    gathered: Tick,
 }
 
 impl Ingest {
@@ -91,14 +102,11 @@ impl Ingest {
 
     fn changed(&mut self, now: Tick, robot: &RobotId, change: Change, effects: &mut Effects<()>) {
         if change.joined {
-            self.role.count("robots_joined");
+            if std::mem::take(&mut self.unpeopled) {
+                self.gathered = now.after(GATHERING);
+            }
             self.frames.touch_members(now);
-            self.tell(
-                now,
-                Severity::Info,
-                EventKind::RobotJoined { robot: robot.clone() },
-                effects,
-            );
+            self.tell_joined(now, robot.clone(), effects);
         }
         if change.roster {
             self.frames.touch_roster(now);
@@ -113,29 +121,20 @@ impl Ingest {
 
     fn refuse(&mut self, now: Tick, key: &Key, refusal: Refusal, effects: &mut Effects<()>) {
         let reason = match refusal {
-            Refusal::Late(reason) => {
+            Refusal::Late(reason) | Refusal::Doubtful(reason) => {
                 self.role.count("messages_late");
                 reason
             }
             Refusal::Wrong(reason) => reason,
         };
-        let space = self.role.space();
-        let rejection = Rejection::new(space, &space.format(key), reason);
-        self.quarantine(now, rejection, effects);
+        self.role.refuse(now, key, &reason, effects);
     }
 
-    fn quarantine(&mut self, now: Tick, rejection: Rejection, effects: &mut Effects<()>) {
+    /// Counts and tells that a robot joined. Who did before the term began is told of as it begins.
+    fn tell_joined(&mut self, now: Tick, robot: RobotId, effects: &mut Effects<()>) {
         if self.role.is_holding() {
-            self.role.quarantine(now, rejection, effects);
-        } else {
-            self.role.count("messages_refused");
-        }
-    }
-
-    /// Tells an event, once the term has begun.
-    fn tell(&mut self, now: Tick, severity: Severity, kind: EventKind, effects: &mut Effects<()>) {
-        if self.role.is_holding() {
-            self.role.tell(now, severity, kind, effects);
+            self.role.count("robots_joined");
+            self.role.tell(now, Severity::Info, EventKind::RobotJoined { robot }, effects);
         }
     }
 
@@ -156,7 +155,7 @@ impl Ingest {
             self.frames.touch_members(now);
         }
         self.frames.touch_roster(now);
-        self.tell(now, severity, kind, effects);
+        self.role.tell(now, severity, kind, effects);
     }
 
     /// Whether silence says something about the robots, and somebody may be told of it.
@@ -171,8 +170,28 @@ impl Ingest {
         self.role.begin_term(now, restore::highest_revision(messages), effects);
         let joined = self.fleet.robots().keys().filter(|robot| !restored.contains(*robot));
         for robot in joined.cloned().collect::<Vec<_>>() {
-            self.tell(now, Severity::Info, EventKind::RobotJoined { robot }, effects);
+            self.tell_joined(now, robot, effects);
         }
+        self.unpeopled = self.fleet.robots().is_empty();
+        if !restored.is_empty() {
+            self.gathered = now;
+        } else if self.unpeopled {
+            // Readers may still hold a roster: they are told that nobody is there, but not before
+            // those who are had a moment to say so.
+            self.gathered = now.after(GATHERING);
+        }
+        self.frames.touch_members(now);
+    }
+
+    /// Takes in what readers have seen of the role, and publishes everything anew if that began a new
+    /// term.
+    fn check_term(&mut self, now: Tick, found: &[Message], effects: &mut Effects<()>) {
+        if !self.role.checked(now, found, effects) {
+            return;
+        }
+        self.fleet.renumber();
+        self.frames = Frames::default();
+        self.frames.declare(now, &self.role.settings().modalities);
         self.frames.touch_members(now);
     }
 
@@ -185,18 +204,23 @@ impl Ingest {
                 self.tell_transition(now, robot, transition, effects);
             }
         }
-        if self.frames.due(&self.fleet, self.role.settings()).is_some_and(|at| at <= now) {
+        if self.next_frame().is_some_and(|at| at <= now) {
             for message in self.frames.make(now, &self.fleet, &mut self.role) {
                 effects.publish(message);
             }
         }
     }
 
+    fn next_frame(&self) -> Option<Tick> {
+        self.frames.due(self.role.settings()).map(|due| due.max(self.gathered))
+    }
+
     fn restore_link(&mut self, now: Tick, effects: &mut Effects<()>) {
+        self.role.link_restored(now);
         let Some(lost) = self.link_lost.take() else { return };
-        self.fleet.forgive_outage(lost, now);
+        self.fleet.spare_all(now);
         let outage_s = now.since(lost).as_secs_f64();
-        self.tell(now, Severity::Warning, EventKind::LinkRestored { outage_s }, effects);
+        self.role.tell(now, Severity::Warning, EventKind::LinkRestored { outage_s }, effects);
     }
 
     fn answer(&mut self, now: Tick, query: QueryId, request: Request, effects: &mut Effects<()>) {
@@ -253,7 +277,8 @@ impl Core for Ingest {
         let role = Role::new(Self::SERVICE, start);
         let mut frames = Frames::default();
         frames.declare(now, &role.settings().modalities);
-        Self { role, fleet: Fleet::default(), frames, link_lost: None }
+        let fleet = Fleet::default();
+        Self { role, fleet, frames, link_lost: None, unpeopled: true, gathered: now }
     }
 
     fn handle(&mut self, now: Tick, event: Event<()>, effects: &mut Effects<()>) {
@@ -263,10 +288,13 @@ impl Core for Ingest {
                 patterns: vec![Pattern::One(Key::Roster), Pattern::Graphs],
             }),
             Event::Received(message) => self.receive(now, message, effects),
-            Event::Rejected(rejection) => self.quarantine(now, rejection, effects),
+            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
             Event::Timeout => self.advance(now, effects),
             Event::Fetched { fetch: START_FETCH, messages } if !self.role.is_holding() => {
                 self.begin(now, &messages, effects);
+            }
+            Event::Fetched { fetch: TERM_FETCH, messages } => {
+                self.check_term(now, &messages, effects);
             }
             Event::Query { query, request } => self.answer(now, query, request, effects),
             Event::LinkLost => {
@@ -276,14 +304,18 @@ impl Core for Ingest {
             // There are no jobs and no further fetches.
             Event::Fetched { .. } | Event::Done(()) | Event::JobFailed(_) => {}
         }
+        // Nobody answers while the link is lost.
+        if self.link_lost.is_none() {
+            self.role.advance(now, Pattern::One(Key::Roster), effects);
+        }
     }
 
     fn deadline(&self) -> Option<Tick> {
         if !self.is_judging() {
             return None;
         }
-        let frame = self.frames.due(&self.fleet, self.role.settings());
-        self.fleet.next_judgement().into_iter().chain(frame).min()
+        let judgement = self.fleet.next_judgement();
+        judgement.into_iter().chain(self.next_frame()).chain(self.role.deadline()).min()
     }
 
     fn run((): ()) {}

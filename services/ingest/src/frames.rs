@@ -18,8 +18,9 @@ use crate::graphs::{Places, changed_rows, spatial_rows};
 use crate::robot::Robot;
 use crate::roster::Fleet;
 
-/// How long at most no roster is published while there are robots, even if nothing changes: who was
-/// heard of when is part of it. Slower frames have slower heartbeats.
+/// How long at most no roster is published, even if nothing changes: who was heard of when is part of
+/// it, and a roster that was lost must not be lost for good, not even that of a fleet that has left.
+/// Slower frames have slower heartbeats.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
 /// One graph as it was last published.
@@ -97,10 +98,9 @@ impl Frames {
         self.touch_roster(now);
     }
 
-    /// When the next frame is due; none as long as nothing changes and nobody is there.
-    pub(crate) fn due(&self, fleet: &Fleet, settings: &IngestSettings) -> Option<Tick> {
+    /// When the next frame is due.
+    pub(crate) fn due(&self, settings: &IngestSettings) -> Option<Tick> {
         let heartbeat = self.published.map(|published| published.after(HEARTBEAT));
-        let heartbeat = heartbeat.filter(|_| !fleet.robots().is_empty());
         let wanted = self.changed.into_iter().chain(heartbeat).min()?;
         let allowed = self.attempted.map(|last| last.after(period(settings)));
         Some(allowed.map_or(wanted, |allowed| allowed.max(wanted)))
@@ -126,8 +126,7 @@ impl Frames {
         };
         let steps = self.step_graphs(&nodes, fleet, role.settings());
         let is_recent = self.published.is_some_and(|published| now.since(published) < HEARTBEAT);
-        let keeps_silent = is_recent || fleet.robots().is_empty();
-        if steps.is_empty() && !self.roster_dirty && keeps_silent {
+        if steps.is_empty() && !self.roster_dirty && is_recent {
             return Vec::new();
         }
         self.roster_dirty = false;
@@ -255,9 +254,10 @@ fn period(settings: &IngestSettings) -> Duration {
 }
 
 fn header(now: Tick, fleet: &Fleet, role: &mut Role<IngestSettings>) -> Header {
-    let active = |robot: &&Robot| robot.presence == Presence::Active;
+    let all_stale = fleet.robots().values().all(|robot| robot.presence == Presence::Stale);
+    let counts = |robot: &&Robot| all_stale || robot.presence == Presence::Active;
     let received = |robot: &Robot| robot.pose.as_ref().map(|pose| pose.received);
-    let poses = || fleet.robots().values().filter(active).filter_map(received);
+    let poses = || fleet.robots().values().filter(counts).filter_map(received);
     Header {
         fleet: role.fleet().clone(),
         revision: role.next_revision(),

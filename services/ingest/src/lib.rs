@@ -7,7 +7,8 @@
 //! the roster after a restart with what other services still remember.
 //!
 //! What holds at all times:
-//! - A refused message changes neither the roster nor a graph; it is counted, told of and forgotten.
+//! - A refused message changes neither what is known of a robot nor a graph; it is counted, told of
+//!   and forgotten. One in doubt gives its robot a little more time, no more.
 //! - Age is judged by the clock of the receiver, order by what the robot says of it.
 //! - A frame is whole: who applies the graphs that a roster lists holds one state of the fleet.
 //! - Memory is bounded by the number of robots times their streams; nothing is kept of a robot that

@@ -13,7 +13,7 @@ use muster_model::id::{Modality, RobotId};
 use muster_model::observation::{Pose, Rank};
 use muster_model::roster::{Roster, RosterEntry};
 use muster_model::settings::IngestSettings;
-use muster_model::time::Tick;
+use muster_model::time::{Tick, seconds};
 use muster_relation::hierarchy::DEFAULT_TIE;
 use muster_wire::Message;
 
@@ -37,8 +37,8 @@ pub(crate) fn highest_revision(messages: &[Message]) -> Option<Revision> {
 /// Fills the fleet with what is remembered; streams that were heard in this run stay as they are.
 /// Returns the robots that are remembered and known now.
 ///
-/// Every robot is treated as heard now: it has its whole patience to speak again, while `last_seen`
-/// and the age of the data stay what they are.
+/// A robot that was stale stays stale. One that was active has its whole patience to speak again, but
+/// `last_seen` and the age of the data stay what they are.
 pub(crate) fn restore(
     now: Tick,
     messages: &[Message],
@@ -50,27 +50,35 @@ pub(crate) fn restore(
     let Some(roster) = newest.filter(|roster| is_consistent(roster)) else {
         return BTreeSet::new();
     };
+    // A token that nobody remembers is that of a process that hangs and had left, or of a robot that
+    // came while nobody listened. Soon after the last roster the first is far more likely, and lasts
+    // for ever if it is taken for a robot; the second ends with the robot's first word, and a robot
+    // without a word has nothing that a team could be made of. After a long time the fleet may be
+    // another one, and all tokens are shown as robots.
+    let told = roster.header.stages.last().map_or(Tick::default(), |stage| stage.published);
+    if now.since(told) < seconds(settings.gone_after_s) {
+        let remembered: BTreeSet<_> = roster.robots.iter().map(|entry| &entry.robot).collect();
+        fleet.hang_quiet(|robot| remembered.contains(robot));
+    }
     let graphs = remembered_graphs(messages, roster);
     let mut said = said_of_graphs(&graphs, settings);
     let ties = graphs.get(&Modality::hierarchy()).map(Ties::new);
     let mut restored = BTreeSet::new();
     for entry in &roster.robots {
-        let Ok((robot, joined)) = fleet.find_or_join(now, &entry.robot, settings) else { continue };
+        let Ok((robot, _)) = fleet.find_or_join(now, &entry.robot, settings) else { continue };
         let last_seen = entry.last_seen.min(now);
-        if joined {
-            robot.heard = last_seen;
-        }
+        robot.restore(now, last_seen, entry.presence);
         let mut contents = said.remove(&entry.robot).unwrap_or_default();
         let observed = pose_of(entry, settings).into_iter().chain(rank_of(entry, ties.as_ref()));
         contents.extend(observed.map(|observed| (observed.stream, observed.content)));
         for (stream, content) in contents {
             if !robot.has_spoken(&stream) {
-                robot.take(last_seen, now, content);
+                robot.take(last_seen, content);
             }
         }
-        fleet.expect(&entry.robot, settings.into());
         restored.insert(entry.robot.clone());
     }
+    fleet.judge_soon(now);
     restored
 }
 

@@ -5,6 +5,9 @@
 //! needs no rule of its own for a robot with a pose: its last pose is older than the loss.) It is
 //! *gone* when its last sign is older than `gone_after_s`, whatever its token says, because a process
 //! that hangs keeps its token; only a robot that has a token and no pose may stay silent.
+//!
+//! Where silence says nothing (nobody could be heard, or what was heard is in doubt) a robot is
+//! *spared*: its patience begins anew. That makes no stale robot active, and changes no age.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -17,10 +20,6 @@ use muster_model::time::{Tick, seconds};
 
 use crate::admission::{Content, Gate, Stream, Tie};
 
-/// How long before the loss of the link a token's loss is no sign of a dead robot: a router that dies
-/// deletes every token a moment before its link is seen to be lost.
-const TOKENS_LOST_WITH_LINK: Duration = Duration::from_secs(1);
-
 /// Where a robot is.
 #[derive(Debug, Clone)]
 pub(crate) struct Placed {
@@ -32,8 +31,6 @@ pub(crate) struct Placed {
     pub(crate) frame: String,
     /// When it was received.
     pub(crate) received: Tick,
-    /// From when its age is judged: later than `received` by the outages of the link since.
-    judged_from: Tick,
 }
 
 /// What the bus says of a robot's liveliness token.
@@ -56,7 +53,10 @@ pub(crate) struct Robot {
     pub(crate) presence: Presence,
     /// When anything was last received from it.
     pub(crate) heard: Tick,
-    judged_from: Tick,
+    /// Until it is stale, its patience before that does not begin earlier.
+    spared_stale: Tick,
+    /// Its patience before it is gone does not begin earlier.
+    spared_gone: Tick,
     token: Token,
     /// Where it is, if it ever said so.
     pub(crate) pose: Option<Placed>,
@@ -115,7 +115,8 @@ impl Robot {
             node,
             presence: Presence::Active,
             heard: now,
-            judged_from: now,
+            spared_stale: now,
+            spared_gone: now,
             token,
             pose: None,
             links: Vec::new(),
@@ -128,15 +129,56 @@ impl Robot {
     /// A message of it was let in.
     pub(crate) fn hear(&mut self, now: Tick) {
         self.heard = now;
-        self.judged_from = now;
     }
 
-    /// Its token is there. If that was known, it says nothing new.
-    pub(crate) fn show_token(&mut self, now: Tick) {
-        if self.token != Token::Alive {
-            self.token = Token::Alive;
-            self.hear(now);
+    /// A message of it was refused that may have been its own.
+    pub(crate) fn doubt(&mut self, now: Tick, stream: &Stream) {
+        self.spared_gone = now;
+        if self.pose.is_none() || *stream == Stream::Pose {
+            self.spared_stale = now;
         }
+    }
+
+    /// Nothing could be heard of it until now.
+    pub(crate) fn spare(&mut self, now: Tick) {
+        self.spared_stale = now;
+        self.spared_gone = now;
+    }
+
+    /// Takes over what was last told of it in the term before. A token that is there after a restart
+    /// was there before and is no sign of life.
+    ///
+    /// Whoever was active could not be heard until now. Whoever was stale was given up on before, and
+    /// must leave even if the restarts do not end.
+    pub(crate) fn restore(&mut self, now: Tick, last_seen: Tick, presence: Presence) {
+        if !self.has_said_anything() {
+            self.heard = last_seen;
+        }
+        self.presence = presence;
+        if presence == Presence::Active {
+            self.spare(now);
+        } else {
+            self.spared_stale = Tick::default();
+            self.spared_gone = Tick::default();
+        }
+    }
+
+    /// Its token is there. If that was known, it says nothing new. One that comes back is that of a
+    /// process that began anew, with an order of its own.
+    pub(crate) fn show_token(&mut self, now: Tick) {
+        match self.token {
+            Token::Alive => return,
+            Token::Lost(_) => {
+                self.hear(now);
+                for gate in self.gates.values_mut() {
+                    gate.excuse();
+                }
+            }
+            Token::Unseen if self.has_said_anything() => self.hear(now),
+            // It joins by its token, or was restored and had its token all the time.
+            Token::Unseen => {}
+        }
+        self.token = Token::Alive;
     }
 
     /// Its token was lost.
@@ -153,22 +195,28 @@ impl Robot {
 
     fn last_sign(&self) -> Tick {
         match self.token {
-            Token::Lost(at) => self.judged_from.max(at),
-            Token::Unseen | Token::Alive => self.judged_from,
+            Token::Lost(at) => self.heard.max(at),
+            Token::Unseen | Token::Alive => self.heard,
         }
     }
 
     fn stale_at(&self, patience: Patience) -> Option<Tick> {
-        match (&self.pose, self.token) {
-            (Some(pose), _) => Some(pose.judged_from.after(patience.stale_after)),
-            (None, Token::Alive) => None,
-            (None, _) => Some(self.last_sign().after(patience.stale_after)),
-        }
+        let sign = match (&self.pose, self.token) {
+            (Some(pose), _) => pose.received,
+            (None, Token::Alive) => return None,
+            (None, _) => self.last_sign(),
+        };
+        let spared = match self.presence {
+            Presence::Active => sign.max(self.spared_stale),
+            Presence::Stale => sign,
+        };
+        Some(spared.after(patience.stale_after))
     }
 
     fn gone_at(&self, patience: Patience) -> Option<Tick> {
         let may_be_silent = self.pose.is_none() && self.token == Token::Alive;
-        (!may_be_silent).then(|| self.last_sign().after(patience.gone_after))
+        let sign = self.last_sign().max(self.spared_gone);
+        (!may_be_silent).then(|| sign.after(patience.gone_after))
     }
 
     /// When its presence changes next if nothing more is heard of it.
@@ -192,20 +240,25 @@ impl Robot {
         Some(transition)
     }
 
+    /// Whether any stream was heard in this run.
+    pub(crate) fn has_said_anything(&self) -> bool {
+        !self.gates.is_empty()
+    }
+
     /// Whether a stream was heard in this run.
     pub(crate) fn has_spoken(&self, stream: &Stream) -> bool {
         self.gates.contains_key(stream)
     }
 
     /// Puts an observation in place of the one before.
-    pub(crate) fn take(&mut self, received: Tick, judged_from: Tick, content: Content) -> Change {
+    pub(crate) fn take(&mut self, received: Tick, content: Content) -> Change {
         let mut change = Change::default();
         match content {
             Content::Pose { position, heading, frame } => {
                 let old = self.pose.as_ref();
                 change.graph = old.is_none_or(|old| old.position != position || old.frame != frame);
                 change.roster = change.graph || old.is_none_or(|old| old.heading != heading);
-                self.pose = Some(Placed { position, heading, frame, received, judged_from });
+                self.pose = Some(Placed { position, heading, frame, received });
             }
             Content::Links(links) => {
                 change.graph = self.links != links;
@@ -240,22 +293,6 @@ impl Robot {
             superior: self.tie.superior.clone(),
             role: self.tie.role.clone(),
             last_seen: self.heard,
-        }
-    }
-
-    /// Gives it the patience back that it had when the link was lost.
-    ///
-    /// A token that was lost with the link is lost as of now: a robot that is there shows it again.
-    pub(crate) fn forgive_outage(&mut self, lost: Tick, now: Tick) {
-        let outage = now.since(lost);
-        let forgiven = |tick: Tick| tick.after(outage).min(now);
-        self.judged_from = forgiven(self.judged_from);
-        if let Some(pose) = &mut self.pose {
-            pose.judged_from = forgiven(pose.judged_from);
-        }
-        if let Token::Lost(at) = self.token {
-            let with_link = at.after(TOKENS_LOST_WITH_LINK) >= lost;
-            self.token = Token::Lost(if with_link { now } else { forgiven(at) });
         }
     }
 

@@ -49,7 +49,8 @@ impl Fleet {
         self.robots.values().filter(|robot| robot.presence == Presence::Stale).count()
     }
 
-    /// Lets an observation in, or refuses it and stays as it is.
+    /// Lets an observation in, or refuses it and stays as it is, but for the patience with a robot
+    /// whose messages are in doubt.
     pub(crate) fn observe(
         &mut self,
         now: Tick,
@@ -60,14 +61,18 @@ impl Fleet {
         let Observed { stream, provenance, content } = observed;
         let known = self.robots.get_mut(name);
         let mut fresh = Gate::new(now, settings);
-        match known.and_then(|robot| robot.gates.get_mut(&stream)) {
-            Some(gate) => gate.pass(now, &provenance, settings)?,
-            None => fresh.pass(now, &provenance, settings)?,
+        let gate = known.and_then(|robot| robot.gates.get_mut(&stream)).unwrap_or(&mut fresh);
+        let passed = gate.pass(now, &provenance, settings);
+        if matches!(passed, Err(Refusal::Doubtful(_)))
+            && let Some(robot) = self.robots.get_mut(name)
+        {
+            robot.doubt(now, &stream);
         }
+        passed?;
         let (robot, joined) = self.find_or_join(now, name, settings)?;
         robot.gates.entry(stream).or_insert(fresh);
         robot.hear(now);
-        let change = robot.take(now, now, content);
+        let change = robot.take(now, content);
         self.newest_message = Some(now);
         self.expect(name, settings.into());
         Ok(Change { joined, roster: change.roster || joined, ..change })
@@ -172,12 +177,33 @@ impl Fleet {
         transitions
     }
 
-    /// The link is back: nothing could be heard since `lost`, so that nobody's patience ran.
-    pub(crate) fn forgive_outage(&mut self, lost: Tick, now: Tick) {
+    /// Nobody could be heard until now: everybody's patience begins anew.
+    pub(crate) fn spare_all(&mut self, now: Tick) {
         for robot in self.robots.values_mut() {
-            robot.forgive_outage(lost, now);
+            robot.spare(now);
         }
         self.judge_soon(now);
+    }
+
+    /// Gives every robot a new node: a new term begins.
+    pub(crate) fn renumber(&mut self) {
+        self.next_node = 0;
+        for robot in self.robots.values_mut() {
+            robot.node = self.next_node;
+            self.next_node += 1;
+        }
+    }
+
+    /// Takes out those who have joined by their token alone, unless they are to stay.
+    pub(crate) fn hang_quiet(&mut self, stays: impl Fn(&RobotId) -> bool) {
+        let hung = &mut self.hung;
+        self.robots.retain(|name, robot| {
+            let hangs = !robot.has_said_anything() && robot.has_token() && !stays(name);
+            if hangs {
+                hung.insert(name.clone());
+            }
+            !hangs
+        });
     }
 
     /// Forgets what was said of modalities that are not declared any more.

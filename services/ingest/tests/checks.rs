@@ -7,6 +7,7 @@ mod bench;
 use bench::{Bench, bare_pose, links, modality, pose, rank, relation, robot, token};
 use muster_machine::Event;
 use muster_model::observation::{Observation, Pose, Relation};
+use muster_model::roster::Presence;
 use muster_model::settings::IngestSettings;
 use muster_wire::{Message, Rejection};
 use serde_json::json;
@@ -137,10 +138,10 @@ fn a_boot_that_was_left_does_not_come_back() {
     for boot in 0..7 {
         assert!(passes(&mut bench, ordered(Some(&format!("c{boot}")), Some(1), None)));
     }
-    assert!(!passes(&mut bench, ordered(Some("a"), Some(101), None)));
+    assert!(!passes(&mut bench, ordered(Some("a"), Some(100), None)));
     assert!(passes(&mut bench, ordered(Some("c7"), Some(1), None)));
-    assert!(passes(&mut bench, ordered(Some("a"), Some(101), None)));
-    assert!(!passes(&mut bench, ordered(Some("c0"), Some(2), None)));
+    assert!(passes(&mut bench, ordered(Some("a"), Some(100), None)));
+    assert!(!passes(&mut bench, ordered(Some("c0"), Some(1), None)));
 }
 
 #[test]
@@ -156,34 +157,109 @@ fn streams_are_ordered_each_by_itself() {
 #[test]
 fn without_a_sequence_the_stamp_does_not_go_back() {
     let mut bench = three_robots();
-    assert!(passes(&mut bench, ordered(None, None, Some(100.0))));
-    assert!(passes(&mut bench, ordered(None, None, Some(100.0))));
-    assert!(!passes(&mut bench, ordered(None, None, Some(99.0))));
-    assert!(passes(&mut bench, ordered(None, None, Some(101.0))));
+    let at = |seconds: f64| Some(bench::START.as_seconds() + seconds);
+    assert!(passes(&mut bench, ordered(None, None, at(100.0))));
+    assert!(passes(&mut bench, ordered(None, None, at(100.0))));
+    assert!(!passes(&mut bench, ordered(None, None, at(99.0))));
+    assert!(passes(&mut bench, ordered(None, None, at(101.0))));
     assert!(passes(&mut bench, ordered(None, None, None)));
-    assert!(!passes(&mut bench, ordered(None, None, Some(100.5))));
+    assert!(!passes(&mut bench, ordered(None, None, at(100.5))));
     // A new boot begins anew.
-    assert!(passes(&mut bench, ordered(Some("a"), None, Some(1.0))));
+    assert!(passes(&mut bench, ordered(Some("a"), None, at(1.0))));
 }
 
 #[test]
-fn an_absurd_stamp_is_counted_and_does_not_block_the_stream_for_good() {
+fn an_absurd_stamp_is_counted_and_says_nothing_of_the_order() {
     let mut bench = three_robots();
-    assert!(passes(&mut bench, ordered(None, None, Some(9e12))));
-    assert_eq!(bench.counter("stamps_absurd"), 1);
-    let sane = || ordered(None, None, Some(bench::START.as_seconds()));
-    let before = bench.now;
-    // Other streams keep the robot in the fleet.
-    let mut refused = 0;
-    while !passes(&mut bench, sane()) {
-        refused += 1;
-        bench.say(links("r1", &[]));
-        assert!(refused < 100);
+    let now_s = bench::START.as_seconds();
+    bench.say(ordered(None, None, Some(now_s)));
+    bench.say(ordered(None, None, Some(9e12)));
+    bench.say(ordered(None, None, Some(now_s)));
+    bench.say(ordered(None, None, Some(1.0)));
+    assert!(bench.happened().is_empty());
+    assert_eq!(bench.counter("stamps_absurd"), 2);
+    bench.say(ordered(None, None, Some(now_s - 1.0)));
+    assert_eq!(bench.counter("messages_late"), 1, "the last sane one counts");
+}
+
+/// Says a message of r1 ten times a second until it is let in, and returns how long that took. The
+/// robot is there all the while.
+fn time_to_pass(bench: &mut Bench, message: impl Fn(u32) -> Message) -> f64 {
+    let since = bench.now;
+    for count in 0..100 {
+        let accepted = bench.counter("poses_accepted");
+        bench.say(message(count));
+        let told = bench.happened();
+        assert!(!told.iter().any(|told| told.ends_with("r1")), "{told:?}");
+        if bench.counter("poses_accepted") > accepted {
+            return bench.now.since(since).as_secs_f64();
+        }
+        bench.wait(0.1);
     }
-    assert!(refused >= 4, "{refused}");
-    assert!(bench.now.since(before).as_secs_f64() > 10.0);
-    assert!(passes(&mut bench, sane()));
-    assert_eq!(bench.counter("stamps_absurd"), 1);
+    panic!("it is locked out");
+}
+
+#[test]
+fn a_forged_boot_does_not_lock_the_robot_out() {
+    let mut bench = Bench::default();
+    for seq in 1..=50 {
+        bench.say(ordered(Some("own"), Some(seq), None));
+        bench.wait(0.1);
+    }
+    bench.happened();
+    bench.say(ordered(Some("forged"), Some(7), None));
+    bench.wait(0.1);
+    let locked_s =
+        time_to_pass(&mut bench, |count| ordered(Some("own"), Some(51 + u64::from(count)), None));
+    assert!((1.8..=2.0).contains(&locked_s), "{locked_s}");
+    // What was said before is still old, on both sides, however long nothing else is said.
+    bench.wait(3.0);
+    bench.happened();
+    for (boot, seq) in [("own", 50), ("own", 30), ("forged", 7)] {
+        let told = refusal(&mut bench, ordered(Some(boot), Some(seq), None));
+        assert!(told.contains("replayed"), "{told}");
+        bench.wait(2.0);
+    }
+    let entry = bench.entry("r1").cloned();
+    assert_eq!(entry.unwrap().presence, Presence::Stale, "no sign of life");
+}
+
+#[test]
+fn a_robot_that_counts_anew_without_a_boot_is_let_in_in_time() {
+    let stamp = |n: u32| bench::START.as_seconds() + f64::from(n);
+    for has_seq in [true, false] {
+        let mut bench = Bench::default();
+        let say = |n: u32| {
+            let seq = has_seq.then_some(u64::from(n));
+            ordered(None, seq, (!has_seq).then_some(stamp(n)))
+        };
+        bench.say(say(500));
+        bench.happened();
+        bench.wait(1.5);
+        let locked_s = time_to_pass(&mut bench, |count| say(1 + count));
+        assert!((1.9..=2.0).contains(&locked_s), "{locked_s}");
+        bench.say(say(400));
+        assert!(bench.happened().is_empty());
+    }
+}
+
+#[test]
+fn a_robot_whose_token_came_back_counts_anew_at_once() {
+    let mut bench = Bench::default();
+    bench.say(token("r1", true));
+    bench.say(ordered(None, Some(500), None));
+    bench.say(token("r1", false));
+    bench.say(token("r1", true));
+    bench.happened();
+    bench.say(ordered(None, Some(1), None));
+    assert!(bench.happened().is_empty());
+    bench.say(ordered(None, Some(1), None));
+    assert_eq!(bench.counter("messages_late"), 1, "once");
+    bench.say(ordered(Some("a"), Some(9), None));
+    bench.say(token("r1", false));
+    bench.say(token("r1", true));
+    bench.say(ordered(Some("a"), Some(9), None));
+    assert_eq!(bench.counter("messages_late"), 2, "a replay all the same");
 }
 
 #[test]

@@ -60,6 +60,7 @@ fn nothing_is_told_before_the_last_term_is_known() {
     bench.step(Event::Fetched { fetch: START_FETCH, messages: Vec::new() });
     bench.wait(0.0);
     assert_eq!(bench.happened(), ["joined r1", "joined r2"]);
+    assert_eq!(bench.counter("robots_joined"), 2);
     assert_eq!(bench.names(), ["r1", "r2"]);
     assert_eq!(bench.counter("messages_refused"), 1);
     // A second answer to the same question changes nothing.
@@ -80,9 +81,9 @@ fn a_term_begins_with_every_graph_even_if_it_is_empty() {
         assert_eq!((first.len(), first[0].base), (1, None), "{name}");
     }
     assert!(matches!(bench.published.last(), Some((_, Message::Roster(_)))), "the roster is last");
-    bench.wait(60.0);
-    assert_eq!(bench.frame_times().len(), 1, "an empty fleet has no heartbeat");
-    assert_eq!(bench.driver.deadline(), None);
+    bench.wait(59.9);
+    assert_eq!(bench.frame_times().len(), 61, "an empty roster that was lost is told again");
+    assert_eq!(bench.delta_count(), 4);
 }
 
 #[test]
@@ -226,12 +227,12 @@ fn a_delta_holds_only_the_rows_that_changed() {
     let changed = deltas(&bench, "connectivity", from);
     assert_eq!(changed.len(), 1);
     let rows: Vec<_> = changed[0].rows.iter().map(|row| (row.source, row.edges.clone())).collect();
-    assert_eq!(rows, [(1, vec![(3, 1.0)])]);
+    assert_eq!(rows, [(2, vec![(4, 1.0)])]);
     bench.say(links("r4", &[]));
     let from = bench.published.len();
     bench.wait(0.2);
     let changed = deltas(&bench, "connectivity", from);
-    assert_eq!((changed[0].rows[0].source, changed[0].rows[0].edges.len()), (1, 0));
+    assert_eq!((changed[0].rows[0].source, changed[0].rows[0].edges.len()), (2, 0));
     assert_eq!(changed[0].nodes_added.len() + changed[0].nodes_removed.len(), 0);
 }
 
@@ -294,8 +295,14 @@ fn the_head_tells_the_ages_of_the_data() {
     bench.wait(2.0);
     bench.say(pose("r2", 2.0, 0.0));
     bench.wait(0.2);
-    let header = &bench.roster.as_ref().unwrap().header;
+    let header = bench.roster.as_ref().unwrap().header.clone();
     assert_eq!(header.oldest, header.newest, "a stale robot's pose does not count");
+    bench.wait(3.0);
+    let all_stale = &bench.roster.as_ref().unwrap().header;
+    assert_eq!((all_stale.oldest, all_stale.newest), (Some(first), header.newest));
+    bench.say(token("r3", true));
+    bench.wait(0.2);
+    assert_eq!(bench.roster.as_ref().unwrap().header.oldest, None, "nobody active is placed");
 }
 
 #[test]

@@ -8,6 +8,7 @@ mod bench;
 use bench::{Bench, links, modality, named, pose, rank, relation, seconds, token};
 use muster_machine::{Event, Stored};
 use muster_model::graph::GraphReplica;
+use muster_model::roster::{Presence, RosterEntry};
 use muster_model::settings::{IngestSettings, Settings};
 use muster_wire::Message;
 use proptest::prelude::*;
@@ -92,7 +93,8 @@ fn frames_keep_their_rate(bench: &Bench) {
 /// Whoever has left a moment ago is out of the roster with the next frame, if not sooner.
 fn the_roster_catches_up(bench: &mut Bench) -> bool {
     (0..5).any(|_| {
-        let known = bench.counter("robots_joined") - bench.counter("robots_left");
+        let known = bench.counter("robots_joined") + bench.counter("robots_restored")
+            - bench.counter("robots_left");
         let is_told = known == bench.names().len() as u64;
         if !is_told {
             bench.wait(0.2);
@@ -133,9 +135,24 @@ proptest! {
         let patch = Value::Object(bench.stored.patch.clone());
         let mut settings = settings.patched(&patch).unwrap();
         settings.max_robots = 6;
+        let gone_after_s = settings.gone_after_s;
         let mut new = Bench::asleep_at(bench.now, settings, Stored::default());
         new.begin(bench.remembered());
-        new.wait(0.0);
+        // An outage was forgiven before the restart; whoever was stale is not spared again.
+        let patience = seconds(gone_after_s);
+        let roster = bench.roster.clone().unwrap();
+        let now = new.now;
+        let leaves = |entry: &RosterEntry| {
+            entry.presence == Presence::Stale && now.since(entry.last_seen) >= patience
+        };
+        if roster.robots.iter().any(leaves) {
+            new.wait(0.0);
+            let stay = roster.robots.iter().filter(|entry| !leaves(entry));
+            prop_assert_eq!(new.names(), stay.map(|e| e.robot.as_str()).collect::<Vec<_>>());
+            return Ok(());
+        }
+        // With nobody to restore, it waits for somebody to come.
+        new.wait(if bench.names().is_empty() { 1.0 } else { 0.0 });
         prop_assert_eq!(new.names(), bench.names());
         prop_assert_eq!(new.graphs.len(), bench.graphs.len());
         for (modality, graph) in &bench.graphs {

@@ -9,14 +9,14 @@ use std::sync::Arc;
 use bench::{
     Bench, Named, bare_pose, links, modality, pose, rank, relation, robot, seconds, token,
 };
-use muster_machine::{Event, START_FETCH, Stored};
+use muster_machine::{Event, START_FETCH, Stored, TERM_FETCH};
 use muster_model::graph::GraphDelta;
 use muster_model::observation::Pose;
 use muster_model::roster::Presence::{Active, Stale};
 use muster_model::roster::Roster;
 use muster_model::settings::IngestSettings;
 use muster_model::time::Tick;
-use muster_wire::Message;
+use muster_wire::{Key, Message, Pattern};
 
 const MODALITIES: [&str; 4] = ["connectivity", "hierarchy", "spatial", "thermal"];
 
@@ -95,7 +95,7 @@ fn restored_robots_have_their_whole_patience() {
     assert!(new.happened().is_empty());
     assert_eq!(new.presence("r1"), Some(Active));
     assert!(new.now.since(new.entry("r1").unwrap().last_seen) > seconds(3600.0));
-    assert!(new.roster.as_ref().unwrap().header.data_age_s(new.now) > 3600.0);
+    assert!(new.roster.as_ref().unwrap().header.data_age_s(new.now) > Some(3600.0));
     new.wait(0.1);
     assert_eq!(new.happened(), ["stale r1", "stale r2", "stale r3", "stale r4"]);
     assert_eq!(new.presence("r1"), Some(Stale));
@@ -174,7 +174,7 @@ fn the_term_that_was_held_on_this_host_counts_too() {
     let stored = Stored { term: 7, ..Stored::default() };
     let mut bench = Bench::asleep_at(bench::START, settings(), stored);
     bench.begin(Vec::new());
-    bench.wait(0.0);
+    bench.wait(1.0);
     assert_eq!(bench.roster.as_ref().unwrap().header.revision.term, 8);
 }
 
@@ -241,9 +241,10 @@ fn what_contradicts_itself_is_not_restored() {
     }
     assert_eq!(absurd.entry("r3").unwrap().superior, None);
     let only_graphs = remembered.iter().filter(|m| matches!(m, Message::Graph(_))).cloned();
-    let empty = restored(only_graphs.collect());
+    let mut empty = restored(only_graphs.collect());
+    empty.wait(1.0);
     assert!(empty.names().is_empty());
-    assert_eq!(empty.roster.as_ref().unwrap().header.revision.term, 2, "its term is known though");
+    assert_eq!(empty.roster.as_ref().unwrap().header.revision.term, 3, "its term is known though");
 }
 
 trait ReverseNames {
@@ -267,4 +268,177 @@ fn no_more_robots_are_restored_than_there_may_be() {
     new.begin(old.remembered());
     new.wait(0.0);
     assert_eq!(new.names(), ["r1", "r2"]);
+}
+
+#[test]
+fn the_first_frame_waits_for_the_fleet_to_gather() {
+    let mut bench = Bench::asleep_at(bench::START, settings(), Stored::default());
+    bench.begin(Vec::new());
+    bench.wait(0.9);
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(0.5);
+    bench.say(pose("r2", 1.0, 0.0));
+    bench.wait(0.499);
+    assert!(bench.published.is_empty());
+    bench.wait(0.001);
+    assert_eq!(bench.names(), ["r1", "r2"]);
+    bench.say(pose("r3", 2.0, 0.0));
+    bench.wait(0.1);
+    assert_eq!(bench.names(), ["r1", "r2", "r3"], "only the first frame waits");
+}
+
+#[test]
+fn nobody_is_told_of_a_moment_after_the_start_and_the_first_robot_is_waited_with_all_the_same() {
+    let mut bench = Bench::asleep_at(bench::START, settings(), Stored::default());
+    bench.begin(Vec::new());
+    bench.wait(0.999);
+    assert!(bench.published.is_empty());
+    bench.wait(0.001);
+    assert_eq!((bench.frame_times().len(), bench.names().len()), (1, 0));
+    bench.wait(30.0);
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(0.999);
+    assert!(bench.names().is_empty());
+    bench.wait(0.001);
+    assert_eq!(bench.names(), ["r1"]);
+}
+
+#[test]
+fn a_stale_robot_stays_stale_and_leaves_however_often_ingest_restarts() {
+    let mut old = before();
+    old.wait(3.0);
+    assert_eq!(old.presence("r1"), Some(Stale));
+    let last_seen = old.entry("r1").unwrap().last_seen;
+    let mut told = Vec::new();
+    for _ in 0..3 {
+        old.now = old.now.after(seconds(1.5));
+        let mut new = after(old.now, old.remembered());
+        // The token of a process that hangs is seen anew with each start.
+        new.say(token("r1", true));
+        new.wait(1.5);
+        assert!(new.published.iter().all(|(_, message)| match message {
+            Message::Roster(roster) =>
+                roster.robots.iter().all(|e| e.robot != robot("r1") || e.presence == Stale),
+            _ => true,
+        }));
+        told.extend(new.happened().into_iter().filter(|told| told.ends_with("r1")));
+        old = new;
+    }
+    assert_eq!(told, ["left r1"]);
+    assert!(old.now.since(last_seen) < seconds(12.5));
+}
+
+#[test]
+fn a_stale_robot_that_speaks_as_ingest_starts_has_recovered() {
+    let mut old = before();
+    old.wait(3.0);
+    let mut new = Bench::asleep_at(old.now, settings(), Stored::default());
+    new.step(Event::Started);
+    new.say(pose("r1", 0.0, 0.0));
+    new.step(Event::Fetched { fetch: START_FETCH, messages: old.remembered() });
+    new.wait(0.0);
+    assert_eq!(new.happened(), ["recovered r1"]);
+    assert_eq!(new.presence("r1"), Some(Active));
+}
+
+#[test]
+fn a_process_that_hangs_does_not_come_back_by_a_restart() {
+    let mut old = Bench::new(settings());
+    old.say(token("hung", true));
+    old.say(pose("hung", 0.0, 0.0));
+    for _ in 0..15 {
+        old.say(pose("r1", 0.0, 0.0));
+        old.wait(1.0);
+    }
+    assert_eq!(old.names(), ["r1"]);
+    let start = |pause_s: f64| {
+        let mut new =
+            Bench::asleep_at(old.now.after(seconds(pause_s)), settings(), Stored::default());
+        new.step(Event::Started);
+        new.say(token("hung", true));
+        new.say(token("r1", true));
+        new.say(pose("speaks", 1.0, 0.0));
+        new
+    };
+    let remembered: Vec<_> = old.roster.iter().cloned().map(Message::Roster).collect();
+    let begin = |pause_s: f64, messages: &[Message]| {
+        let mut new = start(pause_s);
+        new.step(Event::Fetched { fetch: START_FETCH, messages: messages.to_vec() });
+        new.wait(1.0);
+        new
+    };
+    let mut soon = begin(2.0, &remembered);
+    assert_eq!(soon.happened(), ["joined speaks"]);
+    assert_eq!(soon.names(), ["r1", "speaks"]);
+    soon.say(token("newcomer", true));
+    soon.say(rank("hung", None, None));
+    soon.wait(0.2);
+    assert_eq!(soon.names(), ["hung", "newcomer", "r1", "speaks"]);
+    // The fleet may be another one, or nobody knows of one.
+    assert_eq!(begin(60.0, &remembered).names(), ["hung", "r1", "speaks"]);
+    assert_eq!(begin(2.0, &[]).names(), ["hung", "r1", "speaks"]);
+}
+
+#[test]
+fn a_term_above_the_own_leads_to_a_new_one_with_everything_told_anew() {
+    let mut bench = before();
+    let before = graphs(&bench);
+    let term = bench.roster.as_ref().unwrap().header.revision.term;
+    let mut ahead = Roster::clone(bench.roster.as_ref().unwrap());
+    ahead.header.revision.term = term + 5;
+    let ahead = Message::Roster(Arc::new(ahead));
+    let mut checks = Vec::new();
+    for _ in 0..2 {
+        bench.fetches.clear();
+        for _ in 0..5 {
+            bench.wait(1.0);
+            for (name, x) in [("r3", 3.0), ("r2", 1.0), ("r1", 0.0)] {
+                bench.say(pose(name, x, 0.0));
+            }
+        }
+        checks.extend(bench.fetches.first().cloned());
+        bench.step(Event::Fetched { fetch: TERM_FETCH, messages: vec![ahead.clone()] });
+    }
+    assert_eq!(checks, vec![(TERM_FETCH, vec![Pattern::One(Key::Roster)]); 2]);
+    let from = bench.published.len();
+    bench.wait(0.0);
+    let bases: Vec<_> = bench.published[from..]
+        .iter()
+        .filter_map(|(_, message)| match message {
+            Message::Graph(delta) => Some(delta.base),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(bases, [None; 4], "at once, and whole");
+    let roster = bench.roster.clone().unwrap();
+    assert_eq!((roster.header.revision.term, bench.stored.term), (term + 6, term + 6));
+    let nodes: Vec<_> = roster.robots.iter().map(|entry| entry.node).collect();
+    assert_eq!(nodes, [0, 1, 2, 3]);
+    assert_eq!(graphs(&bench), before);
+    // Robots go on to join and leave in it.
+    bench.say(pose("r9", 9.0, 0.0));
+    bench.wait(0.2);
+    assert_eq!(bench.entry("r9").unwrap().node, 4);
+}
+
+#[test]
+fn the_own_roster_is_looked_after_at_once_when_the_link_is_back() {
+    let mut bench = before();
+    for outage_s in [60.0, 0.5] {
+        bench.step(Event::LinkLost);
+        bench.fetches.clear();
+        bench.wait(outage_s);
+        assert!(bench.fetches.is_empty(), "nobody would answer");
+        bench.step(Event::LinkRestored);
+        assert_eq!(bench.fetches.len(), 1);
+    }
+    bench.step(Event::LinkLost);
+    bench.fetches.clear();
+    bench.step(Event::LinkRestored);
+    assert_eq!(bench.fetches, [(TERM_FETCH, vec![Pattern::One(Key::Roster)])]);
+    bench.step(Event::Fetched { fetch: TERM_FETCH, messages: Vec::new() });
+    bench.wait(4.0);
+    assert_eq!(bench.fetches.len(), 1);
+    bench.wait(1.0);
+    assert_eq!(bench.fetches.len(), 2);
 }

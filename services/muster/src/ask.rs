@@ -10,6 +10,7 @@ use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 use muster_runtime::inbox::Inbox;
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
+use muster_wire::message::quoted;
 use muster_wire::{Key, Message, Pattern};
 
 /// How long a console waits for a router.
@@ -47,7 +48,7 @@ pub(crate) async fn messages(bus: &Bus, pattern: &Pattern) -> anyhow::Result<Vec
                     eprintln!("warning: {} is refused: {}", refused.key, refused.reason)
                 }
             },
-            Answer::Error(error) => eprintln!("warning: {error}"),
+            Answer::Error(error) => eprintln!("warning: {}", quoted(&error)),
         }
     }
     Ok(messages)

@@ -62,7 +62,7 @@ pub(crate) async fn run(
     } else {
         config.listen.value.clone()
     };
-    let router = muster_runtime::router::open(&config.as_router(listen)).await?;
+    let router = Bus::open(&config.as_router(listen), Patience::Forever).await?;
     let endpoints = router.locators().await;
     let config = config.as_client(endpoints.clone());
     let mut services = up::start(&ServiceName::ALL, &config, &stop);

@@ -78,6 +78,9 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         // The table is what people look at; the services speak up when something is wrong.
         config.log.value.get_or_insert_with(|| "warn".to_owned());
     }
+    if let Some(Command::Up(args)) = &arguments.command {
+        up::apply_settings(args, &mut config)?;
+    }
     if report(&arguments.process, &config, &ServiceName::ALL)? {
         return Ok(());
     }
@@ -99,18 +102,18 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             block_on(&config, async |config, stop| robot::run(args, &config, stop).await)
         }
         Command::Teams(args) => {
-            block_on(&config, async |config, stop| show::teams::run(args, &config, stop).await)
+            console(&config, async |config| show::teams::run(args, &config).await)
         }
         Command::Audit(args) => {
-            block_on(&config, async |config, stop| show::audit::run(args, &config, stop).await)
+            console(&config, async |config| show::audit::run(args, &config).await)
         }
         Command::Graph(args) => {
-            block_on(&config, async |config, stop| show::graph::run(args, &config, stop).await)
+            console(&config, async |config| show::graph::run(args, &config).await)
         }
         Command::Status(args) => {
-            block_on(&config, async |config, stop| show::status::run(args, &config, stop).await)
+            console(&config, async |config| show::status::run(args, &config).await)
         }
-        Command::Set(args) => block_on(&config, async |config, _| set::run(args, &config).await),
+        Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
         Command::Solve(args) => solve::run(args).map_err(|error| {
             if error.is::<solve::SolveError>() {
                 ExitError::usage(format!("{error:#}")).into()
@@ -119,4 +122,17 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             }
         }),
     }
+}
+
+/// Runs a command that only looks and asks: a signal ends it wherever it is, and that is no failure.
+fn console<F>(config: &ProcessConfig, job: F) -> anyhow::Result<()>
+where
+    F: AsyncFnOnce(ProcessConfig) -> anyhow::Result<()>,
+{
+    block_on(config, async |config, mut stop| {
+        tokio::select! {
+            result = job(config) => result,
+            () = stop.stopped() => Ok(()),
+        }
+    })
 }

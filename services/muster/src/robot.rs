@@ -1,5 +1,7 @@
 //! `muster robot`: one or many simulated robots as a process.
 
+use std::io::Write as _;
+
 use muster_model::id::RobotId;
 use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::clock::Clock;
@@ -11,8 +13,9 @@ use muster_wire::Format;
 
 use crate::fleet::{FleetOnBus, Speech};
 
-/// Highest rate of poses that makes sense: faster than any controller that positions robots.
-const MAX_RATE_HZ: f64 = 1000.0;
+/// Lowest and highest rate of poses that make sense: one in a quarter of an hour, and faster than any
+/// controller that positions robots.
+const RATES_HZ: std::ops::RangeInclusive<f64> = 0.001..=1000.0;
 
 /// Longest run in seconds.
 const MAX_SECONDS: f64 = 1e9;
@@ -93,14 +96,15 @@ pub(crate) async fn run(
     };
     let fleet = simulate(args.scenario, &options)?;
     let seconds = check_seconds(args.seconds)?;
-    if !(args.rate > 0.0 && args.rate <= MAX_RATE_HZ) {
+    if !RATES_HZ.contains(&args.rate) {
+        let (least, most) = (RATES_HZ.start(), RATES_HZ.end());
         return Err(
-            ExitError::usage(format!("--rate: must be above 0, at most {MAX_RATE_HZ}")).into()
+            ExitError::usage(format!("--rate: must be {least} to {most} per second")).into()
         );
     }
     if args.list {
         for (robot, team) in fleet.robots().iter().zip(fleet.truth(0.0)) {
-            println!("{robot} {team}");
+            writeln!(std::io::stdout(), "{robot} {team}")?;
         }
         return Ok(());
     }

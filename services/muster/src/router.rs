@@ -1,5 +1,8 @@
 //! `muster router`: an embedded Zenoh router.
 
+use std::io::Write as _;
+
+use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 use muster_runtime::stop::Stop;
@@ -27,10 +30,10 @@ pub(crate) async fn run(
         return Err(ExitError::usage("mode: a router runs in mode router; leave --mode out").into());
     }
     let bus = tokio::select! {
-        bus = muster_runtime::router::open(config) => bus?,
+        bus = Bus::open(config, Patience::Forever) => bus?,
         () = stop.stopped() => return Ok(()),
     };
-    println!("router listens at {}", bus.locators().await.join(", "));
+    writeln!(std::io::stdout(), "router listens at {}", bus.locators().await.join(", "))?;
     stop.stopped().await;
     bus.close().await;
     Ok(())

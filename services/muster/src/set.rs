@@ -73,7 +73,7 @@ pub(crate) async fn run(args: &SetArgs, config: &ProcessConfig) -> anyhow::Resul
             Answer::Error(error) => {
                 let text = serde_json::from_str::<Value>(&error).ok();
                 let text = text.as_ref().and_then(|value| value.get("error")?.as_str());
-                refused = Some(text.map_or(error.clone(), str::to_owned));
+                refused = Some(muster_wire::message::quoted(text.unwrap_or(&error)));
             }
         }
     }

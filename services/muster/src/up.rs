@@ -1,10 +1,14 @@
 //! `muster up`: services in one process, each with a session of its own.
 
+use std::collections::BTreeMap;
+use std::io::Write as _;
+
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
 use muster_model::id::ServiceName;
+use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::config::{DEFAULT_ENDPOINT, ProcessConfig};
 use muster_runtime::exit::ExitError;
 use muster_runtime::service;
@@ -30,22 +34,24 @@ pub(crate) struct UpArgs {
     set: Vec<String>,
 }
 
-/// Changes settings by `SERVICE.FIELD=VALUE`.
+/// Changes settings by the `SERVICE.FIELD=VALUE` of `--set`.
 ///
 /// # Errors
 /// Names the assignment that is wrong.
-pub(crate) fn apply_settings(
-    config: &mut ProcessConfig,
-    assignments: &[String],
-) -> anyhow::Result<()> {
-    for assignment in assignments {
+pub(crate) fn apply_settings(args: &UpArgs, config: &mut ProcessConfig) -> anyhow::Result<()> {
+    // All fields of a service at once: some fit only together.
+    let mut by_service: BTreeMap<ServiceName, Vec<String>> = BTreeMap::new();
+    for assignment in &args.set {
         let (service, rest) = assignment.split_once('.').ok_or_else(|| {
             ExitError::usage(format!("--set {assignment}: must be SERVICE.FIELD=VALUE"))
         })?;
         let service: ServiceName = service
             .parse()
             .map_err(|problem| ExitError::usage(format!("--set {assignment}: {problem}")))?;
-        config.set(service, &[rest.to_owned()])?;
+        by_service.entry(service).or_default().push(rest.to_owned());
+    }
+    for (service, assignments) in by_service {
+        config.set(service, &assignments)?;
     }
     Ok(())
 }
@@ -89,7 +95,6 @@ pub(crate) async fn run(
     mut config: ProcessConfig,
     stop: Stop,
 ) -> anyhow::Result<()> {
-    apply_settings(&mut config, &args.set)?;
     let services =
         if args.services.is_empty() { ServiceName::ALL.to_vec() } else { args.services.clone() };
     let mut router = None;
@@ -98,9 +103,9 @@ pub(crate) async fn run(
             [] => vec![DEFAULT_ENDPOINT.to_owned()],
             listen => listen.to_vec(),
         };
-        let bus = muster_runtime::router::open(&config.as_router(listen)).await?;
+        let bus = Bus::open(&config.as_router(listen), Patience::Forever).await?;
         let endpoints = bus.locators().await;
-        println!("router listens at {}", endpoints.join(", "));
+        writeln!(std::io::stdout(), "router listens at {}", endpoints.join(", "))?;
         config = config.as_client(endpoints);
         router = Some(bus);
     }

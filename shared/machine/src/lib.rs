@@ -9,6 +9,7 @@
 mod core;
 mod driver;
 mod jobs;
+mod robot_teams;
 mod role;
 
 pub use crate::core::{
@@ -16,4 +17,5 @@ pub use crate::core::{
 };
 pub use driver::{Command, Driver};
 pub use jobs::JobGate;
+pub use robot_teams::answer_teams;
 pub use role::{Answered, Role, START_FETCH, TERM_FETCH};

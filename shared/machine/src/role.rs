@@ -52,6 +52,7 @@ pub struct Role<S> {
     base: S,
     settings: S,
     stored: Stored,
+    dropped: Vec<String>,
     holding: bool,
     check_at: Option<Tick>,
     higher: Option<Revision>,
@@ -66,16 +67,13 @@ struct Offender {
 }
 
 impl<S: Settings> Role<S> {
-    /// A holder that has not begun its term. A stored patch that does not fit the settings any more
-    /// is dropped, so that a service with an old state starts all the same.
+    /// A holder that has not begun its term. Stored fields that do not fit the settings any more are
+    /// dropped, and told of once the term begins; a service with an old state starts all the same.
     #[must_use]
     pub fn new(service: ServiceName, start: Start<S>) -> Self {
         let mut stored = start.stored;
-        let patched = start.settings.patched(&Value::Object(stored.patch.clone()));
-        let settings = patched.unwrap_or_else(|_| {
-            stored.patch = Map::new();
-            start.settings.clone()
-        });
+        let (settings, dropped) = restore(&start.settings, &stored.patch);
+        stored.patch = difference(&start.settings, &settings);
         Self {
             space: KeySpace::new(start.fleet),
             service,
@@ -86,6 +84,7 @@ impl<S: Settings> Role<S> {
             base: start.settings,
             settings,
             stored,
+            dropped,
             holding: false,
             check_at: None,
             higher: None,
@@ -137,6 +136,9 @@ impl<S: Settings> Role<S> {
         let term = self.revision.term;
         self.tell(now, Severity::Info, EventKind::ServiceStarted { term }, effects);
         effects.publish(self.settings_message(now));
+        for field in std::mem::take(&mut self.dropped) {
+            self.tell(now, Severity::Warning, EventKind::SettingDropped { field }, effects);
+        }
     }
 
     /// Looks after the own last output on the bus when it is time, or at once after a lost link.
@@ -376,6 +378,23 @@ pub enum Answered {
 
 fn error_json(field: &str, problem: &str) -> String {
     json!({"error": format!("{field}: {problem}"), "field": field}).to_string()
+}
+
+/// The settings with those fields of a stored patch that still fit, and the names of the others. The
+/// whole patch is tried first, since fields may fit only together.
+fn restore<S: Settings>(base: &S, patch: &Map<String, Value>) -> (S, Vec<String>) {
+    if let Ok(settings) = base.patched(&Value::Object(patch.clone())) {
+        return (settings, Vec::new());
+    }
+    let (mut settings, mut dropped) = (base.clone(), Vec::new());
+    for (field, value) in patch {
+        let one = Map::from_iter([(field.clone(), value.clone())]);
+        match settings.patched(&Value::Object(one)) {
+            Ok(patched) => settings = patched,
+            Err(_) => dropped.push(muster_wire::message::quoted(field)),
+        }
+    }
+    (settings, dropped)
 }
 
 /// The fields in which settings differ from what file and flags say: what a restart must restore.

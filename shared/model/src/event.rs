@@ -89,6 +89,11 @@ pub enum EventKind {
         /// Its term.
         term: u64,
     },
+    /// A setting of an earlier run does not fit any more; what file and flags say holds.
+    SettingDropped {
+        /// The field.
+        field: String,
+    },
     /// The link to the router was lost and has come back; robots were not judged meanwhile.
     LinkRestored {
         /// Seconds without it.

@@ -154,6 +154,18 @@ impl TeamId {
     }
 }
 
+impl InstanceId {
+    /// A name out of that of a host, whatever characters it has, and numbers that tell its processes
+    /// apart. It always ends in a number, so that it is never one of the keys beside it.
+    #[must_use]
+    pub fn of_process(host: &str, process: u32, nonce: u32) -> Self {
+        let host = host.trim().to_lowercase();
+        let plain = host.chars().map(|c| if matches!(c, 'a'..='z' | '0'..='9') { c } else { '-' });
+        let host: String = plain.take(MAX_ID_LENGTH - 24).collect();
+        Self(format!("{host}-{process}-{nonce}").trim_start_matches('-').into())
+    }
+}
+
 /// The four services that turn observations into audited teams.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -211,6 +223,14 @@ mod tests {
         assert_eq!(RobotId::new("a".repeat(65)), Err(IdError::TooLong(65)));
         for bad in ["R1", "r/1", "r*", "r 1", "r$", "ä", "r\n", "@r", "r.1"] {
             assert!(matches!(RobotId::new(bad), Err(IdError::Character(_))), "{bad:?}");
+        }
+    }
+
+    #[test]
+    fn every_process_has_an_id() {
+        for host in ["Robot.7", "", "ÄÖÜ/..\n", &"long".repeat(100)] {
+            let id = InstanceId::of_process(host, u32::MAX, u32::MAX);
+            assert_eq!(check_id(id.as_str()), Ok(()), "{id}");
         }
     }
 

@@ -36,8 +36,9 @@ pub const MAX_COORDINATE_M: f64 = 4.0e7;
 /// Largest weight of an edge: products of weights stay finite over the longest sums that are formed.
 pub const MAX_WEIGHT: f64 = 1.0e6;
 
-/// No term or epoch from here on is believed. They count restarts and frames one by one: only a forged
-/// message is beyond it, and believing that one would leave no higher term for anybody else.
+/// No term or epoch from here on is believed. They count restarts and frames one by one and never come
+/// near it, so that no sum of them overflows. It keeps nobody from forging a high term: only access
+/// control on the bus does.
 pub const MAX_REVISION: u64 = 1 << 48;
 
 /// Largest team whose members are all named in what each robot is told: beyond it, telling everybody

@@ -3,11 +3,26 @@
 //! The paper takes K as given (half of the dimension D). It is the most sensitive number of the
 //! method, so this module offers a rule: cut where the singular values drop the most, in ratio,
 //! among the first few values that a division into that many teams can need.
+//!
+//! The rule alone, [`choose_dimension`], is for single problems. It looks at the values and not at
+//! the nodes: a graph of more separated groups than teams has groups that no leading vector sees,
+//! and which ones may change with every change of a weight. [`choose_seeing_dimension`] is for
+//! frames that follow one another: it adds vectors until every related node is seen, and does not
+//! move where the choice is close.
 
-use crate::svd::null_threshold;
+use crate::embedding::WEAK_ROW;
+use crate::svd::{FullSvd, null_threshold};
 
 /// Ratios within this relative distance count as equal; the smaller K wins.
 pub const RATIO_TIE: f64 = 1e-9;
+
+/// Largest K to which [`choose_seeing_dimension`] goes in order to see every node. Each further
+/// group adds two columns, and k-means drowns in noise beyond a few hundred of them.
+pub const MAX_SEEING: usize = 128;
+
+/// The K of the frame before is kept while what speaks for it is within this fraction of what
+/// speaks for the new one: noise of a few percent in the weights must not change the dimension.
+pub const KEEP: f64 = 0.05;
 
 /// K = argmax of σ_K / σ_{K+1} over K from 2 to max(`teams`, 2).
 ///
@@ -21,9 +36,8 @@ pub fn choose_dimension(sigma: &[f64], teams: usize) -> usize {
     if n <= 2 {
         return n;
     }
-    let limit = teams.clamp(2, n - 1);
-    let noise = null_threshold(sigma);
-    let rank = sigma.iter().filter(|s| **s > noise).count();
+    let limit = limit(n, teams);
+    let rank = rank(sigma);
     if rank <= limit {
         return rank.max(2);
     }
@@ -35,9 +49,117 @@ pub fn choose_dimension(sigma: &[f64], teams: usize) -> usize {
     (2..=limit).fold(2, better)
 }
 
+/// K of [`choose_dimension`], raised until the K leading triplets see every node that is `related`
+/// (has an edge, one entry per node), or as many of them as K can make seen within the numeric rank
+/// and [`MAX_SEEING`].
+///
+/// `previous` is the K of the frame before. It is kept if it sees as many, and either is within the
+/// range of the rule with a ratio within [`KEEP`] of the best, or is above the K that was raised
+/// with a value σ within [`KEEP`] of the one there, so that the last groups may change places.
+#[must_use]
+pub fn choose_seeing_dimension(
+    svd: &FullSvd,
+    related: &[bool],
+    teams: usize,
+    previous: Option<usize>,
+) -> usize {
+    let sigma = svd.singular_values();
+    let (n, rank) = (sigma.len(), rank(sigma));
+    let ruled = choose_dimension(sigma, teams);
+    if n <= 2 || rank == 0 {
+        return ruled;
+    }
+    let limit = limit(n, teams);
+    let seen = seen_counts(svd, related, rank.min(MAX_SEEING.max(limit)));
+    let count = |k: usize| seen[k.clamp(1, seen.len()) - 1];
+    let most = (ruled..=rank.min(MAX_SEEING)).map(count).fold(count(ruled), usize::max);
+    let raised = (ruled..=rank).find(|k| count(*k) >= most).unwrap_or(ruled);
+    let Some(previous) = previous.filter(|k| (2..=seen.len()).contains(k) && count(*k) >= most)
+    else {
+        return raised;
+    };
+    // Positive up to the rank, and infinite behind it.
+    let ratio = |k: usize| if k < rank { sigma[k - 1] / sigma[k] } else { f64::INFINITY };
+    let as_good = previous <= limit && ratio(previous) >= (1.0 - KEEP) * ratio(ruled);
+    let swapped = previous > raised
+        && raised > ruled
+        && sigma[previous - 1] >= (1.0 - KEEP) * sigma[raised - 1];
+    if as_good || swapped { previous } else { raised }
+}
+
+/// Largest K of the rule.
+fn limit(n: usize, teams: usize) -> usize {
+    teams.clamp(2, n - 1)
+}
+
+/// Numeric rank: values above the noise.
+fn rank(sigma: &[f64]) -> usize {
+    let noise = null_threshold(sigma);
+    sigma.iter().filter(|s| **s > noise).count()
+}
+
+/// How many related nodes the k leading triplets see, for k from 1 to `bound`.
+fn seen_counts(svd: &FullSvd, related: &[bool], bound: usize) -> Vec<usize> {
+    let mut squares = vec![0.0; svd.singular_values().len()];
+    let add = |j: usize| {
+        for (i, square) in squares.iter_mut().enumerate() {
+            *square += svd.squared_share(i, j);
+        }
+        let longest = squares.iter().fold(0.0_f64, |m, s| m.max(*s)).sqrt();
+        let is_seen =
+            |(square, related): (&f64, &bool)| *related && square.sqrt() > WEAK_ROW * longest;
+        squares.iter().zip(related).filter(|pair| is_seen(*pair)).count()
+    };
+    (0..bound).map(add).collect()
+}
+
 #[cfg(test)]
 mod tests {
-    use super::choose_dimension;
+    use super::{MAX_SEEING, choose_dimension, choose_seeing_dimension};
+    use crate::matrix::DenseMatrix;
+    use crate::svd::full_svd;
+
+    /// K for a similarity in which triplet j sees node j alone; the first so many are related.
+    fn seeing(sigma: &[f64], related: usize, teams: usize, previous: Option<usize>) -> usize {
+        let n = sigma.len();
+        let s = DenseMatrix::from_fn(n, n, |i, j| if i == j { sigma[i] } else { 0.0 });
+        let related: Vec<bool> = (0..n).map(|i| i < related).collect();
+        choose_seeing_dimension(&full_svd(&s).unwrap(), &related, teams, previous)
+    }
+
+    #[test]
+    fn raised_until_every_related_node_is_seen() {
+        let sigma = [9.0, 8.0, 3.0, 2.9, 1.0];
+        for related in 0..=5 {
+            assert_eq!(seeing(&sigma, related, 2, None), related.max(2));
+        }
+        assert_eq!(seeing(&[3.0, 2.0, 1e-20, 0.0], 4, 2, None), 2, "the rank is exhausted");
+        assert_eq!(seeing(&[0.0; 4], 4, 2, Some(3)), 2);
+        assert_eq!(seeing(&[], 0, 2, Some(2)), 0);
+        let many: Vec<f64> = (0..MAX_SEEING + 9).map(|j| 200.0 - j as f64).collect();
+        assert_eq!(seeing(&many, many.len(), 2, None), MAX_SEEING);
+        assert_eq!(seeing(&many, many.len(), 2, Some(MAX_SEEING + 1)), MAX_SEEING);
+    }
+
+    #[test]
+    fn the_dimension_before_is_kept_where_the_choice_is_close() {
+        let close = [8.0, 4.0, 2.0, 1.02, 0.5];
+        assert_eq!(seeing(&close, 2, 4, None), 4);
+        for (previous, kept) in [(1, 4), (2, 2), (3, 3), (4, 4), (5, 4), (6, 4)] {
+            assert_eq!(seeing(&close, 2, 4, Some(previous)), kept);
+        }
+        assert_eq!(seeing(&close, 3, 4, Some(2)), 4, "it does not see everybody");
+        assert_eq!(seeing(&[8.0, 4.0, 2.0, 0.9, 0.5], 2, 4, Some(2)), 3, "another is much better");
+        assert_eq!(seeing(&close, 2, 3, Some(4)), 2, "it is outside of the range");
+    }
+
+    #[test]
+    fn a_raised_dimension_is_kept_while_groups_may_have_changed_places() {
+        let sigma = [9.0, 8.0, 5.0, 4.9, 1.0];
+        assert_eq!(seeing(&sigma, 3, 2, None), 3);
+        assert_eq!(seeing(&sigma, 3, 2, Some(4)), 4);
+        assert_eq!(seeing(&sigma, 3, 2, Some(5)), 3);
+    }
 
     #[test]
     fn largest_drop_within_the_range() {

@@ -141,6 +141,12 @@ impl FullSvd {
         &self.sigma
     }
 
+    /// Squared length that triplet `j` adds to the row of node `i` in \[U√Σ, V√Σ\].
+    pub(crate) fn squared_share(&self, i: usize, j: usize) -> f64 {
+        let root = self.sigma[j].sqrt();
+        (self.u.at(i, j) * root).powi(2) + (self.v.at(i, j) * root).powi(2)
+    }
+
     /// The `k` leading triplets, 1 ≤ k ≤ n.
     ///
     /// # Errors

@@ -1,10 +1,12 @@
 //! The bus: a Zenoh session with the keys of one fleet. Nothing outside of this crate knows Zenoh.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
 use muster_machine::{Delivery, Subscription};
+use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::{Key, KeySpace, Outbound, Packet, Pattern, Source};
 use tokio::sync::{mpsc, watch};
 use zenoh::Wait;
@@ -31,8 +33,20 @@ const WAIT_BEFORE_DROP_US: u64 = 100_000;
 /// The same for the fragments of one large message.
 const WAIT_FOR_FRAGMENTS_US: u64 = 1_000_000;
 
-/// Most answers to one get that are kept.
-const MAX_ANSWERS: usize = 4096;
+/// Most answers to one get, or tokens, that are kept.
+const MAX_ANSWERS: usize = 16_384;
+
+/// Most bytes of answers to one get that are kept: a few of the largest messages.
+const MAX_ANSWER_BYTES: usize = 512 * 1024 * 1024;
+
+/// Largest payload of a get that is looked at: more than any patch of settings.
+const MAX_QUERY_PAYLOAD: usize = 256 * 1024;
+
+/// Largest message that is put together from fragments: the largest between services, and its head.
+const MAX_MESSAGE: usize = MAX_SERVICE_PAYLOAD + 64 * 1024;
+
+/// Most bytes of an error that are read.
+const MAX_ERROR: usize = 4096;
 
 /// How long closing a session may take.
 const CLOSE_WITHIN: Duration = Duration::from_secs(1);
@@ -45,10 +59,23 @@ const TELL_WAITING_AFTER: Duration = Duration::from_secs(1);
 /// # Errors
 /// Says what an endpoint looks like.
 pub fn check_endpoint(text: &str) -> Result<(), String> {
-    text.parse::<EndPoint>().map(drop).map_err(|_| {
+    let wrong = |problem: &str| {
         let text = muster_wire::message::quoted(text);
-        format!("{text:?} is no endpoint; write one like tcp/192.168.1.10:7447")
-    })
+        Err(format!("{text:?} {problem}; write one like tcp/192.168.1.10:7447"))
+    };
+    let Ok(endpoint) = text.parse::<EndPoint>() else { return wrong("is no endpoint") };
+    match endpoint.protocol().as_str() {
+        "unixsock-stream" => Ok(()),
+        "tcp" | "tls" => {
+            let port =
+                endpoint.address().as_str().rsplit_once(':').map(|(_, port)| port.to_owned());
+            match port.map(|port| port.parse::<u16>()) {
+                Some(Ok(_)) => Ok(()),
+                _ => wrong("names no port"),
+            }
+        }
+        _ => wrong("is of no protocol that is built in (tcp, tls, unixsock-stream)"),
+    }
 }
 
 /// How long opening the bus may wait for a router.
@@ -60,46 +87,63 @@ pub enum Patience {
     AtMost(Duration),
 }
 
-/// Zenoh's configuration for a process.
+/// Zenoh's configuration for a process: its own defaults, then ours, then the user's file, then what
+/// a flag, variable or file of ours says about mode and endpoints.
 fn zenoh_config(config: &ProcessConfig) -> anyhow::Result<zenoh::Config> {
+    let plain = zenoh::Config::default();
     let mut zenoh = match &config.zenoh_config.value {
-        Some(path) => zenoh::Config::from_file(path).map_err(|error| {
-            ExitError::usage(format!("zenoh_config {}: {error}", path.display()))
-        })?,
-        None => built_in_config()?,
+        Some(path) => read_zenoh_config(path)?,
+        None => plain.clone(),
     };
-    // What a user wrote into Zenoh's own file stands, unless a flag, variable or file of ours says
-    // otherwise.
-    let own = config.zenoh_config.value.is_some();
-    let says = |origin: &Origin| !own || *origin != Origin::Default;
-    let mut insert = |key: &str, value: String| {
-        zenoh.insert_json5(key, &value).map_err(|error| anyhow::anyhow!("{key} = {value}: {error}"))
+    let mut values = built_in_values();
+    let endpoints = |list: &[String]| serde_json::to_string(list);
+    values.push(("mode", serde_json::to_string(&config.mode.value.to_string())?));
+    values.push(("connect/endpoints", endpoints(&config.connect.value)?));
+    values.push(("listen/endpoints", endpoints(&config.listen.value)?));
+    let said = |key: &str| match key {
+        "mode" => config.mode.origin != Origin::Default,
+        "connect/endpoints" => config.connect.origin != Origin::Default,
+        "listen/endpoints" => config.listen.origin != Origin::Default,
+        _ => false,
     };
-    if says(&config.mode.origin) {
-        insert("mode", serde_json::to_string(&config.mode.value.to_string())?)?;
-    }
-    if says(&config.connect.origin) {
-        insert("connect/endpoints", serde_json::to_string(&config.connect.value)?)?;
-    }
-    if says(&config.listen.origin) {
-        insert("listen/endpoints", serde_json::to_string(&config.listen.value)?)?;
+    for (key, value) in values {
+        // What the user's file leaves as Zenoh has it by default is ours to choose.
+        let untouched = zenoh.get_json(key).ok() == plain.get_json(key).ok();
+        if untouched || said(key) {
+            zenoh
+                .insert_json5(key, &value)
+                .map_err(|error| anyhow::anyhow!("Zenoh refuses {key} = {value}: {error}"))?;
+        }
     }
     Ok(zenoh)
 }
 
-fn built_in_config() -> anyhow::Result<zenoh::Config> {
-    let mut zenoh = zenoh::Config::default();
+fn read_zenoh_config(path: &Path) -> Result<zenoh::Config, ExitError> {
+    zenoh::Config::from_file(path)
+        .map_err(|error| ExitError::usage(format!("zenoh_config {}: {error}", path.display())))
+}
+
+/// Checks whether a file is a configuration of Zenoh.
+///
+/// # Errors
+/// Names the file and what is wrong with it.
+pub fn check_zenoh_config(path: &Path) -> Result<(), ExitError> {
+    read_zenoh_config(path).map(drop)
+}
+
+fn built_in_values() -> Vec<(&'static str, String)> {
     let (retry, retry_at_most) = RETRY_MS;
     let retries = format!(
         "{{period_init_ms: {retry}, period_max_ms: {retry_at_most}, period_increase_factor: 2}}"
     );
+    const DROP: &str = "transport/link/tx/queue/congestion_control/drop";
     let drop_after = format!(
         "{{wait_before_drop: {WAIT_BEFORE_DROP_US}, max_wait_before_drop_fragments: {WAIT_FOR_FRAGMENTS_US}}}"
     );
-    let values = [
+    vec![
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
-        // A router waits so long for others before it opens; nobody is scouted, so that nothing comes.
+        // A router waits so long for others before it opens; nobody is scouted, so that none comes.
         ("scouting/delay", "1".to_owned()),
         ("connect/timeout_ms", "-1".to_owned()),
         ("connect/exit_on_failure", "false".to_owned()),
@@ -107,15 +151,10 @@ fn built_in_config() -> anyhow::Result<zenoh::Config> {
         ("listen/timeout_ms", "0".to_owned()),
         ("listen/exit_on_failure", "true".to_owned()),
         ("transport/link/tx/lease", LEASE_MS.to_string()),
-        ("transport/link/tx/queue/congestion_control/drop", drop_after),
+        (DROP, drop_after),
+        ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
         ("transport/unicast/max_sessions", "10000".to_owned()),
-    ];
-    for (key, value) in values {
-        zenoh
-            .insert_json5(key, &value)
-            .map_err(|error| anyhow::anyhow!("Zenoh refuses {key} = {value}: {error}"))?;
-    }
-    Ok(zenoh)
+    ]
 }
 
 /// An open session with the keys of one fleet.
@@ -147,6 +186,8 @@ pub(crate) struct Asked {
     pub(crate) query: Query,
     /// What the server serves, where the get asks for all of it and perhaps for more.
     pub(crate) narrowed: Option<String>,
+    /// What the get carries.
+    pub(crate) payload: Option<Vec<u8>>,
 }
 
 /// One answer to a get.
@@ -156,6 +197,15 @@ pub enum Answer {
     Packet(Packet),
     /// An error, as text.
     Error(String),
+}
+
+impl Answer {
+    fn size(&self) -> usize {
+        match self {
+            Self::Packet(packet) => packet.key.len() + packet.payload.as_ref().map_or(0, Vec::len),
+            Self::Error(text) => text.len(),
+        }
+    }
 }
 
 impl Bus {
@@ -242,16 +292,21 @@ impl Bus {
     /// If the session is closed.
     pub async fn tokens(&self, pattern: &Pattern, within: Duration) -> anyhow::Result<Vec<Key>> {
         let text = self.space.pattern(pattern);
-        let replies = self.session.liveliness().get(text.as_str()).timeout(within).await;
-        let replies = replies.map_err(|error| anyhow::anyhow!("cannot ask for {text}: {error}"))?;
+        let (sender, mut receiver) = mpsc::channel(MAX_ANSWERS);
+        self.session
+            .liveliness()
+            .get(text.as_str())
+            .timeout(within)
+            .callback(move |reply| {
+                if let Ok(sample) = reply.result() {
+                    let _ = sender.try_send(sample.key_expr().as_str().to_owned());
+                }
+            })
+            .await
+            .map_err(|error| anyhow::anyhow!("cannot ask for {text}: {error}"))?;
         let mut keys = Vec::new();
-        while let Ok(reply) = replies.recv_async().await {
-            if let Ok(sample) = reply.result()
-                && let Ok(key) = self.space.parse(sample.key_expr().as_str())
-                && keys.len() < muster_model::limits::MAX_ROBOTS
-            {
-                keys.push(key);
-            }
+        while let Some(key) = receiver.recv().await {
+            keys.extend(self.space.parse(&key));
         }
         keys.sort_unstable();
         keys.dedup();
@@ -322,10 +377,21 @@ impl Bus {
         self.session
             .declare_queryable(text.as_str())
             .complete(complete)
-            .callback(move |query| {
+            .callback(move |mut query| {
                 let narrowed =
                     query.key_expr().includes(&served).then(|| served.as_str().to_owned());
-                if queries.try_send(Asked { query, narrowed }).is_err() {
+                // What waits must be small: a larger payload is left where it is, unanswered.
+                if query.payload().is_some_and(|payload| payload.len() > MAX_QUERY_PAYLOAD) {
+                    tracing::warn!(
+                        "a get is dropped: it carries more than {MAX_QUERY_PAYLOAD} bytes"
+                    );
+                    return;
+                }
+                let payload = query
+                    .payload_mut()
+                    .map(std::mem::take)
+                    .map(|bytes| bytes.to_bytes().into_owned());
+                if queries.try_send(Asked { query, narrowed, payload }).is_err() {
                     tracing::warn!("a get is dropped: too many wait");
                 }
             })
@@ -344,29 +410,39 @@ impl Bus {
             selector = format!("{selector}?{}", ask.parameters);
         }
         let target = if ask.everybody { QueryTarget::All } else { QueryTarget::BestMatching };
-        let mut get = self
-            .session
-            .get(selector.as_str())
-            .target(target)
-            .consolidation(ConsolidationMode::None)
-            .allowed_destination(Locality::Remote)
-            .timeout(ask.within);
-        if let Some(payload) = ask.payload {
-            get = get.payload(payload).encoding(muster_wire::message::JSON);
-        }
+        let session = self.session.clone();
         let (sender, mut receiver) = mpsc::channel(MAX_ANSWERS);
-        // A callback into a bounded channel: a handler that is not drained would stall the link.
-        get.callback(move |reply| {
-            let answer = match reply.into_result() {
-                Ok(sample) => Answer::Packet(packet(&sample, ask.max_payload)),
-                Err(error) => Answer::Error(error_text(error.payload())),
-            };
-            let _ = sender.try_send(answer);
-        })
-        .await
-        .map_err(|error| anyhow::anyhow!("cannot ask for {selector}: {error}"))?;
-        let mut answers = Vec::new();
+        let payload = ask.payload.map(<[u8]>::to_vec);
+        let (within, max_payload) = (ask.within, ask.max_payload);
+        // Asking may wait for a busy link, on the thread that asks. The answers come by a callback
+        // into a bounded channel: a handler that is not drained would stall the link.
+        let asking = tokio::task::spawn_blocking(move || {
+            let mut get = session
+                .get(selector.as_str())
+                .target(target)
+                .consolidation(ConsolidationMode::None)
+                .allowed_destination(Locality::Remote)
+                .timeout(within);
+            if let Some(payload) = payload {
+                get = get.payload(payload).encoding(muster_wire::message::JSON);
+            }
+            let asked = get.callback(move |reply| {
+                let answer = match reply.into_result() {
+                    Ok(sample) => Answer::Packet(packet(&sample, max_payload)),
+                    Err(error) => Answer::Error(error_text(error.payload())),
+                };
+                let _ = sender.try_send(answer);
+            });
+            asked.wait().map_err(|error| anyhow::anyhow!("cannot ask for {selector}: {error}"))
+        });
+        asking.await.context("asking failed")??;
+        let (mut answers, mut bytes) = (Vec::new(), 0);
         while let Some(answer) = receiver.recv().await {
+            bytes += answer.size();
+            if answers.len() >= MAX_ANSWERS || bytes > MAX_ANSWER_BYTES {
+                tracing::warn!("more answers came than are kept");
+                break;
+            }
             answers.push(answer);
         }
         Ok(answers)
@@ -399,10 +475,9 @@ pub struct Ask<'a> {
 }
 
 fn error_text(payload: &zenoh::bytes::ZBytes) -> String {
-    payload.try_to_string().map_or_else(
-        |_| "an error without text".to_owned(),
-        |text| text.chars().take(4096).collect(),
-    )
+    let mut start = vec![0; payload.len().min(MAX_ERROR)];
+    let read = std::io::Read::read(&mut payload.reader(), &mut start).unwrap_or_default();
+    String::from_utf8_lossy(&start[..read]).into_owned()
 }
 
 fn packet(sample: &Sample, limit: usize) -> Packet {

@@ -33,9 +33,9 @@ impl Clock {
         Tick(0).after(self.wall + self.steady.elapsed())
     }
 
-    /// How long until a tick; zero if it has passed.
+    /// When a tick is, as tokio's timers have it; now, if it has passed.
     #[must_use]
-    pub fn until(&self, tick: Tick) -> Duration {
-        tick.since(self.now())
+    pub fn instant(&self, tick: Tick) -> tokio::time::Instant {
+        tokio::time::Instant::now() + tick.since(self.now())
     }
 }

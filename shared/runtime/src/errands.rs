@@ -3,6 +3,7 @@
 //! Both may wait, the one for a disk and the other for a busy link. State is kept before any later
 //! answer is sent, so that what an operator is told survives a crash.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context;
@@ -18,14 +19,27 @@ use crate::store::Store;
 /// Most answers that wait to be sent.
 const MAX_WAITING: usize = 256;
 
-/// An answer on its way to whoever asked; or none, where only the state is to be kept.
-type Errand = Option<(Query, Result<Vec<Outbound>, String>)>;
+/// Most bytes of answers that wait to be sent: a few of the largest messages.
+const MAX_WAITING_BYTES: usize = 256 * 1024 * 1024;
+
+/// An answer on its way to whoever asked.
+struct Answer {
+    query: Query,
+    answer: Result<Vec<Outbound>, String>,
+    /// Whether it says that something is kept.
+    kept: bool,
+    size: usize,
+}
+
+/// An answer; or none, where only the state is to be kept.
+type Errand = Option<Answer>;
 
 /// Hands out errands. The thread ends when all handles are gone.
 pub(crate) struct Errands {
     sender: mpsc::Sender<Errand>,
     /// The newest state that is not kept yet. It has its own place, so that it is never dropped.
     newest: Arc<Mutex<Option<Stored>>>,
+    waiting_bytes: Arc<AtomicUsize>,
 }
 
 impl Errands {
@@ -35,22 +49,30 @@ impl Errands {
         let (done, ended) = oneshot::channel();
         let newest = Arc::new(Mutex::new(None));
         let to_store = Arc::clone(&newest);
+        let waiting_bytes = Arc::new(AtomicUsize::new(0));
+        let sent_bytes = Arc::clone(&waiting_bytes);
         std::thread::Builder::new()
             .name("muster-errands".to_owned())
             .spawn(move || {
+                let mut kept = Ok(());
                 while let Some(errand) = errands.blocking_recv() {
                     let stored = to_store.lock().unwrap_or_else(PoisonError::into_inner).take();
                     if let Some(stored) = stored {
-                        keep(&store, &stored);
+                        kept = keep(&store, &stored);
                     }
-                    if let Some((query, answer)) = errand {
-                        send(&bus, &query, answer);
+                    if let Some(errand) = errand {
+                        sent_bytes.fetch_sub(errand.size, Ordering::Relaxed);
+                        let answer = match &kept {
+                            Err(problem) if errand.kept => Err(problem.clone()),
+                            _ => errand.answer,
+                        };
+                        send(&bus, &errand.query, answer);
                     }
                 }
                 let _ = done.send(());
             })
             .context("cannot start the thread that answers gets")?;
-        Ok((Self { sender, newest }, ended))
+        Ok((Self { sender, newest, waiting_bytes }, ended))
     }
 
     /// Keeps a state over a restart. Never waits.
@@ -60,18 +82,25 @@ impl Errands {
         let _ = self.sender.try_send(None);
     }
 
-    /// Answers a get. Never waits; an answer is dropped when too many wait.
-    pub(crate) fn reply(&self, query: Query, answer: Result<Vec<Outbound>, String>) {
-        if self.sender.try_send(Some((query, answer))).is_err() {
+    /// Answers a get. Never waits; an answer is dropped when too many or too large ones wait. One
+    /// that says that something is `kept` becomes an error if that has failed.
+    pub(crate) fn reply(&self, query: Query, answer: Result<Vec<Outbound>, String>, kept: bool) {
+        let size = answer.iter().flatten().map(|message| message.payload.len()).sum();
+        let waiting = self.waiting_bytes.fetch_add(size, Ordering::Relaxed);
+        let fits = waiting == 0 || waiting.saturating_add(size) <= MAX_WAITING_BYTES;
+        let answer = Answer { query, answer, kept, size };
+        if !fits || self.sender.try_send(Some(answer)).is_err() {
+            self.waiting_bytes.fetch_sub(size, Ordering::Relaxed);
             tracing::warn!("an answer is dropped: too many wait");
         }
     }
 }
 
-fn keep(store: &Store, stored: &Stored) {
-    if let Err(error) = store.save(stored) {
+fn keep(store: &Store, stored: &Stored) -> Result<(), String> {
+    store.save(stored).map_err(|error| {
         tracing::error!("settings will not survive a restart: {error:#}");
-    }
+        format!("the settings hold now, but will not survive a restart: {error:#}")
+    })
 }
 
 fn send(bus: &Bus, query: &Query, answer: Result<Vec<Outbound>, String>) {

@@ -2,7 +2,7 @@
 //!
 //! [`config`] reads flags, environment and file; [`bus`] opens a Zenoh session and is the only place
 //! that knows Zenoh; [`inbox`] and [`outbox`] are the bounded ways in and out, `errands` the thread that answers gets; [`shell`] runs one
-//! core; [`store`] keeps settings over a restart; [`router`] embeds a Zenoh router; [`service`] is the
+//! core; [`store`] keeps settings over a restart; [`service`] is the
 //! whole `main` of a service binary; [`stop`] turns signals into a clean end.
 
 pub mod bus;
@@ -14,7 +14,6 @@ pub mod inbox;
 pub mod instance;
 pub mod logging;
 pub mod outbox;
-pub mod router;
 pub mod service;
 pub mod shell;
 pub mod stop;

@@ -10,6 +10,9 @@ use muster_wire::Outbound;
 /// Most messages that wait to be sent: the per-robot messages of a division of 10,000 robots.
 const MAX_WAITING: usize = 16_384;
 
+/// Most bytes that wait to be sent: a few of the largest messages.
+const MAX_WAITING_BYTES: usize = 256 * 1024 * 1024;
+
 /// How long a closing outbox goes on sending what waits.
 const FLUSH_WITHIN: Duration = Duration::from_millis(500);
 
@@ -26,10 +29,19 @@ struct Shared {
 #[derive(Debug, Default)]
 struct State {
     waiting: VecDeque<Outbound>,
+    bytes: usize,
     closed: bool,
     done: bool,
     dropped: u64,
     sent: u64,
+}
+
+impl State {
+    fn pop(&mut self) -> Option<Outbound> {
+        let message = self.waiting.pop_front()?;
+        self.bytes -= message.payload.len();
+        Some(message)
+    }
 }
 
 impl Outbox {
@@ -43,11 +55,14 @@ impl Outbox {
         if state.closed {
             return;
         }
-        if state.waiting.len() >= MAX_WAITING {
-            state.waiting.pop_front();
+        state.bytes += message.payload.len();
+        state.waiting.push_back(message);
+        while state.waiting.len() > MAX_WAITING
+            || (state.bytes > MAX_WAITING_BYTES && state.waiting.len() > 1)
+        {
+            state.pop();
             state.dropped += 1;
         }
-        state.waiting.push_back(message);
         drop(state);
         self.0.changed.notify_all();
     }
@@ -81,7 +96,7 @@ impl Outbox {
     fn next(&self) -> Option<Outbound> {
         let mut state = self.state();
         loop {
-            if let Some(message) = state.waiting.pop_front() {
+            if let Some(message) = state.pop() {
                 return Some(message);
             }
             if state.closed {
@@ -102,6 +117,7 @@ impl Outbox {
             .wait_timeout_while(state, FLUSH_WITHIN, |state| !state.done)
             .unwrap_or_else(PoisonError::into_inner);
         state.waiting.clear();
+        state.bytes = 0;
     }
 }
 
@@ -139,5 +155,15 @@ mod tests {
             outbox.push(message(0));
         }
         assert_eq!(outbox.counts(), (0, 7));
+    }
+
+    #[test]
+    fn large_messages_are_bounded_by_their_bytes() {
+        let outbox = Outbox::default();
+        for _ in 0..40 {
+            outbox.push(Outbound { payload: vec![0; 8 << 20], ..message(0) });
+        }
+        assert_eq!(outbox.counts(), (0, 8));
+        assert!(outbox.state().bytes <= MAX_WAITING_BYTES);
     }
 }

@@ -12,7 +12,7 @@ use crate::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use crate::exit::{self, ExitError};
 use crate::instance::instance_name;
 use crate::shell::{self, ServiceOptions};
-use crate::stop::{self, STOP_WITHIN, Stop};
+use crate::stop::{self, Stop};
 use crate::store::Store;
 
 /// How long computations that still run at the end are waited for.
@@ -92,15 +92,7 @@ where
     let result = runtime.block_on(async {
         let (stopper, stop) = stop::channel();
         stop::on_signals(stopper.clone())?;
-        let mut asked = stop.clone();
-        let overdue = async {
-            asked.stopped().await;
-            tokio::time::sleep(STOP_WITHIN).await;
-        };
-        tokio::select! {
-            result = job(config.clone(), stop) => result,
-            () = overdue => Err(anyhow::anyhow!("it did not stop in time and was ended")),
-        }
+        job(config.clone(), stop).await
     });
     runtime.shutdown_timeout(SHUTDOWN_WITHIN);
     result

@@ -12,12 +12,12 @@ use std::time::Duration;
 
 use muster_machine::{Command, Core, Driver, Event, QueryId, Start};
 use muster_model::id::InstanceId;
-use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::time::Tick;
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::{Key, Message, Outbound, Pattern, Request};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
+use tokio::time::{Instant, sleep_until};
 use zenoh::query::Query;
 
 use crate::bus::{Answer, Ask, Asked, Bus};
@@ -40,9 +40,9 @@ const ERRANDS_WITHIN: Duration = Duration::from_secs(1);
 /// Most ended jobs and fetches that wait for the core; one job and a few fetches are under way.
 const MAX_ENDED: usize = 16;
 
-/// Shortest sleep before a deadline: a core that names a past moment again and again must not keep
+/// Shortest time between two timeouts: a core that names a past moment again and again must not keep
 /// the loop from everything else.
-const SHORTEST_SLEEP: Duration = Duration::from_millis(1);
+const BETWEEN_TIMEOUTS: Duration = Duration::from_millis(1);
 
 /// How many packets are handled before deadlines and gets are looked after again.
 const BATCH: usize = 256;
@@ -97,7 +97,6 @@ pub async fn run<C: Core>(
     let token = Key::ServiceToken(C::SERVICE, options.instance);
     let token = bus.declare_token(&token).await?;
     let mut link = bus.link();
-    link.mark_unchanged();
 
     let mut shell = Shell {
         driver,
@@ -112,19 +111,25 @@ pub async fn run<C: Core>(
     };
     tracing::info!("{} serves fleet {}", C::SERVICE, bus.space().fleet());
     shell.step(Event::Started);
+    if !*link.borrow_and_update() {
+        shell.step(Event::LinkLost);
+    }
+    let mut not_before = Instant::now();
     loop {
         let deadline = shell.driver.deadline();
         let due = async {
             match deadline {
-                Some(tick) => {
-                    tokio::time::sleep(shell.clock.until(tick).max(SHORTEST_SLEEP)).await;
-                }
+                // An absolute moment: other events must not put it off.
+                Some(tick) => sleep_until(shell.clock.instant(tick).max(not_before)).await,
                 None => std::future::pending().await,
             }
         };
         tokio::select! {
             () = stop.stopped() => break,
-            () = due => shell.step(Event::Timeout),
+            () = due => {
+                shell.step(Event::Timeout);
+                not_before = Instant::now() + BETWEEN_TIMEOUTS;
+            }
             () = inbox.arrived() => shell.take_packets(),
             Some(asked) = asked.recv() => shell.take_query(asked),
             Some(ended) = ended.recv() => shell.step(match ended {
@@ -184,8 +189,10 @@ struct Shell<C: Core> {
 impl<C: Core> Shell<C> {
     fn step(&mut self, event: Event<C::Done>) {
         let now = self.clock.now();
+        let mut stored = false;
         for command in self.driver.step(now, event) {
-            self.carry_out(now, command);
+            stored |= matches!(command, Command::Store(_));
+            self.carry_out(now, command, stored);
         }
     }
 
@@ -201,13 +208,8 @@ impl<C: Core> Shell<C> {
     }
 
     fn take_query(&mut self, asked: Asked) {
-        let Asked { query, narrowed } = asked;
-        let payload = query.payload().map(|payload| {
-            // A payload past the limit is refused by its length alone; nothing serves so much.
-            payload.to_bytes().get(..payload.len().min(MAX_ROBOT_PAYLOAD)).map(<[u8]>::to_vec)
-        });
-        let request =
-            Request::new(query.key_expr().as_str(), query.parameters().as_str(), payload.flatten());
+        let Asked { query, narrowed, payload } = asked;
+        let request = Request::new(query.key_expr().as_str(), query.parameters().as_str(), payload);
         match request {
             Ok(request) => {
                 let request = match narrowed {
@@ -219,11 +221,13 @@ impl<C: Core> Shell<C> {
                 self.queries.insert(id, query);
                 self.step(Event::Query { query: id, request });
             }
-            Err(problem) => self.errands.reply(query, Err(problem)),
+            Err(problem) => self.errands.reply(query, Err(problem), false),
         }
     }
 
-    fn carry_out(&mut self, now: Tick, command: Command<C::Job>) {
+    /// `stored` says whether the same event has led to something that is kept: its answer is only
+    /// right if that worked.
+    fn carry_out(&mut self, now: Tick, command: Command<C::Job>, stored: bool) {
         match command {
             Command::Publish(message) => match message.publish(now) {
                 Ok(outbound) => outbound.into_iter().for_each(|message| self.outbox.push(message)),
@@ -232,7 +236,7 @@ impl<C: Core> Shell<C> {
             Command::Reply { query, request, answer } => {
                 if let Some(query) = self.queries.remove(&query) {
                     let answer = self.encode_answer(&request, answer, now);
-                    self.errands.reply(query, answer);
+                    self.errands.reply(query, answer, stored);
                 }
             }
             Command::Run(job) => self.run_job(job),
@@ -291,7 +295,10 @@ impl<C: Core> Shell<C> {
                 let bus = bus.clone();
                 asked.spawn(async move { fetch_one::<C>(&bus, &pattern).await });
             }
-            let messages = asked.join_all().await.into_iter().flatten().collect();
+            let mut messages = Vec::new();
+            while let Some(answered) = asked.join_next().await {
+                messages.extend(answered.unwrap_or_default());
+            }
             let _ = ended.send(Ended::Fetch { fetch, messages }).await;
         });
     }

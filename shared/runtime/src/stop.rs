@@ -4,9 +4,11 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 
-/// How long a process may take to end after it was told to: service managers and operators expect a
-/// few seconds, and everything that must be kept is stored as it happens.
-pub const STOP_WITHIN: Duration = Duration::from_secs(3);
+use crate::exit::Exit;
+
+/// When a process that was told to end, and has not, is ended whatever it does: service managers and
+/// operators expect a few seconds, and everything that must be kept is stored as it happens.
+const ENDED_AFTER: Duration = Duration::from_secs(4);
 
 /// Tells tasks to stop.
 #[derive(Debug, Clone)]
@@ -64,6 +66,12 @@ pub fn on_signals(stopper: Stopper) -> std::io::Result<()> {
             }
             asked = true;
             stopper.stop();
+            // A thread of its own: nothing that blocks the runtime keeps the process from ending.
+            std::thread::spawn(|| {
+                std::thread::sleep(ENDED_AFTER);
+                eprintln!("error: it did not stop in time and was ended");
+                std::process::exit(Exit::Failure as i32);
+            });
         }
     });
     Ok(())

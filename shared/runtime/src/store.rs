@@ -25,15 +25,20 @@ impl Store {
         Self { path }
     }
 
-    /// What was kept; nothing if there is no file, or none that can be read (which is logged, and
-    /// the file is left for an operator to look at until the next write).
+    /// What was kept; nothing if there is no file, or none that can be read. A damaged file is put
+    /// aside as `….bad`, for an operator to look at.
     #[must_use]
     pub fn load(&self) -> Stored {
         let Some(path) = &self.path else { return Stored::default() };
         match self.read(path) {
             Ok(stored) => stored,
             Err(error) => {
-                tracing::warn!("the stored state is not used: {error:#}");
+                let aside = path.with_extension("json.bad");
+                tracing::error!(
+                    "the stored state is not used, and put aside as {}: {error:#}",
+                    aside.display()
+                );
+                let _ = std::fs::rename(path, aside);
                 Stored::default()
             }
         }
@@ -41,15 +46,12 @@ impl Store {
 
     fn read(&self, path: &Path) -> anyhow::Result<Stored> {
         let name = path.display();
-        match std::fs::metadata(path) {
+        let bytes = match read_at_most(path, MAX_FILE) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 return Ok(Stored::default());
             }
-            Err(error) => return Err(error).with_context(|| format!("cannot read {name}")),
-            Ok(data) if data.len() > MAX_FILE => anyhow::bail!("{name} is too large"),
-            Ok(_) => {}
-        }
-        let bytes = std::fs::read(path).with_context(|| format!("cannot read {name}"))?;
+            read => read.with_context(|| format!("cannot read {name}"))?,
+        };
         serde_json::from_slice(&bytes).with_context(|| format!("{name} is not what was written"))
     }
 
@@ -70,6 +72,21 @@ impl Store {
         file.persist(path).with_context(|| format!("cannot write {}", path.display()))?;
         Ok(())
     }
+}
+
+/// Reads a file that should be small, and never more than its limit.
+///
+/// # Errors
+/// If it cannot be read, or has more bytes than the limit.
+pub fn read_at_most(path: &Path, limit: u64) -> std::io::Result<Vec<u8>> {
+    use std::io::Read as _;
+    let mut bytes = Vec::new();
+    std::fs::File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > limit {
+        let problem = format!("it has more than {limit} bytes");
+        return Err(std::io::Error::new(std::io::ErrorKind::InvalidData, problem));
+    }
+    Ok(bytes)
 }
 
 #[cfg(test)]
@@ -100,6 +117,8 @@ mod tests {
         for damage in ["", "{", "[1]", "{\"term\":-1,\"patch\":{}}", "{\"term\":1,\"x\":2}"] {
             std::fs::write(&path, damage).unwrap();
             assert_eq!(store.load(), Stored::default(), "{damage}");
+            let aside = directory.path().join("f/clusterer.json.bad");
+            assert_eq!(std::fs::read_to_string(aside).unwrap(), damage);
         }
     }
 }

@@ -143,7 +143,7 @@ pub fn encode<T: BinaryMessage>(content: &T) -> Result<Vec<u8>, EnvelopeError> {
 /// Reads a message of a known kind.
 ///
 /// # Errors
-/// Says what is wrong with the bytes. No input allocates more than the limit of the kind.
+/// Says what is wrong with the bytes. No input makes it allocate more than [`MAX_SERVICE_PAYLOAD`].
 pub fn decode<T: BinaryMessage>(bytes: &[u8]) -> Result<T, EnvelopeError> {
     if bytes.len() > T::LIMIT {
         return Err(EnvelopeError::TooLarge { size: bytes.len(), limit: T::LIMIT });

@@ -67,7 +67,7 @@ pub trait EdgeJson {
     /// The JSON form, written at a moment.
     ///
     /// # Errors
-    /// If a number is not finite, which no checked message holds.
+    /// If the content does not serialise. A number that is not finite becomes null.
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error>;
 }
 

@@ -11,9 +11,6 @@ use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 /// What stands before the fleet in every key.
 const ROOT: &str = "muster/v1";
 
-/// Last chunks that stand for something of the service itself and are no instance.
-const RESERVED_INSTANCES: [&str; 2] = ["settings", "status"];
-
 /// One place of a fleet on the bus.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Key {
@@ -192,12 +189,6 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         }
         _ => return None,
     })
-}
-
-/// Whether an instance may be called so: not like the keys that stand beside it.
-#[must_use]
-pub fn is_free_instance_name(instance: &InstanceId) -> bool {
-    !RESERVED_INSTANCES.contains(&instance.as_str())
 }
 
 impl Key {

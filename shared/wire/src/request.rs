@@ -68,6 +68,12 @@ impl Request {
         self.exact
     }
 
+    /// The one key that the get names; none if it is wild, or names no key of the fleet.
+    #[must_use]
+    pub fn exact_key(&self, space: &KeySpace) -> Option<Key> {
+        space.parse(&self.selector).ok()
+    }
+
     /// Whether the get selects a key.
     #[must_use]
     pub fn selects(&self, space: &KeySpace, key: &Key) -> bool {

@@ -8,7 +8,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_embedder::{Embedder, Job};
-use muster_machine::{Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stored};
+use muster_machine::{
+    Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stored, TERM_FETCH,
+};
 use muster_model::embedding::Embedding;
 use muster_model::event::EventKind;
 use muster_model::graph::{GraphDelta, GraphReplica, GraphRow, Node};
@@ -270,7 +272,12 @@ pub struct Bench {
     /// Jobs that wait to be run, if they are not run at once.
     pub jobs: VecDeque<Job>,
     pub hold_jobs: bool,
+    /// Fetches of rosters and graphs that wait.
     pub fetches: VecDeque<(u32, Vec<Pattern>)>,
+    /// How often the own last output was looked after.
+    pub term_fetches: usize,
+    /// Fetches of the clusterer's settings alone that wait.
+    pub settings_fetches: VecDeque<u32>,
     pub replies: Vec<(QueryId, Result<Vec<Message>, String>)>,
     queries: u64,
 }
@@ -294,6 +301,8 @@ impl Bench {
             jobs: VecDeque::new(),
             hold_jobs: false,
             fetches: VecDeque::new(),
+            term_fetches: 0,
+            settings_fetches: VecDeque::new(),
             replies: Vec::new(),
             queries: 0,
         }
@@ -327,12 +336,18 @@ impl Bench {
                 Command::Publish(_) => {}
                 Command::Reply { query, answer, .. } => self.replies.push((query, answer)),
                 Command::Run(job) => self.jobs.push_back(job),
+                Command::Fetch { fetch: TERM_FETCH, patterns } => {
+                    assert_eq!(patterns, [Pattern::One(Key::Embedding)]);
+                    self.term_fetches += 1;
+                }
+                Command::Fetch { fetch, patterns } if patterns == [settings()] => {
+                    self.settings_fetches.push_back(fetch);
+                }
                 Command::Fetch { fetch, patterns } => self.fetches.push_back((fetch, patterns)),
                 Command::Store(stored) => self.stored.push(stored),
             }
         }
         assert!(self.jobs.len() <= 1, "one job runs at a time");
-        assert_eq!(self.driver.superseded_jobs(), 0);
         if !self.hold_jobs {
             self.run_job();
         }
@@ -463,12 +478,22 @@ pub fn difference_of_shape(left: &Embedding, right: &Embedding) -> f64 {
     worst
 }
 
+/// Where the clusterer's settings stand.
+pub fn settings() -> Pattern {
+    Pattern::One(Key::Settings(ServiceName::Clusterer))
+}
+
 /// Settings of the clusterer as it announces them.
 pub fn announced(settings: &str) -> Message {
+    announced_at(Revision { term: 1, epoch: 1 }, settings)
+}
+
+/// The same, beside a certain output of the clusterer.
+pub fn announced_at(revision: Revision, settings: &str) -> Message {
     Message::Settings(Box::new(AnnouncedSettings {
         header: Header {
             fleet: FleetId::new("f").unwrap(),
-            revision: Revision { term: 1, epoch: 1 },
+            revision,
             oldest: None,
             newest: None,
             stages: Vec::new(),

@@ -11,7 +11,8 @@ use muster_ingest::Ingest;
 use muster_machine::{Command, Driver, Event, QueryId, START_FETCH, Start, Stored};
 use muster_model::event::EventKind;
 use muster_model::graph::GraphReplica;
-use muster_model::id::{FleetId, InstanceId, Modality, RobotId};
+use muster_model::header::{Header, Revision, StageTime};
+use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::observation::{Link, Links, Pose, Rank, Relation};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::IngestSettings;
@@ -69,6 +70,34 @@ pub(crate) fn token(name: &str, alive: bool) -> Message {
     Message::RobotToken { robot: robot(name), alive }
 }
 
+/// What a roster says of a robot that said nothing but that it is there.
+pub(crate) fn entry_of(name: &str, presence: Presence, last_seen: Tick) -> RosterEntry {
+    RosterEntry {
+        node: 0,
+        robot: robot(name),
+        presence,
+        position: None,
+        heading: None,
+        frame: None,
+        superior: None,
+        role: None,
+        last_seen,
+    }
+}
+
+/// A roster of the first term without graphs.
+pub(crate) fn roster_of(published: Tick, robots: Vec<RosterEntry>) -> Message {
+    let stage = StageTime { stage: ServiceName::Ingest, received: published, published };
+    let header = Header {
+        fleet: fleet(),
+        revision: Revision { term: 1, epoch: 1 },
+        oldest: None,
+        newest: None,
+        stages: vec![stage],
+    };
+    Message::Roster(Arc::new(Roster { header, robots, graphs: Vec::new() }))
+}
+
 /// Edges by name.
 pub(crate) type Named = BTreeMap<(RobotId, RobotId), f64>;
 
@@ -109,11 +138,14 @@ impl Bench {
         Self::asleep_at(START, settings, Stored::default())
     }
 
-    /// In its term, with the first, empty frame behind it.
+    /// In its term, with the first, empty frame behind it. It takes over a fleet whose last robot is
+    /// gone (and has node 0), so that it waits for nobody to gather.
     pub(crate) fn new(settings: IngestSettings) -> Self {
         let mut bench = Self::asleep(settings);
-        bench.begin(Vec::new());
+        let last = entry_of("last", Presence::Stale, Tick(0));
+        bench.begin(vec![roster_of(Tick(0), vec![last])]);
         bench.wait(0.5);
+        assert_eq!(bench.happened(), ["left last"]);
         bench
     }
 

@@ -6,7 +6,6 @@ use muster_model::audit::{Audit, SilhouetteReport};
 use muster_model::time::Tick;
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
-use muster_runtime::stop::Stop;
 use muster_wire::json::EdgeJson;
 use muster_wire::{Key, Message};
 
@@ -20,11 +19,7 @@ const WORST: usize = 5;
 ///
 /// # Errors
 /// If no router answers, or nobody knows the judgement.
-pub(crate) async fn run(
-    args: &ShowArgs,
-    config: &ProcessConfig,
-    mut stop: Stop,
-) -> anyhow::Result<()> {
+pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let clock = Clock::start();
     let bus = ask::open(config).await?;
     if !args.watch {
@@ -38,10 +33,7 @@ pub(crate) async fn run(
     let mut follow = ask::follow(&bus, Key::Audit).await?;
     let mut shown: Option<std::sync::Arc<Audit>> = None;
     loop {
-        let message = tokio::select! {
-            message = follow.next() => message,
-            () = stop.stopped() => break,
-        };
+        let message = follow.next().await;
         let Message::Audit(audit) = message else { continue };
         let same = shown.as_ref().is_some_and(|shown| {
             shown.in_embedding == audit.in_embedding && shown.in_physical == audit.in_physical
@@ -51,8 +43,6 @@ pub(crate) async fn run(
             shown = Some(audit);
         }
     }
-    bus.close().await;
-    Ok(())
 }
 
 fn score(value: Option<f64>) -> String {

@@ -10,7 +10,6 @@ use muster_runtime::bus::Bus;
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
-use muster_runtime::stop::Stop;
 use muster_wire::json::EdgeJson;
 use muster_wire::{Key, Message, Pattern};
 
@@ -39,11 +38,7 @@ pub(crate) struct GraphArgs {
 ///
 /// # Errors
 /// If no router answers, or nobody knows the graphs.
-pub(crate) async fn run(
-    args: &GraphArgs,
-    config: &ProcessConfig,
-    mut stop: Stop,
-) -> anyhow::Result<()> {
+pub(crate) async fn run(args: &GraphArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let clock = Clock::start();
     let bus = ask::open(config).await?;
     let mut shown = Vec::new();
@@ -57,10 +52,7 @@ pub(crate) async fn run(
         if !args.show.watch {
             break;
         }
-        tokio::select! {
-            () = tokio::time::sleep(LOOK_EVERY) => {}
-            () = stop.stopped() => break,
-        }
+        tokio::time::sleep(LOOK_EVERY).await;
     }
     bus.close().await;
     Ok(())

@@ -9,7 +9,6 @@ use muster_model::status::ServiceStatus;
 use muster_runtime::bus::{Answer, Ask, Bus};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
-use muster_runtime::stop::Stop;
 use muster_wire::{Key, Message, Pattern};
 use serde_json::json;
 
@@ -34,11 +33,7 @@ struct Look {
 ///
 /// # Errors
 /// If no router answers.
-pub(crate) async fn run(
-    args: &ShowArgs,
-    config: &ProcessConfig,
-    mut stop: Stop,
-) -> anyhow::Result<()> {
+pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let clock = Clock::start();
     let bus = ask::open(config).await?;
     loop {
@@ -47,10 +42,7 @@ pub(crate) async fn run(
         if !args.watch {
             break;
         }
-        tokio::select! {
-            () = tokio::time::sleep(LOOK_EVERY) => {}
-            () = stop.stopped() => break,
-        }
+        tokio::time::sleep(LOOK_EVERY).await;
     }
     bus.close().await;
     Ok(())
@@ -133,7 +125,8 @@ fn print(look: &Look, config: &ProcessConfig, json: bool, clock: &Clock) -> anyh
             status.revision.epoch.to_string(),
             format!("{} s", status.now.since(status.started).as_secs()),
             refused.to_string(),
-            status.state.clone(),
+            // Anybody may answer a get: what is printed is made harmless.
+            muster_wire::message::quoted(&status.state),
         ]);
     }
     writeln!(out, "fleet {}", config.fleet.value)?;

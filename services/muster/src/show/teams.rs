@@ -6,7 +6,6 @@ use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
-use muster_runtime::stop::Stop;
 use muster_wire::json::EdgeJson;
 use muster_wire::{Key, Message};
 
@@ -17,11 +16,7 @@ use crate::ask;
 ///
 /// # Errors
 /// If no router answers, or nobody knows the teams.
-pub(crate) async fn run(
-    args: &ShowArgs,
-    config: &ProcessConfig,
-    mut stop: Stop,
-) -> anyhow::Result<()> {
+pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let clock = Clock::start();
     let bus = ask::open(config).await?;
     if !args.watch {
@@ -35,10 +30,7 @@ pub(crate) async fn run(
     let mut follow = ask::follow(&bus, Key::Teams).await?;
     let mut shown: Option<std::sync::Arc<Teams>> = None;
     loop {
-        let message = tokio::select! {
-            message = follow.next() => message,
-            () = stop.stopped() => break,
-        };
+        let message = follow.next().await;
         if let Message::Teams { teams, .. } = message
             && !shown.as_ref().is_some_and(|shown| shown.same_division(&teams))
         {
@@ -46,8 +38,6 @@ pub(crate) async fn run(
             shown = Some(teams);
         }
     }
-    bus.close().await;
-    Ok(())
 }
 
 /// Prints a division as a table, or as one line of JSON in the shape of `json/teams`.

@@ -31,7 +31,8 @@ pub enum Alpha {
 /// Length D = 2K of the vectors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Dimension {
-    /// K by the largest ratio of neighbouring singular values, from 2 to the number of teams.
+    /// K by the largest ratio of neighbouring singular values, from 2 to the number of teams; more
+    /// where a robot with relations would not be seen otherwise.
     Auto,
     /// D itself: even, at least 2.
     Fixed(u32),

@@ -8,6 +8,7 @@ use serde_json::Value;
 
 use super::Mode;
 use crate::exit::ExitError;
+use crate::store::read_at_most;
 
 /// Largest configuration file in bytes.
 const MAX_FILE: u64 = 1024 * 1024;
@@ -57,10 +58,10 @@ pub(super) struct File {
     pub(super) state_directory: Option<PathBuf>,
     pub(super) log: Option<String>,
     pub(super) log_json: Option<bool>,
-    pub(super) ingest: Option<Value>,
-    pub(super) embedder: Option<Value>,
-    pub(super) clusterer: Option<Value>,
-    pub(super) auditor: Option<Value>,
+    pub(super) ingest: Option<toml::Table>,
+    pub(super) embedder: Option<toml::Table>,
+    pub(super) clusterer: Option<toml::Table>,
+    pub(super) auditor: Option<toml::Table>,
 }
 
 /// Where environment variables are read: the process's own, or a test's.
@@ -104,11 +105,8 @@ impl Layers<'_> {
 pub(super) fn read_file(path: &Path) -> Result<File, ExitError> {
     let name = path.display();
     let fail = |problem: String| ExitError::usage(format!("config {name}: {problem}"));
-    let size = std::fs::metadata(path).map_err(|error| fail(error.to_string()))?.len();
-    if size > MAX_FILE {
-        return Err(fail(format!("{size} bytes are more than the limit of {MAX_FILE}")));
-    }
-    let text = std::fs::read_to_string(path).map_err(|error| fail(error.to_string()))?;
+    let bytes = read_at_most(path, MAX_FILE).map_err(|error| fail(error.to_string()))?;
+    let text = String::from_utf8(bytes).map_err(|error| fail(error.to_string()))?;
     toml::from_str(&text).map_err(|error| fail(error.to_string()))
 }
 
@@ -121,4 +119,28 @@ pub(super) fn default_state_directory(environment: Environment<'_>) -> Option<Pa
         environment(variable).map(|directory| PathBuf::from(directory).join(tail))
     };
     under("XDG_STATE_HOME", "muster").or_else(|| under("HOME", ".local/state/muster"))
+}
+
+/// A table of the file as a patch of settings. TOML knows numbers that JSON does not; those are no
+/// settings, and must not pass for fields that are left out.
+///
+/// # Errors
+/// Names the field that is not finite.
+pub(super) fn patch_of(table: toml::Table) -> Result<Value, String> {
+    fn check(value: &toml::Value, path: &str) -> Result<(), String> {
+        match value {
+            toml::Value::Float(number) if !number.is_finite() => {
+                Err(format!("{path}: must be a finite number"))
+            }
+            toml::Value::Table(table) => table.iter().try_for_each(|(name, value)| {
+                let dot = if path.is_empty() { "" } else { "." };
+                check(value, &format!("{path}{dot}{name}"))
+            }),
+            toml::Value::Array(values) => values.iter().try_for_each(|value| check(value, path)),
+            _ => Ok(()),
+        }
+    }
+    let table = toml::Value::Table(table);
+    check(&table, "")?;
+    serde_json::to_value(&table).map_err(|error| error.to_string())
 }

@@ -20,8 +20,8 @@ use serde_json::Value;
 pub use self::args::{Mode, ProcessArgs};
 pub use self::assignments::parse_assignments;
 pub use self::layers::{Environment, Origin, Sourced, process_environment};
-use self::layers::{Layers, default_state_directory, read_file, split};
-use crate::bus::check_endpoint;
+use self::layers::{Layers, default_state_directory, patch_of, read_file, split};
+use crate::bus::{check_endpoint, check_zenoh_config};
 use crate::exit::ExitError;
 
 /// The fleet of a process that is told of none.
@@ -116,6 +116,10 @@ impl ProcessConfig {
                     .map_err(|problem| ExitError::usage(format!("{field}: {problem}")))?;
             }
         }
+        if connect.value.is_empty() && mode.value == Mode::Client {
+            let problem = "connect: must name at least one router; a client has no other way";
+            return Err(ExitError::usage(problem));
+        }
         let zenoh_config = layers.pick(
             args.zenoh_config.clone().map(Some),
             "MUSTER_ZENOH_CONFIG",
@@ -156,7 +160,10 @@ impl ProcessConfig {
         ];
         for (service, table) in tables {
             if let (Some(table), Some(path)) = (table, &path) {
-                patches.push((service, Origin::File(path.clone()), table));
+                let patch = patch_of(table).map_err(|problem| {
+                    ExitError::usage(format!("config {}: {service}.{problem}", path.display()))
+                })?;
+                patches.push((service, Origin::File(path.clone()), patch));
             }
             let variable = format!("MUSTER_{}", service.as_str().to_uppercase());
             if let Some(text) = environment(&variable) {
@@ -177,6 +184,10 @@ impl ProcessConfig {
             log_json,
             patches,
         };
+        crate::logging::check(config.log.value.as_deref()).map_err(ExitError::usage)?;
+        if let Some(path) = &config.zenoh_config.value {
+            check_zenoh_config(path)?;
+        }
         config.check_all_settings()?;
         Ok(config)
     }
@@ -189,10 +200,13 @@ impl ProcessConfig {
         Ok(())
     }
 
-    /// The configuration of a router in the same process.
+    /// The configuration of a router in the same process. It connects to other routers only where
+    /// these are named.
     #[must_use]
     pub fn as_router(&self, listen: Vec<String>) -> Self {
-        self.as_mode(Mode::Router, Vec::new(), listen)
+        let named = self.connect.origin != Origin::Default;
+        let connect = if named { self.connect.value.clone() } else { Vec::new() };
+        self.as_mode(Mode::Router, connect, listen)
     }
 
     /// The configuration of a client of a router in the same process.
@@ -293,6 +307,13 @@ mod tests {
         assert!(with("connect = [\"localhost\"]").contains("connect"));
         assert!(with("fleet = \"A b\"").contains("fleet"));
         assert!(with("mode = \"boss\"").contains("mode"));
+        assert!(with("[ingest]\ntick_hz = nan").contains("ingest.tick_hz"));
+        assert!(with("[ingest.spatial]\nwidth = inf").contains("ingest.spatial.width"));
+        assert!(with("connect = []").contains("connect"));
+        assert!(with("connect = [\"tcp/localhost\"]").contains("port"));
+        assert!(with("connect = [\"udp/localhost:7447\"]").contains("protocol"));
+        assert!(with("log = \"loud=very=much\"").contains("log"));
+        assert!(with("zenoh_config = \"/none.json5\"").contains("/none.json5"));
         assert!(problem("fleet = ").contains("muster.toml"));
         let absent = ProcessArgs { config: Some("/nowhere.toml".into()), ..ProcessArgs::default() };
         assert!(resolve(&absent, &none).unwrap_err().contains("nowhere"));

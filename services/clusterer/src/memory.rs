@@ -1,0 +1,129 @@
+//! Teams that robots had, remembered for a while.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use muster_model::id::{RobotId, TeamId};
+use muster_model::limits::{MAX_ROBOTS, MAX_TEAMS};
+use muster_model::teams::Teams;
+use muster_model::time::Tick;
+
+/// How long a robot's last team, and a team that ended, are remembered: a platoon that drives
+/// through a tunnel or is restarted comes back within it; after it, who comes is somebody else.
+pub(crate) const REMEMBERED: Duration = Duration::from_secs(60);
+
+/// What is remembered of divisions before the last.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Memory {
+    /// The last team of robots that have left or have none now, and when that was. At most
+    /// [`MAX_ROBOTS`].
+    last: BTreeMap<RobotId, (TeamId, Tick)>,
+    /// Teams that ended. At most [`MAX_TEAMS`] with [`MAX_ROBOTS`] robots in all.
+    pub(crate) ended: BTreeMap<TeamId, Ended>,
+    /// No lower number was free in any division that was heard of.
+    pub(crate) next_team: u64,
+}
+
+/// A team that ended.
+#[derive(Debug, Clone)]
+pub(crate) struct Ended {
+    members: BTreeSet<RobotId>,
+    at: Tick,
+}
+
+impl Memory {
+    /// Takes in that one division follows another.
+    pub(crate) fn follow(&mut self, now: Tick, before: Option<&Teams>, after: &Teams) {
+        let placed: BTreeSet<&RobotId> = after.assignments().map(|(robot, _)| robot).collect();
+        let living: BTreeSet<&TeamId> = after.teams.iter().map(|team| &team.id).collect();
+        for team in before.into_iter().flat_map(|before| &before.teams) {
+            for member in team.members.iter().filter(|m| !placed.contains(&m.robot)) {
+                self.last.insert(member.robot.clone(), (team.id.clone(), now));
+            }
+            if !living.contains(&team.id) {
+                let left = self.last.iter().filter(|(_, (id, _))| *id == team.id);
+                let members = team.members.iter().map(|member| &member.robot);
+                let members = members.chain(left.map(|(robot, _)| robot)).cloned().collect();
+                self.ended.insert(team.id.clone(), Ended { members, at: now });
+            }
+        }
+        self.last.retain(|robot, _| !placed.contains(robot));
+        self.ended.retain(|id, _| !living.contains(id));
+        self.next_team = self.next_team.max(after.next_team);
+        self.bound();
+    }
+
+    /// Drops the oldest of what is too much.
+    fn bound(&mut self) {
+        if let Some(excess) = self.last.len().checked_sub(MAX_ROBOTS).filter(|many| *many > 0) {
+            let mut ages: Vec<(Tick, RobotId)> =
+                self.last.iter().map(|(robot, (_, at))| (*at, robot.clone())).collect();
+            ages.sort_unstable();
+            for (_, robot) in ages.into_iter().take(excess) {
+                self.last.remove(&robot);
+            }
+        }
+        let mut robots: usize = self.ended.values().map(|ended| ended.members.len()).sum();
+        while self.ended.len() > MAX_TEAMS as usize || robots > MAX_ROBOTS {
+            let oldest = self.ended.iter().min_by_key(|(_, ended)| ended.at);
+            let Some(oldest) = oldest.map(|(id, _)| id.clone()) else { return };
+            robots -= self.ended.remove(&oldest).map_or(0, |ended| ended.members.len());
+        }
+    }
+
+    /// Whether something was remembered for long enough.
+    pub(crate) fn is_overdue(&self, now: Tick) -> bool {
+        let times = self.last.values().map(|(_, at)| *at);
+        times.chain(self.ended.values().map(|ended| ended.at)).any(|at| is_over(now, at))
+    }
+
+    /// Forgets what was remembered for long enough.
+    pub(crate) fn forget(&mut self, now: Tick) {
+        self.last.retain(|_, (_, at)| !is_over(now, *at));
+        self.ended.retain(|_, ended| !is_over(now, ended.at));
+    }
+
+    /// The last team of a robot that left it.
+    pub(crate) fn last_team(&self, robot: &RobotId) -> Option<&TeamId> {
+        self.last.get(robot).map(|(team, _)| team)
+    }
+
+    /// Teams that ended and of whose robots most of those that are there are most of a cluster, with
+    /// the number of that cluster and how many robots these are. For each cluster at most one.
+    pub(crate) fn revivable(
+        &self,
+        clusters: &[Vec<&RobotId>],
+        unassigned: &[RobotId],
+    ) -> Vec<(&TeamId, usize, u64)> {
+        if self.ended.is_empty() {
+            return Vec::new();
+        }
+        let mut place: BTreeMap<&RobotId, Option<usize>> =
+            unassigned.iter().map(|robot| (robot, None)).collect();
+        for (number, robots) in clusters.iter().enumerate() {
+            place.extend(robots.iter().map(|robot| (*robot, Some(number))));
+        }
+        let mut best: BTreeMap<usize, (u64, Tick, &TeamId)> = BTreeMap::new();
+        for (id, ended) in &self.ended {
+            let places: Vec<Option<usize>> =
+                ended.members.iter().filter_map(|robot| place.get(robot).copied()).collect();
+            let mut shared: BTreeMap<usize, usize> = BTreeMap::new();
+            for cluster in places.iter().flatten() {
+                *shared.entry(*cluster).or_default() += 1;
+            }
+            let most = shared.into_iter().find(|(cluster, many)| {
+                many * 2 > places.len() && many * 2 > clusters[*cluster].len()
+            });
+            if let Some((cluster, many)) = most {
+                let candidate = (many as u64, ended.at, id);
+                let entry = best.entry(cluster).or_insert(candidate);
+                *entry = (*entry).max(candidate);
+            }
+        }
+        best.into_iter().map(|(cluster, (many, _, id))| (id, cluster, many)).collect()
+    }
+}
+
+fn is_over(now: Tick, at: Tick) -> bool {
+    now.since(at) >= REMEMBERED
+}

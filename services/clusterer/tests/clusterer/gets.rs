@@ -1,0 +1,112 @@
+//! Starts, gets, and lost links.
+
+use super::*;
+
+#[test]
+fn the_wiring_is_that_of_the_role() {
+    let wiring = Clusterer::wiring();
+    let patterns: Vec<_> = wiring.subscriptions.iter().map(|s| s.pattern.clone()).collect();
+    assert_eq!(patterns, [Key::Embedding, Key::Roster, Key::Audit].map(Pattern::One));
+    for key in [Key::Audit, Key::JsonAudit] {
+        assert!(wiring.served.contains(&(Pattern::One(key), false)));
+    }
+    assert!(wiring.served.contains(&(Pattern::RobotTeams, true)));
+    assert!(wiring.served.contains(&(Pattern::One(Key::Embedding), false)));
+}
+
+#[test]
+fn nothing_is_said_before_the_term_has_begun() {
+    let mut bench = Bench::new(teams(2));
+    bench.step(Event::Started);
+    assert_eq!(bench.fetches.len(), 1);
+    assert_eq!(bench.fetches[0].0, START_FETCH);
+    assert_eq!(bench.fetches[0].1.len(), 3);
+    bench.hear(&embedding(1, &[("a b", WEST), ("c d", EAST)]));
+    bench.hear_roster(roster(1, "a b c d"));
+    bench.wait(100.0);
+    assert!(bench.sent.is_empty() && bench.jobs_run == 0);
+
+    bench.step(Event::Fetched { fetch: START_FETCH, messages: vec![] });
+    let sent = bench.take();
+    assert_eq!(sent.settings, 1);
+    assert_eq!(sent.events[0], EventKind::ServiceStarted { term: 1 });
+    assert_eq!(short(&sent.division()), "t1: a b | t2: c d");
+    assert_eq!(bench.stored, Some(Stored { term: 1, patch: serde_json::Map::new() }));
+}
+
+#[test]
+fn a_restart_finds_embedding_and_teams_together() {
+    let first = embedding(1, &[("a b", WEST), ("c d", EAST)]);
+    let (_, last) = divided(teams(2), &first);
+    let messages = vec![
+        Message::Roster(Arc::new(roster(3, "a? b c d"))),
+        Message::Embedding(first),
+        mirrored(&last),
+    ];
+    let mut next = Bench::restored(teams(2), messages);
+    let sent = next.take();
+    assert_eq!(short(&sent.division()), short(&last));
+    assert_eq!(sent.division().stale, [robot("a")]);
+    assert_eq!(next.jobs_run, 1);
+}
+
+#[test]
+fn every_get_has_exactly_one_answer() {
+    let mut bench = Bench::new(teams(2));
+    let all = ["teams", "json/teams", "robot/*/team", "robot/a/team", "embedding", "audit", "**"];
+    for selector in all {
+        // `**` selects the settings as well, which are there from the start.
+        let known = usize::from(selector == "**");
+        assert_eq!(bench.ask(selector, None).unwrap().len(), known, "{selector}");
+    }
+    assert_eq!(bench.status().state, "waiting for an embedding");
+    bench.step(Event::Started);
+    bench.step(Event::Fetched { fetch: START_FETCH, messages: vec![] });
+    bench.hear(&embedding(1, &[("a b", WEST), ("c d!", EAST)]));
+    let one = |bench: &mut Bench, selector: &str| match bench.ask(selector, None).unwrap() {
+        messages if messages.len() == 1 => messages[0].clone(),
+        other => panic!("{selector}: {other:?}"),
+    };
+    assert!(matches!(one(&mut bench, "teams"), Message::Teams { .. }));
+    assert!(matches!(one(&mut bench, "json/*"), Message::Teams { .. }));
+    assert!(matches!(one(&mut bench, "embedding"), Message::Embedding(_)));
+    assert!(matches!(one(&mut bench, "service/clusterer/settings"), Message::Settings(..)));
+    for (name, team) in [("a", Some("t1")), ("d", None)] {
+        let Message::RobotTeam(told) = one(&mut bench, &format!("robot/{name}/team")) else {
+            panic!("{name}");
+        };
+        assert_eq!(told.team.as_ref().map(TeamId::as_str), team);
+    }
+    assert_eq!(bench.ask("robot/*/team", None).unwrap().len(), 4);
+    assert_eq!(bench.ask("robot/$*a/team", None).unwrap().len(), 1);
+    assert!(bench.ask("robot/nobody/team", None).unwrap().is_empty());
+    assert!(bench.ask("roster", None).unwrap().is_empty());
+    assert_eq!(bench.ask("*", None).unwrap().len(), 2);
+    let error = bench.ask("service/clusterer/settings", Some("{\"teams\":0}")).unwrap_err();
+    assert!(error.contains("teams"));
+}
+
+#[test]
+fn an_answer_has_an_end() {
+    let rows = (0..3000).map(|i| {
+        let x = f64::from(i % 2) + f64::from(i) * 1e-6;
+        (robot(&format!("r{i}")), vec![x, 0.0], false)
+    });
+    let settings = ClustererSettings { restarts: 1, ..teams(2) };
+    let (mut bench, _) = divided(settings, &from_rows(1, 1, rows.collect()));
+    // Teams so large name nobody.
+    assert_eq!(bench.ask("robot/*/team", None).unwrap().len(), 3000);
+    assert_eq!(bench.ask("robot/r1/team", None).unwrap().len(), 1);
+    assert_eq!(bench.ask("teams", None).unwrap().len(), 1);
+}
+
+#[test]
+fn refused_packets_are_told_of() {
+    let mut bench = Bench::begun(teams(2));
+    bench.take();
+    let rejection =
+        Rejection { robot: None, key: "muster/v1/f/embedding".into(), reason: "broken".into() };
+    bench.step(Event::Rejected(rejection));
+    assert!(matches!(bench.take().events[..], [EventKind::Quarantined { count: 1, .. }]));
+    assert_eq!(bench.counter("messages_refused"), 1);
+}

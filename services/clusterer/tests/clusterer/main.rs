@@ -1,0 +1,54 @@
+//! The clusterer on a bench: what it divides, what it tells whom, and when.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    missing_docs,
+    unreachable_pub,
+    reason = "this is a test, and so are its helpers"
+)]
+
+mod common;
+mod division;
+mod gets;
+mod identity;
+mod properties;
+mod recovery;
+mod telling;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use common::{
+    Bench, START, again, embedding, from_rows, header, leaders, robot, roster, short, told,
+};
+use muster_clusterer::Clusterer;
+use muster_machine::{Core, Event, START_FETCH, Stored, TERM_FETCH};
+use muster_model::embedding::Embedding;
+use muster_model::event::EventKind;
+use muster_model::header::Revision;
+use muster_model::id::{RobotId, ServiceName, TeamId};
+use muster_model::settings::ClustererSettings;
+use muster_model::teams::Teams;
+use muster_wire::{Key, Message, Pattern, Rejection};
+use proptest::prelude::*;
+
+const WEST: [f64; 2] = [0.0, 0.0];
+const EAST: [f64; 2] = [1.0, 0.0];
+const NORTH: [f64; 2] = [0.0, 1.0];
+
+fn teams(teams: u32) -> ClustererSettings {
+    ClustererSettings { teams, restarts: 10, ..ClustererSettings::default() }
+}
+
+fn mirrored(teams: &Arc<Teams>) -> Message {
+    Message::Teams { teams: Arc::clone(teams), mirror: false }
+}
+
+/// A bench that has divided one embedding.
+fn divided(settings: ClustererSettings, first: &Arc<Embedding>) -> (Bench, Arc<Teams>) {
+    let mut bench = Bench::begun(settings);
+    bench.hear(first);
+    let division = bench.division();
+    (bench, division)
+}

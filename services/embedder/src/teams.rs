@@ -1,0 +1,102 @@
+//! How many teams `clusterer` divides the fleet into, as it announces it.
+
+use std::time::Duration;
+
+use muster_machine::TERM_FETCH;
+use muster_model::header::Revision;
+use muster_model::settings::{ClustererSettings, Settings, SettingsError, from_value};
+use muster_model::time::Tick;
+use muster_wire::envelope::AnnouncedSettings;
+
+/// The number of the fetch that asks for the settings alone.
+pub(crate) const SETTINGS_FETCH: u32 = TERM_FETCH - 1;
+
+/// How often the settings are asked for: `clusterer` announces them when they change and then not
+/// again, so that one lost announcement would last for good. It need not be often, as the number of
+/// teams seldom changes and only guides the choice of the dimension.
+const ASK_INTERVAL: Duration = Duration::from_secs(10);
+
+/// The newest announcement.
+#[derive(Debug)]
+pub(crate) struct TeamsWanted {
+    teams: u32,
+    /// The revision of the announcement; none before the first.
+    at: Option<Revision>,
+    /// Whether the last answer to a question was older than the announcement.
+    contradicted: bool,
+    asked: Tick,
+}
+
+impl Default for TeamsWanted {
+    fn default() -> Self {
+        Self {
+            teams: ClustererSettings::default().teams,
+            at: None,
+            contradicted: false,
+            asked: Tick::default(),
+        }
+    }
+}
+
+impl TeamsWanted {
+    /// How many teams the fleet is divided into.
+    pub(crate) fn teams(&self) -> u32 {
+        self.teams
+    }
+
+    /// Takes an announcement; whether it counts. One that is older than what is known does not: it
+    /// was overtaken. The same revision does, as settings change between two outputs.
+    ///
+    /// # Errors
+    /// Tells why the settings are to be refused; those before stand.
+    pub(crate) fn take(&mut self, announced: &AnnouncedSettings) -> Result<bool, SettingsError> {
+        let revision = announced.header.revision;
+        if self.at.is_some_and(|at| revision < at) {
+            return Ok(false);
+        }
+        self.accept(announced)?;
+        Ok(true)
+    }
+
+    /// Takes the answer to a question. When two in a row are older than the announcement, nobody
+    /// stands behind that one any more (it was forged, or its sender has lost its term), and the
+    /// answer counts.
+    ///
+    /// # Errors
+    /// As [`TeamsWanted::take`].
+    pub(crate) fn take_answer(&mut self, told: &AnnouncedSettings) -> Result<bool, SettingsError> {
+        let taken = self.take(told)?;
+        if !taken && self.contradicted {
+            self.accept(told)?;
+            return Ok(true);
+        }
+        self.contradicted = !taken;
+        Ok(taken)
+    }
+
+    fn accept(&mut self, announced: &AnnouncedSettings) -> Result<(), SettingsError> {
+        self.teams = teams_of(&announced.settings)?;
+        self.at = Some(announced.header.revision);
+        self.contradicted = false;
+        Ok(())
+    }
+
+    /// They have been asked for.
+    pub(crate) fn asked(&mut self, now: Tick) {
+        self.asked = now;
+    }
+
+    /// When they are to be asked for again.
+    pub(crate) fn due(&self) -> Tick {
+        self.asked.after(ASK_INTERVAL)
+    }
+}
+
+/// The number of teams in settings of `clusterer`.
+fn teams_of(text: &str) -> Result<u32, SettingsError> {
+    let value = serde_json::from_str(text)
+        .map_err(|error| SettingsError::new("(settings)", format!("is no JSON: {error}")))?;
+    let settings: ClustererSettings = from_value(value)?;
+    settings.check()?;
+    Ok(settings.teams)
+}

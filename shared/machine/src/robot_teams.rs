@@ -1,0 +1,136 @@
+//! Answers of gets of a division and of what each robot is told of it, alike for its author and for
+//! those who repeat it.
+
+use std::sync::Arc;
+
+use muster_model::id::RobotId;
+use muster_model::teams::Teams;
+use muster_wire::{Key, KeySpace, Message, Request};
+
+/// Most names in all the answers to one get of robots' teams. Each robot of a small team is told all
+/// its members, so that the answer for a whole fleet grows with the square of its teams.
+const MAX_NAMES_ANSWERED: usize = 4_000_000;
+
+/// What a division answers to a get of `teams`, `json/teams` and `robot/*/team`.
+///
+/// # Errors
+/// If the teams of all robots that are asked for are more than one answer may hold; the text names
+/// the remedy.
+pub fn answer_teams(
+    space: &KeySpace,
+    request: &Request,
+    teams: &Arc<Teams>,
+) -> Result<Vec<Message>, String> {
+    if let Some(Key::RobotTeam(robot)) = request.exact_key(space) {
+        return Ok(teams.robot_team(&robot).map(Message::RobotTeam).into_iter().collect());
+    }
+    let mut messages = Vec::new();
+    if request.selects(space, &Key::Teams) || request.selects(space, &Key::JsonTeams) {
+        messages.push(Message::Teams { teams: Arc::clone(teams), mirror: true });
+    }
+    if request.exact_key(space).is_some() {
+        return Ok(messages);
+    }
+    let robots = selected(space, request, teams);
+    let names = robots.iter().fold(0_usize, |sum, (_, names)| sum.saturating_add(*names));
+    if names > MAX_NAMES_ANSWERED {
+        return Err(format!(
+            "the teams of these robots name {names} members, which is more than one answer may \
+             hold; get {} or the team of one robot",
+            space.format(&Key::Teams)
+        ));
+    }
+    messages.extend(
+        robots.into_iter().filter_map(|(r, _)| teams.robot_team(r)).map(Message::RobotTeam),
+    );
+    Ok(messages)
+}
+
+/// The robots whose team is asked for, each with how many names it is told.
+fn selected<'a>(
+    space: &KeySpace,
+    request: &Request,
+    teams: &'a Teams,
+) -> Vec<(&'a RobotId, usize)> {
+    let robots = teams
+        .teams
+        .iter()
+        .flat_map(|team| {
+            let names = if team.members.len() > muster_model::limits::MAX_MEMBERS_TOLD {
+                1
+            } else {
+                team.members.len()
+            };
+            team.members.iter().map(move |member| (&member.robot, names))
+        })
+        .chain(teams.unassigned.iter().map(|robot| (robot, 0)));
+    robots.filter(|(robot, _)| request.selects(space, &Key::RobotTeam((*robot).clone()))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::header::{Header, Revision};
+    use muster_model::id::{FleetId, TeamId};
+    use muster_model::teams::{Member, Team};
+
+    use super::*;
+
+    fn division(members: usize, unassigned: &[&str]) -> Arc<Teams> {
+        let robot = |name: &str| RobotId::new(name).unwrap();
+        let mut members: Vec<Member> = (0..members)
+            .map(|i| Member { robot: robot(&format!("r{i:05}")), margin: 0.5 })
+            .collect();
+        members.sort_by(|left, right| left.robot.cmp(&right.robot));
+        let leader = members[0].robot.clone();
+        Arc::new(Teams {
+            header: Header {
+                fleet: FleetId::new("f").unwrap(),
+                revision: Revision::default(),
+                oldest: None,
+                newest: None,
+                stages: vec![],
+            },
+            embedding: Revision::default(),
+            requested: 1,
+            teams: vec![Team { id: TeamId::numbered(1), members, leader, centroid: vec![] }],
+            unassigned: unassigned.iter().map(|name| robot(name)).collect(),
+            stale: vec![],
+            inertia: 0.0,
+            changes: vec![],
+            next_team: 2,
+        })
+    }
+
+    fn count(selector: &str, teams: &Arc<Teams>) -> usize {
+        let space = KeySpace::new(FleetId::new("f").unwrap());
+        let request = Request::new(format!("muster/v1/f/{selector}"), "", None).unwrap();
+        answer_teams(&space, &request, teams).unwrap().len()
+    }
+
+    #[test]
+    fn a_get_selects_what_it_names() {
+        let teams = division(3, &["0", "x"]);
+        let expected = [
+            ("teams", 1),
+            ("json/teams", 1),
+            ("embedding", 0),
+            ("robot/x/team", 1),
+            ("robot/r00001/team", 1),
+            ("robot/nobody/team", 0),
+            ("robot/*/team", 5),
+            ("robot/r$*/team", 3),
+            ("robot/$*0/team", 2),
+            ("robot/x/**", 1),
+            ("*", 1),
+            ("**", 6),
+        ];
+        for (selector, many) in expected {
+            assert_eq!(count(selector, &teams), many, "{selector}");
+        }
+    }
+
+    #[test]
+    fn large_teams_name_nobody_and_so_fit_one_answer() {
+        assert_eq!(count("robot/*/team", &division(3000, &[])), 3000);
+    }
+}
