@@ -17,7 +17,6 @@ use muster_model::roster::Roster;
 use muster_model::settings::AuditorSettings;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
-use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::alert::Alert;
@@ -450,11 +449,7 @@ impl Core for Auditor {
     const SERVICE: ServiceName = ServiceName::Auditor;
 
     fn wiring() -> Wiring {
-        let subscription = |key, delivery| Subscription {
-            pattern: Pattern::One(key),
-            delivery,
-            max_payload: MAX_SERVICE_PAYLOAD,
-        };
+        let subscription = |key, delivery| Subscription { pattern: Pattern::One(key), delivery };
         Wiring {
             subscriptions: vec![
                 subscription(Key::Teams, Delivery::Latest),

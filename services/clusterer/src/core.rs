@@ -15,7 +15,6 @@ use muster_model::roster::{Presence, Roster};
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::Teams;
 use muster_model::time::{Tick, seconds};
-use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::division::{Job, Outcome, divide, same_data};
@@ -459,11 +458,8 @@ impl Core for Clusterer {
     const SERVICE: ServiceName = ServiceName::Clusterer;
 
     fn wiring() -> Wiring {
-        let subscription = |key| Subscription {
-            pattern: Pattern::One(key),
-            delivery: Delivery::Latest,
-            max_payload: MAX_SERVICE_PAYLOAD,
-        };
+        let subscription =
+            |key| Subscription { pattern: Pattern::One(key), delivery: Delivery::Latest };
         Wiring {
             subscriptions: [Key::Embedding, Key::Roster, Key::Audit].map(subscription).to_vec(),
             tokens: vec![],

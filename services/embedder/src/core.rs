@@ -13,7 +13,6 @@ use muster_model::graph::GraphError;
 use muster_model::id::ServiceName;
 use muster_model::settings::{Dimension, EmbedderSettings};
 use muster_model::time::Tick;
-use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::message::quoted;
 use muster_wire::{Key, Message, Pattern, Request};
 
@@ -28,9 +27,6 @@ const HEARTBEAT: Duration = Duration::from_secs(1);
 
 /// Packets of one graph that wait for the core: some seconds of deltas.
 const GRAPH_QUEUE: usize = 64;
-
-/// Largest settings of another service in bytes.
-const MAX_SETTINGS_PAYLOAD: usize = 64 * 1024;
 
 /// The service that turns graphs into an embedding.
 #[derive(Debug)]
@@ -57,14 +53,13 @@ impl Core for Embedder {
     const SERVICE: ServiceName = ServiceName::Embedder;
 
     fn wiring() -> Wiring {
-        let subscription =
-            |pattern, delivery, max_payload| Subscription { pattern, delivery, max_payload };
+        let subscription = |pattern, delivery| Subscription { pattern, delivery };
         let settings = Pattern::One(Key::Settings(ServiceName::Clusterer));
         Wiring {
             subscriptions: vec![
-                subscription(Pattern::Graphs, Delivery::Queue(GRAPH_QUEUE), MAX_SERVICE_PAYLOAD),
-                subscription(Pattern::One(Key::Roster), Delivery::Latest, MAX_SERVICE_PAYLOAD),
-                subscription(settings, Delivery::Latest, MAX_SETTINGS_PAYLOAD),
+                subscription(Pattern::Graphs, Delivery::Queue(GRAPH_QUEUE)),
+                subscription(Pattern::One(Key::Roster), Delivery::Latest),
+                subscription(settings, Delivery::Latest),
             ],
             tokens: Vec::new(),
             served: vec![

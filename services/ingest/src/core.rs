@@ -8,7 +8,6 @@ use muster_machine::{
 };
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{RobotId, ServiceName};
-use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::settings::IngestSettings;
 use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern, Request};
@@ -260,11 +259,7 @@ impl Core for Ingest {
 
     fn wiring() -> Wiring {
         let streams = [Pattern::Poses, Pattern::Links, Pattern::Ranks, Pattern::Relations];
-        let subscription = |pattern| Subscription {
-            pattern,
-            delivery: Delivery::Latest,
-            max_payload: MAX_ROBOT_PAYLOAD,
-        };
+        let subscription = |pattern| Subscription { pattern, delivery: Delivery::Latest };
         Wiring {
             subscriptions: streams.map(subscription).into(),
             tokens: vec![Pattern::RobotTokens],

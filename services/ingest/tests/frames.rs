@@ -11,7 +11,6 @@ use muster_ingest::Ingest;
 use muster_machine::{Core, Delivery, Event, START_FETCH};
 use muster_model::graph::{GraphDelta, GraphReplica};
 use muster_model::id::ServiceName;
-use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Pose;
 use muster_model::settings::IngestSettings;
 use muster_wire::{Key, Message, Pattern};
@@ -34,7 +33,6 @@ fn the_wiring_takes_every_stream_and_serves_every_output() {
     assert_eq!(patterns, [Pattern::Poses, Pattern::Links, Pattern::Ranks, Pattern::Relations]);
     for subscription in wiring.subscriptions {
         assert_eq!(subscription.delivery, Delivery::Latest);
-        assert_eq!(subscription.max_payload, MAX_ROBOT_PAYLOAD);
     }
     assert_eq!(wiring.tokens, [Pattern::RobotTokens]);
     assert_eq!(wiring.served, [(Pattern::Graphs, true), (Pattern::One(Key::Roster), true)]);

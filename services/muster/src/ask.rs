@@ -9,7 +9,6 @@ use muster_runtime::bus::{Answer, Ask, Bus, Patience};
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 use muster_runtime::inbox::Inbox;
-use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::message::quoted;
 use muster_wire::{Key, Message, Pattern};
 
@@ -32,13 +31,8 @@ pub(crate) async fn open(config: &ProcessConfig) -> anyhow::Result<Bus> {
 /// # Errors
 /// If the session is closed.
 pub(crate) async fn messages(bus: &Bus, pattern: &Pattern) -> anyhow::Result<Vec<Message>> {
-    let ask = Ask {
-        parameters: "format=bincode",
-        payload: None,
-        within: ANSWER_WITHIN,
-        everybody: true,
-        max_payload: MAX_SERVICE_PAYLOAD,
-    };
+    let ask =
+        Ask { parameters: "format=bincode", payload: None, within: ANSWER_WITHIN, everybody: true };
     let mut messages = Vec::new();
     for answer in bus.get(pattern, ask).await? {
         match answer {
@@ -80,11 +74,8 @@ pub(crate) async fn newest(bus: &Bus, key: Key) -> anyhow::Result<Message> {
 /// If the session is closed.
 pub(crate) async fn follow(bus: &Bus, key: Key) -> anyhow::Result<Follow> {
     let inbox = Arc::new(Inbox::default());
-    let subscription = Subscription {
-        pattern: Pattern::One(key.clone()),
-        delivery: Delivery::Latest,
-        max_payload: MAX_SERVICE_PAYLOAD,
-    };
+    let subscription =
+        Subscription { pattern: Pattern::One(key.clone()), delivery: Delivery::Latest };
     bus.subscribe(&subscription, &inbox).await?;
     let first = messages(bus, &Pattern::One(key)).await?.into_iter().max_by_key(revision);
     Ok(Follow { bus: bus.clone(), inbox, first, seen: Revision::default() })

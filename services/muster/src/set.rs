@@ -11,9 +11,6 @@ use serde_json::Value;
 
 use crate::ask;
 
-/// Largest answer that is read.
-const MAX_SETTINGS: usize = 1024 * 1024;
-
 /// Arguments of `muster set`.
 #[derive(Debug, clap::Args)]
 #[command(
@@ -51,7 +48,6 @@ pub(crate) async fn run(args: &SetArgs, config: &ProcessConfig) -> anyhow::Resul
         payload: patch.as_deref(),
         within: ask::ANSWER_WITHIN,
         everybody: false,
-        max_payload: MAX_SETTINGS,
     };
     let answers = bus.get(&Pattern::One(Key::Settings(args.service)), ask).await;
     bus.close().await;

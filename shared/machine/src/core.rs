@@ -144,8 +144,6 @@ pub struct Subscription {
     pub pattern: Pattern,
     /// How packets wait.
     pub delivery: Delivery,
-    /// Larger payloads are cut off before they are stored.
-    pub max_payload: usize,
 }
 
 /// Which keys come in, and which are served.

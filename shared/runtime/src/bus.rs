@@ -8,6 +8,7 @@ use anyhow::Context;
 use muster_machine::{Delivery, Subscription};
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::{Key, KeySpace, Outbound, Packet, Pattern, Source};
+use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, watch};
 use zenoh::Wait;
 use zenoh::config::{EndPoint, WhatAmI};
@@ -324,7 +325,7 @@ impl Bus {
     ) -> anyhow::Result<()> {
         let text = self.space.pattern(&subscription.pattern);
         let inbox = Arc::clone(inbox);
-        let (delivery, limit) = (subscription.delivery, subscription.max_payload);
+        let (delivery, limit) = (subscription.delivery, subscription.pattern.payload_limit());
         self.session
             .declare_subscriber(text.as_str())
             .callback(move |sample| inbox.push(packet(&sample, limit), delivery))
@@ -391,7 +392,10 @@ impl Bus {
                     .payload_mut()
                     .map(std::mem::take)
                     .map(|bytes| bytes.to_bytes().into_owned());
-                if queries.try_send(Asked { query, narrowed, payload }).is_err() {
+                // A service that has stopped answers nothing, and need not say so.
+                if let Err(TrySendError::Full(_)) =
+                    queries.try_send(Asked { query, narrowed, payload })
+                {
                     tracing::warn!("a get is dropped: too many wait");
                 }
             })
@@ -413,7 +417,7 @@ impl Bus {
         let session = self.session.clone();
         let (sender, mut receiver) = mpsc::channel(MAX_ANSWERS);
         let payload = ask.payload.map(<[u8]>::to_vec);
-        let (within, max_payload) = (ask.within, ask.max_payload);
+        let (within, limit) = (ask.within, pattern.payload_limit());
         // Asking may wait for a busy link, on the thread that asks. The answers come by a callback
         // into a bounded channel: a handler that is not drained would stall the link.
         let asking = tokio::task::spawn_blocking(move || {
@@ -428,7 +432,7 @@ impl Bus {
             }
             let asked = get.callback(move |reply| {
                 let answer = match reply.into_result() {
-                    Ok(sample) => Answer::Packet(packet(&sample, max_payload)),
+                    Ok(sample) => Answer::Packet(packet(&sample, limit)),
                     Err(error) => Answer::Error(error_text(error.payload())),
                 };
                 let _ = sender.try_send(answer);
@@ -470,8 +474,6 @@ pub struct Ask<'a> {
     pub within: Duration,
     /// Whether everybody who serves the pattern is asked, or only who serves it completely.
     pub everybody: bool,
-    /// Larger answers are cut off.
-    pub max_payload: usize,
 }
 
 fn error_text(payload: &zenoh::bytes::ZBytes) -> String {

@@ -13,7 +13,6 @@ use std::time::Duration;
 use muster_machine::{Command, Core, Driver, Event, QueryId, Start};
 use muster_model::id::InstanceId;
 use muster_model::time::Tick;
-use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::{Key, Message, Outbound, Pattern, Request};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
@@ -305,13 +304,8 @@ impl<C: Core> Shell<C> {
 }
 
 async fn fetch_one<C: Core>(bus: &Bus, pattern: &Pattern) -> Vec<Message> {
-    let ask = Ask {
-        parameters: "format=bincode",
-        payload: None,
-        within: FETCH_WITHIN,
-        everybody: true,
-        max_payload: MAX_SERVICE_PAYLOAD,
-    };
+    let ask =
+        Ask { parameters: "format=bincode", payload: None, within: FETCH_WITHIN, everybody: true };
     let answers = match bus.get(pattern, ask).await {
         Ok(answers) => answers,
         Err(error) => {

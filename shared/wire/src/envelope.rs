@@ -30,8 +30,8 @@ const HEAD: usize = 3;
 /// Largest message between services in bytes: a graph of 100,000 robots with 30 edges each.
 pub const MAX_SERVICE_PAYLOAD: usize = 64 * 1024 * 1024;
 
-/// Largest event in bytes: an event is a few names and one reason.
-const MAX_EVENT_PAYLOAD: usize = 64 * 1024;
+/// Largest event, settings or status in bytes: a few names, numbers and one reason.
+pub const MAX_SMALL_PAYLOAD: usize = 64 * 1024;
 
 /// Why bytes are not the message that they should be.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -121,8 +121,8 @@ kinds! {
     8 Teams, "Teams", MAX_SERVICE_PAYLOAD;
     9 RobotTeam, "RobotTeam", MAX_SERVICE_PAYLOAD;
     10 Audit, "Audit", MAX_SERVICE_PAYLOAD;
-    11 Event, "Event", MAX_EVENT_PAYLOAD;
-    12 AnnouncedSettings, "Settings", MAX_EVENT_PAYLOAD;
+    11 Event, "Event", MAX_SMALL_PAYLOAD;
+    12 AnnouncedSettings, "Settings", MAX_SMALL_PAYLOAD;
 }
 
 /// Writes a message.

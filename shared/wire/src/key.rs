@@ -7,6 +7,9 @@
 use std::fmt;
 
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
+use muster_model::limits::MAX_ROBOT_PAYLOAD;
+
+use crate::envelope::{MAX_SERVICE_PAYLOAD, MAX_SMALL_PAYLOAD};
 
 /// What stands before the fleet in every key.
 const ROOT: &str = "muster/v1";
@@ -191,7 +194,36 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
     })
 }
 
+impl Pattern {
+    /// Most bytes that may stand on any of the keys.
+    #[must_use]
+    pub const fn payload_limit(&self) -> usize {
+        match self {
+            Self::Poses | Self::Links | Self::Ranks | Self::Relations => MAX_ROBOT_PAYLOAD,
+            Self::Statuses => MAX_SMALL_PAYLOAD,
+            Self::RobotTokens | Self::ServiceTokens => 0,
+            Self::RobotTeams | Self::Graphs => MAX_SERVICE_PAYLOAD,
+            Self::One(key) => key.payload_limit(),
+        }
+    }
+}
+
 impl Key {
+    /// Most bytes that may stand on the key.
+    #[must_use]
+    pub const fn payload_limit(&self) -> usize {
+        match self {
+            Self::Pose(_) | Self::Links(_) | Self::Rank(_) | Self::Relation(..) => {
+                MAX_ROBOT_PAYLOAD
+            }
+            Self::Event | Self::JsonEvent | Self::Settings(_) | Self::Status(_) => {
+                MAX_SMALL_PAYLOAD
+            }
+            Self::RobotToken(_) | Self::ServiceToken(..) => 0,
+            _ => MAX_SERVICE_PAYLOAD,
+        }
+    }
+
     /// The robot whose key this is.
     #[must_use]
     pub fn robot(&self) -> Option<&RobotId> {

@@ -8,7 +8,7 @@ use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::id::{Modality, RobotId};
-use muster_model::limits::{MAX_REVISION, MAX_ROBOT_PAYLOAD};
+use muster_model::limits::MAX_REVISION;
 use muster_model::observation::{Links, Observation, Pose, Rank, Relation};
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
@@ -151,17 +151,6 @@ impl Rejection {
     }
 }
 
-/// The larger limit of what may stand on a key, by who may put there.
-#[must_use]
-pub const fn payload_limit(key: &Key) -> usize {
-    match key {
-        Key::Pose(_) | Key::Links(_) | Key::Rank(_) | Key::Relation(..) | Key::RobotToken(_) => {
-            MAX_ROBOT_PAYLOAD
-        }
-        _ => envelope::MAX_SERVICE_PAYLOAD,
-    }
-}
-
 fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
     serde_json::from_slice(bytes)
         .map_err(|error| format!("this is not the JSON it should be: {error}"))
@@ -221,9 +210,9 @@ impl Message {
             };
         }
         let bytes = match &packet.payload {
-            Ok(bytes) if bytes.len() <= payload_limit(&key) => bytes.as_slice(),
-            Ok(bytes) => return Err(too_large(bytes.len(), payload_limit(&key))),
-            Err(size) => return Err(too_large(*size, payload_limit(&key))),
+            Ok(bytes) if bytes.len() <= key.payload_limit() => bytes.as_slice(),
+            Ok(bytes) => return Err(too_large(bytes.len(), key.payload_limit())),
+            Err(size) => return Err(too_large(*size, key.payload_limit())),
         };
         let format = format_of(&packet.encoding).ok_or_else(|| {
             format!(

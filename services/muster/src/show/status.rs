@@ -18,9 +18,6 @@ use crate::ask;
 /// How often `--watch` looks.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// Largest status that is read.
-const MAX_STATUS: usize = 1024 * 1024;
-
 /// What is known of a fleet at one look.
 struct Look {
     services: Vec<ServiceStatus>,
@@ -54,7 +51,6 @@ async fn look(bus: &Bus) -> anyhow::Result<Look> {
         payload: None,
         within: ask::ANSWER_WITHIN,
         everybody: true,
-        max_payload: MAX_STATUS,
     };
     let (statuses, running, robots, rosters) = tokio::try_join!(
         bus.get(&Pattern::Statuses, ask),
