@@ -71,9 +71,10 @@ fn nobody_home_is_told_with_a_remedy_and_code_3() {
         assert!(err.contains("muster status"), "{command:?}: {err}");
     }
     let arguments = ["status", "--connect", &endpoint];
-    let (code, out, _) = run("muster", &arguments, SOON).unwrap();
-    assert_eq!(code, Some(0));
+    let (code, out, err) = run("muster", &arguments, SOON).unwrap();
+    assert_eq!(code, Some(3));
     assert!(out.contains("muster up ingest"), "{out}");
+    assert!(err.contains("--fleet"), "{err}");
     let taken = ["router", "--listen", &endpoint];
     let (code, _, err) = run("muster", &taken, SOON).unwrap();
     assert_eq!(code, Some(3));

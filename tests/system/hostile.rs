@@ -194,3 +194,71 @@ async fn a_replayed_pose_or_one_of_another_frame_moves_nobody() {
         .collect();
     assert!(!reasons.is_empty());
 }
+
+/// A message of the wire's golden bytes: well-formed, of this fleet, and of a term to come.
+fn forged(name: &str) -> Vec<u8> {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/wire/tests/golden");
+    let hex = std::fs::read_to_string(format!("{folder}/{name}.hex")).unwrap();
+    let digits: Vec<u8> = hex
+        .chars()
+        .filter_map(|digit| digit.to_digit(16))
+        .map(|d| u8::try_from(d).unwrap())
+        .collect();
+    digits.chunks(2).map(|pair| pair[0] * 16 + pair[1]).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_forged_message_of_a_later_term_does_not_last() {
+    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let _robots = cluster.robots(&SCENARIO).unwrap();
+    let client = cluster.client().await.unwrap();
+    let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
+    let watch = client.watch("json/teams").await.unwrap();
+    for name in ["roster", "embedding", "teams", "audit", "graph"] {
+        let key = if name == "graph" { "graph/hierarchy" } else { name };
+        client.put_bytes(key, forged(name), BINARY).await.unwrap();
+        // Long enough for it to do what harm it can.
+        tokio::time::sleep(Duration::from_millis(500)).await;
+        watch.clear();
+        let right = |value: &Value| {
+            division(value) == wanted && value["data_age_s"].as_f64().is_some_and(|age| age < 1.0)
+        };
+        watch
+            .until("the right teams from fresh data", Duration::from_secs(15), right)
+            .await
+            .unwrap();
+        eprintln!("{name}: repaired");
+    }
+    tokio::time::sleep(Duration::from_secs(7)).await;
+    watch.clear();
+    let right = |value: &Value| division(value) == wanted;
+    watch.until("the right teams", Duration::from_secs(5), right).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn garbage_right_behind_a_good_message_does_not_displace_it() {
+    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let client = cluster.client().await.unwrap();
+    // What is put once before anybody listens is heard by nobody.
+    let start = std::time::Instant::now();
+    while client.get_one("service/ingest/status").await.is_err() {
+        assert!(start.elapsed() < Duration::from_secs(10));
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    for robot in 1..=20 {
+        let key = format!("robot/r{robot}/rank");
+        client.put(&key, &json!({"superior": "r0"})).await.unwrap();
+        client.put_bytes(&key, b"garbage".to_vec(), "application/json").await.unwrap();
+    }
+    client.put("robot/r0/pose", &json!({"x": 0.0, "y": 0.0})).await.unwrap();
+    let start = std::time::Instant::now();
+    loop {
+        let graph = client.get_one("graph/hierarchy?format=json").await.unwrap_or_default();
+        let edges = graph["edges"].as_array().map_or(0, Vec::len);
+        if edges == 20 {
+            break;
+        }
+        assert!(start.elapsed() < Duration::from_secs(8), "{edges} of 20 ranks");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}

@@ -136,6 +136,34 @@ async fn a_router_that_dies_costs_nobody_a_team() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_base_station_that_reboots_costs_nobody_a_team() {
+    for service in ["ingest", "clusterer"] {
+        let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
+        let _robots = cluster.robots(&SCENARIO).unwrap();
+        let client = cluster.client().await.unwrap();
+        let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        cluster.kill_router().unwrap();
+        cluster.service(service).unwrap().kill().unwrap();
+        tokio::time::sleep(Duration::from_secs(3)).await;
+        cluster.restart_router().unwrap();
+        cluster.start_service(service).unwrap();
+        let fresh = cluster.client().await.unwrap();
+        let teams = fresh.watch("json/teams").await.unwrap();
+        let since = now();
+        teams
+            .until("teams from fresh data", Duration::from_secs(15), |value| {
+                ["ingest", "embedder", "clusterer"].iter().all(|name| stage(value, name) > since)
+            })
+            .await
+            .unwrap();
+        for (_, value) in teams.all() {
+            assert_eq!(division(&value), wanted, "router and {service}");
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn services_wait_for_their_router_and_say_so() {
     let folder = tempfile::tempdir().unwrap();
     let endpoint = muster_tests::cluster::free_endpoint().unwrap();

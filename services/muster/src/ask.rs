@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_machine::{Delivery, Subscription};
+use muster_machine::Delivery;
 use muster_model::header::Revision;
 use muster_runtime::bus::{Answer, Ask, Bus, Patience};
 use muster_runtime::config::ProcessConfig;
@@ -74,18 +74,23 @@ pub(crate) async fn newest(bus: &Bus, key: Key) -> anyhow::Result<Message> {
 /// If the session is closed.
 pub(crate) async fn follow(bus: &Bus, key: Key) -> anyhow::Result<Follow> {
     let inbox = Arc::new(Inbox::default());
-    let subscription =
-        Subscription { pattern: Pattern::One(key.clone()), delivery: Delivery::Latest };
-    bus.subscribe(&subscription, &inbox).await?;
+    let (space, taking) = (bus.space().clone(), Arc::clone(&inbox));
+    bus.subscribe(&Pattern::One(key.clone()), move |packet| {
+        // What is refused is left to the services to tell of.
+        if let Ok(message) = Message::decode(&space, &packet) {
+            let size = packet.payload.as_ref().map_or(0, Vec::len);
+            taking.push(packet.key, message, size, Delivery::Latest);
+        }
+    })
+    .await?;
     let first = messages(bus, &Pattern::One(key)).await?.into_iter().max_by_key(revision);
-    Ok(Follow { bus: bus.clone(), inbox, first, seen: Revision::default() })
+    Ok(Follow { inbox, first, seen: Revision::default() })
 }
 
 /// The messages of one key.
 #[derive(Debug)]
 pub(crate) struct Follow {
-    bus: Bus,
-    inbox: Arc<Inbox>,
+    inbox: Arc<Inbox<Message>>,
     first: Option<Message>,
     seen: Revision,
 }
@@ -98,10 +103,8 @@ impl Follow {
             return first;
         }
         loop {
-            while let Some(packet) = self.inbox.pop() {
-                if let Ok(message) = Message::decode(self.bus.space(), &packet)
-                    && revision(&message) > self.seen
-                {
+            while let Some(message) = self.inbox.pop() {
+                if revision(&message) > self.seen {
                     self.seen = revision(&message);
                     return message;
                 }

@@ -10,12 +10,16 @@ use muster_model::teams::Teams;
 use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::{DEFAULT_ENDPOINT, Origin, ProcessConfig, Sourced};
+use muster_runtime::exit::ExitError;
 use muster_runtime::stop::Stop;
 use muster_scenario::{FleetOptions, ScenarioKind};
 use muster_wire::{Format, Key, Message};
 
 use crate::fleet::{FleetOnBus, Speech};
 use crate::{ask, show, up};
+
+/// Most robots of a demo: their simulation shares the processors with everything else.
+const MAX_ROBOTS: usize = 2000;
 
 /// Arguments of `muster demo`.
 #[derive(Debug, clap::Args)]
@@ -52,6 +56,12 @@ pub(crate) async fn run(
     mut config: ProcessConfig,
     stop: Stop,
 ) -> anyhow::Result<()> {
+    if args.robots > MAX_ROBOTS {
+        return Err(ExitError::usage(format!(
+            "--robots: at most {MAX_ROBOTS} in one process; `muster robot` spreads more over several"
+        ))
+        .into());
+    }
     let fleet = crate::robot::simulate(ScenarioKind::Crossing, &options(args))?;
     let seconds = crate::robot::check_seconds(args.seconds)?;
     config.set(ServiceName::Clusterer, &[format!("teams={}", args.teams)])?;

@@ -1,11 +1,9 @@
 //! The bus: a Zenoh session with the keys of one fleet. Nothing outside of this crate knows Zenoh.
 
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
-use muster_machine::{Delivery, Subscription};
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::{Key, KeySpace, Outbound, Packet, Pattern, Source};
 use tokio::sync::mpsc::error::TrySendError;
@@ -18,14 +16,13 @@ use zenoh::sample::{Locality, Sample, SampleKind};
 
 use crate::config::{Mode, Origin, ProcessConfig};
 use crate::exit::ExitError;
-use crate::inbox::Inbox;
 
 /// How long a silent link counts as alive. Zenoh's own default of 10 s would leave a lost robot
 /// unnoticed for as long.
 const LEASE_MS: u64 = 2000;
 
 /// How soon a lost router is tried again, at first and at most.
-const RETRY_MS: (u64, u64) = (100, 1000);
+const RETRY_MS: (u64, u64) = (100, 500);
 
 /// How long a message may wait for a busy link before it is dropped: long enough for a snapshot of
 /// some megabytes to leave, short enough that newer data is not far behind.
@@ -314,37 +311,37 @@ impl Bus {
         Ok(keys)
     }
 
-    /// Lets messages of a subscription into an inbox, for as long as the session lives.
+    /// Hands every packet of a pattern to a function, for as long as the session lives. The function
+    /// is called on threads of the bus and must not wait. Larger payloads than the keys may have are
+    /// cut off.
     ///
     /// # Errors
     /// If the session is closed.
     pub async fn subscribe(
         &self,
-        subscription: &Subscription,
-        inbox: &Arc<Inbox>,
+        pattern: &Pattern,
+        take: impl Fn(Packet) + Send + Sync + 'static,
     ) -> anyhow::Result<()> {
-        let text = self.space.pattern(&subscription.pattern);
-        let inbox = Arc::clone(inbox);
-        let (delivery, limit) = (subscription.delivery, subscription.pattern.payload_limit());
+        let text = self.space.pattern(pattern);
+        let limit = pattern.payload_limit();
         self.session
             .declare_subscriber(text.as_str())
-            .callback(move |sample| inbox.push(packet(&sample, limit), delivery))
+            .callback(move |sample| take(packet(&sample, limit)))
             .background()
             .await
             .map_err(|error| anyhow::anyhow!("cannot subscribe to {text}: {error}"))
     }
 
-    /// Lets liveliness tokens into an inbox, those that are there already as well.
+    /// Hands liveliness tokens to a function, those that are there already as well.
     ///
     /// # Errors
     /// If the session is closed.
     pub async fn subscribe_tokens(
         &self,
         pattern: &Pattern,
-        inbox: &Arc<Inbox>,
+        take: impl Fn(Packet) + Send + Sync + 'static,
     ) -> anyhow::Result<()> {
         let text = self.space.pattern(pattern);
-        let inbox = Arc::clone(inbox);
         self.session
             .liveliness()
             .declare_subscriber(text.as_str())
@@ -354,7 +351,7 @@ impl Bus {
                     SampleKind::Put => Source::TokenAlive,
                     SampleKind::Delete => Source::TokenGone,
                 };
-                inbox.push(Packet { source, ..packet(&sample, 0) }, Delivery::Latest);
+                take(Packet { source, ..packet(&sample, 0) });
             })
             .background()
             .await

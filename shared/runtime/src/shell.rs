@@ -10,10 +10,10 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_machine::{Command, Core, Driver, Event, QueryId, Start};
+use muster_machine::{Command, Core, Delivery, Driver, Event, QueryId, START_FETCH, Start};
 use muster_model::id::InstanceId;
 use muster_model::time::Tick;
-use muster_wire::{Key, Message, Outbound, Pattern, Request};
+use muster_wire::{Key, KeySpace, Message, Outbound, Packet, Pattern, Rejection, Request};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
@@ -29,6 +29,14 @@ use crate::store::Store;
 
 /// How long a fetch waits for answers: a service that hangs must not hold up one that starts.
 const FETCH_WITHIN: Duration = Duration::from_secs(1);
+
+/// How long a service that starts goes on asking where nobody answers: after a failure of the router
+/// those who know its last output need a moment to find back, and who begins without them begins
+/// from nothing. Twice the slowest reconnection, and some.
+const START_PATIENCE: Duration = Duration::from_secs(2);
+
+/// How soon it asks again.
+const START_AGAIN: Duration = Duration::from_millis(200);
 
 /// Most gets that wait for the core.
 const MAX_QUERIES: usize = 256;
@@ -152,9 +160,31 @@ pub async fn run<C: Core>(
     Ok(())
 }
 
+/// What waits for the core.
+type Arrival = Result<Message, Rejection>;
+
+/// Understands packets as they come, on the thread that the bus calls back on. What is refused waits
+/// in a place of its own: it must not take that of a good message of the same key.
+fn take_in<C: Core>(
+    space: &KeySpace,
+    inbox: &Arc<Inbox<Arrival>>,
+) -> impl Fn(Packet, Delivery) + Send + Sync + 'static {
+    let (space, inbox) = (space.clone(), Arc::clone(inbox));
+    move |packet, delivery| {
+        let size = packet.key.len() + packet.payload.as_ref().map_or(0, Vec::len);
+        match C::understand(&space, &packet) {
+            Ok(message) => inbox.push(packet.key, Ok(message), size, delivery),
+            Err(refused) => {
+                let place = format!("{} refused", refused.key);
+                inbox.push(place, Err(refused), size, Delivery::Latest);
+            }
+        }
+    }
+}
+
 async fn declare<C: Core>(
     bus: &Bus,
-    inbox: &Arc<Inbox>,
+    inbox: &Arc<Inbox<Arrival>>,
     queries: mpsc::Sender<Asked>,
 ) -> anyhow::Result<()> {
     let wiring = C::wiring();
@@ -164,11 +194,13 @@ async fn declare<C: Core>(
     for key in [Key::Settings(C::SERVICE), Key::Status(C::SERVICE)] {
         bus.serve(&Pattern::One(key), true, queries.clone()).await?;
     }
-    for subscription in &wiring.subscriptions {
-        bus.subscribe(subscription, inbox).await?;
+    for subscription in wiring.subscriptions {
+        let (delivery, take) = (subscription.delivery, take_in::<C>(bus.space(), inbox));
+        bus.subscribe(&subscription.pattern, move |packet| take(packet, delivery)).await?;
     }
     for pattern in &wiring.tokens {
-        bus.subscribe_tokens(pattern, inbox).await?;
+        let take = take_in::<C>(bus.space(), inbox);
+        bus.subscribe_tokens(pattern, move |packet| take(packet, Delivery::Latest)).await?;
     }
     Ok(())
 }
@@ -177,7 +209,7 @@ struct Shell<C: Core> {
     driver: Driver<C>,
     bus: Bus,
     clock: Clock,
-    inbox: Arc<Inbox>,
+    inbox: Arc<Inbox<Arrival>>,
     outbox: Outbox,
     errands: Errands,
     ended: mpsc::Sender<Ended<C::Done>>,
@@ -197,8 +229,8 @@ impl<C: Core> Shell<C> {
 
     fn take_packets(&mut self) {
         for _ in 0..BATCH {
-            let Some(packet) = self.inbox.pop() else { return };
-            match C::understand(self.bus.space(), &packet) {
+            let Some(arrival) = self.inbox.pop() else { return };
+            match arrival {
                 Ok(message) => self.step(Event::Received(message)),
                 Err(rejection) => self.step(Event::Rejected(rejection)),
             }
@@ -288,11 +320,21 @@ impl<C: Core> Shell<C> {
 
     fn fetch(&self, fetch: u32, patterns: Vec<Pattern>) {
         let (bus, ended) = (self.bus.clone(), self.ended.clone());
+        let patience = if fetch == START_FETCH { START_PATIENCE } else { Duration::ZERO };
+        let until = Instant::now() + patience;
         tokio::spawn(async move {
             let mut asked = JoinSet::new();
             for pattern in patterns {
                 let bus = bus.clone();
-                asked.spawn(async move { fetch_one::<C>(&bus, &pattern).await });
+                asked.spawn(async move {
+                    loop {
+                        let answers = fetch_one::<C>(&bus, &pattern).await;
+                        if !answers.is_empty() || Instant::now() >= until {
+                            return answers;
+                        }
+                        tokio::time::sleep(START_AGAIN).await;
+                    }
+                });
             }
             let mut messages = Vec::new();
             while let Some(answered) = asked.join_next().await {

@@ -143,9 +143,14 @@ fn ask(payload: Option<&[u8]>) -> Ask<'_> {
 async fn a_panic_in_a_job_becomes_an_event_and_the_service_goes_on() {
     let (_router, client) = bus().await;
     let watcher = Bus::open(&client, Patience::Forever).await.unwrap();
-    let inbox = Arc::new(Inbox::default());
-    let events = Subscription { pattern: Pattern::One(Key::Event), delivery: Delivery::Queue(64) };
-    watcher.subscribe(&events, &inbox).await.unwrap();
+    let inbox = Arc::new(Inbox::<muster_model::event::Event>::default());
+    let (space, events) = (watcher.space().clone(), Arc::clone(&inbox));
+    let take = move |packet: muster_wire::Packet| {
+        if let Ok(Message::Event(event)) = Message::decode(&space, &packet) {
+            events.push(packet.key, event, 1, Delivery::Queue(64));
+        }
+    };
+    watcher.subscribe(&Pattern::One(Key::Event), take).await.unwrap();
     let (stopper, stop) = stop::channel();
     let bus = Bus::open(&client, Patience::Forever).await.unwrap();
     let store = Store::new(None, watcher.space().fleet(), ServiceName::Clusterer);
@@ -155,10 +160,8 @@ async fn a_panic_in_a_job_becomes_an_event_and_the_service_goes_on() {
     while reasons.len() < 2 {
         assert!(start.elapsed() < Duration::from_secs(10), "{reasons:?}");
         let _ = tokio::time::timeout(Duration::from_millis(100), inbox.arrived()).await;
-        while let Some(packet) = inbox.pop() {
-            if let Ok(Message::Event(event)) = Message::decode(watcher.space(), &packet)
-                && let EventKind::JobFailed { reason } = event.kind
-            {
+        while let Some(event) = inbox.pop() {
+            if let EventKind::JobFailed { reason } = event.kind {
                 reasons.push(reason);
             }
         }

@@ -9,6 +9,7 @@ use muster_model::status::ServiceStatus;
 use muster_runtime::bus::{Answer, Ask, Bus};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
+use muster_runtime::exit::ExitError;
 use muster_wire::{Key, Message, Pattern};
 use serde_json::json;
 
@@ -37,6 +38,11 @@ pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Resu
         let look = look(&bus).await?;
         print(&look, config, args.json, &clock)?;
         if !args.watch {
+            if look.services.is_empty() && look.tokens == 0 {
+                let fleet = &config.fleet.value;
+                let problem = format!("nobody answers for fleet {fleet}; is --fleet right?");
+                return Err(ExitError::unreachable(problem).into());
+            }
             break;
         }
         tokio::time::sleep(LOOK_EVERY).await;
