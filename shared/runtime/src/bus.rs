@@ -1,35 +1,20 @@
 //! The bus: a Zenoh session with the keys of one fleet. Nothing outside of this crate knows Zenoh.
 
-use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context;
-use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use muster_wire::{Key, KeySpace, Outbound, Packet, Pattern, Source};
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, watch};
 use zenoh::Wait;
-use zenoh::config::{EndPoint, WhatAmI};
+use zenoh::config::WhatAmI;
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
-use crate::config::{Mode, Origin, ProcessConfig};
+use crate::config::{Mode, ProcessConfig};
 use crate::exit::ExitError;
-
-/// How long a silent link counts as alive. Zenoh's own default of 10 s would leave a lost robot
-/// unnoticed for as long.
-const LEASE_MS: u64 = 2000;
-
-/// How soon a lost router is tried again, at first and at most.
-const RETRY_MS: (u64, u64) = (100, 500);
-
-/// How long a message may wait for a busy link before it is dropped: long enough for a snapshot of
-/// some megabytes to leave, short enough that newer data is not far behind.
-const WAIT_BEFORE_DROP_US: u64 = 100_000;
-
-/// The same for the fragments of one large message.
-const WAIT_FOR_FRAGMENTS_US: u64 = 1_000_000;
+use crate::zenoh_config::zenoh_config;
 
 /// Most answers to one get, or tokens, that are kept.
 const MAX_ANSWERS: usize = 16_384;
@@ -40,9 +25,6 @@ const MAX_ANSWER_BYTES: usize = 512 * 1024 * 1024;
 /// Largest payload of a get that is looked at: more than any patch of settings.
 const MAX_QUERY_PAYLOAD: usize = 256 * 1024;
 
-/// Largest message that is put together from fragments: the largest between services, and its head.
-const MAX_MESSAGE: usize = MAX_SERVICE_PAYLOAD + 64 * 1024;
-
 /// Most bytes of an error that are read.
 const MAX_ERROR: usize = 4096;
 
@@ -52,30 +34,6 @@ const CLOSE_WITHIN: Duration = Duration::from_secs(1);
 /// When waiting for a router is first told of.
 const TELL_WAITING_AFTER: Duration = Duration::from_secs(1);
 
-/// Checks the form of an endpoint.
-///
-/// # Errors
-/// Says what an endpoint looks like.
-pub fn check_endpoint(text: &str) -> Result<(), String> {
-    let wrong = |problem: &str| {
-        let text = muster_wire::message::quoted(text);
-        Err(format!("{text:?} {problem}; write one like tcp/192.168.1.10:7447"))
-    };
-    let Ok(endpoint) = text.parse::<EndPoint>() else { return wrong("is no endpoint") };
-    match endpoint.protocol().as_str() {
-        "unixsock-stream" => Ok(()),
-        "tcp" | "tls" => {
-            let port =
-                endpoint.address().as_str().rsplit_once(':').map(|(_, port)| port.to_owned());
-            match port.map(|port| port.parse::<u16>()) {
-                Some(Ok(_)) => Ok(()),
-                _ => wrong("names no port"),
-            }
-        }
-        _ => wrong("is of no protocol that is built in (tcp, tls, unixsock-stream)"),
-    }
-}
-
 /// How long opening the bus may wait for a router.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Patience {
@@ -83,76 +41,6 @@ pub enum Patience {
     Forever,
     /// Only so long: what a command at a console does.
     AtMost(Duration),
-}
-
-/// Zenoh's configuration for a process: its own defaults, then ours, then the user's file, then what
-/// a flag, variable or file of ours says about mode and endpoints.
-fn zenoh_config(config: &ProcessConfig) -> anyhow::Result<zenoh::Config> {
-    let plain = zenoh::Config::default();
-    let mut zenoh = match &config.zenoh_config.value {
-        Some(path) => read_zenoh_config(path)?,
-        None => plain.clone(),
-    };
-    let mut values = built_in_values();
-    let endpoints = |list: &[String]| serde_json::to_string(list);
-    values.push(("mode", serde_json::to_string(&config.mode.value.to_string())?));
-    values.push(("connect/endpoints", endpoints(&config.connect.value)?));
-    values.push(("listen/endpoints", endpoints(&config.listen.value)?));
-    let said = |key: &str| match key {
-        "mode" => config.mode.origin != Origin::Default,
-        "connect/endpoints" => config.connect.origin != Origin::Default,
-        "listen/endpoints" => config.listen.origin != Origin::Default,
-        _ => false,
-    };
-    for (key, value) in values {
-        // What the user's file leaves as Zenoh has it by default is ours to choose.
-        let untouched = zenoh.get_json(key).ok() == plain.get_json(key).ok();
-        if untouched || said(key) {
-            zenoh
-                .insert_json5(key, &value)
-                .map_err(|error| anyhow::anyhow!("Zenoh refuses {key} = {value}: {error}"))?;
-        }
-    }
-    Ok(zenoh)
-}
-
-fn read_zenoh_config(path: &Path) -> Result<zenoh::Config, ExitError> {
-    zenoh::Config::from_file(path)
-        .map_err(|error| ExitError::usage(format!("zenoh_config {}: {error}", path.display())))
-}
-
-/// Checks whether a file is a configuration of Zenoh.
-///
-/// # Errors
-/// Names the file and what is wrong with it.
-pub fn check_zenoh_config(path: &Path) -> Result<(), ExitError> {
-    read_zenoh_config(path).map(drop)
-}
-
-fn built_in_values() -> Vec<(&'static str, String)> {
-    let (retry, retry_at_most) = RETRY_MS;
-    let retries = format!(
-        "{{period_init_ms: {retry}, period_max_ms: {retry_at_most}, period_increase_factor: 2}}"
-    );
-    const DROP: &str = "transport/link/tx/queue/congestion_control/drop";
-    let drop_after = format!(
-        "{{wait_before_drop: {WAIT_BEFORE_DROP_US}, max_wait_before_drop_fragments: {WAIT_FOR_FRAGMENTS_US}}}"
-    );
-    vec![
-        ("scouting/multicast/enabled", "false".to_owned()),
-        ("scouting/gossip/enabled", "false".to_owned()),
-        // A router waits so long for others before it opens; nobody is scouted, so that none comes.
-        ("scouting/delay", "1".to_owned()),
-        ("connect/timeout_ms", "-1".to_owned()),
-        ("connect/exit_on_failure", "false".to_owned()),
-        ("connect/retry", retries),
-        ("listen/timeout_ms", "0".to_owned()),
-        ("listen/exit_on_failure", "true".to_owned()),
-        ("transport/link/tx/lease", LEASE_MS.to_string()),
-        (DROP, drop_after),
-        ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
-        ("transport/unicast/max_sessions", "10000".to_owned()),
-    ]
 }
 
 /// An open session with the keys of one fleet.

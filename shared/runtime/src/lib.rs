@@ -1,9 +1,9 @@
 //! The shell around the pure cores: everything that touches the bus, a clock, a thread or a file.
 //!
-//! [`config`] reads flags, environment and file; [`bus`] opens a Zenoh session and is the only place
-//! that knows Zenoh; [`inbox`] and [`outbox`] are the bounded ways in and out, `errands` the thread that answers gets; [`shell`] runs one
-//! core; [`store`] keeps settings over a restart; [`service`] is the
-//! whole `main` of a service binary; [`stop`] turns signals into a clean end.
+//! [`config`] reads flags, environment and file; [`bus`] opens a Zenoh session as [`zenoh_config`]
+//! says; [`inbox`] and [`outbox`] are the bounded ways in and out, `errands` the thread that answers
+//! gets; [`shell`] runs one core; [`store`] keeps settings over a restart; [`service`] is the whole
+//! `main` of a service binary; [`stop`] turns signals into a clean end.
 
 pub mod bus;
 pub mod clock;
@@ -18,3 +18,4 @@ pub mod service;
 pub mod shell;
 pub mod stop;
 pub mod store;
+pub mod zenoh_config;

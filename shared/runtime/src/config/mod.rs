@@ -21,8 +21,9 @@ pub use self::args::{Mode, ProcessArgs};
 pub use self::assignments::parse_assignments;
 pub use self::layers::{Environment, Origin, Sourced, process_environment};
 use self::layers::{Layers, default_state_directory, patch_of, read_file, split};
-use crate::bus::{check_endpoint, check_zenoh_config};
+
 use crate::exit::ExitError;
+use crate::zenoh_config::{check_endpoint, check_zenoh_config};
 
 /// The fleet of a process that is told of none.
 const DEFAULT_FLEET: &str = "default";
