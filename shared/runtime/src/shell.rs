@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use muster_machine::{Command, Core, Delivery, Driver, Event, QueryId, START_FETCH, Start};
 use muster_model::id::InstanceId;
+use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::time::Tick;
 use muster_wire::{Key, KeySpace, Message, Outbound, Packet, Pattern, Rejection, Request};
 use tokio::sync::mpsc;
@@ -161,22 +162,37 @@ pub async fn run<C: Core>(
 }
 
 /// What waits for the core.
-type Arrival = Result<Message, Rejection>;
+enum Arrival {
+    /// What a robot said, understood as it came.
+    Understood(Result<Message, Rejection>),
+    /// What a service said. It may be large, takes many times its bytes once it is read, and its time
+    /// to read; it is understood when its turn comes.
+    Packet(Packet),
+}
 
-/// Understands packets as they come, on the thread that the bus calls back on. What is refused waits
-/// in a place of its own: it must not take that of a good message of the same key.
+/// Takes packets in, on the thread that the bus calls back on. What robots say is understood at once,
+/// and what is refused waits in a place of its own: it must not take that of a good message of the
+/// same key. Services repeat what they say, so that their messages need no such care.
 fn take_in<C: Core>(
     space: &KeySpace,
     inbox: &Arc<Inbox<Arrival>>,
+    from_robots: bool,
 ) -> impl Fn(Packet, Delivery) + Send + Sync + 'static {
     let (space, inbox) = (space.clone(), Arc::clone(inbox));
     move |packet, delivery| {
         let size = packet.key.len() + packet.payload.as_ref().map_or(0, Vec::len);
+        if !from_robots {
+            inbox.push(packet.key.clone(), Arrival::Packet(packet), size, delivery);
+            return;
+        }
         match C::understand(&space, &packet) {
-            Ok(message) => inbox.push(packet.key, Ok(message), size, delivery),
+            Ok(message) => {
+                inbox.push(packet.key, Arrival::Understood(Ok(message)), size, delivery);
+            }
             Err(refused) => {
                 let place = format!("{} refused", refused.key);
-                inbox.push(place, Err(refused), size, Delivery::Latest);
+                let refused = Arrival::Understood(Err(refused));
+                inbox.push(place, refused, size, Delivery::Latest);
             }
         }
     }
@@ -195,11 +211,13 @@ async fn declare<C: Core>(
         bus.serve(&Pattern::One(key), true, queries.clone()).await?;
     }
     for subscription in wiring.subscriptions {
-        let (delivery, take) = (subscription.delivery, take_in::<C>(bus.space(), inbox));
+        let from_robots = subscription.pattern.payload_limit() == MAX_ROBOT_PAYLOAD;
+        let take = take_in::<C>(bus.space(), inbox, from_robots);
+        let delivery = subscription.delivery;
         bus.subscribe(&subscription.pattern, move |packet| take(packet, delivery)).await?;
     }
     for pattern in &wiring.tokens {
-        let take = take_in::<C>(bus.space(), inbox);
+        let take = take_in::<C>(bus.space(), inbox, true);
         bus.subscribe_tokens(pattern, move |packet| take(packet, Delivery::Latest)).await?;
     }
     Ok(())
@@ -230,7 +248,11 @@ impl<C: Core> Shell<C> {
     fn take_packets(&mut self) {
         for _ in 0..BATCH {
             let Some(arrival) = self.inbox.pop() else { return };
-            match arrival {
+            let understood = match arrival {
+                Arrival::Understood(understood) => understood,
+                Arrival::Packet(packet) => C::understand(self.bus.space(), &packet),
+            };
+            match understood {
                 Ok(message) => self.step(Event::Received(message)),
                 Err(rejection) => self.step(Event::Rejected(rejection)),
             }

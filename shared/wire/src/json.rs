@@ -11,7 +11,7 @@ use muster_model::graph::GraphDelta;
 use muster_model::header::Header;
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::roster::Roster;
-use muster_model::teams::{RobotTeam, TeamChange, Teams};
+use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
@@ -199,13 +199,6 @@ fn named_variant(name: &str, value: Value) -> Map<String, Value> {
         _ => {}
     }
     named
-}
-
-/// One change of a division as JSON, such as `{"change":"moved","robot":"r1","from":"t1","to":"t2"}`.
-#[must_use]
-pub fn change_to_json(change: &TeamChange) -> Value {
-    serde_json::to_value(change)
-        .map_or(Value::Null, |value| Value::Object(named_variant("change", value)))
 }
 
 impl EdgeJson for GraphDelta {
