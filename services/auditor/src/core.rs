@@ -6,13 +6,14 @@ use std::time::Duration;
 
 use muster_machine::{
     Answered, Core, Delivery, Effect, Effects, Event, JobGate, QueryId, Role, START_FETCH, Start,
-    Subscription, TERM_FETCH, Wiring, answer_teams,
+    Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
 };
 use muster_model::audit::{Audit, Verdict};
 use muster_model::embedding::Embedding;
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
+use muster_model::role::Standing;
 use muster_model::roster::Roster;
 use muster_model::settings::AuditorSettings;
 use muster_model::teams::Teams;
@@ -143,6 +144,60 @@ fn find<T: Kept + Clone>(history: &VecDeque<T>, revision: Revision) -> Option<T>
 }
 
 impl Auditor {
+    /// An instance that has told nothing yet.
+    fn following(role: Role<AuditorSettings>, gate: JobGate<Task>) -> Self {
+        Self {
+            role,
+            newest: None,
+            embeddings: VecDeque::new(),
+            rosters: VecDeque::new(),
+            gate,
+            judged: None,
+            audit: None,
+            alert: Alert::default(),
+            ask: None,
+        }
+    }
+
+    fn take_event(&mut self, now: Tick, event: Event<Outcome>, effects: &mut Effects<Job>) {
+        match event {
+            Event::Started => {
+                let wanted = [Key::Audit, Key::Teams, Key::Embedding, Key::Roster];
+                self.role.ask(wanted.map(Pattern::One).to_vec(), effects);
+            }
+            Event::Fetched { fetch: START_FETCH, messages } if self.role.is_beginning() => {
+                self.begin(now, messages, effects);
+            }
+            Event::Fetched { fetch: TERM_FETCH, messages } => {
+                self.check_term(now, &messages, effects);
+            }
+            Event::Fetched { messages, .. } => self.take_all(now, messages, effects),
+            Event::Received(message) => {
+                let wanted = self.wanted();
+                self.take_in(now, message, wanted, effects);
+            }
+            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
+            Event::Timeout => self.expire(now, effects),
+            Event::Done(_) | Event::JobFailed(_) if self.gate.was_abandoned() => {
+                self.consider(now, effects);
+            }
+            Event::Done(Outcome(result)) => self.finish(now, result, effects),
+            Event::JobFailed(said) => {
+                let told = self.gate.panicked(now, &said);
+                self.fail(now, told, effects);
+            }
+            Event::Query { query, request } => self.answer(now, query, request, effects),
+            Event::LinkLost => {}
+            Event::LinkRestored => {
+                self.role.link_restored(now);
+                let patterns = [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One);
+                effects.push(Effect::Fetch { fetch: PAIR_FETCH, patterns: patterns.to_vec() });
+                self.publish(now, effects);
+                self.consider(now, effects);
+            }
+        }
+    }
+
     fn take_in(
         &mut self,
         now: Tick,
@@ -470,55 +525,24 @@ impl Core for Auditor {
     }
 
     fn new(start: Start<AuditorSettings>) -> Self {
-        Self {
-            role: Role::new(Self::SERVICE, start),
-            newest: None,
-            embeddings: VecDeque::new(),
-            rosters: VecDeque::new(),
-            gate: JobGate::default(),
-            judged: None,
-            audit: None,
-            alert: Alert::default(),
-            ask: None,
-        }
+        Self::following(Role::new(Self::SERVICE, start), JobGate::default())
     }
 
     fn handle(&mut self, now: Tick, event: Event<Outcome>, effects: &mut Effects<Job>) {
-        match event {
-            Event::Started => effects.push(Effect::Fetch {
-                fetch: START_FETCH,
-                patterns: [Key::Audit, Key::Teams, Key::Embedding, Key::Roster]
-                    .map(Pattern::One)
-                    .to_vec(),
-            }),
-            Event::Fetched { fetch: START_FETCH, messages } if !self.role.is_holding() => {
-                self.begin(now, messages, effects);
+        match self.role.attend(now, event, effects) {
+            Turn::Events(events) => {
+                events.into_iter().for_each(|event| self.take_event(now, event, effects));
             }
-            Event::Fetched { fetch: TERM_FETCH, messages } => {
-                self.check_term(now, &messages, effects);
-            }
-            Event::Fetched { messages, .. } => self.take_all(now, messages, effects),
-            Event::Received(message) => {
-                let wanted = self.wanted();
-                self.take_in(now, message, wanted, effects);
-            }
-            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
-            Event::Timeout => self.expire(now, effects),
-            Event::Done(Outcome(result)) => self.finish(now, result, effects),
-            Event::JobFailed(said) => {
-                let told = self.gate.panicked(now, &said);
-                self.fail(now, told, effects);
-            }
-            Event::Query { query, request } => self.answer(now, query, request, effects),
-            Event::LinkLost => {}
-            Event::LinkRestored => {
-                self.role.link_restored(now);
-                let patterns = [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One);
-                effects.push(Effect::Fetch { fetch: PAIR_FETCH, patterns: patterns.to_vec() });
-                self.publish(now, effects);
+            Turn::StandDown => {
+                *self = Self::following(self.role.clone(), self.gate.abandoned());
+                self.take_event(now, Event::Started, effects);
             }
         }
         self.role.advance(now, Pattern::One(Key::Audit), effects);
+    }
+
+    fn standing(&self) -> Standing {
+        self.role.standing()
     }
 
     fn deadline(&self) -> Option<Tick> {

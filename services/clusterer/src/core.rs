@@ -5,12 +5,13 @@ use std::sync::Arc;
 
 use muster_machine::{
     Answered, Core, Delivery, Effect, Effects, Event, JobGate, QueryId, Role, START_FETCH, Start,
-    Subscription, TERM_FETCH, Wiring, answer_teams,
+    Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
 };
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{RobotId, ServiceName};
+use muster_model::role::Standing;
 use muster_model::roster::{Presence, Roster};
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::Teams;
@@ -20,7 +21,7 @@ use muster_wire::{Key, Message, Pattern, Request};
 use crate::division::{Job, Outcome, divide, same_data};
 use crate::identity::Memory;
 use crate::leader::leaders;
-use crate::telling::{Turn, counted, robots_to_tell, shortage};
+use crate::telling::{Turn as Turns, counted, robots_to_tell, shortage};
 
 /// The number of the fetch that is made when a lost link is back: what came meanwhile was missed.
 const LINK_FETCH: u32 = 1;
@@ -77,12 +78,69 @@ pub struct Clusterer {
     /// Teams that robots had before the division.
     memory: Arc<Memory>,
     told: Option<Told>,
-    turn: Turn,
+    turn: Turns,
     /// How many teams were asked for and formed when that was last told to be too few.
     fewer: Option<(u32, u32)>,
 }
 
 impl Clusterer {
+    /// An instance that has told nothing yet.
+    fn following(role: Role<ClustererSettings>, gate: JobGate<Task>) -> Self {
+        Self {
+            role,
+            newest: None,
+            roster: None,
+            audit: None,
+            gate,
+            division: None,
+            divided: None,
+            memory: Arc::default(),
+            told: None,
+            turn: Turns::default(),
+            fewer: None,
+        }
+    }
+
+    fn take_event(&mut self, now: Tick, event: Event<Outcome>, effects: &mut Effects<Job>) {
+        match event {
+            Event::Started => {
+                let wanted = [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One);
+                self.role.ask(wanted.to_vec(), effects);
+            }
+            Event::Fetched { fetch: START_FETCH, messages } if self.role.is_beginning() => {
+                self.begin(now, messages, effects);
+            }
+            Event::Fetched { fetch: TERM_FETCH, messages } => {
+                self.check_term(now, &messages, effects);
+            }
+            Event::Fetched { messages, .. } => self.take_all(now, messages, effects),
+            Event::Received(message) => self.take_in(now, message, effects),
+            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
+            Event::Timeout => self.expire(now, effects),
+            Event::Done(_) | Event::JobFailed(_) if self.gate.was_abandoned() => {
+                self.consider(now, effects);
+            }
+            Event::Done(Outcome(result)) => self.finish(now, result, effects),
+            Event::JobFailed(said) => {
+                let told = self.gate.panicked(now, &said);
+                self.fail(now, told, effects);
+                self.consider(now, effects);
+            }
+            Event::Query { query, request } => self.answer(now, query, request, effects),
+            Event::LinkLost => {}
+            Event::LinkRestored => {
+                self.role.link_restored(now);
+                effects.push(Effect::Fetch {
+                    fetch: LINK_FETCH,
+                    patterns: vec![Pattern::One(Key::Embedding), Pattern::One(Key::Roster)],
+                });
+                self.turn.hurry();
+                self.tell_again(now, effects);
+                self.consider(now, effects);
+            }
+        }
+    }
+
     fn take_in(&mut self, now: Tick, message: Message, effects: &mut Effects<Job>) {
         match message {
             Message::Embedding(embedding) => self.take_embedding(now, embedding, effects),
@@ -475,60 +533,24 @@ impl Core for Clusterer {
     }
 
     fn new(start: Start<ClustererSettings>) -> Self {
-        Self {
-            role: Role::new(Self::SERVICE, start),
-            newest: None,
-            roster: None,
-            audit: None,
-            gate: JobGate::default(),
-            division: None,
-            divided: None,
-            memory: Arc::default(),
-            told: None,
-            turn: Turn::default(),
-            fewer: None,
-        }
+        Self::following(Role::new(Self::SERVICE, start), JobGate::default())
     }
 
     fn handle(&mut self, now: Tick, event: Event<Outcome>, effects: &mut Effects<Job>) {
-        match event {
-            Event::Started => effects.push(Effect::Fetch {
-                fetch: START_FETCH,
-                patterns: vec![
-                    Pattern::One(Key::Teams),
-                    Pattern::One(Key::Embedding),
-                    Pattern::One(Key::Roster),
-                ],
-            }),
-            Event::Fetched { fetch: START_FETCH, messages } if !self.role.is_holding() => {
-                self.begin(now, messages, effects);
+        match self.role.attend(now, event, effects) {
+            Turn::Events(events) => {
+                events.into_iter().for_each(|event| self.take_event(now, event, effects));
             }
-            Event::Fetched { fetch: TERM_FETCH, messages } => {
-                self.check_term(now, &messages, effects);
-            }
-            Event::Fetched { messages, .. } => self.take_all(now, messages, effects),
-            Event::Received(message) => self.take_in(now, message, effects),
-            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
-            Event::Timeout => self.expire(now, effects),
-            Event::Done(Outcome(result)) => self.finish(now, result, effects),
-            Event::JobFailed(said) => {
-                let told = self.gate.panicked(now, &said);
-                self.fail(now, told, effects);
-                self.consider(now, effects);
-            }
-            Event::Query { query, request } => self.answer(now, query, request, effects),
-            Event::LinkLost => {}
-            Event::LinkRestored => {
-                self.role.link_restored(now);
-                effects.push(Effect::Fetch {
-                    fetch: LINK_FETCH,
-                    patterns: vec![Pattern::One(Key::Embedding), Pattern::One(Key::Roster)],
-                });
-                self.turn.hurry();
-                self.tell_again(now, effects);
+            Turn::StandDown => {
+                *self = Self::following(self.role.clone(), self.gate.abandoned());
+                self.take_event(now, Event::Started, effects);
             }
         }
         self.role.advance(now, Pattern::One(Key::Teams), effects);
+    }
+
+    fn standing(&self) -> Standing {
+        self.role.standing()
     }
 
     fn deadline(&self) -> Option<Tick> {

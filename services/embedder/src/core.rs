@@ -5,12 +5,13 @@ use std::time::Duration;
 
 use muster_machine::{
     Answered, Core, Delivery, Effect, Effects, Event, JobGate, Role, START_FETCH, Start,
-    Subscription, TERM_FETCH, Wiring,
+    Subscription, TERM_FETCH, Turn, Wiring,
 };
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::{EventKind, Severity};
 use muster_model::graph::GraphError;
 use muster_model::id::ServiceName;
+use muster_model::role::Standing;
 use muster_model::settings::{Dimension, EmbedderSettings};
 use muster_model::time::Tick;
 use muster_wire::message::quoted;
@@ -44,6 +45,8 @@ pub struct Embedder {
     /// What the embedding rests on, and when it was last published; none for one that was learned.
     published: Option<(Basis, Tick)>,
     heartbeat: Option<Tick>,
+    /// Whether an embedding was made while the role was in doubt, and so was not heard by anybody.
+    unheard: bool,
 }
 
 impl Core for Embedder {
@@ -71,19 +74,58 @@ impl Core for Embedder {
     }
 
     fn new(start: Start<EmbedderSettings>) -> Self {
-        Self {
-            role: Role::new(Self::SERVICE, start),
-            follow: Follower::default(),
-            teams: TeamsWanted::default(),
-            cache: None,
-            gate: JobGate::default(),
-            embedding: None,
-            published: None,
-            heartbeat: None,
-        }
+        Self::following(Role::new(Self::SERVICE, start), JobGate::default())
     }
 
     fn handle(&mut self, now: Tick, event: Event<Done>, effects: &mut Effects<Job>) {
+        match self.role.attend(now, event, effects) {
+            Turn::Events(events) => {
+                events.into_iter().for_each(|event| self.take_event(now, event, effects));
+            }
+            Turn::StandDown => {
+                *self = Self::following(self.role.clone(), self.gate.abandoned());
+                self.take_event(now, Event::Started, effects);
+            }
+        }
+        self.advance(now, effects);
+    }
+
+    fn deadline(&self) -> Option<Tick> {
+        let follow = self.follow.fetch_due().filter(|_| self.follows());
+        if !self.role.is_holding() {
+            return self.role.deadline().into_iter().chain(follow).min();
+        }
+        let retry = self.gate.deadline().filter(|_| self.wanted().is_some());
+        let asking = [follow, Some(self.teams.due()), self.role.deadline()];
+        asking.into_iter().chain([retry, self.heartbeat]).flatten().min()
+    }
+
+    fn standing(&self) -> Standing {
+        self.role.standing()
+    }
+
+    fn run(job: Job) -> Done {
+        run(job)
+    }
+}
+
+impl Embedder {
+    /// An instance that has told nothing yet.
+    fn following(role: Role<EmbedderSettings>, gate: JobGate<Basis>) -> Self {
+        Self {
+            role,
+            follow: Follower::default(),
+            teams: TeamsWanted::default(),
+            cache: None,
+            gate,
+            embedding: None,
+            published: None,
+            heartbeat: None,
+            unheard: false,
+        }
+    }
+
+    fn take_event(&mut self, now: Tick, event: Event<Done>, effects: &mut Effects<Job>) {
         match event {
             Event::Started => {
                 self.follow.fetch_begun(now, START_FETCH);
@@ -94,7 +136,7 @@ impl Core for Embedder {
                     Pattern::Graphs,
                     Pattern::One(Key::Settings(ServiceName::Clusterer)),
                 ];
-                effects.push(Effect::Fetch { fetch: START_FETCH, patterns });
+                self.role.ask(patterns, effects);
             }
             Event::Received(message) => {
                 if self.take(now, message, effects) == Some(Taken::Old) {
@@ -111,6 +153,7 @@ impl Core for Embedder {
                 self.settings_answered(now, &messages, effects);
             }
             Event::Fetched { fetch, messages } => self.fetched(now, fetch, messages, effects),
+            Event::Done(_) | Event::JobFailed(_) if self.gate.was_abandoned() => {}
             Event::Done(done) => self.done(now, done, effects),
             Event::JobFailed(reason) => {
                 let told = self.gate.panicked(now, &quoted(&reason));
@@ -129,27 +172,14 @@ impl Core for Embedder {
             Event::LinkRestored => {
                 self.follow.refresh();
                 self.role.link_restored(now);
+                if self.unheard {
+                    self.repeat(now, effects);
+                }
             }
             Event::LinkLost | Event::Timeout => {}
         }
-        self.advance(now, effects);
     }
 
-    fn deadline(&self) -> Option<Tick> {
-        if !self.role.is_holding() {
-            return None;
-        }
-        let retry = self.gate.deadline().filter(|_| self.wanted().is_some());
-        let asking = [self.follow.fetch_due(), Some(self.teams.due()), self.role.deadline()];
-        asking.into_iter().chain([retry, self.heartbeat]).flatten().min()
-    }
-
-    fn run(job: Job) -> Done {
-        run(job)
-    }
-}
-
-impl Embedder {
     /// Takes a message in; what became of it, if it is known what to say of that.
     fn take(&mut self, now: Tick, message: Message, effects: &mut Effects<Job>) -> Option<Taken> {
         let (key, _) = message.keys();
@@ -207,7 +237,7 @@ impl Embedder {
         let mut learned: Option<Arc<Embedding>> = None;
         let mut rosters = Vec::new();
         let mut passed = Vec::new();
-        let starting = fetch == START_FETCH && !self.role.is_holding();
+        let starting = fetch == START_FETCH && self.role.is_beginning();
         if starting {
             let revisions = messages.iter().filter_map(|message| match message {
                 Message::Embedding(embedding) => Some(embedding.header.revision),
@@ -255,12 +285,15 @@ impl Embedder {
         if self.follow.settle(now) {
             self.role.count("frames_consistent");
         }
-        if !self.role.is_holding() {
-            return;
-        }
-        if let Some((fetch, patterns)) = self.follow.fetch(now) {
+        // Who stands by holds the graphs as well: it repeats them to an ingest that takes over.
+        if self.follows()
+            && let Some((fetch, patterns)) = self.follow.fetch(now)
+        {
             self.role.count("fetches");
             effects.push(Effect::Fetch { fetch, patterns });
+        }
+        if !self.role.is_holding() {
+            return;
         }
         self.role.advance(now, Pattern::One(Key::Embedding), effects);
         if self.teams.due() <= now {
@@ -275,6 +308,11 @@ impl Embedder {
         if self.gate.wants(now, &basis) {
             self.start(frame, basis, effects);
         }
+    }
+
+    /// Whether the graphs are to be followed: the start has asked for them.
+    fn follows(&self) -> bool {
+        matches!(self.role.standing(), Standing::Holding | Standing::Standby)
     }
 
     /// The newest frame, if it is to have an embedding. That of an empty fleet is told only where
@@ -334,6 +372,7 @@ impl Embedder {
 
     fn publish(&mut self, embedding: Embedding, effects: &mut Effects<Job>) {
         self.role.count("embeddings_published");
+        self.unheard = !self.role.is_holding();
         let embedding = Arc::new(embedding);
         self.embedding = Some(embedding.clone());
         effects.publish(Message::Embedding(embedding));

@@ -4,10 +4,11 @@ use std::time::Duration;
 
 use muster_machine::{
     Answered, Core, Delivery, Effect, Effects, Event, QueryId, Role, START_FETCH, Start,
-    Subscription, TERM_FETCH, Wiring,
+    Subscription, TERM_FETCH, Turn, Wiring,
 };
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{RobotId, ServiceName};
+use muster_model::role::Standing;
 use muster_model::settings::IngestSettings;
 use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern, Request};
@@ -131,7 +132,7 @@ impl Ingest {
 
     /// Counts and tells that a robot joined. Who did before the term began is told of as it begins.
     fn tell_joined(&mut self, now: Tick, robot: RobotId, effects: &mut Effects<()>) {
-        if self.role.is_holding() {
+        if self.role.has_term() {
             self.role.count("robots_joined");
             self.role.tell(now, Severity::Info, EventKind::RobotJoined { robot }, effects);
         }
@@ -162,7 +163,45 @@ impl Ingest {
         self.role.is_holding() && self.link_lost.is_none()
     }
 
+    fn take_event(&mut self, now: Tick, event: Event<()>, effects: &mut Effects<()>) {
+        match event {
+            Event::Started => {
+                self.role.ask(vec![Pattern::One(Key::Roster), Pattern::Graphs], effects);
+            }
+            Event::Received(message) => self.receive(now, message, effects),
+            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
+            Event::Timeout => self.advance(now, effects),
+            Event::Fetched { fetch: START_FETCH, messages } if self.role.is_beginning() => {
+                self.begin(now, &messages, effects);
+            }
+            Event::Fetched { fetch: TERM_FETCH, messages } => {
+                self.check_term(now, &messages, effects);
+            }
+            Event::Query { query, request } => self.answer(now, query, request, effects),
+            Event::LinkLost => {
+                self.link_lost.get_or_insert(now);
+            }
+            Event::LinkRestored => self.restore_link(now, effects),
+            // There are no jobs and no further fetches.
+            Event::Fetched { .. } | Event::Done(()) | Event::JobFailed(_) => {}
+        }
+    }
+
+    /// Goes back to before the first frame. What robots have said stays: some of it they say once.
+    fn stand_down(&mut self, now: Tick) {
+        self.frames = Frames::default();
+        self.link_lost = None;
+        self.fleet.spare_all(now);
+    }
+
+    /// Whether another instance judges the robots, and this one only keeps up.
+    fn is_following(&self) -> bool {
+        self.role.standing() == Standing::Standby && self.link_lost.is_none()
+    }
+
     fn begin(&mut self, now: Tick, messages: &[Message], effects: &mut Effects<()>) {
+        // They may be those of another holder, taken over.
+        self.apply_settings(now);
         let settings = self.role.settings();
         let restored = restore::restore(now, messages, settings, &mut self.fleet);
         self.role.count_many("robots_restored", restored.len() as u64);
@@ -195,6 +234,10 @@ impl Ingest {
     }
 
     fn advance(&mut self, now: Tick, effects: &mut Effects<()>) {
+        if self.is_following() && self.fleet.next_judgement().is_some_and(|at| at <= now) {
+            // The holder tells of it.
+            self.fleet.judge(now, self.role.settings());
+        }
         if !self.is_judging() {
             return;
         }
@@ -226,12 +269,7 @@ impl Ingest {
         let state = self.state();
         match self.role.answer(now, query, request, &state, effects) {
             Answered::Done => {}
-            Answered::SettingsChanged => {
-                let modalities = &self.role.settings().modalities;
-                self.fleet.keep_modalities(modalities);
-                self.fleet.judge_soon(now);
-                self.frames.declare(now, modalities);
-            }
+            Answered::SettingsChanged => self.apply_settings(now),
             Answered::NotOurs(query, request) => {
                 let answer = Ok(self.frames.answer(self.role.space(), &request));
                 effects.push(Effect::Reply { query, request, answer });
@@ -239,8 +277,15 @@ impl Ingest {
         }
     }
 
+    fn apply_settings(&mut self, now: Tick) {
+        let modalities = &self.role.settings().modalities;
+        self.fleet.keep_modalities(modalities);
+        self.fleet.judge_soon(now);
+        self.frames.declare(now, modalities);
+    }
+
     fn state(&self) -> String {
-        if !self.role.is_holding() {
+        if !self.role.has_term() {
             return "waiting for the bus".to_owned();
         }
         let robots = self.fleet.robots().len();
@@ -277,40 +322,27 @@ impl Core for Ingest {
     }
 
     fn handle(&mut self, now: Tick, event: Event<()>, effects: &mut Effects<()>) {
-        match event {
-            Event::Started => effects.push(Effect::Fetch {
-                fetch: START_FETCH,
-                patterns: vec![Pattern::One(Key::Roster), Pattern::Graphs],
-            }),
-            Event::Received(message) => self.receive(now, message, effects),
-            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
-            Event::Timeout => self.advance(now, effects),
-            Event::Fetched { fetch: START_FETCH, messages } if !self.role.is_holding() => {
-                self.begin(now, &messages, effects);
+        match self.role.attend(now, event, effects) {
+            Turn::Events(events) => {
+                events.into_iter().for_each(|event| self.take_event(now, event, effects));
             }
-            Event::Fetched { fetch: TERM_FETCH, messages } => {
-                self.check_term(now, &messages, effects);
+            Turn::StandDown => {
+                self.stand_down(now);
+                self.take_event(now, Event::Started, effects);
             }
-            Event::Query { query, request } => self.answer(now, query, request, effects),
-            Event::LinkLost => {
-                self.link_lost.get_or_insert(now);
-            }
-            Event::LinkRestored => self.restore_link(now, effects),
-            // There are no jobs and no further fetches.
-            Event::Fetched { .. } | Event::Done(()) | Event::JobFailed(_) => {}
         }
-        // Nobody answers while the link is lost.
-        if self.link_lost.is_none() {
-            self.role.advance(now, Pattern::One(Key::Roster), effects);
-        }
+        self.role.advance(now, Pattern::One(Key::Roster), effects);
     }
 
     fn deadline(&self) -> Option<Tick> {
-        if !self.is_judging() {
-            return None;
-        }
-        let judgement = self.fleet.next_judgement();
-        judgement.into_iter().chain(self.next_frame()).chain(self.role.deadline()).min()
+        let (judging, following) = (self.is_judging(), self.is_following());
+        let judgement = self.fleet.next_judgement().filter(|_| judging || following);
+        let frame = self.next_frame().filter(|_| judging);
+        [judgement, frame, self.role.deadline()].into_iter().flatten().min()
+    }
+
+    fn standing(&self) -> Standing {
+        self.role.standing()
     }
 
     fn run((): ()) {}

@@ -43,7 +43,9 @@ fn the_wiring_takes_every_stream_and_serves_every_output() {
 fn nothing_is_told_before_the_last_term_is_known() {
     let mut bench = Bench::asleep(IngestSettings::default());
     bench.step(Event::Started);
-    let asked = vec![Pattern::One(Key::Roster), Pattern::Graphs];
+    let of_role = [Key::Holder, Key::Settings].map(|key| Pattern::One(key(ServiceName::Ingest)));
+    let mut asked = vec![Pattern::One(Key::Roster), Pattern::Graphs];
+    asked.extend(of_role);
     assert_eq!(bench.fetches, [(START_FETCH, asked)]);
     bench.say(pose("r1", 0.0, 0.0));
     bench.say(pose("r1", f64::NAN, 0.0));

@@ -1,11 +1,14 @@
 //! Events in, effects out.
 
 use muster_model::id::{FleetId, InstanceId, ServiceName};
+use muster_model::role::Standing;
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
-use muster_wire::{Message, Packet, Pattern, Rejection, Request};
+use muster_wire::{Key, Message, Packet, Pattern, Rejection, Request};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
+
+use crate::role::START_FETCH;
 
 /// Names a get that waits for its answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -153,9 +156,36 @@ pub struct Wiring {
     pub subscriptions: Vec<Subscription>,
     /// Liveliness tokens that come in.
     pub tokens: Vec<Pattern>,
-    /// Keys that the service answers gets for. `true` for its own output; `false` where it only
-    /// repeats what it last heard from the holder of another role, in case that one is gone.
+    /// Keys that the service answers gets for. `true` for its own output, for which the holder's answer
+    /// suffices; `false` where it only repeats what it last heard from the holder of another role, in case that one is gone.
     pub served: Vec<(Pattern, bool)>,
+}
+
+impl Wiring {
+    /// The wiring of a core with what every instance of a service needs for its role: the claims and
+    /// settings of the holder and the tokens of the others come in; settings, status and the holder
+    /// are served.
+    #[must_use]
+    pub fn of<C: Core>() -> Self {
+        let mut wiring = C::wiring();
+        for key in [Key::Holder(C::SERVICE), Key::Settings(C::SERVICE)] {
+            let pattern = Pattern::One(key);
+            wiring.subscriptions.push(Subscription { pattern, delivery: Delivery::Latest });
+        }
+        wiring.tokens.push(Pattern::InstanceTokens(C::SERVICE));
+        let served = [Key::Settings, Key::Status, Key::Holder];
+        wiring.served.extend(served.map(|key| (Pattern::One(key(C::SERVICE)), true)));
+        wiring
+    }
+}
+
+/// Whether a fetch goes on asking for a pattern while nobody answers: a service that starts does, for
+/// those who know its last output may need a moment to find back after a failure of the router. Who
+/// holds the role itself answers at once, or nobody does.
+#[must_use]
+pub fn is_patient<C: Core>(fetch: u32, pattern: &Pattern) -> bool {
+    let of_role = [Key::Holder(C::SERVICE), Key::Settings(C::SERVICE)];
+    fetch == START_FETCH && !of_role.iter().any(|key| *pattern == Pattern::One(key.clone()))
 }
 
 /// A service without its shell.
@@ -180,6 +210,10 @@ pub trait Core: Send + Sized + 'static {
 
     /// When [`Event::Timeout`] is wanted next. It may be early or late, never lost.
     fn deadline(&self) -> Option<Tick>;
+
+    /// Where the instance stands towards the role of its service. Only a holder's messages are put
+    /// on the bus.
+    fn standing(&self) -> Standing;
 
     /// Does long work. Runs on another thread, beside the core, and must not depend on anything
     /// but the job.

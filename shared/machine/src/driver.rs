@@ -1,5 +1,6 @@
 //! A core as every shell drives it: one event in, what is to be done out.
 
+use muster_model::role::Standing;
 use muster_model::time::Tick;
 
 use crate::core::{Core, Effect, Effects, Event, QueryId, Start, Stored};
@@ -47,13 +48,16 @@ impl<C: Core> Driver<C> {
         Self { core: C::new(start), effects: Effects::default() }
     }
 
-    /// Hands one event to the core and returns what is to be done, in order.
+    /// Hands one event to the core and returns what is to be done, in order. What an instance that
+    /// does not hold the role would publish is left out.
     #[must_use = "commands that are not carried out are lost"]
     pub fn step(&mut self, now: Tick, event: Event<C::Done>) -> Vec<Command<C::Job>> {
         self.core.handle(now, event, &mut self.effects);
+        let silent = self.core.standing() != Standing::Holding;
         let mut commands = Vec::new();
         for effect in self.effects.drain() {
             match effect {
+                Effect::Publish(_) if silent => {}
                 Effect::Publish(message) => commands.push(Command::Publish(message)),
                 Effect::Reply { query, request, answer } => {
                     commands.push(Command::Reply { query, request, answer });
@@ -66,6 +70,12 @@ impl<C: Core> Driver<C> {
             }
         }
         commands
+    }
+
+    /// Where the instance stands towards the role of its service.
+    #[must_use]
+    pub fn standing(&self) -> Standing {
+        self.core.standing()
     }
 
     /// When the core wants [`Event::Timeout`].

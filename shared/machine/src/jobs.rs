@@ -23,11 +23,19 @@ pub struct JobGate<Task> {
     retry: Option<Tick>,
     standing: Option<String>,
     told: Option<(&'static str, Tick)>,
+    abandoned: bool,
 }
 
 impl<Task> Default for JobGate<Task> {
     fn default() -> Self {
-        Self { running: None, settled: None, retry: None, standing: None, told: None }
+        Self {
+            running: None,
+            settled: None,
+            retry: None,
+            standing: None,
+            told: None,
+            abandoned: false,
+        }
     }
 }
 
@@ -56,6 +64,25 @@ impl<Task: PartialEq> JobGate<Task> {
     #[must_use]
     pub fn settled(&self) -> Option<&Task> {
         self.settled.as_ref()
+    }
+
+    /// The gate of an instance that begins anew while a job of its former self may still run: that
+    /// one's result is not wanted, and no other starts beside it.
+    #[must_use]
+    pub fn abandoned(&mut self) -> Self {
+        let running = self.running.take();
+        Self { abandoned: running.is_some(), running, ..Self::default() }
+    }
+
+    /// Whether the job that has just ended was [`JobGate::abandoned`]: then it is as if it had never
+    /// been.
+    #[must_use]
+    pub fn was_abandoned(&mut self) -> bool {
+        let abandoned = std::mem::take(&mut self.abandoned);
+        if abandoned {
+            self.running = None;
+        }
+        abandoned
     }
 
     /// The job has ended well.

@@ -11,11 +11,14 @@ mod driver;
 mod jobs;
 mod robot_teams;
 mod role;
+mod tenure;
 
 pub use crate::core::{
     Core, Delivery, Effect, Effects, Event, QueryId, Start, Stored, Subscription, Wiring,
+    is_patient,
 };
 pub use driver::{Command, Driver};
 pub use jobs::JobGate;
 pub use robot_teams::answer_teams;
-pub use role::{Answered, Role, START_FETCH, TERM_FETCH};
+pub use role::{Answered, Role, START_FETCH, TERM_FETCH, Turn};
+pub use tenure::{CLAIM_EVERY, HOLDER_SILENT};

@@ -16,6 +16,7 @@ pub mod header;
 pub mod id;
 pub mod limits;
 pub mod observation;
+pub mod role;
 pub mod roster;
 pub mod settings;
 pub mod status;

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::header::Revision;
 use crate::id::{FleetId, InstanceId, ServiceName};
+use crate::role::Standing;
 use crate::time::Tick;
 
 /// The answer to a get on `service/{service}/status`.
@@ -23,7 +24,9 @@ pub struct ServiceStatus {
     pub started: Tick,
     /// When this was written.
     pub now: Tick,
-    /// Its last output.
+    /// Where it stands towards the role of its service.
+    pub standing: Standing,
+    /// Its last output; of an instance that stands by, that of the holder as it was last heard.
     pub revision: Revision,
     /// What it is doing, in a few words.
     pub state: String,

@@ -55,6 +55,12 @@ pub struct Bus {
 #[derive(Debug)]
 pub struct Token(zenoh::liveliness::LivelinessToken);
 
+/// A key expression that is served for as long as this lives.
+#[derive(Debug)]
+pub(crate) struct Served {
+    _queryable: zenoh::query::Queryable<()>,
+}
+
 impl Token {
     /// Withdraws the token, as a robot does that leaves on purpose.
     ///
@@ -246,8 +252,8 @@ impl Bus {
             .map_err(|error| anyhow::anyhow!("cannot subscribe to tokens {text}: {error}"))
     }
 
-    /// Hands gets of a pattern to a channel; a get that finds it full is left unanswered. A
-    /// `complete` server is the one whose answer suffices.
+    /// Hands gets of a pattern to a channel for as long as what is returned lives; a get that finds it
+    /// full is left unanswered. A `complete` server is the one whose answer suffices.
     ///
     /// # Errors
     /// If the session is closed.
@@ -256,7 +262,7 @@ impl Bus {
         pattern: &Pattern,
         complete: bool,
         queries: mpsc::Sender<Asked>,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Served> {
         let text = self.space.pattern(pattern);
         let served = KeyExpr::try_from(text.clone())
             .map_err(|error| anyhow::anyhow!("{text} is no key expression: {error}"))?;
@@ -284,8 +290,8 @@ impl Bus {
                     tracing::warn!("a get is dropped: too many wait");
                 }
             })
-            .background()
             .await
+            .map(|queryable| Served { _queryable: queryable })
             .map_err(|error| anyhow::anyhow!("cannot serve {text}: {error}"))
     }
 

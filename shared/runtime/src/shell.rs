@@ -10,12 +10,13 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_machine::{Command, Core, Delivery, Driver, Event, QueryId, START_FETCH, Start};
+use muster_machine::{Command, Core, Delivery, Driver, Event, QueryId, Start, Wiring, is_patient};
 use muster_model::id::InstanceId;
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
+use muster_model::role::Standing;
 use muster_model::time::Tick;
 use muster_wire::{Key, KeySpace, Message, Outbound, Packet, Pattern, Rejection, Request};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 use zenoh::query::Query;
@@ -101,7 +102,7 @@ pub async fn run<C: Core>(
         }
     })?;
     let (errands, errands_done) = Errands::start(bus.clone(), options.store)?;
-    declare::<C>(&bus, &inbox, queries).await?;
+    let served = declare::<C>(&bus, &inbox, queries).await?;
     let token = Key::ServiceToken(C::SERVICE, options.instance);
     let token = bus.declare_token(&token).await?;
     let mut link = bus.link();
@@ -114,6 +115,8 @@ pub async fn run<C: Core>(
         outbox: outbox.clone(),
         errands,
         ended: ended_sender,
+        served,
+        standing: Standing::Starting,
         queries: HashMap::new(),
         next_query: 0,
     };
@@ -198,18 +201,15 @@ fn take_in<C: Core>(
     }
 }
 
+/// Declares what comes in and what is served. The sender that is returned is told whether this
+/// instance holds the role of its service.
 async fn declare<C: Core>(
     bus: &Bus,
     inbox: &Arc<Inbox<Arrival>>,
     queries: mpsc::Sender<Asked>,
-) -> anyhow::Result<()> {
-    let wiring = C::wiring();
-    for (pattern, complete) in &wiring.served {
-        bus.serve(pattern, *complete, queries.clone()).await?;
-    }
-    for key in [Key::Settings(C::SERVICE), Key::Status(C::SERVICE)] {
-        bus.serve(&Pattern::One(key), true, queries.clone()).await?;
-    }
+) -> anyhow::Result<watch::Sender<bool>> {
+    let wiring = Wiring::of::<C>();
+    let served = serve(bus.clone(), wiring.served, queries).await?;
     for subscription in wiring.subscriptions {
         let from_robots = subscription.pattern.payload_limit() == MAX_ROBOT_PAYLOAD;
         let take = take_in::<C>(bus.space(), inbox, from_robots);
@@ -220,7 +220,36 @@ async fn declare<C: Core>(
         let take = take_in::<C>(bus.space(), inbox, true);
         bus.subscribe_tokens(pattern, move |packet| take(packet, Delivery::Latest)).await?;
     }
-    Ok(())
+    Ok(served)
+}
+
+/// Serves keys until the sender that is returned is gone. The answer of who holds the role suffices
+/// for the service's own output; a get must not end at an instance that stands by, so that the keys
+/// are declared anew whenever the role comes or goes.
+async fn serve(
+    bus: Bus,
+    keys: Vec<(Pattern, bool)>,
+    queries: mpsc::Sender<Asked>,
+) -> anyhow::Result<watch::Sender<bool>> {
+    let (holds, mut changed) = watch::channel(false);
+    let mut standing = Vec::new();
+    for (pattern, _) in &keys {
+        standing.push(bus.serve(pattern, false, queries.clone()).await?);
+    }
+    tokio::spawn(async move {
+        while changed.changed().await.is_ok() {
+            let holds = *changed.borrow_and_update();
+            for ((pattern, own), served) in keys.iter().zip(&mut standing).filter(|(key, _)| key.1)
+            {
+                // The new one first, so that the key is never unserved.
+                match bus.serve(pattern, *own && holds, queries.clone()).await {
+                    Ok(anew) => drop(std::mem::replace(served, anew)),
+                    Err(error) => tracing::error!("{error:#}"),
+                }
+            }
+        }
+    });
+    Ok(holds)
 }
 
 struct Shell<C: Core> {
@@ -231,6 +260,9 @@ struct Shell<C: Core> {
     outbox: Outbox,
     errands: Errands,
     ended: mpsc::Sender<Ended<C::Done>>,
+    /// Hears whether this instance holds the role.
+    served: watch::Sender<bool>,
+    standing: Standing,
     queries: HashMap<QueryId, Query>,
     next_query: u64,
 }
@@ -243,6 +275,26 @@ impl<C: Core> Shell<C> {
             stored |= matches!(command, Command::Store(_));
             self.carry_out(now, command, stored);
         }
+        let standing = self.driver.standing();
+        if standing != std::mem::replace(&mut self.standing, standing) {
+            self.stands(standing);
+        }
+    }
+
+    fn stands(&self, standing: Standing) {
+        let service = C::SERVICE;
+        match standing {
+            Standing::Starting => tracing::info!("{service} asks the bus what there is"),
+            Standing::Standby => {
+                tracing::info!("{service} stands by: another instance holds the role")
+            }
+            Standing::Doubtful => {
+                tracing::info!("{service} is silent until it knows that it still holds the role")
+            }
+            Standing::Holding => tracing::info!("{service} holds the role"),
+        }
+        let holds = matches!(standing, Standing::Holding | Standing::Doubtful);
+        self.served.send_if_modified(|before| std::mem::replace(before, holds) != holds);
     }
 
     fn take_packets(&mut self) {
@@ -342,12 +394,13 @@ impl<C: Core> Shell<C> {
 
     fn fetch(&self, fetch: u32, patterns: Vec<Pattern>) {
         let (bus, ended) = (self.bus.clone(), self.ended.clone());
-        let patience = if fetch == START_FETCH { START_PATIENCE } else { Duration::ZERO };
-        let until = Instant::now() + patience;
+        let now = Instant::now();
         tokio::spawn(async move {
             let mut asked = JoinSet::new();
             for pattern in patterns {
                 let bus = bus.clone();
+                let patient = is_patient::<C>(fetch, &pattern);
+                let until = if patient { now + START_PATIENCE } else { now };
                 asked.spawn(async move {
                     loop {
                         let answers = fetch_one::<C>(&bus, &pattern).await;

@@ -11,6 +11,7 @@ use muster_machine::{
 };
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{InstanceId, ServiceName};
+use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
 use muster_runtime::bus::{Answer, Ask, Bus, Patience};
@@ -87,6 +88,10 @@ impl Core for Probe {
             }
             _ => {}
         }
+    }
+
+    fn standing(&self) -> Standing {
+        self.role.standing()
     }
 
     fn deadline(&self) -> Option<Tick> {

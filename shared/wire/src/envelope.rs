@@ -13,6 +13,7 @@ use muster_model::header::Header;
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::{Links, Pose, Rank, Relation};
+use muster_model::role::Claim;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 use serde::de::DeserializeOwned;
@@ -123,6 +124,7 @@ kinds! {
     10 Audit, "Audit", MAX_SERVICE_PAYLOAD;
     11 Event, "Event", MAX_SMALL_PAYLOAD;
     12 AnnouncedSettings, "Settings", MAX_SMALL_PAYLOAD;
+    13 Claim, "Claim", MAX_SMALL_PAYLOAD;
 }
 
 /// Writes a message.

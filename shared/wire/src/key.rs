@@ -51,6 +51,8 @@ pub enum Key {
     Settings(ServiceName),
     /// `service/{service}/status`: a get answers with what the service tells of itself.
     Status(ServiceName),
+    /// `service/{service}/holder`: who of several instances holds the role of the service.
+    Holder(ServiceName),
     /// `service/{service}/{instance}`: liveliness token of a running service.
     ServiceToken(ServiceName, InstanceId),
 }
@@ -74,6 +76,8 @@ pub enum Pattern {
     Graphs,
     /// `service/*/*`, of liveliness tokens.
     ServiceTokens,
+    /// `service/{service}/*`, of liveliness tokens.
+    InstanceTokens(ServiceName),
     /// `service/*/status`
     Statuses,
     /// One key.
@@ -133,6 +137,9 @@ impl KeySpace {
             Pattern::RobotTeams => "robot/*/team",
             Pattern::Graphs => "graph/*",
             Pattern::ServiceTokens => "service/*/*",
+            Pattern::InstanceTokens(service) => {
+                return format!("{}service/{service}/*", self.prefix);
+            }
             Pattern::Statuses => "service/*/status",
             Pattern::One(key) => return self.format(key),
         };
@@ -187,6 +194,7 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
             match last {
                 "settings" => Key::Settings(service),
                 "status" => Key::Status(service),
+                "holder" => Key::Holder(service),
                 instance => Key::ServiceToken(service, instance.parse().ok()?),
             }
         }
@@ -201,7 +209,7 @@ impl Pattern {
         match self {
             Self::Poses | Self::Links | Self::Ranks | Self::Relations => MAX_ROBOT_PAYLOAD,
             Self::Statuses => MAX_SMALL_PAYLOAD,
-            Self::RobotTokens | Self::ServiceTokens => 0,
+            Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
             Self::RobotTeams | Self::Graphs => MAX_SERVICE_PAYLOAD,
             Self::One(key) => key.payload_limit(),
         }
@@ -216,9 +224,11 @@ impl Key {
             Self::Pose(_) | Self::Links(_) | Self::Rank(_) | Self::Relation(..) => {
                 MAX_ROBOT_PAYLOAD
             }
-            Self::Event | Self::JsonEvent | Self::Settings(_) | Self::Status(_) => {
-                MAX_SMALL_PAYLOAD
-            }
+            Self::Event
+            | Self::JsonEvent
+            | Self::Settings(_)
+            | Self::Status(_)
+            | Self::Holder(_) => MAX_SMALL_PAYLOAD,
             Self::RobotToken(_) | Self::ServiceToken(..) => 0,
             _ => MAX_SERVICE_PAYLOAD,
         }
@@ -262,6 +272,7 @@ impl fmt::Display for Key {
             Self::JsonEvent => formatter.write_str("json/event"),
             Self::Settings(service) => write!(formatter, "service/{service}/settings"),
             Self::Status(service) => write!(formatter, "service/{service}/status"),
+            Self::Holder(service) => write!(formatter, "service/{service}/holder"),
             Self::ServiceToken(service, instance) => {
                 write!(formatter, "service/{service}/{instance}")
             }
@@ -301,6 +312,7 @@ mod tests {
         for service in ServiceName::ALL {
             keys.push(Key::Settings(service));
             keys.push(Key::Status(service));
+            keys.push(Key::Holder(service));
             keys.push(Key::ServiceToken(service, InstanceId::new("host-1").unwrap()));
         }
         for key in keys {

@@ -7,9 +7,10 @@ use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
-use muster_model::id::{Modality, RobotId};
+use muster_model::id::{InstanceId, Modality, RobotId, ServiceName};
 use muster_model::limits::MAX_REVISION;
 use muster_model::observation::{Links, Observation, Pose, Rank, Relation};
+use muster_model::role::Claim;
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::{RobotTeam, Teams};
@@ -40,6 +41,15 @@ pub enum Message {
         /// Whether the token is there.
         alive: bool,
     },
+    /// An instance's liveliness token appeared or was lost.
+    ServiceToken {
+        /// The service.
+        service: ServiceName,
+        /// The instance.
+        instance: InstanceId,
+        /// Whether the token is there.
+        alive: bool,
+    },
     /// Where a robot is.
     Pose(RobotId, Pose),
     /// Whom a robot hears.
@@ -67,6 +77,8 @@ pub enum Message {
     Audit(Arc<Audit>),
     /// Something that happened.
     Event(Event),
+    /// Who holds the role of a service.
+    Claim(Box<Claim>),
     /// The settings of a service.
     Settings(Box<AnnouncedSettings>),
     /// What a service tells of itself.
@@ -206,6 +218,9 @@ impl Message {
         if let Some(alive) = alive {
             return match key {
                 Key::RobotToken(robot) => Ok(Self::RobotToken { robot, alive }),
+                Key::ServiceToken(service, instance) => {
+                    Ok(Self::ServiceToken { service, instance, alive })
+                }
                 _ => Err("no liveliness token belongs on this key".to_owned()),
             };
         }
@@ -278,6 +293,13 @@ impl Message {
                 }
                 Self::Settings(Box::new(announced))
             }
+            Key::Holder(service) => {
+                let claim: Claim = binary(format, bytes)?;
+                if claim.service != service {
+                    return Err("the key and the content name different services".to_owned());
+                }
+                Self::Claim(Box::new(claim))
+            }
             Key::RobotToken(_) | Key::ServiceToken(..) => {
                 return Err("this key takes liveliness tokens and no messages".to_owned());
             }
@@ -308,6 +330,7 @@ impl Message {
             Self::Audit(audit) => Some(&audit.header),
             Self::Event(event) => Some(&event.header),
             Self::Settings(announced) => Some(&announced.header),
+            Self::Claim(claim) => Some(&claim.header),
             _ => None,
         }
     }
@@ -317,6 +340,9 @@ impl Message {
     pub fn keys(&self) -> (Key, Option<Key>) {
         match self {
             Self::RobotToken { robot, .. } => (Key::RobotToken(robot.clone()), None),
+            Self::ServiceToken { service, instance, .. } => {
+                (Key::ServiceToken(*service, instance.clone()), None)
+            }
             Self::Pose(robot, _) => (Key::Pose(robot.clone()), None),
             Self::Links(robot, _) => (Key::Links(robot.clone()), None),
             Self::Rank(robot, _) => (Key::Rank(robot.clone()), None),
@@ -331,6 +357,7 @@ impl Message {
             Self::Audit(_) => (Key::Audit, Some(Key::JsonAudit)),
             Self::Event(_) => (Key::Event, Some(Key::JsonEvent)),
             Self::Settings(announced) => (Key::Settings(announced.service), None),
+            Self::Claim(claim) => (Key::Holder(claim.service), None),
             Self::Status(status) => (Key::Status(status.service), None),
         }
     }
@@ -399,7 +426,7 @@ impl Message {
 
     fn json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
         match self {
-            Self::RobotToken { .. } => Ok(Vec::new()),
+            Self::RobotToken { .. } | Self::ServiceToken { .. } => Ok(Vec::new()),
             Self::Pose(_, body) => serde_json::to_vec(body),
             Self::Links(_, body) => serde_json::to_vec(body),
             Self::Rank(_, body) => serde_json::to_vec(body),
@@ -412,6 +439,7 @@ impl Message {
             Self::Audit(audit) => audit.to_json(now),
             Self::Event(event) => event.to_json(now),
             Self::Settings(announced) => Ok(announced.settings.clone().into_bytes()),
+            Self::Claim(claim) => serde_json::to_vec(claim),
             Self::Status(status) => serde_json::to_vec(status),
         }
     }
@@ -436,7 +464,8 @@ impl Message {
             Self::Audit(audit) => named(audit.as_ref()),
             Self::Event(event) => named(event),
             Self::Settings(announced) => named(announced.as_ref()),
-            Self::RobotToken { .. } | Self::Status(_) => {
+            Self::Claim(claim) => named(claim.as_ref()),
+            Self::RobotToken { .. } | Self::ServiceToken { .. } | Self::Status(_) => {
                 Err(EnvelopeError::Encode("this message has no binary form".to_owned()))
             }
         }

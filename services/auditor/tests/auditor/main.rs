@@ -78,16 +78,27 @@ impl Bench {
     }
 
     fn step(&mut self, event: Event<<Auditor as Core>::Done>) {
+        let mut in_doubt = None;
         for command in self.driver.step(self.now, event) {
             match command {
                 Command::Publish(Message::Audit(audit)) => self.audits.push(audit),
                 Command::Publish(Message::Event(event)) => self.events.push(event.kind),
-                Command::Publish(Message::Settings(..)) | Command::Store(_) => {}
+                Command::Publish(Message::Settings(..) | Message::Claim(..))
+                | Command::Store(_) => {}
                 Command::Publish(other) => panic!("{other:?}"),
                 Command::Reply { query, answer, .. } => self.replies.push((query, answer)),
                 Command::Run(job) => self.jobs.push_back(job),
+                Command::Fetch { fetch, patterns }
+                    if patterns == [Pattern::One(Key::Holder(ServiceName::Auditor))] =>
+                {
+                    in_doubt = Some(fetch);
+                }
                 Command::Fetch { fetch, patterns } => self.fetches.push((fetch, patterns)),
             }
+        }
+        // Nobody else holds the role.
+        if let Some(fetch) = in_doubt {
+            self.step(Event::Fetched { fetch, messages: Vec::new() });
         }
         assert!(self.jobs.len() <= 1, "one job at a time");
         if !self.hold {
@@ -103,7 +114,14 @@ impl Bench {
     }
 
     fn wait(&mut self, seconds: f64) {
-        self.now = self.now.after(Duration::from_secs_f64(seconds));
+        let end = self.now.after(Duration::from_secs_f64(seconds));
+        // The process runs all the while, whatever else happens.
+        while self.now < end {
+            self.now = self.now.after(Duration::from_millis(400)).min(end);
+            let instance = InstanceId::of_process("other", 1, 1);
+            let (service, alive) = (ServiceName::Auditor, false);
+            self.step(Event::Received(Message::ServiceToken { service, instance, alive }));
+        }
         if self.driver.deadline().is_some_and(|due| due <= self.now) {
             self.step(Event::Timeout);
         }

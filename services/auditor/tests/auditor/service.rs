@@ -22,7 +22,7 @@ fn nothing_is_said_before_the_term_has_begun() {
     let mut bench = Bench::new();
     bench.step(Event::Started);
     assert_eq!((bench.fetches.len(), bench.fetches[0].0), (1, START_FETCH));
-    assert_eq!(bench.fetches[0].1.len(), 4);
+    assert_eq!(bench.fetches[0].1.len(), 6);
     bench.hear(embedding(1, FOUR));
     bench.hear(teams(1, 1, PAIRS, ""));
     bench.wait(100.0);
@@ -90,7 +90,7 @@ fn a_restart_judges_what_others_remember() {
     });
     let mut bench = Bench::begun(vec![Message::Audit(Arc::clone(&last))]);
     assert_eq!(bench.ask("audit", None).unwrap(), [Message::Audit(last.clone())]);
-    assert_eq!(bench.driver.deadline(), Some(START.after(Duration::from_secs(5))));
+    assert_eq!(bench.driver.deadline(), Some(START.after(muster_machine::CLAIM_EVERY)));
     bench.hear(embedding(1, FOUR));
     bench.hear(teams(1, 1, PAIRS, ""));
     assert_eq!(bench.audit().header.revision, Revision { term: 8, epoch: 1 });

@@ -73,14 +73,25 @@ impl Bench {
     }
 
     pub fn step(&mut self, event: Event<<Clusterer as Core>::Done>) {
+        let mut in_doubt = None;
         for command in self.driver.step(self.now, event) {
             match command {
                 Command::Publish(message) => self.sent.push(message),
                 Command::Reply { query, answer, .. } => self.replies.push((query, answer)),
                 Command::Run(job) => self.jobs.push_back(job),
+                Command::Fetch { fetch, patterns }
+                    if patterns
+                        == [Pattern::One(muster_wire::Key::Holder(ServiceName::Clusterer))] =>
+                {
+                    in_doubt = Some(fetch);
+                }
                 Command::Fetch { fetch, patterns } => self.fetches.push((fetch, patterns)),
                 Command::Store(stored) => self.stored = Some(stored),
             }
+        }
+        // Nobody else holds the role.
+        if let Some(fetch) = in_doubt {
+            self.step(Event::Fetched { fetch, messages: Vec::new() });
         }
         assert!(self.jobs.len() <= 1, "one job at a time");
         if !self.hold {
@@ -97,7 +108,14 @@ impl Bench {
     }
 
     pub fn wait(&mut self, seconds: f64) {
-        self.now = self.now.after(std::time::Duration::from_secs_f64(seconds));
+        let end = self.now.after(std::time::Duration::from_secs_f64(seconds));
+        // The process runs all the while, whatever else happens.
+        while self.now < end {
+            self.now = self.now.after(std::time::Duration::from_millis(400)).min(end);
+            let instance = InstanceId::of_process("other", 1, 1);
+            let (service, alive) = (ServiceName::Clusterer, false);
+            self.step(Event::Received(Message::ServiceToken { service, instance, alive }));
+        }
         if self.driver.deadline().is_some_and(|due| due <= self.now) {
             self.step(Event::Timeout);
         }
@@ -147,6 +165,7 @@ impl Bench {
                 Message::RobotTeam(told) => sent.robots.push(told),
                 Message::Event(event) => sent.events.push(event.kind),
                 Message::Settings(..) => sent.settings += 1,
+                Message::Claim(..) => {}
                 other => panic!("{other:?}"),
             }
         }

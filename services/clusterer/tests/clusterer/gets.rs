@@ -20,7 +20,7 @@ fn nothing_is_said_before_the_term_has_begun() {
     bench.step(Event::Started);
     assert_eq!(bench.fetches.len(), 1);
     assert_eq!(bench.fetches[0].0, START_FETCH);
-    assert_eq!(bench.fetches[0].1.len(), 3);
+    assert_eq!(bench.fetches[0].1.len(), 5);
     bench.hear(&embedding(1, &[("a b", WEST), ("c d", EAST)]));
     bench.hear_roster(roster(1, "a b c d"));
     bench.wait(100.0);

@@ -46,7 +46,7 @@ fn ids_and_numbers_outlive_the_process() {
     assert_eq!(next.ask("teams", None).unwrap().len(), 1);
     assert_eq!(next.ask("robot/a/team", None).unwrap().len(), 1);
     assert_eq!(next.status().state, "waiting for an embedding");
-    assert_eq!(next.driver.deadline(), Some(START.after(std::time::Duration::from_secs(5))));
+    assert_eq!(next.driver.deadline(), Some(START.after(muster_machine::CLAIM_EVERY)));
 
     next.hear(&again(&first, 1, 2));
     let sent = next.take();

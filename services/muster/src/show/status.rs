@@ -4,6 +4,7 @@ use std::io::Write as _;
 use std::time::Duration;
 
 use muster_model::id::ServiceName;
+use muster_model::role::Standing;
 use muster_model::roster::{Presence, Roster};
 use muster_model::status::ServiceStatus;
 use muster_runtime::bus::{Answer, Ask, Bus};
@@ -94,6 +95,16 @@ async fn look(bus: &Bus) -> anyhow::Result<Look> {
     Ok(Look { services, silent, tokens: robots.len(), roster })
 }
 
+/// What an instance does about the role of its service, in a word.
+fn standing(standing: Standing) -> &'static str {
+    match standing {
+        Standing::Starting => "starting",
+        Standing::Standby => "stands by",
+        Standing::Doubtful => "in doubt",
+        Standing::Holding => "holds",
+    }
+}
+
 fn print(look: &Look, config: &ProcessConfig, json: bool, clock: &Clock) -> anyhow::Result<()> {
     let now = clock.now();
     let mut out = std::io::stdout().lock();
@@ -117,12 +128,14 @@ fn print(look: &Look, config: &ProcessConfig, json: bool, clock: &Clock) -> anyh
         writeln!(out, "{line}")?;
         return Ok(out.flush()?);
     }
-    let mut services = table(&["service", "instance", "term", "epoch", "up", "refused", "state"]);
+    let mut services =
+        table(&["service", "instance", "standing", "term", "epoch", "up", "refused", "state"]);
     for status in &look.services {
         let refused = status.counters.get("messages_refused").copied().unwrap_or_default();
         services.add_row([
             status.service.to_string(),
             status.instance.to_string(),
+            standing(status.standing).to_owned(),
             status.revision.term.to_string(),
             status.revision.epoch.to_string(),
             format!("{} s", status.now.since(status.started).as_secs()),

@@ -12,6 +12,7 @@ use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::observation::{Link, Links, Pose, Rank, Relation};
+use muster_model::role::{Claim, Standing};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::status::ServiceStatus;
 use muster_model::teams::{Member, Team, TeamChange, Teams};
@@ -182,6 +183,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         version: "0.1.0".to_owned(),
         started: Tick(NOW.0 - 60_000_000),
         now: NOW,
+        standing: Standing::Holding,
         revision: revision(42),
         state: "2 robots, 1 stale".to_owned(),
         counters: BTreeMap::from([("poses_accepted".to_owned(), 600)]),
@@ -211,6 +213,14 @@ pub fn all() -> Vec<(&'static str, Message)> {
                 header: header(44),
                 service: ServiceName::Clusterer,
                 settings: "{\"teams\":3}".to_owned(),
+            })),
+        ),
+        (
+            "claim",
+            Message::Claim(Box::new(Claim {
+                header: header(45),
+                service: ServiceName::Embedder,
+                instance: InstanceId::new("host-1").unwrap(),
             })),
         ),
         ("status", Message::Status(Box::new(status))),

@@ -1,0 +1,33 @@
+//! Who holds the role of a service, of which several instances may run.
+
+use serde::{Deserialize, Serialize};
+
+use crate::header::Header;
+use crate::id::{InstanceId, ServiceName};
+
+/// Where an instance stands towards the role of its service.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Standing {
+    /// It asks the bus what there is, and publishes nothing.
+    #[default]
+    Starting,
+    /// Another instance holds the role; this one follows and takes over when that one is gone.
+    Standby,
+    /// It held the role and was cut off or stopped for a while: it publishes nothing until it knows
+    /// that nobody has taken over.
+    Doubtful,
+    /// It holds the role: its outputs are the outputs of the service.
+    Holding,
+}
+
+/// What the holder of a role tells the other instances of its service several times a second.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Claim {
+    /// The head of the message; its revision is that of the holder's last output.
+    pub header: Header,
+    /// The service.
+    pub service: ServiceName,
+    /// The holder.
+    pub instance: InstanceId,
+}
