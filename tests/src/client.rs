@@ -8,7 +8,9 @@ use serde_json::Value;
 use tokio::time::sleep;
 use zenoh::Session;
 use zenoh::bytes::Encoding;
+use zenoh::handlers::FifoChannelHandler;
 use zenoh::liveliness::LivelinessToken;
+use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 
 /// How often a waiting test looks again.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -126,22 +128,19 @@ impl Client {
         if let Some(payload) = payload {
             get = get.payload(payload.to_string());
         }
-        let replies = get.await.map_err(fail)?;
-        let mut answers = Vec::new();
-        while let Ok(reply) = replies.recv_async().await {
-            answers.push(match reply.result() {
-                Ok(sample) => {
-                    let value = serde_json::from_slice(&sample.payload().to_bytes());
-                    let key = sample.key_expr().as_str().replacen(&self.prefix, "", 1);
-                    (key, value.map_err(|error| error.to_string()))
-                }
-                Err(error) => {
-                    let text = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
-                    (String::new(), Err(text))
-                }
-            });
-        }
-        Ok(answers)
+        answers(get.await.map_err(fail)?, &self.prefix).await
+    }
+
+    /// Gets JSON from everybody who answers, also where one answer would suffice.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn get_from_all(&self, tail: &str) -> anyhow::Result<Vec<Value>> {
+        let selector = self.key(tail);
+        let get = self.session.get(selector.as_str()).timeout(Duration::from_secs(3));
+        let get = get.target(QueryTarget::All).consolidation(ConsolidationMode::None);
+        let answers = answers(get.await.map_err(fail)?, &self.prefix).await?;
+        Ok(answers.into_iter().filter_map(|(_, answer)| answer.ok()).collect())
     }
 
     /// The first good answer to a get.
@@ -176,6 +175,28 @@ impl Client {
             .map_err(fail)?;
         Ok(Watch(kept))
     }
+}
+
+/// Every answer to a get with its key, errors as their text.
+async fn answers(
+    replies: FifoChannelHandler<Reply>,
+    prefix: &str,
+) -> anyhow::Result<Vec<(String, Result<Value, String>)>> {
+    let mut answers = Vec::new();
+    while let Ok(reply) = replies.recv_async().await {
+        answers.push(match reply.result() {
+            Ok(sample) => {
+                let value = serde_json::from_slice(&sample.payload().to_bytes());
+                let key = sample.key_expr().as_str().replacen(prefix, "", 1);
+                (key, value.map_err(|error| error.to_string()))
+            }
+            Err(error) => {
+                let text = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
+                (String::new(), Err(text))
+            }
+        });
+    }
+    Ok(answers)
 }
 
 impl Watch {

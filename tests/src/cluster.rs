@@ -95,7 +95,16 @@ impl Cluster {
     /// # Errors
     /// If it does not start.
     pub fn start_service(&mut self, service: &str) -> anyhow::Result<()> {
-        let state = self.folder.path().join("state");
+        self.start_instance(service, service)
+    }
+
+    /// Starts a further instance of a service, as on another host: with a name and a state of its own.
+    ///
+    /// # Errors
+    /// If it does not start.
+    pub fn start_instance(&mut self, service: &str, instance: &str) -> anyhow::Result<()> {
+        let folder = if service == instance { "state" } else { instance };
+        let state = self.folder.path().join(folder);
         let mut arguments =
             vec!["--fleet", &self.fleet, "--connect", &self.endpoint, "--state-directory"];
         let state = state.to_string_lossy().into_owned();
@@ -105,11 +114,11 @@ impl Cluster {
         }
         let name = format!("muster-{service}");
         let process = Process::start(&name, &arguments, &[], self.folder.path())?;
-        self.services.insert(service.to_owned(), process);
+        self.services.insert(instance.to_owned(), process);
         Ok(())
     }
 
-    /// The process of a service.
+    /// The process of a service, or of a further instance by its name.
     ///
     /// # Errors
     /// If it was never started.

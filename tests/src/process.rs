@@ -55,6 +55,12 @@ impl Process {
         Ok(Self { name: program_name.to_owned(), child, log })
     }
 
+    /// Its process id.
+    #[must_use]
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// What it has printed so far.
     #[must_use]
     pub fn output(&self) -> String {

@@ -27,6 +27,7 @@ fn every_key() -> Vec<Key> {
     for service in ServiceName::ALL {
         keys.push(Key::Settings(service));
         keys.push(Key::Status(service));
+        keys.push(Key::Holder(service));
         keys.push(Key::ServiceToken(service, InstanceId::new("host-1").unwrap()));
     }
     keys
@@ -52,6 +53,7 @@ fn every_key_and_pattern_is_canonical() {
         Pattern::RobotTeams,
         Pattern::Graphs,
         Pattern::ServiceTokens,
+        Pattern::InstanceTokens(ServiceName::Ingest),
         Pattern::Statuses,
     ] {
         let text = space().pattern(&pattern);

@@ -15,3 +15,4 @@ mod pipeline;
 mod presence;
 mod restarts;
 mod settings;
+mod standby;

@@ -25,7 +25,7 @@ async fn same_again(teams: &Watch, wanted: &Division, fresh: impl Fn(&Value) -> 
     start.elapsed()
 }
 
-fn stage(value: &Value, name: &str) -> f64 {
+pub(crate) fn stage(value: &Value, name: &str) -> f64 {
     let stages = value["stages"].as_array().cloned().unwrap_or_default();
     stages
         .iter()
@@ -34,7 +34,7 @@ fn stage(value: &Value, name: &str) -> f64 {
         .unwrap_or_default()
 }
 
-fn now() -> f64 {
+pub(crate) fn now() -> f64 {
     std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs_f64()
 }
 
