@@ -236,6 +236,10 @@ impl<S: Settings> Role<S> {
                 self.tenure.link_restored(now);
                 match self.standing() {
                     Standing::Doubtful => self.ask_holder(effects),
+                    Standing::Starting if self.waited && !self.asking => {
+                        self.tenure.stand_by();
+                        events.push(Event::LinkRestored);
+                    }
                     Standing::Starting if !self.asking => {
                         events.extend([Event::LinkRestored, Event::Started]);
                     }

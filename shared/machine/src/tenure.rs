@@ -156,6 +156,11 @@ impl Tenure {
         self.standing = Standing::Starting;
     }
 
+    /// It was about to take over when its link was lost: the holder may find back as it does.
+    pub(crate) fn stand_by(&mut self) {
+        self.standing = Standing::Standby;
+    }
+
     pub(crate) fn link_lost(&mut self) {
         self.linked = false;
         self.doubt();
@@ -297,5 +302,180 @@ impl Tenure {
             }
             Standing::Standby => Some(self.attended.after(CLAIM_EVERY)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::header::Header;
+    use muster_model::id::{FleetId, ServiceName};
+
+    use super::*;
+
+    const START: Tick = Tick(1_000_000_000);
+
+    fn at(seconds: f64) -> Tick {
+        START.after(Duration::from_secs_f64(seconds))
+    }
+
+    fn name(host: &str) -> InstanceId {
+        InstanceId::of_process(host, 1, 1)
+    }
+
+    fn claim(host: &str, term: u64) -> Claim {
+        Claim {
+            header: Header {
+                fleet: FleetId::new("f").unwrap(),
+                revision: Revision { term, epoch: 5 },
+                oldest: None,
+                newest: None,
+                stages: Vec::new(),
+            },
+            service: ServiceName::Ingest,
+            instance: name(host),
+        }
+    }
+
+    /// An instance on host `b` that knows of hosts `a` and `c`.
+    fn between() -> Tenure {
+        let mut tenure = Tenure::new(name("b"), START);
+        tenure.token(START, name("a"), true);
+        tenure.token(START, name("c"), true);
+        tenure
+    }
+
+    /// The same as the holder, and standing by for a holder on a host.
+    fn holding() -> Tenure {
+        let mut tenure = between();
+        tenure.begun(START);
+        tenure
+    }
+
+    fn standing_by(host: &str) -> Tenure {
+        let mut tenure = between();
+        assert_eq!(tenure.hear(START, &claim(host, 3), true, 0), Heard::Noted);
+        assert_eq!(tenure.decide(START, false), Decision::StandBy);
+        tenure
+    }
+
+    /// Lets an instance look around until it takes over; when that is.
+    fn takes_over(tenure: &mut Tenure, from: f64, until: f64) -> Option<f64> {
+        let mut now = at(from);
+        while now <= at(until) {
+            assert!(!tenure.attend(now));
+            if tenure.takes_over(now) {
+                return Some(now.since(START).as_secs_f64());
+            }
+            now = tenure.deadline().unwrap().max(now.after(Duration::from_millis(1)));
+        }
+        None
+    }
+
+    #[test]
+    fn the_first_begins_and_those_after_it_wait_for_their_turn() {
+        let mut alone = Tenure::new(name("b"), START);
+        assert_eq!(alone.decide(START, false), Decision::Begin);
+        let mut second = between();
+        assert_eq!(second.decide(START, false), Decision::StandBy);
+        let turn = takes_over(&mut second, 0.0, 10.0).unwrap();
+        assert!((0.5..0.6).contains(&turn), "{turn}");
+        assert_eq!(second.decide(at(turn), true), Decision::Begin);
+        // The first has begun meanwhile.
+        let mut second = between();
+        second.decide(START, false);
+        second.hear(at(0.1), &claim("a", 1), false, 0);
+        assert_eq!(takes_over(&mut second, 0.0, 2.0), None);
+    }
+
+    #[test]
+    fn a_lost_token_hands_the_role_on_at_once_and_silence_after_the_lease() {
+        let mut tenure = standing_by("a");
+        tenure.token(at(1.0), name("a"), false);
+        let taken = takes_over(&mut tenure, 0.9, 9.0).unwrap();
+        assert!((1.2..1.3).contains(&taken), "{taken}");
+
+        let taken = takes_over(&mut standing_by("a"), 0.0, 9.0).unwrap();
+        assert!((2.0..2.1).contains(&taken), "{taken}");
+        // One with a lower name has its turn first.
+        let taken = takes_over(&mut standing_by("c"), 0.0, 9.0).unwrap();
+        assert!((2.3..2.4).contains(&taken), "{taken}");
+    }
+
+    #[test]
+    fn nobody_takes_a_role_from_a_holder_that_lives() {
+        let mut tenure = standing_by("c");
+        for half in 1..40 {
+            let now = f64::from(half) * 0.5;
+            assert_eq!(takes_over(&mut tenure, now - 0.5, now - 0.1), None);
+            tenure.hear(at(now), &claim("c", 3), false, 0);
+        }
+    }
+
+    #[test]
+    fn a_lost_link_says_nothing_about_the_holder() {
+        let mut tenure = standing_by("a");
+        tenure.token(at(0.5), name("a"), false);
+        tenure.link_lost();
+        assert_eq!(takes_over(&mut tenure, 0.5, 60.0), None);
+        tenure.link_restored(at(60.1));
+        let taken = takes_over(&mut tenure, 60.1, 70.0).unwrap();
+        assert!((62.1..62.2).contains(&taken), "{taken}");
+    }
+
+    #[test]
+    fn who_did_not_run_gives_the_holder_the_whole_patience_anew() {
+        let mut tenure = standing_by("a");
+        assert!(!tenure.attend(at(30.0)), "it holds nothing that could be in doubt");
+        assert!(!tenure.takes_over(at(30.0)));
+        assert_eq!(takes_over(&mut tenure, 30.0, 31.9), None);
+        assert!(takes_over(&mut tenure, 31.9, 32.1).is_some());
+    }
+
+    #[test]
+    fn a_holder_that_did_not_run_or_was_cut_off_is_in_doubt() {
+        let mut tenure = holding();
+        assert!(!tenure.attend(at(1.0)));
+        assert!(tenure.attend(at(3.0)));
+        tenure.doubt();
+        assert_eq!(tenure.standing(), Standing::Doubtful);
+        assert!(!tenure.claims(at(3.0)));
+        tenure.confirmed(at(3.1));
+        assert!(tenure.claims(at(3.1)));
+        tenure.link_lost();
+        assert_eq!(tenure.standing(), Standing::Doubtful);
+    }
+
+    #[test]
+    fn the_higher_term_wins_and_in_the_same_the_lower_name() {
+        assert_eq!(holding().hear(START, &claim("a", 4), false, 5), Heard::Noted);
+        assert_eq!(holding().hear(START, &claim("c", 6), false, 5), Heard::StandDown);
+        assert_eq!(holding().hear(START, &claim("a", 5), false, 5), Heard::StandDown);
+        let raise = Heard::Raise(Revision { term: 5, epoch: 5 });
+        assert_eq!(holding().hear(START, &claim("c", 5), false, 5), raise);
+        assert_eq!(holding().hear(START, &claim("b", 9), false, 5), Heard::Noted, "its own");
+    }
+
+    #[test]
+    fn a_claim_behind_which_nobody_stands_is_not_believed() {
+        assert_eq!(holding().hear(START, &claim("nobody", 900), false, 5), Heard::Noted);
+        assert_eq!(holding().hear(START, &claim("nobody", 900), true, 5), Heard::StandDown);
+    }
+
+    #[test]
+    fn without_a_link_nobody_begins() {
+        let mut tenure = Tenure::new(name("b"), START);
+        tenure.link_lost();
+        assert_eq!(tenure.decide(START, true), Decision::Wait);
+        tenure.link_restored(START);
+        assert_eq!(tenure.decide(START, true), Decision::Begin);
+    }
+
+    #[test]
+    fn the_instances_that_are_told_apart_are_bounded() {
+        let mut tenure = Tenure::new(name("b"), START);
+        for other in 0..1000 {
+            tenure.token(START, InstanceId::of_process("z", other, 1), true);
+        }
+        assert_eq!(tenure.peers.len(), MAX_PEERS);
     }
 }
