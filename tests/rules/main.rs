@@ -110,3 +110,20 @@ fn each_foreign_crate_is_spoken_to_in_one_place() {
         }
     }
 }
+
+#[test]
+fn nothing_that_a_core_is_made_of_reads_a_clock_or_starts_a_thread() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
+    let pure = ["model", "relation", "numeric", "wire", "machine"].map(|name| ("shared", name));
+    let cores = ["ingest", "embedder", "clusterer", "auditor"].map(|name| ("services", name));
+    for (folder, name) in pure.into_iter().chain(cores) {
+        for (file, text) in sources(&root.join(folder).join(name).join("src"), "/tests/") {
+            for what in ["Instant", "SystemTime", "std::thread", "rand::rng", "available_parallel"]
+            {
+                assert!(!text.contains(what), "{file} speaks of {what}");
+            }
+        }
+    }
+    let shell = sources(&root.join("shared/runtime/src"), "/tests/");
+    assert!(shell.iter().any(|(_, text)| text.contains("Instant")), "the look would see it");
+}

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use muster_machine::{
     Answered, Core, Delivery, Effect, Effects, Event, JobGate, QueryId, Role, START_FETCH, Start,
-    Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
+    Stopwatch, Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
 };
 use muster_model::audit::{Audit, Verdict};
 use muster_model::embedding::Embedding;
@@ -552,7 +552,7 @@ impl Core for Auditor {
         [self.ask, heartbeat, alert, retry, self.role.deadline()].into_iter().flatten().min()
     }
 
-    fn run(job: Job) -> Outcome {
+    fn run(job: Job, _: &mut Stopwatch) -> Outcome {
         Outcome(judge(&job.case))
     }
 }

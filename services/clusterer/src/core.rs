@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use muster_machine::{
     Answered, Core, Delivery, Effect, Effects, Event, JobGate, QueryId, Role, START_FETCH, Start,
-    Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
+    Stopwatch, Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
 };
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
@@ -559,7 +559,7 @@ impl Core for Clusterer {
         times.into_iter().flatten().min()
     }
 
-    fn run(job: Job) -> Outcome {
+    fn run(job: Job, _: &mut Stopwatch) -> Outcome {
         Outcome(divide(&job))
     }
 }

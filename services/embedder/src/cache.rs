@@ -1,14 +1,13 @@
 //! The Katz similarity of the last frame and its decomposition, kept for as long as they hold.
 
-use std::time::Instant;
-
+use muster_machine::Stopwatch;
 use muster_model::embedding::EmbeddingMode;
 use muster_numeric::katz::{self, katz_probe, katz_similarity};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};
 use muster_numeric::svd::{FullSvd, full_svd};
 
-use crate::compute::{ComputeError, micros};
+use crate::compute::ComputeError;
 
 /// What was last computed from a fused graph.
 #[derive(Debug)]
@@ -53,22 +52,21 @@ pub(crate) fn obtain(
     alpha: f64,
     tolerance: f64,
     seed: u64,
+    stopwatch: &mut Stopwatch,
 ) -> Result<(Cache, Obtained), ComputeError> {
-    let started = Instant::now();
     let same = |kept: &Cache| kept.alpha.to_bits() == alpha.to_bits() && kept.fused == fused;
     if let Some(kept) = kept.filter(same) {
         let probe = katz_probe(&fused, alpha, &kept.similarity, seed)?;
         if probe <= tolerance {
-            let took_us = [micros(started), 0];
+            let took_us = [stopwatch.lap(), 0];
             return Ok((kept, Obtained { mode: EmbeddingMode::Cached, probe, took_us }));
         }
     }
     let similarity = katz_similarity(&fused, alpha, &radius)?;
     let probe = katz_probe(&fused, alpha, &similarity, seed)?;
-    let solved_us = micros(started);
-    let started = Instant::now();
+    let solved_us = stopwatch.lap();
     let svd = full_svd(&similarity)?;
-    let took_us = [solved_us, micros(started)];
+    let took_us = [solved_us, stopwatch.lap()];
     let cache = Cache { fused, alpha, radius, similarity, svd };
     Ok((cache, Obtained { mode: EmbeddingMode::Dense, probe, took_us }))
 }
@@ -94,7 +92,7 @@ mod tests {
 
     fn get(kept: Option<Cache>, alpha: f64) -> (Cache, Obtained) {
         let radius = radius_of(kept.as_ref(), &ring());
-        obtain(kept, ring(), radius, alpha, 1e-8, 7).unwrap()
+        obtain(kept, ring(), radius, alpha, 1e-8, 7, &mut Stopwatch::still()).unwrap()
     }
 
     #[test]

@@ -1,13 +1,12 @@
 //! The job: from one consistent frame to one vector per robot.
 //!
-//! A job owns or shares everything that it needs, and its result depends on nothing else, with one
-//! exception: the times that it took ([`EmbeddingQuality::stage_us`]) are measured, and no part of
-//! the deterministic result.
+//! A job owns or shares everything that it needs, and its result depends on nothing else but the
+//! times that its stopwatch tells ([`EmbeddingQuality::stage_us`]).
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Instant;
 
+use muster_machine::Stopwatch;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::graph::{GraphReplica, Node};
 use muster_model::header::Revision;
@@ -114,15 +113,10 @@ impl ComputeError {
     }
 }
 
-/// Microseconds since a moment.
-pub(crate) fn micros(since: Instant) -> u64 {
-    u64::try_from(since.elapsed().as_micros()).unwrap_or(u64::MAX)
-}
-
 /// Does a job.
-pub(crate) fn run(job: Job) -> Done {
+pub(crate) fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {
     let Job { frame, basis, previous, mut cache } = job;
-    let result = compute(&frame, &basis, previous.as_deref(), &mut cache);
+    let result = compute(&frame, &basis, previous.as_deref(), &mut cache, stopwatch);
     Done { frame, basis, cache, result }
 }
 
@@ -131,9 +125,9 @@ fn compute(
     basis: &Basis,
     previous: Option<&Embedding>,
     cache: &mut Option<Cache>,
+    stopwatch: &mut Stopwatch,
 ) -> Result<Computed, ComputeError> {
     let settings = &basis.settings;
-    let started = Instant::now();
     let names = basis.graphs.iter().map(|(name, _)| name);
     let weights = match weights(&settings.weights, names) {
         // Whatever the weights, nobody is left to be divided, and that must be told.
@@ -147,7 +141,7 @@ fn compute(
         Alpha::Fraction { fraction } => katz::Alpha::Fraction(fraction),
     };
     let alpha = alpha.resolve(&fused, &radius)?;
-    let fused_us = micros(started);
+    let fused_us = stopwatch.lap();
 
     let named = basis.graphs.iter().zip(weights);
     let graphs = named.map(|((name, at), weight)| (name.clone(), *at, weight)).collect();
@@ -172,10 +166,9 @@ fn compute(
 
     let seed = frame.roster.header.revision.epoch;
     let tolerance = settings.residual_tolerance;
-    let (kept, how) = obtain(cache.take(), fused, radius, alpha, tolerance, seed)?;
+    let (kept, how) = obtain(cache.take(), fused, radius, alpha, tolerance, seed, stopwatch)?;
     let kept = cache.insert(kept);
 
-    let started = Instant::now();
     let wanted = match (settings.dimension, basis.teams) {
         (Dimension::Fixed(dimension), _) => dimension as usize / 2,
         (Dimension::Auto, teams) => {
@@ -213,7 +206,7 @@ fn compute(
             gap: svd.gap(),
             ambiguous: svd.ambiguous(),
             mode: how.mode,
-            stage_us: [fused_us, katz_us, svd_us.saturating_add(micros(started))],
+            stage_us: [fused_us, katz_us, svd_us.saturating_add(stopwatch.lap())],
             singular_values: svd.sigma,
         },
         values: x.into_data(),

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, JobGate, Role, START_FETCH, Start,
+    Answered, Core, Delivery, Effect, Effects, Event, JobGate, Role, START_FETCH, Start, Stopwatch,
     Subscription, TERM_FETCH, Turn, Wiring,
 };
 use muster_model::embedding::{Embedding, EmbeddingMode};
@@ -104,8 +104,8 @@ impl Core for Embedder {
         self.role.standing()
     }
 
-    fn run(job: Job) -> Done {
-        run(job)
+    fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {
+        run(job, stopwatch)
     }
 }
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, QueryId, Role, START_FETCH, Start,
+    Answered, Core, Delivery, Effect, Effects, Event, QueryId, Role, START_FETCH, Start, Stopwatch,
     Subscription, TERM_FETCH, Turn, Wiring,
 };
 use muster_model::event::{EventKind, Severity};
@@ -345,5 +345,5 @@ impl Core for Ingest {
         self.role.standing()
     }
 
-    fn run((): ()) {}
+    fn run((): (), _: &mut Stopwatch) {}
 }

@@ -10,6 +10,8 @@ use serde_json::{Map, Value};
 
 use crate::role::START_FETCH;
 
+use crate::stopwatch::Stopwatch;
+
 /// Names a get that waits for its answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct QueryId(pub u64);
@@ -216,8 +218,8 @@ pub trait Core: Send + Sized + 'static {
     fn standing(&self) -> Standing;
 
     /// Does long work. Runs on another thread, beside the core, and must not depend on anything
-    /// but the job.
-    fn run(job: Self::Job) -> Self::Done;
+    /// but the job and the stopwatch.
+    fn run(job: Self::Job, stopwatch: &mut Stopwatch) -> Self::Done;
 
     /// Understands a packet that one of the subscriptions received.
     ///

@@ -11,6 +11,7 @@ mod driver;
 mod jobs;
 mod robot_teams;
 mod role;
+mod stopwatch;
 mod tenure;
 
 pub use crate::core::{
@@ -21,4 +22,5 @@ pub use driver::{Command, Driver};
 pub use jobs::JobGate;
 pub use robot_teams::answer_teams;
 pub use role::{Answered, Role, START_FETCH, TERM_FETCH, Turn};
+pub use stopwatch::Stopwatch;
 pub use tenure::{CLAIM_EVERY, HOLDER_SILENT};

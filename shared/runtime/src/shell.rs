@@ -10,7 +10,9 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_machine::{Command, Core, Delivery, Driver, Event, QueryId, Start, Wiring, is_patient};
+use muster_machine::{
+    Command, Core, Delivery, Driver, Event, QueryId, Start, Stopwatch, Wiring, is_patient,
+};
 use muster_model::id::InstanceId;
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::role::Standing;
@@ -383,7 +385,11 @@ impl<C: Core> Shell<C> {
     fn run_job(&self, job: C::Job) {
         let ended = self.ended.clone();
         tokio::task::spawn_blocking(move || {
-            let event = match std::panic::catch_unwind(AssertUnwindSafe(|| C::run(job))) {
+            let start = Instant::now();
+            let micros = move || u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX);
+            let mut stopwatch = Stopwatch::reading(micros);
+            let run = AssertUnwindSafe(|| C::run(job, &mut stopwatch));
+            let event = match std::panic::catch_unwind(run) {
                 Ok(done) => Event::Done(done),
                 Err(panic) => Event::JobFailed(panic_text(panic.as_ref())),
             };

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, Role, Start, Subscription, Wiring,
+    Answered, Core, Delivery, Effect, Effects, Event, Role, Start, Stopwatch, Subscription, Wiring,
 };
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{InstanceId, ServiceName};
@@ -98,7 +98,7 @@ impl Core for Probe {
         Some(self.next)
     }
 
-    fn run(job: &'static str) -> &'static str {
+    fn run(job: &'static str, _: &mut Stopwatch) -> &'static str {
         assert!(job == "calm", "a job that panics on purpose");
         job
     }

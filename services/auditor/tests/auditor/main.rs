@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use muster_auditor::{Auditor, Job};
 use muster_machine::{
-    Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stored, TERM_FETCH,
+    Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stopwatch, Stored, TERM_FETCH,
 };
 use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
@@ -109,7 +109,7 @@ impl Bench {
     fn run_job(&mut self) {
         if let Some(job) = self.jobs.pop_front() {
             self.jobs_run += 1;
-            self.step(Event::Done(Auditor::run(job)));
+            self.step(Event::Done(Auditor::run(job, &mut Stopwatch::still())));
         }
     }
 

@@ -4,7 +4,9 @@ use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use muster_clusterer::{Clusterer, Job};
-use muster_machine::{Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stored};
+use muster_machine::{
+    Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stopwatch, Stored,
+};
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::EventKind;
 use muster_model::header::{Header, Revision, StageTime};
@@ -103,7 +105,7 @@ impl Bench {
     pub fn run_job(&mut self) {
         if let Some(job) = self.jobs.pop_front() {
             self.jobs_run += 1;
-            self.step(Event::Done(Clusterer::run(job)));
+            self.step(Event::Done(Clusterer::run(job, &mut Stopwatch::still())));
         }
     }
 

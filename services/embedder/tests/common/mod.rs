@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use muster_embedder::{Embedder, Job};
 use muster_machine::{
-    Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stored, TERM_FETCH,
+    Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stopwatch, Stored, TERM_FETCH,
 };
 use muster_model::embedding::Embedding;
 use muster_model::event::EventKind;
@@ -366,7 +366,7 @@ impl Bench {
     /// Runs the job that waits, if one does.
     pub fn run_job(&mut self) {
         if let Some(job) = self.jobs.pop_front() {
-            self.step(Event::Done(Embedder::run(job)));
+            self.step(Event::Done(Embedder::run(job, &mut Stopwatch::still())));
         }
     }
 
