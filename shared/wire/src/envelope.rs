@@ -19,6 +19,8 @@ use muster_model::teams::{RobotTeam, Teams};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::recording::MAX_FRAME;
+
 /// First byte of every binary message: no text and no JSON begins with it.
 pub const MAGIC: u8 = 0xB7;
 
@@ -140,6 +142,29 @@ pub fn encode<T: BinaryMessage>(content: &T) -> Result<Vec<u8>, EnvelopeError> {
         return Err(EnvelopeError::TooLarge { size: bytes.len(), limit: T::LIMIT });
     }
     Ok(bytes)
+}
+
+/// Writes something that stands in no message.
+///
+/// # Errors
+/// [`EnvelopeError::Encode`] if bincode refuses it.
+pub(crate) fn pack<T: Serialize>(content: &T) -> Result<Vec<u8>, EnvelopeError> {
+    bincode::serde::encode_to_vec(content, bincode::config::standard())
+        .map_err(|error| EnvelopeError::Encode(error.to_string()))
+}
+
+/// Reads what [`pack`] wrote. No input makes it allocate more than [`MAX_FRAME`].
+///
+/// # Errors
+/// Says what is wrong with the bytes.
+pub(crate) fn unpack<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, EnvelopeError> {
+    let limited = bincode::config::standard().with_limit::<MAX_FRAME>();
+    let (content, read) = bincode::serde::decode_from_slice(bytes, limited)
+        .map_err(|error| EnvelopeError::Content(error.to_string()))?;
+    match bytes.len() - read {
+        0 => Ok(content),
+        trailing => Err(EnvelopeError::Trailing(trailing)),
+    }
 }
 
 /// Reads a message of a known kind.

@@ -2,13 +2,14 @@
 //!
 //! [`key`] is the key space in one typed place; [`envelope`] the binary form (magic byte, schema
 //! version, kind, bincode); [`json`] the form at the edge; [`message`] ties a key to a content and
-//! both forms; [`request`] reads gets. Nothing outside of this crate handles bytes, and nothing in
+//! both forms; [`request`] reads gets; [`recording`] is how a service's life is written to a file. Nothing outside of this crate handles bytes, and nothing in
 //! it knows the bus.
 
 pub mod envelope;
 pub mod json;
 pub mod key;
 pub mod message;
+pub mod recording;
 pub mod request;
 
 pub use key::{Key, KeySpace, Pattern};

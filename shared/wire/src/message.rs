@@ -16,6 +16,7 @@ use muster_model::status::ServiceStatus;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use crate::envelope::{self, AnnouncedSettings, BinaryMessage, EnvelopeError, FromRobot};
 use crate::json::EdgeJson;
@@ -112,7 +113,7 @@ pub struct Packet {
 }
 
 /// Why a packet is refused.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Rejection {
     /// Whom it spoke for, if its key says so.
     pub robot: Option<RobotId>,

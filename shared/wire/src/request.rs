@@ -1,12 +1,14 @@
 //! Gets: which keys they select, in which form they want the answer.
 
+use serde::{Deserialize, Serialize};
+
 use crate::key::{Key, KeySpace};
 
 /// Longest text of a get's parameters that is read: `format=json` and a few more.
 const MAX_PARAMETERS: usize = 1024;
 
 /// In which form an answer is wanted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Format {
     /// JSON, for the edge.
     Json,
@@ -15,7 +17,7 @@ pub enum Format {
 }
 
 /// A get as a service receives it.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Request {
     selector: String,
     exact: bool,

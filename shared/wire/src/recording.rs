@@ -1,0 +1,312 @@
+//! The bytes of a recording: a head, then one frame per entry, for as long as the service ran.
+//!
+//! A file begins with [`MAGIC`] and the [`VERSION`] of the entries. Every frame is its length and a
+//! checksum, four bytes each with the lowest first, and its content. The head is JSON, so that a
+//! program of any version can say who wrote a file; entries are bincode. A file may break off
+//! anywhere, as it does when the service is killed; damage is told from that by the checksum.
+
+use std::fmt;
+use std::io::Read;
+
+use serde::de::{DeserializeOwned, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::envelope::{self, EnvelopeError};
+use crate::key::KeySpace;
+use crate::message::{Message, Outbound, Packet, Source};
+use crate::request::Format;
+
+/// The first bytes of every recording.
+pub const MAGIC: [u8; 8] = *b"\xB7mustrec";
+
+/// Version of the entries. Any change of their types is a new version.
+pub const VERSION: u8 = 1;
+
+/// Length and checksum of a frame.
+const FRAME_HEAD: usize = 8;
+
+/// Largest content of a frame in bytes: a few of the largest messages, which one fetch may bring.
+pub const MAX_FRAME: usize = 4 * envelope::MAX_SERVICE_PAYLOAD;
+
+/// Largest head in bytes: names, settings, and a patch of them.
+const MAX_HEAD: usize = 1024 * 1024;
+
+/// Why a file is no recording, or not one that can be read on.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// The first bytes are others.
+    #[error("this is no recording of a service; --record makes one")]
+    NotARecording,
+    /// The entries have another form.
+    #[error(
+        "the recording has version {0}, and this program reads version {VERSION}; \
+         use the program that wrote it"
+    )]
+    Version(u8),
+    /// The file ends within a frame, as it does when the service was killed.
+    #[error("the recording breaks off at byte {0}")]
+    BreaksOff(u64),
+    /// The bytes of a frame are not those that were written.
+    #[error("the recording is damaged at byte {at}: {problem}")]
+    Damaged {
+        /// Where the frame begins.
+        at: u64,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The file cannot be read.
+    #[error("the recording cannot be read: {0}")]
+    Read(#[from] std::io::Error),
+}
+
+/// Bytes that are written at once and not one by one.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Bytes(pub Vec<u8>);
+
+impl fmt::Debug for Bytes {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{} bytes", self.0.len())
+    }
+}
+
+impl Serialize for Bytes {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_bytes(&self.0)
+    }
+}
+
+impl<'de> Deserialize<'de> for Bytes {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Take;
+        impl Visitor<'_> for Take {
+            type Value = Bytes;
+            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str("bytes")
+            }
+            fn visit_bytes<E>(self, bytes: &[u8]) -> Result<Bytes, E> {
+                Ok(Bytes(bytes.to_vec()))
+            }
+            fn visit_byte_buf<E>(self, bytes: Vec<u8>) -> Result<Bytes, E> {
+                Ok(Bytes(bytes))
+            }
+        }
+        deserializer.deserialize_byte_buf(Take)
+    }
+}
+
+/// Something that was put on the bus, or that a get was answered with.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Put {
+    /// The text of its whole key.
+    pub key: String,
+    /// The text of its encoding.
+    pub encoding: String,
+    /// Its bytes.
+    pub payload: Bytes,
+}
+
+impl Put {
+    /// What is ready for the bus, as it is recorded.
+    #[must_use]
+    pub fn new(space: &KeySpace, outbound: Outbound) -> Self {
+        Self {
+            key: space.format(&outbound.key),
+            encoding: outbound.encoding.into_owned(),
+            payload: Bytes(outbound.payload),
+        }
+    }
+
+    /// The packet that a subscriber would receive.
+    #[must_use]
+    pub fn into_packet(self) -> Packet {
+        Packet {
+            key: self.key,
+            encoding: self.encoding,
+            source: Source::Put,
+            payload: Ok(self.payload.0),
+        }
+    }
+}
+
+/// A message that a service received, in binary form whatever form it came in.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Heard {
+    /// Somebody put it.
+    Put(Put),
+    /// A liveliness token appeared or was lost.
+    Token {
+        /// The text of its whole key.
+        key: String,
+        /// Whether it is there.
+        alive: bool,
+    },
+}
+
+impl Heard {
+    /// A message as it is recorded. Nothing of it is lost: what [`Message::decode`] makes of the
+    /// packet is the same message.
+    ///
+    /// # Errors
+    /// [`EnvelopeError`] if it is larger than its kind may be, or is none that a service receives.
+    pub fn new(space: &KeySpace, message: &Message) -> Result<Self, EnvelopeError> {
+        let (key, _) = message.keys();
+        if let Message::RobotToken { alive, .. } = message {
+            return Ok(Self::Token { key: space.format(&key), alive: *alive });
+        }
+        if let Message::Teams { mirror: true, .. } = message {
+            let problem = "teams that are to be mirrored are sent and never received".to_owned();
+            return Err(EnvelopeError::Encode(problem));
+        }
+        // Only the JSON form depends on the moment.
+        let outbound = message.encode(key, Format::Binary, muster_model::time::Tick(0))?;
+        Ok(Self::Put(Put::new(space, outbound)))
+    }
+
+    /// The packet that brings the message again.
+    #[must_use]
+    pub fn into_packet(self) -> Packet {
+        match self {
+            Self::Put(put) => put.into_packet(),
+            Self::Token { key, alive } => Packet {
+                key,
+                encoding: String::new(),
+                source: if alive { Source::TokenAlive } else { Source::TokenGone },
+                payload: Ok(Vec::new()),
+            },
+        }
+    }
+}
+
+/// FNV-1a, folded to four bytes: damage is to be found, no attacker to be kept out.
+fn checksum(bytes: &[u8]) -> u32 {
+    let mut sum = 0xcbf2_9ce4_8422_2325_u64;
+    for byte in bytes {
+        sum = (sum ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
+    }
+    let [a, b, c, d, e, f, g, h] = sum.to_le_bytes();
+    u32::from_le_bytes([a ^ e, b ^ f, c ^ g, d ^ h])
+}
+
+fn framed(content: &[u8], limit: usize) -> Result<Vec<u8>, EnvelopeError> {
+    let size = content.len();
+    let length = u32::try_from(size).ok().filter(|_| size <= limit);
+    let Some(length) = length else { return Err(EnvelopeError::TooLarge { size, limit }) };
+    let mut frame = Vec::with_capacity(FRAME_HEAD + size);
+    frame.extend(length.to_le_bytes());
+    frame.extend(checksum(content).to_le_bytes());
+    frame.extend(content);
+    Ok(frame)
+}
+
+/// What a file begins with.
+///
+/// # Errors
+/// [`EnvelopeError`] if the head does not encode, or is too large.
+pub fn begin(head: &impl Serialize) -> Result<Vec<u8>, EnvelopeError> {
+    let head =
+        serde_json::to_vec(head).map_err(|error| EnvelopeError::Encode(error.to_string()))?;
+    let mut bytes = MAGIC.to_vec();
+    bytes.push(VERSION);
+    bytes.extend(framed(&head, MAX_HEAD)?);
+    Ok(bytes)
+}
+
+/// One entry as a frame.
+///
+/// # Errors
+/// [`EnvelopeError`] if the entry does not encode, or is larger than [`MAX_FRAME`].
+pub fn frame(entry: &impl Serialize) -> Result<Vec<u8>, EnvelopeError> {
+    framed(&envelope::pack(entry)?, MAX_FRAME)
+}
+
+/// Reads a recording from its beginning, one entry after the other.
+#[derive(Debug)]
+pub struct Reader<R> {
+    input: R,
+    offset: u64,
+}
+
+impl<R: Read> Reader<R> {
+    /// Reads the head.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if this is no recording, or one of another version.
+    pub fn open<H: DeserializeOwned>(input: R) -> Result<(Self, H), RecordingError> {
+        let mut reader = Self { input, offset: 0 };
+        let mut start = [0; MAGIC.len() + 1];
+        if reader.fill(&mut start)? < start.len() || start[..MAGIC.len()] != MAGIC {
+            return Err(RecordingError::NotARecording);
+        }
+        // The head's form is the same in all versions, but its fields may be others.
+        let version = start[MAGIC.len()];
+        if version != VERSION {
+            return Err(RecordingError::Version(version));
+        }
+        let at = reader.offset;
+        let content = reader.content(MAX_HEAD)?.ok_or(RecordingError::BreaksOff(at))?;
+        let head = serde_json::from_slice(&content)
+            .map_err(|error| RecordingError::Damaged { at, problem: error.to_string() })?;
+        Ok((reader, head))
+    }
+
+    /// The next entry; none at the end of the file.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the file breaks off or is damaged here; nothing can be read after it.
+    pub fn next_entry<T: DeserializeOwned>(&mut self) -> Result<Option<T>, RecordingError> {
+        let at = self.offset;
+        let Some(content) = self.content(MAX_FRAME)? else { return Ok(None) };
+        let entry = envelope::unpack(&content)
+            .map_err(|error| RecordingError::Damaged { at, problem: error.to_string() })?;
+        Ok(Some(entry))
+    }
+
+    /// How many bytes were read.
+    #[must_use]
+    pub fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    fn content(&mut self, limit: usize) -> Result<Option<Vec<u8>>, RecordingError> {
+        let at = self.offset;
+        let mut head = [0; FRAME_HEAD];
+        match self.fill(&mut head)? {
+            0 => return Ok(None),
+            FRAME_HEAD => {}
+            _ => return Err(RecordingError::BreaksOff(at)),
+        }
+        let [a, b, c, d, e, f, g, h] = head;
+        let (length, sum) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
+        if length as usize > limit {
+            let problem = format!("a frame of {length} bytes is more than the limit of {limit}");
+            return Err(RecordingError::Damaged { at, problem });
+        }
+        // A length that is wrong costs no more memory than the file has bytes.
+        let mut content = Vec::new();
+        let read = self.input.by_ref().take(u64::from(length)).read_to_end(&mut content)?;
+        self.offset += read as u64;
+        if read < length as usize {
+            return Err(RecordingError::BreaksOff(at));
+        }
+        if checksum(&content) != sum {
+            let problem = "the checksum is another one".to_owned();
+            return Err(RecordingError::Damaged { at, problem });
+        }
+        Ok(Some(content))
+    }
+
+    /// Reads until the buffer is full or the file ends, and returns how many bytes came.
+    fn fill(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let mut filled = 0;
+        while filled < buffer.len() {
+            match self.input.read(&mut buffer[filled..]) {
+                Ok(0) => break,
+                Ok(read) => filled += read,
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        self.offset += filled as u64;
+        Ok(filled)
+    }
+}
