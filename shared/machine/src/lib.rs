@@ -4,11 +4,14 @@
 //! writes [`Effect`]s. It reads no clock, starts no thread, opens no file and knows no bus; long work
 //! is a [`Core::Job`], of which one runs at a time for the newest input ([`JobGate`]). [`Driver`] hands
 //! over events and collects commands, so that every shell (the real one, a simulation, a replay)
-//! treats a core alike. [`Role`] is what all cores share: terms, epochs, settings, events, counters.
+//! treats a core alike; [`recording`] is what is written down of its life, and [`replay`]
+//! lives through that again. [`Role`] is what all cores share: terms, epochs, settings, events, counters.
 
 mod core;
 mod driver;
 mod jobs;
+pub mod recording;
+pub mod replay;
 mod robot_teams;
 mod role;
 mod stopwatch;
