@@ -4,6 +4,7 @@
 //! crosses a real socket.
 
 use std::net::TcpListener;
+use std::path::PathBuf;
 
 use muster_model::id::ServiceName;
 use muster_model::teams::Teams;
@@ -11,6 +12,7 @@ use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::{DEFAULT_ENDPOINT, Origin, ProcessConfig, Sourced};
 use muster_runtime::exit::ExitError;
+use muster_runtime::recording::RecordTo;
 use muster_runtime::stop::Stop;
 use muster_scenario::{FleetOptions, ScenarioKind};
 use muster_wire::{Format, Key, Message};
@@ -45,6 +47,9 @@ pub(crate) struct DemoArgs {
     /// Print one line of JSON per change, in the shape of json/teams
     #[arg(long)]
     json: bool,
+    /// Record everything that happens to each service, to FILE.SERVICE, for `muster replay-core`
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
 }
 
 /// Runs the demo until it is time to stop.
@@ -72,6 +77,7 @@ pub(crate) async fn run(
     } else {
         config.listen.value.clone()
     };
+    config.record = args.record.clone().map(|path| RecordTo { path, several: true });
     let router = Bus::open(&config.as_router(listen), Patience::Forever).await?;
     let endpoints = router.locators().await;
     let config = config.as_client(endpoints.clone());

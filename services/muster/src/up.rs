@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
+use std::path::PathBuf;
 
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
@@ -11,6 +12,7 @@ use muster_model::id::ServiceName;
 use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::config::{DEFAULT_ENDPOINT, ProcessConfig};
 use muster_runtime::exit::ExitError;
+use muster_runtime::recording::RecordTo;
 use muster_runtime::service;
 use muster_runtime::stop::Stop;
 use tokio::task::JoinSet;
@@ -32,6 +34,10 @@ pub(crate) struct UpArgs {
     /// Change a setting, such as clusterer.teams=3
     #[arg(long, value_name = "SERVICE.FIELD=VALUE")]
     set: Vec<String>,
+    /// Record everything that happens to each service, to FILE.SERVICE, for `muster replay-core`; in a
+    /// folder every run gets a file of its own
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
 }
 
 /// Changes settings by the `SERVICE.FIELD=VALUE` of `--set`.
@@ -97,6 +103,7 @@ pub(crate) async fn run(
 ) -> anyhow::Result<()> {
     let services =
         if args.services.is_empty() { ServiceName::ALL.to_vec() } else { args.services.clone() };
+    config.record = args.record.clone().map(|path| RecordTo { path, several: true });
     let mut router = None;
     if args.router {
         let listen = match config.listen.value.as_slice() {

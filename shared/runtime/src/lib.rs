@@ -2,7 +2,8 @@
 //!
 //! [`config`] reads flags, environment and file; [`bus`] opens a Zenoh session as [`zenoh_config`]
 //! says; [`inbox`] and [`outbox`] are the bounded ways in and out, `errands` the thread that answers
-//! gets; [`shell`] runs one core; [`store`] keeps settings over a restart; [`service`] is the whole
+//! gets; [`shell`] runs one core; [`store`] keeps settings over a restart,
+//! [`recording`] what happens to a service; [`service`] is the whole
 //! `main` of a service binary; [`stop`] turns signals into a clean end.
 
 pub mod bus;
@@ -14,6 +15,7 @@ pub mod inbox;
 pub mod instance;
 pub mod logging;
 pub mod outbox;
+pub mod recording;
 pub mod service;
 pub mod shell;
 pub mod stop;

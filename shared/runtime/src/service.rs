@@ -1,5 +1,6 @@
 //! The whole `main` of a service binary: build, start, run until told to stop, end.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -11,6 +12,7 @@ use crate::bus::{Bus, Patience};
 use crate::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use crate::exit::{self, ExitError};
 use crate::instance::instance_name;
+use crate::recording::RecordTo;
 use crate::shell::{self, ServiceOptions};
 use crate::stop::{self, Stop};
 use crate::store::Store;
@@ -27,6 +29,10 @@ struct ServiceArgs {
     /// Change a setting, such as teams=3 or spatial.width=1.5
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
+    /// Record everything that happens to this run, for `muster replay-core`. FILE must be new; in a
+    /// folder every run gets a file of its own. It ends at 1 GiB
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
 }
 
 /// Runs the service of a core as a process. `about` is the first line of `--help`.
@@ -53,6 +59,7 @@ pub fn main<C: Core>(about: &'static str) -> ExitCode {
 fn start<C: Core>(args: &ServiceArgs) -> anyhow::Result<()> {
     let mut config = ProcessConfig::resolve(&args.process, Mode::Client, &process_environment)?;
     config.set(C::SERVICE, &args.set)?;
+    config.record = args.record.clone().map(|path| RecordTo { path, several: false });
     if report(&args.process, &config, &[C::SERVICE])? {
         return Ok(());
     }
@@ -103,8 +110,12 @@ where
 /// # Errors
 /// If the bus does not open, or refuses what the service declares.
 pub async fn run<C: Core>(config: ProcessConfig, mut stop: Stop) -> anyhow::Result<()> {
+    let instance = instance_name();
+    // Made before the bus opens, so that a wrong name is told at once.
+    let record = config.record.as_ref().map(|to| to.create(C::SERVICE, &instance)).transpose()?;
     let options = ServiceOptions {
-        instance: instance_name(),
+        instance,
+        record,
         settings: config.settings(C::SERVICE)?,
         store: Store::new(config.state_directory.value.as_deref(), &config.fleet.value, C::SERVICE),
     };

@@ -4,12 +4,13 @@
 //! is sent in the [`Outbox`]; jobs run on blocking threads, fetches in tasks, and both come back as
 //! events. A panic in a job becomes [`Event::JobFailed`]; one in the core ends the process.
 
-use std::any::Any;
 use std::collections::HashMap;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_machine::recording::{Entry, Head};
+use muster_machine::replay::panic_text;
 use muster_machine::{
     Command, Core, Delivery, Driver, Event, QueryId, Start, Stopwatch, Wiring, is_patient,
 };
@@ -28,6 +29,7 @@ use crate::clock::Clock;
 use crate::errands::Errands;
 use crate::inbox::Inbox;
 use crate::outbox::Outbox;
+use crate::recording::{RecordFile, Recording, host_facts};
 use crate::stop::Stop;
 use crate::store::Store;
 
@@ -67,11 +69,13 @@ pub struct ServiceOptions<S> {
     pub settings: S,
     /// Where it keeps settings over a restart.
     pub store: Store,
+    /// Where its life is recorded, if it is.
+    pub record: Option<RecordFile>,
 }
 
 /// A job or fetch that has ended.
 enum Ended<Done> {
-    Job(Event<Done>),
+    Job { event: Event<Done>, laps: Vec<u64> },
     Fetch { fetch: u32, messages: Vec<Message> },
 }
 
@@ -90,13 +94,21 @@ pub async fn run<C: Core>(
     let (queries, mut asked) = mpsc::channel(MAX_QUERIES);
     let (ended_sender, mut ended) = mpsc::channel(MAX_ENDED);
 
-    let driver = Driver::<C>::new(Start {
+    let start = Start {
         fleet: bus.space().fleet().clone(),
         instance: options.instance.clone(),
         now: clock.now(),
         settings: options.settings,
         stored: options.store.load(),
-    });
+    };
+    let recording = match options.record {
+        Some(file) => {
+            let head = Head::new::<C>(&start, host_facts()).map_err(anyhow::Error::msg)?;
+            Some(Recording::start(file, &head)?)
+        }
+        None => None,
+    };
+    let driver = Driver::<C>::new(start);
     let sending = bus.clone();
     outbox.start(move |message| {
         if let Err(error) = sending.put(message) {
@@ -121,6 +133,7 @@ pub async fn run<C: Core>(
         standing: Standing::Starting,
         queries: HashMap::new(),
         next_query: 0,
+        recording,
     };
     tracing::info!("{} serves fleet {}", C::SERVICE, bus.space().fleet());
     shell.step(Event::Started);
@@ -145,10 +158,10 @@ pub async fn run<C: Core>(
             }
             () = inbox.arrived() => shell.take_packets(),
             Some(asked) = asked.recv() => shell.take_query(asked),
-            Some(ended) = ended.recv() => shell.step(match ended {
-                Ended::Job(event) => event,
-                Ended::Fetch { fetch, messages } => Event::Fetched { fetch, messages },
-            }),
+            Some(ended) = ended.recv() => match ended {
+                Ended::Job { event, laps } => shell.step_with(event, &laps),
+                Ended::Fetch { fetch, messages } => shell.step(Event::Fetched { fetch, messages }),
+            },
             Ok(()) = link.changed() => {
                 let up = *link.borrow_and_update();
                 tracing::warn!("the link to the router is {}", if up { "back" } else { "lost" });
@@ -156,11 +169,16 @@ pub async fn run<C: Core>(
             }
         }
     }
+    let recording = shell.recording.take();
     drop(shell);
     // What is stored last must reach the disk; everything else may be lost.
     let _ = tokio::time::timeout(ERRANDS_WITHIN, errands_done).await;
     let _ = token.withdraw().await;
-    let _ = tokio::task::spawn_blocking(move || outbox.close()).await;
+    let _ = tokio::task::spawn_blocking(move || {
+        outbox.close();
+        drop(recording);
+    })
+    .await;
     bus.close().await;
     tracing::info!("{} has stopped", C::SERVICE);
     Ok(())
@@ -267,13 +285,27 @@ struct Shell<C: Core> {
     standing: Standing,
     queries: HashMap<QueryId, Query>,
     next_query: u64,
+    recording: Option<Recording>,
 }
 
 impl<C: Core> Shell<C> {
     fn step(&mut self, event: Event<C::Done>) {
+        self.step_with(event, &[]);
+    }
+
+    /// Hands an event to the core; `laps` are those of the job that it ends, if it does.
+    fn step_with(&mut self, event: Event<C::Done>, laps: &[u64]) {
         let now = self.clock.now();
+        let space = self.bus.space();
+        if let Some(recording) = &mut self.recording {
+            recording.add(|| Entry::event(space, now, &event, laps));
+        }
+        let commands = self.driver.step(now, event);
+        if let Some(recording) = &mut self.recording {
+            recording.add(|| Ok(Entry::outputs(space, now, &commands)));
+        }
         let mut stored = false;
-        for command in self.driver.step(now, event) {
+        for command in commands {
             stored |= matches!(command, Command::Store(_));
             self.carry_out(now, command, stored);
         }
@@ -394,7 +426,8 @@ impl<C: Core> Shell<C> {
                 Err(panic) => Event::JobFailed(panic_text(panic.as_ref())),
             };
             // The loop has ended if nobody receives; then nobody needs the result.
-            let _ = ended.blocking_send(Ended::Job(event));
+            let laps = stopwatch.laps().to_vec();
+            let _ = ended.blocking_send(Ended::Job { event, laps });
         });
     }
 
@@ -450,13 +483,4 @@ async fn fetch_one<C: Core>(bus: &Bus, pattern: &Pattern) -> Vec<Message> {
         }
     });
     understood.collect()
-}
-
-fn panic_text(panic: &(dyn Any + Send)) -> String {
-    let text = panic
-        .downcast_ref::<&str>()
-        .copied()
-        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
-        .unwrap_or("a panic without text");
-    muster_wire::message::quoted(text)
 }

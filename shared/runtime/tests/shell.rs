@@ -128,6 +128,7 @@ fn options(store: Store) -> ServiceOptions<ClustererSettings> {
         instance: InstanceId::of_process("test", 1, 1),
         settings: ClustererSettings::default(),
         store,
+        record: None,
     }
 }
 

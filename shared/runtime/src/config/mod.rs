@@ -23,6 +23,7 @@ pub use self::layers::{Environment, Origin, Sourced, process_environment};
 use self::layers::{Layers, default_state_directory, patch_of, read_file, split};
 
 use crate::exit::ExitError;
+use crate::recording::RecordTo;
 use crate::zenoh_config::{check_endpoint, check_zenoh_config};
 
 /// The fleet of a process that is told of none.
@@ -50,6 +51,8 @@ pub struct ProcessConfig {
     pub log: Sourced<Option<String>>,
     /// Whether logs are JSON lines.
     pub log_json: Sourced<bool>,
+    /// Where services are recorded. Only a flag says so: nobody is to fill a disk unawares.
+    pub record: Option<RecordTo>,
     patches: Vec<(ServiceName, Origin, Value)>,
 }
 
@@ -183,6 +186,7 @@ impl ProcessConfig {
             state_directory,
             log,
             log_json,
+            record: None,
             patches,
         };
         crate::logging::check(config.log.value.as_deref()).map_err(ExitError::usage)?;
