@@ -1,12 +1,14 @@
 //! `muster`: the operator's command.
 //!
 //! It starts things ([`demo`], [`up`], [`router`], [`robot`]), looks at a live fleet ([`show`]),
-//! changes its settings ([`set`]), and runs the method once on a file ([`solve`]). It is the one
+//! changes its settings ([`set`]), runs the method once on a file ([`solve`]), and lives through the
+//! recording of a service again ([`replay`]). It is the one
 //! program that knows all services: it composes them and adds nothing to them.
 
 mod ask;
 mod demo;
 mod fleet;
+mod replay;
 mod robot;
 mod router;
 mod set;
@@ -61,6 +63,8 @@ enum Command {
     Set(set::SetArgs),
     /// Divide a fleet that is described in a file, once, without a bus
     Solve(solve::SolveArgs),
+    /// Feed a recording of a service to its core again, and compare what comes out
+    ReplayCore(replay::ReplayArgs),
 }
 
 fn main() -> ExitCode {
@@ -114,6 +118,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             console(&config, async |config| show::status::run(args, &config).await)
         }
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
+        Command::ReplayCore(args) => replay::run(args),
         Command::Solve(args) => solve::run(args).map_err(|error| {
             if error.is::<solve::SolveError>() {
                 ExitError::usage(format!("{error:#}")).into()

@@ -4,6 +4,7 @@
 //! are run again as well, with the times that were measured then. [`compare`] looks for the first
 //! event at which something else comes out.
 
+use std::ops::ControlFlow;
 use std::panic::AssertUnwindSafe;
 
 use muster_model::time::Tick;
@@ -199,7 +200,8 @@ pub struct Comparison {
 }
 
 /// Hands the first `until` events of a recording to a core, and compares what it wants done with
-/// what it wanted then. `next` gives the entries, `see` is shown each event before the core is.
+/// what it wanted then. `next` gives the entries; `see` is shown each event before the core is,
+/// and may end it.
 ///
 /// # Errors
 /// [`ReplayError::Unreadable`] if the entries are none of this program's.
@@ -207,7 +209,7 @@ pub fn compare<C: Core>(
     head: Head,
     mut next: impl FnMut() -> Result<Option<Entry>, RecordingError>,
     until: u64,
-    mut see: impl FnMut(&Step),
+    mut see: impl FnMut(&Step) -> ControlFlow<()>,
 ) -> Result<Comparison, ReplayError> {
     let mut replay = Replay::<C>::new(head)?;
     let mut done =
@@ -242,7 +244,10 @@ pub fn compare<C: Core>(
             }
         };
         let step = Step { number, tick, input, outputs };
-        see(&step);
+        if see(&step).is_break() {
+            done.ending = Ending::NotReached;
+            break;
+        }
         done.jobs += u64::from(matches!(step.input, Input::Done(_) | Input::JobFailed(..)));
         let now = replay.step(tick, step.input.clone());
         if let Err(ReplayError::Unreadable(problem)) = now {

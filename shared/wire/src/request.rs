@@ -1,8 +1,11 @@
 //! Gets: which keys they select, in which form they want the answer.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 use crate::key::{Key, KeySpace};
+use crate::message::quoted;
 
 /// Longest text of a get's parameters that is read: `format=json` and a few more.
 const MAX_PARAMETERS: usize = 1024;
@@ -83,6 +86,21 @@ impl Request {
         let selector: Vec<&str> = self.selector.split('/').collect();
         let key: Vec<&str> = text.split('/').collect();
         chunks_match(&selector, &key)
+    }
+}
+
+impl fmt::Display for Request {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&quoted(&self.selector))?;
+        match self.format {
+            Some(Format::Json) => formatter.write_str("?format=json")?,
+            Some(Format::Binary) => formatter.write_str("?format=bincode")?,
+            None => {}
+        }
+        match &self.payload {
+            Some(payload) => write!(formatter, " {}", quoted(&String::from_utf8_lossy(payload))),
+            None => Ok(()),
+        }
     }
 }
 
