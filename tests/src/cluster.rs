@@ -28,6 +28,7 @@ pub struct Cluster {
     router: Process,
     services: BTreeMap<String, Process>,
     flags: BTreeMap<String, Vec<String>>,
+    common: Vec<String>,
 }
 
 /// An endpoint on loopback whose port is free.
@@ -63,6 +64,18 @@ impl Cluster {
     /// # Errors
     /// If a program does not start.
     pub fn start(fleet: &str, settings: &[(&str, &str)]) -> anyhow::Result<Self> {
+        Self::start_with(fleet, settings, &[])
+    }
+
+    /// Starts a router and all services, with `--set` flags per service and flags for all of them.
+    ///
+    /// # Errors
+    /// If a program does not start.
+    pub fn start_with(
+        fleet: &str,
+        settings: &[(&str, &str)],
+        common: &[&str],
+    ) -> anyhow::Result<Self> {
         let endpoint = free_endpoint()?;
         let folder = tempfile::tempdir()?;
         let router = start_router(&endpoint, folder.path())?;
@@ -77,6 +90,7 @@ impl Cluster {
             router,
             services: BTreeMap::new(),
             flags,
+            common: common.iter().map(|flag| (*flag).to_owned()).collect(),
         };
         for service in SERVICES {
             cluster.start_service(service)?;
@@ -109,6 +123,7 @@ impl Cluster {
             vec!["--fleet", &self.fleet, "--connect", &self.endpoint, "--state-directory"];
         let state = state.to_string_lossy().into_owned();
         arguments.push(&state);
+        arguments.extend(self.common.iter().map(String::as_str));
         for assignment in self.flags.get(service).into_iter().flatten() {
             arguments.extend(["--set", assignment]);
         }

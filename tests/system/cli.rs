@@ -167,9 +167,19 @@ fn the_shipped_configuration_is_the_built_in_one() {
 
 #[test]
 fn every_command_has_examples() {
-    for command in
-        ["demo", "up", "router", "robot", "teams", "audit", "graph", "status", "set", "solve"]
-    {
+    for command in [
+        "demo",
+        "up",
+        "router",
+        "robot",
+        "teams",
+        "audit",
+        "graph",
+        "status",
+        "set",
+        "solve",
+        "replay-core",
+    ] {
         let (code, out, _) = run("muster", &[command, "--help"], SOON).unwrap();
         assert_eq!(code, Some(0));
         assert!(out.contains("Examples:"), "{command}:\n{out}");

@@ -13,6 +13,7 @@ mod hostile;
 mod keys;
 mod pipeline;
 mod presence;
+mod record;
 mod restarts;
 mod settings;
 mod standby;

@@ -268,10 +268,26 @@ impl Show {
     }
 
     fn output(&self, output: &Output) -> String {
+        Self::told(output, |put| self.put(put))
+    }
+
+    /// Everything that an output holds, for differences that the JSON form does not show.
+    fn in_full(&self, output: &Output) -> String {
+        Self::told(output, |put| match self.understood(put) {
+            Some(message) => format!("{} {message:?}", self.key(&put.key)),
+            None => format!("{} {} {:?}", self.key(&put.key), put.encoding, put.payload.0),
+        })
+    }
+
+    fn told(output: &Output, put: impl Fn(&Put) -> String) -> String {
+        let puts = |puts: &[Put]| {
+            let all: Vec<_> = puts.iter().map(&put).collect();
+            if all.is_empty() { "nothing".to_owned() } else { all.join(" and ") }
+        };
         match output {
-            Output::Published(Ok(puts)) => format!("publish {}", self.puts(puts)),
+            Output::Published(Ok(all)) => format!("publish {}", puts(all)),
             Output::Published(Err(problem)) => format!("publish nothing: {problem}"),
-            Output::Replied(query, Ok(puts)) => format!("answer get {query}: {}", self.puts(puts)),
+            Output::Replied(query, Ok(all)) => format!("answer get {query}: {}", puts(all)),
             Output::Replied(query, Err(problem)) => {
                 format!("answer get {query} with an error: {problem}")
             }
@@ -279,11 +295,6 @@ impl Show {
             Output::Fetched(fetch, patterns) => format!("fetch {fetch}: {}", patterns.join(", ")),
             Output::Stored(stored) => format!("store {stored}"),
         }
-    }
-
-    fn puts(&self, puts: &[Put]) -> String {
-        let all: Vec<_> = puts.iter().map(|put| self.put(put)).collect();
-        if all.is_empty() { "nothing".to_owned() } else { all.join(" and ") }
     }
 
     fn key<'a>(&self, key: &'a str) -> &'a str {
@@ -308,18 +319,6 @@ impl Show {
 
     fn understood(&self, put: &Put) -> Option<Message> {
         Message::decode(&self.space, &put.clone().into_packet()).ok()
-    }
-
-    /// Everything that an output holds, for differences that the JSON form does not show.
-    fn in_full(&self, output: &Output) -> String {
-        let (Output::Published(Ok(puts)) | Output::Replied(_, Ok(puts))) = output else {
-            return self.output(output);
-        };
-        let all = puts.iter().map(|put| match self.understood(put) {
-            Some(message) => format!("{} {} {message:?}", self.key(&put.key), put.encoding),
-            None => format!("{} {} {:?}", self.key(&put.key), put.encoding, put.payload.0),
-        });
-        all.collect::<Vec<_>>().join(" and ")
     }
 
     /// The first output that differs, both sides cut to where they part.

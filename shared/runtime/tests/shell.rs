@@ -3,9 +3,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use muster_machine::recording::{Head, Input};
+use muster_machine::replay::{ReplayError, Step, compare};
 use muster_machine::{
     Answered, Core, Delivery, Effect, Effects, Event, Role, Start, Stopwatch, Subscription, Wiring,
 };
@@ -17,9 +20,11 @@ use muster_model::time::Tick;
 use muster_runtime::bus::{Answer, Ask, Bus, Patience};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
 use muster_runtime::inbox::Inbox;
+use muster_runtime::recording::RecordTo;
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
 use muster_runtime::store::Store;
+use muster_wire::recording::Reader;
 use muster_wire::{Key, Message, Outbound, Pattern};
 
 /// How often the core below wants to be woken.
@@ -61,7 +66,10 @@ impl Core for Probe {
     ) {
         match event {
             Event::Started => self.role.begin_term(now, None, effects),
-            Event::Received(Message::Pose(..)) => self.role.count("poses"),
+            Event::Received(Message::Pose(robot, _)) => {
+                assert!(robot.as_str() != "cursed", "a pose that must not be");
+                self.role.count("poses");
+            }
             Event::Timeout => {
                 self.beats += 1;
                 self.next = now.after(BEAT);
@@ -240,4 +248,52 @@ async fn a_setting_is_on_disk_before_it_is_confirmed_or_the_failure_is_told() {
     assert!(problem.contains("will not survive"), "{problem}");
     stopper.stop();
     service.await.unwrap().unwrap();
+}
+
+/// The recording of a life with a panic in a job and the last one in the core itself: it is all there,
+/// and happens again.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_core_panicked_at_stands_in_its_recording() {
+    let (_router, client) = bus().await;
+    let talker = Bus::open(&client, Patience::Forever).await.unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let (_stopper, stop) = stop::channel();
+    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let mut options = options(Store::new(None, talker.space().fleet(), ServiceName::Clusterer));
+    let path = folder.path().join("probe.rec");
+    let to = RecordTo { path: path.clone(), several: false };
+    options.record = Some(to.create(ServiceName::Clusterer, &options.instance).unwrap());
+    let service = tokio::spawn(shell::run::<Probe>(bus, options, stop));
+    let start = Instant::now();
+    while status(&talker, "beats").await < 3 {
+        assert!(start.elapsed() < Duration::from_secs(10));
+    }
+    for robot in ["r1", "cursed"] {
+        let key = Key::Pose(muster_model::id::RobotId::new(robot).unwrap());
+        let payload = br#"{"x":1,"y":2}"#.to_vec();
+        talker.put(Outbound { key, encoding: "".into(), payload }).unwrap();
+        tokio::time::sleep(Duration::from_millis(300)).await;
+    }
+    let ended = tokio::time::timeout(Duration::from_secs(10), service).await.unwrap();
+    assert!(ended.unwrap_err().is_panic());
+
+    let file = std::fs::File::open(path).unwrap();
+    let (mut reader, head) = Reader::open::<Head>(file).unwrap();
+    let mut steps = Vec::new();
+    let see = |step: &Step| {
+        steps.push(step.clone());
+        ControlFlow::Continue(())
+    };
+    let compared = compare::<Probe>(head, || reader.next_entry(), u64::MAX, see).unwrap();
+    assert_eq!(compared.jobs, 2, "the one that panicked as well");
+    let difference = compared.difference.unwrap();
+    assert_eq!(difference.step, *steps.last().unwrap());
+    assert!(difference.step.outputs.is_none());
+    assert!(
+        matches!(&difference.now, Err(ReplayError::Panicked(said)) if said.contains("must not"))
+    );
+    let has = |what: &dyn Fn(&Input) -> bool| steps.iter().any(|step| what(&step.input));
+    assert!(has(&|input| matches!(input, Input::JobFailed(_, said) if said.contains("purpose"))));
+    assert!(has(&|input| matches!(input, Input::Timeout)));
+    assert!(has(&|input| matches!(input, Input::Query(..))));
 }

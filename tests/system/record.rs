@@ -1,0 +1,297 @@
+//! The life of every service of a live fleet is recorded, and lives again in `muster replay-core`.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use muster_machine::recording::{Entry, Head, Input, Output};
+use muster_tests::cluster::{Cluster, SERVICES};
+use muster_tests::process::run;
+use muster_wire::recording::{Bytes, Heard, Reader, RecordingError, begin, frame};
+use serde_json::{Value, json};
+
+const SOON: Duration = Duration::from_secs(20);
+
+fn recordings(folder: &Path, service: &str) -> Vec<PathBuf> {
+    let mut found: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.file_name().unwrap().to_str().unwrap().starts_with(service))
+        .collect();
+    found.sort_by_key(|path| std::fs::metadata(path).unwrap().modified().unwrap());
+    found
+}
+
+fn replay(path: &Path, flags: &[&str]) -> (Option<i32>, String, String) {
+    let name = path.to_str().unwrap();
+    run("muster", &[&["replay-core", name][..], flags].concat(), Duration::from_secs(60)).unwrap()
+}
+
+fn report(path: &Path) -> Value {
+    let (code, out, err) = replay(path, &["--json"]);
+    assert_eq!(code, Some(0), "{}: {err}", path.display());
+    assert_eq!(err, "", "nothing to be warned of on the machine that recorded it");
+    serde_json::from_str(&out).unwrap()
+}
+
+fn read(path: &Path) -> (Head, Vec<Entry>, bool) {
+    let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
+    let (mut reader, head) = Reader::open(file).unwrap();
+    let mut entries = Vec::new();
+    loop {
+        match reader.next_entry() {
+            Ok(Some(entry)) => entries.push(entry),
+            Ok(None) => return (head, entries, true),
+            Err(RecordingError::BreaksOff(_)) => return (head, entries, false),
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
+fn write(path: &Path, head: &Head, entries: &[Entry]) {
+    let mut bytes = begin(head).unwrap();
+    entries.iter().for_each(|entry| bytes.extend(frame(entry).unwrap()));
+    std::fs::write(path, bytes).unwrap();
+}
+
+fn teams(count: usize) -> impl Fn(&Value) -> bool {
+    move |value| value["teams"].as_array().is_some_and(|teams| teams.len() == count)
+}
+
+/// Robots join, are refused, fall silent and leave; the settings change; a service is killed and
+/// comes back; the router dies and comes back; everybody is asked; all end.
+async fn live(recorded: &Path) -> Cluster {
+    let settings = [("ingest", "stale_after_s=0.5"), ("ingest", "gone_after_s=1.5")];
+    let flags = ["--record", recorded.to_str().unwrap()];
+    let mut cluster = Cluster::start_with("alpha", &settings, &flags).unwrap();
+    let client = cluster.client().await.unwrap();
+    let watch = client.watch("json/teams").await.unwrap();
+    let scenario = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
+    let robots = cluster.robots(&scenario).unwrap();
+    watch.until("two teams", SOON, teams(2)).await.unwrap();
+    client.put("robot/x1/pose", &json!({"x": 1.0, "y": 2.0})).await.unwrap();
+    client.put("robot/x1/pose", &json!({"x": "east", "y": 2.0})).await.unwrap();
+    client.get("service/clusterer/settings", Some(&json!({"teams": 3}))).await.unwrap();
+    client.get("service/clusterer/settings", Some(&json!({"teams": 0}))).await.unwrap();
+    watch.until("three teams", SOON, teams(3)).await.unwrap();
+
+    let embedder = cluster.service("embedder").unwrap();
+    embedder.kill().unwrap();
+    cluster.start_service("embedder").unwrap();
+    let start = Instant::now();
+    loop {
+        if let Ok(status) = client.get_one("service/embedder/status").await
+            && status["revision"]["epoch"].as_u64().is_some_and(|epoch| epoch > 3)
+        {
+            break;
+        }
+        assert!(start.elapsed() < SOON);
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    for key in ["teams", "embedding", "roster", "graph/*", "audit", "robot/*/team"] {
+        client.get(&format!("{key}?format=json"), None).await.unwrap();
+    }
+    cluster.kill_router().unwrap();
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    cluster.restart_router().unwrap();
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    drop(robots);
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    cluster
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_recordings_of_a_live_run_come_out_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut cluster = live(folder.path()).await;
+    // Three end as they should, the fourth in the midst of its work.
+    for service in SERVICES {
+        let process = cluster.service(service).unwrap();
+        if service == "auditor" {
+            process.kill().unwrap();
+        } else {
+            process.signal("TERM").unwrap();
+            process.wait(Duration::from_secs(5)).unwrap();
+        }
+    }
+    let mut all = Vec::new();
+    for service in SERVICES {
+        let files = recordings(folder.path(), service);
+        assert_eq!(files.len(), if service == "embedder" { 2 } else { 1 }, "{service}");
+        for (run, path) in files.iter().enumerate() {
+            let report = report(path);
+            assert_eq!(report["service"], service);
+            assert_eq!(report["equal"], true);
+            let was_killed = service == "auditor" || (service == "embedder" && run == 0);
+            let ending = if was_killed { "broken_off" } else { "told" };
+            assert_eq!(report["ending"], ending, "{service} {run}");
+            assert!(report["events"].as_u64().unwrap() > 50, "{report}");
+            assert!(report["outputs"].as_u64().unwrap() > 20, "{report}");
+            assert_eq!(report["jobs"].as_u64().unwrap() > 0, service != "ingest", "{report}");
+            #[cfg(unix)]
+            {
+                use std::os::unix::fs::PermissionsExt as _;
+                let mode = std::fs::metadata(path).unwrap().permissions().mode();
+                assert_eq!(mode & 0o777, 0o600);
+            }
+            all.extend(read(path).1);
+        }
+    }
+    everything_happened(&all);
+    tampering_is_found(folder.path());
+    what_breaks_off_is_said(folder.path());
+}
+
+/// A life in which little happens would show little.
+fn everything_happened(entries: &[Entry]) {
+    let count = |what: &dyn Fn(&Input) -> bool| {
+        let is = |entry: &&Entry| matches!(entry, Entry::Event { input, .. } if what(input));
+        entries.iter().filter(is).count()
+    };
+    assert!(count(&|input| matches!(input, Input::Started)) == 5);
+    assert!(count(&|input| matches!(input, Input::Received(Heard::Put(_)))) > 500);
+    for (what, name) in [
+        (
+            count(&|input| matches!(input, Input::Received(Heard::Token { alive: true, .. }))),
+            "token",
+        ),
+        (
+            count(&|input| matches!(input, Input::Received(Heard::Token { alive: false, .. }))),
+            "gone",
+        ),
+        (count(&|input| matches!(input, Input::Rejected(_))), "refusal"),
+        (count(&|input| matches!(input, Input::Timeout)), "timeout"),
+        (
+            count(&|input| matches!(input, Input::Done(laps) if laps.iter().any(|lap| *lap > 0))),
+            "job",
+        ),
+        (count(&|input| matches!(input, Input::Fetched(_, heard) if !heard.is_empty())), "fetch"),
+        (count(&|input| matches!(input, Input::Query(..))), "get"),
+        (count(&|input| matches!(input, Input::LinkLost)), "lost link"),
+        (count(&|input| matches!(input, Input::LinkRestored)), "link"),
+    ] {
+        assert!(what > 0, "no {name} in the whole run");
+    }
+}
+
+/// The comparison can fail: one bit of one output, or one number of one input, is enough.
+fn tampering_is_found(folder: &Path) {
+    let tampered = folder.join("tampered");
+    for service in SERVICES {
+        let (head, mut entries, _) = read(&recordings(folder, service)[0]);
+        let published = entries.iter().enumerate().filter_map(|(at, entry)| match entry {
+            Entry::Outputs(outputs) => {
+                let is = |output: &Output| matches!(output, Output::Published(Ok(_)));
+                Some((at, outputs.iter().position(is)?))
+            }
+            _ => None,
+        });
+        let published: Vec<_> = published.collect();
+        let (at, output) = published[published.len() / 2];
+        if let Entry::Outputs(outputs) = &mut entries[at]
+            && let Output::Published(Ok(puts)) = &mut outputs[output]
+        {
+            let Bytes(payload) = &mut puts[0].payload;
+            let middle = payload.len() / 2;
+            payload[middle] ^= 1;
+        }
+        write(&tampered, &head, &entries);
+        let (code, out, err) = replay(&tampered, &[]);
+        assert_eq!(code, Some(1), "{service}: {out}{err}");
+        let event = at / 2 + 1;
+        assert!(out.contains("different:"), "{out}");
+        assert!(err.contains(&format!("event {event} at")), "{service}: {event}: {err}");
+        assert!(err.contains("recorded: publish") && err.contains("now:      publish"), "{err}");
+        let (code, out, _) = replay(&tampered, &["--json"]);
+        assert_eq!(code, Some(1));
+        let report: Value = serde_json::from_str(&out).unwrap();
+        assert_eq!(report["equal"], false);
+        assert_eq!(report["difference"]["event"], event);
+        assert_ne!(report["difference"]["recorded"], report["difference"]["now"]);
+        // Before it, nothing differs.
+        let before = (event - 1).to_string();
+        let (code, ..) = replay(&tampered, &["--until", &before]);
+        assert_eq!(code, Some(0));
+    }
+    // A change of settings that was different leads elsewhere.
+    let (head, mut entries, _) = read(&recordings(folder, "clusterer")[0]);
+    let mut changed = 0;
+    for entry in &mut entries {
+        if let Entry::Event { input: Input::Query(_, request), .. } = entry
+            && request.payload.as_deref() == Some(b"{\"teams\":3}")
+        {
+            request.payload = Some(b"{\"teams\":2}".to_vec());
+            changed += 1;
+        }
+    }
+    assert_eq!(changed, 1);
+    write(&tampered, &head, &entries);
+    let (code, _, err) = replay(&tampered, &[]);
+    assert_eq!(code, Some(1));
+    assert!(err.contains("teams"), "{err}");
+    // A job that took other times leads to other numbers in what is told of it.
+    let (head, mut entries, _) = read(&recordings(folder, "embedder")[0]);
+    for entry in &mut entries {
+        if let Entry::Event { input: Input::Done(laps), .. } = entry {
+            laps[0] += 1;
+        }
+    }
+    write(&tampered, &head, &entries);
+    assert_eq!(replay(&tampered, &[]).0, Some(1));
+}
+
+fn what_breaks_off_is_said(folder: &Path) {
+    let whole = std::fs::read(&recordings(folder, "clusterer")[0]).unwrap();
+    let cut = folder.join("cut");
+    for share in [3, 5, 7, 9] {
+        std::fs::write(&cut, &whole[..whole.len() * share / 10]).unwrap();
+        let (code, out, err) = replay(&cut, &[]);
+        assert_eq!(code, Some(0), "{err}");
+        assert!(out.contains("equal:") && out.contains("breaks off"), "{out}");
+    }
+    let mut damaged = whole.clone();
+    damaged[whole.len() / 2] ^= 0x10;
+    std::fs::write(&cut, damaged).unwrap();
+    let (code, _, err) = replay(&cut, &[]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("damaged at byte") && err.contains("before are equal"), "{err}");
+    // Everything can be looked at, and foreign text does not reach the terminal as it is.
+    let (code, out, _) = replay(&recordings(folder, "ingest")[0], &["--print"]);
+    assert_eq!(code, Some(0));
+    for what in ["received robot/", "refused muster/v1/alpha/robot/x1/pose", "publish graph/"] {
+        assert!(out.contains(what), "no {what:?}");
+    }
+    assert!(out.lines().all(|line| !line.contains(char::is_control)));
+}
+
+#[test]
+fn wrong_files_are_told_with_their_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    let old = folder.path().join("old");
+    std::fs::write(&old, "precious").unwrap();
+    let old = old.to_str().unwrap();
+    for program in ["muster-ingest", "muster-embedder", "muster-clusterer", "muster-auditor"] {
+        let (code, _, err) = run(program, &["--record", old], SOON).unwrap();
+        assert_eq!(code, Some(2), "{err}");
+        assert!(err.contains("name another file"), "{err}");
+    }
+    assert_eq!(std::fs::read_to_string(old).unwrap(), "precious");
+    let (code, _, err) = run("muster", &["replay-core", old], SOON).unwrap();
+    assert_eq!(code, Some(2));
+    assert!(err.contains("--record"), "{err}");
+    let (code, _, err) = run("muster", &["replay-core", "/nowhere.rec"], SOON).unwrap();
+    assert_eq!(code, Some(2));
+    assert!(err.contains("/nowhere.rec"), "{err}");
+}
+
+#[test]
+fn services_of_one_process_are_recorded_each_for_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let base = folder.path().join("demo");
+    let arguments = ["demo", "--robots", "8", "--seconds", "4", "--record", base.to_str().unwrap()];
+    let (code, _, err) = run("muster", &arguments, Duration::from_secs(60)).unwrap();
+    assert_eq!(code, Some(0), "{err}");
+    for service in SERVICES {
+        let report = report(&folder.path().join(format!("demo.{service}")));
+        assert_eq!((&report["equal"], &report["service"]), (&json!(true), &json!(service)));
+    }
+}
