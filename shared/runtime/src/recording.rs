@@ -35,9 +35,10 @@ struct Limits {
 }
 
 /// A busy service makes some thousand entries a second, and a disk may stall for a few seconds; a few
-/// of the largest messages may wait. A file of this size holds hours of a fleet of hundreds, and can
-/// still be sent to somebody.
-const LIMITS: Limits = Limits { entries: 16_384, bytes: 256 * 1024 * 1024, file: 1 << 30 };
+/// of the largest messages may wait. A file of this size holds half a day of a fleet of twenty, and
+/// most of an hour of two hundred robots that all move; a flag that was forgotten must not fill the
+/// disk of a robot.
+const LIMITS: Limits = Limits { entries: 16_384, bytes: 256 * 1024 * 1024, file: 4 << 30 };
 
 /// Where services are to be recorded, as `--record` says.
 #[derive(Debug, Clone)]

@@ -30,7 +30,7 @@ struct ServiceArgs {
     #[arg(long, value_name = "FIELD=VALUE")]
     set: Vec<String>,
     /// Record everything that happens to this run, for `muster replay-core`. FILE must be new; in a
-    /// folder every run gets a file of its own. It ends at 1 GiB
+    /// folder every run gets a file of its own. It ends at 4 GiB
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
 }
