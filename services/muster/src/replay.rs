@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Write as _};
+use std::io::{BufReader, Write as _};
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 
@@ -66,7 +66,8 @@ pub(crate) fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     for warning in &warnings {
         eprintln!("warning: {warning}");
     }
-    let mut out = BufWriter::new(std::io::stdout().lock());
+    // By lines, so that the event at which a core hangs or dies has been printed.
+    let mut out = std::io::stdout().lock();
     if !args.json {
         writeln!(
             out,
@@ -102,7 +103,6 @@ pub(crate) fn run(args: &ReplayArgs) -> anyhow::Result<()> {
         let counts = format!("{events} events, {outputs} outputs, {jobs} jobs");
         writeln!(out, "{equal}: {counts}; {}", ending(&compared.ending))?;
     }
-    out.flush()?;
     if let Some(difference) = &compared.difference {
         anyhow::bail!("{}", show.difference(difference));
     }
