@@ -20,9 +20,11 @@ use muster_embedder::Embedder;
 use muster_ingest::Ingest;
 use muster_machine::recording::{Entry, Head, Output};
 use muster_machine::replay::{Comparison, Ending, compare};
-use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stopwatch, Stored};
+use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stopwatch, Stored, Wiring};
+use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{Link, Links, Pose, Rank};
+use muster_model::role::Claim;
 use muster_model::time::Tick;
 use muster_wire::recording::{Bytes, Heard, Reader, begin, frame};
 use muster_wire::{Key, KeySpace, Message, Pattern, Rejection, Request};
@@ -132,9 +134,9 @@ impl<C: Core> AnyNode for Node<C> {
 
     fn hear(&mut self, now: Tick, message: &Message) {
         let Some(message) = again(message) else { return };
-        let wiring = C::wiring();
+        let wiring = Wiring::of::<C>();
         let subscribed = wiring.subscriptions.iter().map(|subscription| &subscription.pattern);
-        let token = matches!(message, Message::RobotToken { .. });
+        let token = matches!(message, Message::RobotToken { .. } | Message::ServiceToken { .. });
         let wanted = wiring.tokens.iter().filter(|_| token).chain(subscribed.filter(|_| !token));
         if wanted.into_iter().any(|pattern| selects(pattern, &message.keys().0)) {
             self.step(now, Event::Received(message), &[]);
@@ -253,6 +255,20 @@ fn message() -> impl Strategy<Value = Message> {
         }),
         1 => (name(), any::<bool>())
             .prop_map(|(robot, alive)| Message::RobotToken { robot, alive }),
+        1 => (0..4_usize, 0..4_u64, any::<bool>()).prop_map(|(service, term, claims)| {
+            let (service, instance) = (ServiceName::ALL[service], InstanceId::new("other-1").unwrap());
+            if !claims {
+                return Message::ServiceToken { service, instance, alive: term > 0 };
+            }
+            let header = Header {
+                fleet: space().fleet().clone(),
+                revision: Revision { term, epoch: 1 },
+                oldest: None,
+                newest: None,
+                stages: Vec::new(),
+            };
+            Message::Claim(Box::new(Claim { header, service, instance }))
+        }),
     ]
 }
 

@@ -20,6 +20,7 @@ use muster_machine::{
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::Pose;
+use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
 use muster_wire::recording::{Bytes, Heard, Put, Reader, begin, frame};
@@ -81,6 +82,10 @@ impl<const SECOND: bool> Core for Small<SECOND> {
         };
         let kind = EventKind::JobFailed { reason: told };
         self.role.tell(now, Severity::Info, kind, effects);
+    }
+
+    fn standing(&self) -> Standing {
+        self.role.standing()
     }
 
     fn deadline(&self) -> Option<Tick> {

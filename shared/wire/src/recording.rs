@@ -150,7 +150,7 @@ impl Heard {
     /// [`EnvelopeError`] if it is larger than its kind may be, or is none that a service receives.
     pub fn new(space: &KeySpace, message: &Message) -> Result<Self, EnvelopeError> {
         let (key, _) = message.keys();
-        if let Message::RobotToken { alive, .. } = message {
+        if let Message::RobotToken { alive, .. } | Message::ServiceToken { alive, .. } = message {
             return Ok(Self::Token { key: space.format(&key), alive: *alive });
         }
         if let Message::Teams { mirror: true, .. } = message {

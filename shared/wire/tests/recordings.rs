@@ -4,6 +4,7 @@
 
 mod samples;
 
+use muster_model::id::{InstanceId, ServiceName};
 use muster_wire::recording::{Heard, MAGIC, Put, Reader, RecordingError, begin, frame};
 use muster_wire::{Format, KeySpace, Message, Packet, Source};
 use proptest::prelude::*;
@@ -33,6 +34,9 @@ fn every_message_that_is_received_comes_back_from_a_recording() {
     }
     for alive in [true, false] {
         let token = Message::RobotToken { robot: samples::robot("r1"), alive };
+        assert_eq!(again(&token).as_ref(), Ok(&token));
+        let instance = InstanceId::new("host-1").unwrap();
+        let token = Message::ServiceToken { service: ServiceName::Auditor, instance, alive };
         assert_eq!(again(&token).as_ref(), Ok(&token));
     }
     let teams = samples::all().into_iter().find_map(|(_, message)| match message {
