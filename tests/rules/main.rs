@@ -79,6 +79,22 @@ fn shared_crates_know_only_what_they_may() {
     assert!(!ingest.contains("faer"), "a robot that runs only ingest links no linear algebra");
 }
 
+#[test]
+fn a_robot_takes_the_bus_and_nothing_of_our_programs() {
+    let bus = ["muster-bus", "muster-model", "muster-wire"];
+    let client = ["muster-bus", "muster-client", "muster-model", "muster-wire"];
+    for (package, allowed) in [("muster-bus", &bus[..]), ("muster-client", &client[..])] {
+        let all = dependencies(package, &[]);
+        let ours: BTreeSet<_> =
+            all.iter().filter(|name| name.starts_with("muster-")).map(String::as_str).collect();
+        assert_eq!(ours, BTreeSet::from_iter(allowed.iter().copied()), "{package}");
+        for forbidden in ["clap", "toml", "tracing-subscriber", "tempfile", "faer"] {
+            assert!(!all.contains(forbidden), "{package} depends on {forbidden}");
+        }
+        assert!(all.contains("zenoh"), "{package}");
+    }
+}
+
 /// Every source file outside of a folder.
 fn sources(of: &Path, outside: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
@@ -101,7 +117,7 @@ fn sources(of: &Path, outside: &str) -> Vec<(String, String)> {
 fn each_foreign_crate_is_spoken_to_in_one_place() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
     for (what, place) in
-        [("zenoh::", "shared/runtime"), ("bincode::", "shared/wire"), ("faer::", "shared/numeric")]
+        [("zenoh::", "shared/bus"), ("bincode::", "shared/wire"), ("faer::", "shared/numeric")]
     {
         for folder in ["services", "shared"] {
             for (name, text) in sources(&root.join(folder), place) {

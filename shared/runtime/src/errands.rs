@@ -10,10 +10,8 @@ use anyhow::Context;
 use muster_machine::Stored;
 use muster_wire::Outbound;
 use tokio::sync::{mpsc, oneshot};
-use zenoh::Wait;
-use zenoh::query::Query;
 
-use crate::bus::Bus;
+use crate::bus::{Bus, Query};
 use crate::store::Store;
 
 /// Most answers that wait to be sent.
@@ -105,13 +103,10 @@ fn keep(store: &Store, stored: &Stored) -> Result<(), String> {
 
 fn send(bus: &Bus, query: &Query, answer: Result<Vec<Outbound>, String>) {
     let sent = match answer {
-        Ok(messages) => messages.into_iter().try_for_each(|message| {
-            query
-                .reply(bus.space().format(&message.key), message.payload)
-                .encoding(message.encoding.as_ref())
-                .wait()
-        }),
-        Err(error) => query.reply_err(error).encoding(muster_wire::message::JSON).wait(),
+        Ok(messages) => {
+            messages.into_iter().try_for_each(|message| query.reply(bus.space(), message))
+        }
+        Err(error) => query.refuse(error),
     };
     if let Err(error) = sent {
         tracing::debug!("an answer is not sent: {error}");

@@ -2,6 +2,8 @@
 
 use std::process::ExitCode;
 
+use crate::bus::OpenError;
+
 /// Why a program ends without success.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Exit {
@@ -58,8 +60,17 @@ pub fn finish(result: anyhow::Result<()>) -> ExitCode {
                 return ExitCode::SUCCESS;
             }
             eprintln!("error: {error:#}");
-            error.downcast_ref::<ExitError>().map_or(Exit::Failure, |error| error.exit).into()
+            exit_of(&error).into()
         }
+    }
+}
+
+fn exit_of(error: &anyhow::Error) -> Exit {
+    match (error.downcast_ref::<ExitError>(), error.downcast_ref::<OpenError>()) {
+        (Some(error), _) => error.exit,
+        (_, Some(OpenError::Config(_))) => Exit::Usage,
+        (_, Some(OpenError::Unreachable(_))) => Exit::Unreachable,
+        _ => Exit::Failure,
     }
 }
 

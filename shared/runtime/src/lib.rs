@@ -1,12 +1,11 @@
 //! The shell around the pure cores: everything that touches the bus, a clock, a thread or a file.
 //!
-//! [`config`] reads flags, environment and file; [`bus`] opens a Zenoh session as [`zenoh_config`]
-//! says; [`inbox`] and [`outbox`] are the bounded ways in and out, `errands` the thread that answers
+//! [`config`] reads flags, environment and file; [`bus`] is the session, from a crate of its own;
+//! [`inbox`] and [`outbox`] are the bounded ways in and out, `errands` the thread that answers
 //! gets; [`shell`] runs one core; [`store`] keeps settings over a restart,
 //! [`recording`] what happens to a service; [`service`] is the whole
 //! `main` of a service binary; [`stop`] turns signals into a clean end.
 
-pub mod bus;
 pub mod clock;
 pub mod config;
 mod errands;
@@ -20,4 +19,5 @@ pub mod service;
 pub mod shell;
 pub mod stop;
 pub mod store;
-pub mod zenoh_config;
+
+pub use muster_bus as bus;

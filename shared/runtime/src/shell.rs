@@ -22,9 +22,8 @@ use muster_wire::{Key, KeySpace, Message, Outbound, Packet, Pattern, Rejection, 
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
-use zenoh::query::Query;
 
-use crate::bus::{Answer, Ask, Asked, Bus};
+use crate::bus::{Answer, Ask, Asked, Bus, Query};
 use crate::clock::Clock;
 use crate::errands::Errands;
 use crate::inbox::Inbox;
@@ -348,7 +347,7 @@ impl<C: Core> Shell<C> {
 
     fn take_query(&mut self, asked: Asked) {
         let Asked { query, narrowed, payload } = asked;
-        let request = Request::new(query.key_expr().as_str(), query.parameters().as_str(), payload);
+        let request = Request::new(query.selector(), query.parameters(), payload);
         match request {
             Ok(request) => {
                 let request = match narrowed {

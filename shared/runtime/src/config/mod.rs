@@ -22,15 +22,11 @@ pub use self::assignments::parse_assignments;
 pub use self::layers::{Environment, Origin, Sourced, process_environment};
 use self::layers::{Layers, default_state_directory, patch_of, read_file, split};
 
+pub use crate::bus::config::DEFAULT_ENDPOINT;
+use crate::bus::config::{Choice, DEFAULT_FLEET};
+use crate::bus::{self, BusConfig, check_endpoint, check_zenoh_config};
 use crate::exit::ExitError;
 use crate::recording::RecordTo;
-use crate::zenoh_config::{check_endpoint, check_zenoh_config};
-
-/// The fleet of a process that is told of none.
-const DEFAULT_FLEET: &str = "default";
-
-/// Where the router of this host listens, by the custom of Zenoh.
-pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
 /// The configuration of a process.
 #[derive(Debug, Clone)]
@@ -54,6 +50,27 @@ pub struct ProcessConfig {
     /// Where services are recorded. Only a flag says so: nobody is to fill a disk unawares.
     pub record: Option<RecordTo>,
     patches: Vec<(ServiceName, Origin, Value)>,
+}
+
+impl From<&ProcessConfig> for BusConfig {
+    fn from(config: &ProcessConfig) -> Self {
+        fn choice<T: Clone>(sourced: &Sourced<T>) -> Choice<T> {
+            let chosen = sourced.origin != Origin::Default;
+            Choice { value: sourced.value.clone(), chosen }
+        }
+        let mode = match config.mode.value {
+            Mode::Client => bus::Mode::Client,
+            Mode::Peer => bus::Mode::Peer,
+            Mode::Router => bus::Mode::Router,
+        };
+        Self {
+            fleet: config.fleet.value.clone(),
+            mode: Choice { value: mode, chosen: config.mode.origin != Origin::Default },
+            connect: choice(&config.connect),
+            listen: choice(&config.listen),
+            zenoh_config: config.zenoh_config.value.clone(),
+        }
+    }
 }
 
 impl ProcessConfig {
@@ -191,7 +208,7 @@ impl ProcessConfig {
         };
         crate::logging::check(config.log.value.as_deref()).map_err(ExitError::usage)?;
         if let Some(path) = &config.zenoh_config.value {
-            check_zenoh_config(path)?;
+            check_zenoh_config(path).map_err(|error| ExitError::usage(error.to_string()))?;
         }
         config.check_all_settings()?;
         Ok(config)

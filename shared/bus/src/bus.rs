@@ -1,4 +1,4 @@
-//! The bus: a Zenoh session with the keys of one fleet. Nothing outside of this crate knows Zenoh.
+//! A session: puts, subscriptions, gets, liveliness tokens, and whether a router is linked.
 
 use std::time::Duration;
 
@@ -9,11 +9,10 @@ use tokio::sync::{mpsc, watch};
 use zenoh::Wait;
 use zenoh::config::WhatAmI;
 use zenoh::key_expr::KeyExpr;
-use zenoh::query::{ConsolidationMode, Query, QueryTarget};
+use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
-use crate::config::{Mode, ProcessConfig};
-use crate::exit::ExitError;
+use crate::config::{BusConfig, Mode};
 use crate::zenoh_config::zenoh_config;
 
 /// Most answers to one get, or tokens, that are kept.
@@ -43,6 +42,20 @@ pub enum Patience {
     AtMost(Duration),
 }
 
+/// Why a session does not open.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// A value or a file of the configuration is wrong.
+    #[error("{0}")]
+    Config(String),
+    /// No router answers, or the address to listen at is taken.
+    #[error("{0}")]
+    Unreachable(String),
+    /// Something else failed.
+    #[error("opening the bus failed: {0}")]
+    Failed(String),
+}
+
 /// An open session with the keys of one fleet.
 #[derive(Debug, Clone)]
 pub struct Bus {
@@ -57,7 +70,7 @@ pub struct Token(zenoh::liveliness::LivelinessToken);
 
 /// A key expression that is served for as long as this lives.
 #[derive(Debug)]
-pub(crate) struct Served {
+pub struct Served {
     _queryable: zenoh::query::Queryable<()>,
 }
 
@@ -71,15 +84,63 @@ impl Token {
     }
 }
 
+/// A subscription; packets are handed over for as long as this lives.
+#[derive(Debug)]
+pub struct Subscription {
+    _subscriber: zenoh::pubsub::Subscriber<()>,
+}
+
 /// A get that reached one server of this process.
 #[derive(Debug)]
-pub(crate) struct Asked {
+pub struct Asked {
     /// The get.
-    pub(crate) query: Query,
+    pub query: Query,
     /// What the server serves, where the get asks for all of it and perhaps for more.
-    pub(crate) narrowed: Option<String>,
+    pub narrowed: Option<String>,
     /// What the get carries.
-    pub(crate) payload: Option<Vec<u8>>,
+    pub payload: Option<Vec<u8>>,
+}
+
+/// A get that waits for its answer. It is over when this is let go.
+#[derive(Debug)]
+pub struct Query(zenoh::query::Query);
+
+impl Query {
+    /// The key expression that it asks for.
+    #[must_use]
+    pub fn selector(&self) -> &str {
+        self.0.key_expr().as_str()
+    }
+
+    /// What follows the `?` of its selector.
+    #[must_use]
+    pub fn parameters(&self) -> &str {
+        self.0.parameters().as_str()
+    }
+
+    /// Answers with a message. May wait for a busy link.
+    ///
+    /// # Errors
+    /// If the session is closed, or the get does not select the key of the message.
+    pub fn reply(&self, space: &KeySpace, message: Outbound) -> anyhow::Result<()> {
+        self.0
+            .reply(space.format(&message.key), message.payload)
+            .encoding(message.encoding.as_ref())
+            .wait()
+            .map_err(|error| anyhow::anyhow!("{error}"))
+    }
+
+    /// Answers with an error. May wait for a busy link.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub fn refuse(&self, problem: String) -> anyhow::Result<()> {
+        self.0
+            .reply_err(problem)
+            .encoding(muster_wire::message::JSON)
+            .wait()
+            .map_err(|error| anyhow::anyhow!("{error}"))
+    }
 }
 
 /// One answer to a get.
@@ -106,8 +167,9 @@ impl Bus {
     /// # Errors
     /// If the configuration is wrong, an endpoint cannot be listened to, or no router was found in
     /// the time that was given.
-    pub async fn open(config: &ProcessConfig, patience: Patience) -> anyhow::Result<Self> {
-        let zenoh = zenoh_config(config)?;
+    pub async fn open(config: impl Into<BusConfig>, patience: Patience) -> Result<Self, OpenError> {
+        let config = config.into();
+        let zenoh = zenoh_config(&config)?;
         let routers = config.connect.value.join(", ");
         // Zenoh opens, and waits for its router, on the thread that asks: a thread of its own can be
         // left behind when it is time to stop.
@@ -127,17 +189,19 @@ impl Bus {
                 tracing::info!("a router answers now");
                 opened
             }
-            Err(_) => return Err(ExitError::unreachable(remedy).into()),
+            Err(_) => return Err(OpenError::Unreachable(remedy)),
         };
-        let session = opened.context("opening the bus failed")?.map_err(|error| match config.mode.value {
-            Mode::Client => ExitError::unreachable(format!("{remedy} ({error})")),
-            Mode::Peer | Mode::Router => ExitError::unreachable(format!(
+        let failed = |error: anyhow::Error| OpenError::Failed(format!("{error:#}"));
+        let opened = opened.map_err(|error| failed(error.into()))?;
+        let session = opened.map_err(|error| match config.mode.value {
+            Mode::Client => OpenError::Unreachable(format!("{remedy} ({error})")),
+            Mode::Peer | Mode::Router => OpenError::Unreachable(format!(
                 "the bus does not open at {}: {error}; is the address taken? Choose another with --listen",
                 config.listen.value.join(", ")
             )),
         })?;
-        let link = watch_link(&session).await?;
-        Ok(Self { session, space: KeySpace::new(config.fleet.value.clone()), link })
+        let link = watch_link(&session).await.map_err(failed)?;
+        Ok(Self { session, space: KeySpace::new(config.fleet), link })
     }
 
     /// The keys of the fleet.
@@ -226,6 +290,28 @@ impl Bus {
             .map_err(|error| anyhow::anyhow!("cannot subscribe to {text}: {error}"))
     }
 
+    /// Hands every packet of a pattern that others put to a function, for as long as what is returned
+    /// lives. The function is called on threads of the bus and must not wait.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn listen(
+        &self,
+        pattern: &Pattern,
+        take: impl Fn(Packet) + Send + Sync + 'static,
+    ) -> anyhow::Result<Subscription> {
+        let text = self.space.pattern(pattern);
+        let limit = pattern.payload_limit();
+        let subscriber = self
+            .session
+            .declare_subscriber(text.as_str())
+            .allowed_origin(Locality::Remote)
+            .callback(move |sample| take(packet(&sample, limit)))
+            .await
+            .map_err(|error| anyhow::anyhow!("cannot subscribe to {text}: {error}"))?;
+        Ok(Subscription { _subscriber: subscriber })
+    }
+
     /// Hands liveliness tokens to a function, those that are there already as well.
     ///
     /// # Errors
@@ -257,7 +343,7 @@ impl Bus {
     ///
     /// # Errors
     /// If the session is closed.
-    pub(crate) async fn serve(
+    pub async fn serve(
         &self,
         pattern: &Pattern,
         complete: bool,
@@ -285,7 +371,7 @@ impl Bus {
                     .map(|bytes| bytes.to_bytes().into_owned());
                 // A service that has stopped answers nothing, and need not say so.
                 if let Err(TrySendError::Full(_)) =
-                    queries.try_send(Asked { query, narrowed, payload })
+                    queries.try_send(Asked { query: Query(query), narrowed, payload })
                 {
                     tracing::warn!("a get is dropped: too many wait");
                 }

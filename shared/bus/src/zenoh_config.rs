@@ -5,8 +5,8 @@ use std::path::Path;
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use zenoh::config::EndPoint;
 
-use crate::config::{Origin, ProcessConfig};
-use crate::exit::ExitError;
+use crate::bus::OpenError;
+use crate::config::BusConfig;
 
 /// How long a silent link counts as alive. Zenoh's own default of 10 s would leave a lost robot
 /// unnoticed for as long.
@@ -54,45 +54,45 @@ pub fn check_endpoint(text: &str) -> Result<(), String> {
 ///
 /// # Errors
 /// If the user's file is wrong, or Zenoh refuses a value.
-pub(crate) fn zenoh_config(config: &ProcessConfig) -> anyhow::Result<zenoh::Config> {
+pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenError> {
     let plain = zenoh::Config::default();
-    let mut zenoh = match &config.zenoh_config.value {
+    let mut zenoh = match &config.zenoh_config {
         Some(path) => read_zenoh_config(path)?,
         None => plain.clone(),
     };
     let mut values = built_in_values();
-    let endpoints = |list: &[String]| serde_json::to_string(list);
-    values.push(("mode", serde_json::to_string(&config.mode.value.to_string())?));
-    values.push(("connect/endpoints", endpoints(&config.connect.value)?));
-    values.push(("listen/endpoints", endpoints(&config.listen.value)?));
+    let endpoints = |list: &[String]| serde_json::json!(list).to_string();
+    values.push(("mode", format!("\"{}\"", config.mode.value)));
+    values.push(("connect/endpoints", endpoints(&config.connect.value)));
+    values.push(("listen/endpoints", endpoints(&config.listen.value)));
     let said = |key: &str| match key {
-        "mode" => config.mode.origin != Origin::Default,
-        "connect/endpoints" => config.connect.origin != Origin::Default,
-        "listen/endpoints" => config.listen.origin != Origin::Default,
+        "mode" => config.mode.chosen,
+        "connect/endpoints" => config.connect.chosen,
+        "listen/endpoints" => config.listen.chosen,
         _ => false,
     };
     for (key, value) in values {
         // What the user's file leaves as Zenoh has it by default is ours to choose.
         let untouched = zenoh.get_json(key).ok() == plain.get_json(key).ok();
         if untouched || said(key) {
-            zenoh
-                .insert_json5(key, &value)
-                .map_err(|error| anyhow::anyhow!("Zenoh refuses {key} = {value}: {error}"))?;
+            zenoh.insert_json5(key, &value).map_err(|error| {
+                OpenError::Config(format!("Zenoh refuses {key} = {value}: {error}"))
+            })?;
         }
     }
     Ok(zenoh)
 }
 
-fn read_zenoh_config(path: &Path) -> Result<zenoh::Config, ExitError> {
+fn read_zenoh_config(path: &Path) -> Result<zenoh::Config, OpenError> {
     zenoh::Config::from_file(path)
-        .map_err(|error| ExitError::usage(format!("zenoh_config {}: {error}", path.display())))
+        .map_err(|error| OpenError::Config(format!("zenoh_config {}: {error}", path.display())))
 }
 
 /// Checks whether a file is a configuration of Zenoh.
 ///
 /// # Errors
 /// Names the file and what is wrong with it.
-pub fn check_zenoh_config(path: &Path) -> Result<(), ExitError> {
+pub fn check_zenoh_config(path: &Path) -> Result<(), OpenError> {
     read_zenoh_config(path).map(drop)
 }
 

@@ -1,0 +1,70 @@
+//! Which bus a process takes part in, and how.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use muster_model::id::FleetId;
+
+/// Where the router of this host listens, by the custom of Zenoh.
+pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+
+/// The fleet of a process that is told of none.
+pub const DEFAULT_FLEET: &str = "default";
+
+/// How a process takes part in the bus.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// Through a router: what robots and services are.
+    Client,
+    /// With direct links to other peers. Peers do not relay for each other.
+    Peer,
+    /// Relays for all others.
+    Router,
+}
+
+impl fmt::Display for Mode {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Client => "client",
+            Self::Peer => "peer",
+            Self::Router => "router",
+        })
+    }
+}
+
+/// A value, and whether somebody chose it. A choice overrides Zenoh's own configuration file, a
+/// default does not.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Choice<T> {
+    /// The value.
+    pub value: T,
+    /// Whether it was chosen.
+    pub chosen: bool,
+}
+
+impl<T> Choice<T> {
+    /// A value that somebody chose.
+    pub const fn chosen(value: T) -> Self {
+        Self { value, chosen: true }
+    }
+
+    /// A value that holds where nobody chose.
+    pub const fn default(value: T) -> Self {
+        Self { value, chosen: false }
+    }
+}
+
+/// Which bus a process takes part in, and how.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BusConfig {
+    /// The fleet whose keys the session has.
+    pub fleet: FleetId,
+    /// How to take part.
+    pub mode: Choice<Mode>,
+    /// Routers to connect to.
+    pub connect: Choice<Vec<String>>,
+    /// Where to listen.
+    pub listen: Choice<Vec<String>>,
+    /// A file with Zenoh's own configuration, for everything else.
+    pub zenoh_config: Option<PathBuf>,
+}
