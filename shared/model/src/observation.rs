@@ -66,6 +66,14 @@ pub struct Pose {
     pub seq: Option<u64>,
 }
 
+impl Pose {
+    /// A pose on the ground: metres east and north; everything else is left out.
+    #[must_use]
+    pub const fn at(x: f64, y: f64) -> Self {
+        Self { x, y, z: None, heading: None, frame: None, stamp: None, boot: None, seq: None }
+    }
+}
+
 /// One robot that another one hears.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -106,6 +114,14 @@ pub struct Rank {
     pub boot: Option<String>,
     /// Grows with each report within one boot.
     pub seq: Option<u64>,
+}
+
+impl Rank {
+    /// A tie to a superior, or to nobody at the top; everything else is left out.
+    #[must_use]
+    pub const fn under(superior: Option<RobotId>) -> Self {
+        Self { superior, weight: None, role: None, stamp: None, boot: None, seq: None }
+    }
 }
 
 /// The edges of one further modality that leave the robot that reports.

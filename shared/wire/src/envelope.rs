@@ -33,7 +33,8 @@ const HEAD: usize = 3;
 /// Largest message between services in bytes: a graph of 100,000 robots with 30 edges each.
 pub const MAX_SERVICE_PAYLOAD: usize = 64 * 1024 * 1024;
 
-/// Largest event, settings or status in bytes: a few names, numbers and one reason.
+/// Largest event, settings, status or word to a robot of its team in bytes: some names, numbers and one
+/// reason. 256 members with the longest ids take a third of it.
 pub const MAX_SMALL_PAYLOAD: usize = 64 * 1024;
 
 /// Why bytes are not the message that they should be.
@@ -122,7 +123,7 @@ kinds! {
     6 Roster, "Roster", MAX_SERVICE_PAYLOAD;
     7 Embedding, "Embedding", MAX_SERVICE_PAYLOAD;
     8 Teams, "Teams", MAX_SERVICE_PAYLOAD;
-    9 RobotTeam, "RobotTeam", MAX_SERVICE_PAYLOAD;
+    9 RobotTeam, "RobotTeam", MAX_SMALL_PAYLOAD;
     10 Audit, "Audit", MAX_SERVICE_PAYLOAD;
     11 Event, "Event", MAX_SMALL_PAYLOAD;
     12 AnnouncedSettings, "Settings", MAX_SMALL_PAYLOAD;

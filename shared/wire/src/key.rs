@@ -208,9 +208,9 @@ impl Pattern {
     pub const fn payload_limit(&self) -> usize {
         match self {
             Self::Poses | Self::Links | Self::Ranks | Self::Relations => MAX_ROBOT_PAYLOAD,
-            Self::Statuses => MAX_SMALL_PAYLOAD,
+            Self::RobotTeams | Self::Statuses => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
-            Self::RobotTeams | Self::Graphs => MAX_SERVICE_PAYLOAD,
+            Self::Graphs => MAX_SERVICE_PAYLOAD,
             Self::One(key) => key.payload_limit(),
         }
     }
@@ -224,7 +224,8 @@ impl Key {
             Self::Pose(_) | Self::Links(_) | Self::Rank(_) | Self::Relation(..) => {
                 MAX_ROBOT_PAYLOAD
             }
-            Self::Event
+            Self::RobotTeam(_)
+            | Self::Event
             | Self::JsonEvent
             | Self::Settings(_)
             | Self::Status(_)

@@ -2,8 +2,9 @@
 //!
 //! [`key`] is the key space in one typed place; [`envelope`] the binary form (magic byte, schema
 //! version, kind, bincode); [`json`] the form at the edge; [`message`] ties a key to a content and
-//! both forms; [`request`] reads gets; [`recording`] is how a service's life is written to a file. Nothing outside of this crate handles bytes, and nothing in
-//! it knows the bus.
+//! both forms; [`request`] reads gets; [`told`] is what robots read; [`recording`] is how the life of a
+//! service is written to a file. Nothing outside of this crate handles bytes, and nothing in it knows
+//! the bus.
 
 pub mod envelope;
 pub mod json;
@@ -11,6 +12,7 @@ pub mod key;
 pub mod message;
 pub mod recording;
 pub mod request;
+pub mod told;
 
 pub use key::{Key, KeySpace, Pattern};
 pub use message::{Message, Outbound, Packet, Rejection, Source};

@@ -141,7 +141,7 @@ pub fn quoted(text: &str) -> String {
 }
 
 /// Reads an encoding. A missing one is JSON, so that the shortest client works.
-fn format_of(encoding: &str) -> Option<Format> {
+pub(crate) fn format_of(encoding: &str) -> Option<Format> {
     let name = encoding.split(';').next().unwrap_or_default().trim();
     match name {
         "" | "zenoh/bytes" | "zenoh/string" | "text/plain" | "text/json" | "application/json" => {
