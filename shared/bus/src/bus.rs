@@ -171,9 +171,13 @@ impl Bus {
         let config = config.into();
         let zenoh = zenoh_config(&config)?;
         let routers = config.connect.value.join(", ");
-        // Zenoh opens, and waits for its router, on the thread that asks: a thread of its own can be
-        // left behind when it is time to stop.
-        let mut opening = tokio::task::spawn_blocking(move || zenoh::open(zenoh).wait());
+        // Zenoh opens, and waits for its router, on the thread that asks. A plain thread can be left
+        // behind when it is time to stop; a runtime would wait for one of its own as it ends.
+        let (sender, mut opening) = tokio::sync::oneshot::channel();
+        std::thread::Builder::new()
+            .name("muster-open".to_owned())
+            .spawn(move || drop(sender.send(zenoh::open(zenoh).wait())))
+            .map_err(|error| OpenError::Failed(error.to_string()))?;
         let remedy = format!(
             "no router answers at {routers}; start one with `muster router`, or name another with --connect"
         );

@@ -1,0 +1,66 @@
+//! A console: prints the settings of `clusterer`, then every change of the division and every event.
+//!
+//! ```sh
+//! cargo run -p muster-client --example console
+//! ```
+
+use std::time::Duration;
+
+use muster_client::model::id::ServiceName;
+use muster_client::model::teams::Teams;
+use muster_client::{Client, Config, Error, Latest};
+
+const USAGE: &str = "usage: console
+environment: MUSTER_FLEET, MUSTER_CONNECT, MUSTER_ZENOH_CONFIG";
+
+fn print(division: &Latest<Teams>) {
+    let stale = if division.is_stale() { " (stale)" } else { "" };
+    println!("division {:?}{stale}", division.header.revision);
+    for team in &division.teams {
+        let members: Vec<_> = team.members.iter().map(|member| member.robot.as_str()).collect();
+        println!("  {} led by {}: {}", team.id, team.leader, members.join(" "));
+    }
+}
+
+async fn look() -> Result<(), Error> {
+    let config = Config { patience: Some(Duration::from_secs(5)), ..Config::from_env() };
+    let client = Client::open(&config).await?;
+    match client.settings(ServiceName::Clusterer).await {
+        Ok(settings) => println!("settings of clusterer: {settings}"),
+        Err(error) => eprintln!("{error}"),
+    }
+    let mut events = client.events().await?;
+    let (mut teams, mut audits) = (client.teams().await?, client.audits().await?);
+    let mut verdict = None;
+    loop {
+        tokio::select! {
+            division = teams.changed() => print(&division?),
+            audit = audits.changed() => {
+                let audit = audit?;
+                if verdict.replace(audit.verdict) != Some(audit.verdict) {
+                    println!("verdict: {:?}", audit.verdict);
+                }
+            }
+            event = events.next() => println!("{:?}", event?.kind),
+            _ = tokio::signal::ctrl_c() => break,
+        }
+    }
+    client.close().await;
+    Ok(())
+}
+
+#[tokio::main]
+async fn main() -> std::process::ExitCode {
+    tracing_subscriber::fmt().with_writer(std::io::stderr).with_target(false).init();
+    if std::env::args().len() > 1 {
+        eprintln!("{USAGE}");
+        return 2.into();
+    }
+    match look().await {
+        Ok(()) => 0.into(),
+        Err(error) => {
+            eprintln!("error: {error}");
+            1.into()
+        }
+    }
+}

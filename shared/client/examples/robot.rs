@@ -1,0 +1,74 @@
+//! A robot that drives in a circle and prints its team whenever that changes.
+//!
+//! ```sh
+//! cargo run -p muster-client --example robot -- r1
+//! MUSTER_FLEET=alpha MUSTER_CONNECT=tcp/10.0.0.1:7447 cargo run -p muster-client --example robot -- r2 50 0 r1
+//! ```
+
+use std::time::Duration;
+
+use muster_client::model::teams::RobotTeam;
+use muster_client::{Config, Error, Latest, Pose, Robot};
+use tokio::time::{Instant, interval};
+
+const USAGE: &str = "usage: robot ID [X Y [SUPERIOR]]
+  ID        the robot: a-z 0-9 _ -
+  X Y       the middle of its circle in metres; 0 0 if left out
+  SUPERIOR  the robot that it answers to; nobody if left out
+environment: MUSTER_FLEET, MUSTER_CONNECT, MUSTER_ZENOH_CONFIG";
+
+/// Radius of the circle in metres, and seconds for one round.
+const CIRCLE: (f64, f64) = (1.0, 20.0);
+
+fn print(told: &Latest<RobotTeam>) {
+    let stale = told.stale.map_or(String::new(), |why| format!(" (stale: {why:?})"));
+    match (&told.team, &told.members, &told.leader) {
+        (Some(team), Some(members), Some(leader)) => {
+            let names: Vec<_> = members.iter().map(ToString::to_string).collect();
+            println!("team {team}, led by {leader}: {}{stale}", names.join(" "));
+        }
+        (Some(team), ..) => println!("team {team}, too large to name all{stale}"),
+        (None, ..) => println!("no team: nothing relates this robot to others{stale}"),
+    }
+}
+
+async fn drive(id: &str, middle: (f64, f64), superior: Option<&str>) -> Result<(), Error> {
+    let robot = Robot::join(&Config::from_env(), id).await?;
+    println!("{id} has joined");
+    robot.put_rank(superior)?;
+    let mut team = robot.team();
+    let mut ticks = interval(Duration::from_millis(100));
+    let start = Instant::now();
+    loop {
+        tokio::select! {
+            _ = ticks.tick() => {
+                let angle = start.elapsed().as_secs_f64() / CIRCLE.1 * std::f64::consts::TAU;
+                let (x, y) = (middle.0 + CIRCLE.0 * angle.cos(), middle.1 + CIRCLE.0 * angle.sin());
+                robot.put_pose(Pose { heading: Some(angle), ..Pose::at(x, y) })?;
+            }
+            told = team.changed() => print(&told?),
+            _ = tokio::signal::ctrl_c() => break,
+        }
+    }
+    robot.leave().await;
+    Ok(())
+}
+
+#[tokio::main]
+async fn main() -> std::process::ExitCode {
+    tracing_subscriber::fmt().with_writer(std::io::stderr).with_target(false).init();
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let number = |at: usize| args.get(at).map_or(Ok(0.0), |text| text.parse::<f64>());
+    let help = args.is_empty() || args.len() > 4 || args.iter().any(|arg| arg == "--help");
+    let (Ok(x), Ok(y), false) = (number(1), number(2), help) else {
+        eprintln!("{USAGE}");
+        return 2.into();
+    };
+    match drive(&args[0], (x, y), args.get(3).map(String::as_str)).await {
+        Ok(()) => 0.into(),
+        Err(error) => {
+            eprintln!("error: {error}");
+            1.into()
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! What can go wrong, each with its remedy.
+
+use muster_bus::OpenError;
+use muster_model::id::{FleetId, IdError, RobotId};
+use muster_model::observation::ObservationError;
+
+/// Why the client refuses or fails.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A value of the caller is wrong. Nothing was sent.
+    #[error("{field}: {problem}")]
+    Input {
+        /// The field, as it stands in JSON or in [`Config`](crate::Config).
+        field: &'static str,
+        /// What is wrong and what would be right.
+        problem: String,
+    },
+    /// The caller runs on no multi-threaded tokio runtime.
+    #[error(
+        "the bus needs tokio's multi-threaded runtime: use #[tokio::main] without a flavor, \
+         #[tokio::test(flavor = \"multi_thread\")], or runtime::Builder::new_multi_thread()"
+    )]
+    Runtime,
+    /// No router answered in the time that [`Config::patience`](crate::Config::patience) gives.
+    #[error(
+        "no router answers at {routers}; start one with `muster router`, or name another in \
+         Config::routers"
+    )]
+    Unreachable {
+        /// Where one was looked for.
+        routers: String,
+    },
+    /// Another process speaks for this robot.
+    #[error(
+        "robot: {robot} is in fleet {fleet} already; give each robot an id of its own, or end the \
+         process that speaks for it"
+    )]
+    Taken {
+        /// The robot.
+        robot: RobotId,
+        /// The fleet.
+        fleet: FleetId,
+    },
+    /// Nobody answered a question in time.
+    #[error("nobody answers for {what}; see `muster status` for what runs")]
+    Unanswered {
+        /// What was asked for.
+        what: String,
+    },
+    /// The robot has left, or the client was closed.
+    #[error("the robot has left, or its client was closed")]
+    Closed,
+    /// The bus failed.
+    #[error("the bus failed: {0}")]
+    Bus(String),
+}
+
+impl Error {
+    pub(crate) fn input(field: &'static str, problem: impl Into<String>) -> Self {
+        Self::Input { field, problem: problem.into() }
+    }
+
+    pub(crate) fn id(field: &'static str) -> impl Fn(IdError) -> Self {
+        move |error| Self::input(field, error.to_string())
+    }
+
+    pub(crate) fn bus(error: impl std::fmt::Display) -> Self {
+        Self::Bus(format!("{error:#}"))
+    }
+
+    pub(crate) fn open(error: OpenError, routers: &[String]) -> Self {
+        match error {
+            OpenError::Config(problem) => Self::input("zenoh_config", problem),
+            OpenError::Unreachable(_) => Self::Unreachable { routers: routers.join(", ") },
+            other => Self::bus(other),
+        }
+    }
+}
+
+impl From<ObservationError> for Error {
+    fn from(error: ObservationError) -> Self {
+        Self::Input { field: error.field, problem: error.problem }
+    }
+}

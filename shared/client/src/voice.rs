@@ -1,0 +1,351 @@
+//! What a robot says: checked, numbered, stamped, and said again while it holds.
+
+use std::collections::BTreeMap;
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use muster_model::id::{Modality, RobotId};
+use muster_model::limits::MAX_DECLARED_MODALITIES;
+use muster_model::observation::{Links, Observation, Pose, Rank, Relation};
+use muster_model::time::Tick;
+use muster_wire::{Format, Key, Message, Outbound};
+
+use crate::error::Error;
+
+/// Something that a robot says of itself.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Report {
+    /// Where it is. It holds for a moment, so that it is never said twice.
+    Pose(Pose),
+    /// Whom it hears. It holds until the next report.
+    Links(Links),
+    /// Whom it answers to. It holds until the next report.
+    Rank(Rank),
+    /// Its edges of a declared modality. They hold until the next report.
+    Relation(Modality, Relation),
+}
+
+/// One stream of a robot: newer words take the place of older ones.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+enum Stream {
+    Pose,
+    Links,
+    Rank,
+    Relation(Modality),
+}
+
+/// A report that holds until the next one of its stream.
+#[derive(Debug)]
+struct Standing {
+    report: Report,
+    said: Instant,
+}
+
+/// The voice of one robot.
+#[derive(Debug)]
+pub(crate) struct Voice {
+    robot: RobotId,
+    format: Format,
+    boot: String,
+    sequences: BTreeMap<Stream, u64>,
+    standing: BTreeMap<Stream, Standing>,
+}
+
+/// A name for one run of a robot's software, which no other run has.
+fn new_boot() -> String {
+    // The keys of the standard hasher are random, so that two robots that start in the same
+    // microsecond differ all the same.
+    let random = RandomState::new().build_hasher().finish();
+    format!("{:x}-{random:x}", wall_clock().0)
+}
+
+/// Now, by the clock of the host. It is read anew each time: many robots set it after they start.
+pub(crate) fn wall_clock() -> Tick {
+    Tick(0).after(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default())
+}
+
+impl Report {
+    fn stream(&self) -> Stream {
+        match self {
+            Self::Pose(_) => Stream::Pose,
+            Self::Links(_) => Stream::Links,
+            Self::Rank(_) => Stream::Rank,
+            Self::Relation(modality, _) => Stream::Relation(modality.clone()),
+        }
+    }
+
+    fn check(&self, robot: &RobotId) -> Result<(), Error> {
+        match self {
+            Self::Pose(pose) => pose.check()?,
+            Self::Links(links) => {
+                links.check()?;
+                if links.links.iter().any(|link| link.peer == *robot) {
+                    let problem = "a robot does not report that it hears itself";
+                    return Err(Error::input("links.peer", problem));
+                }
+            }
+            Self::Rank(rank) => {
+                rank.check()?;
+                if rank.superior.as_ref() == Some(robot) {
+                    let problem = "a robot does not answer to itself; None is the top";
+                    return Err(Error::input("superior", problem));
+                }
+            }
+            Self::Relation(modality, relation) => {
+                relation.check()?;
+                if modality.is_built_in() {
+                    let problem = format!(
+                        "{modality} is made from poses, links or ranks; name a declared modality"
+                    );
+                    return Err(Error::input("modality", problem));
+                }
+                if relation.edges.iter().any(|(from, to, _)| from != robot || to == robot) {
+                    let problem = format!("each must lead from {robot} to another robot");
+                    return Err(Error::input("edges", problem));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The report as it is put: with the name of the run and its number, and with a stamp if it has
+    /// none of its own.
+    fn message(self, robot: RobotId, stamp: f64, boot: &str, number: u64) -> Message {
+        macro_rules! marked {
+            ($body:expr) => {{
+                let mut body = $body;
+                body.stamp = body.stamp.or(Some(stamp));
+                body.boot = Some(boot.to_owned());
+                body.seq = Some(number);
+                body
+            }};
+        }
+        match self {
+            Self::Pose(body) => Message::Pose(robot, marked!(body)),
+            Self::Links(body) => Message::Links(robot, marked!(body)),
+            Self::Rank(body) => Message::Rank(robot, marked!(body)),
+            Self::Relation(modality, body) => Message::Relation(robot, modality, marked!(body)),
+        }
+    }
+}
+
+impl Voice {
+    pub(crate) fn new(robot: RobotId, format: Format) -> Self {
+        Self {
+            robot,
+            format,
+            boot: new_boot(),
+            sequences: BTreeMap::new(),
+            standing: BTreeMap::new(),
+        }
+    }
+
+    /// The name of this run of the robot's software.
+    pub(crate) fn boot(&self) -> &str {
+        &self.boot
+    }
+
+    /// Says something.
+    ///
+    /// # Errors
+    /// Names the field that is wrong.
+    pub(crate) fn say(&mut self, now: Instant, report: Report) -> Result<Outbound, Error> {
+        report.check(&self.robot)?;
+        let stream = report.stream();
+        let relations =
+            self.standing.keys().filter(|stream| matches!(stream, Stream::Relation(_))).count();
+        if matches!(stream, Stream::Relation(_))
+            && relations >= MAX_DECLARED_MODALITIES
+            && !self.standing.contains_key(&stream)
+        {
+            let problem = format!("a fleet declares at most {MAX_DECLARED_MODALITIES}");
+            return Err(Error::input("modality", problem));
+        }
+        let outbound = self.encode(&stream, report.clone())?;
+        if stream != Stream::Pose {
+            self.standing.insert(stream, Standing { report, said: now });
+        }
+        Ok(outbound)
+    }
+
+    /// Says again what holds and was last said before a moment.
+    pub(crate) fn repeat(&mut self, now: Instant, before: Instant) -> Vec<Outbound> {
+        let due: Vec<(Stream, Report)> = self
+            .standing
+            .iter_mut()
+            .filter(|(_, standing)| standing.said <= before)
+            .map(|(stream, standing)| {
+                standing.said = now;
+                (stream.clone(), standing.report.clone())
+            })
+            .collect();
+        let encoded = due.into_iter().map(|(stream, report)| self.encode(&stream, report));
+        encoded
+            .filter_map(|outbound| {
+                outbound.inspect_err(|error| tracing::debug!("not repeated: {error}")).ok()
+            })
+            .collect()
+    }
+
+    fn encode(&mut self, stream: &Stream, report: Report) -> Result<Outbound, Error> {
+        let number = self.sequences.entry(stream.clone()).or_default();
+        *number += 1;
+        let now = wall_clock();
+        let message = report.message(self.robot.clone(), now.as_seconds(), &self.boot, *number);
+        let key: Key = message.keys().0;
+        let field = match stream {
+            Stream::Pose => "pose",
+            Stream::Links => "links",
+            Stream::Rank => "rank",
+            Stream::Relation(_) => "edges",
+        };
+        let outbound = message.encode(key, self.format, now);
+        let outbound = outbound.map_err(|error| Error::input(field, error.to_string()))?;
+        let (size, limit) = (outbound.payload.len(), outbound.key.payload_limit());
+        if size > limit {
+            let problem = format!("takes {size} bytes, more than the limit of {limit}");
+            return Err(Error::input(field, problem));
+        }
+        Ok(outbound)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use muster_model::id::FleetId;
+    use muster_model::limits::{MAX_ID_LENGTH, MAX_LINKS, MAX_RELATION_EDGES};
+    use muster_model::observation::{Link, Provenance};
+    use muster_wire::{KeySpace, Packet, Source};
+
+    use super::*;
+
+    fn id(name: &str) -> RobotId {
+        RobotId::new(name).unwrap()
+    }
+
+    fn voice() -> Voice {
+        Voice::new(id("r1"), Format::Json)
+    }
+
+    /// What a service understands of it.
+    fn heard(outbound: Outbound) -> (Message, Provenance) {
+        let space = KeySpace::new(FleetId::new("f").unwrap());
+        let packet = Packet {
+            key: space.format(&outbound.key),
+            encoding: outbound.encoding.into_owned(),
+            source: Source::Put,
+            payload: Ok(outbound.payload),
+        };
+        let message = Message::decode(&space, &packet).unwrap();
+        let provenance = match &message {
+            Message::Pose(_, body) => body.provenance(),
+            Message::Links(_, body) => body.provenance(),
+            Message::Rank(_, body) => body.provenance(),
+            Message::Relation(_, _, body) => body.provenance(),
+            other => panic!("{other:?}"),
+        };
+        (message, provenance)
+    }
+
+    fn links(peers: impl IntoIterator<Item = String>) -> Report {
+        let links = peers.into_iter().map(|peer| Link { peer: id(&peer), quality: 0.123_456_789 });
+        Report::Links(Links { links: links.collect(), stamp: None, boot: None, seq: None })
+    }
+
+    fn relation(edges: Vec<(RobotId, RobotId, f64)>) -> Relation {
+        Relation { edges, stamp: None, boot: None, seq: None }
+    }
+
+    #[test]
+    fn each_stream_counts_by_itself_within_one_run() {
+        let (mut voice, now) = (voice(), Instant::now());
+        let mut seen = Vec::new();
+        for report in [
+            Report::Pose(Pose::at(1.0, 2.0)),
+            Report::Pose(Pose { stamp: Some(7.0), ..Pose::at(1.0, 2.0) }),
+            Report::Rank(Rank::under(None)),
+        ] {
+            let (_, provenance) = heard(voice.say(now, report).unwrap());
+            assert_eq!(provenance.boot.as_deref(), Some(voice.boot()));
+            seen.push((provenance.seq, provenance.stamp));
+        }
+        assert_eq!(
+            seen.iter().map(|(seq, _)| *seq).collect::<Vec<_>>(),
+            [Some(1), Some(2), Some(1)]
+        );
+        assert_eq!(seen[1].1, Some(7.0), "the stamp of a sensor stands");
+        assert!((seen[0].1.unwrap() - wall_clock().as_seconds()).abs() < 60.0);
+        assert_ne!(new_boot(), new_boot());
+        assert!(new_boot().len() <= muster_model::limits::MAX_TEXT_LENGTH);
+    }
+
+    #[test]
+    fn what_holds_is_said_again_with_later_numbers_and_poses_are_not() {
+        let (mut voice, start) = (voice(), Instant::now());
+        let later = start + Duration::from_secs(1);
+        voice.say(start, Report::Pose(Pose::at(0.0, 0.0))).unwrap();
+        voice.say(start, Report::Rank(Rank::under(Some(id("r0"))))).unwrap();
+        voice.say(start, links(["r2".to_owned()])).unwrap();
+        voice.say(later, links(["r3".to_owned()])).unwrap();
+        let again = voice.repeat(later, start);
+        assert_eq!(again.len(), 1, "the links are young");
+        let (message, provenance) = heard(again.into_iter().next().unwrap());
+        assert!(matches!(message, Message::Rank(..)));
+        assert_eq!(provenance.seq, Some(2));
+        let all: Vec<_> = voice.repeat(later, later).into_iter().map(heard).collect();
+        assert_eq!(all.len(), 2);
+        let newest = |(message, _): &(Message, Provenance)| match message {
+            Message::Links(_, links) => links.links[0].peer == id("r3"),
+            _ => false,
+        };
+        assert!(all.iter().any(newest), "the newest stands");
+    }
+
+    #[test]
+    fn every_wrong_field_is_named_and_nothing_of_it_stands() {
+        let (mut voice, now) = (voice(), Instant::now());
+        let thermal = || Modality::new("thermal").unwrap();
+        let me = || id("r1");
+        let wrong = [
+            ("x", Report::Pose(Pose::at(f64::NAN, 0.0))),
+            ("heading", Report::Pose(Pose { heading: Some(f64::INFINITY), ..Pose::at(0.0, 0.0) })),
+            ("frame", Report::Pose(Pose { frame: Some("m".repeat(65)), ..Pose::at(0.0, 0.0) })),
+            ("links.peer", links(["r1".to_owned()])),
+            ("links.peer", links(["r2".to_owned(), "r2".to_owned()])),
+            ("links", links((0..=MAX_LINKS).map(|i| format!("p{i}")))),
+            ("superior", Report::Rank(Rank::under(Some(me())))),
+            ("weight", Report::Rank(Rank { weight: Some(-1.0), ..Rank::under(None) })),
+            ("edges", Report::Relation(thermal(), relation(vec![(me(), id("r2"), f64::NAN)]))),
+            ("edges", Report::Relation(thermal(), relation(vec![(id("r2"), me(), 1.0)]))),
+            ("edges", Report::Relation(thermal(), relation(vec![(me(), me(), 1.0)]))),
+            ("modality", Report::Relation(Modality::spatial(), relation(vec![]))),
+        ];
+        for (field, report) in wrong {
+            let error = voice.say(now, report).unwrap_err().to_string();
+            assert!(error.starts_with(&format!("{field}: ")), "{error}");
+        }
+        assert!(voice.repeat(now, now).is_empty());
+    }
+
+    #[test]
+    fn the_largest_reports_fit_and_modalities_are_bounded() {
+        let now = Instant::now();
+        let long = |i: usize| format!("{i:a>MAX_ID_LENGTH$}");
+        let longest = RobotId::new("z".repeat(MAX_ID_LENGTH)).unwrap();
+        for format in [Format::Json, Format::Binary] {
+            let mut voice = Voice::new(longest.clone(), format);
+            voice.say(now, links((0..MAX_LINKS).map(long))).unwrap();
+            let edges = (0..MAX_RELATION_EDGES)
+                .map(|i| (longest.clone(), id(&long(i)), 0.123_456_789_012_345_6));
+            let edges = relation(edges.collect());
+            for number in 0..MAX_DECLARED_MODALITIES {
+                let modality = Modality::new(format!("m{number}")).unwrap();
+                voice.say(now, Report::Relation(modality, edges.clone())).unwrap();
+            }
+            let more = Report::Relation(Modality::new("more").unwrap(), edges);
+            assert!(voice.say(now, more).unwrap_err().to_string().contains("at most 16"));
+        }
+    }
+}

@@ -1,0 +1,444 @@
+//! Robots and consoles by the client crate, against real services and a real router.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use muster_client::model::audit::Verdict;
+use muster_client::model::event::EventKind;
+use muster_client::model::id::ServiceName;
+use muster_client::model::observation::Rank;
+use muster_client::model::teams::RobotTeam;
+use muster_client::{
+    Client, Config, Error, Events, Format, Latest, Pose, Report, Robot, Staleness, Watch,
+};
+use muster_tests::client::division;
+use muster_tests::cluster::{Cluster, free_endpoint, start_router};
+use muster_tests::process::Process;
+use serde_json::{Value, json};
+use tokio::task::JoinHandle;
+use tokio::time::{sleep, timeout};
+
+use crate::pipeline::FORMED_WITHIN;
+
+/// When a robot counts what it was told as stale in these tests.
+const STALE_AFTER: Duration = Duration::from_secs(4);
+
+/// How soon a robot is told anew by services that live, on a busy machine.
+const TOLD_WITHIN: Duration = Duration::from_secs(10);
+
+/// Two groups of three, far apart.
+const PLACES: [(&str, f64); 6] =
+    [("a1", 0.0), ("a2", 3.0), ("a3", 6.0), ("b1", 90.0), ("b2", 93.0), ("b3", 96.0)];
+
+fn config(cluster: &Cluster) -> Config {
+    Config {
+        fleet: cluster.fleet.clone(),
+        routers: vec![cluster.endpoint.clone()],
+        patience: Some(Duration::from_secs(10)),
+        stale_after: STALE_AFTER,
+        ..Config::default()
+    }
+}
+
+/// Robots that put their poses until they are let go.
+struct Driving {
+    robots: BTreeMap<&'static str, Arc<Robot>>,
+    driver: JoinHandle<()>,
+}
+
+impl Drop for Driving {
+    fn drop(&mut self) {
+        self.driver.abort();
+    }
+}
+
+/// Joins the robots of both groups, all but one, and has them put poses.
+async fn drive(client: &Client, without: &str) -> Driving {
+    let mut robots = BTreeMap::new();
+    for (name, _) in PLACES.into_iter().filter(|(name, _)| *name != without) {
+        robots.insert(name, Arc::new(client.join(name).await.unwrap()));
+    }
+    let driven = robots.clone();
+    let driver = tokio::spawn(async move {
+        loop {
+            for (name, x) in PLACES {
+                if let Some(robot) = driven.get(name) {
+                    robot.put_pose(Pose::at(x, 0.0)).unwrap();
+                }
+            }
+            sleep(Duration::from_millis(100)).await;
+        }
+    });
+    Driving { robots, driver }
+}
+
+/// Waits for what a robot is told to be right, and says how long that took.
+async fn until(
+    team: &mut Watch<RobotTeam>,
+    within: Duration,
+    what: &str,
+    right: impl Fn(&Latest<RobotTeam>) -> bool,
+) -> (Latest<RobotTeam>, Duration) {
+    let start = Instant::now();
+    let waiting = async {
+        if let Some(latest) = team.latest().filter(&right) {
+            return latest;
+        }
+        loop {
+            let latest = team.changed().await.unwrap();
+            if right(&latest) {
+                return latest;
+            }
+        }
+    };
+    match timeout(within, waiting).await {
+        Ok(latest) => (latest, start.elapsed()),
+        Err(_) => panic!("not within {within:?}: {what}; the newest is {:?}", team.latest()),
+    }
+}
+
+fn members(told: &RobotTeam) -> Vec<&str> {
+    told.members.iter().flatten().map(|member| member.as_str()).collect()
+}
+
+fn with_group(group: &'static [&'static str]) -> impl Fn(&Latest<RobotTeam>) -> bool {
+    move |told| members(told) == group && !told.is_stale()
+}
+
+async fn event(events: &mut Events, what: &str, right: impl Fn(&EventKind) -> bool) {
+    let waiting = async { while !right(&events.next().await.unwrap().kind) {} };
+    timeout(TOLD_WITHIN, waiting).await.unwrap_or_else(|_| panic!("no event tells: {what}"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_in_ten_lines_gets_its_team_and_consoles_see_it() {
+    let cluster = Cluster::start("alpha", &[("ingest", "modalities=[\"thermal\"]")]).unwrap();
+    let console = Client::open(&config(&cluster)).await.unwrap();
+    let mut events = console.events().await.unwrap();
+    let others = drive(&console, "b2").await;
+    let robot = Robot::join(&config(&cluster), "b2").await.unwrap();
+    let mut team = robot.team();
+    assert!(team.latest().is_none());
+    robot.put_rank(Some("b1")).unwrap();
+    robot.put_links([("b1", 0.9), ("b3", 0.8)]).unwrap();
+    robot.put_relation("thermal", [("b3", 1.0)]).unwrap();
+    let moving = async {
+        loop {
+            robot.put_pose(Pose::at(93.0, 0.0)).unwrap();
+            sleep(Duration::from_millis(100)).await;
+        }
+    };
+    let right = with_group(&["b1", "b2", "b3"]);
+    let (told, took) = tokio::select! {
+        told = until(&mut team, FORMED_WITHIN, "b2 is told its group", right) => told,
+        () = moving => unreachable!(),
+    };
+    eprintln!("told after {took:?}");
+    assert_eq!(told.robot.as_str(), "b2");
+    assert!(told.confidence > 0.5 && team.data_age_s().unwrap() < 30.0);
+    event(
+        &mut events,
+        "b2 joins",
+        |kind| matches!(kind, EventKind::RobotJoined { robot } if robot.as_str() == "b2"),
+    )
+    .await;
+
+    // What the services made of it: every report has arrived.
+    let outside = cluster.client().await.unwrap();
+    let wanted = [
+        ("hierarchy", json!([["b1", "b2", 1.0]])),
+        ("connectivity", json!([["b1", "b2", 0.9], ["b3", "b2", 0.8]])),
+        ("thermal", json!([["b2", "b3", 1.0]])),
+    ];
+    for (modality, edges) in wanted {
+        let graph = outside.get_one(&format!("graph/{modality}?format=json")).await.unwrap();
+        assert_eq!(graph["edges"], edges, "{modality}");
+    }
+    // A late console hears of it at once, without a change.
+    let late = Client::open(&config(&cluster)).await.unwrap();
+    let mut teams = late.teams().await.unwrap();
+    let division = timeout(TOLD_WITHIN, teams.changed()).await.unwrap().unwrap();
+    assert_eq!(division.teams.len(), 2);
+    assert!(!division.is_stale());
+    let mut audits = late.audits().await.unwrap();
+    let judged = async { while audits.changed().await.unwrap().verdict == Verdict::Undefined {} };
+    timeout(TOLD_WITHIN, judged).await.expect("an audit with a verdict");
+    let settings = late.settings(ServiceName::Clusterer).await.unwrap();
+    assert_eq!(settings["teams"], 2);
+    late.close().await;
+    assert!(matches!(teams.changed().await, Err(Error::Closed)), "what is closed says so");
+    drop(others);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_loses_its_router_keeps_its_team_and_marks_it_stale() {
+    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let client = Client::open(&config(&cluster)).await.unwrap();
+    let fleet = drive(&client, "").await;
+    let robot = &fleet.robots["a2"];
+    robot.put_rank(Some("a1")).unwrap();
+    let mut team = robot.team();
+    let group = ["a1", "a2", "a3"];
+    let right = with_group(&["a1", "a2", "a3"]);
+    let (before, _) = until(&mut team, FORMED_WITHIN, "a2 is told its group", &right).await;
+
+    cluster.kill_router().unwrap();
+    let lost = |told: &Latest<RobotTeam>| told.stale == Some(Staleness::LinkLost);
+    let (kept, took) = until(&mut team, Duration::from_secs(5), "stale", lost).await;
+    eprintln!("stale {took:?} after the router was killed");
+    assert_eq!((members(&kept), &kept.team), (group.to_vec(), &before.team));
+    // The robot goes on: it says what it wants, and nobody waits for the bus.
+    let start = Instant::now();
+    for _ in 0..10_000 {
+        robot.put_pose(Pose::at(3.0, 0.0)).unwrap();
+    }
+    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
+    sleep(Duration::from_secs(3)).await;
+    assert!(team.latest().is_some_and(|told| lost(&told) && members(&told) == group));
+
+    // Everything that others remember of ranks is gone as well: the robot says it again.
+    cluster.service("ingest").unwrap().kill().unwrap();
+    cluster.service("embedder").unwrap().kill().unwrap();
+    cluster.restart_router().unwrap();
+    cluster.start_service("ingest").unwrap();
+    cluster.start_service("embedder").unwrap();
+    let (fresh, took) = until(&mut team, FORMED_WITHIN, "fresh again", &right).await;
+    eprintln!("fresh {took:?} after the router was started");
+    assert_eq!(fresh.team, before.team, "the team is the same");
+    assert!(fresh.header.revision > before.header.revision);
+    let outside = cluster.client().await.unwrap();
+    let start = Instant::now();
+    loop {
+        let graph = outside.get_one("graph/hierarchy?format=json").await.unwrap_or_default();
+        if graph["edges"] == json!([["a1", "a2", 1.0]]) {
+            break;
+        }
+        assert!(start.elapsed() < TOLD_WITHIN, "the rank is known again: {graph}");
+        sleep(Duration::from_millis(100)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_clusterer_that_dies_leaves_teams_that_turn_stale_and_fresh() {
+    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let client = Client::open(&config(&cluster)).await.unwrap();
+    let fleet = drive(&client, "").await;
+    let mut team = fleet.robots["b3"].team();
+    let mut teams = client.teams().await.unwrap();
+    let right = with_group(&["b1", "b2", "b3"]);
+    let (before, _) = until(&mut team, FORMED_WITHIN, "b3 is told its group", &right).await;
+    // Services that live say so for longer than makes a team stale.
+    let quiet = async {
+        loop {
+            assert!(!team.changed().await.unwrap().is_stale(), "the services live");
+        }
+    };
+    let _ = timeout(2 * STALE_AFTER, quiet).await;
+
+    cluster.service("clusterer").unwrap().kill().unwrap();
+    let silent = |told: &Latest<RobotTeam>| told.stale == Some(Staleness::Silent);
+    let (kept, took) = until(&mut team, 3 * STALE_AFTER, "stale", silent).await;
+    eprintln!("stale {took:?} after the clusterer was killed");
+    assert!(took > STALE_AFTER / 2, "{took:?}");
+    assert_eq!((members(&kept), &kept.team), (members(&before), &before.team));
+    let division = async { while !teams.changed().await.unwrap().is_stale() {} };
+    timeout(STALE_AFTER, division).await.expect("a console sees it as well");
+    // Others answer in its place with what they heard last: that freshens nothing.
+    sleep(STALE_AFTER).await;
+    assert!(team.latest().is_some_and(|told| silent(&told)));
+
+    cluster.start_service("clusterer").unwrap();
+    let (fresh, took) = until(&mut team, FORMED_WITHIN, "fresh again", &right).await;
+    eprintln!("fresh {took:?} after the clusterer was started");
+    assert_eq!(fresh.team, before.team);
+    assert!(fresh.header.revision.term > before.header.revision.term);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_robot_is_told_is_checked() {
+    let endpoint = free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let _router = start_router(&endpoint, folder.path()).unwrap();
+    let config = Config { routers: vec![endpoint.clone()], ..Config::default() };
+    let robot = Robot::join(&config, "r1").await.unwrap();
+    let mut team = robot.team();
+    let outside = muster_tests::client::Client::connect(&endpoint, "default").await.unwrap();
+    let word = |term: u64, epoch: u64, team: &str| {
+        json!({
+            "fleet": "default", "term": term, "epoch": epoch, "data_age_s": 0.5, "stages": [],
+            "robot": "r1", "team": team, "members": ["r1"], "leader": "r1", "confidence": 1.0,
+        })
+    };
+    let tell = async |value: &Value| outside.put("robot/r1/team", value).await.unwrap();
+    let start = Instant::now();
+    // The subscription may be under way when the first word is put.
+    while team.latest().is_none() {
+        assert!(start.elapsed() < TOLD_WITHIN);
+        tell(&word(2, 5, "t1")).await;
+        sleep(Duration::from_millis(100)).await;
+    }
+    assert_eq!(team.changed().await.unwrap().team.as_ref().unwrap().as_str(), "t1");
+    let mut strange = vec![word(2, 4, "t9"), word(1, 99, "t9"), word(u64::MAX, 1, "t9")];
+    for (field, value) in [
+        ("robot", json!("r2")),
+        ("fleet", json!("beta")),
+        ("confidence", json!("much")),
+        ("members", json!(["r2"])),
+        ("epoch", json!(-1)),
+    ] {
+        let mut wrong = word(3, 1, "t9");
+        wrong[field] = value;
+        strange.push(wrong);
+    }
+    for value in &strange {
+        tell(value).await;
+    }
+    outside
+        .put_bytes("robot/r1/team", vec![0xB7; 1 << 20], "application/octet-stream")
+        .await
+        .unwrap();
+    tell(&word(2, 6, "t2")).await;
+    let next = timeout(TOLD_WITHIN, team.changed()).await.unwrap().unwrap();
+    assert_eq!(next.team.as_ref().unwrap().as_str(), "t2", "only what is newer and right counts");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bad_input_is_refused_by_name_before_it_goes_out() {
+    let endpoint = free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let _router = start_router(&endpoint, folder.path()).unwrap();
+    let config = Config { routers: vec![endpoint.clone()], ..Config::default() };
+    let outside = muster_tests::client::Client::connect(&endpoint, "default").await.unwrap();
+    let heard = outside.watch("robot/**").await.unwrap();
+    let robot = Robot::join(&config, "r1").await.unwrap();
+    let role = Some("x".repeat(65));
+    let wrong: [(&str, Result<(), Error>); 8] = [
+        ("x", robot.put_pose(Pose::at(f64::NAN, 0.0))),
+        ("y", robot.put_pose(Pose::at(0.0, 1e9))),
+        ("links.peer", robot.put_links([("R2", 0.5)])),
+        ("links.quality", robot.put_links([("r2", f64::INFINITY)])),
+        ("superior", robot.put_rank(Some("r1"))),
+        ("role", robot.put(Report::Rank(Rank { role, ..Rank::under(None) }))),
+        ("modality", robot.put_relation("spatial", [("r2", 1.0)])),
+        ("edges", robot.put_relation("thermal", [("r2", -1.0)])),
+    ];
+    for (field, result) in wrong {
+        let error = result.unwrap_err();
+        assert!(error.to_string().starts_with(&format!("{field}: ")), "{error}");
+    }
+    for id in ["", "R1", "r/1", "r*"] {
+        let error = robot.client().join(id).await.unwrap_err().to_string();
+        assert!(error.starts_with("robot: "), "{error}");
+    }
+    robot.put_pose(Pose { heading: Some(0.5), ..Pose::at(1.0, 2.0) }).unwrap();
+    let right = |value: &Value| value["x"] == 1.0 && value["seq"] == 1 && value["boot"].is_string();
+    heard.until("the good pose", TOLD_WITHIN, right).await.unwrap();
+    assert_eq!(heard.all().len(), 1, "nothing else went out: {:?}", heard.all());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_leaves_is_gone_and_may_come_back() {
+    let cluster = Cluster::start("alpha", &[("ingest", "gone_after_s=3")]).unwrap();
+    let client = Client::open(&config(&cluster)).await.unwrap();
+    let fleet = drive(&client, "a3").await;
+    let outside = cluster.client().await.unwrap();
+    let teams = outside.watch("json/teams").await.unwrap();
+    for round in 0..2 {
+        let robot = Robot::join(&config(&cluster), "a3").await.unwrap();
+        let mut team = robot.team();
+        let right = with_group(&["a1", "a2", "a3"]);
+        let moving = async {
+            loop {
+                robot.put_pose(Pose::at(6.0, 0.0)).unwrap();
+                sleep(Duration::from_millis(100)).await;
+            }
+        };
+        tokio::select! {
+            _ = until(&mut team, FORMED_WITHIN, "a3 is told its group", right) => {}
+            () = moving => unreachable!(),
+        }
+        // Once it says goodbye, once it is only let go.
+        if round == 0 {
+            robot.leave().await;
+        } else {
+            drop(robot);
+        }
+        assert!(matches!(team.changed().await, Err(Error::Closed)));
+        teams.clear();
+        let without = |value: &Value| !division(value).contains_key("a3");
+        teams.until("teams without a3", TOLD_WITHIN, without).await.unwrap();
+    }
+    assert_eq!(fleet.robots.len(), 5);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_robots_of_one_id_are_told_apart() {
+    let endpoint = free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let _router = start_router(&endpoint, folder.path()).unwrap();
+    let config = Config { routers: vec![endpoint.clone()], ..Config::default() };
+    let first = Robot::join(&config, "r1").await.unwrap();
+    let same_session = first.client().join("r1").await.unwrap_err();
+    assert!(matches!(same_session, Error::Taken { .. }), "{same_session}");
+    let start = Instant::now();
+    let second = Robot::join(&config, "r1").await.unwrap_err();
+    assert!(matches!(second, Error::Taken { .. }), "{second}");
+    assert!(second.to_string().contains("id of its own"), "{second}");
+    assert!(start.elapsed() < TOLD_WITHIN, "{:?}", start.elapsed());
+    // The first one is none the worse, and another fleet is another matter.
+    first.put_pose(Pose::at(0.0, 0.0)).unwrap();
+    let elsewhere = Config { fleet: "beta".to_owned(), ..config.clone() };
+    Robot::join(&elsewhere, "r1").await.unwrap().leave().await;
+    assert!(!first.is_contested());
+
+    // Somebody who looks for no token speaks all the same.
+    let outside = muster_tests::client::Client::connect(&endpoint, "default").await.unwrap();
+    let start = Instant::now();
+    while !first.is_contested() {
+        assert!(start.elapsed() < TOLD_WITHIN);
+        outside.put("robot/r1/pose", &json!({"x": 9.0, "y": 9.0})).await.unwrap();
+        sleep(Duration::from_millis(100)).await;
+    }
+
+    // A robot whose process was killed comes back as itself at once.
+    first.leave().await;
+    let program = muster_tests::process::program("examples/robot").unwrap();
+    let program = program.to_str().unwrap();
+    let environment = [("MUSTER_CONNECT", endpoint.as_str())];
+    let mut killed = Process::start(program, &["r1"], &environment, folder.path()).unwrap();
+    while !killed.output().contains("r1 has joined") {
+        assert!(killed.is_running().unwrap() && start.elapsed() < 2 * TOLD_WITHIN);
+        sleep(Duration::from_millis(20)).await;
+    }
+    killed.kill().unwrap();
+    let again = Robot::join(&config, "r1").await.unwrap();
+    again.put_pose(Pose::at(0.0, 0.0)).unwrap();
+    assert!(!again.is_contested());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_waits_for_its_router_as_long_as_it_is_told() {
+    let endpoint = free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let patience = Some(Duration::from_millis(500));
+    let hasty = Config { routers: vec![endpoint.clone()], patience, ..Config::default() };
+    let start = Instant::now();
+    let error = Robot::join(&hasty, "r1").await.unwrap_err();
+    assert!(matches!(error, Error::Unreachable { .. }), "{error}");
+    assert!(error.to_string().contains(&endpoint), "{error}");
+    assert!(start.elapsed() < TOLD_WITHIN);
+    let patient = Config { patience: None, format: Format::Binary, ..hasty };
+    let joining = tokio::spawn(async move { Robot::join(&patient, "r1").await });
+    sleep(Duration::from_secs(1)).await;
+    assert!(!joining.is_finished());
+    let _router = start_router(&endpoint, folder.path()).unwrap();
+    let robot = timeout(TOLD_WITHIN, joining).await.unwrap().unwrap().unwrap();
+    robot.put_pose(Pose::at(0.0, 0.0)).unwrap();
+}
+
+#[tokio::test]
+async fn a_runtime_with_one_thread_gets_an_error_instead_of_a_panic() {
+    let error = Robot::join(&Config::default(), "r1").await.unwrap_err();
+    assert!(matches!(error, Error::Runtime) && error.to_string().contains("multi_thread"));
+}
