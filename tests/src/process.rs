@@ -42,7 +42,7 @@ impl Process {
     ) -> anyhow::Result<Self> {
         static NEXT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
         let number = NEXT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-        let log = folder.join(format!("{number}-{program_name}.log"));
+        let log = folder.join(format!("{number}-{}.log", program_name.replace('/', "-")));
         let output = std::fs::File::create(&log)?;
         let child = Command::new(program(program_name)?)
             .args(arguments)

@@ -23,7 +23,7 @@ pub(crate) const ANSWER_WITHIN: Duration = Duration::from_secs(3);
 /// # Errors
 /// If no router answers; the text names the remedy.
 pub(crate) async fn open(config: &ProcessConfig) -> anyhow::Result<Bus> {
-    Bus::open(config, Patience::AtMost(CONNECT_WITHIN)).await
+    Ok(Bus::open(config, Patience::AtMost(CONNECT_WITHIN)).await?)
 }
 
 /// All answers to a get, understood; answers that are not are told of and left out.
