@@ -88,7 +88,7 @@ fn a_robot_takes_the_bus_and_nothing_of_our_programs() {
         let ours: BTreeSet<_> =
             all.iter().filter(|name| name.starts_with("muster-")).map(String::as_str).collect();
         assert_eq!(ours, BTreeSet::from_iter(allowed.iter().copied()), "{package}");
-        for forbidden in ["clap", "toml", "tracing-subscriber", "tempfile", "faer"] {
+        for forbidden in ["clap", "tempfile", "faer"] {
             assert!(!all.contains(forbidden), "{package} depends on {forbidden}");
         }
         assert!(all.contains("zenoh"), "{package}");
@@ -142,4 +142,20 @@ fn nothing_that_a_core_is_made_of_reads_a_clock_or_starts_a_thread() {
     }
     let shell = sources(&root.join("shared/runtime/src"), "/tests/");
     assert!(shell.iter().any(|(_, text)| text.contains("Instant")), "the look would see it");
+}
+
+#[test]
+fn the_robot_of_the_readme_is_the_one_that_is_compiled() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let read = |path: &str| std::fs::read_to_string(root.join(path)).unwrap();
+    let block = |text: &str, start: &str| {
+        let (_, rest) = text.split_once(start).expect("the block is there");
+        rest.split_once("```").unwrap().0.to_owned()
+    };
+    let docs: String = read("shared/client/src/lib.rs")
+        .lines()
+        .filter_map(|line| line.strip_prefix("//!"))
+        .map(|line| format!("{}\n", line.strip_prefix(' ').unwrap_or(line)))
+        .collect();
+    assert_eq!(block(&read("README.md"), "```rust\n"), block(&docs, "```no_run\n"));
 }

@@ -37,6 +37,7 @@ fn config(cluster: &Cluster) -> Config {
         routers: vec![cluster.endpoint.clone()],
         patience: Some(Duration::from_secs(10)),
         stale_after: STALE_AFTER,
+        repeat_every: Duration::from_secs(2),
         ..Config::default()
     }
 }
@@ -232,26 +233,38 @@ async fn a_robot_that_loses_its_router_keeps_its_team_and_marks_it_stale() {
     sleep(Duration::from_secs(3)).await;
     assert!(team.latest().is_some_and(|told| lost(&told) && members(&told) == group));
 
-    // Everything that others remember of ranks is gone as well: the robot says it again.
-    cluster.service("ingest").unwrap().kill().unwrap();
-    cluster.service("embedder").unwrap().kill().unwrap();
+    // What it says once while nobody can hear it is said again.
+    robot.put_rank(Some("a3")).unwrap();
+    sleep(Duration::from_millis(500)).await;
+    let back = Instant::now();
     cluster.restart_router().unwrap();
-    cluster.start_service("ingest").unwrap();
-    cluster.start_service("embedder").unwrap();
-    let (fresh, took) = until(&mut team, FORMED_WITHIN, "fresh again", &right).await;
-    eprintln!("fresh {took:?} after the router was started");
+    let (fresh, _) = until(&mut team, FORMED_WITHIN, "fresh again", &right).await;
+    eprintln!("fresh {:?} after the router was started", back.elapsed());
     assert_eq!(fresh.team, before.team, "the team is the same");
     assert!(fresh.header.revision > before.header.revision);
     let outside = cluster.client().await.unwrap();
+    answers_to(&outside, "a3").await;
+
+    // The same when the link is there and only the service is not.
+    cluster.service("ingest").unwrap().kill().unwrap();
+    robot.put_rank(Some("a1")).unwrap();
+    sleep(Duration::from_millis(500)).await;
+    cluster.start_service("ingest").unwrap();
+    answers_to(&outside, "a1").await;
+}
+
+/// Waits until the services know that a2 answers to another robot.
+async fn answers_to(outside: &muster_tests::client::Client, superior: &str) {
     let start = Instant::now();
     loop {
         let graph = outside.get_one("graph/hierarchy?format=json").await.unwrap_or_default();
-        if graph["edges"] == json!([["a1", "a2", 1.0]]) {
+        if graph["edges"] == json!([[superior, "a2", 1.0]]) {
             break;
         }
-        assert!(start.elapsed() < TOLD_WITHIN, "the rank is known again: {graph}");
+        assert!(start.elapsed() < TOLD_WITHIN, "a2 answers to {superior}: {graph}");
         sleep(Duration::from_millis(100)).await;
     }
+    eprintln!("known after {:?}", start.elapsed());
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -283,9 +296,10 @@ async fn a_clusterer_that_dies_leaves_teams_that_turn_stale_and_fresh() {
     sleep(STALE_AFTER).await;
     assert!(team.latest().is_some_and(|told| silent(&told)));
 
+    let back = Instant::now();
     cluster.start_service("clusterer").unwrap();
-    let (fresh, took) = until(&mut team, FORMED_WITHIN, "fresh again", &right).await;
-    eprintln!("fresh {took:?} after the clusterer was started");
+    let (fresh, _) = until(&mut team, FORMED_WITHIN, "fresh again", &right).await;
+    eprintln!("fresh {:?} after the clusterer was started", back.elapsed());
     assert_eq!(fresh.team, before.team);
     assert!(fresh.header.revision.term > before.header.revision.term);
 }
@@ -467,9 +481,45 @@ async fn a_robot_waits_for_its_router_as_long_as_it_is_told() {
     let joining = tokio::spawn(async move { Robot::join(&patient, "r1").await });
     sleep(Duration::from_secs(1)).await;
     assert!(!joining.is_finished());
-    let _router = start_router(&endpoint, folder.path()).unwrap();
+    let mut router = start_router(&endpoint, folder.path()).unwrap();
     let robot = timeout(TOLD_WITHIN, joining).await.unwrap().unwrap().unwrap();
     robot.put_pose(Pose::at(0.0, 0.0)).unwrap();
+    // Nor does a robot wait for one that is gone as it leaves.
+    router.kill().unwrap();
+    timeout(TOLD_WITHIN, robot.leave()).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_zenoh_can_do_is_a_matter_of_its_own_configuration() {
+    let endpoint = free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: String| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    let auth = |inside: String| format!("{{transport: {{auth: {{usrpwd: {{{inside}}}}}}}}}");
+    let users = file("users", "r1:secret\n".to_owned());
+    let guarded = file("router.json5", auth(format!("dictionary_file: {users:?}")));
+    let arguments = ["router", "--listen", &endpoint, "--zenoh-config", guarded.to_str().unwrap()];
+    let mut router = Process::start("muster", &arguments, &[], folder.path()).unwrap();
+    let start = Instant::now();
+    while !router.output().contains("router listens at") {
+        assert!(router.is_running().unwrap() && start.elapsed() < TOLD_WITHIN);
+        sleep(Duration::from_millis(20)).await;
+    }
+    let config = |password: &str| Config {
+        routers: vec![endpoint.clone()],
+        patience: Some(Duration::from_secs(3)),
+        zenoh_config: Some(file(password, auth(format!("user: 'r1', password: '{password}'")))),
+        ..Config::default()
+    };
+    let stranger = Robot::join(&config("guess"), "r1").await.unwrap_err();
+    assert!(matches!(stranger, Error::Unreachable { .. }), "{stranger}");
+    Robot::join(&config("secret"), "r1").await.unwrap().leave().await;
+    let missing = Config { zenoh_config: Some(folder.path().join("none")), ..config("secret") };
+    let error = Robot::join(&missing, "r1").await.unwrap_err().to_string();
+    assert!(error.starts_with("zenoh_config: "), "{error}");
 }
 
 #[tokio::test]

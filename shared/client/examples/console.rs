@@ -51,7 +51,8 @@ async fn look() -> Result<(), Error> {
 
 #[tokio::main]
 async fn main() -> std::process::ExitCode {
-    tracing_subscriber::fmt().with_writer(std::io::stderr).with_target(false).init();
+    let log = tracing_subscriber::fmt().with_max_level(tracing::Level::WARN);
+    log.with_writer(std::io::stderr).init();
     if std::env::args().len() > 1 {
         eprintln!("{USAGE}");
         return 2.into();

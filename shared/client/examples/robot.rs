@@ -56,7 +56,8 @@ async fn drive(id: &str, middle: (f64, f64), superior: Option<&str>) -> Result<(
 
 #[tokio::main]
 async fn main() -> std::process::ExitCode {
-    tracing_subscriber::fmt().with_writer(std::io::stderr).with_target(false).init();
+    let log = tracing_subscriber::fmt().with_max_level(tracing::Level::WARN);
+    log.with_writer(std::io::stderr).init();
     let args: Vec<String> = std::env::args().skip(1).collect();
     let number = |at: usize| args.get(at).map_or(Ok(0.0), |text| text.parse::<f64>());
     let help = args.is_empty() || args.len() > 4 || args.iter().any(|arg| arg == "--help");

@@ -9,23 +9,23 @@
 //! async fn main() -> Result<(), Error> {
 //!     let robot = Robot::join(&Config::from_env(), "r1").await?;
 //!     robot.put_rank(Some("r0"))?;
+//!     robot.put_links([("r2", 0.93)])?;
 //!     let mut team = robot.team();
-//!     for step in 0.. {
-//!         robot.put_pose(Pose::at(0.1 * f64::from(step), 2.0))?;
-//!         let wait = std::time::Duration::from_millis(100);
-//!         if let Ok(told) = tokio::time::timeout(wait, team.changed()).await {
-//!             let told = told?;
-//!             println!("team {:?} with {:?}, stale: {:?}", told.team, told.members, told.stale);
+//!     let mut ticks = tokio::time::interval(std::time::Duration::from_millis(100));
+//!     loop {
+//!         tokio::select! {
+//!             _ = ticks.tick() => robot.put_pose(Pose::at(1.0, 2.0))?,
+//!             told = team.changed() => println!("{:?}", told?),
 //!         }
 //!     }
-//!     robot.leave().await;
-//!     Ok(())
 //! }
 //! ```
 //!
 //! Name of the run, numbers and stamps are set. What is put is checked first: an [`Error::Input`] names
 //! the field. Putting never waits and never queues: of each stream, the newest waits for its turn.
-//! Links, rank and relations hold until the next report, and are said again by themselves.
+//! Links, rank and relations hold until the next report, and are said again by themselves. The team is
+//! what was told last, with whether it still holds. Dropping the robot takes it out of the fleet;
+//! [`Robot::leave`] does so and sends what waits first. `examples/robot.rs` is a whole program.
 //!
 //! # What happens when something is lost
 //!
