@@ -508,16 +508,20 @@ async fn what_zenoh_can_do_is_a_matter_of_its_own_configuration() {
         assert!(router.is_running().unwrap() && start.elapsed() < TOLD_WITHIN);
         sleep(Duration::from_millis(20)).await;
     }
-    let config = |password: &str| Config {
-        routers: vec![endpoint.clone()],
-        patience: Some(Duration::from_secs(3)),
-        zenoh_config: Some(file(password, auth(format!("user: 'r1', password: '{password}'")))),
-        ..Config::default()
+    let config = |password: &str| {
+        let inside = format!("user: 'r1', password: '{password}'");
+        Config {
+            routers: vec![endpoint.clone()],
+            patience: Some(Duration::from_secs(3)),
+            zenoh_config: Some(file(&format!("{password}.json5"), auth(inside))),
+            ..Config::default()
+        }
     };
     let stranger = Robot::join(&config("guess"), "r1").await.unwrap_err();
     assert!(matches!(stranger, Error::Unreachable { .. }), "{stranger}");
     Robot::join(&config("secret"), "r1").await.unwrap().leave().await;
-    let missing = Config { zenoh_config: Some(folder.path().join("none")), ..config("secret") };
+    let missing =
+        Config { zenoh_config: Some(folder.path().join("none.json5")), ..config("secret") };
     let error = Robot::join(&missing, "r1").await.unwrap_err().to_string();
     assert!(error.starts_with("zenoh_config: "), "{error}");
 }

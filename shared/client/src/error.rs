@@ -71,7 +71,10 @@ impl Error {
 
     pub(crate) fn open(error: OpenError, routers: &[String]) -> Self {
         match error {
-            OpenError::Config(problem) => Self::input("zenoh_config", problem),
+            OpenError::Config(problem) => {
+                let named = problem.strip_prefix("zenoh_config ").unwrap_or(&problem);
+                Self::input("zenoh_config", named)
+            }
             OpenError::Unreachable(_) => Self::Unreachable { routers: routers.join(", ") },
             other => Self::bus(other),
         }
