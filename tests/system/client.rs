@@ -233,8 +233,10 @@ async fn a_robot_that_loses_its_router_keeps_its_team_and_marks_it_stale() {
     sleep(Duration::from_secs(3)).await;
     assert!(team.latest().is_some_and(|told| lost(&told) && members(&told) == group));
 
-    // What it says once while nobody can hear it is said again.
+    // What it says once while nobody can hear it is said again, and heard then.
     robot.put_rank(Some("a3")).unwrap();
+    // So is a robot that joins meanwhile.
+    let _late = timeout(TOLD_WITHIN, client.join("late")).await.unwrap().unwrap();
     sleep(Duration::from_millis(500)).await;
     let back = Instant::now();
     cluster.restart_router().unwrap();
@@ -244,6 +246,9 @@ async fn a_robot_that_loses_its_router_keeps_its_team_and_marks_it_stale() {
     assert!(fresh.header.revision > before.header.revision);
     let outside = cluster.client().await.unwrap();
     answers_to(&outside, "a3").await;
+    let teams = outside.watch("json/teams").await.unwrap();
+    let joined = |value: &Value| division(value).contains_key("late");
+    teams.until("the late robot is known", TOLD_WITHIN, joined).await.unwrap();
 
     // The same when the link is there and only the service is not.
     cluster.service("ingest").unwrap().kill().unwrap();
