@@ -390,13 +390,19 @@ impl World {
         self.settle();
     }
 
-    fn end(mut self) -> (Vec<Box<dyn AnyNode>>, Vec<(usize, Vec<u8>)>) {
+    fn end(mut self) -> Ended {
         for at in 0..self.nodes.len() {
             let recording = self.nodes[at].restart(self.now, 0);
             self.recordings.push((at, recording));
         }
-        (self.nodes, self.recordings)
+        Ended { nodes: self.nodes, recordings: self.recordings }
     }
+}
+
+/// What is left of a world: its nodes, and the recordings of all their runs by the number of the node.
+struct Ended {
+    nodes: Vec<Box<dyn AnyNode>>,
+    recordings: Vec<(usize, Vec<u8>)>,
 }
 
 /// Changes one bit of what was published in the middle of a recording. The number of its event; none
@@ -442,7 +448,7 @@ proptest! {
         for act in acts {
             world.act(act);
         }
-        let (nodes, recordings) = world.end();
+        let Ended { nodes, recordings } = world.end();
         for (at, recording) in recordings {
             let compared = nodes[at].replay(&recording);
             prop_assert_eq!(&compared.difference, &None, "{:?}", ServiceName::ALL[at]);
@@ -469,7 +475,7 @@ fn a_plain_life_brings_every_core_to_work() {
         }
         world.act(Act::Wait(100));
     }
-    let (nodes, recordings) = world.end();
+    let Ended { nodes, recordings } = world.end();
     for (at, recording) in recordings {
         let compared = nodes[at].replay(&recording);
         assert_eq!(compared.difference, None);
