@@ -1,8 +1,8 @@
 //! `muster`: the operator's command.
 //!
 //! It starts things ([`demo`], [`up`], [`router`], [`robot`]), looks at a live fleet ([`show`]),
-//! changes its settings ([`set`]), runs the method once on a file ([`solve`]), and lives through the
-//! recording of a service again ([`replay`]). It is the one
+//! changes its settings ([`set`]), prints what messages look like ([`schema`]), runs the method once on
+//! a file ([`solve`]), and lives through the recording of a service again ([`replay`]). It is the one
 //! program that knows all services: it composes them and adds nothing to them.
 
 mod ask;
@@ -11,6 +11,7 @@ mod fleet;
 mod replay;
 mod robot;
 mod router;
+mod schema;
 mod set;
 mod show;
 mod solve;
@@ -61,6 +62,8 @@ enum Command {
     Status(show::ShowArgs),
     /// Show or change the settings of a running service
     Set(set::SetArgs),
+    /// Print the JSON Schema of the messages
+    Schema(schema::SchemaArgs),
     /// Divide a fleet that is described in a file, once, without a bus
     Solve(solve::SolveArgs),
     /// Feed a recording of a service to its core again, and compare what comes out
@@ -119,6 +122,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
         Command::ReplayCore(args) => replay::run(args),
+        Command::Schema(args) => schema::run(args),
         Command::Solve(args) => solve::run(args).map_err(|error| {
             if error.is::<solve::SolveError>() {
                 ExitError::usage(format!("{error:#}")).into()

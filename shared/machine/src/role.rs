@@ -10,9 +10,10 @@ use muster_model::role::{Claim, Standing};
 use muster_model::settings::Settings;
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
-use muster_wire::envelope::AnnouncedSettings;
+use muster_wire::envelope::{AnnouncedSettings, MAX_SMALL_PAYLOAD};
+use muster_wire::json::Problem;
 use muster_wire::{Key, KeySpace, Message, Pattern, Rejection, Request};
-use serde_json::{Map, Value, json};
+use serde_json::{Map, Value};
 
 use crate::core::{Effect, Effects, Event, QueryId, Start, Stored};
 use crate::tenure::{Decision, Heard, Tenure};
@@ -47,7 +48,7 @@ const QUARANTINE_SILENCE: Duration = Duration::from_secs(2);
 const MAX_OFFENDERS: usize = 256;
 
 /// Largest patch of settings in bytes.
-const MAX_PATCH: usize = 64 * 1024;
+const MAX_PATCH: usize = MAX_SMALL_PAYLOAD;
 
 /// An instance of a service: where it stands towards the role, its place among the outputs, its
 /// settings.
@@ -622,7 +623,7 @@ pub enum Answered {
 }
 
 fn error_json(field: &str, problem: &str) -> String {
-    json!({"error": format!("{field}: {problem}"), "field": field}).to_string()
+    Problem::new(field, problem).to_json()
 }
 
 /// The settings with those fields of a stored patch that still fit, and the names of the others. The

@@ -1,12 +1,13 @@
 //! The independent judgement of a division.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::header::{Header, Revision};
 use crate::id::{RobotId, TeamId};
 
 /// In which space distances were taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Space {
     /// The vectors that the division was made from.
@@ -29,7 +30,7 @@ pub struct SilhouetteReport {
 }
 
 /// The judgement in one word.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
     /// The mean silhouette in the embedding reaches the upper threshold.

@@ -1,12 +1,13 @@
 //! One vector per robot: its rows of the leading singular vectors of the Katz similarity.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::header::{Header, Revision};
 use crate::id::{Modality, RobotId};
 
 /// Which way the embedding was computed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum EmbeddingMode {
     /// The similarity was solved for by LU and decomposed whole.
@@ -16,7 +17,7 @@ pub enum EmbeddingMode {
 }
 
 /// What the embedding rests on and how exact it is.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EmbeddingQuality {
     /// Lower and upper bound of the spectral radius of the fused graph.
     pub spectral_radius: (f64, f64),

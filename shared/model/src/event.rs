@@ -1,5 +1,6 @@
 //! What happens to robots, teams and services.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::header::Header;
@@ -7,7 +8,9 @@ use crate::id::{RobotId, ServiceName};
 use crate::teams::TeamChange;
 
 /// How much an event matters to an operator.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
     /// Part of normal life.
@@ -19,7 +22,7 @@ pub enum Severity {
 }
 
 /// What happened.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EventKind {
     /// A message was refused. What had been accepted before stands.

@@ -1,5 +1,6 @@
 //! What every message between services carries beside its content.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::id::{FleetId, ServiceName};
@@ -10,7 +11,18 @@ use crate::time::Tick;
 /// The term counts the holders of the role (each takes the highest it has heard of, plus one), the
 /// epoch counts the outputs of one holder. A consumer never goes back to a lower revision.
 #[derive(
-    Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+    Debug,
+    Clone,
+    Copy,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    JsonSchema,
 )]
 pub struct Revision {
     /// Which holder of the role.

@@ -3,12 +3,15 @@
 //! All ids obey one rule, `[a-z0-9_-]{1,64}`, so that each may stand as one chunk of a key
 //! expression, in a log line and in a file name without being escaped.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::sync::Arc;
 
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::limits::MAX_ID_LENGTH;
+use crate::schema::id_schema;
 
 /// Why a text is not an id.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -43,8 +46,8 @@ pub fn check_id(text: &str) -> Result<(), IdError> {
 }
 
 macro_rules! id {
-    ($(#[$doc:meta])* $name:ident) => {
-        $(#[$doc])*
+    ($doc:literal $name:ident) => {
+        #[doc = $doc]
         #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub struct $name(Arc<str>);
 
@@ -96,27 +99,37 @@ macro_rules! id {
                 Self::new(&text).map_err(serde::de::Error::custom)
             }
         }
+
+        impl JsonSchema for $name {
+            fn schema_name() -> Cow<'static, str> {
+                stringify!($name).into()
+            }
+
+            fn json_schema(_: &mut SchemaGenerator) -> Schema {
+                id_schema(stringify!($name), $doc)
+            }
+        }
     };
 }
 
 id!(
-    /// A robot.
+    "A robot."
     RobotId
 );
 id!(
-    /// A fleet: the robots and services that belong together on a bus.
+    "A fleet: the robots and services that belong together on a bus."
     FleetId
 );
 id!(
-    /// A team. It keeps its id for as long as it can be matched with itself.
+    "A team. It keeps its id for as long as it can be matched with itself."
     TeamId
 );
 id!(
-    /// One relation among the robots: `spatial`, `connectivity`, `hierarchy` or a declared one.
+    "One relation among the robots: `spatial`, `connectivity`, `hierarchy` or a declared one."
     Modality
 );
 id!(
-    /// One running process of a service.
+    "One running process of a service."
     InstanceId
 );
 
@@ -167,7 +180,9 @@ impl InstanceId {
 }
 
 /// The four services that turn observations into audited teams.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum ServiceName {
     /// Robot streams to graphs.

@@ -2,10 +2,12 @@
 //!
 //! One type serves JSON and bincode. Optional fields are plain `Option`s, which JSON may leave out.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::id::RobotId;
 use crate::limits::{MAX_COORDINATE_M, MAX_LINKS, MAX_RELATION_EDGES, MAX_TEXT_LENGTH, MAX_WEIGHT};
+use crate::schema::{RelationEdge, Text};
 
 /// Why an observation is refused: the field, and what it should have been.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -45,24 +47,31 @@ pub trait Observation {
 }
 
 /// Where a robot is: metres east, north and up in a named frame.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Pose {
     /// Metres east.
+    #[schemars(range(min = -MAX_COORDINATE_M, max = MAX_COORDINATE_M))]
     pub x: f64,
     /// Metres north.
+    #[schemars(range(min = -MAX_COORDINATE_M, max = MAX_COORDINATE_M))]
     pub y: f64,
     /// Metres up; 0 if left out.
+    #[schemars(range(min = -MAX_COORDINATE_M, max = MAX_COORDINATE_M))]
     pub z: Option<f64>,
     /// Radians, counter-clockwise from east.
     pub heading: Option<f64>,
     /// The coordinate frame; the first one that `ingest` knows if left out.
+    #[schemars(with = "Option<Text>")]
     pub frame: Option<String>,
     /// Seconds since the Unix epoch by the robot's clock.
+    #[schemars(range(min = 0))]
     pub stamp: Option<f64>,
     /// Names one run of the robot's software.
+    #[schemars(with = "Option<Text>")]
     pub boot: Option<String>,
     /// Grows with each pose within one boot.
+    #[schemars(range(max = u64::MAX))]
     pub seq: Option<u64>,
 }
 
@@ -75,7 +84,7 @@ impl Pose {
 }
 
 /// One robot that another one hears.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Link {
     /// The robot that is heard.
@@ -85,34 +94,44 @@ pub struct Link {
 }
 
 /// Whom a robot hears. The edges run from the peers to the robot that reports.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Links {
     /// All robots that are heard now; those left out are not heard any more.
+    #[serde(deserialize_with = "crate::object::list")]
+    #[schemars(with = "Vec<Link>", length(max = MAX_LINKS))]
     pub links: Vec<Link>,
     /// Seconds since the Unix epoch by the robot's clock.
+    #[schemars(range(min = 0))]
     pub stamp: Option<f64>,
     /// Names one run of the robot's software.
+    #[schemars(with = "Option<Text>")]
     pub boot: Option<String>,
     /// Grows with each report within one boot.
+    #[schemars(range(max = u64::MAX))]
     pub seq: Option<u64>,
 }
 
 /// Whom a robot answers to. The edge runs from the superior to the robot that reports.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Rank {
     /// The robot's superior; null for the top.
     pub superior: Option<RobotId>,
     /// Strength of the tie; 1 if left out.
+    #[schemars(range(min = 0, max = MAX_WEIGHT))]
     pub weight: Option<f64>,
     /// What the robot is within its unit.
+    #[schemars(with = "Option<Text>")]
     pub role: Option<String>,
     /// Seconds since the Unix epoch by the robot's clock.
+    #[schemars(range(min = 0))]
     pub stamp: Option<f64>,
     /// Names one run of the robot's software.
+    #[schemars(with = "Option<Text>")]
     pub boot: Option<String>,
     /// Grows with each report within one boot.
+    #[schemars(range(max = u64::MAX))]
     pub seq: Option<u64>,
 }
 
@@ -125,16 +144,20 @@ impl Rank {
 }
 
 /// The edges of one further modality that leave the robot that reports.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Relation {
     /// `[from, to, weight]`; `from` is the robot that reports.
+    #[schemars(with = "Vec<RelationEdge>", length(max = MAX_RELATION_EDGES))]
     pub edges: Vec<(RobotId, RobotId, f64)>,
     /// Seconds since the Unix epoch by the robot's clock.
+    #[schemars(range(min = 0))]
     pub stamp: Option<f64>,
     /// Names one run of the robot's software.
+    #[schemars(with = "Option<Text>")]
     pub boot: Option<String>,
     /// Grows with each report within one boot.
+    #[schemars(range(max = u64::MAX))]
     pub seq: Option<u64>,
 }
 
@@ -269,6 +292,14 @@ mod tests {
         assert!(pose(&long).unwrap_err().contains("frame"));
         let nan = Pose { x: f64::NAN, ..pose(r#"{"x":1,"y":2}"#).unwrap() };
         assert_eq!(nan.check().unwrap_err().field, "x");
+    }
+
+    #[test]
+    fn a_link_in_json_is_an_object() {
+        let by_position = r#"{"links":[["a",1.0]]}"#;
+        assert!(
+            serde_json::from_str::<Links>(by_position).unwrap_err().to_string().contains("object")
+        );
     }
 
     #[test]

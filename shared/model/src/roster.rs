@@ -1,5 +1,6 @@
 //! Who belongs to the fleet now, and where each robot is.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::graph::Node;
@@ -8,7 +9,7 @@ use crate::id::{Modality, RobotId};
 use crate::time::Tick;
 
 /// How sure it is that a robot is still there.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Presence {
     /// It has been heard of lately.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::header::Revision;
@@ -10,7 +11,7 @@ use crate::role::Standing;
 use crate::time::Tick;
 
 /// The answer to a get on `service/{service}/status`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ServiceStatus {
     /// Which fleet it serves.
     pub fleet: FleetId,

@@ -1,5 +1,6 @@
 //! The division of the fleet, and what changed since the one before.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::header::{Header, Revision};
@@ -30,7 +31,7 @@ pub struct Team {
 }
 
 /// How a division came from the one before.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TeamChange {
     /// A team without a predecessor.

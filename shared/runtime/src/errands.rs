@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::Context;
 use muster_machine::Stored;
 use muster_wire::Outbound;
+use muster_wire::json::Problem;
 use tokio::sync::{mpsc, oneshot};
 
 use crate::bus::{Bus, Query};
@@ -97,7 +98,8 @@ impl Errands {
 fn keep(store: &Store, stored: &Stored) -> Result<(), String> {
     store.save(stored).map_err(|error| {
         tracing::error!("settings will not survive a restart: {error:#}");
-        format!("the settings hold now, but will not survive a restart: {error:#}")
+        let problem = format!("hold now, but will not survive a restart: {error:#}");
+        Problem::new("(settings)", &problem).to_json()
     })
 }
 

@@ -18,7 +18,9 @@ use muster_model::id::InstanceId;
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::role::Standing;
 use muster_model::time::Tick;
-use muster_wire::{Key, KeySpace, Message, Outbound, Packet, Pattern, Rejection, Request};
+use muster_wire::json::Problem;
+use muster_wire::message::JSON;
+use muster_wire::{Key, KeySpace, Message, Outbound, Packet, Pattern, Rejection, Request, schema};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
@@ -227,7 +229,8 @@ async fn declare<C: Core>(
     inbox: &Arc<Inbox<Arrival>>,
     queries: mpsc::Sender<Asked>,
 ) -> anyhow::Result<watch::Sender<bool>> {
-    let wiring = Wiring::of::<C>();
+    let mut wiring = Wiring::of::<C>();
+    wiring.served.push((Pattern::One(Key::Schema), true));
     let served = serve(bus.clone(), wiring.served, queries).await?;
     for subscription in wiring.subscriptions {
         let from_robots = subscription.pattern.payload_limit() == MAX_ROBOT_PAYLOAD;
@@ -354,12 +357,25 @@ impl<C: Core> Shell<C> {
                     Some(served) => request.narrowed(served),
                     None => request,
                 };
+                if request.exact_key(self.bus.space()) == Some(Key::Schema) {
+                    // It is the same for every core and every moment, so that none needs to know it.
+                    let schema = Outbound {
+                        key: Key::Schema,
+                        encoding: JSON.into(),
+                        payload: schema::text().to_vec(),
+                    };
+                    self.errands.reply(query, Ok(vec![schema]), false);
+                    return;
+                }
                 let id = QueryId(self.next_query);
                 self.next_query += 1;
                 self.queries.insert(id, query);
                 self.step(Event::Query { query: id, request });
             }
-            Err(problem) => self.errands.reply(query, Err(problem), false),
+            Err(problem) => {
+                let problem = Problem::new("(parameters)", &problem).to_json();
+                self.errands.reply(query, Err(problem), false);
+            }
         }
     }
 
@@ -395,7 +411,9 @@ impl<C: Core> Shell<C> {
                 self.add_counters(&mut status.counters);
             }
             let encoded = message.answer(self.bus.space(), request, now);
-            outbound.extend(encoded.map_err(|error| error.to_string())?);
+            outbound.extend(
+                encoded.map_err(|error| Problem::new("(answer)", &error.to_string()).to_json())?,
+            );
         }
         Ok(outbound)
     }

@@ -4,34 +4,49 @@
 //! robot data behind it when it was written; null where there is none) and `stages` (each service passed, with the seconds
 //! since the Unix epoch at which it received and published).
 
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
 use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
 use muster_model::embedding::{Embedding, EmbeddingQuality};
-use muster_model::event::{Event, Severity};
+use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::GraphDelta;
 use muster_model::header::Header;
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
-use muster_model::roster::Roster;
+use muster_model::limits::MAX_MEMBERS_TOLD;
+use muster_model::roster::{Presence, Roster};
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 use serde_json::{Map, Value, json};
 
 /// The head of every JSON message.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, JsonSchema)]
 struct Head<'a> {
+    /// Whose message this is.
     fleet: &'a FleetId,
+    /// Which holder of the role of the service says it; a later one has a higher term.
     term: u64,
+    /// Which of its outputs this is. Readers never go back to a lower pair of term and epoch.
     epoch: u64,
+    /// Seconds since the oldest pose behind the message was received, stale robots left out; null where
+    /// no pose is behind it.
+    #[schemars(range(min = 0))]
     data_age_s: Option<f64>,
+    /// The services that the data has passed, in order.
     stages: Vec<Stage>,
 }
 
-/// A stage with its times in seconds since the Unix epoch.
-#[derive(Debug, Serialize)]
+/// When a service had received what it needed, and when it published what it made of it.
+#[derive(Debug, Serialize, JsonSchema)]
 struct Stage {
+    /// The service.
     stage: ServiceName,
+    /// Seconds since the Unix epoch, by the clock of the service's host.
     received: f64,
+    /// Seconds since the Unix epoch, by the clock of the service's host.
     published: f64,
 }
 
@@ -71,28 +86,40 @@ pub trait EdgeJson {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error>;
 }
 
+/// The division of the fleet into teams.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct TeamsForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// The teams, ordered by id as people count: t2 before t10.
+    teams: Vec<TeamForm<'a>>,
+    /// Robots that belong to no team, ordered by name: nothing relates them to the others.
+    unassigned: &'a [RobotId],
+    /// Robots, with or without a team, that have not been heard of lately, ordered by name.
+    stale: &'a [RobotId],
+}
+
+/// One team.
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "Team")]
+struct TeamForm<'a> {
+    /// Its lasting name.
+    id: &'a TeamId,
+    /// Its robots, ordered by name.
+    #[schemars(length(min = 1))]
+    members: Vec<&'a RobotId>,
+    /// The robot that commands most of the others; the one before if nobody commands.
+    leader: &'a RobotId,
+}
+
 impl EdgeJson for Teams {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
-        #[derive(Serialize)]
-        struct Form<'a> {
-            #[serde(flatten)]
-            head: Head<'a>,
-            teams: Vec<TeamForm<'a>>,
-            unassigned: &'a [RobotId],
-            stale: &'a [RobotId],
-        }
-        #[derive(Serialize)]
-        struct TeamForm<'a> {
-            id: &'a TeamId,
-            members: Vec<&'a RobotId>,
-            leader: &'a RobotId,
-        }
         let teams = self.teams.iter().map(|team| TeamForm {
             id: &team.id,
             members: team.members.iter().map(|member| &member.robot).collect(),
             leader: &team.leader,
         });
-        serde_json::to_vec(&Form {
+        serde_json::to_vec(&TeamsForm {
             head: head(&self.header, now),
             teams: teams.collect(),
             unassigned: &self.unassigned,
@@ -101,19 +128,30 @@ impl EdgeJson for Teams {
     }
 }
 
+/// What one robot is told of its team, whenever that changes. Its term and epoch are those of the
+/// division.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct RobotTeamForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// Who is told.
+    robot: &'a RobotId,
+    /// Its team; null if nothing relates it to the others.
+    team: Option<&'a TeamId>,
+    /// All robots of the team, itself among them, ordered by name; null if they are more than can be
+    /// told, whom the division names.
+    #[schemars(length(max = MAX_MEMBERS_TOLD))]
+    members: Option<&'a [RobotId]>,
+    /// Who leads the team; null if there is none.
+    leader: Option<&'a RobotId>,
+    /// How clearly it belongs there, from 0 (on the border to another team) to 1.
+    #[schemars(range(min = 0, max = 1))]
+    confidence: f64,
+}
+
 impl EdgeJson for RobotTeam {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
-        #[derive(Serialize)]
-        struct Form<'a> {
-            #[serde(flatten)]
-            head: Head<'a>,
-            robot: &'a RobotId,
-            team: Option<&'a TeamId>,
-            members: Option<&'a [RobotId]>,
-            leader: Option<&'a RobotId>,
-            confidence: f64,
-        }
-        serde_json::to_vec(&Form {
+        serde_json::to_vec(&RobotTeamForm {
             head: head(&self.header, now),
             robot: &self.robot,
             team: self.team.as_ref(),
@@ -124,13 +162,27 @@ impl EdgeJson for RobotTeam {
     }
 }
 
-#[derive(Serialize)]
+/// A silhouette: -1 misplaced, 0 on a border, 1 apart.
+#[derive(JsonSchema)]
+#[expect(dead_code, reason = "only its schema is used")]
+struct Silhouette(#[schemars(range(min = -1, max = 1))] f64);
+
+/// Silhouettes (Rousseeuw 1987) of a division in one space.
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "SilhouetteReport")]
 struct SilhouetteForm<'a> {
+    /// In which space.
     space: Space,
+    /// Mean over all scored robots; null with fewer than two teams, where it is not defined.
+    #[schemars(range(min = -1, max = 1))]
     mean: Option<f64>,
+    /// Mean over the members of each team.
     #[serde(serialize_with = "as_object")]
+    #[schemars(with = "BTreeMap<TeamId, Silhouette>")]
     per_team: &'a [(TeamId, f64)],
+    /// Each scored robot.
     #[serde(serialize_with = "as_object")]
+    #[schemars(with = "BTreeMap<RobotId, Silhouette>")]
     per_robot: &'a [(RobotId, f64)],
 }
 
@@ -143,18 +195,24 @@ fn silhouette_form(report: &SilhouetteReport) -> SilhouetteForm<'_> {
     }
 }
 
+/// The independent judgement of a division.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct AuditForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// The space of `silhouette`.
+    space: Space,
+    /// Silhouettes among the vectors that the division was made from.
+    silhouette: SilhouetteForm<'a>,
+    /// Silhouettes among the positions in metres, over the robots that have one.
+    physical: SilhouetteForm<'a>,
+    /// The judgement in one word, by the silhouettes among the vectors.
+    verdict: Verdict,
+}
+
 impl EdgeJson for Audit {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
-        #[derive(Serialize)]
-        struct Form<'a> {
-            #[serde(flatten)]
-            head: Head<'a>,
-            space: Space,
-            silhouette: SilhouetteForm<'a>,
-            physical: SilhouetteForm<'a>,
-            verdict: Verdict,
-        }
-        serde_json::to_vec(&Form {
+        serde_json::to_vec(&AuditForm {
             head: head(&self.header, now),
             space: self.in_embedding.space,
             silhouette: silhouette_form(&self.in_embedding),
@@ -164,23 +222,105 @@ impl EdgeJson for Audit {
     }
 }
 
+/// Something that happened to a robot, a team or a service. `event` says what, and which further fields
+/// there are; `change` does so where a division changed.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct EventForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// Who tells it.
+    source: ServiceName,
+    /// How much it matters.
+    severity: Severity,
+    #[serde(flatten)]
+    kind: KindForm,
+}
+
+/// What happened, as [`named_variant`] writes it.
+#[derive(Serialize)]
+struct KindForm(Map<String, Value>);
+
+impl JsonSchema for KindForm {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "EventKind".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let mut all = Vec::new();
+        for kind in variants(&EventKind::json_schema(generator)) {
+            if kind.name == TEAM_CHANGED {
+                let target = kind.content.get("$ref").and_then(Value::as_str);
+                let name = target.and_then(|target| target.rsplit('/').next()).unwrap_or_default();
+                let change = generator.definitions().get(name).cloned().unwrap_or_default();
+                let change = Schema::try_from(change).unwrap_or_default();
+                let event = [("event", TEAM_CHANGED)];
+                all.extend(variants(&change).iter().map(|change| {
+                    change.named(&[&event[..], &[("change", change.name.as_str())]].concat())
+                }));
+                // Only the form above stands at the edge.
+                generator.definitions_mut().remove(name);
+            } else {
+                all.push(kind.named(&[("event", kind.name.as_str())]));
+            }
+        }
+        schemars::json_schema!({ "oneOf": all })
+    }
+}
+
+/// The variant of an event that holds another choice, which is named as well.
+const TEAM_CHANGED: &str = "team_changed";
+
+/// One variant of a choice, taken from the schema that serde's own form has.
+struct Variant {
+    name: String,
+    description: Option<Value>,
+    content: Map<String, Value>,
+}
+
+fn variants(choice: &Schema) -> Vec<Variant> {
+    let all = choice.get("oneOf").and_then(Value::as_array).into_iter().flatten();
+    all.filter_map(|variant| {
+        let (name, content) = variant.get("properties")?.as_object()?.iter().next()?;
+        Some(Variant {
+            name: name.clone(),
+            description: variant.get("description").cloned(),
+            content: content.as_object()?.clone(),
+        })
+    })
+    .collect()
+}
+
+impl Variant {
+    /// The schema of the object with the fields of the variant, and with names that tell which it is.
+    fn named(&self, names: &[(&str, &str)]) -> Value {
+        let fields = self.content.get("properties").and_then(Value::as_object);
+        let mut properties = fields.cloned().unwrap_or_default();
+        let mut required: Vec<Value> = names.iter().map(|(name, _)| json!(name)).collect();
+        required.extend(properties.keys().map(|name| json!(name)));
+        for (name, value) in names {
+            properties.insert((*name).to_owned(), json!({ "const": value }));
+        }
+        let mut schema =
+            json!({ "type": "object", "properties": properties, "required": required });
+        if let Some(description) = &self.description {
+            schema["description"] = description.clone();
+        }
+        schema
+    }
+}
+
 impl EdgeJson for Event {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
-        #[derive(Serialize)]
-        struct Form<'a> {
-            #[serde(flatten)]
-            head: Head<'a>,
-            source: ServiceName,
-            severity: Severity,
-            #[serde(flatten)]
-            kind: Map<String, Value>,
-        }
         let kind = named_variant("event", serde_json::to_value(&self.kind)?);
-        serde_json::to_vec(&Form {
+        serde_json::to_vec(&EventForm {
             head: head(&self.header, now),
             source: self.source,
             severity: self.severity,
-            kind,
+            kind: KindForm(kind),
         })
     }
 }
@@ -192,7 +332,7 @@ fn named_variant(name: &str, value: Value) -> Map<String, Value> {
     let Some((variant, content)) = object.into_iter().next() else { return Map::new() };
     let mut named = Map::from_iter([(name.to_owned(), Value::String(variant.clone()))]);
     match content {
-        Value::Object(_) if variant == "team_changed" => {
+        Value::Object(_) if variant == TEAM_CHANGED => {
             named.extend(named_variant("change", content));
         }
         Value::Object(fields) => named.extend(fields),
@@ -201,24 +341,29 @@ fn named_variant(name: &str, value: Value) -> Map<String, Value> {
     named
 }
 
+/// One relation of all robots, whole.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct GraphForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// Which relation this is.
+    modality: &'a Modality,
+    /// All robots of the graph, those without an edge too.
+    robots: Vec<&'a RobotId>,
+    /// From, to, and the weight of the edge.
+    edges: Vec<(&'a RobotId, &'a RobotId, f64)>,
+}
+
 impl EdgeJson for GraphDelta {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
-        #[derive(Serialize)]
-        struct Form<'a> {
-            #[serde(flatten)]
-            head: Head<'a>,
-            modality: &'a Modality,
-            robots: Vec<&'a RobotId>,
-            edges: Vec<(&'a RobotId, &'a RobotId, f64)>,
-        }
-        let names: std::collections::BTreeMap<_, _> =
+        let names: BTreeMap<_, _> =
             self.nodes_added.iter().map(|(node, robot)| (*node, robot)).collect();
         let edges = self.rows.iter().flat_map(|row| {
             row.edges.iter().filter_map(|(target, weight)| {
                 Some((*names.get(&row.source)?, *names.get(target)?, *weight))
             })
         });
-        serde_json::to_vec(&Form {
+        serde_json::to_vec(&GraphForm {
             head: head(&self.header, now),
             modality: &self.modality,
             robots: names.values().copied().collect(),
@@ -227,48 +372,109 @@ impl EdgeJson for GraphDelta {
     }
 }
 
+/// Who belongs to the fleet now, and where each robot is.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct RosterForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// The robots, ordered by name.
+    robots: Vec<RosterEntryForm<'a>>,
+}
+
+/// One robot of the fleet.
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "RosterEntry")]
+struct RosterEntryForm<'a> {
+    /// Its name.
+    robot: &'a RobotId,
+    /// How sure it is that the robot is still there.
+    presence: Presence,
+    /// Metres east, north, up; null while the robot is known but unplaced.
+    position: Option<[f64; 3]>,
+    /// Radians, counter-clockwise from east.
+    heading: Option<f64>,
+    /// The coordinate frame of the position.
+    frame: Option<&'a str>,
+    /// Whom it answers to.
+    superior: Option<&'a RobotId>,
+    /// What it is within its unit.
+    role: Option<&'a str>,
+    /// Seconds since anything was received from it.
+    #[schemars(range(min = 0))]
+    silent_s: f64,
+}
+
 impl EdgeJson for Roster {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
-        #[derive(Serialize)]
-        struct Form<'a> {
-            #[serde(flatten)]
-            head: Head<'a>,
-            robots: Vec<Value>,
-        }
-        let robots = self.robots.iter().map(|entry| {
-            json!({
-                "robot": entry.robot, "presence": entry.presence, "position": entry.position,
-                "heading": entry.heading, "frame": entry.frame, "superior": entry.superior,
-                "role": entry.role, "silent_s": now.since(entry.last_seen).as_secs_f64(),
-            })
+        let robots = self.robots.iter().map(|entry| RosterEntryForm {
+            robot: &entry.robot,
+            presence: entry.presence,
+            position: entry.position,
+            heading: entry.heading,
+            frame: entry.frame.as_deref(),
+            superior: entry.superior.as_ref(),
+            role: entry.role.as_deref(),
+            silent_s: now.since(entry.last_seen).as_secs_f64(),
         });
-        serde_json::to_vec(&Form { head: head(&self.header, now), robots: robots.collect() })
+        serde_json::to_vec(&RosterForm { head: head(&self.header, now), robots: robots.collect() })
     }
+}
+
+/// One vector per robot: its rows of the leading singular vectors of the Katz similarity.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct EmbeddingForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// The robots, ordered by name: row i of `embedding` is that of robot i.
+    robots: &'a [RobotId],
+    /// Length of each vector.
+    dimension: u32,
+    /// The vectors.
+    embedding: Vec<&'a [f64]>,
+    /// Robots that the leading singular vectors do not see: no division can be read off their row.
+    unseen: Vec<&'a RobotId>,
+    /// The weight of each modality.
+    #[serde(serialize_with = "as_object")]
+    #[schemars(with = "BTreeMap<Modality, f64>")]
+    weights: Vec<(&'a Modality, f64)>,
+    /// What it rests on and how exact it is.
+    quality: &'a EmbeddingQuality,
 }
 
 impl EdgeJson for Embedding {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
-        #[derive(Serialize)]
-        struct Form<'a> {
-            #[serde(flatten)]
-            head: Head<'a>,
-            robots: &'a [RobotId],
-            dimension: u32,
-            embedding: Vec<&'a [f64]>,
-            unseen: Vec<&'a RobotId>,
-            weights: Map<String, Value>,
-            quality: &'a EmbeddingQuality,
-        }
         let unseen = self.robots.iter().zip(&self.unseen).filter(|(_, unseen)| **unseen);
-        let weights = self.graphs.iter().map(|(name, _, weight)| (name.to_string(), json!(weight)));
-        serde_json::to_vec(&Form {
+        serde_json::to_vec(&EmbeddingForm {
             head: head(&self.header, now),
             robots: &self.robots,
             dimension: self.dimension,
             embedding: self.values.chunks(self.dimension.max(1) as usize).collect(),
             unseen: unseen.map(|(robot, _)| robot).collect(),
-            weights: weights.collect(),
+            weights: self.graphs.iter().map(|(name, _, weight)| (name, *weight)).collect(),
             quality: &self.quality,
         })
+    }
+}
+
+/// Why a get is refused: the answer of the kind that Zenoh calls an error reply.
+#[derive(Debug, Serialize, JsonSchema)]
+pub struct Problem<'a> {
+    /// What is wrong and what would be right; begins with the field where one is wrong.
+    error: String,
+    /// The path of the field, with dots; in parentheses where it is no field of the content.
+    field: &'a str,
+}
+
+impl<'a> Problem<'a> {
+    /// A problem with one field.
+    #[must_use]
+    pub fn new(field: &'a str, problem: &str) -> Self {
+        Self { error: format!("{field}: {problem}"), field }
+    }
+
+    /// The JSON form.
+    #[must_use]
+    pub fn to_json(&self) -> String {
+        json!(self).to_string()
     }
 }

@@ -47,6 +47,8 @@ pub enum Key {
     JsonAudit,
     /// `json/event`: what happens, as JSON.
     JsonEvent,
+    /// `schema`: a get answers with the JSON Schema of every message at the edge.
+    Schema,
     /// `service/{service}/settings`: a get answers with the settings, one with a payload changes them.
     Settings(ServiceName),
     /// `service/{service}/status`: a get answers with what the service tells of itself.
@@ -171,6 +173,7 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("teams"), None, ..] => Key::Teams,
         [Some("audit"), None, ..] => Key::Audit,
         [Some("event"), None, ..] => Key::Event,
+        [Some("schema"), None, ..] => Key::Schema,
         [Some("json"), Some("teams"), None, ..] => Key::JsonTeams,
         [Some("json"), Some("audit"), None, ..] => Key::JsonAudit,
         [Some("json"), Some("event"), None, ..] => Key::JsonEvent,
@@ -271,6 +274,7 @@ impl fmt::Display for Key {
             Self::JsonTeams => formatter.write_str("json/teams"),
             Self::JsonAudit => formatter.write_str("json/audit"),
             Self::JsonEvent => formatter.write_str("json/event"),
+            Self::Schema => formatter.write_str("schema"),
             Self::Settings(service) => write!(formatter, "service/{service}/settings"),
             Self::Status(service) => write!(formatter, "service/{service}/status"),
             Self::Holder(service) => write!(formatter, "service/{service}/holder"),
@@ -309,6 +313,7 @@ mod tests {
             Key::JsonTeams,
             Key::JsonAudit,
             Key::JsonEvent,
+            Key::Schema,
         ];
         for service in ServiceName::ALL {
             keys.push(Key::Settings(service));

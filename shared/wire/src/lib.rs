@@ -3,8 +3,8 @@
 //! [`key`] is the key space in one typed place; [`envelope`] the binary form (magic byte, schema
 //! version, kind, bincode); [`json`] the form at the edge; [`message`] ties a key to a content and
 //! both forms; [`request`] reads gets; [`told`] is what robots read; [`recording`] is how the life of a
-//! service is written to a file. Nothing outside of this crate handles bytes, and nothing in it knows
-//! the bus.
+//! service is written to a file; [`schema`] describes the JSON. Nothing outside of this crate handles
+//! bytes, and nothing in it knows the bus.
 
 pub mod envelope;
 pub mod json;
@@ -12,6 +12,7 @@ pub mod key;
 pub mod message;
 pub mod recording;
 pub mod request;
+pub mod schema;
 pub mod told;
 
 pub use key::{Key, KeySpace, Pattern};

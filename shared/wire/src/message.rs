@@ -9,6 +9,7 @@ use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::id::{InstanceId, Modality, RobotId, ServiceName};
 use muster_model::limits::MAX_REVISION;
+use muster_model::object::Object;
 use muster_model::observation::{Links, Observation, Pose, Rank, Relation};
 use muster_model::role::Claim;
 use muster_model::roster::Roster;
@@ -165,7 +166,8 @@ impl Rejection {
 }
 
 fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
-    serde_json::from_slice(bytes)
+    serde_json::from_slice::<Object<T>>(bytes)
+        .map(|object| object.0)
         .map_err(|error| format!("this is not the JSON it should be: {error}"))
 }
 
@@ -304,7 +306,7 @@ impl Message {
             Key::RobotToken(_) | Key::ServiceToken(..) => {
                 return Err("this key takes liveliness tokens and no messages".to_owned());
             }
-            Key::JsonTeams | Key::JsonAudit | Key::JsonEvent | Key::Status(_) => {
+            Key::JsonTeams | Key::JsonAudit | Key::JsonEvent | Key::Status(_) | Key::Schema => {
                 return Err("no service reads this key".to_owned());
             }
         };

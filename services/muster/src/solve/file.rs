@@ -5,6 +5,7 @@ use std::fmt;
 use std::marker::PhantomData;
 
 use muster_model::id::{Modality, RobotId};
+use muster_model::object::Object;
 use muster_model::observation::{Link, Pose, Rank};
 use muster_model::settings::{
     Alpha, CentroidStart, Dimension, Normalization, RowScaling, SingularValueScaling,
@@ -49,27 +50,6 @@ pub(super) struct ModalityEntry {
     pub(super) weight: Option<f64>,
     pub(super) matrix: Option<Vec<Vec<f64>>>,
     pub(super) edges: Option<Vec<(RobotId, RobotId, f64)>>,
-}
-
-/// An object and nothing else: structures would otherwise be read from arrays too, by position.
-pub(super) struct Object<T>(pub(super) T);
-
-impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct ObjectVisitor<T>(PhantomData<T>);
-        impl<'de, T: Deserialize<'de>> Visitor<'de> for ObjectVisitor<T> {
-            type Value = Object<T>;
-
-            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-                formatter.write_str("an object")
-            }
-
-            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
-                T::deserialize(MapAccessDeserializer::new(map)).map(Object)
-            }
-        }
-        deserializer.deserialize_map(ObjectVisitor(PhantomData))
-    }
 }
 
 /// An object whose keys are names, each of them once.

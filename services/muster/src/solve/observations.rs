@@ -3,13 +3,14 @@
 use std::collections::HashMap;
 
 use muster_model::id::{Modality, RobotId};
+use muster_model::object::Object;
 use muster_model::observation::{Link, Observation, Pose, Rank};
 use muster_model::settings::{ConnectivitySettings, IngestSettings, Settings, SpatialSettings};
 use muster_numeric::matrix::SparseMatrix;
 use muster_relation::{Edge, connectivity_edges, hierarchy_edges, link_weight, spatial_edges};
 use serde_json::{Map, Value};
 
-use super::file::{Named, Object};
+use super::file::Named;
 use super::problem::place;
 use super::{SolveError, refuse};
 

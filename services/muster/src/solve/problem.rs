@@ -4,13 +4,14 @@ use std::collections::{BTreeSet, HashMap};
 
 use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_WEIGHT;
+use muster_model::object::Object;
 use muster_model::settings::{
     Alpha, ClustererSettings, Dimension, EmbedderSettings, Normalization, RowScaling, Settings,
     SingularValueScaling,
 };
 use muster_numeric::matrix::{MAX_DENSE_ENTRIES, MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
 
-use super::file::{Emit, File, ModalityEntry, Object};
+use super::file::{Emit, File, ModalityEntry};
 use super::observations::{Graphs, Observations};
 use super::{SolveError, memory, refuse};
 

@@ -1,20 +1,25 @@
 //! Settings of `auditor`.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Settings, SettingsError, check_range};
 
 /// Settings of `auditor`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AuditorSettings {
     /// Mean silhouette in the embedding from which a division is good.
+    #[schemars(range(min = -1, max = 1))]
     pub good: f64,
     /// Mean silhouette in the embedding below which a division is poor.
+    #[schemars(range(min = -1, max = 1))]
     pub poor: f64,
     /// A division must be poor for this many seconds before an alert.
+    #[schemars(range(min = 0, max = 3600))]
     pub alert_after_s: f64,
     /// An alert ends once the mean silhouette is this much above `poor`.
+    #[schemars(range(min = 0, max = 1))]
     pub alert_clearance: f64,
 }
 

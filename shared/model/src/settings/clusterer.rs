@@ -1,12 +1,13 @@
 //! Settings of `clusterer`.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Settings, SettingsError, check_range};
 use crate::limits::MAX_TEAMS;
 
 /// How the centroids of a start of k-means are chosen.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum CentroidStart {
     /// Robots far from each other with higher probability (Arthur and Vassilvitskii 2007).
     #[serde(rename = "kmeans++")]
@@ -17,23 +18,29 @@ pub enum CentroidStart {
 }
 
 /// Settings of `clusterer`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClustererSettings {
     /// How many teams the fleet is divided into. There are fewer while the robots do not allow more.
+    #[schemars(range(min = 1, max = MAX_TEAMS))]
     pub teams: u32,
     /// How many starts of k-means are tried beside the previous division.
+    #[schemars(range(min = 1, max = 10_000))]
     pub restarts: u32,
     /// How the centroids of a start are chosen.
     pub init: CentroidStart,
     /// Most iterations of one start.
+    #[schemars(range(min = 1, max = 100_000))]
     pub max_iterations: u32,
     /// Seed of the random choices.
+    #[schemars(range(max = u64::MAX))]
     pub seed: u64,
     /// The previous division is kept while no start is better than it by more than this share of
     /// the inertia, so that noise moves nobody.
+    #[schemars(range(min = 0, max = 0.99))]
     pub hysteresis: f64,
     /// An unchanged division is told again after this many seconds.
+    #[schemars(range(min = 0.1, max = 3600))]
     pub heartbeat_s: f64,
 }
 

@@ -1,12 +1,15 @@
 //! Settings of `embedder`.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{Settings, SettingsError, check_range};
 use crate::id::Modality;
+use crate::schema::Share;
 
 /// How far the weights of the modalities may sum from 1: rounding of a few decimal fractions.
 const WEIGHT_SUM_TOLERANCE: f64 = 1e-9;
@@ -16,14 +19,15 @@ const WEIGHT_SUM_TOLERANCE: f64 = 1e-9;
 const MAX_DIMENSION: u32 = 256;
 
 /// The decay of longer paths.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, deny_unknown_fields, expecting = "must be a number, or {\"fraction\": number}")]
 pub enum Alpha {
     /// α itself; a frame in which α ρ ≥ 1 is refused.
-    Value(f64),
+    Value(#[schemars(range(min = 1e-12, max = 1e12))] f64),
     /// α as a fraction of 1/ρ.
     Fraction {
         /// Between 0 and 1.
+        #[schemars(range(min = 1e-6, max = 0.999_999))]
         fraction: f64,
     },
 }
@@ -63,8 +67,24 @@ impl<'de> Deserialize<'de> for Dimension {
     }
 }
 
+impl JsonSchema for Dimension {
+    fn schema_name() -> Cow<'static, str> {
+        "Dimension".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "description": "Length D = 2K of the vectors; \"auto\" chooses it by the fleet.",
+            "anyOf": [
+                { "const": "auto" },
+                { "type": "integer", "minimum": 2, "maximum": MAX_DIMENSION, "multipleOf": 2 },
+            ],
+        })
+    }
+}
+
 /// How each graph is scaled before its weight applies.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Normalization {
     /// As it is, as in the paper.
@@ -74,7 +94,7 @@ pub enum Normalization {
 }
 
 /// How the singular vectors are scaled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SingularValueScaling {
     /// Not at all, as in the paper.
@@ -84,7 +104,7 @@ pub enum SingularValueScaling {
 }
 
 /// How the rows are scaled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RowScaling {
     /// Not at all, as in the paper.
@@ -94,10 +114,11 @@ pub enum RowScaling {
 }
 
 /// Settings of `embedder`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EmbedderSettings {
     /// Weight of each modality; they sum to 1, and one that is not named has none. Empty: all equal.
+    #[schemars(with = "BTreeMap<Modality, Share>")]
     pub weights: BTreeMap<Modality, f64>,
     /// How each graph is scaled before its weight applies.
     pub normalize: Normalization,
@@ -110,6 +131,7 @@ pub struct EmbedderSettings {
     /// How the rows are scaled.
     pub rows: RowScaling,
     /// Residual above which the cached similarity is thrown away and computed anew.
+    #[schemars(range(min = 1e-14, max = 1))]
     pub residual_tolerance: f64,
 }
 

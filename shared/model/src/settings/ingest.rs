@@ -1,10 +1,12 @@
 //! Settings of `ingest`.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Settings, SettingsError, check_range};
 use crate::id::Modality;
 use crate::limits::{MAX_DECLARED_MODALITIES, MAX_GRAPH_EDGES, MAX_ROBOTS, MAX_TEXT_LENGTH};
+use crate::schema::{DeclaredModality, Name};
 
 /// Highest rate of frames: above it a frame is shorter than the way over a radio.
 pub const MAX_TICK_HZ: f64 = 100.0;
@@ -14,7 +16,7 @@ const MAX_FRAMES: usize = 8;
 
 /// How the weight of a spatial edge falls with the distance d, in units of the width w (a multiple of
 /// the median distance to the nearest neighbour).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SpatialKernel {
     /// exp(−(d/w)²/2)
@@ -24,23 +26,27 @@ pub enum SpatialKernel {
 }
 
 /// How positions become the spatial graph.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SpatialSettings {
     /// How the weight falls with distance.
     pub kernel: SpatialKernel,
     /// Width in multiples of the median distance to the nearest neighbour.
+    #[schemars(range(min = 0.01, max = 1000))]
     pub width: f64,
     /// Fleets up to this size relate all pairs; larger ones the nearest neighbours.
+    #[schemars(range(min = 0, max = 2000))]
     pub all_pairs_up_to: u32,
     /// How many nearest neighbours each robot of a larger fleet is related to.
+    #[schemars(range(min = 1, max = 256))]
     pub neighbours: u32,
     /// No edge is longer than this, in metres; null for no limit.
+    #[schemars(range(min = 1e-6, max = 1e9))]
     pub radius_m: Option<f64>,
 }
 
 /// In which unit robots report how well they hear each other.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LinkUnit {
     /// A quality from 0 to 1.
@@ -52,34 +58,43 @@ pub enum LinkUnit {
 }
 
 /// How link reports become the connectivity graph.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ConnectivitySettings {
     /// The unit of all reports.
     pub unit: LinkUnit,
     /// Signal strength in dBm at and below which a link is worth nothing.
+    #[schemars(range(min = -200, max = 100))]
     pub rssi_floor_dbm: f64,
     /// Signal strength in dBm at and above which a link is worth 1.
+    #[schemars(range(min = -200, max = 100))]
     pub rssi_ceiling_dbm: f64,
 }
 
 /// Settings of `ingest`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IngestSettings {
     /// Frames per second; nothing is published while nothing changes.
+    #[schemars(range(min = 0.1, max = MAX_TICK_HZ))]
     pub tick_hz: f64,
     /// A robot is stale this many seconds after its last pose, or after its token was lost.
+    #[schemars(range(min = 0.1, max = 86_400))]
     pub stale_after_s: f64,
     /// A robot is gone this many seconds after the last sign of it.
+    #[schemars(range(min = 0.1, max = 604_800))]
     pub gone_after_s: f64,
     /// Most messages per second that one robot may put on one stream; more are refused.
+    #[schemars(range(min = 1, max = 10_000))]
     pub max_rate_hz: f64,
     /// Most robots of the fleet; more are refused.
+    #[schemars(range(min = 1, max = MAX_ROBOTS))]
     pub max_robots: u32,
     /// Coordinate frames that poses may name. The first is meant where a pose names none.
+    #[schemars(with = "Vec<Name>", length(min = 1, max = MAX_FRAMES))]
     pub frames: Vec<String>,
     /// Modalities beside spatial, connectivity and hierarchy that robots may report.
+    #[schemars(with = "Vec<DeclaredModality>", length(max = MAX_DECLARED_MODALITIES), extend("uniqueItems" = true))]
     pub modalities: Vec<Modality>,
     /// How positions become the spatial graph.
     pub spatial: SpatialSettings,

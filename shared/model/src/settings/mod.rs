@@ -116,6 +116,10 @@ fn merge(
             {
                 merge(current, patch, default, &field)?;
             }
+            (_, Value::Object(default), _) if is_table(default) => {
+                let fields = default.keys().cloned().collect::<Vec<_>>().join(", ");
+                return Err(SettingsError::new(field, format!("must be an object of {fields}")));
+            }
             _ => {
                 current.insert(name.clone(), value.clone());
             }
@@ -193,6 +197,7 @@ mod tests {
         let spatial = |patch: Value| IngestSettings::default().patched(&patch).unwrap_err().field;
         assert_eq!(spatial(json!({"spatial": {"radius": 1}})), "spatial.radius");
         assert_eq!(spatial(json!({"spatial": {"width": 0.0}})), "spatial.width");
+        assert_eq!(spatial(json!({"spatial": ["gaussian", 2.0, 200, 16, null]})), "spatial");
         let alpha = |patch: Value| EmbedderSettings::default().patched(&patch).unwrap_err();
         for wrong in [json!("x"), json!({"fraction": 0.5, "x": 1}), json!({}), json!([1])] {
             let error = alpha(json!({ "alpha": wrong }));
