@@ -29,6 +29,26 @@ pub fn program(name: &str) -> anyhow::Result<PathBuf> {
     Ok(path)
 }
 
+/// The Python that has what others use with Muster: a Zenoh client and a validator of JSON Schema.
+///
+/// # Errors
+/// If it is not installed; the text names the remedy.
+pub fn python() -> anyhow::Result<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let python = root.join("target/peers/bin/python");
+    let found = Command::new(&python)
+        .args(["-c", "import zenoh, jsonschema"])
+        .output()
+        .is_ok_and(|output| output.status.success());
+    ensure!(
+        found,
+        "there is no Python with eclipse-zenoh and jsonschema in target/peers; tests/run installs it, \
+         or `python3 -m venv target/peers && \
+         target/peers/bin/python -m pip install -r tests/peers/requirements.txt`"
+    );
+    Ok(python)
+}
+
 impl Process {
     /// Starts a program; what it prints goes to `{name}.log` in a folder.
     ///
@@ -40,11 +60,25 @@ impl Process {
         environment: &[(&str, &str)],
         folder: &Path,
     ) -> anyhow::Result<Self> {
+        Self::start_at(&program(program_name)?, program_name, arguments, environment, folder)
+    }
+
+    /// Starts a program that stands anywhere, under a name.
+    ///
+    /// # Errors
+    /// If it does not start.
+    pub fn start_at(
+        program: &Path,
+        program_name: &str,
+        arguments: &[&str],
+        environment: &[(&str, &str)],
+        folder: &Path,
+    ) -> anyhow::Result<Self> {
         static NEXT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
         let number = NEXT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         let log = folder.join(format!("{number}-{}.log", program_name.replace('/', "-")));
         let output = std::fs::File::create(&log)?;
-        let child = Command::new(program(program_name)?)
+        let child = Command::new(program)
             .args(arguments)
             .envs(environment.iter().copied())
             .stdin(Stdio::null())

@@ -1,0 +1,175 @@
+//! The programs of the README, word for word: a robot, a dashboard and a check in Python.
+//!
+//! They run against whole processes as a reader would run them, with the environment and the
+//! arguments that the README names, on the Python that `tests/run` installs.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use muster_tests::client::division;
+use muster_tests::cluster::Cluster;
+use muster_tests::process::{Process, python};
+use serde_json::Value;
+
+use crate::pipeline::FORMED_WITHIN;
+
+pub(crate) const README: &str = include_str!("../../README.md");
+
+/// The text of the fenced block behind a marker, all blocks of that marker in order.
+pub(crate) fn blocks(marker: &str) -> Vec<String> {
+    let start = format!("<!-- {marker} -->\n```");
+    README
+        .split(&start)
+        .skip(1)
+        .map(|part| {
+            let (_, part) = part.split_once('\n').unwrap();
+            part.split_once("\n```\n").expect("the block ends").0.to_owned() + "\n"
+        })
+        .collect()
+}
+
+/// Writes a program of the README into a folder, once: another process may be reading it.
+fn written(name: &str, folder: &Path) -> PathBuf {
+    let blocks = blocks(name);
+    assert_eq!(blocks.len(), 1, "README.md must hold one block behind <!-- {name} -->");
+    let path = folder.join(name);
+    if !path.exists() {
+        std::fs::write(&path, &blocks[0]).unwrap();
+    }
+    path
+}
+
+struct Programs<'a> {
+    cluster: &'a Cluster,
+    python: PathBuf,
+}
+
+impl Programs<'_> {
+    fn start(&self, name: &str, arguments: &[&str]) -> Process {
+        let path = written(name, self.cluster.folder());
+        let path = path.to_string_lossy();
+        let environment = [
+            ("MUSTER_CONNECT", self.cluster.endpoint.as_str()),
+            ("MUSTER_FLEET", &self.cluster.fleet),
+        ];
+        let arguments = [&[path.as_ref()], arguments].concat();
+        Process::start_at(&self.python, name, &arguments, &environment, self.cluster.folder())
+            .unwrap()
+    }
+}
+
+/// Waits until a program has printed a line that is right.
+async fn printed(program: &mut Process, what: &str, right: impl Fn(&str) -> bool) -> String {
+    let start = Instant::now();
+    loop {
+        let output = program.output();
+        if let Some(line) = output.lines().find(|line| right(line)) {
+            return line.to_owned();
+        }
+        assert!(program.is_running().unwrap(), "{what}: the program has ended:\n{output}");
+        assert!(start.elapsed() < FORMED_WITHIN, "{what}: it has printed only\n{output}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
+    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let programs = Programs { cluster: &cluster, python: python().unwrap() };
+    let mut dashboard = programs.start("dashboard.py", &[]);
+    let mut robots = Vec::new();
+    for arguments in ["r1 0 0", "r2 3 4 r1", "s1 90 0", "s2 93 4 s1"] {
+        let arguments: Vec<&str> = arguments.split(' ').collect();
+        robots.push(programs.start("robot.py", &arguments));
+    }
+
+    let client = cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let right = |value: &Value| {
+        let division = division(value);
+        division.len() == 4
+            && division["r1"].is_some()
+            && division["r1"] == division["r2"]
+            && division["s1"] == division["s2"]
+            && division["r1"] != division["s1"]
+    };
+    let formed = teams.until("two teams of Python's robots", FORMED_WITHIN, right).await.unwrap();
+    let team = |robot: &str| division(&formed)[robot].clone().unwrap();
+
+    for (robot, name, leader, members) in [
+        (0, "r1", "r1", "['r1', 'r2']"),
+        (1, "r2", "r1", "['r1', 'r2']"),
+        (3, "s2", "s1", "['s1', 's2']"),
+    ] {
+        let wanted = format!("{name} is in team {}, led by {leader}: {members}", team(name));
+        printed(&mut robots[robot], &wanted, |line| line == wanted).await;
+    }
+    // The teams are numbered, and stand in this order.
+    let mut wanted = [format!("{}: r1 r2", team("r1")), format!("{}: s1 s2", team("s1"))];
+    wanted.sort();
+    let wanted = format!("teams  {}", wanted.join("  "));
+    printed(&mut dashboard, "the teams", |line| line == wanted).await;
+    printed(&mut dashboard, "the audit", |line| {
+        ["good", "fair", "poor"].iter().any(|word| line.starts_with(&format!("audit  {word}, sil")))
+    })
+    .await;
+    printed(&mut dashboard, "an event", |line| {
+        line.starts_with("event  ")
+            && line.contains("event: robot_joined")
+            && line.contains("robot: r1")
+    })
+    .await;
+    let graph = client.get_one("graph/hierarchy?format=json").await.unwrap();
+    let edges: BTreeSet<String> = graph["edges"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|edge| format!("{}{}", edge[0], edge[1]))
+        .collect();
+    assert_eq!(edges, BTreeSet::from(["\"r1\"\"r2\"".to_owned(), "\"s1\"\"s2\"".to_owned()]));
+    let graph = client.get_one("graph/connectivity?format=json").await.unwrap();
+    assert_eq!(graph["edges"].as_array().unwrap().len(), 2, "{graph}");
+    // Nothing that the programs said was refused.
+    assert!(!dashboard.output().contains("quarantined"), "{}", dashboard.output());
+
+    // A robot that goes away is missed, and a dashboard that comes late sees what is.
+    robots.pop().unwrap().kill().unwrap();
+    printed(&mut dashboard, "a stale robot", |line| {
+        line.contains("event: robot_stale") && line.contains("robot: s2")
+    })
+    .await;
+    let mut late = programs.start("dashboard.py", &[]);
+    printed(&mut late, "the teams, late", |line| line.starts_with("teams  t")).await;
+    printed(&mut late, "the audit, late", |line| line.starts_with("audit  ")).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_check_of_the_readme_accepts_what_is_right_and_names_what_is_wrong() {
+    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let client = cluster.client().await.unwrap();
+    let start = Instant::now();
+    while client.get_one("schema").await.is_err() {
+        assert!(start.elapsed() < FORMED_WITHIN, "nobody answers for the schema");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    let path = written("check.py", cluster.folder());
+    let check = |name: &str, message: &str| {
+        use std::io::Write as _;
+        let mut child = std::process::Command::new(python().unwrap())
+            .args([path.as_os_str(), name.as_ref()])
+            .env("MUSTER_CONNECT", &cluster.endpoint)
+            .env("MUSTER_FLEET", &cluster.fleet)
+            .stdin(std::process::Stdio::piped())
+            .stderr(std::process::Stdio::piped())
+            .spawn()
+            .unwrap();
+        child.stdin.take().unwrap().write_all(message.as_bytes()).unwrap();
+        let output = child.wait_with_output().unwrap();
+        (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (good, err) = check("pose", r#"{"x": 1.0, "y": 2.0}"#);
+    assert!(good, "{err}");
+    let (good, err) = check("pose", r#"{"x": 1.0}"#);
+    assert!(!good && err.contains("'y' is a required property"), "{err}");
+}
