@@ -23,6 +23,7 @@ fn every_key() -> Vec<Key> {
         Key::JsonTeams,
         Key::JsonAudit,
         Key::JsonEvent,
+        Key::Schema,
     ];
     for service in ServiceName::ALL {
         keys.push(Key::Settings(service));

@@ -129,6 +129,7 @@ fn schema_of(key: &str) -> String {
         ["graph", _] => "graph".to_owned(),
         ["service", service, "settings"] => format!("{service}_settings"),
         ["service", _, "status"] => "status".to_owned(),
+        ["service", _, "holder"] => "claim".to_owned(),
         [name] => name.to_owned(),
         _ => panic!("{key} has no schema"),
     }
@@ -155,6 +156,7 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
         "robot/*/team",
         "service/*/settings",
         "service/*/status",
+        "service/ingest/holder?format=json",
     ];
     let get_all = async || {
         let mut got = Vec::new();
@@ -202,7 +204,7 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
             *seen.entry(format!("event {kind}")).or_default() += 1;
         }
     }
-    let mut wanted = vec!["audit", "embedding", "event", "graph", "robot_team", "roster"];
+    let mut wanted = vec!["audit", "claim", "embedding", "event", "graph", "robot_team", "roster"];
     wanted.extend(["status", "teams", "event robot_joined", "event robot_left"]);
     for name in wanted {
         assert!(seen.contains_key(name), "nothing was said of {name}: {seen:?}");

@@ -32,7 +32,7 @@ pub struct Revision {
 }
 
 /// When one service had received what it needed, and when it published what it made of it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct StageTime {
     /// The service.
     pub stage: ServiceName,
@@ -43,7 +43,7 @@ pub struct StageTime {
 }
 
 /// The head of every message between services.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Header {
     /// Whose message this is.
     pub fleet: FleetId,

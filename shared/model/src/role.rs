@@ -1,12 +1,13 @@
 //! Who holds the role of a service, of which several instances may run.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::header::Header;
 use crate::id::{InstanceId, ServiceName};
 
 /// Where an instance stands towards the role of its service.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Standing {
     /// It asks the bus what there is, and publishes nothing.
@@ -22,7 +23,7 @@ pub enum Standing {
 }
 
 /// What the holder of a role tells the other instances of its service several times a second.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Claim {
     /// The head of the message; its revision is that of the holder's last output.
     pub header: Header,
