@@ -16,6 +16,7 @@ use muster_model::id::ServiceName;
 use muster_model::role::Standing;
 use muster_model::roster::Roster;
 use muster_model::settings::AuditorSettings;
+use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern, Request};
@@ -550,6 +551,10 @@ impl Core for Auditor {
         let alert = self.alert.due(self.role.settings());
         let retry = self.retry_at();
         [self.ask, heartbeat, alert, retry, self.role.deadline()].into_iter().flatten().min()
+    }
+
+    fn status(&self, now: Tick) -> ServiceStatus {
+        self.role.status(now, &self.state())
     }
 
     fn run(job: Job, _: &mut Stopwatch) -> Outcome {

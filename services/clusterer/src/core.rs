@@ -14,6 +14,7 @@ use muster_model::id::{RobotId, ServiceName};
 use muster_model::role::Standing;
 use muster_model::roster::{Presence, Roster};
 use muster_model::settings::ClustererSettings;
+use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
 use muster_model::time::{Tick, seconds};
 use muster_wire::{Key, Message, Pattern, Request};
@@ -557,6 +558,10 @@ impl Core for Clusterer {
         let times =
             [self.heartbeat_at(), self.retell_at(), self.gate.deadline(), self.role.deadline()];
         times.into_iter().flatten().min()
+    }
+
+    fn status(&self, now: Tick) -> ServiceStatus {
+        self.role.status(now, &self.state())
     }
 
     fn run(job: Job, _: &mut Stopwatch) -> Outcome {

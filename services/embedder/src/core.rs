@@ -13,6 +13,7 @@ use muster_model::graph::GraphError;
 use muster_model::id::ServiceName;
 use muster_model::role::Standing;
 use muster_model::settings::{Dimension, EmbedderSettings};
+use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_wire::message::quoted;
 use muster_wire::{Key, Message, Pattern, Request};
@@ -102,6 +103,10 @@ impl Core for Embedder {
 
     fn standing(&self) -> Standing {
         self.role.standing()
+    }
+
+    fn status(&self, now: Tick) -> ServiceStatus {
+        self.role.status(now, &self.state())
     }
 
     fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {

@@ -10,6 +10,7 @@ use muster_model::event::{EventKind, Severity};
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::role::Standing;
 use muster_model::settings::IngestSettings;
+use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern, Request};
 
@@ -343,6 +344,10 @@ impl Core for Ingest {
 
     fn standing(&self) -> Standing {
         self.role.standing()
+    }
+
+    fn status(&self, now: Tick) -> ServiceStatus {
+        self.role.status(now, &self.state())
     }
 
     fn run((): (), _: &mut Stopwatch) {}

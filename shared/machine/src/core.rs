@@ -3,6 +3,7 @@
 use muster_model::id::{FleetId, InstanceId, ServiceName};
 use muster_model::role::Standing;
 use muster_model::settings::Settings;
+use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_wire::{Key, Message, Packet, Pattern, Rejection, Request};
 use serde::{Deserialize, Serialize};
@@ -216,6 +217,9 @@ pub trait Core: Send + Sized + 'static {
     /// Where the instance stands towards the role of its service. Only a holder's messages are put
     /// on the bus.
     fn standing(&self) -> Standing;
+
+    /// What the service tells of itself, for those who watch over the process.
+    fn status(&self, now: Tick) -> ServiceStatus;
 
     /// Does long work. Runs on another thread, beside the core, and must not depend on anything
     /// but the job and the stopwatch.

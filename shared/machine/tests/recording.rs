@@ -22,6 +22,7 @@ use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::Pose;
 use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
+use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_wire::recording::{Bytes, Heard, Put, Reader, begin, frame};
 use muster_wire::{Key, KeySpace, Message, Pattern, Rejection, Request};
@@ -90,6 +91,10 @@ impl<const SECOND: bool> Core for Small<SECOND> {
 
     fn deadline(&self) -> Option<Tick> {
         None
+    }
+
+    fn status(&self, now: Tick) -> ServiceStatus {
+        self.role.status(now, "small")
     }
 
     fn run(heard: f64, stopwatch: &mut Stopwatch) -> String {

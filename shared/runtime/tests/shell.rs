@@ -16,6 +16,7 @@ use muster_model::event::{EventKind, Severity};
 use muster_model::id::{InstanceId, ServiceName};
 use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
+use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_runtime::bus::{Answer, Ask, Bus, Patience};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
@@ -104,6 +105,10 @@ impl Core for Probe {
 
     fn deadline(&self) -> Option<Tick> {
         Some(self.next)
+    }
+
+    fn status(&self, now: Tick) -> ServiceStatus {
+        self.role.status(now, "probing")
     }
 
     fn run(job: &'static str, _: &mut Stopwatch) -> &'static str {
