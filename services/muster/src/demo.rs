@@ -12,6 +12,7 @@ use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::{DEFAULT_ENDPOINT, Origin, ProcessConfig, Sourced};
 use muster_runtime::exit::ExitError;
+use muster_runtime::observe::Observatory;
 use muster_runtime::recording::RecordTo;
 use muster_runtime::stop::Stop;
 use muster_scenario::{FleetOptions, ScenarioKind};
@@ -78,10 +79,11 @@ pub(crate) async fn run(
         config.listen.value.clone()
     };
     config.record = args.record.clone().map(|path| RecordTo { path, several: true });
+    let observatory = Observatory::open(&config, &ServiceName::ALL)?;
     let router = Bus::open(&config.as_router(listen), Patience::Forever).await?;
     let endpoints = router.locators().await;
     let config = config.as_client(endpoints.clone());
-    let mut services = up::start(&ServiceName::ALL, &config, &stop);
+    let mut services = up::start(&ServiceName::ALL, &config, &stop, &observatory);
 
     let robots_bus = Bus::open(&config, Patience::Forever).await?;
     let speech = Speech { rate_hz: 10.0, format: Format::Json };

@@ -7,6 +7,7 @@ use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
+use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
 use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
 use muster_wire::Format;
@@ -109,6 +110,7 @@ pub(crate) async fn run(
         return Ok(());
     }
     let speakers = speakers(&fleet, &args.only)?;
+    let _port = Observatory::open(config, &[])?;
     let bus = tokio::select! {
         bus = Bus::open(config, Patience::Forever) => bus?,
         () = stop.stopped() => return Ok(()),

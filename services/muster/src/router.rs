@@ -5,6 +5,7 @@ use std::io::Write as _;
 use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
+use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
 
 /// Arguments of `muster router`.
@@ -29,6 +30,7 @@ pub(crate) async fn run(
     if config.mode.value != muster_runtime::config::Mode::Router {
         return Err(ExitError::usage("mode: a router runs in mode router; leave --mode out").into());
     }
+    let _port = Observatory::open(config, &[])?;
     let bus = tokio::select! {
         bus = Bus::open(config, Patience::Forever) => bus?,
         () = stop.stopped() => return Ok(()),

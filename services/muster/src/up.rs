@@ -12,6 +12,7 @@ use muster_model::id::ServiceName;
 use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::config::{DEFAULT_ENDPOINT, ProcessConfig};
 use muster_runtime::exit::ExitError;
+use muster_runtime::observe::Observatory;
 use muster_runtime::recording::RecordTo;
 use muster_runtime::service;
 use muster_runtime::stop::Stop;
@@ -67,15 +68,19 @@ pub(crate) fn start(
     services: &[ServiceName],
     config: &ProcessConfig,
     stop: &Stop,
+    observatory: &Observatory,
 ) -> JoinSet<anyhow::Result<()>> {
     let mut tasks = JoinSet::new();
     for name in services {
         let (config, stop) = (config.clone(), stop.clone());
+        let observer = observatory.observer(*name);
         match name {
-            ServiceName::Ingest => tasks.spawn(service::run::<Ingest>(config, stop)),
-            ServiceName::Embedder => tasks.spawn(service::run::<Embedder>(config, stop)),
-            ServiceName::Clusterer => tasks.spawn(service::run::<Clusterer>(config, stop)),
-            ServiceName::Auditor => tasks.spawn(service::run::<Auditor>(config, stop)),
+            ServiceName::Ingest => tasks.spawn(service::run::<Ingest>(config, stop, observer)),
+            ServiceName::Embedder => tasks.spawn(service::run::<Embedder>(config, stop, observer)),
+            ServiceName::Clusterer => {
+                tasks.spawn(service::run::<Clusterer>(config, stop, observer))
+            }
+            ServiceName::Auditor => tasks.spawn(service::run::<Auditor>(config, stop, observer)),
         };
     }
     tasks
@@ -104,6 +109,7 @@ pub(crate) async fn run(
     let services =
         if args.services.is_empty() { ServiceName::ALL.to_vec() } else { args.services.clone() };
     config.record = args.record.clone().map(|path| RecordTo { path, several: true });
+    let observatory = Observatory::open(&config, &services)?;
     let mut router = None;
     if args.router {
         let listen = match config.listen.value.as_slice() {
@@ -116,7 +122,7 @@ pub(crate) async fn run(
         config = config.as_client(endpoints);
         router = Some(bus);
     }
-    wait(start(&services, &config, &stop)).await?;
+    wait(start(&services, &config, &stop, &observatory)).await?;
     if let Some(router) = router {
         router.close().await;
     }

@@ -50,9 +50,11 @@ impl Errands {
         let to_store = Arc::clone(&newest);
         let waiting_bytes = Arc::new(AtomicUsize::new(0));
         let sent_bytes = Arc::clone(&waiting_bytes);
+        let span = tracing::Span::current();
         std::thread::Builder::new()
             .name("muster-errands".to_owned())
             .spawn(move || {
+                let _service = span.enter();
                 let mut kept = Ok(());
                 while let Some(errand) = errands.blocking_recv() {
                     let stored = to_store.lock().unwrap_or_else(PoisonError::into_inner).take();

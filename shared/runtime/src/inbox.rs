@@ -66,6 +66,8 @@ pub struct InboxCounts {
     pub superseded: u64,
     /// Items that were dropped because too many waited.
     pub dropped: u64,
+    /// Items that wait, and their bytes.
+    pub waiting: (usize, usize),
 }
 
 impl<T> State<T> {
@@ -140,7 +142,11 @@ impl<T> Inbox<T> {
     #[must_use]
     pub fn counts(&self) -> InboxCounts {
         let state = self.state();
-        InboxCounts { superseded: state.superseded, dropped: state.dropped }
+        InboxCounts {
+            superseded: state.superseded,
+            dropped: state.dropped,
+            waiting: (state.waiting.len(), state.bytes),
+        }
     }
 }
 

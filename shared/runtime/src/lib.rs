@@ -2,7 +2,7 @@
 //!
 //! [`config`] reads flags, environment and file; [`bus`] is the session, from a crate of its own;
 //! [`inbox`] and [`outbox`] are the bounded ways in and out, `errands` the thread that answers
-//! gets; [`shell`] runs one core; [`store`] keeps settings over a restart,
+//! gets; [`shell`] runs one core, [`observe`] shows it to probes and scrapers; [`store`] keeps settings over a restart,
 //! [`recording`] what happens to a service; [`service`] is the whole
 //! `main` of a service binary; [`stop`] turns signals into a clean end.
 
@@ -13,6 +13,7 @@ pub mod exit;
 pub mod inbox;
 pub mod instance;
 pub mod logging;
+pub mod observe;
 pub mod outbox;
 pub mod recording;
 pub mod service;

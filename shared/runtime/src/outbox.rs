@@ -74,6 +74,13 @@ impl Outbox {
         (state.sent, state.dropped)
     }
 
+    /// How many messages wait to be sent, and their bytes.
+    #[must_use]
+    pub fn waiting(&self) -> (usize, usize) {
+        let state = self.state();
+        (state.waiting.len(), state.bytes)
+    }
+
     /// Starts the thread that sends; it ends when the outbox is closed and empty.
     ///
     /// # Errors

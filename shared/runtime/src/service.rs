@@ -6,12 +6,14 @@ use std::time::Duration;
 
 use clap::{CommandFactory, FromArgMatches, Parser};
 use muster_machine::Core;
-use muster_model::id::ServiceName;
+use muster_model::id::{InstanceId, ServiceName};
+use tracing::Instrument as _;
 
 use crate::bus::{Bus, Patience};
 use crate::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use crate::exit::{self, ExitError};
 use crate::instance::instance_name;
+use crate::observe::{Observatory, Observer};
 use crate::recording::RecordTo;
 use crate::shell::{self, ServiceOptions};
 use crate::stop::{self, Stop};
@@ -63,7 +65,10 @@ fn start<C: Core>(args: &ServiceArgs) -> anyhow::Result<()> {
     if report(&args.process, &config, &[C::SERVICE])? {
         return Ok(());
     }
-    block_on(&config, async |config, stop| run::<C>(config, stop).await)
+    block_on(&config, async |config, stop| {
+        let observatory = Observatory::open(&config, &[C::SERVICE])?;
+        run::<C>(config, stop, observatory.observer(C::SERVICE)).await
+    })
 }
 
 /// Does what `--check-config` and `--print-config` ask for; true if the process is to end then.
@@ -109,8 +114,25 @@ where
 ///
 /// # Errors
 /// If the bus does not open, or refuses what the service declares.
-pub async fn run<C: Core>(config: ProcessConfig, mut stop: Stop) -> anyhow::Result<()> {
+pub async fn run<C: Core>(
+    config: ProcessConfig,
+    stop: Stop,
+    observer: Observer,
+) -> anyhow::Result<()> {
     let instance = instance_name();
+    // An error's level: the span must not vanish with the filter that lets only errors through.
+    let span = tracing::error_span!(
+        "service", service = %C::SERVICE, %instance, fleet = %config.fleet.value
+    );
+    run_instance::<C>(config, stop, observer, instance).instrument(span).await
+}
+
+async fn run_instance<C: Core>(
+    config: ProcessConfig,
+    mut stop: Stop,
+    observer: Observer,
+    instance: InstanceId,
+) -> anyhow::Result<()> {
     // Made before the bus opens, so that a wrong name is told at once.
     let record = config.record.as_ref().map(|to| to.create(C::SERVICE, &instance)).transpose()?;
     let options = ServiceOptions {
@@ -118,6 +140,7 @@ pub async fn run<C: Core>(config: ProcessConfig, mut stop: Stop) -> anyhow::Resu
         record,
         settings: config.settings(C::SERVICE)?,
         store: Store::new(config.state_directory.value.as_deref(), &config.fleet.value, C::SERVICE),
+        observer,
     };
     let bus = tokio::select! {
         bus = Bus::open(&config, Patience::Forever) => bus?,

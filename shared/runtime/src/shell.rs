@@ -23,12 +23,14 @@ use muster_wire::message::JSON;
 use muster_wire::{Key, KeySpace, Message, Outbound, Packet, Pattern, Rejection, Request, schema};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, MissedTickBehavior, sleep_until};
+use tracing::Instrument as _;
 
 use crate::bus::{Answer, Ask, Asked, Bus, Query};
 use crate::clock::Clock;
 use crate::errands::Errands;
 use crate::inbox::Inbox;
+use crate::observe::{Observer, Queues};
 use crate::outbox::Outbox;
 use crate::recording::{RecordFile, Recording, host_facts};
 use crate::stop::Stop;
@@ -61,6 +63,9 @@ const BETWEEN_TIMEOUTS: Duration = Duration::from_millis(1);
 /// How many packets are handled before deadlines and gets are looked after again.
 const BATCH: usize = 256;
 
+/// How often the loop shows that it turns, whatever else happens.
+const BEAT: Duration = Duration::from_millis(500);
+
 /// What a service is run with.
 #[derive(Debug)]
 pub struct ServiceOptions<S> {
@@ -70,6 +75,8 @@ pub struct ServiceOptions<S> {
     pub settings: S,
     /// Where it keeps settings over a restart.
     pub store: Store,
+    /// Who is told what passes.
+    pub observer: Observer,
     /// Where its life is recorded, if it is.
     pub record: Option<RecordFile>,
 }
@@ -110,14 +117,16 @@ pub async fn run<C: Core>(
         None => None,
     };
     let driver = Driver::<C>::new(start);
-    let sending = bus.clone();
+    let (sending, span) = (bus.clone(), tracing::Span::current());
     outbox.start(move |message| {
+        let _service = span.enter();
         if let Err(error) = sending.put(message) {
             tracing::debug!("{error:#}");
         }
     })?;
     let (errands, errands_done) = Errands::start(bus.clone(), options.store)?;
-    let served = declare::<C>(&bus, &inbox, queries).await?;
+    let observer = options.observer;
+    let served = declare::<C>(&bus, &inbox, queries, &observer).await?;
     let token = Key::ServiceToken(C::SERVICE, options.instance);
     let token = bus.declare_token(&token).await?;
     let mut link = bus.link();
@@ -134,13 +143,18 @@ pub async fn run<C: Core>(
         standing: Standing::Starting,
         queries: HashMap::new(),
         next_query: 0,
+        observer: observer.clone(),
         recording,
     };
     tracing::info!("{} serves fleet {}", C::SERVICE, bus.space().fleet());
     shell.step(Event::Started);
-    if !*link.borrow_and_update() {
+    let up = *link.borrow_and_update();
+    observer.link(up);
+    if !up {
         shell.step(Event::LinkLost);
     }
+    let mut beat = tokio::time::interval(BEAT);
+    beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut not_before = Instant::now();
     loop {
         let deadline = shell.driver.deadline();
@@ -157,6 +171,7 @@ pub async fn run<C: Core>(
                 shell.step(Event::Timeout);
                 not_before = Instant::now() + BETWEEN_TIMEOUTS;
             }
+            _ = beat.tick() => shell.show(),
             () = inbox.arrived() => shell.take_packets(),
             Some(asked) = asked.recv() => shell.take_query(asked),
             Some(ended) = ended.recv() => match ended {
@@ -166,10 +181,13 @@ pub async fn run<C: Core>(
             Ok(()) = link.changed() => {
                 let up = *link.borrow_and_update();
                 tracing::warn!("the link to the router is {}", if up { "back" } else { "lost" });
+                observer.link(up);
                 shell.step(if up { Event::LinkRestored } else { Event::LinkLost });
             }
         }
     }
+    observer.ended();
+    tracing::info!("{} ends", C::SERVICE);
     let recording = shell.recording.take();
     drop(shell);
     // What is stored last must reach the disk; everything else may be lost.
@@ -201,10 +219,12 @@ fn take_in<C: Core>(
     space: &KeySpace,
     inbox: &Arc<Inbox<Arrival>>,
     from_robots: bool,
+    observer: &Observer,
 ) -> impl Fn(Packet, Delivery) + Send + Sync + 'static {
-    let (space, inbox) = (space.clone(), Arc::clone(inbox));
+    let (space, inbox, observer) = (space.clone(), Arc::clone(inbox), observer.clone());
     move |packet, delivery| {
         let size = packet.key.len() + packet.payload.as_ref().map_or(0, Vec::len);
+        observer.arrived(size);
         if !from_robots {
             inbox.push(packet.key.clone(), Arrival::Packet(packet), size, delivery);
             return;
@@ -228,18 +248,19 @@ async fn declare<C: Core>(
     bus: &Bus,
     inbox: &Arc<Inbox<Arrival>>,
     queries: mpsc::Sender<Asked>,
+    observer: &Observer,
 ) -> anyhow::Result<watch::Sender<bool>> {
     let mut wiring = Wiring::of::<C>();
     wiring.served.push((Pattern::One(Key::Schema), true));
     let served = serve(bus.clone(), wiring.served, queries).await?;
     for subscription in wiring.subscriptions {
         let from_robots = subscription.pattern.payload_limit() == MAX_ROBOT_PAYLOAD;
-        let take = take_in::<C>(bus.space(), inbox, from_robots);
+        let take = take_in::<C>(bus.space(), inbox, from_robots, observer);
         let delivery = subscription.delivery;
         bus.subscribe(&subscription.pattern, move |packet| take(packet, delivery)).await?;
     }
     for pattern in &wiring.tokens {
-        let take = take_in::<C>(bus.space(), inbox, true);
+        let take = take_in::<C>(bus.space(), inbox, true, observer);
         bus.subscribe_tokens(pattern, move |packet| take(packet, Delivery::Latest)).await?;
     }
     Ok(served)
@@ -258,7 +279,7 @@ async fn serve(
     for (pattern, _) in &keys {
         standing.push(bus.serve(pattern, false, queries.clone()).await?);
     }
-    tokio::spawn(async move {
+    let following = async move {
         while changed.changed().await.is_ok() {
             let holds = *changed.borrow_and_update();
             for ((pattern, own), served) in keys.iter().zip(&mut standing).filter(|(key, _)| key.1)
@@ -270,7 +291,8 @@ async fn serve(
                 }
             }
         }
-    });
+    };
+    tokio::spawn(following.in_current_span());
     Ok(holds)
 }
 
@@ -288,6 +310,7 @@ struct Shell<C: Core> {
     queries: HashMap<QueryId, Query>,
     next_query: u64,
     recording: Option<Recording>,
+    observer: Observer,
 }
 
 impl<C: Core> Shell<C> {
@@ -297,6 +320,10 @@ impl<C: Core> Shell<C> {
 
     /// Hands an event to the core; `laps` are those of the job that it ends, if it does.
     fn step_with(&mut self, event: Event<C::Done>, laps: &[u64]) {
+        let (kind, begun) = (kind(&event), Instant::now());
+        if let Event::Received(message) = &event {
+            self.observer.received(message);
+        }
         let now = self.clock.now();
         let space = self.bus.space();
         if let Some(recording) = &mut self.recording {
@@ -315,6 +342,23 @@ impl<C: Core> Shell<C> {
         if standing != std::mem::replace(&mut self.standing, standing) {
             self.stands(standing);
         }
+        self.observer.handled(kind, begun.elapsed());
+    }
+
+    /// Shows that the loop turns, and how the service stands.
+    fn show(&self) {
+        let status = self.driver.core().status(self.clock.now());
+        let inbox = self.inbox.counts();
+        let (sent, outbox_dropped) = self.outbox.counts();
+        let queues = Queues {
+            inbox: inbox.waiting,
+            superseded: inbox.superseded,
+            inbox_dropped: inbox.dropped,
+            outbox: self.outbox.waiting(),
+            sent,
+            outbox_dropped,
+        };
+        self.observer.turned(&status, &queues);
     }
 
     fn stands(&self, standing: Standing) {
@@ -384,12 +428,17 @@ impl<C: Core> Shell<C> {
     fn carry_out(&mut self, now: Tick, command: Command<C::Job>, stored: bool) {
         match command {
             Command::Publish(message) => match message.publish(now) {
-                Ok(outbound) => outbound.into_iter().for_each(|message| self.outbox.push(message)),
+                Ok(outbound) => {
+                    let bytes = outbound.iter().map(|outbound| outbound.payload.len()).sum();
+                    self.observer.published(&message, bytes, now);
+                    outbound.into_iter().for_each(|message| self.outbox.push(message));
+                }
                 Err(error) => tracing::error!("{} is not published: {error}", message.keys().0),
             },
             Command::Reply { query, request, answer } => {
                 if let Some(query) = self.queries.remove(&query) {
                     let answer = self.encode_answer(&request, answer, now);
+                    self.observer.answered();
                     self.errands.reply(query, answer, stored);
                 }
             }
@@ -432,8 +481,11 @@ impl<C: Core> Shell<C> {
     }
 
     fn run_job(&self, job: C::Job) {
-        let ended = self.ended.clone();
+        let (ended, observer) = (self.ended.clone(), self.observer.clone());
+        observer.job_started();
+        let span = tracing::Span::current();
         tokio::task::spawn_blocking(move || {
+            let _service = span.enter();
             let start = Instant::now();
             let micros = move || u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX);
             let mut stopwatch = Stopwatch::reading(micros);
@@ -442,6 +494,7 @@ impl<C: Core> Shell<C> {
                 Ok(done) => Event::Done(done),
                 Err(panic) => Event::JobFailed(panic_text(panic.as_ref())),
             };
+            observer.job_ended(start.elapsed());
             // The loop has ended if nobody receives; then nobody needs the result.
             let laps = stopwatch.laps().to_vec();
             let _ = ended.blocking_send(Ended::Job { event, laps });
@@ -451,13 +504,13 @@ impl<C: Core> Shell<C> {
     fn fetch(&self, fetch: u32, patterns: Vec<Pattern>) {
         let (bus, ended) = (self.bus.clone(), self.ended.clone());
         let now = Instant::now();
-        tokio::spawn(async move {
+        let fetching = async move {
             let mut asked = JoinSet::new();
             for pattern in patterns {
                 let bus = bus.clone();
                 let patient = is_patient::<C>(fetch, &pattern);
                 let until = if patient { now + START_PATIENCE } else { now };
-                asked.spawn(async move {
+                let asking = async move {
                     loop {
                         let answers = fetch_one::<C>(&bus, &pattern).await;
                         if !answers.is_empty() || Instant::now() >= until {
@@ -465,14 +518,16 @@ impl<C: Core> Shell<C> {
                         }
                         tokio::time::sleep(START_AGAIN).await;
                     }
-                });
+                };
+                asked.spawn(asking.in_current_span());
             }
             let mut messages = Vec::new();
             while let Some(answered) = asked.join_next().await {
                 messages.extend(answered.unwrap_or_default());
             }
             let _ = ended.send(Ended::Fetch { fetch, messages }).await;
-        });
+        };
+        tokio::spawn(fetching.in_current_span());
     }
 }
 
@@ -500,4 +555,20 @@ async fn fetch_one<C: Core>(bus: &Bus, pattern: &Pattern) -> Vec<Message> {
         }
     });
     understood.collect()
+}
+
+/// The kind of an event, as it is counted.
+fn kind<Done>(event: &Event<Done>) -> &'static str {
+    match event {
+        Event::Started => "started",
+        Event::Received(_) => "message",
+        Event::Rejected(_) => "refused",
+        Event::Timeout => "timeout",
+        Event::Done(_) => "job_done",
+        Event::JobFailed(_) => "job_failed",
+        Event::Fetched { .. } => "fetched",
+        Event::Query { .. } => "get",
+        Event::LinkLost => "link_lost",
+        Event::LinkRestored => "link_restored",
+    }
 }

@@ -21,6 +21,7 @@ use muster_model::time::Tick;
 use muster_runtime::bus::{Answer, Ask, Bus, Patience};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
 use muster_runtime::inbox::Inbox;
+use muster_runtime::observe::Observatory;
 use muster_runtime::recording::RecordTo;
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
@@ -136,12 +137,18 @@ async fn bus() -> (Bus, ProcessConfig) {
     (router, config(Mode::Client, &[("connect", &endpoint)]))
 }
 
+/// One that shows nothing.
+fn observatory() -> Observatory {
+    Observatory::open(&config(Mode::Client, &[]), &[]).unwrap()
+}
+
 fn options(store: Store) -> ServiceOptions<ClustererSettings> {
     ServiceOptions {
         instance: InstanceId::of_process("test", 1, 1),
         settings: ClustererSettings::default(),
         store,
         record: None,
+        observer: observatory().observer(ServiceName::Clusterer),
     }
 }
 

@@ -60,6 +60,10 @@ pub struct ProcessArgs {
     /// Log JSON lines [MUSTER_LOG_JSON=true]
     #[arg(long, global = true)]
     pub log_json: bool,
+    /// Where to serve /healthz, /readyz and /metrics, such as 127.0.0.1:9464; nowhere by default
+    /// [MUSTER_HTTP]
+    #[arg(long, global = true, value_name = "ADDRESS:PORT")]
+    pub http: Option<String>,
     /// Check the configuration and end
     #[arg(long, global = true)]
     pub check_config: bool,

@@ -58,6 +58,7 @@ pub(super) struct File {
     pub(super) state_directory: Option<PathBuf>,
     pub(super) log: Option<String>,
     pub(super) log_json: Option<bool>,
+    pub(super) http: Option<String>,
     pub(super) ingest: Option<toml::Table>,
     pub(super) embedder: Option<toml::Table>,
     pub(super) clusterer: Option<toml::Table>,

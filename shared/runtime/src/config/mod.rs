@@ -9,6 +9,7 @@ mod assignments;
 mod layers;
 mod print;
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use muster_model::id::{FleetId, ServiceName};
@@ -49,6 +50,8 @@ pub struct ProcessConfig {
     pub log_json: Sourced<bool>,
     /// Where services are recorded. Only a flag says so: nobody is to fill a disk unawares.
     pub record: Option<RecordTo>,
+    /// Where health, readiness and metrics are served.
+    pub http: Sourced<Option<SocketAddr>>,
     patches: Vec<(ServiceName, Origin, Value)>,
 }
 
@@ -172,6 +175,17 @@ impl ProcessConfig {
             false,
         )?;
 
+        let http = layers.pick(
+            args.http.clone().map(Some),
+            "MUSTER_HTTP",
+            |text| Ok(Some(text.to_owned())),
+            file.http.map(Some),
+            None,
+        )?;
+        let address = http.value.as_deref().filter(|text| *text != "none");
+        let address = address.map(read_address).transpose().map_err(ExitError::usage)?;
+        let http = Sourced { value: address, origin: http.origin };
+
         let mut patches = Vec::new();
         let tables = [
             (ServiceName::Ingest, file.ingest),
@@ -204,6 +218,7 @@ impl ProcessConfig {
             log,
             log_json,
             record: None,
+            http,
             patches,
         };
         crate::logging::check(config.log.value.as_deref()).map_err(ExitError::usage)?;
@@ -274,6 +289,13 @@ impl ProcessConfig {
     }
 }
 
+fn read_address(text: &str) -> Result<SocketAddr, String> {
+    text.parse().map_err(|_| {
+        let text = muster_wire::message::quoted(text);
+        format!("http: {text:?} is no address with a port; write one like 127.0.0.1:9464, or none")
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -335,6 +357,7 @@ mod tests {
         assert!(with("connect = [\"tcp/localhost\"]").contains("port"));
         assert!(with("connect = [\"udp/localhost:7447\"]").contains("protocol"));
         assert!(with("log = \"loud=very=much\"").contains("log"));
+        assert!(with("http = \"localhost\"").contains("http"));
         assert!(with("zenoh_config = \"/none.json5\"").contains("/none.json5"));
         assert!(problem("fleet = ").contains("muster.toml"));
         let absent = ProcessArgs { config: Some("/nowhere.toml".into()), ..ProcessArgs::default() };

@@ -38,6 +38,8 @@ impl ProcessConfig {
         line("state_directory", path(&self.state_directory.value), &self.state_directory.origin);
         line("log", self.log.value.clone().into(), &self.log.origin);
         line("log_json", self.log_json.value.into(), &self.log_json.origin);
+        let http = self.http.value.map_or(Value::Null, |address| address.to_string().into());
+        line("http", http, &self.http.origin);
         for service in services {
             let settings = match service {
                 ServiceName::Ingest => to_value(&self.settings::<IngestSettings>(*service)?),

@@ -1,0 +1,199 @@
+//! The port: `/healthz`, `/readyz` and `/metrics`, and nothing else.
+//!
+//! It runs on a thread of its own. Every connection is bounded in time and bytes, and there are at
+//! most so many: whoever can reach the port can watch the process and not slow it down.
+
+use std::convert::Infallible;
+use std::net::{SocketAddr, TcpListener};
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context;
+use http_body_util::Full;
+use hyper::body::{Bytes, Incoming};
+use hyper::header::{ALLOW, CACHE_CONTROL, CONTENT_TYPE, HeaderValue};
+use hyper::service::service_fn;
+use hyper::{Method, Request, Response, StatusCode};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use serde_json::{Map, Value, json};
+use tokio::sync::{Semaphore, oneshot};
+
+use super::{Shared, health, metrics};
+use crate::exit::{Exit, ExitError};
+
+/// Most connections at once: a handful of probes and scrapers. One more is closed at once.
+const MAX_CONNECTIONS: usize = 32;
+
+/// Largest head of a request in bytes, and most fields in it: browsers send some hundred bytes.
+const MAX_HEAD: usize = 16 * 1024;
+const MAX_FIELDS: usize = 64;
+
+/// How long a request may take to arrive.
+const HEAD_WITHIN: Duration = Duration::from_secs(5);
+
+/// How long a connection may last altogether, also if its answer is not read.
+const CONNECTION_WITHIN: Duration = Duration::from_secs(10);
+
+/// How long nothing is accepted after that failed: descriptors may have run out, and are not there
+/// again at once.
+const ACCEPT_AGAIN: Duration = Duration::from_millis(100);
+
+/// An open port. It closes when this is let go of.
+#[derive(Debug)]
+pub(super) struct Port {
+    address: SocketAddr,
+    _closing: oneshot::Sender<Infallible>,
+}
+
+impl Port {
+    /// Listens at an address.
+    ///
+    /// # Errors
+    /// If that is not possible; the text names the flag.
+    pub(super) fn open(address: SocketAddr, shared: Arc<Shared>) -> anyhow::Result<Self> {
+        let fail = |error: std::io::Error| ExitError {
+            exit: Exit::Failure,
+            message: format!(
+                "http: cannot listen at {address}: {error}; choose another address with --http, or \
+                 leave it out"
+            ),
+        };
+        let listener = TcpListener::bind(address).map_err(fail)?;
+        listener.set_nonblocking(true).map_err(fail)?;
+        let address = listener.local_addr().map_err(fail)?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let (closing, closed) = oneshot::channel();
+        std::thread::Builder::new()
+            .name("muster-http".to_owned())
+            .spawn(move || runtime.block_on(serve(listener, shared, closed)))
+            .context("cannot start the thread that serves --http")?;
+        tracing::info!("serves /healthz, /readyz and /metrics at http://{address}");
+        Ok(Self { address, _closing: closing })
+    }
+
+    /// Where it listens.
+    pub(super) fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+async fn serve(
+    listener: TcpListener,
+    shared: Arc<Shared>,
+    mut closed: oneshot::Receiver<Infallible>,
+) {
+    let listener = match tokio::net::TcpListener::from_std(listener) {
+        Ok(listener) => listener,
+        Err(error) => return tracing::error!("--http is not served: {error}"),
+    };
+    let room = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+    loop {
+        let accepted = tokio::select! {
+            _ = &mut closed => return,
+            accepted = listener.accept() => accepted,
+        };
+        let stream = match accepted {
+            Ok((stream, _)) => stream,
+            Err(error) => {
+                tracing::warn!("--http accepts nothing for a moment: {error}");
+                tokio::time::sleep(ACCEPT_AGAIN).await;
+                continue;
+            }
+        };
+        let Ok(place) = Arc::clone(&room).try_acquire_owned() else { continue };
+        let shared = Arc::clone(&shared);
+        tokio::spawn(async move {
+            let service = service_fn(move |request| {
+                let answer = answer(&request, &shared);
+                async move { Ok::<_, Infallible>(answer) }
+            });
+            let connection = hyper::server::conn::http1::Builder::new()
+                .timer(TokioTimer::new())
+                .header_read_timeout(HEAD_WITHIN)
+                .max_buf_size(MAX_HEAD)
+                .max_headers(MAX_FIELDS)
+                .keep_alive(false)
+                .serve_connection(TokioIo::new(stream), service);
+            // What a client does wrong is its own affair; the text of hyper quotes no request.
+            if let Ok(Err(error)) = tokio::time::timeout(CONNECTION_WITHIN, connection).await {
+                tracing::debug!("a connection to --http failed: {error}");
+            }
+            drop(place);
+        });
+    }
+}
+
+fn answer(request: &Request<Incoming>, shared: &Shared) -> Response<Full<Bytes>> {
+    if !matches!(*request.method(), Method::GET | Method::HEAD) {
+        let mut answer = text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD\n".to_owned());
+        answer.headers_mut().insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
+        return answer;
+    }
+    match request.uri().path() {
+        "/healthz" => healthz(shared),
+        "/readyz" => readyz(shared),
+        "/metrics" => {
+            shared.watched.iter().for_each(|watched| watched.refresh());
+            match shared.metrics.text() {
+                Ok(all) => with_type(text(StatusCode::OK, all), metrics::CONTENT_TYPE),
+                Err(error) => {
+                    tracing::error!("the metrics cannot be written: {error}");
+                    text(StatusCode::INTERNAL_SERVER_ERROR, "no metrics\n".to_owned())
+                }
+            }
+        }
+        _ => text(StatusCode::NOT_FOUND, "there are /healthz, /readyz and /metrics\n".to_owned()),
+    }
+}
+
+fn healthz(shared: &Shared) -> Response<Full<Bytes>> {
+    let mut all = true;
+    let services: Map<String, Value> = shared
+        .watched
+        .iter()
+        .map(|watched| {
+            let look = watched.look();
+            let alive = health::is_alive(&look);
+            all &= alive;
+            let since = look.since_turn.map(|since| since.as_secs_f64());
+            (watched.service.to_string(), json!({"alive": alive, "last_turn_s": since}))
+        })
+        .collect();
+    json_answer(all, &json!({"alive": all, "services": services}))
+}
+
+fn readyz(shared: &Shared) -> Response<Full<Bytes>> {
+    let mut all = true;
+    let services: Map<String, Value> = shared
+        .watched
+        .iter()
+        .map(|watched| {
+            let look = watched.look();
+            let reasons = health::reasons(watched.service, &look);
+            all &= reasons.is_empty();
+            let standing = look.standing;
+            let state =
+                json!({"ready": reasons.is_empty(), "standing": standing, "reasons": reasons});
+            (watched.service.to_string(), state)
+        })
+        .collect();
+    json_answer(all, &json!({"ready": all, "services": services}))
+}
+
+fn json_answer(good: bool, value: &Value) -> Response<Full<Bytes>> {
+    let status = if good { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    with_type(text(status, format!("{value}\n")), "application/json")
+}
+
+fn text(status: StatusCode, body: String) -> Response<Full<Bytes>> {
+    let mut answer = Response::new(Full::new(Bytes::from(body)));
+    *answer.status_mut() = status;
+    // A cached state is a wrong one.
+    answer.headers_mut().insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    with_type(answer, "text/plain; charset=utf-8")
+}
+
+fn with_type(mut answer: Response<Full<Bytes>>, kind: &'static str) -> Response<Full<Bytes>> {
+    answer.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(kind));
+    answer
+}

@@ -1,0 +1,392 @@
+//! What the shell of one service tells of what passes, and what is known of it at any moment.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use muster_model::event::{Event as FleetEvent, Severity};
+use muster_model::id::ServiceName;
+use muster_model::role::Standing;
+use muster_model::roster::{Presence, Roster};
+use muster_model::status::ServiceStatus;
+use muster_model::time::Tick;
+use muster_wire::Message;
+use muster_wire::message::quoted;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+
+use super::health::{self, Look};
+use super::metrics::{Metrics, Number, OfNamed, OfWith, count, observe, of, set_counter};
+
+/// What waits for a service, and what has become of what waited.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Queues {
+    /// Messages that wait for the core, and their bytes.
+    pub inbox: (usize, usize),
+    /// Messages that a newer one of their key replaced.
+    pub superseded: u64,
+    /// Messages that were dropped because too many waited.
+    pub inbox_dropped: u64,
+    /// Messages that wait to be sent, and their bytes.
+    pub outbox: (usize, usize),
+    /// Messages that were sent.
+    pub sent: u64,
+    /// Messages that were dropped because too many waited to be sent.
+    pub outbox_dropped: u64,
+}
+
+/// What the shell of one service tells of what passes. Nothing here waits, and nothing is kept that
+/// grows.
+#[derive(Debug, Clone)]
+pub struct Observer(Arc<Watched>);
+
+/// One service under observation.
+#[derive(Debug)]
+pub(super) struct Watched {
+    pub(super) service: ServiceName,
+    state: Mutex<State>,
+    metrics: Own,
+}
+
+/// What readiness rests on.
+#[derive(Debug, Default)]
+struct State {
+    turned: Option<Instant>,
+    link: Option<bool>,
+    linked: Option<Instant>,
+    standing: Standing,
+    roster: Option<Instant>,
+    embedding: Option<Instant>,
+    teams: Option<Instant>,
+    peopled: Option<Instant>,
+}
+
+/// The metrics of one service. They are handles: an update takes no lock that others hold for long.
+#[derive(Debug)]
+struct Own {
+    labels: (&'static str, &'static str),
+    up: Gauge,
+    ready: Gauge,
+    term: Gauge,
+    epoch: Gauge,
+    standing: Family<OfWith, Gauge>,
+    link: Gauge,
+    reconnects: Counter,
+    data_age: Histogram,
+    stage: Histogram,
+    events: Family<OfWith, Counter>,
+    handling: Histogram,
+    jobs_running: Gauge,
+    job: Histogram,
+    jobs_failed: Counter,
+    inbox: (Gauge, Gauge),
+    superseded: Counter,
+    inbox_dropped: Counter,
+    outbox: (Gauge, Gauge),
+    sent: Counter,
+    outbox_dropped: Counter,
+    received_bytes: Counter,
+    published_bytes: Counter,
+    answered: Counter,
+    refused: Counter,
+    counted: Family<OfNamed, Counter>,
+    results: Results,
+}
+
+/// The metrics that only one service has: they appear with the first result.
+#[derive(Debug)]
+struct Results {
+    robots: Family<OfWith, Gauge>,
+    teams: Family<super::metrics::Of, Gauge>,
+    teams_requested: Family<super::metrics::Of, Gauge>,
+    unassigned: Family<super::metrics::Of, Gauge>,
+    silhouette: Family<OfWith, Number>,
+    katz_residual: Family<super::metrics::Of, Number>,
+    residual: Family<super::metrics::Of, Number>,
+    spectral_radius: Family<super::metrics::Of, Number>,
+    alpha: Family<super::metrics::Of, Number>,
+    embeddings: Family<OfWith, Counter>,
+}
+
+impl Own {
+    fn new(service: ServiceName, all: &Metrics) -> Self {
+        let of = of(service);
+        Self {
+            labels: of[0],
+            up: all.up.get_or_create_owned(&of),
+            ready: all.ready.get_or_create_owned(&of),
+            term: all.term.get_or_create_owned(&of),
+            epoch: all.epoch.get_or_create_owned(&of),
+            standing: all.standing.clone(),
+            link: all.link.get_or_create_owned(&of),
+            reconnects: all.reconnects.get_or_create_owned(&of),
+            data_age: all.data_age.get_or_create_owned(&of),
+            stage: all.stage.get_or_create_owned(&of),
+            events: all.events.clone(),
+            handling: all.handling.get_or_create_owned(&of),
+            jobs_running: all.jobs_running.get_or_create_owned(&of),
+            job: all.job.get_or_create_owned(&of),
+            jobs_failed: all.jobs_failed.get_or_create_owned(&of),
+            inbox: (all.inbox.get_or_create_owned(&of), all.inbox_bytes.get_or_create_owned(&of)),
+            superseded: all.inbox_superseded.get_or_create_owned(&of),
+            inbox_dropped: all.inbox_dropped.get_or_create_owned(&of),
+            outbox: (
+                all.outbox.get_or_create_owned(&of),
+                all.outbox_bytes.get_or_create_owned(&of),
+            ),
+            sent: all.outbox_sent.get_or_create_owned(&of),
+            outbox_dropped: all.outbox_dropped.get_or_create_owned(&of),
+            received_bytes: all.received_bytes.get_or_create_owned(&of),
+            published_bytes: all.published_bytes.get_or_create_owned(&of),
+            answered: all.answered.get_or_create_owned(&of),
+            refused: all.refused.get_or_create_owned(&of),
+            counted: all.counted.clone(),
+            results: Results {
+                robots: all.robots.clone(),
+                teams: all.teams.clone(),
+                teams_requested: all.teams_requested.clone(),
+                unassigned: all.unassigned.clone(),
+                silhouette: all.silhouette.clone(),
+                katz_residual: all.katz_residual.clone(),
+                residual: all.residual.clone(),
+                spectral_radius: all.spectral_radius.clone(),
+                alpha: all.alpha.clone(),
+                embeddings: all.embeddings.clone(),
+            },
+        }
+    }
+}
+
+impl Watched {
+    pub(super) fn new(service: ServiceName, metrics: &Metrics) -> Self {
+        let watched =
+            Self { service, state: Mutex::default(), metrics: Own::new(service, metrics) };
+        watched.show_standing(Standing::Starting);
+        watched
+    }
+
+    /// No critical section can panic half-way, so that a poisoned lock still guards a whole state.
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What is known now.
+    pub(super) fn look(&self) -> Look {
+        let now = Instant::now();
+        let state = self.state();
+        let since = |at: Option<Instant>| at.map(|at| now.saturating_duration_since(at));
+        Look {
+            since_turn: since(state.turned),
+            link: state.link,
+            standing: state.standing,
+            linked_for: since(state.linked).unwrap_or_default(),
+            since_roster: since(state.roster),
+            since_embedding: since(state.embedding),
+            since_teams: since(state.teams),
+            peopled_for: since(state.peopled),
+        }
+    }
+
+    /// Brings those metrics up to now that change by themselves.
+    pub(super) fn refresh(&self) {
+        let look = self.look();
+        self.metrics.up.set(i64::from(health::is_alive(&look)));
+        self.metrics.ready.set(i64::from(health::reasons(self.service, &look).is_empty()));
+    }
+
+    fn show_standing(&self, standing: Standing) {
+        for (other, name) in [
+            (Standing::Starting, "starting"),
+            (Standing::Standby, "standby"),
+            (Standing::Doubtful, "doubtful"),
+            (Standing::Holding, "holding"),
+        ] {
+            let labels = [self.metrics.labels, ("standing", name)];
+            self.metrics.standing.get_or_create(&labels).set(i64::from(other == standing));
+        }
+    }
+}
+
+impl Observer {
+    pub(super) fn new(watched: Arc<Watched>) -> Self {
+        Self(watched)
+    }
+
+    /// The loop turns; this is how the service stands.
+    pub fn turned(&self, status: &ServiceStatus, queues: &Queues) {
+        let (own, mut state) = (&self.0.metrics, self.0.state());
+        state.turned = Some(Instant::now());
+        let before = std::mem::replace(&mut state.standing, status.standing);
+        drop(state);
+        if before != status.standing {
+            self.0.show_standing(status.standing);
+        }
+        own.term.set(i64::try_from(status.revision.term).unwrap_or(i64::MAX));
+        own.epoch.set(i64::try_from(status.revision.epoch).unwrap_or(i64::MAX));
+        for (name, total) in &status.counters {
+            match name.as_str() {
+                "messages_refused" => set_counter(&own.refused, *total),
+                "jobs_failed" => set_counter(&own.jobs_failed, *total),
+                _ => {
+                    let labels = [(own.labels.0, own.labels.1.to_owned()), ("what", name.clone())];
+                    set_counter(&own.counted.get_or_create(&labels), *total);
+                }
+            }
+        }
+        own.inbox.0.set(count(queues.inbox.0));
+        own.inbox.1.set(count(queues.inbox.1));
+        own.outbox.0.set(count(queues.outbox.0));
+        own.outbox.1.set(count(queues.outbox.1));
+        set_counter(&own.superseded, queues.superseded);
+        set_counter(&own.inbox_dropped, queues.inbox_dropped);
+        set_counter(&own.sent, queues.sent);
+        set_counter(&own.outbox_dropped, queues.outbox_dropped);
+    }
+
+    /// The loop has ended, as it should.
+    pub fn ended(&self) {
+        self.0.state().turned = None;
+    }
+
+    /// The link to the router is up or lost.
+    pub fn link(&self, up: bool) {
+        let mut state = self.0.state();
+        if up && state.link == Some(false) {
+            self.0.metrics.reconnects.inc();
+        }
+        if up && state.link != Some(true) {
+            state.linked = Some(Instant::now());
+        }
+        state.link = Some(up);
+        self.0.metrics.link.set(i64::from(up));
+    }
+
+    /// One event of a kind was handled, with everything that it led to.
+    pub fn handled(&self, kind: &'static str, took: Duration) {
+        let own = &self.0.metrics;
+        own.events.get_or_create(&[own.labels, ("kind", kind)]).inc();
+        observe(&own.handling, took);
+    }
+
+    /// Bytes arrived. May be called on any thread.
+    pub fn arrived(&self, bytes: usize) {
+        self.0.metrics.received_bytes.inc_by(bytes as u64);
+    }
+
+    /// A message is handed to the core.
+    pub fn received(&self, message: &Message) {
+        let now = Instant::now();
+        let mut state = self.0.state();
+        match message {
+            Message::Roster(roster) => {
+                state.roster = Some(now);
+                if roster.robots.is_empty() {
+                    state.peopled = None;
+                } else {
+                    state.peopled.get_or_insert(now);
+                }
+            }
+            Message::Embedding(_) => state.embedding = Some(now),
+            Message::Teams { .. } => state.teams = Some(now),
+            _ => {}
+        }
+    }
+
+    /// A message was published, in so many bytes.
+    pub fn published(&self, message: &Message, bytes: usize, now: Tick) {
+        let own = &self.0.metrics;
+        own.published_bytes.inc_by(bytes as u64);
+        let results = &own.results;
+        let of = [own.labels];
+        match message {
+            Message::Roster(roster) => self.roster(roster),
+            Message::Embedding(embedding) => {
+                let quality = &embedding.quality;
+                results.katz_residual.get_or_create(&of).set(quality.katz_residual);
+                results.residual.get_or_create(&of).set(quality.residual);
+                results.spectral_radius.get_or_create(&of).set(quality.spectral_radius.1);
+                results.alpha.get_or_create(&of).set(quality.alpha);
+                let mode = match quality.mode {
+                    muster_model::embedding::EmbeddingMode::Dense => "dense",
+                    muster_model::embedding::EmbeddingMode::Cached => "cached",
+                };
+                results.embeddings.get_or_create(&[own.labels, ("mode", mode)]).inc();
+            }
+            Message::Teams { teams, .. } => {
+                results.teams.get_or_create(&of).set(count(teams.teams.len()));
+                results.teams_requested.get_or_create(&of).set(i64::from(teams.requested));
+                results.unassigned.get_or_create(&of).set(count(teams.unassigned.len()));
+            }
+            Message::Audit(audit) => {
+                for (space, report) in
+                    [("embedding", &audit.in_embedding), ("physical", &audit.in_physical)]
+                {
+                    let labels = [own.labels, ("space", space)];
+                    match report.mean {
+                        Some(mean) => {
+                            results.silhouette.get_or_create(&labels).set(mean);
+                        }
+                        // A mean that is not defined is not zero.
+                        None => {
+                            results.silhouette.remove(&labels);
+                        }
+                    }
+                }
+            }
+            Message::Event(event) => return tell(event),
+            _ => return,
+        }
+        let Some(header) = message.header() else { return };
+        if let Some(age) = header.data_age_s(now) {
+            own.data_age.observe(age);
+        }
+        if let Some(stage) = header.stages.iter().rfind(|stage| stage.stage == self.0.service) {
+            observe(&own.stage, stage.published.since(stage.received));
+        }
+    }
+
+    fn roster(&self, roster: &Roster) {
+        let own = &self.0.metrics;
+        let mut counts = BTreeMap::from([("active", 0), ("stale", 0)]);
+        for entry in &roster.robots {
+            let name = match entry.presence {
+                Presence::Active => "active",
+                Presence::Stale => "stale",
+            };
+            *counts.entry(name).or_default() += 1;
+        }
+        for (presence, number) in counts {
+            let labels = [own.labels, ("presence", presence)];
+            own.results.robots.get_or_create(&labels).set(number);
+        }
+    }
+
+    /// A get was answered.
+    pub fn answered(&self) {
+        self.0.metrics.answered.inc();
+    }
+
+    /// A computation starts.
+    pub fn job_started(&self) {
+        self.0.metrics.jobs_running.inc();
+    }
+
+    /// A computation has ended. May be called on any thread.
+    pub fn job_ended(&self, took: Duration) {
+        self.0.metrics.jobs_running.dec();
+        observe(&self.0.metrics.job, took);
+    }
+}
+
+/// What consoles are told goes to the log as well, by how much it matters to who runs the process:
+/// what robots do wrong is not wrong with the process.
+fn tell(event: &FleetEvent) {
+    let text = || quoted(&serde_json::to_string(&event.kind).unwrap_or_default());
+    match event.severity {
+        Severity::Error => tracing::error!("event {}", text()),
+        Severity::Warning => tracing::info!("event {}", text()),
+        Severity::Info => tracing::debug!("event {}", text()),
+    }
+}
