@@ -48,7 +48,8 @@ pub(crate) async fn messages(bus: &Bus, pattern: &Pattern) -> anyhow::Result<Vec
     Ok(messages)
 }
 
-fn revision(message: &Message) -> Revision {
+/// Where a message stands among the outputs of its role.
+pub(crate) fn revision(message: &Message) -> Revision {
     message.header().map_or_else(Revision::default, |header| header.revision)
 }
 

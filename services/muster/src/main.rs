@@ -1,12 +1,14 @@
 //! `muster`: the operator's command.
 //!
-//! It starts things ([`demo`], [`up`], [`router`], [`robot`]), looks at a live fleet ([`show`]),
-//! changes its settings ([`set`]), prints what messages look like ([`schema`]), runs the method once on
-//! a file ([`solve`]), and lives through the recording of a service again ([`replay`]). It is the one
+//! It starts things ([`demo`], [`up`], [`router`], [`robot`]), looks at a live fleet ([`show`],
+//! [`doctor`]), changes its settings ([`set`]), prints what messages look like ([`schema`]), runs the
+//! method once on a file ([`solve`]), and lives through the recording of a service again ([`replay`]). It
+//! is the one
 //! program that knows all services: it composes them and adds nothing to them.
 
 mod ask;
 mod demo;
+mod doctor;
 mod fleet;
 mod replay;
 mod robot;
@@ -60,6 +62,8 @@ enum Command {
     Graph(show::graph::GraphArgs),
     /// Show services and robots of the live fleet
     Status(show::ShowArgs),
+    /// Find what is wrong with a fleet, and say what to do
+    Doctor(doctor::DoctorArgs),
     /// Show or change the settings of a running service
     Set(set::SetArgs),
     /// Print the JSON Schema of the messages
@@ -120,6 +124,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Status(args) => {
             console(&config, async |config| show::status::run(args, &config).await)
         }
+        Command::Doctor(args) => console(&config, async |config| doctor::run(args, &config).await),
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
         Command::ReplayCore(args) => replay::run(args),
         Command::Schema(args) => schema::run(args),

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use anyhow::Context;
+use muster_model::id::FleetId;
 use muster_wire::{Key, KeySpace, Outbound, Packet, Pattern, Source};
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, watch};
@@ -251,11 +252,34 @@ impl Bus {
     /// # Errors
     /// If the session is closed.
     pub async fn tokens(&self, pattern: &Pattern, within: Duration) -> anyhow::Result<Vec<Key>> {
-        let text = self.space.pattern(pattern);
+        let texts = self.token_texts(&self.space.pattern(pattern), within).await?;
+        let mut keys: Vec<_> =
+            texts.iter().filter_map(|text| self.space.parse(text).ok()).collect();
+        keys.sort_unstable();
+        keys.dedup();
+        Ok(keys)
+    }
+
+    /// The liveliness tokens of every fleet that there are now.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn tokens_of_all_fleets(
+        &self,
+        within: Duration,
+    ) -> anyhow::Result<Vec<(FleetId, Key)>> {
+        let mut tokens = self.token_texts(muster_wire::key::ANY_FLEET, within).await?;
+        tokens.sort_unstable();
+        tokens.dedup();
+        Ok(tokens.iter().filter_map(|text| muster_wire::key::parse_any(text)).collect())
+    }
+
+    /// The texts of the liveliness tokens that are there now, not more than are kept.
+    async fn token_texts(&self, pattern: &str, within: Duration) -> anyhow::Result<Vec<String>> {
         let (sender, mut receiver) = mpsc::channel(MAX_ANSWERS);
         self.session
             .liveliness()
-            .get(text.as_str())
+            .get(pattern)
             .timeout(within)
             .callback(move |reply| {
                 if let Ok(sample) = reply.result() {
@@ -263,14 +287,12 @@ impl Bus {
                 }
             })
             .await
-            .map_err(|error| anyhow::anyhow!("cannot ask for {text}: {error}"))?;
-        let mut keys = Vec::new();
-        while let Some(key) = receiver.recv().await {
-            keys.extend(self.space.parse(&key));
+            .map_err(|error| anyhow::anyhow!("cannot ask for {pattern}: {error}"))?;
+        let mut texts = Vec::new();
+        while let Some(text) = receiver.recv().await {
+            texts.push(text);
         }
-        keys.sort_unstable();
-        keys.dedup();
-        Ok(keys)
+        Ok(texts)
     }
 
     /// Hands every packet of a pattern to a function, for as long as the session lives. The function

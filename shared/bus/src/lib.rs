@@ -3,10 +3,11 @@
 //! It stands by itself, below the shell of the services and the client of robots, so that a robot
 //! takes the same session with the same defaults and none of what only a program of ours needs.
 //! [`config`] says which bus; [`Bus`] is the session; `zenoh_config` puts Zenoh's own configuration
-//! together.
+//! together; [`handshake`] looks what answers where no session opens.
 
 mod bus;
 pub mod config;
+pub mod handshake;
 mod zenoh_config;
 
 pub use bus::{Answer, Ask, Asked, Bus, OpenError, Patience, Query, Served, Subscription, Token};

@@ -1,12 +1,36 @@
 //! Logs on standard error, human or JSON lines.
+//!
+//! Every line of a service carries its name, instance and fleet, from the span that it runs in. What
+//! comes from outside is one line whatever it contains, and the same place in the code writes at most
+//! so many lines in a while: a fault that repeats must not fill a disk.
 
+use std::collections::HashMap;
+use std::fmt;
 use std::io::IsTerminal;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
+use serde_json::json;
+use tracing::callsite::Identifier;
+use tracing::{Event, Subscriber};
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::FmtContext;
+use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
+use tracing_subscriber::registry::LookupSpan;
 
 /// What is logged when neither a flag nor `MUSTER_LOG` says otherwise: what Muster does, and what
 /// goes wrong below it.
 const DEFAULT_FILTER: &str = "warn,muster=info";
+
+/// Most lines that one place in the code writes in [`WINDOW`]: enough to see what repeats and how
+/// often. More are counted, and the number is told afterwards.
+const MAX_LINES: u32 = 20;
+
+/// The time in which they are counted.
+const WINDOW: Duration = Duration::from_secs(10);
+
+/// Longest line in bytes: what is longer is a payload that somebody prints.
+const MAX_LINE: usize = 8 * 1024;
 
 /// Checks a filter.
 ///
@@ -35,8 +59,186 @@ pub fn start(filter: Option<&str>, json: bool) -> Result<(), String> {
         .with_writer(std::io::stderr)
         .with_target(false)
         .with_ansi(colours);
-    let started = if json { builder.json().try_init() } else { builder.try_init() };
+    let started = if json {
+        let builder = builder.json().with_span_list(false);
+        builder.map_event_format(|inner| Bounded::new(inner, true)).try_init()
+    } else {
+        builder.map_event_format(|inner| Bounded::new(inner.with_ansi(colours), false)).try_init()
+    };
     // Another subscriber is there already: whoever set it wins.
     drop(started);
     Ok(())
+}
+
+/// Writes lines in the form of another, one line each, and not too many.
+struct Bounded<F> {
+    inner: F,
+    json: bool,
+    places: Mutex<HashMap<Identifier, Place>>,
+}
+
+/// One place in the code that logs. There are as many as the program has.
+struct Place {
+    since: Instant,
+    lines: u32,
+    untold: u64,
+}
+
+impl<F> Bounded<F> {
+    fn new(inner: F, json: bool) -> Self {
+        Self { inner, json, places: Mutex::default() }
+    }
+
+    /// Whether a line may be written now; and how many were not since the last one.
+    fn admit(&self, place: Identifier, now: Instant) -> Option<u64> {
+        let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = places.entry(place).or_insert(Place { since: now, lines: 0, untold: 0 });
+        if now.saturating_duration_since(place.since) >= WINDOW {
+            (place.since, place.lines) = (now, 0);
+        }
+        if place.lines >= MAX_LINES {
+            place.untold += 1;
+            return None;
+        }
+        place.lines += 1;
+        Some(std::mem::take(&mut place.untold))
+    }
+}
+
+impl<S, N, F> FormatEvent<S, N> for Bounded<F>
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+    F: FormatEvent<S, N>,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut writer: Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
+        let Some(untold) = self.admit(event.metadata().callsite(), Instant::now()) else {
+            return Ok(());
+        };
+        let mut line = String::new();
+        self.inner.format_event(context, Writer::new(&mut line), event)?;
+        writeln!(writer, "{}", one_line(&line, self.json))?;
+        if untold > 0 {
+            let text = format!("{untold} more lines like the one above were left out");
+            if self.json {
+                let level = event.metadata().level().as_str();
+                writeln!(writer, "{}", json!({"level": level, "fields": {"message": text}}))?;
+            } else {
+                writeln!(writer, "  ({text})")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A line without what would make it several, and not longer than a line may be. Escape sequences
+/// stay: the subscriber has taken out those that are not its own colours. JSON escapes everything.
+fn one_line(line: &str, json: bool) -> std::borrow::Cow<'_, str> {
+    let line = line.trim_end_matches('\n');
+    let breaks = |c: char| c.is_control() && c != '\u{1b}';
+    if json || (line.len() <= MAX_LINE && !line.contains(breaks)) {
+        return line.into();
+    }
+    let mut short: String =
+        line.chars().take(MAX_LINE).map(|c| if breaks(c) { '\u{FFFD}' } else { c }).collect();
+    if line.len() > MAX_LINE {
+        short.push('…');
+    }
+    short.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+    use std::sync::Arc;
+
+    use super::*;
+
+    #[derive(Clone, Default)]
+    struct Sink(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Sink {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.0.lock().unwrap().extend_from_slice(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    fn logged(json: bool, log: impl FnOnce()) -> String {
+        let sink = Sink::default();
+        let writer = sink.clone();
+        let builder =
+            tracing_subscriber::fmt().with_writer(move || writer.clone()).with_ansi(false);
+        if json {
+            let builder = builder.json().with_span_list(false);
+            let format = builder.map_event_format(|inner| Bounded::new(inner, true)).finish();
+            tracing::subscriber::with_default(format, log);
+        } else {
+            let format = builder.map_event_format(|inner| Bounded::new(inner, false)).finish();
+            tracing::subscriber::with_default(format, log);
+        }
+        let bytes = sink.0.lock().unwrap().clone();
+        String::from_utf8(bytes).unwrap()
+    }
+
+    #[test]
+    fn foreign_text_stays_on_its_line() {
+        let foreign = "r1\n2026-11-21T00:00:00Z ERROR forged\r\u{1b}[31m\u{7}\u{9b}31m";
+        for json in [false, true] {
+            let text = logged(json, || tracing::warn!("from outside: {foreign}"));
+            assert_eq!(text.lines().count(), 1, "{text:?}");
+            assert!(!text.trim_end_matches('\n').contains(char::is_control), "{text:?}");
+        }
+        let long = "x".repeat(10 * MAX_LINE);
+        assert!(logged(false, || tracing::warn!("{long}")).len() < 2 * MAX_LINE);
+    }
+
+    #[test]
+    fn what_repeats_is_written_a_few_times_and_other_places_go_on() {
+        for json in [false, true] {
+            let text = logged(json, || {
+                for _ in 0..1000 {
+                    tracing::warn!("again");
+                }
+                tracing::warn!("another");
+            });
+            assert_eq!(text.matches("again").count(), MAX_LINES as usize);
+            assert_eq!(text.matches("another").count(), 1);
+        }
+    }
+
+    #[test]
+    fn what_was_left_out_is_told_with_the_next_line() {
+        tracing::subscriber::with_default(tracing_subscriber::registry(), || {
+            let bounded = Bounded::new((), false);
+            let place =
+                tracing::callsite!(name: "x", kind: tracing::metadata::Kind::EVENT, fields: m);
+            let place = tracing::Callsite::metadata(place).callsite();
+            let now = Instant::now();
+            let admitted = (0..50).filter_map(|_| bounded.admit(place.clone(), now)).count();
+            assert_eq!(admitted, MAX_LINES as usize);
+            assert_eq!(bounded.admit(place.clone(), now + WINDOW), Some(30));
+            assert_eq!(bounded.admit(place, now + WINDOW), Some(0));
+        });
+    }
+
+    #[test]
+    fn a_line_names_service_instance_and_fleet() {
+        for json in [false, true] {
+            let text = logged(json, || {
+                let span = tracing::error_span!("service", service = "ingest", fleet = "alpha");
+                span.in_scope(|| tracing::info!("serves"));
+            });
+            assert!(text.contains("ingest") && text.contains("alpha"), "{text}");
+        }
+    }
 }

@@ -107,6 +107,18 @@ pub struct KeySpace {
     prefix: String,
 }
 
+/// Every key of every fleet, for those who look for fleets that they do not know.
+pub const ANY_FLEET: &str = "muster/v1/**";
+
+/// The fleet that a key belongs to, whichever that is, and the key; none if it is no key of ours.
+#[must_use]
+pub fn parse_any(text: &str) -> Option<(FleetId, Key)> {
+    let fleet = text.strip_prefix(ROOT)?.strip_prefix('/')?.split('/').next()?;
+    let space = KeySpace::new(FleetId::new(fleet).ok()?);
+    let key = space.parse(text).ok()?;
+    Some((space.fleet, key))
+}
+
 impl KeySpace {
     /// The keys of a fleet.
     #[must_use]
@@ -324,6 +336,16 @@ mod tests {
         for key in keys {
             let text = space().format(&key);
             assert_eq!(space().parse(&text), Ok(key), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_key_names_its_fleet() {
+        let robot = Key::RobotToken(RobotId::new("r1").unwrap());
+        let fleet = FleetId::new("beta").unwrap();
+        assert_eq!(parse_any("muster/v1/beta/robot/r1"), Some((fleet, robot)));
+        for other in ["muster/v1", "muster/v1/", "muster/v1/B/teams", "muster/v2/b/teams", "x"] {
+            assert_eq!(parse_any(other), None, "{other}");
         }
     }
 

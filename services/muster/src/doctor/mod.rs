@@ -1,0 +1,177 @@
+//! `muster doctor`: looks a fleet over, finds the usual mistakes and says what to do.
+//!
+//! [`look`] gathers what can be seen from one place on the bus, [`findings`] judges it, and this file
+//! prints it. It only looks: it puts nothing, declares nothing and changes no setting.
+
+mod findings;
+mod look;
+
+use std::io::Write as _;
+use std::time::Duration;
+
+use muster_runtime::bus::Bus;
+use muster_runtime::bus::handshake::{self, Reach};
+use muster_runtime::config::{Mode, ProcessConfig};
+use muster_runtime::exit::{Exit, ExitError};
+use serde_json::json;
+
+use self::findings::{Finding, Severity};
+use self::look::{Instance, Look};
+use crate::{ask, show};
+
+/// How long an endpoint may take to answer.
+const REACH_WITHIN: Duration = Duration::from_secs(3);
+
+/// Shortest and longest time to listen in seconds: an event that repeats is told every two seconds.
+const LISTEN_S: std::ops::RangeInclusive<f64> = 1.0..=3600.0;
+
+/// Arguments of `muster doctor`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "It looks and listens and changes nothing. The exit code is 0 if everything is well, \
+1 if there are findings, and 3 if no router answers.\n\nExamples:\n  muster doctor\n  \
+muster doctor --fleet alpha --connect tcp/192.168.1.10:7447\n  \
+muster doctor --json | jq '.findings[] | .id, .remedy'"
+)]
+pub(crate) struct DoctorArgs {
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// How long to listen to the fleet
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
+    listen_for: f64,
+}
+
+/// An endpoint and what answers there.
+struct Endpoint {
+    name: String,
+    reach: Reach,
+}
+
+/// Looks a fleet over and prints what is found.
+///
+/// # Errors
+/// If no router answers, or there are findings; the exit code tells which.
+pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Result<()> {
+    if !LISTEN_S.contains(&args.listen_for) {
+        let (least, most) = (LISTEN_S.start(), LISTEN_S.end());
+        let problem = format!("--listen-for: must be {least} to {most} seconds");
+        return Err(ExitError::usage(problem).into());
+    }
+    if config.mode.value != Mode::Client {
+        let problem = "mode: the doctor looks at a router as a client; leave --mode out";
+        return Err(ExitError::usage(problem).into());
+    }
+    let mut endpoints = Vec::new();
+    for endpoint in &config.connect.value {
+        let reach = handshake::reach(endpoint, REACH_WITHIN).await;
+        endpoints.push(Endpoint { name: endpoint.clone(), reach });
+    }
+    let mut found: Vec<Finding> = endpoints.iter().filter_map(findings::of_endpoint).collect();
+    let answers = |endpoint: &Endpoint| {
+        matches!(endpoint.reach, Reach::Zenoh { .. } | Reach::Listens | Reach::Closed(_))
+    };
+    let bus =
+        if endpoints.iter().any(answers) { ask::open(config).await } else { no_router(&endpoints) };
+    let bus: Bus = match bus {
+        Ok(bus) => bus,
+        Err(error) => {
+            if found.iter().all(|finding| finding.id != "no_router") {
+                found.push(findings::session(&error));
+            }
+            print(args, config, &endpoints, None, &found)?;
+            return Err(ExitError::unreachable("no router answers").into());
+        }
+    };
+    // Another router answers: one that does not is a warning, not the end.
+    for finding in found.iter_mut().filter(|finding| finding.id == "no_router") {
+        finding.severity = Severity::Warning;
+    }
+    let look = look::look(&bus, Duration::from_secs_f64(args.listen_for)).await?;
+    found.extend(findings::of_fleet(&look));
+    found.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+    print(args, config, &endpoints, Some(&look), &found)?;
+    bus.close().await;
+    match found.len() {
+        0 => Ok(()),
+        1 => Err(failure("1 finding".to_owned())),
+        many => Err(failure(format!("{many} findings"))),
+    }
+}
+
+fn no_router(endpoints: &[Endpoint]) -> anyhow::Result<Bus> {
+    let all: Vec<_> = endpoints.iter().map(|endpoint| endpoint.name.as_str()).collect();
+    Err(anyhow::anyhow!("nothing answers at {}", all.join(", ")))
+}
+
+fn failure(message: String) -> anyhow::Error {
+    ExitError { exit: Exit::Failure, message }.into()
+}
+
+fn print(
+    args: &DoctorArgs,
+    config: &ProcessConfig,
+    endpoints: &[Endpoint],
+    look: Option<&Look>,
+    found: &[Finding],
+) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    if args.json {
+        let routers = endpoints.iter().map(|endpoint| {
+            let (answer, lease_s) = match &endpoint.reach {
+                Reach::Unknown(_) => ("unknown_host", None),
+                Reach::Refused => ("refused", None),
+                Reach::Silent => ("silent", None),
+                Reach::Foreign(_) => ("foreign", None),
+                Reach::Closed(_) => ("closed", None),
+                Reach::Listens => ("listens", None),
+                Reach::Zenoh { lease, .. } => ("zenoh", Some(lease.as_secs_f64())),
+            };
+            json!({"endpoint": endpoint.name, "answer": answer, "lease_s": lease_s})
+        });
+        let report = json!({
+            "fleet": config.fleet.value,
+            "version": env!("CARGO_PKG_VERSION"),
+            "healthy": found.is_empty(),
+            "routers": routers.collect::<Vec<_>>(),
+            "services": look.map_or(&[][..], |look| look.instances.as_slice()),
+            "robots": look.map(Look::robots),
+            "other_fleets": look.map_or(&[][..], |look| look.others.as_slice()),
+            "findings": found,
+        });
+        writeln!(out, "{report}")?;
+        return Ok(out.flush()?);
+    }
+    writeln!(out, "fleet {}", config.fleet.value)?;
+    if let Some(look) = look {
+        let mut table = show::table(&["service", "instance", "version", "stands", "term", "clock"]);
+        for Instance { service, instance, version, standing, term, clock_offset_s } in
+            &look.instances
+        {
+            table.add_row([
+                service.to_string(),
+                instance.to_string(),
+                version.clone(),
+                format!("{standing:?}").to_lowercase(),
+                term.to_string(),
+                clock_offset_s.map_or_else(String::new, |offset| format!("{offset:+.3} s")),
+            ]);
+        }
+        writeln!(out, "{table}")?;
+    }
+    for finding in found {
+        let severity = match finding.severity {
+            Severity::Error => "ERROR",
+            Severity::Warning => "warning",
+        };
+        writeln!(
+            out,
+            "\n{severity} ({})\n  seen: {}\n  do:   {}",
+            finding.id, finding.seen, finding.remedy
+        )?;
+    }
+    if found.is_empty() {
+        writeln!(out, "everything is well")?;
+    }
+    Ok(out.flush()?)
+}

@@ -1,0 +1,205 @@
+//! What answers at an endpoint, before any session is open: nothing, something else, or a router of
+//! Zenoh, with the lease that it announces.
+//!
+//! A session only says that it does not open. This opens a link by hand, as far as the router tells
+//! its terms, and lets go of it: nothing is declared on it and nothing is put. It serves `muster
+//! doctor` and nothing else.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use muster_wire::message::quoted;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use zenoh::config::EndPoint;
+use zenoh_buffers::reader::HasReader;
+use zenoh_buffers::writer::HasWriter;
+use zenoh_codec::{RCodec, WCodec, Zenoh080};
+use zenoh_protocol::VERSION;
+use zenoh_protocol::core::{Resolution, WhatAmI, ZenohIdProto};
+use zenoh_protocol::transport::init::ext::PatchType;
+use zenoh_protocol::transport::{
+    BatchSize, Close, InitSyn, OpenSyn, TransportBody, TransportMessage, close,
+};
+
+/// The lease that is announced for the moment that the link lasts.
+const OWN_LEASE: Duration = Duration::from_secs(2);
+
+/// How much of what something else says is looked at, in bytes.
+const MAX_SAID: usize = 64;
+
+/// What answers at an endpoint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Reach {
+    /// The name of the host is not known.
+    Unknown(String),
+    /// Nothing listens there: the host refuses.
+    Refused,
+    /// The host does not answer, or something on the way drops what is sent.
+    Silent,
+    /// Something takes connections and does not speak Zenoh. What it said, if it said anything.
+    Foreign(Option<String>),
+    /// It speaks Zenoh and does not let us in, such as one that wants a password or another version.
+    Closed(String),
+    /// A node of Zenoh, with the lease that it announces.
+    Zenoh {
+        /// How long a silent link counts as alive.
+        lease: Duration,
+        /// Whether it is a router, which relays.
+        router: bool,
+    },
+    /// Something listens; this protocol (TLS, a local socket) is not looked into further.
+    Listens,
+}
+
+/// Looks what answers at an endpoint.
+pub async fn reach(endpoint: &str, within: Duration) -> Reach {
+    let Ok(parsed) = endpoint.parse::<EndPoint>() else {
+        return Reach::Unknown("this is no endpoint".to_owned());
+    };
+    let address = parsed.address().as_str().to_owned();
+    match parsed.protocol().as_str() {
+        "unixsock-stream" => match tokio::net::UnixStream::connect(&address).await {
+            Ok(_) => Reach::Listens,
+            Err(_) => Reach::Refused,
+        },
+        protocol => {
+            let plain = protocol == "tcp";
+            let looking = async {
+                let mut stream = match connect(&address).await {
+                    Ok(stream) => stream,
+                    Err(reach) => return reach,
+                };
+                if plain { greet(&mut stream, within).await } else { Reach::Listens }
+            };
+            tokio::time::timeout(within, looking).await.unwrap_or(Reach::Silent)
+        }
+    }
+}
+
+async fn connect(address: &str) -> Result<TcpStream, Reach> {
+    let addresses: Vec<SocketAddr> = match tokio::net::lookup_host(address).await {
+        Ok(addresses) => addresses.collect(),
+        Err(error) => return Err(Reach::Unknown(error.to_string())),
+    };
+    let mut refused = false;
+    for address in addresses {
+        match TcpStream::connect(address).await {
+            Ok(stream) => return Ok(stream),
+            Err(error) => refused |= error.kind() == std::io::ErrorKind::ConnectionRefused,
+        }
+    }
+    Err(if refused { Reach::Refused } else { Reach::Silent })
+}
+
+/// Opens a link by hand. Something that says nothing has half of the time to say it.
+async fn greet(stream: &mut TcpStream, within: Duration) -> Reach {
+    let syn = TransportBody::InitSyn(InitSyn {
+        version: VERSION,
+        whatami: WhatAmI::Client,
+        zid: ZenohIdProto::rand(),
+        resolution: Resolution::default(),
+        batch_size: BatchSize::MAX,
+        ext_qos: None,
+        ext_qos_link: None,
+        ext_auth: None,
+        ext_mlink: None,
+        ext_lowlatency: None,
+        ext_compression: None,
+        ext_patch: PatchType::NONE,
+        ext_region_name: None,
+    });
+    let answered = async {
+        send(stream, syn).await?;
+        receive(stream).await
+    };
+    let answer = match tokio::time::timeout(within / 2, answered).await {
+        Ok(Ok(answer)) => answer,
+        Ok(Err(said)) => return Reach::Foreign(said),
+        Err(_) => return Reach::Foreign(None),
+    };
+    let ack = match answer {
+        TransportBody::InitAck(ack) => ack,
+        TransportBody::Close(closed) => {
+            return Reach::Closed(close::reason_to_str(closed.reason).to_owned());
+        }
+        _ => return Reach::Closed("it answers out of turn".to_owned()),
+    };
+    let open = TransportBody::OpenSyn(OpenSyn {
+        lease: OWN_LEASE,
+        initial_sn: 0,
+        cookie: ack.cookie,
+        ext_qos: None,
+        ext_auth: None,
+        ext_mlink: None,
+        ext_lowlatency: None,
+        ext_compression: None,
+        ext_remote_bound: None,
+    });
+    let opened = match send(stream, open).await {
+        Ok(()) => receive(stream).await,
+        Err(said) => Err(said),
+    };
+    let reach = match opened {
+        Ok(TransportBody::OpenAck(open)) => {
+            Reach::Zenoh { lease: open.lease, router: ack.whatami == WhatAmI::Router }
+        }
+        Ok(TransportBody::Close(closed)) => {
+            Reach::Closed(close::reason_to_str(closed.reason).to_owned())
+        }
+        Ok(_) | Err(_) => Reach::Closed("it does not open a link".to_owned()),
+    };
+    let close = Close { reason: close::reason::GENERIC, session: true };
+    // It is let go of in any case.
+    let _ = send(stream, TransportBody::Close(close)).await;
+    reach
+}
+
+/// Sends a message: its length in two bytes, then itself.
+async fn send(stream: &mut TcpStream, body: TransportBody) -> Result<(), Option<String>> {
+    let mut bytes: Vec<u8> = Vec::new();
+    let written: Result<(), _> =
+        Zenoh080::new().write(&mut (&mut bytes).writer(), &TransportMessage { body });
+    let length = u16::try_from(bytes.len());
+    let (Ok(()), Ok(length)) = (written, length) else { return Err(None) };
+    let mut all = length.to_le_bytes().to_vec();
+    all.extend(bytes);
+    stream.write_all(&all).await.map_err(|_| None)
+}
+
+/// Receives a message; the start of what was said instead, if it is none.
+async fn receive(stream: &mut TcpStream) -> Result<TransportBody, Option<String>> {
+    let mut length = [0; 2];
+    let mut read = 0;
+    while read < length.len() {
+        match stream.read(&mut length[read..]).await {
+            Ok(0) | Err(_) => return Err(said(&length[..read])),
+            Ok(more) => read += more,
+        }
+    }
+    let wanted = usize::from(u16::from_le_bytes(length));
+    let mut bytes = vec![0; wanted];
+    let mut read = 0;
+    // What is no message of Zenoh is rarely as long as its first two bytes say: the text that came is
+    // looked at as soon as nothing more comes.
+    while read < wanted {
+        let more =
+            tokio::time::timeout(Duration::from_millis(500), stream.read(&mut bytes[read..]));
+        match more.await {
+            Ok(Ok(more)) if more > 0 => read += more,
+            _ => return Err(said(&[&length[..], &bytes[..read]].concat())),
+        }
+    }
+    let message: Result<TransportMessage, _> = Zenoh080::new().read(&mut bytes.as_slice().reader());
+    match message {
+        Ok(message) => Ok(message.body),
+        Err(_) => Err(said(&[&length[..], &bytes].concat())),
+    }
+}
+
+fn said(bytes: &[u8]) -> Option<String> {
+    let start = &bytes[..bytes.len().min(MAX_SAID)];
+    let text = String::from_utf8_lossy(start);
+    let line = text.lines().next().unwrap_or_default();
+    (!line.is_empty()).then(|| quoted(line))
+}

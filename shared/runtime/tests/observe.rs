@@ -1,0 +1,206 @@
+//! The port of a process: what it answers, what it refuses, and what it says of a core that hangs.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::time::{Duration, Instant};
+
+use muster_machine::{Core, Delivery, Effects, Event, Role, Start, Subscription, Wiring};
+use muster_model::id::{InstanceId, RobotId, ServiceName};
+use muster_model::settings::IngestSettings;
+use muster_model::status::ServiceStatus;
+use muster_model::time::Tick;
+use muster_runtime::bus::{Bus, Patience};
+use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
+use muster_runtime::observe::Observatory;
+use muster_runtime::shell::{self, ServiceOptions};
+use muster_runtime::stop;
+use muster_runtime::store::Store;
+use muster_wire::{Key, Message, Outbound, Pattern};
+
+/// How long the core below hangs over a pose: longer than a loop may, and not for ever.
+const HANGS: Duration = Duration::from_secs(9);
+
+/// How long a test waits for what should come soon.
+const SOON: Duration = Duration::from_secs(15);
+
+/// A core that hangs over every pose.
+struct Sleeper(Role<IngestSettings>);
+
+impl Core for Sleeper {
+    type Settings = IngestSettings;
+    type Job = ();
+    type Done = ();
+    const SERVICE: ServiceName = ServiceName::Ingest;
+
+    fn wiring() -> Wiring {
+        let poses = Subscription { pattern: Pattern::Poses, delivery: Delivery::Latest };
+        Wiring { subscriptions: vec![poses], ..Wiring::default() }
+    }
+
+    fn new(start: Start<IngestSettings>) -> Self {
+        Self(Role::new(Self::SERVICE, start))
+    }
+
+    fn handle(&mut self, now: Tick, event: Event<()>, effects: &mut Effects<()>) {
+        match event {
+            Event::Started => self.0.begin_term(now, None, effects),
+            Event::Received(Message::Pose(..)) => std::thread::sleep(HANGS),
+            _ => {}
+        }
+    }
+
+    fn deadline(&self) -> Option<Tick> {
+        None
+    }
+
+    fn status(&self, now: Tick) -> ServiceStatus {
+        self.0.status(now, "sleeping")
+    }
+
+    fn run((): ()) {}
+}
+
+fn config(args: ProcessArgs) -> ProcessConfig {
+    let mode = args.mode.unwrap_or(Mode::Client);
+    ProcessConfig::resolve(&args, mode, &|_| None).unwrap()
+}
+
+fn with_port(connect: &str) -> ProcessConfig {
+    config(ProcessArgs {
+        connect: Some(vec![connect.to_owned()]),
+        http: Some("127.0.0.1:0".to_owned()),
+        ..ProcessArgs::default()
+    })
+}
+
+/// Sends bytes and returns everything that is answered until the connection closes.
+fn exchange(address: SocketAddr, request: &[u8]) -> String {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(SOON)).unwrap();
+    // The other end may refuse before everything is sent.
+    let _ = stream.write_all(request);
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer);
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+fn get(address: SocketAddr, path: &str) -> (u16, String) {
+    let answer = exchange(address, format!("GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").as_bytes());
+    let code = answer.split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or_default();
+    (code, answer.split_once("\r\n\r\n").map(|(_, body)| body.to_owned()).unwrap_or_default())
+}
+
+fn until(what: &str, right: impl Fn() -> bool) {
+    let start = Instant::now();
+    while !right() {
+        assert!(start.elapsed() < SOON, "{what}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_core_that_hangs_is_told_by_healthz_and_one_that_goes_on_as_well() {
+    let router = config(ProcessArgs {
+        mode: Some(Mode::Router),
+        listen: Some(vec!["tcp/127.0.0.1:0".to_owned()]),
+        ..ProcessArgs::default()
+    });
+    let router = Bus::open(&router, Patience::Forever).await.unwrap();
+    let client = with_port(&router.locators().await[0]);
+    let observatory = Observatory::open(&client, &[ServiceName::Ingest]).unwrap();
+    let address = observatory.address().unwrap();
+    let before = get(address, "/readyz");
+    assert_eq!(get(address, "/healthz").0, 200, "it waits for its router");
+    assert_eq!(before.0, 503);
+    assert!(before.1.contains("no router has answered yet"), "{}", before.1);
+
+    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let options = ServiceOptions {
+        instance: InstanceId::of_process("test", 1, 1),
+        settings: IngestSettings::default(),
+        store: Store::new(None, bus.space().fleet(), ServiceName::Ingest),
+        observer: observatory.observer(ServiceName::Ingest),
+    };
+    let (stopper, stop) = stop::channel();
+    let service = tokio::spawn(shell::run::<Sleeper>(bus, options, stop));
+    until("it becomes ready", || get(address, "/readyz").0 == 200);
+    assert_eq!(get(address, "/healthz").0, 200);
+
+    let key = Key::Pose(RobotId::new("r1").unwrap());
+    let payload = br#"{"x":1,"y":2}"#.to_vec();
+    router.put(Outbound { key, encoding: "".into(), payload }).unwrap();
+    until("a loop that hangs is dead", || get(address, "/healthz").0 == 503);
+    let (code, body) = get(address, "/readyz");
+    assert_eq!(code, 503);
+    assert!(body.contains("the loop has not turned"), "{body}");
+    assert!(
+        get(address, "/metrics")
+            .1
+            .contains("muster_loop_turning{fleet=\"default\",service=\"ingest\"} 0")
+    );
+    until("it goes on", || get(address, "/healthz").0 == 200 && get(address, "/readyz").0 == 200);
+    stopper.stop();
+    service.await.unwrap().unwrap();
+}
+
+#[test]
+fn the_port_answers_three_paths_to_get_and_head_and_nothing_else() {
+    let observatory = Observatory::open(&with_port("tcp/127.0.0.1:1"), &ServiceName::ALL).unwrap();
+    let address = observatory.address().unwrap();
+    assert_eq!(get(address, "/healthz").0, 200);
+    assert_eq!(get(address, "/readyz").0, 503);
+    assert_eq!(get(address, "/metrics?x=1").0, 200);
+    for path in ["/", "/metrics/", "/%2e%2e/etc/passwd", "/healthz/x"] {
+        assert_eq!(get(address, path).0, 404, "{path}");
+    }
+    for method in ["POST", "PUT", "DELETE", "OPTIONS"] {
+        let answer = exchange(
+            address,
+            format!("{method} /metrics HTTP/1.1\r\nHost: x\r\nContent-Length: 0\r\n\r\n")
+                .as_bytes(),
+        );
+        assert!(answer.starts_with("HTTP/1.1 405"), "{answer}");
+        assert!(answer.to_lowercase().contains("allow: get, head"), "{answer}");
+    }
+    let head = exchange(address, b"HEAD /healthz HTTP/1.1\r\nHost: x\r\n\r\n");
+    assert!(head.starts_with("HTTP/1.1 200") && head.ends_with("\r\n\r\n"), "{head}");
+    for garbage in
+        [&b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc"[..], b"GET\r\n\r\n", b"\0\0\0\0\r\n\r\n"]
+    {
+        let answer = exchange(address, garbage);
+        assert!(!answer.starts_with("HTTP/1.1 200"), "{answer}");
+    }
+    let long = format!("GET /healthz HTTP/1.1\r\nX: {}\r\n\r\n", "x".repeat(100_000));
+    assert!(!exchange(address, long.as_bytes()).starts_with("HTTP/1.1 200"));
+    let many = format!("GET /healthz HTTP/1.1\r\n{}\r\n", "X: y\r\n".repeat(1000));
+    assert!(!exchange(address, many.as_bytes()).starts_with("HTTP/1.1 200"));
+    assert_eq!(get(address, "/healthz").0, 200, "none of it has hurt");
+}
+
+#[test]
+fn clients_that_say_nothing_take_neither_the_port_nor_time() {
+    let observatory = Observatory::open(&with_port("tcp/127.0.0.1:1"), &[]).unwrap();
+    let address = observatory.address().unwrap();
+    let slow: Vec<_> = (0..200).filter_map(|_| TcpStream::connect(address).ok()).collect();
+    let mut drip = TcpStream::connect(address).unwrap();
+    let _ = drip.write_all(b"GET /healthz HTTP/1.1\r\nX: ");
+    assert!(slow.len() > 100);
+    // Nobody of them lets go: the port frees itself.
+    until("the port is free again", || get(address, "/healthz").0 == 200);
+    drop(slow);
+}
+
+#[test]
+fn a_port_that_is_taken_is_told_with_the_flag() {
+    let first = Observatory::open(&with_port("tcp/127.0.0.1:1"), &[]).unwrap();
+    let address = first.address().unwrap().to_string();
+    let again = config(ProcessArgs { http: Some(address.clone()), ..ProcessArgs::default() });
+    let problem = Observatory::open(&again, &[]).unwrap_err().to_string();
+    assert!(problem.contains("--http") && problem.contains(&address), "{problem}");
+    drop(first);
+    until("the port closes with its process's observatory", || {
+        Observatory::open(&again, &[]).is_ok()
+    });
+}
