@@ -176,6 +176,7 @@ fn every_command_has_examples() {
         "audit",
         "graph",
         "status",
+        "doctor",
         "set",
         "solve",
         "replay-core",

@@ -10,9 +10,11 @@
 mod cli;
 mod client;
 mod demo;
+mod doctor;
 mod hostile;
 mod keys;
 mod languages;
+mod observe;
 mod pipeline;
 mod presence;
 mod record;

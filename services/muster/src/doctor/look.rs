@@ -179,8 +179,6 @@ fn roster_of(message: &Message) -> Option<&Arc<Roster>> {
 
 /// What all services tell of themselves.
 async fn statuses(bus: &Bus, clock: &Clock) -> anyhow::Result<(Vec<ServiceStatus>, Vec<Instance>)> {
-    let ask =
-        Ask { parameters: "format=json", payload: None, within: ANSWER_WITHIN, everybody: true };
     let (mut statuses, mut instances) = (Vec::new(), Vec::new());
     let all = ServiceName::ALL.map(|service| status(bus, clock, service));
     let [first, second, third, fourth] = all;

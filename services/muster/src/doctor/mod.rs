@@ -143,7 +143,7 @@ fn print(
         return Ok(out.flush()?);
     }
     writeln!(out, "fleet {}", config.fleet.value)?;
-    if let Some(look) = look {
+    if let Some(look) = look.filter(|look| !look.instances.is_empty()) {
         let mut table = show::table(&["service", "instance", "version", "stands", "term", "clock"]);
         for Instance { service, instance, version, standing, term, clock_offset_s } in
             &look.instances
