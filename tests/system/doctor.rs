@@ -379,9 +379,9 @@ async fn a_router_that_denies_or_has_a_long_lease_is_told() {
     };
     cluster.kill_router().unwrap();
     let mut router =
-        router_with(&cluster, &json!({"transport": {"link": {"tx": {"lease": 10000}}}}));
+        router_with(&cluster, &json!({"transport": {"link": {"tx": {"lease": 8000}}}}));
     let report = until_found(&cluster, "router_lease", "transport.link.tx.lease");
-    assert_eq!(report["routers"][0]["lease_s"], 10.0);
+    assert_eq!(report["routers"][0]["lease_s"], 8.0);
     router.kill().unwrap();
 
     let keys = ["muster/v1/alpha/service/*/status"];
