@@ -29,7 +29,7 @@ const MAX_LINES: u32 = 20;
 /// The time in which they are counted.
 const WINDOW: Duration = Duration::from_secs(10);
 
-/// Longest line in bytes: what is longer is a payload that somebody prints.
+/// Longest line for people, in characters: what is longer is a payload that somebody prints.
 const MAX_LINE: usize = 8 * 1024;
 
 /// Checks a filter.
@@ -61,9 +61,10 @@ pub fn start(filter: Option<&str>, json: bool) -> Result<(), String> {
         .with_ansi(colours);
     let started = if json {
         let builder = builder.json().with_span_list(false);
-        builder.map_event_format(|inner| Bounded::new(inner, true)).try_init()
+        builder.map_event_format(|inner| Bounded::new(inner, Form::Json)).try_init()
     } else {
-        builder.map_event_format(|inner| Bounded::new(inner.with_ansi(colours), false)).try_init()
+        let form = if colours { Form::Coloured } else { Form::Plain };
+        builder.map_event_format(|inner| Bounded::new(inner.with_ansi(colours), form)).try_init()
     };
     // Another subscriber is there already: whoever set it wins.
     drop(started);
@@ -73,8 +74,16 @@ pub fn start(filter: Option<&str>, json: bool) -> Result<(), String> {
 /// Writes lines in the form of another, one line each, and not too many.
 struct Bounded<F> {
     inner: F,
-    json: bool,
+    form: Form,
     places: Mutex<HashMap<Identifier, Place>>,
+}
+
+/// The form of the lines.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Form {
+    Plain,
+    Coloured,
+    Json,
 }
 
 /// One place in the code that logs. There are as many as the program has.
@@ -85,8 +94,8 @@ struct Place {
 }
 
 impl<F> Bounded<F> {
-    fn new(inner: F, json: bool) -> Self {
-        Self { inner, json, places: Mutex::default() }
+    fn new(inner: F, form: Form) -> Self {
+        Self { inner, form, places: Mutex::default() }
     }
 
     /// Whether a line may be written now; and how many were not since the last one.
@@ -122,10 +131,10 @@ where
         };
         let mut line = String::new();
         self.inner.format_event(context, Writer::new(&mut line), event)?;
-        writeln!(writer, "{}", one_line(&line, self.json))?;
+        writeln!(writer, "{}", one_line(&line, self.form))?;
         if untold > 0 {
             let text = format!("{untold} more lines like the one above were left out");
-            if self.json {
+            if self.form == Form::Json {
                 let level = event.metadata().level().as_str();
                 writeln!(writer, "{}", json!({"level": level, "fields": {"message": text}}))?;
             } else {
@@ -136,20 +145,23 @@ where
     }
 }
 
-/// A line without what would make it several, and not longer than a line may be. Escape sequences
-/// stay: the subscriber has taken out those that are not its own colours. JSON escapes everything.
-fn one_line(line: &str, json: bool) -> std::borrow::Cow<'_, str> {
+/// A line without what would make it several, or would do something to a terminal, and not longer
+/// than a line may be. Where there are colours, their escape sequences stay: the subscriber has taken
+/// out those that are not its own. JSON is not cut short, which would make it none.
+fn one_line(line: &str, form: Form) -> std::borrow::Cow<'_, str> {
     let line = line.trim_end_matches('\n');
-    let breaks = |c: char| c.is_control() && c != '\u{1b}';
-    if json || (line.len() <= MAX_LINE && !line.contains(breaks)) {
+    let harms = |c: char| c.is_control() && (c != '\u{1b}' || form != Form::Coloured);
+    let is_long = form != Form::Json && line.len() > MAX_LINE;
+    if !is_long && !line.contains(harms) {
         return line.into();
     }
-    let mut short: String =
-        line.chars().take(MAX_LINE).map(|c| if breaks(c) { '\u{FFFD}' } else { c }).collect();
-    if line.len() > MAX_LINE {
-        short.push('…');
+    let most = if is_long { MAX_LINE } else { usize::MAX };
+    let mut harmless: String =
+        line.chars().take(most).map(|c| if harms(c) { '\u{FFFD}' } else { c }).collect();
+    if is_long {
+        harmless.push('…');
     }
-    short.into()
+    harmless.into()
 }
 
 #[cfg(test)]
@@ -180,10 +192,11 @@ mod tests {
             tracing_subscriber::fmt().with_writer(move || writer.clone()).with_ansi(false);
         if json {
             let builder = builder.json().with_span_list(false);
-            let format = builder.map_event_format(|inner| Bounded::new(inner, true)).finish();
+            let format = builder.map_event_format(|inner| Bounded::new(inner, Form::Json)).finish();
             tracing::subscriber::with_default(format, log);
         } else {
-            let format = builder.map_event_format(|inner| Bounded::new(inner, false)).finish();
+            let format =
+                builder.map_event_format(|inner| Bounded::new(inner, Form::Plain)).finish();
             tracing::subscriber::with_default(format, log);
         }
         let bytes = sink.0.lock().unwrap().clone();
@@ -219,7 +232,7 @@ mod tests {
     #[test]
     fn what_was_left_out_is_told_with_the_next_line() {
         tracing::subscriber::with_default(tracing_subscriber::registry(), || {
-            let bounded = Bounded::new((), false);
+            let bounded = Bounded::new((), Form::Plain);
             let place =
                 tracing::callsite!(name: "x", kind: tracing::metadata::Kind::EVENT, fields: m);
             let place = tracing::Callsite::metadata(place).callsite();

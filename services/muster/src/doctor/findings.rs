@@ -147,11 +147,12 @@ pub(super) fn session(problem: &anyhow::Error) -> Finding {
 /// Everything that is wrong with a fleet.
 pub(super) fn of_fleet(look: &Look) -> Vec<Finding> {
     let mut found = Vec::new();
-    if look.instances.is_empty() && look.tokens.is_empty() {
-        if let Some(wrong) = wrong_fleet(look) {
-            // Nothing else can be said of a fleet that is not there.
-            return vec![wrong];
-        }
+    if look.instances.is_empty()
+        && look.tokens.is_empty()
+        && let Some(wrong) = wrong_fleet(look)
+    {
+        // Nothing else can be said of a fleet that is not there.
+        return vec![wrong];
     }
     found.extend(services(look));
     found.extend(denied(look));
