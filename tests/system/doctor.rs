@@ -121,6 +121,13 @@ fn no_router_is_told_by_what_answers_instead() {
     let missing = report["findings"].as_array().unwrap();
     assert_eq!(missing.len(), 4, "{report}");
     assert!(missing.iter().all(|finding| finding["id"] == "service_missing"));
+    // One of two routers is enough; that the other is gone is told all the same.
+    let gone = free_endpoint().unwrap();
+    let (code, report) = look(&format!("{gone},{free}"), "alpha", "1");
+    assert_eq!(code, 1);
+    let finding = found(&report, "no_router").unwrap();
+    assert_eq!(finding["severity"], "warning");
+    assert_eq!(subjects(finding), BTreeSet::from([gone.as_str()]));
     let (code, _, err) = run("muster", &["doctor", "--listen-for", "-1"], SOON).unwrap();
     assert_eq!(code, Some(2), "{err}");
 }
@@ -128,7 +135,12 @@ fn no_router_is_told_by_what_answers_instead() {
 #[tokio::test(flavor = "multi_thread")]
 async fn faults_of_services_and_settings_are_found_and_gone_again() {
     let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    cluster.service("embedder").unwrap().kill().unwrap();
     let _robots = robots(&cluster);
+    let report = until_found(&cluster, "service_missing", "muster up embedder");
+    assert_eq!(subjects(found(&report, "service_missing").unwrap()), BTreeSet::from(["embedder"]));
+    until_found(&cluster, "no_teams", "muster status");
+    cluster.start_service("embedder").unwrap();
     until_well(&cluster);
     let before =
         cluster.client().await.unwrap().get_one("service/clusterer/settings").await.unwrap();
@@ -160,12 +172,6 @@ async fn faults_of_services_and_settings_are_found_and_gone_again() {
     let wrong = found(&report, "wrong_fleet").unwrap();
     assert_eq!(subjects(wrong), BTreeSet::from(["alpha"]));
     assert!(wrong["remedy"].as_str().unwrap().contains("--fleet alpha"), "{wrong}");
-
-    cluster.service("embedder").unwrap().kill().unwrap();
-    let report = until_found(&cluster, "service_missing", "muster up embedder");
-    assert_eq!(subjects(found(&report, "service_missing").unwrap()), BTreeSet::from(["embedder"]));
-    cluster.start_service("embedder").unwrap();
-    until_well(&cluster);
 
     cluster.muster(&["set", "embedder", "alpha=1000"]).unwrap();
     let report = until_found(&cluster, "jobs_failing", "muster set embedder");

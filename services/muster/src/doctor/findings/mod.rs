@@ -1,0 +1,98 @@
+//! What is wrong by what was seen, and what to do about it.
+
+mod robots;
+mod router;
+mod services;
+
+use serde::Serialize;
+
+pub(super) use self::router::{of_endpoint, session};
+use super::look::Look;
+use crate::show::names;
+
+/// Most things that a finding names one by one.
+const MAX_SUBJECTS: usize = 100;
+
+/// How much a finding matters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Severity {
+    /// It works, but not as it should.
+    Warning,
+    /// Something does not work.
+    Error,
+}
+
+/// One thing that is wrong.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Finding {
+    /// A name that stays the same, for scripts.
+    pub(super) id: &'static str,
+    pub(super) severity: Severity,
+    /// What was seen.
+    pub(super) seen: String,
+    /// What to do.
+    pub(super) remedy: String,
+    /// Whom it concerns: robots, services, endpoints.
+    pub(super) subjects: Vec<String>,
+}
+
+fn finding(
+    id: &'static str,
+    severity: Severity,
+    seen: impl Into<String>,
+    remedy: impl Into<String>,
+) -> Finding {
+    Finding { id, severity, seen: seen.into(), remedy: remedy.into(), subjects: Vec::new() }
+}
+
+impl Finding {
+    fn about<T: ToString>(mut self, subjects: impl IntoIterator<Item = T>) -> Self {
+        self.subjects = subjects.into_iter().take(MAX_SUBJECTS).map(|s| s.to_string()).collect();
+        self
+    }
+}
+
+fn error(id: &'static str, seen: impl Into<String>, remedy: impl Into<String>) -> Finding {
+    finding(id, Severity::Error, seen, remedy)
+}
+
+fn warning(id: &'static str, seen: impl Into<String>, remedy: impl Into<String>) -> Finding {
+    finding(id, Severity::Warning, seen, remedy)
+}
+
+/// Everything that is wrong with a fleet.
+pub(super) fn of_fleet(look: &Look) -> Vec<Finding> {
+    let mut found = Vec::new();
+    if look.instances.is_empty()
+        && look.tokens.is_empty()
+        && let Some(wrong) = wrong_fleet(look)
+    {
+        // Nothing else can be said of a fleet that is not there.
+        return vec![wrong];
+    }
+    found.extend(services::services(look));
+    found.extend(services::denied(look));
+    found.extend(services::clocks(look));
+    found.extend(robots::robots(look));
+    found.extend(robots::refused(look));
+    found.extend(services::jobs(look));
+    found.extend(robots::teams(look));
+    found
+}
+
+fn wrong_fleet(look: &Look) -> Option<Finding> {
+    if look.others.is_empty() || !look.robot_tokens.is_empty() {
+        return None;
+    }
+    let fleets: Vec<_> = look.others.iter().map(|other| &other.fleet).collect();
+    let named = names(fleets.iter());
+    Some(
+        error(
+            "wrong_fleet",
+            format!("nobody speaks for fleet {}, but for {named}", look.fleet),
+            format!("name the fleet that is meant: --fleet {}", fleets[0]),
+        )
+        .about(&fleets),
+    )
+}

@@ -1,0 +1,213 @@
+//! What is wrong with what robots say, and with the division that is made of it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use muster_model::event::EventKind;
+use muster_model::id::ServiceName;
+use muster_model::roster::Presence;
+use muster_model::status::ServiceStatus;
+use muster_wire::message::quoted;
+
+use super::{Finding, Severity, error, finding, warning};
+use crate::doctor::look::Look;
+use crate::show::names;
+
+/// Older data than this behind a division: a pose is a tick old, and every stage takes less.
+const DATA_OLD_S: f64 = 3.0;
+
+/// How long a service must have run before what it has never heard of counts as missing.
+const SETTLED: Duration = Duration::from_secs(10);
+
+fn settled(status: &ServiceStatus) -> bool {
+    status.now.since(status.started) >= SETTLED
+}
+
+pub(super) fn robots(look: &Look) -> Vec<Finding> {
+    let mut found = Vec::new();
+    let unserved = look.others.iter().filter(|other| other.robots > 0 && other.services == 0);
+    let unserved: Vec<_> = unserved.collect();
+    if !unserved.is_empty() {
+        let all = unserved
+            .iter()
+            .map(|other| format!("{} robots of fleet {}", other.robots, other.fleet));
+        let all: Vec<_> = all.collect();
+        found.push(
+            warning(
+                "robots_elsewhere",
+                format!("no service serves {}", all.join(", ")),
+                format!(
+                    "let them speak under muster/v1/{}/, or start services with --fleet",
+                    look.fleet
+                ),
+            )
+            .about(unserved.iter().map(|other| &other.fleet)),
+        );
+    }
+    let Some(ingest) = look.status(ServiceName::Ingest) else { return found };
+    let Some(roster) = &look.roster else { return found };
+    let known: BTreeSet<_> = roster.robots.iter().map(|entry| &entry.robot).collect();
+    let late: Vec<_> = look.robot_tokens.iter().filter(|robot| !known.contains(robot)).collect();
+    if !late.is_empty() {
+        found.push(
+            error(
+                "robots_unknown",
+                format!("robots with a token that ingest does not know: {}", names(late.iter())),
+                "raise max_robots of ingest if the fleet is full (`muster set ingest`); otherwise access \
+                 control keeps ingest from seeing their tokens",
+            )
+            .about(late),
+        );
+    }
+    if roster.robots.is_empty() {
+        if look.robot_tokens.is_empty() {
+            found.push(error(
+                "no_robots",
+                format!("no robot of fleet {} is known, and none has a token", look.fleet),
+                format!(
+                    "start robots that put poses under muster/v1/{}/robot/{{robot}}/pose, or try \
+                     `muster robot`; a robot behind access control needs put on its own keys",
+                    look.fleet
+                ),
+            ));
+        }
+        return found;
+    }
+    let placeless = roster.robots.iter().filter(|entry| entry.position.is_none());
+    let placeless: Vec<_> = placeless.map(|entry| &entry.robot).collect();
+    if !placeless.is_empty() {
+        let all = placeless.len() == roster.robots.len();
+        let severity = if all { Severity::Error } else { Severity::Warning };
+        found.push(
+            finding(
+                "no_poses",
+                severity,
+                format!(
+                    "{} of {} robots have no position: {}",
+                    placeless.len(),
+                    roster.robots.len(),
+                    names(placeless.iter())
+                ),
+                "they must put poses on robot/{robot}/pose; see `refused` below if they do. A robot \
+                 that relates to others by links or ranks alone needs none",
+            )
+            .about(placeless),
+        );
+    }
+    let stale = roster.robots.iter().filter(|entry| entry.presence == Presence::Stale);
+    let stale: Vec<_> = stale.collect();
+    if !stale.is_empty() {
+        let shown: Vec<_> = stale
+            .iter()
+            .map(|entry| {
+                let silent = ingest.now.since(entry.last_seen).as_secs();
+                format!("{} (silent for {silent} s)", entry.robot)
+            })
+            .collect();
+        found.push(
+            warning(
+                "robots_stale",
+                format!(
+                    "{} of {} robots are stale: {}",
+                    stale.len(),
+                    roster.robots.len(),
+                    names(shown.iter())
+                ),
+                "look after their radio and their software; raise stale_after_s of ingest if they \
+                 speak more rarely than that on purpose",
+            )
+            .about(stale.iter().map(|entry| &entry.robot)),
+        );
+    }
+    let links = ingest.counters.get("links_accepted").copied().unwrap_or_default();
+    if links == 0 && roster.robots.len() > 1 && settled(ingest) {
+        found.push(warning(
+            "no_links",
+            "no robot has reported links since ingest started",
+            "let robots put whom they hear on robot/{robot}/links; where the radio tells nothing, give \
+             connectivity no weight: muster set embedder 'weights={\"spatial\":0.5,\"hierarchy\":0.5}'",
+        ));
+    }
+    found
+}
+
+pub(super) fn refused(look: &Look) -> Option<Finding> {
+    let mut by: BTreeMap<(String, String), u64> = BTreeMap::new();
+    for event in &look.events {
+        if let EventKind::Quarantined { robot, key, reason, count } = &event.kind {
+            let who = robot.as_ref().map_or_else(|| quoted(key), ToString::to_string);
+            *by.entry((who, quoted(reason))).or_default() += count;
+        }
+    }
+    if by.is_empty() {
+        return None;
+    }
+    let shown: Vec<_> = by
+        .iter()
+        .map(|((who, reason), count)| format!("{who}: {reason} ({count} times)"))
+        .collect();
+    let who: BTreeSet<_> = by.keys().map(|(who, _)| who).collect();
+    Some(
+        warning(
+            "refused",
+            format!(
+                "messages were refused in {:.0} s: {}",
+                look.listened.as_secs_f64(),
+                names(shown.iter())
+            ),
+            "mend what these robots put; each reason names the field and what would be right",
+        )
+        .about(who),
+    )
+}
+
+pub(super) fn teams(look: &Look) -> Vec<Finding> {
+    let mut found = Vec::new();
+    let robots = look.roster.as_ref().map_or(0, |roster| roster.robots.len());
+    if let Some(settings) = &look.clusterer
+        && robots > 0
+        && settings.teams as usize > robots
+    {
+        found.push(warning(
+            "too_many_teams",
+            format!("{} teams are asked for, and there are {robots} robots", settings.teams),
+            format!("ask for fewer: muster set clusterer teams={robots}"),
+        ));
+    }
+    let Some(teams) = &look.teams else {
+        let clusterer = look.status(ServiceName::Clusterer);
+        if robots > 1 && clusterer.is_some_and(settled) {
+            found.push(error(
+                "no_teams",
+                format!("there are {robots} robots and no division of them"),
+                "`muster status` says what each service waits for; `muster graph` shows whether \
+                 anything relates the robots",
+            ));
+        }
+        return found;
+    };
+    if !teams.unassigned.is_empty() {
+        found.push(
+            warning(
+                "no_team",
+                format!("robots in no team: {}", names(teams.unassigned.iter())),
+                "nothing relates them to the others: they need poses in the frame of the others, links \
+                 or ranks; `muster graph` shows the relations",
+            )
+            .about(&teams.unassigned),
+        );
+    }
+    let active = look.roster.iter().flat_map(|roster| &roster.robots);
+    let active = active.filter(|entry| entry.presence == Presence::Active).count();
+    // Ages are taken by the clock of the clusterer, where it is known: ours may be another.
+    let now = look.status(ServiceName::Clusterer).map_or(look.now, |status| status.now);
+    if let Some(age) = teams.header.data_age_s(now).filter(|age| active > 0 && *age >= DATA_OLD_S) {
+        found.push(warning(
+            "data_old",
+            format!("the division rests on poses that are {age:.1} s old"),
+            "a service on the way hangs, is overloaded, or computes longer than a tick: see the stages \
+             in `muster teams --json`, and muster_stage_seconds and muster_job_seconds at /metrics",
+        ));
+    }
+    found
+}

@@ -1,0 +1,200 @@
+//! What is wrong with the services: who is missing, does not answer, or does not compute.
+
+use std::collections::BTreeSet;
+
+use muster_model::event::EventKind;
+use muster_model::id::ServiceName;
+use muster_model::role::Standing;
+use muster_model::status::ServiceStatus;
+use muster_wire::message::quoted;
+
+use super::{Finding, Severity, error, finding, warning};
+use crate::doctor::look::Look;
+use crate::show::names;
+
+/// Clocks that differ by less do no harm: the age of data is told in tenths of a second.
+const CLOCK_OFF_S: f64 = 0.5;
+
+pub(super) fn services(look: &Look) -> Vec<Finding> {
+    let mut found = Vec::new();
+    for service in ServiceName::ALL {
+        let answered = look.instances.iter().any(|instance| instance.service == service);
+        let running = look.tokens.iter().any(|(of, _)| *of == service);
+        if !answered && !running {
+            found.push(
+                error(
+                    "service_missing",
+                    format!("no {service} runs for fleet {}", look.fleet),
+                    format!("start it with `muster up {service}` or `muster-{service}`"),
+                )
+                .about([service]),
+            );
+        }
+        let holders = look.instances.iter().filter(|instance| {
+            instance.service == service && instance.standing == Standing::Holding
+        });
+        let holders: Vec<_> = holders.map(|instance| &instance.instance).collect();
+        if holders.len() > 1 {
+            found.push(
+                error(
+                    "two_holders",
+                    format!("{} instances of {service} hold its role at once: {}", holders.len(), names(holders.iter())),
+                    "one of them is to stand by: they do not hear each other's claims (a router that \
+                     is cut off, access control) or are of different versions; end all but one",
+                )
+                .about(&holders),
+            );
+        }
+    }
+    let ours = env!("CARGO_PKG_VERSION");
+    let versions: BTreeSet<_> = look.instances.iter().map(|instance| &instance.version).collect();
+    let skewed: Vec<_> =
+        look.instances.iter().filter(|instance| instance.version != ours).collect();
+    if !skewed.is_empty() {
+        let all = skewed.iter().map(|instance| {
+            format!("{} {} is of version {}", instance.service, instance.instance, instance.version)
+        });
+        let all: Vec<_> = all.collect();
+        let severity = if versions.len() > 1 { Severity::Error } else { Severity::Warning };
+        found.push(
+            finding(
+                "version_skew",
+                severity,
+                format!("this command is of version {ours}; {}", all.join("; ")),
+                "install the same version everywhere, and restart what is older",
+            )
+            .about(skewed.iter().map(|instance| &instance.instance)),
+        );
+    }
+    found
+}
+
+/// Refusals of access control are silent. They show where something is there and not answered.
+pub(super) fn denied(look: &Look) -> Vec<Finding> {
+    const SILENT: &str = "denials of access control are silent";
+    let mut found = Vec::new();
+    let answered: BTreeSet<_> =
+        look.instances.iter().map(|i| (i.service, i.instance.clone())).collect();
+    let silent: Vec<_> = look.tokens.difference(&answered).collect();
+    if !silent.is_empty() {
+        let all = silent.iter().map(|(service, instance)| format!("{service} {instance}"));
+        let all: Vec<_> = all.collect();
+        found.push(
+            error(
+                "service_silent",
+                format!("on the bus, and no answer to its status: {}", all.join(", ")),
+                format!(
+                    "either it hangs (see its log and /healthz; restart it), or access control keeps \
+                     the get or its answer from passing: {SILENT}. Allow query on \
+                     muster/v1/{0}/service/*/status to this client and declare_queryable and reply on \
+                     it to the service, in both directions",
+                    look.fleet
+                ),
+            )
+            .about(&all),
+        );
+    }
+    let hidden: Vec<_> = answered.difference(&look.tokens).map(|(service, _)| service).collect();
+    if !hidden.is_empty() {
+        found.push(
+            error(
+                "access_denied",
+                format!("{} answers, and its liveliness token is not seen", names(hidden.iter())),
+                format!(
+                    "access control keeps the token from passing: {SILENT}. Allow liveliness_token to \
+                     the service and liveliness_query to this client on muster/v1/{}/service/**",
+                    look.fleet
+                ),
+            )
+            .about(&hidden),
+        );
+    }
+    let published = |service, what: &str| {
+        look.status(service).is_some_and(|status| {
+            status.standing == Standing::Holding
+                && status.counters.get(what).copied().unwrap_or_default() > 0
+        })
+    };
+    let unanswered: Vec<_> = [
+        (ServiceName::Ingest, "frames_published", look.roster.is_some(), "roster"),
+        (ServiceName::Embedder, "embeddings_published", look.embedding, "embedding"),
+        (ServiceName::Clusterer, "divisions_published", look.teams.is_some(), "teams"),
+    ]
+    .into_iter()
+    .filter(|(service, what, answered, _)| published(*service, what) && !answered)
+    .map(|(_, _, _, key)| key)
+    .collect();
+    if !unanswered.is_empty() {
+        found.push(
+            error(
+                "access_denied",
+                format!(
+                    "its service has published it, and nobody answers for {}",
+                    unanswered.join(", ")
+                ),
+                format!(
+                    "access control keeps gets from passing: {SILENT}. Allow query and reply on \
+                     muster/v1/{}/{{{}}}",
+                    look.fleet,
+                    unanswered.join(",")
+                ),
+            )
+            .about(unanswered),
+        );
+    }
+    found
+}
+
+pub(super) fn clocks(look: &Look) -> Option<Finding> {
+    let services = look.instances.iter().filter_map(|instance| {
+        Some((format!("{} {}", instance.service, instance.instance), instance.clock_offset_s?))
+    });
+    let robots = look.robot_clocks.iter().map(|(robot, offset)| (robot.to_string(), *offset));
+    let off: Vec<_> =
+        services.chain(robots).filter(|(_, offset)| offset.abs() >= CLOCK_OFF_S).collect();
+    if off.is_empty() {
+        return None;
+    }
+    let shown: Vec<_> =
+        off.iter().map(|(who, offset)| format!("{who} by {offset:+.1} s")).collect();
+    let seen = format!("clocks differ from the one of this host: {}", names(shown.iter()));
+    let remedy = "keep all hosts on one clock: `timedatectl set-ntp true`, or chrony with one host of \
+                  the fleet as server; `chronyc tracking` tells how far each is off. If all are off by \
+                  the same, it is the clock of this host";
+    Some(warning("clock_off", seen, remedy).about(off.iter().map(|(who, _)| who)))
+}
+
+pub(super) fn jobs(look: &Look) -> Vec<Finding> {
+    let mut found = Vec::new();
+    for after in &look.after {
+        let failed = |status: &ServiceStatus| {
+            status.counters.get("jobs_failed").copied().unwrap_or_default()
+        };
+        let before = look.before.iter().find(|status| status.instance == after.instance);
+        let more = failed(after) - before.map_or(0, failed).min(failed(after));
+        let told = look.events.iter().rev().find_map(|event| match &event.kind {
+            EventKind::JobFailed { reason } if event.source == after.service => {
+                Some(quoted(reason))
+            }
+            _ => None,
+        });
+        // A fault that stands is not computed again, and shows in what the service says of itself.
+        let stands = after.state.contains("failed");
+        if more == 0 && told.is_none() && !stands {
+            continue;
+        }
+        let service = after.service;
+        found.push(
+            error(
+                "jobs_failing",
+                format!("{service} fails to compute: {}", told.unwrap_or_else(|| quoted(&after.state))),
+                format!(
+                    "the last good result stands meanwhile; the reason names the setting: \
+                     `muster set {service}` shows all, `muster set {service} FIELD=VALUE` changes one"
+                ),
+            )
+            .about([service]),
+        );
+    }
+    found
+}
