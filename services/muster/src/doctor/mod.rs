@@ -68,11 +68,17 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
         endpoints.push(Endpoint { name: endpoint.clone(), reach });
     }
     let mut found: Vec<Finding> = endpoints.iter().filter_map(findings::of_endpoint).collect();
-    let answers = |endpoint: &Endpoint| {
+    let answers = |endpoint: &&Endpoint| {
         matches!(endpoint.reach, Reach::Zenoh { .. } | Reach::Listens | Reach::Closed(_))
     };
-    let bus =
-        if endpoints.iter().any(answers) { ask::open(config).await } else { no_router(&endpoints) };
+    // A session that opens waits for the first router that is named, also for one that is gone.
+    let there = endpoints.iter().filter(answers).map(|endpoint| endpoint.name.clone());
+    let there: Vec<_> = there.collect();
+    let bus = if there.is_empty() {
+        no_router(&endpoints)
+    } else {
+        ask::open(&config.as_client(there)).await
+    };
     let bus: Bus = match bus {
         Ok(bus) => bus,
         Err(error) => {
@@ -86,6 +92,9 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
     // Another router answers: one that does not is a warning, not the end.
     for finding in found.iter_mut().filter(|finding| finding.id == "no_router") {
         finding.severity = Severity::Warning;
+        finding.remedy.push_str(
+            ". A program that starts waits for the router that it names first: name one that runs",
+        );
     }
     let look = look::look(&bus, Duration::from_secs_f64(args.listen_for)).await?;
     found.extend(findings::of_fleet(&look));
