@@ -56,6 +56,7 @@ fn every_key_and_pattern_is_canonical() {
         Pattern::ServiceTokens,
         Pattern::InstanceTokens(ServiceName::Ingest),
         Pattern::Statuses,
+        Pattern::Everything,
     ] {
         let text = space().pattern(&pattern);
         assert_eq!(KeyExpr::autocanonize(text.clone()).unwrap().as_str(), text);

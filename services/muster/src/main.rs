@@ -1,13 +1,14 @@
 //! `muster`: the operator's command.
 //!
 //! It starts things ([`demo`], [`up`], [`router`], [`robot`]), looks at a live fleet ([`show`],
-//! [`doctor`]), changes its settings ([`set`]), prints what messages look like ([`schema`]), runs the
-//! method once on a file ([`solve`]), and lives through the recording of a service again ([`replay`]). It
-//! is the one
+//! [`doctor`]), changes its settings ([`set`]), prepares hosts ([`deploy`]), prints what messages look
+//! like ([`schema`]), runs the method once on a file ([`solve`]), and lives through the recording of a
+//! service again ([`replay`]). It is the one
 //! program that knows all services: it composes them and adds nothing to them.
 
 mod ask;
 mod demo;
+mod deploy;
 mod doctor;
 mod fleet;
 mod replay;
@@ -68,6 +69,8 @@ enum Command {
     Set(set::SetArgs),
     /// Print the JSON Schema of the messages
     Schema(schema::SchemaArgs),
+    /// Print configurations, make certificates and the rules of routers
+    Deploy(deploy::DeployArgs),
     /// Divide a fleet that is described in a file, once, without a bus
     Solve(solve::SolveArgs),
     /// Feed a recording of a service to its core again, and compare what comes out
@@ -128,6 +131,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
         Command::ReplayCore(args) => replay::run(args),
         Command::Schema(args) => schema::run(args),
+        Command::Deploy(args) => deploy::run(args),
         Command::Solve(args) => solve::run(args).map_err(|error| {
             if error.is::<solve::SolveError>() {
                 ExitError::usage(format!("{error:#}")).into()

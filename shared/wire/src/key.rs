@@ -82,6 +82,8 @@ pub enum Pattern {
     InstanceTokens(ServiceName),
     /// `service/*/status`
     Statuses,
+    /// `**`: everything of the fleet.
+    Everything,
     /// One key.
     One(Key),
 }
@@ -155,6 +157,7 @@ impl KeySpace {
                 return format!("{}service/{service}/*", self.prefix);
             }
             Pattern::Statuses => "service/*/status",
+            Pattern::Everything => "**",
             Pattern::One(key) => return self.format(key),
         };
         format!("{}{tail}", self.prefix)
@@ -225,7 +228,7 @@ impl Pattern {
             Self::Poses | Self::Links | Self::Ranks | Self::Relations => MAX_ROBOT_PAYLOAD,
             Self::RobotTeams | Self::Statuses => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
-            Self::Graphs => MAX_SERVICE_PAYLOAD,
+            Self::Graphs | Self::Everything => MAX_SERVICE_PAYLOAD,
             Self::One(key) => key.payload_limit(),
         }
     }

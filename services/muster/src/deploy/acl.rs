@@ -1,0 +1,320 @@
+//! The configuration of a secured router: mutual TLS, and rules that deny what they do not allow.
+//!
+//! A rule allows a message if its key expression includes that of the message. So a put to
+//! `robot/*/pose` is allowed by no rule for one robot, and needs no rule that denies it; such rules
+//! would be passed by exactly such puts.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use muster_model::id::FleetId;
+use muster_runtime::exit::ExitError;
+use muster_wire::{KeySpace, Pattern};
+
+use super::certs::{AUTHORITY, CERTIFICATE, KEY, PUBLIC_MODE, SECRET_MODE, base64, read, write};
+use super::fleet::{FleetFile, Identity, Kind, Router};
+use super::rights::Rights;
+
+/// The router for trusted networks, which the secured one differs from only in what is put in here.
+const PLAIN: &str = include_str!("../../../../deploy/router/plain.json5");
+
+/// Where a router's identity stands on its host if it is not put into the configuration.
+const INSTALLED: &str = "/etc/muster/router";
+
+/// Arguments of `muster deploy acl`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "The file is the whole configuration of one router: TLS with certificates on both sides, and \
+for each identity what it may say, hear, ask and answer. Whoever is not named may do nothing. A router \
+reads it only as it starts.\n\nExamples:\n  \
+muster deploy acl --fleet-file fleet.toml --out router.json5\n  \
+muster deploy acl --fleet-file fleet.toml --identity identities/router.base --out router.json5\n  \
+muster router --zenoh-config router.json5"
+)]
+pub(crate) struct AclArgs {
+    /// The file that names everybody who takes part; deploy/fleet.toml is an example
+    #[arg(long, value_name = "FILE")]
+    fleet_file: PathBuf,
+    /// Which router of the fleet file; may be left out where there is one
+    #[arg(long, value_name = "NAME")]
+    router: Option<String>,
+    /// Put the certificates and the key of this folder into the file; without it the file names
+    /// those in /etc/muster/router
+    #[arg(long, value_name = "FOLDER")]
+    identity: Option<PathBuf>,
+    /// The file to write
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Replace a file that is there already
+    #[arg(long)]
+    force: bool,
+}
+
+/// Writes the configuration of a router.
+///
+/// # Errors
+/// Names the file that is wrong, is there already, or cannot be written.
+pub(super) fn run(args: &AclArgs) -> anyhow::Result<()> {
+    let fleet = FleetFile::read(&args.fleet_file)?;
+    let router = fleet.router(args.router.as_deref()).map_err(ExitError::usage)?;
+    if args.out.exists() && !args.force {
+        let out = args.out.display();
+        return Err(ExitError::usage(format!("--out: {out} is there already; --force replaces it")).into());
+    }
+    let tls = match &args.identity {
+        Some(folder) => Tls::embedded(folder)?,
+        None => Tls::installed(),
+    };
+    // With the key inside, the file is a secret itself.
+    let mode = if args.identity.is_some() { SECRET_MODE } else { PUBLIC_MODE };
+    write(&args.out, &router_config(&fleet, router, &tls)?, mode)?;
+    writeln!(std::io::stdout(), "{}: written for {} identities", args.out.display(), fleet.identities().len())?;
+    Ok(())
+}
+
+/// By what a router is known and knows others: names of files, or their content in base64.
+struct Tls {
+    suffix: &'static str,
+    authority: String,
+    certificate: String,
+    key: String,
+}
+
+impl Tls {
+    fn installed() -> Self {
+        let of = |name: &str| format!("{INSTALLED}/{name}");
+        Self { suffix: "", authority: of(AUTHORITY), certificate: of(CERTIFICATE), key: of(KEY) }
+    }
+
+    fn embedded(folder: &Path) -> anyhow::Result<Self> {
+        let of = |name: &str| anyhow::Ok(base64(&read(&folder.join(name))?));
+        Ok(Self {
+            suffix: "_base64",
+            authority: of(AUTHORITY)?,
+            certificate: of(CERTIFICATE)?,
+            key: of(KEY)?,
+        })
+    }
+}
+
+/// The text of the configuration of one router.
+///
+/// # Errors
+/// If the plain configuration has lost a place where something is put in.
+fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Result<String> {
+    let listen = serde_json::to_string(&[format!("tls/0.0.0.0:{}", router.port)])?;
+    // Each router links with those before it, so that each pair has one link.
+    let before = fleet.routers.iter().take_while(|other| other.name != router.name);
+    let connect = serde_json::to_string(&before.map(Router::endpoint).collect::<Vec<_>>())?;
+    let head = PLAIN.lines().take_while(|line| line.starts_with("//")).count();
+    let mut text = format!(
+        "// The Zenoh router {} of fleet {}, for networks that are not trusted: everybody shows a certificate, and
+// may do only what is allowed below. Made by `muster deploy acl` from the fleet file; change that one.
+//
+//   muster router --zenoh-config FILE        or Zenoh's own:  zenohd --config FILE
+",
+        router.name, fleet.fleet
+    );
+    for line in PLAIN.lines().skip(head) {
+        text.push_str(line);
+        text.push('\n');
+    }
+    let with_tls = format!(
+        "      // Nothing but TLS, also where an endpoint is changed by mistake.
+      protocols: [\"tls\"],
+      tls: {{
+        // Everybody must show a certificate (mutual TLS).
+        enable_mtls: true,
+        // Links end with the certificates behind them.
+        close_link_on_expiration: true,
+        // Who must have signed the certificates of clients and other routers.
+        root_ca_certificate{suffix}: \"{authority}\",
+        // The certificate that clients are shown …
+        listen_certificate{suffix}: \"{certificate}\",
+        // … and what proves it.
+        listen_private_key{suffix}: \"{key}\",
+        // The same towards other routers, of which this one is a client …
+        connect_certificate{suffix}: \"{certificate}\",
+        // … and what proves it.
+        connect_private_key{suffix}: \"{key}\",
+        // Refuse another router whose certificate does not name the address that we connect to.
+        verify_name_on_connect: true,
+      }},
+",
+        suffix = tls.suffix,
+        authority = tls.authority,
+        certificate = tls.certificate,
+        key = tls.key,
+    );
+    for (place, put_in) in [
+        ("[\"tcp/0.0.0.0:7447\"]", listen.as_str()),
+        ("    endpoints: [],\n", &format!("    endpoints: {connect},\n")),
+        ("      // TLS: none.\n", &with_tls),
+        ("  // Access control: none.\n", &access_control(fleet)?),
+    ] {
+        anyhow::ensure!(text.matches(place).count() == 1, "the plain router has no single {place:?}");
+        text = text.replace(place, put_in);
+    }
+    Ok(text)
+}
+
+/// Rules, subjects and policies, one of each per identity and right.
+fn access_control(fleet: &FleetFile) -> anyhow::Result<String> {
+    let mut rules = Rules::default();
+    let (mut subjects, mut policies) = (String::new(), String::new());
+    rules.shared(&fleet.fleet)?;
+    for identity in fleet.identities() {
+        let name = fleet.common_name(&identity);
+        let used = match Rights::of(fleet, &identity) {
+            Some(rights) => rules.of(&identity, &rights)?,
+            None => vec!["trusted".to_owned()],
+        };
+        writeln!(
+            subjects,
+            "      {{ id: \"{identity}\", cert_common_names: [\"{name}\"], link_protocols: [\"tls\"] }},"
+        )?;
+        let used = serde_json::to_string(&used)?;
+        writeln!(policies, "      {{ subjects: [\"{identity}\"], rules: {used} }},")?;
+    }
+    Ok(format!(
+        "  access_control: {{
+    // Without rules there would be no control at all.
+    enabled: true,
+    // What no rule allows is dropped, and nobody is told.
+    default_permission: \"deny\",
+    // Ingress is what the router takes from a client, egress what it hands to one.
+    rules: [
+{rules}    ],
+    // Who is who: exactly the common name of the certificate, and only over TLS.
+    subjects: [
+{subjects}    ],
+    // Who has which rights.
+    policies: [
+{policies}    ],
+  }},
+",
+        rules = rules.text
+    ))
+}
+
+/// The text of rules.
+#[derive(Default)]
+struct Rules {
+    text: String,
+}
+
+impl Rules {
+    /// Adds a rule, unless it would allow nothing.
+    fn add(
+        &mut self,
+        id: &str,
+        why: &str,
+        flow: &str,
+        messages: &[&str],
+        keys: &[String],
+    ) -> anyhow::Result<bool> {
+        if keys.is_empty() {
+            return Ok(false);
+        }
+        let (messages, keys) = (serde_json::to_string(messages)?, serde_json::to_string(keys)?);
+        writeln!(
+            self.text,
+            "      // {why}\n      {{ id: \"{id}\", permission: \"allow\", flows: [{flow}], messages: {messages}, key_exprs: {keys} }},"
+        )?;
+        Ok(true)
+    }
+
+    /// The rules that several identities share.
+    fn shared(&mut self, fleet: &FleetId) -> anyhow::Result<()> {
+        const ALL: [&str; 9] = [
+            "put",
+            "delete",
+            "declare_subscriber",
+            "query",
+            "declare_queryable",
+            "reply",
+            "liveliness_token",
+            "declare_liveliness_subscriber",
+            "liveliness_query",
+        ];
+        let everything = ["**".to_owned()];
+        let why = "Routers pass everything on to each other; each has checked its own clients.";
+        self.add("trusted", why, "\"ingress\", \"egress\"", &ALL, &everything)?;
+        let why = "Who says or asks something is told whether somebody listens: without that a publisher \
+                   stays silent.";
+        let messages = ["declare_subscriber", "declare_queryable"];
+        self.add("told of readers", why, "\"egress\"", &messages, &everything)?;
+        let why = "Services are handed the gets of those that may ask, wide ones too.";
+        let keys = [KeySpace::new(fleet.clone()).pattern(&Pattern::Everything)];
+        self.add("asked", why, "\"egress\"", &["query"], &keys)?;
+        Ok(())
+    }
+
+    /// The rules of one identity; returns the ids of all that it has.
+    fn of(&mut self, identity: &Identity, rights: &Rights) -> anyhow::Result<Vec<String>> {
+        let (ingress, egress) = ("\"ingress\"", "\"egress\"");
+        let mut used = vec!["told of readers".to_owned()];
+        if identity.kind == Kind::Service {
+            used.push("asked".to_owned());
+        }
+        let all: [(&str, &str, &[&str], &Vec<String>); 9] = [
+            ("says", ingress, &["put"], &rights.say),
+            ("subscribes to", ingress, &["declare_subscriber"], &rights.hear),
+            ("hears", egress, &["put"], &rights.hear),
+            ("asks for", ingress, &["query"], &rights.ask),
+            ("is answered", egress, &["reply"], &rights.ask),
+            ("answers", ingress, &["declare_queryable", "reply"], &rights.answer),
+            ("is there as", ingress, &["liveliness_token"], &rights.be),
+            (
+                "watches",
+                ingress,
+                &["declare_liveliness_subscriber", "liveliness_query"],
+                &rights.see,
+            ),
+            ("sees", egress, &["liveliness_token"], &rights.see),
+        ];
+        for (verb, flow, messages, keys) in all {
+            let id = format!("{identity} {verb}");
+            if self.add(&id, &format!("{identity} {verb}:"), flow, messages, keys)? {
+                used.push(id);
+            }
+        }
+        Ok(used)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EXAMPLE: &str = include_str!("../../../../deploy/fleet.toml");
+    const SHIPPED: &str =
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/router/secured.json5");
+
+    #[test]
+    fn the_shipped_router_is_made_from_the_shipped_fleet() {
+        let fleet = FleetFile::parse(EXAMPLE).unwrap();
+        let text = router_config(&fleet, &fleet.routers[0], &Tls::installed()).unwrap();
+        if std::env::var_os("UPDATE_GOLDEN").is_some() {
+            std::fs::write(SHIPPED, &text).unwrap();
+        }
+        let shipped = std::fs::read_to_string(SHIPPED).unwrap();
+        assert_eq!(shipped, text, "run this test with UPDATE_GOLDEN=1 after a change of keys or rules");
+        muster_runtime::zenoh_config::check_zenoh_config(Path::new(SHIPPED)).unwrap();
+    }
+
+    #[test]
+    fn later_routers_link_with_earlier_ones() {
+        let two = EXAMPLE.to_owned()
+            + "\n[[routers]]\nname = \"spare\"\naddresses = [\"spare.local\"]\nport = 7448\n";
+        let fleet = FleetFile::parse(&two).unwrap();
+        let text = |index: usize| {
+            router_config(&fleet, &fleet.routers[index], &Tls::installed()).unwrap()
+        };
+        assert!(text(0).contains("    endpoints: [],\n"));
+        assert!(text(1).contains("    endpoints: [\"tls/base.local:7447\"],\n"));
+        assert!(text(1).contains("[\"tls/0.0.0.0:7448\"]"));
+        assert!(text(1).contains("{ subjects: [\"router.spare\"], rules: [\"trusted\"] }"));
+    }
+}

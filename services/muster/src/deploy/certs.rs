@@ -1,0 +1,316 @@
+//! Certificates: an authority for the fleet, and one certificate for each that takes part.
+//!
+//! Keys are ECDSA on P-256, which every TLS library of robots knows. The folder of each identity
+//! holds all that its host needs; the key of the authority stays where it was made.
+
+use std::io::Write;
+use std::net::IpAddr;
+use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use base64::Engine as _;
+use muster_runtime::exit::ExitError;
+use muster_runtime::store::read_at_most;
+use rcgen::{
+    BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
+    KeyUsagePurpose, PKCS_ECDSA_P256_SHA256, SanType,
+};
+use time::{Duration, OffsetDateTime};
+
+use super::fleet::{FleetFile, Identity, Kind};
+
+/// The certificate of an identity or of the authority.
+pub(super) const CERTIFICATE: &str = "certificate.pem";
+
+/// The secret that belongs to it.
+pub(super) const KEY: &str = "key.pem";
+
+/// A copy of the authority's certificate beside each identity.
+pub(super) const AUTHORITY: &str = "authority.pem";
+
+/// Zenoh's configuration of a client, with everything that it needs in one file.
+const CLIENT_CONFIG: &str = "zenoh.json5";
+
+/// The folder of the authority.
+const AUTHORITY_FOLDER: &str = "authority";
+
+/// Who may look into the folders: secrets stand in them.
+const FOLDER_MODE: u32 = 0o700;
+
+/// Who may read a secret: its owner.
+pub(super) const SECRET_MODE: u32 = 0o600;
+
+/// Who may read a certificate: everybody.
+pub(super) const PUBLIC_MODE: u32 = 0o644;
+
+/// Largest certificate or key in bytes that is read back.
+const MAX_PEM: u64 = 64 * 1024;
+
+/// Arguments of `muster deploy certs`.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Makes OUT/authority (keep its key.pem off the network: who has it can be anybody), and for \
+each router, service, robot, operator and viewer a folder such as OUT/robot.r1 with certificate.pem, \
+key.pem, authority.pem and, for clients, zenoh.json5, which holds all of them. What is there already \
+stays as it is; the authority is never replaced.\n\nExamples:\n  \
+muster deploy certs --fleet-file fleet.toml --out identities\n  \
+muster deploy certs --fleet-file fleet.toml --out identities --force                  renew all\n  \
+muster deploy certs --fleet-file fleet.toml --out identities --force --only robot.r1   renew one\n  \
+muster-ingest --zenoh-config identities/service.ingest/zenoh.json5                    use one"
+)]
+pub(crate) struct CertsArgs {
+    /// The file that names everybody who takes part; deploy/fleet.toml is an example
+    #[arg(long, value_name = "FILE")]
+    fleet_file: PathBuf,
+    /// The folder of all identities
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Only these identities, such as robot.r1, with commas
+    #[arg(long, value_name = "KIND.NAME", value_delimiter = ',')]
+    only: Vec<String>,
+    /// Make certificates anew that are there already
+    #[arg(long)]
+    force: bool,
+}
+
+/// Who signs.
+struct Authority {
+    issuer: Issuer<'static, KeyPair>,
+    certificate: String,
+}
+
+/// Makes what is missing, and with `--force` everything but the authority anew.
+///
+/// # Errors
+/// Names the file that is wrong or cannot be written.
+pub(super) fn run(args: &CertsArgs) -> anyhow::Result<()> {
+    let fleet = FleetFile::read(&args.fleet_file)?;
+    let chosen = choose(&fleet, &args.only)?;
+    let mut out = std::io::stdout().lock();
+    make_folder(&args.out)?;
+    let authority = authority(&fleet, &args.out.join(AUTHORITY_FOLDER), &mut out)?;
+    for identity in chosen {
+        let folder = args.out.join(identity.to_string());
+        let there = [CERTIFICATE, KEY].iter().all(|name| folder.join(name).exists());
+        if there && !args.force {
+            writeln!(out, "{identity}: kept")?;
+            // What clients are told of the routers may have changed, and is no secret to be kept.
+            let pem = |name| read(&folder.join(name));
+            write_identity(&fleet, &identity, &folder, &pem(CERTIFICATE)?, &pem(KEY)?, &authority)?;
+            continue;
+        }
+        let (certificate, key) = certify(&fleet, &identity, &authority)
+            .with_context(|| format!("cannot certify {identity}"))?;
+        make_folder(&folder)?;
+        // An old certificate beside a new key would look whole after a crash.
+        remove(&folder.join(CERTIFICATE))?;
+        write_identity(&fleet, &identity, &folder, &certificate, &key, &authority)?;
+        writeln!(out, "{identity}: made, valid for {} days", fleet.certificate_days)?;
+    }
+    Ok(())
+}
+
+fn choose(fleet: &FleetFile, only: &[String]) -> Result<Vec<Identity>, ExitError> {
+    let mut all = fleet.identities();
+    let known = |name: &String| all.iter().any(|identity| identity.to_string() == *name);
+    if let Some(unknown) = only.iter().find(|name| !known(name)) {
+        let unknown = muster_wire::message::quoted(unknown);
+        return Err(ExitError::usage(format!(
+            "--only: {unknown:?} is not in the fleet file; write identities like robot.r1"
+        )));
+    }
+    all.retain(|identity| only.is_empty() || only.contains(&identity.to_string()));
+    Ok(all)
+}
+
+/// The authority of the folder, made if there is none.
+fn authority(fleet: &FleetFile, folder: &Path, out: &mut dyn Write) -> anyhow::Result<Authority> {
+    let (certificate_path, key_path) = (folder.join(CERTIFICATE), folder.join(KEY));
+    match (certificate_path.exists(), key_path.exists()) {
+        (true, true) => {
+            let (certificate, key) = (read(&certificate_path)?, read(&key_path)?);
+            let key = KeyPair::from_pem(&key)
+                .map_err(|error| damaged(&key_path, &error.to_string()))?;
+            let issuer = Issuer::from_ca_cert_pem(&certificate, key)
+                .map_err(|error| damaged(&certificate_path, &error.to_string()))?;
+            writeln!(out, "authority: kept")?;
+            Ok(Authority { issuer, certificate })
+        }
+        (false, false) => {
+            let key = KeyPair::generate_for(&PKCS_ECDSA_P256_SHA256)?;
+            let mut params = CertificateParams::default();
+            params.distinguished_name = rcgen::DistinguishedName::new();
+            params
+                .distinguished_name
+                .push(DnType::CommonName, format!("muster authority {}", fleet.fleet));
+            params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
+            params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
+            (params.not_before, params.not_after) = validity(fleet.authority_days)?;
+            let certificate = params.self_signed(&key)?.pem();
+            make_folder(folder)?;
+            write(&key_path, &key.serialize_pem(), SECRET_MODE)?;
+            write(&certificate_path, &certificate, PUBLIC_MODE)?;
+            writeln!(out, "authority: made, valid for {} days", fleet.authority_days)?;
+            Ok(Authority { issuer: Issuer::new(params, key), certificate })
+        }
+        (has_certificate, _) => {
+            let missing = if has_certificate { key_path } else { certificate_path };
+            Err(ExitError::usage(format!(
+                "{} is missing; put it back, or remove the whole folder {} for a new authority, by which \
+                 everybody needs a new certificate",
+                missing.display(),
+                folder.display()
+            ))
+            .into())
+        }
+    }
+}
+
+fn damaged(path: &Path, problem: &str) -> ExitError {
+    ExitError::usage(format!("{} cannot be used: {problem}; put the right file back", path.display()))
+}
+
+fn certify(
+    fleet: &FleetFile,
+    identity: &Identity,
+    authority: &Authority,
+) -> anyhow::Result<(String, String)> {
+    let key = KeyPair::generate_for(&PKCS_ECDSA_P256_SHA256)?;
+    let mut params = CertificateParams::default();
+    params.distinguished_name = rcgen::DistinguishedName::new();
+    params.distinguished_name.push(DnType::CommonName, fleet.common_name(identity));
+    params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
+    // A client's certificate does not make a router: only those are for servers.
+    params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ClientAuth];
+    params.use_authority_key_identifier_extension = true;
+    (params.not_before, params.not_after) = validity(fleet.certificate_days)?;
+    if identity.kind == Kind::Router {
+        params.extended_key_usages.push(ExtendedKeyUsagePurpose::ServerAuth);
+        let router = fleet.routers.iter().find(|router| router.name == identity.name);
+        for address in router.iter().flat_map(|router| &router.addresses) {
+            params.subject_alt_names.push(match address.parse::<IpAddr>() {
+                Ok(address) => SanType::IpAddress(address),
+                Err(_) => SanType::DnsName(address.as_str().try_into()?),
+            });
+        }
+    }
+    let certificate = params.signed_by(&key, &authority.issuer)?;
+    Ok((certificate.pem(), key.serialize_pem()))
+}
+
+/// From yesterday on, so that a host whose clock is somewhat behind accepts it too.
+fn validity(days: u32) -> anyhow::Result<(OffsetDateTime, OffsetDateTime)> {
+    let now = OffsetDateTime::now_utc();
+    let moment = |days: i64| {
+        now.checked_add(Duration::days(days)).context("the clock of this host is out of range")
+    };
+    Ok((moment(-1)?, moment(i64::from(days))?))
+}
+
+fn write_identity(
+    fleet: &FleetFile,
+    identity: &Identity,
+    folder: &Path,
+    certificate: &str,
+    key: &str,
+    authority: &Authority,
+) -> anyhow::Result<()> {
+    write(&folder.join(KEY), key, SECRET_MODE)?;
+    write(&folder.join(AUTHORITY), &authority.certificate, PUBLIC_MODE)?;
+    if identity.kind != Kind::Router {
+        let text = client_config(fleet, identity, &authority.certificate, certificate, key)?;
+        write(&folder.join(CLIENT_CONFIG), &text, SECRET_MODE)?;
+    }
+    // Last, so that an identity with a certificate has everything else.
+    write(&folder.join(CERTIFICATE), certificate, PUBLIC_MODE)
+}
+
+/// Zenoh's configuration for a client: where the routers are, and by what both sides know each other.
+fn client_config(
+    fleet: &FleetFile,
+    identity: &Identity,
+    authority: &str,
+    certificate: &str,
+    key: &str,
+) -> anyhow::Result<String> {
+    let endpoints: Vec<_> = fleet.routers.iter().map(super::fleet::Router::endpoint).collect();
+    let endpoints = serde_json::to_string(&endpoints)?;
+    Ok(format!(
+        "// Zenoh's configuration of {identity} of fleet {fleet_name}. Keep it secret: it holds the key.
+{{
+  // Through a router; clients need not reach each other.
+  mode: \"client\",
+  // The routers, in the order in which they are tried; the next one is used when one is lost.
+  connect: {{ endpoints: {endpoints} }},
+  // Nobody is looked for: what can be found can be forged.
+  scouting: {{ multicast: {{ enabled: false }}, gossip: {{ enabled: false }} }},
+  transport: {{
+    link: {{
+      // Nothing but TLS, also where an endpoint is changed by mistake.
+      protocols: [\"tls\"],
+      tls: {{
+        // Show a certificate of our own (mutual TLS).
+        enable_mtls: true,
+        // Refuse a router whose certificate does not name the address that we connect to.
+        verify_name_on_connect: true,
+        // Leave a router whose certificate ends while we are linked.
+        close_link_on_expiration: true,
+        // Who must have signed the router's certificate (authority.pem).
+        root_ca_certificate_base64: \"{authority}\",
+        // Who we are (certificate.pem) …
+        connect_certificate_base64: \"{certificate}\",
+        // … and what proves it (key.pem).
+        connect_private_key_base64: \"{key}\",
+      }},
+    }},
+  }},
+}}
+",
+        fleet_name = fleet.fleet,
+        authority = base64(authority),
+        certificate = base64(certificate),
+        key = base64(key),
+    ))
+}
+
+/// The form in which Zenoh takes a file inside of its configuration.
+pub(super) fn base64(text: &str) -> String {
+    base64::engine::general_purpose::STANDARD.encode(text)
+}
+
+/// Makes a folder that only its owner may look into; one that is there stays as it is.
+fn make_folder(folder: &Path) -> anyhow::Result<()> {
+    std::fs::DirBuilder::new()
+        .recursive(true)
+        .mode(FOLDER_MODE)
+        .create(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))
+}
+
+fn remove(path: &Path) -> anyhow::Result<()> {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(error).with_context(|| format!("cannot remove {}", path.display()))
+        }
+        _ => Ok(()),
+    }
+}
+
+pub(super) fn read(path: &Path) -> anyhow::Result<String> {
+    let fail = || format!("cannot read {}", path.display());
+    String::from_utf8(read_at_most(path, MAX_PEM).with_context(fail)?).with_context(fail)
+}
+
+/// Writes a file anew, whole or not at all; nobody sees a secret on the way.
+pub(super) fn write(path: &Path, text: &str, mode: u32) -> anyhow::Result<()> {
+    let fail = || format!("cannot write {}", path.display());
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let mut file =
+        tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new("."))).with_context(fail)?;
+    file.write_all(text.as_bytes()).with_context(fail)?;
+    file.as_file().set_permissions(std::fs::Permissions::from_mode(mode)).with_context(fail)?;
+    file.as_file().sync_all().with_context(fail)?;
+    file.persist(path).with_context(fail)?;
+    Ok(())
+}

@@ -1,0 +1,313 @@
+//! The fleet file: who may take part in a secured fleet, under which names.
+
+use std::collections::BTreeSet;
+use std::fmt;
+use std::net::IpAddr;
+use std::path::Path;
+
+use muster_model::id::{FleetId, Modality, RobotId, ServiceName, check_id};
+use muster_runtime::exit::ExitError;
+use muster_runtime::store::read_at_most;
+use muster_wire::message::quoted;
+use serde::Deserialize;
+
+/// Largest fleet file in bytes: 10,000 robots with the longest names, and some.
+const MAX_FILE: u64 = 1024 * 1024;
+
+/// Longest common name of a certificate, by its standard (X.520, ub-common-name).
+const MAX_COMMON_NAME: usize = 64;
+
+/// Longest address of a router, by the standard of host names.
+const MAX_ADDRESS: usize = 253;
+
+/// Most routers that a client is told of: beyond a few, a list is a mistake.
+const MAX_ROUTERS: usize = 16;
+
+/// Longest validity in days: certificates that outlive their hosts are of no use.
+const MAX_DAYS: u32 = 36_500;
+
+/// Who holds a certificate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Kind {
+    /// Relays for all others, and is trusted by them.
+    Router,
+    /// One of the services, however many instances of it run.
+    Service,
+    /// One robot.
+    Robot,
+    /// May read everything and change settings.
+    Operator,
+    /// May read everything.
+    Viewer,
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Router => "router",
+            Self::Service => "service",
+            Self::Robot => "robot",
+            Self::Operator => "operator",
+            Self::Viewer => "viewer",
+        })
+    }
+}
+
+/// One holder of a certificate: what it is and how it is called.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Identity {
+    /// What it is.
+    pub(super) kind: Kind,
+    /// Its name among its kind.
+    pub(super) name: String,
+}
+
+/// `kind.name`. No name has a dot, so that no two identities look alike.
+impl fmt::Display for Identity {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}.{}", self.kind, self.name)
+    }
+}
+
+/// One router.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Router {
+    /// Its name among the routers.
+    pub(super) name: String,
+    /// Host names and addresses by which it is reached; clients use the first.
+    pub(super) addresses: Vec<String>,
+    /// The TCP port that it listens at.
+    #[serde(default = "default_port")]
+    pub(super) port: u16,
+}
+
+/// A fleet as its file describes it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FleetFile {
+    /// The fleet.
+    pub(super) fleet: FleetId,
+    /// Its routers, in the order in which clients try them.
+    pub(super) routers: Vec<Router>,
+    /// Its robots.
+    #[serde(default)]
+    pub(super) robots: Vec<RobotId>,
+    /// Its services.
+    #[serde(default = "all_services")]
+    pub(super) services: Vec<ServiceName>,
+    /// Its operators.
+    #[serde(default)]
+    pub(super) operators: Vec<String>,
+    /// Who may look at it.
+    #[serde(default)]
+    pub(super) viewers: Vec<String>,
+    /// Declared relations that robots may report.
+    #[serde(default)]
+    pub(super) modalities: Vec<Modality>,
+    /// Whether robots may read what consoles read.
+    #[serde(default)]
+    pub(super) robots_read_json: bool,
+    /// Validity of certificates in days.
+    #[serde(default = "default_certificate_days")]
+    pub(super) certificate_days: u32,
+    /// Validity of the certificate authority in days.
+    #[serde(default = "default_authority_days")]
+    pub(super) authority_days: u32,
+}
+
+fn default_port() -> u16 {
+    7447
+}
+
+fn all_services() -> Vec<ServiceName> {
+    ServiceName::ALL.to_vec()
+}
+
+fn default_certificate_days() -> u32 {
+    365
+}
+
+fn default_authority_days() -> u32 {
+    3650
+}
+
+impl Router {
+    /// Where clients connect to.
+    pub(super) fn endpoint(&self) -> String {
+        let address = self.addresses.first().map_or("localhost", String::as_str);
+        // Of addresses only those of IPv6 have colons, which must not run into that of the port.
+        if address.contains(':') {
+            format!("tls/[{address}]:{}", self.port)
+        } else {
+            format!("tls/{address}:{}", self.port)
+        }
+    }
+}
+
+impl FleetFile {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// Names the file, the field that is wrong, and the remedy.
+    pub(super) fn read(path: &Path) -> Result<Self, ExitError> {
+        let fail = |problem: String| {
+            ExitError::usage(format!("fleet file {}: {problem}", path.display()))
+        };
+        let bytes = read_at_most(path, MAX_FILE).map_err(|error| fail(error.to_string()))?;
+        let text = String::from_utf8(bytes).map_err(|error| fail(error.to_string()))?;
+        Self::parse(&text).map_err(fail)
+    }
+
+    /// Reads and checks the text of a file.
+    ///
+    /// # Errors
+    /// Names the field that is wrong, and the remedy.
+    pub(super) fn parse(text: &str) -> Result<Self, String> {
+        let file: Self = toml::from_str(text).map_err(|error| error.to_string())?;
+        file.check()?;
+        Ok(file)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.routers.is_empty() || self.routers.len() > MAX_ROUTERS {
+            return Err(format!("routers: must be 1 to {MAX_ROUTERS}, these are {}", self.routers.len()));
+        }
+        for router in &self.routers {
+            let name = quoted(&router.name);
+            if router.addresses.is_empty() {
+                return Err(format!("routers.{name}.addresses: must name at least one address"));
+            }
+            for address in &router.addresses {
+                check_address(address)
+                    .map_err(|problem| format!("routers.{name}.addresses: {problem}"))?;
+            }
+            if router.port == 0 {
+                return Err(format!("routers.{name}.port: must be 1 to 65535"));
+            }
+        }
+        for (field, days) in [
+            ("certificate_days", self.certificate_days),
+            ("authority_days", self.authority_days),
+        ] {
+            if !(1..=MAX_DAYS).contains(&days) {
+                return Err(format!("{field}: must be 1 to {MAX_DAYS}, this is {days}"));
+            }
+        }
+        if let Some(modality) = self.modalities.iter().find(|modality| modality.is_built_in()) {
+            return Err(format!("modalities: {modality} is built in; name only declared ones"));
+        }
+        let mut seen = BTreeSet::new();
+        for identity in self.identities() {
+            let field = match identity.kind {
+                Kind::Router => "routers",
+                Kind::Service => "services",
+                Kind::Robot => "robots",
+                Kind::Operator => "operators",
+                Kind::Viewer => "viewers",
+            };
+            check_id(&identity.name).map_err(|error| format!("{field}: {error}"))?;
+            let length = self.common_name(&identity).len();
+            if length > MAX_COMMON_NAME {
+                return Err(format!(
+                    "{field}: the certificate of {} would be called by {length} characters, and may by \
+                     {MAX_COMMON_NAME}; choose a shorter name for it or the fleet",
+                    identity.name
+                ));
+            }
+            if !seen.insert(identity.clone()) {
+                return Err(format!("{field}: {} is named twice", identity.name));
+            }
+        }
+        Ok(())
+    }
+
+    /// Everybody who holds a certificate.
+    pub(super) fn identities(&self) -> Vec<Identity> {
+        let of = |kind, name: &str| Identity { kind, name: name.to_owned() };
+        let mut all = Vec::new();
+        all.extend(self.routers.iter().map(|router| of(Kind::Router, &router.name)));
+        all.extend(self.services.iter().map(|service| of(Kind::Service, service.as_str())));
+        all.extend(self.robots.iter().map(|robot| of(Kind::Robot, robot.as_str())));
+        all.extend(self.operators.iter().map(|name| of(Kind::Operator, name)));
+        all.extend(self.viewers.iter().map(|name| of(Kind::Viewer, name)));
+        all
+    }
+
+    /// The common name of a certificate, by which routers know its holder.
+    pub(super) fn common_name(&self, identity: &Identity) -> String {
+        format!("{identity}.{}", self.fleet)
+    }
+
+    /// A router by its name, or the only one.
+    ///
+    /// # Errors
+    /// Names the routers that there are.
+    pub(super) fn router(&self, name: Option<&str>) -> Result<&Router, String> {
+        let found = match name {
+            Some(name) => self.routers.iter().find(|router| router.name == name),
+            None => self.routers.first().filter(|_| self.routers.len() == 1),
+        };
+        found.ok_or_else(|| {
+            let names: Vec<_> = self.routers.iter().map(|router| router.name.as_str()).collect();
+            format!("--router: must be one of {}", names.join(", "))
+        })
+    }
+}
+
+/// Checks a host name or an address, so that it may stand in an endpoint and in a certificate.
+fn check_address(address: &str) -> Result<(), String> {
+    let named = address.split('.').all(|label| {
+        !label.is_empty()
+            && label.len() <= 63
+            && label.chars().all(|c| c.is_ascii_alphanumeric() || c == '-')
+            && !label.starts_with('-')
+            && !label.ends_with('-')
+    });
+    if address.parse::<IpAddr>().is_ok() || (named && address.len() <= MAX_ADDRESS) {
+        return Ok(());
+    }
+    Err(format!(
+        "{:?} is no host name or address; write one like base.local or 192.168.1.10, without a port",
+        quoted(address)
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EXAMPLE: &str = include_str!("../../../../deploy/fleet.toml");
+
+    #[test]
+    fn the_example_is_read() {
+        let fleet = FleetFile::parse(EXAMPLE).unwrap();
+        assert_eq!(fleet.identities().len(), 1 + 4 + 3 + 1 + 1);
+        let robot = Identity { kind: Kind::Robot, name: "r1".to_owned() };
+        assert_eq!(fleet.common_name(&robot), "robot.r1.default");
+        assert_eq!(fleet.router(None).unwrap().endpoint(), "tls/base.local:7447");
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        let with = |from: &str, to: &str| {
+            assert!(EXAMPLE.contains(from), "{from}");
+            FleetFile::parse(&EXAMPLE.replace(from, to)).unwrap_err()
+        };
+        assert!(with("\"r3\"", "\"R 3\"").contains("a-z"));
+        assert!(with("\"r3\"", "\"r1\"").contains("robots: r1 is named twice"));
+        let long = "x".repeat(60);
+        assert!(with("\"r3\"", &format!("{long:?}")).contains("shorter"));
+        assert!(with("operators =", "operator =").contains("operator"));
+        assert!(with("\"auditor\"]", "\"boss\"]").contains("boss"));
+        assert!(with("\"base.local\"", "\"base local\"").contains("routers.base.addresses"));
+        assert!(with("\"base.local\"", "\"tcp/base:1\"").contains("routers.base.addresses"));
+        assert!(with("port = 7447", "port = 0").contains("routers.base.port"));
+        assert!(with("certificate_days = 365", "certificate_days = 0").contains("certificate_days"));
+        assert!(with("modalities = []", "modalities = [\"spatial\"]").contains("modalities"));
+        assert!(with("[\"operator\"]", "[\"a.b\"]").contains("operators"));
+        let address = FleetFile::parse(&EXAMPLE.replace("\"base.local\"", "\"::1\"")).unwrap();
+        assert_eq!(address.routers[0].endpoint(), "tls/[::1]:7447");
+        assert!(address.router(Some("other")).unwrap_err().contains("base"));
+    }
+}
