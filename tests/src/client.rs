@@ -68,6 +68,14 @@ impl Client {
         ] {
             config.insert_json5(key, &value).map_err(fail)?;
         }
+        Self::open(config, fleet).await
+    }
+
+    /// Connects as a configuration of Zenoh says.
+    ///
+    /// # Errors
+    /// If no router takes it in.
+    pub async fn open(config: zenoh::Config, fleet: &str) -> anyhow::Result<Self> {
         let session = zenoh::open(config).await.map_err(fail)?;
         Ok(Self { session, prefix: format!("muster/v1/{fleet}/") })
     }

@@ -180,6 +180,7 @@ fn every_command_has_examples() {
         "set",
         "solve",
         "replay-core",
+        "deploy",
     ] {
         let (code, out, _) = run("muster", &[command, "--help"], SOON).unwrap();
         assert_eq!(code, Some(0));

@@ -5,6 +5,7 @@ use std::io::Write as _;
 use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
+use muster_runtime::notify;
 use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
 
@@ -35,8 +36,21 @@ pub(crate) async fn run(
         bus = Bus::open(config, Patience::Forever) => bus?,
         () = stop.stopped() => return Ok(()),
     };
-    writeln!(std::io::stdout(), "router listens at {}", bus.locators().await.join(", "))?;
-    stop.stopped().await;
+    let listening = format!("router listens at {}", bus.locators().await.join(", "));
+    writeln!(std::io::stdout(), "{listening}")?;
+    notify::ready(&listening);
+    let mut watched = notify::watch();
+    loop {
+        tokio::select! {
+            () = stop.stopped() => break,
+            () = watched.due() => {
+                // Who answers this is not stuck.
+                bus.locators().await;
+                watched.beat();
+            }
+        }
+    }
+    notify::stopping();
     bus.close().await;
     Ok(())
 }

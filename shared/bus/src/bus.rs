@@ -14,7 +14,7 @@ use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
 use crate::config::{BusConfig, Mode};
-use crate::zenoh_config::zenoh_config;
+use crate::zenoh_config::{connect_endpoints, zenoh_config};
 
 /// Most answers to one get, or tokens, that are kept.
 const MAX_ANSWERS: usize = 16_384;
@@ -171,7 +171,8 @@ impl Bus {
     pub async fn open(config: impl Into<BusConfig>, patience: Patience) -> Result<Self, OpenError> {
         let config = config.into();
         let zenoh = zenoh_config(&config)?;
-        let routers = config.connect.value.join(", ");
+        let routers = connect_endpoints(&zenoh).unwrap_or_else(|| config.connect.value.clone());
+        let routers = routers.join(", ");
         // Zenoh opens, and waits for its router, on the thread that asks. A plain thread can be left
         // behind when it is time to stop; a runtime would wait for one of its own as it ends.
         let (sender, mut opening) = tokio::sync::oneshot::channel();

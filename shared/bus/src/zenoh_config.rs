@@ -83,6 +83,20 @@ pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenErro
     Ok(zenoh)
 }
 
+/// The routers that a process will look for, whoever named them: a flag, a file of ours, or Zenoh's.
+///
+/// # Errors
+/// If the file with Zenoh's own configuration is wrong.
+pub fn routers(config: &BusConfig) -> Result<Vec<String>, OpenError> {
+    let zenoh = zenoh_config(config)?;
+    Ok(connect_endpoints(&zenoh).unwrap_or_else(|| config.connect.value.clone()))
+}
+
+/// The routers that a configuration of Zenoh names; nothing if they depend on the mode.
+pub(crate) fn connect_endpoints(zenoh: &zenoh::Config) -> Option<Vec<String>> {
+    serde_json::from_str(&zenoh.get_json("connect/endpoints").ok()?).ok()
+}
+
 fn read_zenoh_config(path: &Path) -> Result<zenoh::Config, OpenError> {
     zenoh::Config::from_file(path)
         .map_err(|error| OpenError::Config(format!("zenoh_config {}: {error}", path.display())))
@@ -120,4 +134,57 @@ fn built_in_values() -> Vec<(&'static str, String)> {
         ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
         ("transport/unicast/max_sessions", "10000".to_owned()),
     ]
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+mod tests {
+    use muster_model::id::FleetId;
+
+    use super::*;
+    use crate::config::{Choice, DEFAULT_ENDPOINT, Mode};
+
+    fn router(listen: Choice<Vec<String>>, file: Option<&str>) -> BusConfig {
+        BusConfig {
+            fleet: FleetId::new("alpha").unwrap(),
+            mode: Choice::default(Mode::Router),
+            connect: Choice::default(Vec::new()),
+            listen,
+            zenoh_config: file.map(Into::into),
+        }
+    }
+
+    fn list(endpoint: &str) -> Vec<String> {
+        vec![endpoint.to_owned()]
+    }
+
+    #[test]
+    fn the_shipped_router_configuration_is_the_built_in_one() {
+        let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/router/plain.json5");
+        let values = |config: &BusConfig| -> serde_json::Value {
+            serde_json::from_str(&zenoh_config(config).unwrap().to_string()).unwrap()
+        };
+        let built_in = router(Choice::chosen(list("tcp/0.0.0.0:7447")), None);
+        let with_file = router(Choice::default(list(DEFAULT_ENDPOINT)), Some(shipped));
+        assert_eq!(values(&with_file), values(&built_in));
+        // Also by itself, as Zenoh's own router reads it.
+        let alone = zenoh::Config::from_file(shipped).unwrap();
+        let ours = zenoh_config(&built_in).unwrap();
+        for (key, _) in built_in_values() {
+            assert_eq!(alone.get_json(key).unwrap(), ours.get_json(key).unwrap(), "{key}");
+        }
+    }
+
+    #[test]
+    fn the_routers_are_those_of_whoever_named_them() {
+        let folder = std::env::temp_dir().join(format!("muster-routers-{}", std::process::id()));
+        std::fs::write(&folder, "{connect: {endpoints: [\"tls/base:7447\"]}}").unwrap();
+        let mut config = router(Choice::default(Vec::new()), folder.to_str());
+        config.mode = Choice::default(Mode::Client);
+        config.connect = Choice::default(list(DEFAULT_ENDPOINT));
+        assert_eq!(routers(&config).unwrap(), list("tls/base:7447"));
+        config.connect = Choice::chosen(list("tcp/flag:7447"));
+        assert_eq!(routers(&config).unwrap(), list("tcp/flag:7447"));
+        std::fs::remove_file(folder).unwrap();
+    }
 }

@@ -9,10 +9,11 @@ use muster_machine::Core;
 use muster_model::id::{InstanceId, ServiceName};
 use tracing::Instrument as _;
 
-use crate::bus::{Bus, Patience};
+use crate::bus::{self, Bus, Patience};
 use crate::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use crate::exit::{self, ExitError};
 use crate::instance::instance_name;
+use crate::notify;
 use crate::observe::{Observatory, Observer};
 use crate::recording::RecordTo;
 use crate::shell::{self, ServiceOptions};
@@ -21,6 +22,9 @@ use crate::store::Store;
 
 /// How long computations that still run at the end are waited for.
 const SHUTDOWN_WITHIN: Duration = Duration::from_millis(500);
+
+/// When a process that waits for its router counts as started.
+const READY_AFTER: Duration = Duration::from_secs(1);
 
 /// The flags of a service binary.
 #[derive(Debug, Parser)]
@@ -142,9 +146,26 @@ async fn run_instance<C: Core>(
         store: Store::new(config.state_directory.value.as_deref(), &config.fleet.value, C::SERVICE),
         observer,
     };
+    let mut watched = notify::watch();
     let bus = tokio::select! {
-        bus = Bus::open(&config, Patience::Forever) => bus?,
-        () = stop.stopped() => return Ok(()),
+        bus = watched.during(open(&config)) => bus?,
+        () = stop.stopped() => {
+            notify::stopping();
+            return Ok(());
+        }
     };
+    drop(watched);
     shell::run::<C>(bus, options, stop).await
+}
+
+/// Opens the bus, and tells the service manager if it has to wait for a router: that may take long,
+/// and is no failure of this process.
+async fn open(config: &ProcessConfig) -> anyhow::Result<Bus> {
+    let mut opening = std::pin::pin!(Bus::open(config, Patience::Forever));
+    if let Ok(bus) = tokio::time::timeout(READY_AFTER, &mut opening).await {
+        return Ok(bus?);
+    }
+    let routers = bus::routers(&config.into())?.join(", ");
+    notify::ready(&format!("waiting for a router at {routers}"));
+    Ok(opening.await?)
 }

@@ -30,6 +30,7 @@ use crate::bus::{Answer, Ask, Asked, Bus, Query};
 use crate::clock::Clock;
 use crate::errands::Errands;
 use crate::inbox::Inbox;
+use crate::notify;
 use crate::observe::{Observer, Queues};
 use crate::outbox::Outbox;
 use crate::recording::{RecordFile, Recording, host_facts};
@@ -96,6 +97,7 @@ pub async fn run<C: Core>(
     options: ServiceOptions<C::Settings>,
     mut stop: Stop,
 ) -> anyhow::Result<()> {
+    let mut watched = notify::watch();
     let clock = Clock::start();
     let inbox = Arc::new(Inbox::default());
     let outbox = Outbox::default();
@@ -126,7 +128,7 @@ pub async fn run<C: Core>(
     })?;
     let (errands, errands_done) = Errands::start(bus.clone(), options.store)?;
     let observer = options.observer;
-    let served = declare::<C>(&bus, &inbox, queries, &observer).await?;
+    let served = watched.during(declare::<C>(&bus, &inbox, queries, &observer)).await?;
     let token = Key::ServiceToken(C::SERVICE, options.instance);
     let token = bus.declare_token(&token).await?;
     let mut link = bus.link();
@@ -146,7 +148,9 @@ pub async fn run<C: Core>(
         observer: observer.clone(),
         recording,
     };
-    tracing::info!("{} serves fleet {}", C::SERVICE, bus.space().fleet());
+    let serving = format!("{} serves fleet {}", C::SERVICE, bus.space().fleet());
+    tracing::info!("{serving}");
+    notify::ready(&serving);
     shell.step(Event::Started);
     let up = *link.borrow_and_update();
     observer.link(up);
@@ -167,6 +171,7 @@ pub async fn run<C: Core>(
         };
         tokio::select! {
             () = stop.stopped() => break,
+            () = watched.due() => watched.beat(),
             () = due => {
                 shell.step(Event::Timeout);
                 not_before = Instant::now() + BETWEEN_TIMEOUTS;
@@ -182,12 +187,14 @@ pub async fn run<C: Core>(
                 let up = *link.borrow_and_update();
                 tracing::warn!("the link to the router is {}", if up { "back" } else { "lost" });
                 observer.link(up);
+                notify::status(if up { &serving } else { "the link to the router is lost" });
                 shell.step(if up { Event::LinkRestored } else { Event::LinkLost });
             }
         }
     }
     observer.ended();
     tracing::info!("{} ends", C::SERVICE);
+    notify::stopping();
     let recording = shell.recording.take();
     drop(shell);
     // What is stored last must reach the disk; everything else may be lost.

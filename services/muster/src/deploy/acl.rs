@@ -60,7 +60,10 @@ pub(super) fn run(args: &AclArgs) -> anyhow::Result<()> {
     let router = fleet.router(args.router.as_deref()).map_err(ExitError::usage)?;
     if args.out.exists() && !args.force {
         let out = args.out.display();
-        return Err(ExitError::usage(format!("--out: {out} is there already; --force replaces it")).into());
+        return Err(ExitError::usage(format!(
+            "--out: {out} is there already; --force replaces it"
+        ))
+        .into());
     }
     let tls = match &args.identity {
         Some(folder) => Tls::embedded(folder)?,
@@ -69,7 +72,12 @@ pub(super) fn run(args: &AclArgs) -> anyhow::Result<()> {
     // With the key inside, the file is a secret itself.
     let mode = if args.identity.is_some() { SECRET_MODE } else { PUBLIC_MODE };
     write(&args.out, &router_config(&fleet, router, &tls)?, mode)?;
-    writeln!(std::io::stdout(), "{}: written for {} identities", args.out.display(), fleet.identities().len())?;
+    writeln!(
+        std::io::stdout(),
+        "{}: written for {} identities",
+        args.out.display(),
+        fleet.identities().len()
+    )?;
     Ok(())
 }
 
@@ -153,7 +161,10 @@ fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Resul
         ("      // TLS: none.\n", &with_tls),
         ("  // Access control: none.\n", &access_control(fleet)?),
     ] {
-        anyhow::ensure!(text.matches(place).count() == 1, "the plain router has no single {place:?}");
+        anyhow::ensure!(
+            text.matches(place).count() == 1,
+            "the plain router has no single {place:?}"
+        );
         text = text.replace(place, put_in);
     }
     Ok(text)
@@ -289,8 +300,7 @@ mod tests {
     use super::*;
 
     const EXAMPLE: &str = include_str!("../../../../deploy/fleet.toml");
-    const SHIPPED: &str =
-        concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/router/secured.json5");
+    const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/router/secured.json5");
 
     #[test]
     fn the_shipped_router_is_made_from_the_shipped_fleet() {
@@ -300,8 +310,11 @@ mod tests {
             std::fs::write(SHIPPED, &text).unwrap();
         }
         let shipped = std::fs::read_to_string(SHIPPED).unwrap();
-        assert_eq!(shipped, text, "run this test with UPDATE_GOLDEN=1 after a change of keys or rules");
-        muster_runtime::zenoh_config::check_zenoh_config(Path::new(SHIPPED)).unwrap();
+        assert_eq!(
+            shipped, text,
+            "run this test with UPDATE_GOLDEN=1 after a change of keys or rules"
+        );
+        muster_runtime::bus::check_zenoh_config(Path::new(SHIPPED)).unwrap();
     }
 
     #[test]
@@ -309,9 +322,8 @@ mod tests {
         let two = EXAMPLE.to_owned()
             + "\n[[routers]]\nname = \"spare\"\naddresses = [\"spare.local\"]\nport = 7448\n";
         let fleet = FleetFile::parse(&two).unwrap();
-        let text = |index: usize| {
-            router_config(&fleet, &fleet.routers[index], &Tls::installed()).unwrap()
-        };
+        let text =
+            |index: usize| router_config(&fleet, &fleet.routers[index], &Tls::installed()).unwrap();
         assert!(text(0).contains("    endpoints: [],\n"));
         assert!(text(1).contains("    endpoints: [\"tls/base.local:7447\"],\n"));
         assert!(text(1).contains("[\"tls/0.0.0.0:7448\"]"));

@@ -130,8 +130,8 @@ fn authority(fleet: &FleetFile, folder: &Path, out: &mut dyn Write) -> anyhow::R
     match (certificate_path.exists(), key_path.exists()) {
         (true, true) => {
             let (certificate, key) = (read(&certificate_path)?, read(&key_path)?);
-            let key = KeyPair::from_pem(&key)
-                .map_err(|error| damaged(&key_path, &error.to_string()))?;
+            let key =
+                KeyPair::from_pem(&key).map_err(|error| damaged(&key_path, &error.to_string()))?;
             let issuer = Issuer::from_ca_cert_pem(&certificate, key)
                 .map_err(|error| damaged(&certificate_path, &error.to_string()))?;
             writeln!(out, "authority: kept")?;
@@ -168,7 +168,10 @@ fn authority(fleet: &FleetFile, folder: &Path, out: &mut dyn Write) -> anyhow::R
 }
 
 fn damaged(path: &Path, problem: &str) -> ExitError {
-    ExitError::usage(format!("{} cannot be used: {problem}; put the right file back", path.display()))
+    ExitError::usage(format!(
+        "{} cannot be used: {problem}; put the right file back",
+        path.display()
+    ))
 }
 
 fn certify(

@@ -16,11 +16,9 @@ const RULE: &str = "# -----";
 
 /// Arguments of `muster deploy config`.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Examples:\n  muster deploy config ingest > /etc/muster/ingest.toml\n  \
+#[command(after_help = "Examples:\n  muster deploy config ingest > /etc/muster/ingest.toml\n  \
 muster-ingest --config /etc/muster/ingest.toml --check-config\n  \
-muster deploy config                    all services in one file"
-)]
+muster deploy config                    all services in one file")]
 pub(crate) struct ConfigArgs {
     /// ingest, embedder, clusterer or auditor; all if none is named
     service: Option<ServiceName>,

@@ -151,9 +151,8 @@ impl FleetFile {
     /// # Errors
     /// Names the file, the field that is wrong, and the remedy.
     pub(super) fn read(path: &Path) -> Result<Self, ExitError> {
-        let fail = |problem: String| {
-            ExitError::usage(format!("fleet file {}: {problem}", path.display()))
-        };
+        let fail =
+            |problem: String| ExitError::usage(format!("fleet file {}: {problem}", path.display()));
         let bytes = read_at_most(path, MAX_FILE).map_err(|error| fail(error.to_string()))?;
         let text = String::from_utf8(bytes).map_err(|error| fail(error.to_string()))?;
         Self::parse(&text).map_err(fail)
@@ -171,7 +170,10 @@ impl FleetFile {
 
     fn check(&self) -> Result<(), String> {
         if self.routers.is_empty() || self.routers.len() > MAX_ROUTERS {
-            return Err(format!("routers: must be 1 to {MAX_ROUTERS}, these are {}", self.routers.len()));
+            return Err(format!(
+                "routers: must be 1 to {MAX_ROUTERS}, these are {}",
+                self.routers.len()
+            ));
         }
         for router in &self.routers {
             let name = quoted(&router.name);
@@ -186,10 +188,9 @@ impl FleetFile {
                 return Err(format!("routers.{name}.port: must be 1 to 65535"));
             }
         }
-        for (field, days) in [
-            ("certificate_days", self.certificate_days),
-            ("authority_days", self.authority_days),
-        ] {
+        for (field, days) in
+            [("certificate_days", self.certificate_days), ("authority_days", self.authority_days)]
+        {
             if !(1..=MAX_DAYS).contains(&days) {
                 return Err(format!("{field}: must be 1 to {MAX_DAYS}, this is {days}"));
             }
@@ -303,7 +304,9 @@ mod tests {
         assert!(with("\"base.local\"", "\"base local\"").contains("routers.base.addresses"));
         assert!(with("\"base.local\"", "\"tcp/base:1\"").contains("routers.base.addresses"));
         assert!(with("port = 7447", "port = 0").contains("routers.base.port"));
-        assert!(with("certificate_days = 365", "certificate_days = 0").contains("certificate_days"));
+        assert!(
+            with("certificate_days = 365", "certificate_days = 0").contains("certificate_days")
+        );
         assert!(with("modalities = []", "modalities = [\"spatial\"]").contains("modalities"));
         assert!(with("[\"operator\"]", "[\"a.b\"]").contains("operators"));
         let address = FleetFile::parse(&EXAMPLE.replace("\"base.local\"", "\"::1\"")).unwrap();

@@ -14,11 +14,9 @@ use clap::Subcommand;
 
 /// Arguments of `muster deploy`.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Examples:\n  muster deploy config ingest > /etc/muster/ingest.toml\n  \
+#[command(after_help = "Examples:\n  muster deploy config ingest > /etc/muster/ingest.toml\n  \
 muster deploy certs --fleet-file fleet.toml --out identities\n  \
-muster deploy acl --fleet-file fleet.toml --identity identities/router.base --out router.json5"
-)]
+muster deploy acl --fleet-file fleet.toml --identity identities/router.base --out router.json5")]
 pub(crate) struct DeployArgs {
     #[command(subcommand)]
     what: What,

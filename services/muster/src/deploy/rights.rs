@@ -81,9 +81,8 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
     let answered = texts(&mut served.into_iter().map(|(pattern, _)| pattern));
     let events = [Key::Event, Key::JsonEvent].map(|key| space.format(&key));
 
-    let with_own = |list: &[String]| -> Vec<String> {
-        list.iter().cloned().chain([own.clone()]).collect()
-    };
+    let with_own =
+        |list: &[String]| -> Vec<String> { list.iter().cloned().chain([own.clone()]).collect() };
     let mut rights = Rights {
         say: with_own(&[&outputs[..], &events].concat()),
         hear: with_own(&heard),
@@ -94,13 +93,9 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
         see: with_own(&texts(&mut tokens.into_iter())),
     };
     rights.answer.push(schema(space));
-    for list in [
-        &mut rights.say,
-        &mut rights.hear,
-        &mut rights.ask,
-        &mut rights.answer,
-        &mut rights.see,
-    ] {
+    for list in
+        [&mut rights.say, &mut rights.hear, &mut rights.ask, &mut rights.answer, &mut rights.see]
+    {
         list.sort_unstable();
         list.dedup();
     }

@@ -1,0 +1,169 @@
+//! The watchdog of a service manager is fed by the loops themselves: one that hangs starves it, also
+//! while another loop of the same process, and all its threads, are well.
+//!
+//! What is told is read from the environment of a process, so that each case is a process of its own:
+//! this program, which then runs the test called `a_process_with_two_loops`.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+use std::os::unix::net::UnixDatagram;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use muster_machine::{Core, Effects, Event, Role, Start, Wiring};
+use muster_model::id::{InstanceId, ServiceName};
+use muster_model::settings::ClustererSettings;
+use muster_model::time::Tick;
+use muster_runtime::bus::{Bus, Patience};
+use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
+use muster_runtime::shell::{self, ServiceOptions};
+use muster_runtime::stop;
+use muster_runtime::store::Store;
+
+/// Within which the manager wants to hear that the loops turn.
+const WATCHDOG: Duration = Duration::from_secs(1);
+
+/// After which one of the loops hangs.
+const HANGS_AFTER: Duration = Duration::from_secs(3);
+
+/// How long it hangs: longer than the test looks.
+const HANGS_FOR: Duration = Duration::from_secs(60);
+
+/// How long the test waits for anything.
+const SOON: Duration = Duration::from_secs(30);
+
+/// By which a process is told that its second loop is to hang.
+const HANG: &str = "MUSTER_TEST_HANG";
+
+/// A core that hangs at its first timeout, or does nothing at all.
+struct Probe {
+    _role: Role<ClustererSettings>,
+    hangs_at: Option<Tick>,
+}
+
+impl Core for Probe {
+    type Settings = ClustererSettings;
+    type Job = ();
+    type Done = ();
+    const SERVICE: ServiceName = ServiceName::Clusterer;
+
+    fn wiring() -> Wiring {
+        Wiring::default()
+    }
+
+    fn new(start: Start<ClustererSettings>) -> Self {
+        let hangs_at = (start.settings.teams == 7).then(|| start.now.after(HANGS_AFTER));
+        Self { hangs_at, _role: Role::new(Self::SERVICE, start) }
+    }
+
+    fn handle(&mut self, _: Tick, event: Event<()>, _: &mut Effects<()>) {
+        if matches!(event, Event::Timeout) {
+            std::thread::sleep(HANGS_FOR);
+        }
+    }
+
+    fn deadline(&self) -> Option<Tick> {
+        self.hangs_at
+    }
+
+    fn run((): ()) {}
+}
+
+fn config(mode: Mode, listen: Option<&str>, connect: Option<&str>) -> ProcessConfig {
+    let list = |endpoint: Option<&str>| endpoint.map(|endpoint| vec![endpoint.to_owned()]);
+    let args = ProcessArgs {
+        mode: Some(mode),
+        listen: list(listen),
+        connect: list(connect),
+        ..ProcessArgs::default()
+    };
+    ProcessConfig::resolve(&args, mode, &|_| None).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "the process that the other tests look at"]
+async fn a_process_with_two_loops() {
+    let router = config(Mode::Router, Some("tcp/127.0.0.1:0"), None);
+    let router = Bus::open(&router, Patience::Forever).await.unwrap();
+    let endpoint = router.locators().await[0].clone();
+    let (_stopper, stop) = stop::channel();
+    let hangs = std::env::var_os(HANG).is_some();
+    let mut loops = tokio::task::JoinSet::new();
+    for (number, teams) in [(1, 2), (2, if hangs { 7 } else { 2 })] {
+        let bus = config(Mode::Client, None, Some(&endpoint));
+        let bus = Bus::open(&bus, Patience::Forever).await.unwrap();
+        let options = ServiceOptions {
+            instance: InstanceId::of_process("test", number, number),
+            settings: ClustererSettings { teams, ..ClustererSettings::default() },
+            store: Store::new(None, bus.space().fleet(), ServiceName::Clusterer),
+        };
+        loops.spawn(shell::run::<Probe>(bus, options, stop.clone()));
+    }
+    while loops.join_next().await.is_some() {}
+}
+
+/// A process, which ends with the test.
+struct Ended(Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+struct Looked {
+    _process: Ended,
+    socket: UnixDatagram,
+    _folder: tempfile::TempDir,
+}
+
+impl Looked {
+    fn start(hang: bool) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("notify.socket");
+        let socket = UnixDatagram::bind(&path).unwrap();
+        socket.set_nonblocking(true).unwrap();
+        let mut command = Command::new(std::env::current_exe().unwrap());
+        command
+            .args(["--ignored", "--exact", "a_process_with_two_loops"])
+            .env("NOTIFY_SOCKET", &path)
+            .env("WATCHDOG_USEC", WATCHDOG.as_micros().to_string())
+            .stdout(Stdio::null());
+        if hang {
+            command.env(HANG, "yes");
+        }
+        let process = Ended(command.spawn().unwrap());
+        Self { _process: process, socket, _folder: folder }
+    }
+
+    /// How often the watchdog is fed in some time, at most so often.
+    fn fed(&self, time: Duration, enough: usize) -> usize {
+        let until = Instant::now() + time;
+        let (mut fed, mut note) = (0, [0; 1024]);
+        while Instant::now() < until && fed < enough {
+            match self.socket.recv(&mut note) {
+                Ok(length) => {
+                    fed += usize::from(note[..length].starts_with(b"WATCHDOG=1"));
+                }
+                Err(_) => std::thread::sleep(Duration::from_millis(10)),
+            }
+        }
+        fed
+    }
+}
+
+#[test]
+fn loops_that_turn_feed_the_watchdog() {
+    let looked = Looked::start(false);
+    assert_eq!(looked.fed(SOON, 20), 20);
+}
+
+#[test]
+fn one_loop_that_hangs_starves_the_watchdog() {
+    let looked = Looked::start(true);
+    assert_eq!(looked.fed(SOON, 4), 4, "it is fed before");
+    std::thread::sleep(HANGS_AFTER + WATCHDOG);
+    looked.fed(Duration::from_millis(200), usize::MAX);
+    assert_eq!(looked.fed(3 * WATCHDOG, usize::MAX), 0, "it is fed while a loop hangs");
+}

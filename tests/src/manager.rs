@@ -1,0 +1,85 @@
+//! A service manager to be told things by programs, as systemd is (`sd_notify`).
+
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::ensure;
+
+/// Longest note that is read in bytes.
+const MAX_NOTE: usize = 4096;
+
+/// How often a waiting test looks again.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// Listens at a socket of its own.
+#[derive(Debug)]
+pub struct Manager {
+    path: PathBuf,
+    socket: UnixDatagram,
+    /// Every line that was told, in order.
+    pub told: Vec<String>,
+}
+
+impl Manager {
+    /// Listens at a socket in a folder.
+    ///
+    /// # Errors
+    /// If it cannot be made.
+    pub fn listen(folder: &Path) -> anyhow::Result<Self> {
+        let path = folder.join("notify.socket");
+        let socket = UnixDatagram::bind(&path)?;
+        socket.set_nonblocking(true)?;
+        Ok(Self { path, socket, told: Vec::new() })
+    }
+
+    /// The environment of a program that tells this manager, and is watched.
+    #[must_use]
+    pub fn environment(&self, watchdog: Duration) -> Vec<(String, String)> {
+        vec![
+            ("NOTIFY_SOCKET".to_owned(), self.path.to_string_lossy().into_owned()),
+            ("WATCHDOG_USEC".to_owned(), watchdog.as_micros().to_string()),
+        ]
+    }
+
+    /// Takes in what waits.
+    pub fn take(&mut self) {
+        let mut note = [0; MAX_NOTE];
+        while let Ok(length) = self.socket.recv(&mut note) {
+            let text = String::from_utf8_lossy(&note[..length]).into_owned();
+            self.told.extend(text.lines().map(str::to_owned));
+        }
+    }
+
+    /// Waits until a line is told that holds a text.
+    ///
+    /// # Errors
+    /// If none is in time; the error holds all that was told.
+    pub fn until(&mut self, text: &str, within: Duration) -> anyhow::Result<()> {
+        let start = Instant::now();
+        loop {
+            self.take();
+            if self.told.iter().any(|line| line.contains(text)) {
+                return Ok(());
+            }
+            ensure!(start.elapsed() < within, "{text} is not told; told is {:?}", self.told);
+            std::thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    /// How often the watchdog is fed in some time from now on.
+    pub fn fed_in(&mut self, time: Duration) -> usize {
+        self.take();
+        let before = self.fed();
+        let until = Instant::now() + time;
+        while Instant::now() < until {
+            std::thread::sleep(LOOK_EVERY);
+            self.take();
+        }
+        self.fed() - before
+    }
+
+    fn fed(&self) -> usize {
+        self.told.iter().filter(|line| *line == "WATCHDOG=1").count()
+    }
+}

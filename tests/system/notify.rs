@@ -1,0 +1,87 @@
+//! What a service manager hears of the programs, and when it would start them anew.
+
+use std::time::Duration;
+
+use muster_tests::cluster::{SERVICES, free_endpoint, start_router};
+use muster_tests::manager::Manager;
+use muster_tests::process::Process;
+
+const SOON: Duration = Duration::from_secs(20);
+
+/// Within which the manager wants to hear that the loop turns.
+const WATCHDOG: Duration = Duration::from_secs(2);
+
+/// How long the watchdog is looked at: the loop says four times per deadline that it turns, and on a
+/// busy machine at least once.
+const LOOK: Duration = Duration::from_secs(4);
+
+/// Fewest meals in that time that keep a manager from starting the program anew.
+const ENOUGH: usize = 2;
+
+fn start(manager: &Manager, name: &str, arguments: &[&str], folder: &std::path::Path) -> Process {
+    let environment = manager.environment(WATCHDOG);
+    let environment: Vec<_> =
+        environment.iter().map(|(name, value)| (name.as_str(), value.as_str())).collect();
+    Process::start(name, arguments, &environment, folder).unwrap()
+}
+
+#[test]
+fn a_service_is_ready_and_fed_through_outages_of_its_router() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut manager = Manager::listen(folder.path()).unwrap();
+    let endpoint = free_endpoint().unwrap();
+    let arguments = ["--connect", &endpoint, "--state-directory", "none"];
+    let mut service = start(&manager, "muster-clusterer", &arguments, folder.path());
+
+    // No router: it has started all the same, says what it waits for, and is not started anew.
+    manager.until("READY=1", SOON).unwrap();
+    manager.until(&format!("STATUS=waiting for a router at {endpoint}"), SOON).unwrap();
+    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.told);
+    let router = start_router(&endpoint, folder.path()).unwrap();
+    manager.until("STATUS=clusterer serves fleet default", SOON).unwrap();
+    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.told);
+    drop(router);
+    manager.until("STATUS=the link to the router is lost", SOON).unwrap();
+    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.told);
+    manager.told.clear();
+    let _router = start_router(&endpoint, folder.path()).unwrap();
+    manager.until("STATUS=clusterer serves fleet default", SOON).unwrap();
+
+    assert!(!manager.told.iter().any(|line| line == "READY=1"), "a process is ready once");
+    service.signal("TERM").unwrap();
+    manager.until("STOPPING=1", SOON).unwrap();
+    assert_eq!(service.wait(Duration::from_secs(5)).unwrap().code(), Some(0));
+}
+
+#[test]
+fn every_program_tells_that_it_is_ready_and_that_it_stops() {
+    let folder = tempfile::tempdir().unwrap();
+    let endpoint = free_endpoint().unwrap();
+    let of_router = tempfile::tempdir().unwrap();
+    let mut told_by_router = Manager::listen(of_router.path()).unwrap();
+    let arguments = ["router", "--listen", &endpoint];
+    let mut router = start(&told_by_router, "muster", &arguments, folder.path());
+    told_by_router.until("READY=1", SOON).unwrap();
+    told_by_router.until("STATUS=router listens at", SOON).unwrap();
+    assert!(told_by_router.fed_in(LOOK) >= ENOUGH, "{:?}", told_by_router.told);
+
+    let mut programs: Vec<_> =
+        SERVICES.iter().map(|service| (format!("muster-{service}"), vec![])).collect();
+    programs.push(("muster".to_owned(), vec!["up"]));
+    for (program, command) in programs {
+        let own = tempfile::tempdir().unwrap();
+        let mut manager = Manager::listen(own.path()).unwrap();
+        let common = ["--connect", endpoint.as_str(), "--state-directory", "none"];
+        let arguments = [command.as_slice(), &common].concat();
+        let mut process = start(&manager, &program, &arguments, folder.path());
+        manager.until("READY=1", SOON).unwrap();
+        manager.until("serves fleet default", SOON).unwrap();
+        assert!(manager.fed_in(LOOK) >= ENOUGH, "{program}: {:?}", manager.told);
+        process.signal("TERM").unwrap();
+        manager.until("STOPPING=1", SOON).unwrap();
+        assert_eq!(process.wait(Duration::from_secs(5)).unwrap().code(), Some(0));
+    }
+    router.signal("TERM").unwrap();
+    told_by_router.until("STOPPING=1", SOON).unwrap();
+    assert_eq!(router.wait(Duration::from_secs(5)).unwrap().code(), Some(0));
+}

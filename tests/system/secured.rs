@@ -1,0 +1,479 @@
+//! A bus with certificates and rules: who belongs to the fleet works as ever, and nobody else, nor
+//! anybody beyond its part, gets anywhere. Every refusal stands beside what is not refused.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use muster_tests::client::{Client, Watch, division};
+use muster_tests::cluster::{SERVICES, free_endpoint};
+use muster_tests::process::{Process, run};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+const SOON: Duration = Duration::from_secs(20);
+
+/// How long somebody who is not taken in tries.
+const REFUSED_WITHIN_MS: &str = "3000";
+
+/// Robots on two places.
+const ROBOTS: [(&str, f64); 4] = [("a1", 0.0), ("a2", 3.0), ("b1", 90.0), ("b2", 93.0)];
+
+/// A secured router with services, all as processes with identities of their own.
+struct Secured {
+    services: Vec<(String, Process)>,
+    _router: Process,
+    // Dropped last: what the processes have printed stands in it.
+    folder: TempDir,
+}
+
+/// Runs `muster deploy` and expects it to end well.
+fn deploy(arguments: &[&str]) -> String {
+    let (code, out, err) = run("muster", &[&["deploy"], arguments].concat(), SOON).unwrap();
+    assert_eq!(code, Some(0), "{arguments:?}: {err}");
+    out
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Writes the fleet file of the tests: one router on loopback.
+fn fleet_file(folder: &Path, robots: &str) -> PathBuf {
+    let endpoint = free_endpoint().unwrap();
+    let port = endpoint.rsplit(':').next().unwrap().to_owned();
+    let path = folder.join("fleet.toml");
+    let text = format!(
+        "fleet = \"alpha\"\nrobots = [{robots}]\noperators = [\"op\"]\nviewers = [\"wall\"]\n\
+         [[routers]]\nname = \"base\"\naddresses = [\"127.0.0.1\"]\nport = {port}\n"
+    );
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+impl Secured {
+    fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let fleet = fleet_file(folder.path(), r#""a1", "a2", "b1", "b2", "absent""#);
+        let identities = folder.path().join("identities");
+        deploy(&["certs", "--fleet-file", text(&fleet), "--out", text(&identities)]);
+        let config = folder.path().join("router.json5");
+        let identity = identities.join("router.base");
+        let (fleet, identity) = (text(&fleet), text(&identity));
+        deploy(&["acl", "--fleet-file", fleet, "--identity", identity, "--out", text(&config)]);
+
+        let arguments = ["router", "--zenoh-config", text(&config)];
+        let router = Process::start("muster", &arguments, &[], folder.path()).unwrap();
+        let start = Instant::now();
+        while !router.output().contains("router listens at") {
+            assert!(start.elapsed() < SOON, "{}", router.output());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let mut secured = Self { folder, services: Vec::new(), _router: router };
+        for service in SERVICES {
+            secured.start_service(service);
+        }
+        secured
+    }
+
+    fn identity(&self, name: &str) -> PathBuf {
+        self.folder.path().join("identities").join(name).join("zenoh.json5")
+    }
+
+    fn start_service(&mut self, service: &str) {
+        self.services.retain(|(name, _)| name != service);
+        let state = self.folder.path().join("state");
+        let config = self.identity(&format!("service.{service}"));
+        let arguments = [
+            "--fleet",
+            "alpha",
+            "--zenoh-config",
+            text(&config),
+            "--state-directory",
+            text(&state),
+        ];
+        let program = format!("muster-{service}");
+        let process = Process::start(&program, &arguments, &[], self.folder.path()).unwrap();
+        self.services.push((service.to_owned(), process));
+    }
+
+    async fn client(&self, name: &str) -> Client {
+        open(&self.identity(name), &[]).await.unwrap()
+    }
+
+    fn muster(&self, arguments: &[&str]) -> (Option<i32>, String, String) {
+        let config = self.identity("operator.op");
+        let common = ["--fleet", "alpha", "--zenoh-config", text(&config)];
+        run("muster", &[arguments, &common].concat(), SOON).unwrap()
+    }
+}
+
+/// Connects with an identity, of which some values are changed.
+async fn open(identity: &Path, changes: &[(&str, &str)]) -> anyhow::Result<Client> {
+    let fail = |error: zenoh::Error| anyhow::anyhow!("{error}");
+    let mut config = zenoh::Config::from_file(identity).map_err(fail)?;
+    config.insert_json5("connect/timeout_ms", REFUSED_WITHIN_MS).map_err(fail)?;
+    for (key, value) in changes {
+        config.insert_json5(key, value).map_err(fail)?;
+    }
+    Client::open(config, "alpha").await
+}
+
+/// Lets robots speak until the operator sees two teams.
+async fn form(robots: &[(Client, f64)], teams: &Watch) -> Value {
+    let right = |value: &Value| {
+        let division = division(value);
+        division.len() == 4
+            && division["a1"].is_some()
+            && division["a1"] == division["a2"]
+            && division["b1"] == division["b2"]
+            && division["a1"] != division["b1"]
+    };
+    for _ in 0..200 {
+        speak(robots).await;
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        if let Some(teams) = teams.newest().filter(right) {
+            return teams;
+        }
+    }
+    panic!("four robots do not make two teams; the newest is {:?}", teams.newest());
+}
+
+async fn speak(robots: &[(Client, f64)]) {
+    for ((name, _), (robot, x)) in ROBOTS.iter().zip(robots) {
+        let pose = json!({"x": x, "y": 0.0});
+        robot.put(&format!("robot/{name}/pose"), &pose).await.unwrap();
+    }
+}
+
+async fn robots(secured: &Secured) -> Vec<(Client, f64)> {
+    let mut robots = Vec::new();
+    for (name, x) in ROBOTS {
+        robots.push((secured.client(&format!("robot.{name}")).await, x));
+    }
+    robots
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_belongs_to_a_secured_fleet_works_as_ever() {
+    let mut secured = Secured::start();
+    let operator = secured.client("operator.op").await;
+    let teams = operator.watch("json/teams").await.unwrap();
+    let events = operator.watch("json/event").await.unwrap();
+    let robots = robots(&secured).await;
+    let mut tokens = Vec::new();
+    for ((name, _), (robot, _)) in ROBOTS.iter().zip(&robots) {
+        tokens.push(robot.token(&format!("robot/{name}")).await.unwrap());
+    }
+    let mine = robots[0].0.watch("robot/a1/team").await.unwrap();
+    let others = robots[0].0.watch("robot/b1/team").await.unwrap();
+    let all = robots[0].0.watch("**").await.unwrap();
+    // A declared publisher says nothing unless it is told that somebody listens.
+    let publisher =
+        robots[0].0.session().declare_publisher(robots[0].0.key("robot/a1/links")).await.unwrap();
+    let formed = form(&robots, &teams).await;
+    let links = json!({"links": [{"peer": "a2", "quality": 0.9}]}).to_string();
+    publisher.put(links).await.unwrap();
+
+    // The robot is told its team, and nothing of others.
+    let right = |told: &Value| told["members"] == json!(["a1", "a2"]);
+    let told = mine.until("a1 is told its team", SOON, right).await.unwrap();
+    let got = robots[0].0.get_one("robot/a1/team").await.unwrap();
+    assert_eq!(got["team"], told["team"]);
+    let foreign = |(key, _): &(String, Value)| !key.starts_with("robot/a1/");
+    assert!(others.all().is_empty() && !all.all().iter().any(foreign), "{others:?} {all:?}");
+    assert!(robots[0].0.get("robot/b1/team", None).await.unwrap().is_empty());
+    assert!(robots[0].0.get("json/teams", None).await.unwrap().is_empty());
+    let start = Instant::now();
+    loop {
+        speak(&robots).await;
+        let graph = operator.get_one("graph/connectivity?format=json").await.unwrap();
+        if graph["edges"].as_array().is_some_and(|edges| edges.len() == 1) {
+            break;
+        }
+        assert!(start.elapsed() < SOON, "the declared publisher is not heard: {graph}");
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+
+    // Console and viewer see everything.
+    let (code, out, err) = secured.muster(&["status"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(SERVICES.iter().all(|service| out.contains(service)), "{out}");
+    assert!(out.contains("4 with a token") && !out.contains("does not answer"), "{out}");
+    let viewer = secured.client("viewer.wall").await;
+    let seen = viewer.watch("json/teams").await.unwrap();
+    seen.until("the viewer sees teams", SOON, |_| true).await.unwrap();
+    assert_eq!(division(&viewer.get_one("json/teams").await.unwrap()), division(&formed));
+
+    // The operator changes settings, and nobody else does.
+    let settings = "service/clusterer/settings";
+    for (name, client) in [("robot", &robots[0].0), ("viewer", &viewer)] {
+        let answers = client.get(settings, Some(&json!({"hysteresis": 0.5}))).await.unwrap();
+        assert!(answers.is_empty(), "{name}: {answers:?}");
+    }
+    assert_eq!(operator.get_one(settings).await.unwrap()["hysteresis"], 0.05);
+    let (code, _, err) = secured.muster(&["set", "clusterer", "hysteresis=0.06"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert_eq!(operator.get_one(settings).await.unwrap()["hysteresis"], 0.06);
+
+    // A service that starts anew learns from its witnesses where it was.
+    for service in ["clusterer", "embedder", "ingest"] {
+        let term = |status: &Value| status["revision"]["term"].as_u64().unwrap();
+        let key = format!("service/{service}/status");
+        let before = term(&operator.get_one(&key).await.unwrap());
+        secured.services.retain(|(name, _)| name != service);
+        secured.folder_state_is_lost();
+        secured.start_service(service);
+        let start = Instant::now();
+        loop {
+            speak(&robots).await;
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            let status = operator.get_one(&key).await;
+            if status.as_ref().is_ok_and(|status| term(status) > before) {
+                break;
+            }
+            assert!(start.elapsed() < SOON, "{service} takes no higher term: {status:?}");
+        }
+        teams.clear();
+        let again = form(&robots, &teams).await;
+        assert_eq!(division(&again), division(&formed), "after {service}");
+    }
+    for (_, event) in events.all() {
+        assert_ne!(event["event"], "quarantined", "{event}");
+    }
+}
+
+impl Secured {
+    /// Removes what services have kept, so that only their witnesses know it.
+    fn folder_state_is_lost(&self) {
+        let _ = std::fs::remove_dir_all(self.folder.path().join("state"));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_does_not_belong_to_a_secured_fleet_is_not_taken_in() {
+    let secured = Secured::start();
+    let right = secured.identity("robot.a1");
+    open(&right, &[]).await.expect("the right certificate is taken in");
+
+    // Without a certificate.
+    let without = [
+        ("transport/link/tls/enable_mtls", "false"),
+        ("transport/link/tls/connect_certificate_base64", "null"),
+        ("transport/link/tls/connect_private_key_base64", "null"),
+    ];
+    assert!(open(&right, &without).await.is_err(), "no certificate");
+
+    // Without TLS.
+    let config = std::fs::read_to_string(&right).unwrap();
+    let endpoint = config.split("tls/").nth(1).unwrap().split('"').next().unwrap();
+    let plain = format!("[\"tcp/{endpoint}\"]");
+    let plain = [("transport/link/protocols", "[\"tcp\"]"), ("connect/endpoints", plain.as_str())];
+    assert!(open(&right, &plain).await.is_err(), "no TLS");
+
+    // With a certificate of another authority, which has the same names.
+    let other = secured.folder.path().join("other");
+    let fleet = secured.folder.path().join("fleet.toml");
+    deploy(&["certs", "--fleet-file", text(&fleet), "--out", text(&other)]);
+    let wrong = other.join("robot.a1/zenoh.json5");
+    assert!(open(&wrong, &[]).await.is_err(), "an authority of its own");
+    let authority = std::fs::read_to_string(&right).unwrap();
+    let authority = authority.split("root_ca_certificate_base64: ").nth(1).unwrap();
+    let authority = authority.split(",\n").next().unwrap();
+    let trusting = [("transport/link/tls/root_ca_certificate_base64", authority)];
+    assert!(open(&wrong, &trusting).await.is_err(), "a certificate of another authority");
+
+    // A router is only believed under the names of its certificate.
+    let port = endpoint.rsplit(':').next().unwrap();
+    let renamed = format!("[\"tls/127.0.0.2:{port}\"]");
+    assert!(
+        open(&right, &[("connect/endpoints", renamed.as_str())]).await.is_err(),
+        "another name"
+    );
+    open(&right, &[]).await.expect("the right certificate is still taken in");
+}
+
+/// Puts what is forbidden and then what is allowed, in one session, whose order the bus keeps: when
+/// the one has arrived and the other has not, it never will.
+async fn nothing_but(client: &Client, watch: &Watch, forbidden: &[&str], allowed: &str) {
+    watch.clear();
+    for key in forbidden {
+        client.put(key, &json!({"forged": true, "x": 1.0, "y": 1.0})).await.unwrap();
+        client.session().delete(client.key(key)).await.unwrap();
+    }
+    client.put(allowed, &json!({"control": true, "x": 1.0, "y": 1.0})).await.unwrap();
+    let control = |value: &Value| value["control"] == true;
+    watch.until(&format!("{allowed} arrives"), SOON, control).await.unwrap();
+    let forged: Vec<_> =
+        watch.all().into_iter().filter(|(_, value)| value["forged"] == true).collect();
+    assert!(forged.is_empty(), "{forged:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nobody_gets_beyond_its_part() {
+    let secured = Secured::start();
+    let operator = secured.client("operator.op").await;
+    let watch = operator.watch("**").await.unwrap();
+    let robot = secured.client("robot.a1").await;
+
+    // A robot speaks for itself only, also where it speaks to many places at once.
+    let forbidden = [
+        "robot/a2/pose",
+        "robot/a2/links",
+        "robot/a2/rank",
+        "robot/*/pose",
+        "robot/**",
+        "robot/a$*/pose",
+        "**",
+        "robot/a1/team",
+        "robot/a2/team",
+        "robot/a1/relation/thermal",
+        "roster",
+        "graph/spatial",
+        "embedding",
+        "teams",
+        "json/teams",
+        "audit",
+        "json/audit",
+        "event",
+        "json/event",
+        "service/clusterer/settings",
+        "service/clusterer/status",
+    ];
+    nothing_but(&robot, &watch, &forbidden, "robot/a1/pose").await;
+
+    // Each service says what is its own.
+    let outputs: [(&str, &[&str]); 4] = [
+        ("ingest", &["roster", "graph/spatial", "graph/*"]),
+        ("embedder", &["embedding"]),
+        ("clusterer", &["teams", "json/teams", "robot/a1/team", "robot/*/team"]),
+        ("auditor", &["audit", "json/audit"]),
+    ];
+    for (service, own) in outputs {
+        let client = secured.client(&format!("service.{service}")).await;
+        let mut forbidden = vec!["robot/a1/pose", "robot/*/pose", "**"];
+        for (other, others) in outputs {
+            if other != service {
+                forbidden.extend(others);
+            }
+        }
+        let other_settings = if service == "ingest" { "embedder" } else { "ingest" };
+        let other_settings = format!("service/{other_settings}/settings");
+        forbidden.push(&other_settings);
+        for allowed in own.iter().filter(|key| !key.contains('*')) {
+            nothing_but(&client, &watch, &forbidden, allowed).await;
+        }
+    }
+
+    // Who may only look says nothing; that it is heard nowhere is told from the operator's side.
+    let viewer = secured.client("viewer.wall").await;
+    watch.clear();
+    viewer.put("robot/a1/pose", &json!({"forged": true})).await.unwrap();
+    viewer.put("teams", &json!({"forged": true})).await.unwrap();
+    viewer.get_one("service/ingest/status").await.expect("what it may do works in this session");
+    robot.put("robot/a1/pose", &json!({"control": true})).await.unwrap();
+    watch.until("the control", SOON, |value| value["control"] == true).await.unwrap();
+    assert!(!watch.all().iter().any(|(_, value)| value["forged"] == true));
+
+    // Tokens: a robot is there as itself.
+    let seen = || async {
+        let found = operator.session().liveliness().get(operator.key("**")).await.unwrap();
+        let mut keys = Vec::new();
+        while let Ok(reply) = found.recv_async().await {
+            keys.extend(reply.into_result().map(|sample| sample.key_expr().as_str().to_owned()));
+        }
+        keys
+    };
+    let _forged = [
+        robot.token("robot/absent").await.unwrap(),
+        robot.token("robot/*").await.unwrap(),
+        robot.token("service/ingest/forged").await.unwrap(),
+    ];
+    let _own = robot.token("robot/a1").await.unwrap();
+    let start = Instant::now();
+    while !seen().await.contains(&operator.key("robot/a1")) {
+        assert!(start.elapsed() < SOON, "the own token is not seen");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    let keys = seen().await;
+    assert!(!keys.iter().any(|key| key.contains("absent") || key.contains("forged")), "{keys:?}");
+    assert!(!keys.contains(&operator.key("robot/*")), "{keys:?}");
+    let absent = secured.client("robot.absent").await;
+    let _token = absent.token("robot/absent").await.unwrap();
+    let start = Instant::now();
+    while !seen().await.contains(&operator.key("robot/absent")) {
+        assert!(start.elapsed() < SOON, "the token of who it belongs to is not seen");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+
+    // Answers: nobody answers in place of a service but its witnesses.
+    let forged = robot.key("service/ingest/status");
+    let answer = forged.clone();
+    robot
+        .session()
+        .declare_queryable(&forged)
+        .callback(move |query| {
+            let _ = zenoh::Wait::wait(query.reply(&answer, "{\"forged\": true}"));
+        })
+        .background()
+        .await
+        .unwrap();
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    for _ in 0..5 {
+        let answers = operator.get("service/ingest/status", None).await.unwrap();
+        assert_eq!(answers.len(), 1, "{answers:?}");
+        assert!(answers[0].1.as_ref().is_ok_and(|status| status["service"] == "ingest"));
+    }
+}
+
+#[test]
+fn certificates_are_kept_renewed_and_guarded() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let fleet = fleet_file(folder.path(), "\"a1\"");
+    let out = folder.path().join("identities");
+    let certs = |more: &[&str]| {
+        deploy(&[&["certs", "--fleet-file", text(&fleet), "--out", text(&out)], more].concat())
+    };
+    assert!(certs(&[]).contains("robot.a1: made"));
+    let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
+    for name in ["authority", "router.base", "service.ingest", "robot.a1", "operator.op"] {
+        let mode = |file: &str| {
+            std::fs::metadata(out.join(name).join(file)).unwrap().permissions().mode() & 0o777
+        };
+        assert_eq!(mode("key.pem"), 0o600, "{name}");
+        assert_eq!(mode(""), 0o700, "{name}");
+        if name.starts_with(['s', 'o']) || name == "robot.a1" {
+            assert_eq!(mode("zenoh.json5"), 0o600, "{name}");
+        }
+    }
+    let keys =
+        || ["authority", "robot.a1", "operator.op"].map(|name| read(&format!("{name}/key.pem")));
+    let before = keys();
+    // A robot that joins later is signed by the same authority, and nothing else changes.
+    let joined = std::fs::read_to_string(&fleet).unwrap().replace("\"a1\"", "\"a1\", \"a2\"");
+    std::fs::write(&fleet, joined).unwrap();
+    let told = certs(&[]);
+    assert!(told.contains("robot.a1: kept") && told.contains("robot.a2: made"), "{told}");
+    assert_eq!(keys(), before);
+    assert_eq!(read("robot.a2/authority.pem"), read("authority/certificate.pem"));
+    certs(&["--force", "--only", "robot.a1"]);
+    let renewed = keys();
+    assert_eq!((&renewed[0], &renewed[2]), (&before[0], &before[2]));
+    assert_ne!(renewed[1], before[1]);
+
+    let (fleet, out) = (text(&fleet), text(&out));
+    let fails = |arguments: &[&str], word: &str| {
+        let (code, _, err) = run("muster", &[&["deploy"], arguments].concat(), SOON).unwrap();
+        assert_eq!(code, Some(2), "{arguments:?}: {err}");
+        assert!(err.contains(word), "{arguments:?}: {err}");
+    };
+    fails(&["certs", "--fleet-file", fleet, "--out", out, "--only", "robot.zz"], "--only");
+    fails(&["certs", "--fleet-file", "/none.toml", "--out", out], "/none.toml");
+    let router = folder.path().join("router.json5");
+    let acl = ["acl", "--fleet-file", fleet, "--out", text(&router)];
+    deploy(&acl);
+    fails(&acl, "--force");
+    fails(&["acl", "--fleet-file", fleet, "--out", text(&router), "--router", "x"], "--router");
+    std::fs::remove_file(folder.path().join("identities/authority/key.pem")).unwrap();
+    fails(&["certs", "--fleet-file", fleet, "--out", out], "key.pem is missing");
+}
