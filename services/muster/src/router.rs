@@ -50,7 +50,7 @@ pub(crate) async fn run(
             }
         }
     }
-    notify::stopping();
+    notify::stopping().await;
     bus.close().await;
     Ok(())
 }

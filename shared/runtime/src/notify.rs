@@ -11,16 +11,17 @@
 
 use std::collections::BTreeMap;
 use std::future::Future;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use muster_wire::message::quoted;
 use sd_notify::NotifyState;
+use tokio::sync::oneshot;
 use tokio::time::{Instant, sleep_until};
 
-/// Most notes that wait for the manager. It hears of a loop that turns a few times per deadline, so
-/// that a note that finds no place is not missed.
+/// Most notes that wait for the manager: one that the loops turn, and what a few services do at once.
 const MAX_WAITING: usize = 16;
 
 /// How often a loop says so within the time that the manager waits: one late beat is forgiven.
@@ -29,13 +30,17 @@ const BEATS: u32 = 4;
 /// Shortest time between two beats, whatever the manager asks for: the loop has other work.
 const SHORTEST_BEAT: Duration = Duration::from_millis(10);
 
+/// How long the end of the process may wait for the manager to hear of it.
+const STOPPING_WITHIN: Duration = Duration::from_millis(200);
+
 /// What the manager is told.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug)]
 enum Note {
     Ready(String),
     Status(String),
     Alive,
-    Stopping,
+    /// With whom it is to be told once the manager knows.
+    Stopping(oneshot::Sender<()>),
 }
 
 /// The manager of this process.
@@ -43,6 +48,8 @@ struct Manager {
     notes: SyncSender<Note>,
     /// How often each loop has to say that it turns; nothing if nobody watches.
     beat: Option<Duration>,
+    /// Whether a note waits that the loops turn; a second one would say nothing more.
+    alive_waits: Arc<AtomicBool>,
     told: Mutex<Told>,
 }
 
@@ -64,12 +71,19 @@ impl Manager {
     fn of_environment() -> Option<Self> {
         std::env::var_os("NOTIFY_SOCKET").filter(|socket| !socket.is_empty())?;
         let (notes, waiting) = sync_channel(MAX_WAITING);
+        let alive_waits = Arc::new(AtomicBool::new(false));
+        let alive_taken = Arc::clone(&alive_waits);
         // A thread of its own: the manager may take its time, and the loops have none.
         let thread = std::thread::Builder::new().name("muster-notify".to_owned());
         let started = thread.spawn(move || {
             while let Ok(note) = waiting.recv() {
                 if let Err(error) = send(&note) {
                     tracing::debug!("the service manager is not told: {error}");
+                }
+                match note {
+                    Note::Alive => alive_taken.store(false, Ordering::Relaxed),
+                    Note::Stopping(told) => drop(told.send(())),
+                    Note::Ready(_) | Note::Status(_) => {}
                 }
             }
         });
@@ -79,11 +93,20 @@ impl Manager {
         }
         let beat = sd_notify::watchdog_enabled().filter(|watched| !watched.is_zero());
         let beat = beat.map(|watched| (watched / BEATS).max(SHORTEST_BEAT));
-        Some(Self { notes, beat, told: Mutex::default() })
+        Some(Self { notes, beat, alive_waits, told: Mutex::default() })
     }
 
+    /// Never waits: a manager that does not listen misses notes.
     fn tell(&self, note: Note) {
         let _ = self.notes.try_send(note);
+    }
+
+    fn tell_alive(&self) {
+        if !self.alive_waits.swap(true, Ordering::Relaxed)
+            && self.notes.try_send(Note::Alive).is_err()
+        {
+            self.alive_waits.store(false, Ordering::Relaxed);
+        }
     }
 }
 
@@ -92,7 +115,7 @@ fn send(note: &Note) -> std::io::Result<()> {
         Note::Ready(doing) => sd_notify::notify(&[NotifyState::Ready, NotifyState::Status(doing)]),
         Note::Status(doing) => sd_notify::notify(&[NotifyState::Status(doing)]),
         Note::Alive => sd_notify::notify(&[NotifyState::Watchdog]),
-        Note::Stopping => sd_notify::notify(&[NotifyState::Stopping]),
+        Note::Stopping(_) => sd_notify::notify(&[NotifyState::Stopping]),
     }
 }
 
@@ -113,10 +136,12 @@ pub fn status(doing: &str) {
     }
 }
 
-/// Tells that the process stops.
-pub fn stopping() {
+/// Tells that the process stops, and waits a moment for that: what is left to do may be quick.
+pub async fn stopping() {
     if let Some(manager) = manager() {
-        manager.tell(Note::Stopping);
+        let (sender, told) = oneshot::channel();
+        manager.tell(Note::Stopping(sender));
+        let _ = tokio::time::timeout(STOPPING_WITHIN, told).await;
     }
 }
 
@@ -159,7 +184,7 @@ impl Watched {
         told.turned.insert(self.loop_id, true);
         if told.turned.values().all(|turned| *turned) {
             told.turned.values_mut().for_each(|turned| *turned = false);
-            manager.tell(Note::Alive);
+            manager.tell_alive();
         }
     }
 

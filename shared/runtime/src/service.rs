@@ -150,7 +150,7 @@ async fn run_instance<C: Core>(
     let bus = tokio::select! {
         bus = watched.during(open(&config)) => bus?,
         () = stop.stopped() => {
-            notify::stopping();
+            notify::stopping().await;
             return Ok(());
         }
     };

@@ -194,7 +194,7 @@ pub async fn run<C: Core>(
     }
     observer.ended();
     tracing::info!("{} ends", C::SERVICE);
-    notify::stopping();
+    notify::stopping().await;
     let recording = shell.recording.take();
     drop(shell);
     // What is stored last must reach the disk; everything else may be lost.
