@@ -21,7 +21,7 @@ const ROBOTS: [(&str, f64); 4] = [("a1", 0.0), ("a2", 3.0), ("b1", 90.0), ("b2",
 /// A secured router with services, all as processes with identities of their own.
 struct Secured {
     services: Vec<(String, Process)>,
-    _router: Process,
+    routers: Vec<Process>,
     // Dropped last: what the processes have printed stands in it.
     folder: TempDir,
 }
@@ -37,38 +37,46 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// Writes the fleet file of the tests: one router on loopback.
-fn fleet_file(folder: &Path, robots: &str) -> PathBuf {
-    let endpoint = free_endpoint().unwrap();
-    let port = endpoint.rsplit(':').next().unwrap().to_owned();
+/// Writes the fleet file of the tests, with routers on loopback.
+fn fleet_file(folder: &Path, robots: &str, routers: &[&str]) -> PathBuf {
     let path = folder.join("fleet.toml");
-    let text = format!(
-        "fleet = \"alpha\"\nrobots = [{robots}]\noperators = [\"op\"]\nviewers = [\"wall\"]\n\
-         [[routers]]\nname = \"base\"\naddresses = [\"127.0.0.1\"]\nport = {port}\n"
+    let mut text = format!(
+        "fleet = \"alpha\"\nrobots = [{robots}]\noperators = [\"op\"]\nviewers = [\"wall\"]\n"
     );
+    for router in routers {
+        let endpoint = free_endpoint().unwrap();
+        let port = endpoint.rsplit(':').next().unwrap();
+        text += &format!(
+            "[[routers]]\nname = \"{router}\"\naddresses = [\"127.0.0.1\"]\nport = {port}\n"
+        );
+    }
     std::fs::write(&path, text).unwrap();
     path
 }
 
 impl Secured {
-    fn start() -> Self {
+    fn start(routers: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let fleet = fleet_file(folder.path(), r#""a1", "a2", "b1", "b2", "absent""#);
+        let fleet = fleet_file(folder.path(), r#""a1", "a2", "b1", "b2", "absent""#, routers);
         let identities = folder.path().join("identities");
         deploy(&["certs", "--fleet-file", text(&fleet), "--out", text(&identities)]);
-        let config = folder.path().join("router.json5");
-        let identity = identities.join("router.base");
-        let (fleet, identity) = (text(&fleet), text(&identity));
-        deploy(&["acl", "--fleet-file", fleet, "--identity", identity, "--out", text(&config)]);
-
-        let arguments = ["router", "--zenoh-config", text(&config)];
-        let router = Process::start("muster", &arguments, &[], folder.path()).unwrap();
-        let start = Instant::now();
-        while !router.output().contains("router listens at") {
-            assert!(start.elapsed() < SOON, "{}", router.output());
-            std::thread::sleep(Duration::from_millis(20));
+        let mut secured = Self { services: Vec::new(), routers: Vec::new(), folder };
+        for router in routers {
+            let config = secured.folder.path().join(format!("{router}.json5"));
+            let identity = identities.join(format!("router.{router}"));
+            let (file, identity) = (text(&fleet), text(&identity));
+            let arguments = ["acl", "--fleet-file", file, "--router", router];
+            let files = ["--identity", identity, "--out", text(&config)];
+            deploy(&[&arguments[..], &files].concat());
+            let arguments = ["router", "--zenoh-config", text(&config)];
+            let process = Process::start("muster", &arguments, &[], secured.folder.path()).unwrap();
+            let start = Instant::now();
+            while !process.output().contains("router listens at") {
+                assert!(start.elapsed() < SOON, "{}", process.output());
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            secured.routers.push(process);
         }
-        let mut secured = Self { folder, services: Vec::new(), _router: router };
         for service in SERVICES {
             secured.start_service(service);
         }
@@ -155,7 +163,7 @@ async fn robots(secured: &Secured) -> Vec<(Client, f64)> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn who_belongs_to_a_secured_fleet_works_as_ever() {
-    let mut secured = Secured::start();
+    let mut secured = Secured::start(&["base"]);
     let operator = secured.client("operator.op").await;
     let teams = operator.watch("json/teams").await.unwrap();
     let events = operator.watch("json/event").await.unwrap();
@@ -250,8 +258,32 @@ impl Secured {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn two_secured_routers_are_one_bus_and_stand_in_for_each_other() {
+    let mut secured = Secured::start(&["base", "spare"]);
+    // Everybody connects to the first router, and this operator to the second.
+    let config = std::fs::read_to_string(secured.identity("operator.op")).unwrap();
+    let spare = config.split("tls/").nth(2).unwrap().split('"').next().unwrap();
+    let spare = format!("[\"tls/{spare}\"]");
+    let changes = [("connect/endpoints", spare.as_str())];
+    let operator = open(&secured.identity("operator.op"), &changes).await.unwrap();
+    let teams = operator.watch("json/teams").await.unwrap();
+    let robots = robots(&secured).await;
+    let formed = form(&robots, &teams).await;
+
+    secured.routers[0].kill().unwrap();
+    // What was on its way does not count.
+    tokio::time::sleep(Duration::from_millis(500)).await;
+    teams.clear();
+    let again = form(&robots, &teams).await;
+    assert_eq!(division(&again), division(&formed));
+    // The rules hold there as well.
+    let watch = operator.watch("**").await.unwrap();
+    nothing_but(&robots[0].0, &watch, &["robot/a2/pose", "teams"], "robot/a1/pose").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn who_does_not_belong_to_a_secured_fleet_is_not_taken_in() {
-    let secured = Secured::start();
+    let secured = Secured::start(&["base"]);
     let right = secured.identity("robot.a1");
     open(&right, &[]).await.expect("the right certificate is taken in");
 
@@ -310,7 +342,7 @@ async fn nothing_but(client: &Client, watch: &Watch, forbidden: &[&str], allowed
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nobody_gets_beyond_its_part() {
-    let secured = Secured::start();
+    let secured = Secured::start(&["base"]);
     let operator = secured.client("operator.op").await;
     let watch = operator.watch("**").await.unwrap();
     let robot = secured.client("robot.a1").await;
@@ -429,7 +461,7 @@ async fn nobody_gets_beyond_its_part() {
 fn certificates_are_kept_renewed_and_guarded() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
-    let fleet = fleet_file(folder.path(), "\"a1\"");
+    let fleet = fleet_file(folder.path(), "\"a1\"", &["base"]);
     let out = folder.path().join("identities");
     let certs = |more: &[&str]| {
         deploy(&[&["certs", "--fleet-file", text(&fleet), "--out", text(&out)], more].concat())
