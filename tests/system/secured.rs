@@ -87,8 +87,8 @@ impl Secured {
         self.folder.path().join("identities").join(name).join("zenoh.json5")
     }
 
+    /// Starts a service, beside other instances of it that run.
     fn start_service(&mut self, service: &str) {
-        self.services.retain(|(name, _)| name != service);
         let state = self.folder.path().join("state");
         let config = self.identity(&format!("service.{service}"));
         let arguments = [
@@ -245,6 +245,32 @@ async fn who_belongs_to_a_secured_fleet_works_as_ever() {
         let again = form(&robots, &teams).await;
         assert_eq!(division(&again), division(&formed), "after {service}");
     }
+    // A second instance stands by, with the same identity, and takes over.
+    secured.start_service("clusterer");
+    let instances = || async {
+        let key = operator.key("service/clusterer/*");
+        let found = operator.session().liveliness().get(key).await.unwrap();
+        let mut count = 0;
+        while found.recv_async().await.is_ok() {
+            count += 1;
+        }
+        count
+    };
+    let start = Instant::now();
+    while instances().await != 2 {
+        assert!(start.elapsed() < SOON, "the second instance is not there");
+        speak(&robots).await;
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    for _ in 0..20 {
+        speak(&robots).await;
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let first = secured.services.iter().position(|(name, _)| name == "clusterer").unwrap();
+    secured.services.remove(first);
+    teams.clear();
+    let again = form(&robots, &teams).await;
+    assert_eq!(division(&again), division(&formed), "after the holder died");
     for (_, event) in events.all() {
         assert_ne!(event["event"], "quarantined", "{event}");
     }

@@ -50,13 +50,13 @@ impl Rights {
     }
 }
 
-/// The wiring of a service.
-pub(super) fn wiring(service: ServiceName) -> Wiring {
+/// The wiring of a service, with what its instances need for their role.
+fn wiring(service: ServiceName) -> Wiring {
     match service {
-        ServiceName::Ingest => Ingest::wiring(),
-        ServiceName::Embedder => Embedder::wiring(),
-        ServiceName::Clusterer => Clusterer::wiring(),
-        ServiceName::Auditor => Auditor::wiring(),
+        ServiceName::Ingest => Wiring::of::<Ingest>(),
+        ServiceName::Embedder => Wiring::of::<Embedder>(),
+        ServiceName::Clusterer => Wiring::of::<Clusterer>(),
+        ServiceName::Auditor => Wiring::of::<Auditor>(),
     }
 }
 
@@ -71,9 +71,6 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
     let texts = |patterns: &mut dyn Iterator<Item = Pattern>| -> Vec<String> {
         patterns.map(|pattern| space.pattern(&pattern)).collect()
     };
-    // All that stands under its own name: tokens, settings, status, and what its instances tell each
-    // other.
-    let own = space.pattern(&Pattern::InstanceTokens(service));
     let heard = texts(&mut subscriptions.into_iter().map(|subscription| subscription.pattern));
     let outputs = texts(
         &mut served.iter().filter(|(_, complete)| *complete).map(|(pattern, _)| pattern.clone()),
@@ -81,16 +78,14 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
     let answered = texts(&mut served.into_iter().map(|(pattern, _)| pattern));
     let events = [Key::Event, Key::JsonEvent].map(|key| space.format(&key));
 
-    let with_own =
-        |list: &[String]| -> Vec<String> { list.iter().cloned().chain([own.clone()]).collect() };
     let mut rights = Rights {
-        say: with_own(&[&outputs[..], &events].concat()),
-        hear: with_own(&heard),
+        say: [outputs.as_slice(), &events].concat(),
         // As it starts it asks for what it hears, and for its own last output.
-        ask: with_own(&[heard.as_slice(), &outputs].concat()),
-        answer: with_own(&answered),
-        be: vec![own.clone()],
-        see: with_own(&texts(&mut tokens.into_iter())),
+        ask: [heard.as_slice(), &outputs].concat(),
+        hear: heard,
+        answer: answered,
+        be: vec![space.pattern(&Pattern::InstanceTokens(service))],
+        see: texts(&mut tokens.into_iter()),
     };
     rights.answer.push(schema(space));
     for list in
@@ -224,8 +219,22 @@ mod tests {
         for service in ServiceName::ALL {
             let may = rights(&format!("service.{service}"));
             for list in [&may.say, &may.hear, &may.ask, &may.answer, &may.be, &may.see] {
-                assert!(list.contains(&of(&format!("service/{service}/*"))) || list == &may.be);
                 assert!(!list.iter().any(|key| key.contains("**")), "{list:?}");
+            }
+            // Instances of a service agree on who holds its role.
+            let holder = of(&format!("service/{service}/holder"));
+            for list in [&may.say, &may.hear, &may.ask, &may.answer] {
+                assert!(list.contains(&holder), "{list:?}");
+            }
+            let tokens = of(&format!("service/{service}/*"));
+            assert!(may.be == [tokens.clone()] && may.see.contains(&tokens));
+            for other in ServiceName::ALL.iter().filter(|other| **other != service) {
+                let foreign = of(&format!("service/{other}/"));
+                assert!(
+                    ![&may.say, &may.answer, &may.be]
+                        .iter()
+                        .any(|list| list.iter().any(|key| key.starts_with(&foreign)))
+                );
             }
         }
         assert!(rights("service.embedder").ask.contains(&of("service/clusterer/settings")));
