@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use muster_machine::{Core, Effects, Event, Role, Start, Wiring};
 use muster_model::id::{InstanceId, ServiceName};
+use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
 use muster_runtime::bus::{Bus, Patience};
@@ -64,6 +65,10 @@ impl Core for Probe {
 
     fn deadline(&self) -> Option<Tick> {
         self.hangs_at
+    }
+
+    fn standing(&self) -> Standing {
+        Standing::Holding
     }
 
     fn run((): ()) {}

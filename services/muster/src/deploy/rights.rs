@@ -7,7 +7,7 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::{Core, Wiring};
+use muster_machine::Wiring;
 use muster_model::id::{RobotId, ServiceName};
 use muster_wire::{Key, KeySpace, Pattern};
 
@@ -147,7 +147,7 @@ fn of_reader(space: &KeySpace, may_set: bool) -> Rights {
 
 #[cfg(test)]
 mod tests {
-    use muster_machine::{Command, Driver, Event, Start, Stored};
+    use muster_machine::{Command, Core, Driver, Event, Start, Stored};
     use muster_model::id::InstanceId;
     use muster_model::settings::Settings;
     use muster_model::time::Tick;
