@@ -10,7 +10,7 @@ use std::os::unix::net::UnixDatagram;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use muster_machine::{Core, Effects, Event, Role, Start, Wiring};
+use muster_machine::{Core, Effects, Event, Role, Start, Stopwatch, Wiring};
 use muster_model::id::{InstanceId, ServiceName};
 use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
@@ -71,7 +71,7 @@ impl Core for Probe {
         Standing::Holding
     }
 
-    fn run((): ()) {}
+    fn run((): (), _: &mut Stopwatch) {}
 }
 
 fn config(mode: Mode, listen: Option<&str>, connect: Option<&str>) -> ProcessConfig {
@@ -100,6 +100,7 @@ async fn a_process_with_two_loops() {
         let options = ServiceOptions {
             instance: InstanceId::of_process("test", number, number),
             settings: ClustererSettings { teams, ..ClustererSettings::default() },
+            record: None,
             store: Store::new(None, bus.space().fleet(), ServiceName::Clusterer),
         };
         loops.spawn(shell::run::<Probe>(bus, options, stop.clone()));
