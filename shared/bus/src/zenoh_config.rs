@@ -177,14 +177,15 @@ mod tests {
 
     #[test]
     fn the_routers_are_those_of_whoever_named_them() {
-        let folder = std::env::temp_dir().join(format!("muster-routers-{}", std::process::id()));
-        std::fs::write(&folder, "{connect: {endpoints: [\"tls/base:7447\"]}}").unwrap();
-        let mut config = router(Choice::default(Vec::new()), folder.to_str());
+        let path =
+            std::env::temp_dir().join(format!("muster-routers-{}.json5", std::process::id()));
+        std::fs::write(&path, "{connect: {endpoints: [\"tls/base:7447\"]}}").unwrap();
+        let mut config = router(Choice::default(Vec::new()), path.to_str());
         config.mode = Choice::default(Mode::Client);
         config.connect = Choice::default(list(DEFAULT_ENDPOINT));
         assert_eq!(routers(&config).unwrap(), list("tls/base:7447"));
         config.connect = Choice::chosen(list("tcp/flag:7447"));
         assert_eq!(routers(&config).unwrap(), list("tcp/flag:7447"));
-        std::fs::remove_file(folder).unwrap();
+        std::fs::remove_file(path).unwrap();
     }
 }
