@@ -14,9 +14,11 @@ use muster_machine::{Core, Effects, Event, Role, Start, Stopwatch, Wiring};
 use muster_model::id::{InstanceId, ServiceName};
 use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
+use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
+use muster_runtime::observe::Observatory;
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
 use muster_runtime::store::Store;
@@ -38,7 +40,7 @@ const HANG: &str = "MUSTER_TEST_HANG";
 
 /// A core that hangs at its first timeout, or does nothing at all.
 struct Probe {
-    _role: Role<ClustererSettings>,
+    role: Role<ClustererSettings>,
     hangs_at: Option<Tick>,
 }
 
@@ -54,7 +56,7 @@ impl Core for Probe {
 
     fn new(start: Start<ClustererSettings>) -> Self {
         let hangs_at = (start.settings.teams == 7).then(|| start.now.after(HANGS_AFTER));
-        Self { hangs_at, _role: Role::new(Self::SERVICE, start) }
+        Self { hangs_at, role: Role::new(Self::SERVICE, start) }
     }
 
     fn handle(&mut self, _: Tick, event: Event<()>, _: &mut Effects<()>) {
@@ -69,6 +71,10 @@ impl Core for Probe {
 
     fn standing(&self) -> Standing {
         Standing::Holding
+    }
+
+    fn status(&self, now: Tick) -> ServiceStatus {
+        self.role.status(now, "probing")
     }
 
     fn run((): (), _: &mut Stopwatch) {}
@@ -101,6 +107,9 @@ async fn a_process_with_two_loops() {
             instance: InstanceId::of_process("test", number, number),
             settings: ClustererSettings { teams, ..ClustererSettings::default() },
             record: None,
+            observer: Observatory::open(&config(Mode::Client, None, None), &[])
+                .unwrap()
+                .observer(ServiceName::Clusterer),
             store: Store::new(None, bus.space().fleet(), ServiceName::Clusterer),
         };
         loops.spawn(shell::run::<Probe>(bus, options, stop.clone()));

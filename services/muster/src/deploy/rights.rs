@@ -62,8 +62,7 @@ fn wiring(service: ServiceName) -> Wiring {
 
 /// The key that every service answers with the schemas of all messages.
 fn schema(space: &KeySpace) -> String {
-    // Everything of the fleet is `…/**`; the schemas stand directly under the fleet.
-    space.pattern(&Pattern::Everything).replace("**", "schema")
+    space.format(&Key::Schema)
 }
 
 fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
