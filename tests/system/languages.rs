@@ -111,7 +111,7 @@ async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
     let wanted = format!("teams  {}", wanted.join("  "));
     printed(&mut dashboard, "the teams", |line| line == wanted).await;
     printed(&mut dashboard, "the audit", |line| {
-        ["good", "fair", "poor"].iter().any(|word| line.starts_with(&format!("audit  {word}, sil")))
+        ["good", "fair", "poor"].iter().any(|word| line.starts_with(&format!("audit  {word}  t")))
     })
     .await;
     printed(&mut dashboard, "an event", |line| {
