@@ -17,7 +17,6 @@ mod router;
 mod schema;
 mod set;
 mod show;
-mod solve;
 mod up;
 
 use std::process::ExitCode;
@@ -27,6 +26,7 @@ use muster_model::id::ServiceName;
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use muster_runtime::exit::{self, ExitError};
 use muster_runtime::service::{block_on, report};
+use muster_solve as solve;
 
 /// Divides a fleet of robots into teams, live, from how the robots relate.
 #[derive(Debug, Parser)]

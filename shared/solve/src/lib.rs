@@ -74,7 +74,7 @@ Examples:
 /// Arguments of `muster solve`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
-pub(crate) struct SolveArgs {
+pub struct SolveArgs {
     /// The file to read, or - for standard input.
     #[arg(value_name = "FILE")]
     file: PathBuf,
@@ -88,7 +88,7 @@ pub(crate) struct SolveArgs {
 
 /// What is wrong with the input.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum SolveError {
+pub enum SolveError {
     /// The file cannot be read.
     #[error("cannot be read: {0}")]
     Read(std::io::Error),
@@ -134,7 +134,7 @@ fn tidy(text: &str) -> String {
 ///
 /// # Errors
 /// A [`SolveError`] where the input is wrong; an input or output error where writing fails.
-pub(crate) fn run(args: &SolveArgs) -> anyhow::Result<()> {
+pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
     let name = if args.file == Path::new("-") {
         "standard input".to_owned()
     } else {
@@ -156,6 +156,40 @@ pub(crate) fn run(args: &SolveArgs) -> anyhow::Result<()> {
         output::write_summary(&problem, &solution)?;
     }
     Ok(())
+}
+
+/// A file, and what the method found for it.
+#[derive(Debug)]
+pub struct Solved {
+    problem: problem::Problem,
+    solution: method::Solution,
+}
+
+impl Solved {
+    /// Runs the method once on the text of a file. With `normalize_weights`, weights of any sum are
+    /// accepted and divided by it.
+    ///
+    /// # Errors
+    /// Names the field that is wrong and the remedy.
+    pub fn new(text: &[u8], normalize_weights: bool) -> Result<Self, SolveError> {
+        let problem = parse(text, normalize_weights)?;
+        let solution = method::solve(&problem, &mut Progress::start())?;
+        Ok(Self { problem, solution })
+    }
+
+    /// The results as one JSON object, numbers in full precision.
+    ///
+    /// # Errors
+    /// If they do not serialise.
+    pub fn to_json(&self) -> serde_json::Result<String> {
+        output::to_json(&self.problem, &self.solution)
+    }
+
+    /// The results to read.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        output::summary(&self.problem, &self.solution)
+    }
 }
 
 /// A text as a checked input.

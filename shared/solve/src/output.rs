@@ -91,7 +91,6 @@ pub(super) fn write_json(problem: &Problem, solution: &Solution) -> std::io::Res
 }
 
 /// The results as one JSON object.
-#[cfg(test)]
 pub(super) fn to_json(problem: &Problem, solution: &Solution) -> serde_json::Result<String> {
     serde_json::to_string(&report(problem, solution))
 }

@@ -1,0 +1,69 @@
+//! Fuzz targets for everything that reads foreign bytes, and for the cores behind it.
+//!
+//! A target is a plain function of bytes that panics if a promise does not hold. It is driven in two
+//! ways: the test `replay` runs every input of `corpus/` and seeded mutations of it with plain `cargo
+//! test`; `run` lets LLVM's fuzzer look for new paths, guided by coverage, for as long as one likes.
+//!
+//! The promises, beyond "it does not panic": what is accepted is written again and read back as the
+//! same; what is refused is refused in short words without control characters; memory stays within
+//! a multiple of the input ([`allocation`]); what a core publishes is finite, ordered, and accepted
+//! by those who read it.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a target fails by panicking"
+)]
+
+pub mod allocation;
+mod cores;
+mod draw;
+mod keys;
+pub mod mutate;
+mod packets;
+mod replica;
+pub mod seeds;
+mod settings;
+mod solve;
+mod text;
+
+/// One thing to be fuzzed.
+#[derive(Debug, Clone, Copy)]
+pub struct Target {
+    /// Its name, which is that of its folder in the corpus.
+    pub name: &'static str,
+    /// Runs it once; panics if a promise does not hold.
+    pub run: fn(&[u8]),
+    /// Longest input in bytes that is tried: enough for what it reads, short enough to be fast.
+    pub longest: usize,
+    /// How many mutations the test command tries: what takes a second or so without optimisation.
+    pub mutations: usize,
+}
+
+/// All targets.
+pub const TARGETS: [Target; 13] = [
+    target("packet", packets::packet, 2048, 12_000),
+    target("envelope", packets::envelope, 2048, 12_000),
+    target("edge_json", packets::edge_json, 2048, 12_000),
+    target("key", keys::key, 256, 20_000),
+    target("request", keys::request, 512, 8_000),
+    target("settings", settings::settings, 1024, 4_000),
+    target("stored", settings::stored, 1024, 1_500),
+    target("solve", solve::solve, 1024, 300),
+    target("replica", replica::replica, 1024, 6_000),
+    target("ingest", cores::ingest, 4096, 300),
+    target("embedder", cores::embedder, 4096, 200),
+    target("clusterer", cores::clusterer, 4096, 200),
+    target("auditor", cores::auditor, 4096, 300),
+];
+
+const fn target(name: &'static str, run: fn(&[u8]), longest: usize, mutations: usize) -> Target {
+    Target { name, run, longest, mutations }
+}
+
+/// The target of a name.
+#[must_use]
+pub fn find(name: &str) -> Option<Target> {
+    TARGETS.into_iter().find(|target| target.name == name)
+}

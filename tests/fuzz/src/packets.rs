@@ -1,0 +1,175 @@
+//! Packets on any key, in any encoding, from any source.
+
+use muster_model::audit::Audit;
+use muster_model::embedding::Embedding;
+use muster_model::event::Event;
+use muster_model::graph::GraphDelta;
+use muster_model::id::FleetId;
+use muster_model::observation::{Links, Pose, Rank, Relation};
+use muster_model::roster::Roster;
+use muster_model::teams::{RobotTeam, Teams};
+use muster_model::time::Tick;
+use muster_wire::envelope::{
+    AnnouncedSettings, BinaryMessage, FromRobot, MAGIC, VERSION, decode, encode,
+};
+use muster_wire::{Format, KeySpace, Message, Packet, Rejection, Source};
+
+use crate::{allocation, text};
+
+/// The moment at which messages are written.
+pub(crate) const NOW: Tick = Tick(1_795_208_990_000_000);
+
+/// The encoding of binary packets.
+pub(crate) const BINARY: &str = "application/octet-stream;bincode";
+
+/// Longest key or reason of a refusal, in characters.
+const MAX_TOLD: usize = 120;
+
+/// Bytes that understanding a packet may hold for each byte of it: the smallest entry of a roster has
+/// eleven bytes on the bus and some two hundred in memory, and vectors grow by doubling.
+const HELD_PER_BYTE: usize = 64;
+
+/// Bytes that it may hold beyond that: serde trusts the count of a list for one mebibyte, and lists
+/// stand in lists.
+const HELD_ANYWAY: usize = 4 << 20;
+
+/// Most memory in bytes that an input of a length may take.
+pub(crate) const fn may_hold(length: usize) -> usize {
+    HELD_PER_BYTE * length + HELD_ANYWAY
+}
+
+/// The keys that all targets speak of.
+pub(crate) fn space() -> KeySpace {
+    KeySpace::new(FleetId::new("alpha").unwrap())
+}
+
+/// Checks what is told of a refused packet.
+pub(crate) fn check_rejection(rejection: &Rejection) {
+    text::check(&rejection.key, MAX_TOLD);
+    text::check(&rejection.reason, MAX_TOLD);
+}
+
+/// Understands a packet, and checks what became of it.
+pub(crate) fn understood(space: &KeySpace, packet: &Packet) -> Result<Message, Rejection> {
+    let length = packet.payload.as_ref().map_or(0, Vec::len) + packet.key.len();
+    let what = "understanding a packet";
+    let result = allocation::at_most(may_hold(length), what, || Message::decode(space, packet));
+    match &result {
+        Err(rejection) => check_rejection(rejection),
+        Ok(message) => check_message(space, packet, message),
+    }
+    result
+}
+
+fn check_message(space: &KeySpace, packet: &Packet, message: &Message) {
+    let (key, mirror) = message.keys();
+    assert_eq!(space.format(&key), packet.key, "a message stands on another key than it came from");
+    let json = message.encode(key.clone(), Format::Json, NOW).unwrap();
+    if let Message::RobotToken { .. } = message {
+        return;
+    }
+    if !matches!(message, Message::Settings(_)) {
+        let _: serde_json::Value = serde_json::from_slice(&json.payload).unwrap();
+    }
+    if let Some(mirror) = mirror {
+        message.encode(mirror, Format::Json, NOW).unwrap();
+    }
+    // Numbers that are not finite are equal to nothing, so that bytes are compared.
+    let again = message.encode(key, Format::Binary, NOW).unwrap();
+    let read = as_packet(space, &again.payload, &again.encoding, &packet.key);
+    assert_eq!(written(&read), again.payload, "another message is read back");
+    if message.header().is_none() {
+        let read = as_packet(space, &json.payload, &json.encoding, &packet.key);
+        assert_eq!(read, *message, "another message is read back from JSON");
+    }
+}
+
+fn as_packet(space: &KeySpace, payload: &[u8], encoding: &str, key: &str) -> Message {
+    let packet = Packet {
+        key: key.to_owned(),
+        encoding: encoding.to_owned(),
+        source: Source::Put,
+        payload: Ok(payload.to_vec()),
+    };
+    Message::decode(space, &packet).unwrap()
+}
+
+fn written(message: &Message) -> Vec<u8> {
+    message.encode(message.keys().0, Format::Binary, NOW).unwrap().payload
+}
+
+/// A source in one letter, the key (`~` for the prefix of the fleet), a line feed, the encoding, a
+/// line feed, and the payload.
+pub(crate) fn packet(data: &[u8]) {
+    let Some((source, rest)) = data.split_first() else { return };
+    let (key, rest) = text::line(rest);
+    let (encoding, payload) = text::line(rest);
+    let key = String::from_utf8_lossy(key);
+    let key = match key.strip_prefix('~') {
+        Some(tail) => format!("muster/v1/alpha/{tail}"),
+        None => key.into_owned(),
+    };
+    let packet = Packet {
+        key,
+        encoding: String::from_utf8_lossy(encoding).into_owned(),
+        source: match source {
+            b'd' => Source::Delete,
+            b'a' => Source::TokenAlive,
+            b'g' => Source::TokenGone,
+            _ => Source::Put,
+        },
+        payload: if *source == b'c' { Err(payload.len() << 10) } else { Ok(payload.to_vec()) },
+    };
+    let _ = understood(&space(), &packet);
+}
+
+/// A kind, and a content in bincode.
+pub(crate) fn envelope(data: &[u8]) {
+    fn of<T: BinaryMessage>(bytes: &[u8]) {
+        let read = allocation::at_most(may_hold(bytes.len()), T::NAME, || decode::<T>(bytes));
+        match read {
+            Err(error) => assert!(error.to_string().chars().count() <= 1024, "{error}"),
+            Ok(content) => {
+                let again = encode(&content).unwrap();
+                assert_eq!(encode(&decode::<T>(&again).unwrap()).unwrap(), again);
+            }
+        }
+    }
+    let Some((kind, content)) = data.split_first() else { return };
+    let kind = kind % 13;
+    let bytes = [&[MAGIC, VERSION, kind], content].concat();
+    match kind {
+        1 => of::<FromRobot<Pose>>(&bytes),
+        2 => of::<FromRobot<Links>>(&bytes),
+        3 => of::<FromRobot<Rank>>(&bytes),
+        4 => of::<FromRobot<Relation>>(&bytes),
+        5 => of::<GraphDelta>(&bytes),
+        6 => of::<Roster>(&bytes),
+        7 => of::<Embedding>(&bytes),
+        8 => of::<Teams>(&bytes),
+        9 => of::<RobotTeam>(&bytes),
+        10 => of::<Audit>(&bytes),
+        11 => of::<Event>(&bytes),
+        12 => of::<AnnouncedSettings>(&bytes),
+        // The head itself is foreign.
+        _ => of::<Event>(content),
+    }
+}
+
+/// A stream in one byte, and what a robot puts there in JSON.
+pub(crate) fn edge_json(data: &[u8]) {
+    let Some((stream, json)) = data.split_first() else { return };
+    let stream = match stream % 4 {
+        0 => "pose",
+        1 => "links",
+        2 => "rank",
+        _ => "relation/thermal",
+    };
+    let packet = Packet {
+        key: format!("muster/v1/alpha/robot/r1/{stream}"),
+        encoding: String::new(),
+        source: Source::Put,
+        payload: Ok(json.to_vec()),
+    };
+    let _ = understood(&space(), &packet);
+}

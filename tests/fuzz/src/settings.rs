@@ -1,0 +1,116 @@
+//! Settings: patches of them, and what is kept of them over a restart.
+
+use muster_auditor::Auditor;
+use muster_clusterer::Clusterer;
+use muster_embedder::Embedder;
+use muster_ingest::Ingest;
+use muster_machine::{Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stored};
+use muster_model::id::{FleetId, InstanceId};
+use muster_model::settings::{
+    AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, Settings, from_value,
+};
+use muster_wire::{Key, Message, Request};
+use serde_json::{Value, json};
+
+use crate::packets::{NOW, may_hold, space};
+use crate::{allocation, text};
+
+/// Longest field of a refused patch, in characters.
+const MAX_FIELD: usize = 120;
+
+/// Longest text that says what is wrong with it, in characters: some list all fields.
+const MAX_PROBLEM: usize = 400;
+
+/// A service in one byte, and patches in JSON, one after the other, a line each.
+pub(crate) fn settings(data: &[u8]) {
+    let Some((service, patches)) = data.split_first() else { return };
+    let run = match service % 4 {
+        0 => patched::<IngestSettings>,
+        1 => patched::<EmbedderSettings>,
+        2 => patched::<ClustererSettings>,
+        _ => patched::<AuditorSettings>,
+    };
+    allocation::at_most(may_hold(patches.len()), "patching", || run(patches));
+}
+
+fn patched<S: Settings>(patches: &[u8]) {
+    let mut settings = S::default();
+    for patch in patches.split(|byte| *byte == b'\n') {
+        let Ok(patch) = serde_json::from_slice::<Value>(patch) else { continue };
+        match settings.patched(&patch) {
+            Ok(next) => settings = next,
+            Err(error) => {
+                text::check(&error.field, MAX_FIELD);
+                text::check(&error.problem, MAX_PROBLEM);
+            }
+        }
+        assert_eq!(settings.check(), Ok(()));
+        let written = serde_json::to_value(&settings).unwrap();
+        assert_eq!(from_value::<S>(written.clone()).as_ref(), Ok(&settings));
+        assert_eq!(S::default().patched(&written).as_ref(), Ok(&settings));
+        assert_eq!(settings.patched(&json!({})).as_ref(), Ok(&settings));
+    }
+}
+
+/// A service in one byte, and the file that is kept over a restart.
+pub(crate) fn stored(data: &[u8]) {
+    let Some((service, file)) = data.split_first() else { return };
+    let Ok(stored) = serde_json::from_slice::<Stored>(file) else { return };
+    let run = match service % 4 {
+        0 => started::<Ingest>,
+        1 => started::<Embedder>,
+        2 => started::<Clusterer>,
+        _ => started::<Auditor>,
+    };
+    allocation::at_most(may_hold(file.len()), "starting", || run(stored));
+}
+
+/// A core that starts with a file takes a term above it, tells its settings, and keeps those that it
+/// tells.
+fn started<C: Core>(stored: Stored) {
+    let term = stored.term;
+    let start = |stored: Stored| Start {
+        fleet: FleetId::new("alpha").unwrap(),
+        instance: InstanceId::new("fuzz-1").unwrap(),
+        now: NOW,
+        settings: C::Settings::default(),
+        stored,
+    };
+    let mut driver = Driver::<C>::new(start(stored));
+    let mut commands = driver.step(NOW, Event::Started);
+    let fetched = Event::Fetched { fetch: START_FETCH, messages: Vec::new() };
+    commands.extend(driver.step(NOW, fetched));
+    let kept = commands.iter().find_map(|command| match command {
+        Command::Store(stored) => Some(stored.clone()),
+        _ => None,
+    });
+    let kept = kept.expect("the term is kept");
+    assert!(kept.term > term || term == u64::MAX, "the term goes on");
+    for command in &commands {
+        if let Command::Publish(message) = command {
+            for out in message.publish(NOW).unwrap() {
+                text::check(&out.key.to_string(), MAX_FIELD);
+            }
+        }
+    }
+    let told = |driver: &mut Driver<C>| {
+        let key = space().format(&Key::Settings(C::SERVICE));
+        let request = Request::new(key, "", None).unwrap();
+        let query = Event::Query { query: QueryId(1), request };
+        let replies = driver.step(NOW, query).into_iter();
+        let answer = replies.filter_map(|command| match command {
+            Command::Reply { answer, .. } => answer.ok()?.into_iter().next(),
+            _ => None,
+        });
+        match answer.last() {
+            Some(Message::Settings(announced)) => announced.settings,
+            other => panic!("settings are answered with {other:?}"),
+        }
+    };
+    let settings = told(&mut driver);
+    let read: C::Settings = serde_json::from_str(&settings).unwrap();
+    assert_eq!(read.check(), Ok(()));
+    let written = serde_json::to_vec(&kept).unwrap();
+    let kept: Stored = serde_json::from_slice(&written).unwrap();
+    assert_eq!(told(&mut Driver::<C>::new(start(kept))), settings, "a restart changes settings");
+}

@@ -1,0 +1,67 @@
+//! Files of `muster solve`.
+
+use muster_solve::Solved;
+use serde_json::Value;
+
+use crate::{allocation, text};
+
+/// Longest error in characters.
+const MAX_ERROR: usize = 1000;
+
+/// Larger fleets take longer than an input may; the mathematics has tests of its own.
+const MAX_ROBOTS: usize = 24;
+
+/// More starts of k-means do.
+const MAX_RESTARTS: u64 = 64;
+
+/// Bytes that the method may hold: a dozen dense matrices of [`MAX_ROBOTS`], working space, and the
+/// table.
+const MAY_HOLD: usize = 8 << 20;
+
+/// How far a silhouette may be outside of -1 to 1, by rounding.
+const ROUNDING: f64 = 1e-12;
+
+/// Whether weights are normalised, in one byte, and the text of a file.
+pub(crate) fn solve(data: &[u8]) {
+    let Some((normalize, text)) = data.split_first() else { return };
+    if let Ok(file) = serde_json::from_slice::<Value>(text) {
+        let robots = file.get("robots").and_then(Value::as_array).map_or(0, Vec::len);
+        let restarts = file.get("restarts").and_then(Value::as_u64).unwrap_or_default();
+        if robots > MAX_ROBOTS || restarts > MAX_RESTARTS {
+            return;
+        }
+    }
+    let solved =
+        allocation::at_most(MAY_HOLD, "solving", || Solved::new(text, normalize & 1 == 1));
+    match solved {
+        Err(error) => text::check(&error.to_string(), MAX_ERROR),
+        Ok(solved) => {
+            assert!(!solved.summary().is_empty());
+            let json: Value = serde_json::from_str(&solved.to_json().unwrap()).unwrap();
+            check(&json);
+        }
+    }
+}
+
+/// Checks that everything is a finite number and all rows are there.
+fn check(json: &Value) {
+    let robots = json["robots"].as_array().unwrap().len();
+    assert_eq!(json["labels"].as_array().unwrap().len(), robots);
+    assert_eq!(json["teams"].as_object().unwrap().len(), robots);
+    for name in ["rho", "alpha", "inertia"] {
+        assert!(json[name].as_f64().is_some_and(|number| number >= 0.0), "{name} {}", json[name]);
+    }
+    for value in json["singular_values"].as_array().unwrap() {
+        assert!(value.as_f64().is_some_and(|value| value >= 0.0), "{value}");
+    }
+    for name in ["katz", "embedding"] {
+        for row in json.get(name).and_then(Value::as_array).into_iter().flatten() {
+            assert!(row.as_array().unwrap().iter().all(Value::is_number), "{name} {row}");
+        }
+    }
+    let silhouette = &json["silhouette"];
+    let all = silhouette["per_robot"].as_array().unwrap().iter();
+    for value in all.chain(silhouette["per_team"].as_array().unwrap()) {
+        assert!(value.as_f64().is_some_and(|value| value.abs() <= 1.0 + ROUNDING), "{value}");
+    }
+}
