@@ -4,7 +4,8 @@
 //! standard configuration (little-endian, variable-length integers) is bounded by the limit of the
 //! kind, and what it leaves unread is refused.
 
-use bincode::config::Configuration;
+use bincode::config::{Configuration, Limit};
+use bincode::error::DecodeError;
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
@@ -171,7 +172,8 @@ pub(crate) fn unpack<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, EnvelopeErr
 /// Reads a message of a known kind.
 ///
 /// # Errors
-/// Says what is wrong with the bytes. No input makes it allocate more than [`MAX_SERVICE_PAYLOAD`].
+/// Says what is wrong with the bytes. However much they promise, what is allocated for them stays
+/// within a multiple of their own number.
 pub fn decode<T: BinaryMessage>(bytes: &[u8]) -> Result<T, EnvelopeError> {
     if bytes.len() > T::LIMIT {
         return Err(EnvelopeError::TooLarge { size: bytes.len(), limit: T::LIMIT });
@@ -188,12 +190,34 @@ pub fn decode<T: BinaryMessage>(bytes: &[u8]) -> Result<T, EnvelopeError> {
     if kind != T::KIND {
         return Err(EnvelopeError::Kind { got: kind, expected: T::KIND });
     }
-    let limited: Configuration<_, _, bincode::config::Limit<MAX_SERVICE_PAYLOAD>> =
-        bincode::config::standard().with_limit::<MAX_SERVICE_PAYLOAD>();
-    let (message, read) = bincode::serde::decode_from_slice(content, limited)
-        .map_err(|error| EnvelopeError::Content(error.to_string()))?;
+    let (message, read) =
+        read(content).map_err(|error| EnvelopeError::Content(error.to_string()))?;
     match bytes.len() - HEAD - read {
         0 => Ok(message),
         trailing => Err(EnvelopeError::Trailing(trailing)),
     }
+}
+
+/// Reads a content under the smallest limit that holds it.
+///
+/// bincode allocates the whole of a text before it looks whether it is there, as far as the limit
+/// lets it, and a limit is a constant: one of a few is chosen by the size of the content. The limit
+/// counts eight bytes for a number that takes one.
+fn read<T: DeserializeOwned>(content: &[u8]) -> Result<(T, usize), DecodeError> {
+    const SMALL: usize = 1 << 10;
+    const MEDIUM: usize = 1 << 15;
+    const LARGE: usize = 1 << 20;
+    match content.len() {
+        0..=SMALL => read_within::<T, { 8 * SMALL }>(content),
+        0..=MEDIUM => read_within::<T, { 8 * MEDIUM }>(content),
+        0..=LARGE => read_within::<T, { 8 * LARGE }>(content),
+        _ => read_within::<T, MAX_SERVICE_PAYLOAD>(content),
+    }
+}
+
+fn read_within<T: DeserializeOwned, const LIMIT: usize>(
+    content: &[u8],
+) -> Result<(T, usize), DecodeError> {
+    let limited: Configuration<_, _, Limit<LIMIT>> = bincode::config::standard().with_limit();
+    bincode::serde::decode_from_slice(content, limited)
 }
