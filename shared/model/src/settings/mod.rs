@@ -23,6 +23,13 @@ pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialSettings,
 };
 
+/// Longest field in an error, in characters: the path of any setting, and of a mistaken one its
+/// beginning.
+const MAX_FIELD: usize = 96;
+
+/// Longest problem in an error, in characters: the list of all settings of a service fits.
+const MAX_PROBLEM: usize = 320;
+
 /// Why settings are refused: the field, and what it should have been.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{field}: {problem}")]
@@ -34,11 +41,19 @@ pub struct SettingsError {
 }
 
 impl SettingsError {
-    /// An error of one field.
+    /// An error of one field. Both texts may hold foreign words: they are cut short, and control
+    /// characters are replaced.
     #[must_use]
-    pub fn new(field: impl Into<String>, problem: impl Into<String>) -> Self {
-        Self { field: field.into(), problem: problem.into() }
+    pub fn new(field: impl AsRef<str>, problem: impl AsRef<str>) -> Self {
+        Self {
+            field: plain(field.as_ref(), MAX_FIELD),
+            problem: plain(problem.as_ref(), MAX_PROBLEM),
+        }
     }
+}
+
+fn plain(text: &str, longest: usize) -> String {
+    text.chars().take(longest).map(|c| if c.is_control() { '\u{FFFD}' } else { c }).collect()
 }
 
 /// Settings of a service.
@@ -102,10 +117,7 @@ fn merge(
         let field = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
         let Some(default) = defaults.get(name) else {
             let known = defaults.keys().cloned().collect::<Vec<_>>().join(", ");
-            return Err(SettingsError::new(
-                field.chars().take(64).collect::<String>(),
-                format!("is no setting; there are {known}"),
-            ));
+            return Err(SettingsError::new(field, format!("is no setting; there are {known}")));
         };
         match (value, default, current.get_mut(name)) {
             (Value::Null, _, _) => {
