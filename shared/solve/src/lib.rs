@@ -116,15 +116,19 @@ fn refuse<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, 
 /// Text of the file as it may stand on a terminal: control characters escaped, and not too long.
 fn tidy(text: &str) -> String {
     let mut tidied = String::new();
-    for (count, character) in text.chars().enumerate() {
-        if count >= MAX_MESSAGE {
+    let mut length = 0;
+    for character in text.chars() {
+        if length >= MAX_MESSAGE {
             tidied.push('…');
             break;
         }
+        let before = tidied.len();
         if character.is_control() {
             tidied.extend(character.escape_default());
+            length += tidied.len() - before;
         } else {
             tidied.push(character);
+            length += 1;
         }
     }
     tidied
