@@ -15,7 +15,6 @@ use muster_model::role::Standing;
 use muster_model::settings::{Dimension, EmbedderSettings};
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
-use muster_wire::message::quoted;
 use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::cache::Cache;
@@ -161,7 +160,7 @@ impl Embedder {
             Event::Done(_) | Event::JobFailed(_) if self.gate.was_abandoned() => {}
             Event::Done(done) => self.done(now, done, effects),
             Event::JobFailed(reason) => {
-                let told = self.gate.panicked(now, &quoted(&reason));
+                let told = self.gate.panicked(now, &reason);
                 self.fail(now, told, effects);
             }
             Event::Query { query, request } => {

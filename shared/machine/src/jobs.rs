@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use muster_model::time::Tick;
+use muster_wire::message::quoted;
 
 /// How long after a panic the same task is tried again: a fault that comes and goes must not stop a
 /// service for good, and one that stays must not keep a processor busy.
@@ -98,11 +99,12 @@ impl<Task: PartialEq> JobGate<Task> {
         self.fail(now, kind, reason)
     }
 
-    /// The job has panicked; the task will be tried again. What is returned is to be told.
+    /// The job has panicked; the task will be tried again. What is returned is to be told: what a
+    /// panic says may hold words of a message, and is made fit for a log line.
     pub fn panicked(&mut self, now: Tick, said: &str) -> Option<String> {
         self.settled = self.running.take();
         self.retry = Some(now.after(RETRY_AFTER));
-        self.fail(now, "panic", format!("the job panicked: {said}"))
+        self.fail(now, "panic", format!("the job panicked: {}", quoted(said)))
     }
 
     fn fail(&mut self, now: Tick, kind: &'static str, reason: String) -> Option<String> {
