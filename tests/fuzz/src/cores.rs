@@ -204,7 +204,8 @@ impl<C: Core> World<C> {
             13 => self.step(Event::LinkLost),
             14 => self.step(Event::LinkRestored),
             _ => {
-                let source = if draw.below(2) == 0 { Source::TokenAlive } else { Source::TokenGone };
+                let source =
+                    if draw.below(2) == 0 { Source::TokenAlive } else { Source::TokenGone };
                 let key = format!("muster/v1/alpha/robot/r{}", draw.below(8));
                 let (encoding, payload) = (String::new(), Ok(Vec::new()));
                 self.receive(&Packet { key, encoding, source, payload });
@@ -323,7 +324,11 @@ impl<C: Core> World<C> {
             Err(error) => text::check(&error, MAX_ERROR),
             Ok(messages) => {
                 for message in messages {
-                    message.answer(&self.space, request, self.now).unwrap();
+                    let answer = message.answer(&self.space, request, self.now);
+                    // A status has no binary form, and who asks for one is told so.
+                    let has_none = matches!(message, Message::Status(_))
+                        && request.format == Some(Format::Binary);
+                    assert!(answer.is_ok() || has_none, "{message:?} is not answered: {answer:?}");
                 }
             }
         }
@@ -391,4 +396,3 @@ fn check_audit(audit: &Audit) {
         }
     }
 }
-

@@ -302,7 +302,7 @@ impl Author {
             let Some(leader) = robots.first().cloned() else { continue };
             used.extend(robots.iter().cloned());
             teams.push(Team {
-                id: TeamId::numbered(u64::from(number) + draw.number64()),
+                id: TeamId::numbered(draw.number64().saturating_add(number.into())),
                 members: robots
                     .into_iter()
                     .map(|robot| Member { robot, margin: draw.number() })

@@ -6,9 +6,9 @@ use muster_model::graph::{GraphDelta, GraphReplica};
 use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_WEIGHT;
 
+use crate::allocation;
 use crate::draw::{Author, Draw};
 use crate::packets::{NOW, may_hold};
-use crate::allocation;
 
 /// Bytes that choose deltas.
 pub(crate) fn replica(data: &[u8]) {

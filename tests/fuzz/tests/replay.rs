@@ -78,7 +78,12 @@ fn no_input_breaks_a_promise() {
             run(target, &mutator.next(&inputs, target.longest));
         }
         let took = since.elapsed();
-        println!("{}: {} inputs, {} mutations, {took:?}", target.name, inputs.len(), target.mutations);
+        println!(
+            "{}: {} inputs, {} mutations, {took:?}",
+            target.name,
+            inputs.len(),
+            target.mutations
+        );
     }
     files::no_configuration_file_breaks_a_promise(&inputs(&corpus().join("config")), SEED);
 }
