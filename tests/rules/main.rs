@@ -41,6 +41,15 @@ fn the_cores_are_built_without_bus_and_runtime() {
 }
 
 #[test]
+fn fuzzing_is_built_without_bus_and_runtime() {
+    let all = dependencies("muster-fuzz", &["--features", "coverage"]);
+    for forbidden in ["zenoh", "tokio", "muster-runtime"] {
+        assert!(!all.contains(forbidden), "what is fuzzed depends on {forbidden}");
+    }
+    assert!(all.contains("libfuzzer-sys"));
+}
+
+#[test]
 fn no_service_imports_another() {
     for service in SERVICES {
         let all = dependencies(service, &[]);
@@ -52,13 +61,14 @@ fn no_service_imports_another() {
 
 #[test]
 fn shared_crates_know_only_what_they_may() {
-    let rules: [(&str, &[&str]); 6] = [
+    let rules: [(&str, &[&str]); 7] = [
         ("muster-model", &["muster-model"]),
         ("muster-numeric", &["muster-numeric"]),
         ("muster-relation", &["muster-model", "muster-relation"]),
         ("muster-wire", &["muster-model", "muster-wire"]),
         ("muster-machine", &["muster-machine", "muster-model", "muster-wire"]),
         ("muster-scenario", &["muster-model", "muster-scenario"]),
+        ("muster-solve", &["muster-model", "muster-numeric", "muster-relation", "muster-solve"]),
     ];
     for (package, allowed) in rules {
         let all = dependencies(package, &[]);

@@ -29,6 +29,17 @@ use crate::bus::{self, BusConfig, check_endpoint, check_zenoh_config};
 use crate::exit::ExitError;
 use crate::recording::RecordTo;
 
+/// Longest error in characters: the line of a file that is wrong fits, unless it is absurd.
+const MAX_MESSAGE: usize = 1000;
+
+/// An error with the text of a file or variable in it, made fit for a terminal: short, and without
+/// control characters but the line feeds of a text that points at a place.
+fn plain(error: ExitError) -> ExitError {
+    let fit = |c: char| if c.is_control() && c != '\n' { '\u{FFFD}' } else { c };
+    let message = error.message.chars().take(MAX_MESSAGE).map(fit).collect();
+    ExitError { message, ..error }
+}
+
 /// The configuration of a process.
 #[derive(Debug, Clone)]
 pub struct ProcessConfig {
@@ -82,6 +93,14 @@ impl ProcessConfig {
     /// # Errors
     /// Names the field, variable or file that is wrong, and the remedy.
     pub fn resolve(
+        args: &ProcessArgs,
+        default_mode: Mode,
+        environment: Environment<'_>,
+    ) -> Result<Self, ExitError> {
+        Self::layered(args, default_mode, environment).map_err(plain)
+    }
+
+    fn layered(
         args: &ProcessArgs,
         default_mode: Mode,
         environment: Environment<'_>,
