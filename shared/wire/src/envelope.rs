@@ -208,9 +208,9 @@ fn read<T: DeserializeOwned>(content: &[u8]) -> Result<(T, usize), DecodeError> 
     const MEDIUM: usize = 1 << 15;
     const LARGE: usize = 1 << 20;
     match content.len() {
-        0..=SMALL => read_within::<T, { 8 * SMALL }>(content),
-        0..=MEDIUM => read_within::<T, { 8 * MEDIUM }>(content),
-        0..=LARGE => read_within::<T, { 8 * LARGE }>(content),
+        size if size <= SMALL => read_within::<T, { 8 * SMALL }>(content),
+        size if size <= MEDIUM => read_within::<T, { 8 * MEDIUM }>(content),
+        size if size <= LARGE => read_within::<T, { 8 * LARGE }>(content),
         _ => read_within::<T, MAX_SERVICE_PAYLOAD>(content),
     }
 }
