@@ -47,15 +47,15 @@ pub const TARGETS: [Target; 13] = [
     target("envelope", packets::envelope, 2048, 30_000),
     target("edge_json", packets::edge_json, 2048, 30_000),
     target("key", keys::key, 256, 20_000),
-    target("request", keys::request, 512, 8_000),
-    target("settings", settings::settings, 1024, 8_000),
+    target("request", keys::request, 512, 5_000),
+    target("settings", settings::settings, 1024, 4_000),
     target("stored", settings::stored, 1024, 4_000),
     target("solve", solve::solve, 1024, 1_000),
-    target("replica", replica::replica, 1024, 6_000),
-    target("ingest", cores::ingest, 4096, 1_000),
-    target("embedder", cores::embedder, 4096, 600),
-    target("clusterer", cores::clusterer, 4096, 600),
-    target("auditor", cores::auditor, 4096, 800),
+    target("replica", replica::replica, 1024, 4_000),
+    target("ingest", cores::ingest, 4096, 400),
+    target("embedder", cores::embedder, 4096, 400),
+    target("clusterer", cores::clusterer, 4096, 400),
+    target("auditor", cores::auditor, 4096, 400),
 ];
 
 const fn target(name: &'static str, run: fn(&[u8]), longest: usize, mutations: usize) -> Target {
