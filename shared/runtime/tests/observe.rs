@@ -6,8 +6,11 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-use muster_machine::{Core, Delivery, Effects, Event, Role, Start, Subscription, Wiring};
+use muster_machine::{
+    Core, Delivery, Effects, Event, Role, Start, Stopwatch, Subscription, Wiring,
+};
 use muster_model::id::{InstanceId, RobotId, ServiceName};
+use muster_model::role::Standing;
 use muster_model::settings::IngestSettings;
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
@@ -59,7 +62,11 @@ impl Core for Sleeper {
         self.0.status(now, "sleeping")
     }
 
-    fn run((): ()) {}
+    fn standing(&self) -> Standing {
+        self.0.standing()
+    }
+
+    fn run((): (), _: &mut Stopwatch) {}
 }
 
 fn config(args: ProcessArgs) -> ProcessConfig {
@@ -121,6 +128,7 @@ async fn a_core_that_hangs_is_told_by_healthz_and_one_that_goes_on_as_well() {
         instance: InstanceId::of_process("test", 1, 1),
         settings: IngestSettings::default(),
         store: Store::new(None, bus.space().fleet(), ServiceName::Ingest),
+        record: None,
         observer: observatory.observer(ServiceName::Ingest),
     };
     let (stopper, stop) = stop::channel();

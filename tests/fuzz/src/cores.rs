@@ -8,7 +8,7 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stored};
+use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stopwatch, Stored};
 use muster_model::audit::{Audit, SilhouetteReport};
 use muster_model::event::EventKind;
 use muster_model::graph::GraphReplica;
@@ -287,7 +287,7 @@ impl<C: Core> World<C> {
 
     fn finish_job(&mut self) {
         if let Some(job) = self.job.take() {
-            self.step(Event::Done(C::run(job)));
+            self.step(Event::Done(C::run(job, &mut Stopwatch::still())));
         }
     }
 

@@ -6,6 +6,7 @@ use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::id::FleetId;
 use muster_model::observation::{Links, Pose, Rank, Relation};
+use muster_model::role::Claim;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
@@ -136,7 +137,7 @@ pub(crate) fn envelope(data: &[u8]) {
         }
     }
     let Some((kind, content)) = data.split_first() else { return };
-    let kind = kind % 13;
+    let kind = kind % 14;
     let bytes = [&[MAGIC, VERSION, kind], content].concat();
     match kind {
         1 => of::<FromRobot<Pose>>(&bytes),
@@ -151,6 +152,7 @@ pub(crate) fn envelope(data: &[u8]) {
         10 => of::<Audit>(&bytes),
         11 => of::<Event>(&bytes),
         12 => of::<AnnouncedSettings>(&bytes),
+        13 => of::<Claim>(&bytes),
         // The head itself is foreign.
         _ => of::<Event>(content),
     }

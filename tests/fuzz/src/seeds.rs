@@ -7,7 +7,7 @@ use std::path::Path;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::{Command, Core, Driver, Event, Start, Stored};
+use muster_machine::{Command, Core, Driver, Event, Start, Stopwatch, Stored};
 use muster_model::id::{FleetId, InstanceId};
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings,
@@ -221,7 +221,7 @@ fn tell<C: Core>(messages: &[Message]) -> Vec<Message> {
         while let Some(event) = events.pop_front() {
             for command in driver.step(now, event) {
                 match command {
-                    Command::Run(job) => events.push_back(Event::Done(C::run(job))),
+                    Command::Run(job) => events.push_back(Event::Done(C::run(job, &mut Stopwatch::still()))),
                     Command::Fetch { fetch, .. } => {
                         events.push_back(Event::Fetched { fetch, messages: Vec::new() });
                     }
