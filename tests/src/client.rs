@@ -49,6 +49,13 @@ pub fn division(teams: &Value) -> Division {
     division
 }
 
+/// The moment in seconds since 1970.
+#[must_use]
+pub fn now() -> f64 {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    since.unwrap_or_default().as_secs_f64()
+}
+
 fn fail(error: zenoh::Error) -> anyhow::Error {
     anyhow::anyhow!("{error}")
 }
@@ -59,11 +66,23 @@ impl Client {
     /// # Errors
     /// If the router does not answer.
     pub async fn connect(endpoint: &str, fleet: &str) -> anyhow::Result<Self> {
+        Self::open(endpoint, fleet, "10000").await
+    }
+
+    /// Connects to a router whenever it answers.
+    ///
+    /// # Errors
+    /// If the endpoint is none.
+    pub async fn connect_for_ever(endpoint: &str, fleet: &str) -> anyhow::Result<Self> {
+        Self::open(endpoint, fleet, "-1").await
+    }
+
+    async fn open(endpoint: &str, fleet: &str, timeout_ms: &str) -> anyhow::Result<Self> {
         let mut config = zenoh::Config::default();
         for (key, value) in [
             ("mode", "\"client\"".to_owned()),
             ("connect/endpoints", format!("[\"{endpoint}\"]")),
-            ("connect/timeout_ms", "10000".to_owned()),
+            ("connect/timeout_ms", timeout_ms.to_owned()),
             ("scouting/multicast/enabled", "false".to_owned()),
         ] {
             config.insert_json5(key, &value).map_err(fail)?;
@@ -131,8 +150,21 @@ impl Client {
         tail: &str,
         payload: Option<&Value>,
     ) -> anyhow::Result<Vec<(String, Result<Value, String>)>> {
+        self.get_within(tail, payload, Duration::from_secs(3)).await
+    }
+
+    /// Gets JSON as [`Client::get`] does, within a time of the caller's.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn get_within(
+        &self,
+        tail: &str,
+        payload: Option<&Value>,
+        within: Duration,
+    ) -> anyhow::Result<Vec<(String, Result<Value, String>)>> {
         let selector = self.key(tail);
-        let mut get = self.session.get(selector.as_str()).timeout(Duration::from_secs(3));
+        let mut get = self.session.get(selector.as_str()).timeout(within);
         if let Some(payload) = payload {
             get = get.payload(payload.to_string());
         }
@@ -167,21 +199,38 @@ impl Client {
     /// If the session is closed.
     pub async fn watch(&self, tail: &str) -> anyhow::Result<Watch> {
         let kept = Arc::new(Mutex::new(Vec::new()));
-        let (keeping, prefix) = (Arc::clone(&kept), self.prefix.clone());
+        let keeping = Arc::clone(&kept);
+        self.listen(tail, move |key, value| {
+            let mut kept = keeping.lock().unwrap_or_else(PoisonError::into_inner);
+            if kept.len() < MAX_KEPT {
+                kept.push((key, value));
+            }
+        })
+        .await?;
+        Ok(Watch(kept))
+    }
+
+    /// Calls a function with the key and the value of all JSON that arrives on a key expression of
+    /// the fleet. The function must not wait.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn listen(
+        &self,
+        tail: &str,
+        arrived: impl Fn(String, Value) + Send + Sync + 'static,
+    ) -> anyhow::Result<()> {
+        let prefix = self.prefix.clone();
         self.session
             .declare_subscriber(self.key(tail))
             .callback(move |sample| {
-                let mut kept = keeping.lock().unwrap_or_else(PoisonError::into_inner);
-                if kept.len() < MAX_KEPT
-                    && let Ok(value) = serde_json::from_slice(&sample.payload().to_bytes())
-                {
-                    kept.push((sample.key_expr().as_str().replacen(&prefix, "", 1), value));
+                if let Ok(value) = serde_json::from_slice(&sample.payload().to_bytes()) {
+                    arrived(sample.key_expr().as_str().replacen(&prefix, "", 1), value);
                 }
             })
             .background()
             .await
-            .map_err(fail)?;
-        Ok(Watch(kept))
+            .map_err(fail)
     }
 }
 

@@ -22,9 +22,13 @@ pub struct Process {
 /// # Errors
 /// If it is not built; the text names the remedy.
 pub fn program(name: &str) -> anyhow::Result<PathBuf> {
-    let tests = std::env::current_exe()?;
-    let directory = tests.ancestors().nth(2).context("the tests stand in no target folder")?;
-    let path = directory.join(name);
+    let this = std::env::current_exe()?;
+    // Tests stand in a folder below the programs, programs of the tests beside them.
+    let beside = this.parent().context("the tests stand in no target folder")?;
+    let path = match beside.parent() {
+        Some(above) if beside.ends_with("deps") => above.join(name),
+        _ => beside.join(name),
+    };
     ensure!(path.exists(), "{} is not built; run `cargo build --workspace` first", path.display());
     Ok(path)
 }
@@ -74,13 +78,26 @@ impl Process {
         environment: &[(&str, &str)],
         folder: &Path,
     ) -> anyhow::Result<Self> {
+        let mut command = Command::new(program);
+        command.args(arguments).envs(environment.iter().copied());
+        Self::start_command(program_name, command, folder)
+    }
+
+    /// Starts a command that becomes the program of this name; what it prints goes to a file that
+    /// begins with the name.
+    ///
+    /// # Errors
+    /// If it does not start.
+    pub fn start_command(
+        program_name: &str,
+        mut command: Command,
+        folder: &Path,
+    ) -> anyhow::Result<Self> {
         static NEXT: std::sync::atomic::AtomicU32 = std::sync::atomic::AtomicU32::new(0);
         let number = NEXT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         let log = folder.join(format!("{number}-{}.log", program_name.replace('/', "-")));
         let output = std::fs::File::create(&log)?;
-        let child = Command::new(program)
-            .args(arguments)
-            .envs(environment.iter().copied())
+        let child = command
             .stdin(Stdio::null())
             .stdout(output.try_clone()?)
             .stderr(output)

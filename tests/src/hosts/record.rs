@@ -1,0 +1,155 @@
+//! What an observer has seen, and what can be measured in it.
+
+use std::collections::BTreeSet;
+
+use serde_json::Value;
+
+use crate::client::{Division, division};
+
+/// One line of an observer.
+#[derive(Debug, Clone)]
+pub struct Seen {
+    /// When it arrived, in seconds since 1970.
+    pub at: f64,
+    /// Where: a key of the fleet, or `get` for an answer to a get of the division.
+    pub key: String,
+    /// What; null where a get was not answered.
+    pub value: Value,
+    /// For a pose, how many seconds it was on its way.
+    pub late: Option<f64>,
+}
+
+/// Everything that an observer has seen, in order.
+#[derive(Debug, Clone, Default)]
+pub struct Record(Vec<Seen>);
+
+impl Record {
+    /// Reads the lines of an observer; a last line that is not yet whole is left out.
+    #[must_use]
+    pub fn read(lines: &str) -> Self {
+        let seen = lines.lines().filter_map(|line| {
+            let mut value: Value = serde_json::from_str(line).ok()?;
+            Some(Seen {
+                at: value["at"].as_f64()?,
+                key: value["key"].as_str()?.to_owned(),
+                late: value["late"].as_f64(),
+                value: value["value"].take(),
+            })
+        });
+        Self(seen.collect())
+    }
+
+    fn of<'a>(&'a self, key: &'a str, since: f64) -> impl DoubleEndedIterator<Item = &'a Seen> {
+        self.0.iter().filter(move |seen| seen.key == key && seen.at >= since)
+    }
+
+    /// The divisions that were told since a moment.
+    pub fn teams(&self, since: f64) -> impl DoubleEndedIterator<Item = &Seen> {
+        self.of("json/teams", since)
+    }
+
+    /// When the first event of a name was seen since a moment.
+    #[must_use]
+    pub fn first_event(&self, name: &str, since: f64) -> Option<f64> {
+        self.of("json/event", since).find(|seen| seen.value["event"] == name).map(|seen| seen.at)
+    }
+
+    /// When the last event of a name was seen since a moment.
+    #[must_use]
+    pub fn last_event(&self, name: &str, since: f64) -> Option<f64> {
+        self.of("json/event", since).rfind(|seen| seen.value["event"] == name).map(|seen| seen.at)
+    }
+
+    /// The robots that events of a name are about, since a moment.
+    #[must_use]
+    pub fn robots_of(&self, name: &str, since: f64) -> BTreeSet<String> {
+        let events = self.of("json/event", since).filter(|seen| seen.value["event"] == name);
+        events.filter_map(|seen| seen.value["robot"].as_str().map(str::to_owned)).collect()
+    }
+
+    /// When a division was told for the first time since a moment that is the wanted one, has no
+    /// stale robot, and rests on nothing that was measured before that moment.
+    #[must_use]
+    pub fn whole(&self, wanted: &Division, since: f64) -> Option<f64> {
+        let whole = |seen: &&Seen| {
+            let age = seen.value["data_age_s"].as_f64();
+            age.is_some_and(|age| seen.at - age >= since)
+                && seen.value["stale"].as_array().is_some_and(Vec::is_empty)
+                && division(&seen.value) == *wanted
+        };
+        self.teams(since).find(whole).map(|seen| seen.at)
+    }
+
+    /// The longest time without a division between two moments.
+    #[must_use]
+    pub fn longest_pause(&self, from: f64, to: f64) -> f64 {
+        let told = self.teams(from).map(|seen| seen.at).take_while(|at| *at < to);
+        let (longest, last) =
+            told.fold((0.0_f64, from), |(longest, last), at| (longest.max(at - last), at));
+        longest.max(to - last)
+    }
+
+    /// The greatest age of the data behind a division that was told between two moments.
+    #[must_use]
+    pub fn oldest_data(&self, from: f64, to: f64) -> f64 {
+        let told = self.teams(from).take_while(|seen| seen.at < to);
+        told.filter_map(|seen| seen.value["data_age_s"].as_f64()).fold(0.0, f64::max)
+    }
+
+    /// How long the poses that arrived between two moments were on their way, sorted; those of some
+    /// robots left out.
+    #[must_use]
+    pub fn lateness(&self, from: f64, to: f64, without: &BTreeSet<String>) -> Vec<f64> {
+        let counts = |seen: &&Seen| {
+            let robot = seen.key.split('/').nth(1).unwrap_or_default();
+            (from..to).contains(&seen.at) && !without.contains(robot)
+        };
+        let mut late: Vec<_> = self.0.iter().filter(counts).filter_map(|seen| seen.late).collect();
+        late.sort_by(f64::total_cmp);
+        late
+    }
+
+    /// How many gets that were asked between two moments were answered with a division, and how many
+    /// were asked.
+    #[must_use]
+    pub fn answered(&self, from: f64, to: f64) -> (usize, usize) {
+        let asked = self.of("get", from).take_while(|seen| seen.at < to);
+        asked.fold((0, 0), |(answered, asked), seen| {
+            (answered + usize::from(seen.value["teams"].is_array()), asked + 1)
+        })
+    }
+
+    /// Everything told since a moment that puts a robot into a team that is not the wanted one, or
+    /// leaves out one of `always` or puts it nowhere.
+    #[must_use]
+    pub fn contradictions(
+        &self,
+        wanted: &Division,
+        always: &BTreeSet<String>,
+        since: f64,
+    ) -> Vec<String> {
+        let mut found = Vec::new();
+        for seen in self.teams(since) {
+            let told = division(&seen.value);
+            for (robot, team) in &told {
+                let expected = wanted.get(robot).and_then(Option::as_ref);
+                if team.is_some() && team.as_ref() != expected {
+                    found.push(format!("{robot} is in {team:?}, not {expected:?}: {}", seen.value));
+                }
+            }
+            for robot in always {
+                if told.get(robot).is_none_or(Option::is_none) {
+                    found.push(format!("{robot} is in no team: {}", seen.value));
+                }
+            }
+        }
+        for seen in self.0.iter().filter(|seen| seen.at >= since && seen.key.ends_with("/team")) {
+            let Some(robot) = seen.value["robot"].as_str() else { continue };
+            let expected = wanted.get(robot).and_then(Option::as_deref);
+            if seen.value["team"].as_str().is_some_and(|team| Some(team) != expected) {
+                found.push(format!("{robot} is told {}", seen.value));
+            }
+        }
+        found
+    }
+}
