@@ -27,7 +27,15 @@ pub struct Client {
 
 /// What was received on a key expression, in order.
 #[derive(Debug, Clone)]
-pub struct Watch(Arc<Mutex<Vec<(String, Value)>>>);
+pub struct Watch(Arc<Mutex<Vec<Arrived>>>);
+
+/// A message with its key and the moment of its arrival, in seconds since 1970.
+#[derive(Debug, Clone)]
+struct Arrived {
+    at: f64,
+    key: String,
+    value: Value,
+}
 
 /// Which team each robot is in.
 pub type Division = BTreeMap<String, Option<String>>;
@@ -69,7 +77,7 @@ impl Client {
         Self::open(endpoint, fleet, "10000").await
     }
 
-    /// Connects to a router whenever it answers.
+    /// Connects to a router whenever it answers, and tries a lost one twice a second.
     ///
     /// # Errors
     /// If the endpoint is none.
@@ -84,6 +92,8 @@ impl Client {
             ("connect/endpoints", format!("[\"{endpoint}\"]")),
             ("connect/timeout_ms", timeout_ms.to_owned()),
             ("scouting/multicast/enabled", "false".to_owned()),
+            // Zenoh's own default waits up to 4 s before it tries a lost router again.
+            ("connect/retry", "{period_init_ms: 100, period_max_ms: 500}".to_owned()),
         ] {
             config.insert_json5(key, &value).map_err(fail)?;
         }
@@ -203,7 +213,7 @@ impl Client {
         self.listen(tail, move |key, value| {
             let mut kept = keeping.lock().unwrap_or_else(PoisonError::into_inner);
             if kept.len() < MAX_KEPT {
-                kept.push((key, value));
+                kept.push(Arrived { at: now(), key, value });
             }
         })
         .await?;
@@ -260,14 +270,23 @@ impl Watch {
     /// Everything that has arrived, in order, with its key.
     #[must_use]
     pub fn all(&self) -> Vec<(String, Value)> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.iter().map(|arrived| (arrived.key.clone(), arrived.value.clone())).collect()
+    }
+
+    /// Hands over everything that has arrived, in order, with the moments of arrival in seconds since
+    /// 1970, and forgets it.
+    #[must_use]
+    pub fn take(&self) -> Vec<(f64, Value)> {
+        let taken = std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner));
+        taken.into_iter().map(|arrived| (arrived.at, arrived.value)).collect()
     }
 
     /// The newest that has arrived.
     #[must_use]
     pub fn newest(&self) -> Option<Value> {
         let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        kept.last().map(|(_, value)| value.clone())
+        kept.last().map(|arrived| arrived.value.clone())
     }
 
     /// Forgets everything that has arrived.
@@ -289,7 +308,7 @@ impl Watch {
         loop {
             let found = {
                 let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-                kept.iter().rev().map(|(_, value)| value).find(|value| right(value)).cloned()
+                kept.iter().rev().map(|arrived| &arrived.value).find(|value| right(value)).cloned()
             };
             if let Some(found) = found {
                 return Ok(found);

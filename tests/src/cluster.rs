@@ -141,6 +141,12 @@ impl Cluster {
         self.services.get_mut(service).with_context(|| format!("no {service} was started"))
     }
 
+    /// The id of the router's process.
+    #[must_use]
+    pub fn router_id(&self) -> u32 {
+        self.router.id()
+    }
+
     /// Kills the router, as a crash would.
     ///
     /// # Errors

@@ -1,8 +1,8 @@
 //! What a user sees on one host: a plain Zenoh client that prints every message with the moment of
 //! its arrival, one JSON object a line, for the tests with several hosts.
 //!
-//! `observer ENDPOINT FLEET` prints the division, the events, what robots are told, how long each pose
-//! was on its way, and twice a second the answer to a get of the division.
+//! `observer ENDPOINT FLEET [all]` prints the division, the events, and what robots are told; with `all`
+//! also how long each pose was on its way, and twice a second the answer to a get of the division.
 
 use std::io::Write as _;
 use std::time::Duration;
@@ -36,27 +36,31 @@ async fn main() -> anyhow::Result<()> {
             })
             .await?;
     }
-    let poses = lines.clone();
-    client
-        .listen("robot/*/pose", move |key, value| {
-            let late = value["stamp"].as_f64().map(|stamp| now() - stamp);
-            let _ = poses.try_send(json!({"at": now(), "key": key, "late": late}));
-        })
-        .await?;
-    tokio::spawn(async move {
-        loop {
-            let at = now();
-            let answers = client.get_within("teams?format=json", None, ANSWER_WITHIN).await;
-            let answers = answers.unwrap_or_default();
-            let good = answers.into_iter().find_map(|(_, answer)| answer.ok());
-            let line = json!({"at": at, "key": "get", "took": now() - at, "value": good});
-            let _ = lines.send(line).await;
-            tokio::time::sleep(ASK_EVERY).await;
-        }
-    });
+    if arguments.next().is_some_and(|what| what == "all") {
+        let poses = lines.clone();
+        client
+            .listen("robot/*/pose", move |key, value| {
+                let late = value["stamp"].as_f64().map(|stamp| now() - stamp);
+                let _ = poses.try_send(json!({"at": now(), "key": key, "late": late}));
+            })
+            .await?;
+        tokio::spawn(ask(client.clone(), lines.clone()));
+    }
     let mut out = std::io::stdout();
     while let Some(line) = waiting.recv().await {
         writeln!(out, "{line}")?;
     }
     Ok(())
+}
+
+/// Asks for the division again and again.
+async fn ask(client: Client, lines: mpsc::Sender<Value>) {
+    loop {
+        let at = now();
+        let answers = client.get_within("teams?format=json", None, ANSWER_WITHIN).await;
+        let good = answers.unwrap_or_default().into_iter().find_map(|(_, answer)| answer.ok());
+        let line = json!({"at": at, "key": "get", "took": now() - at, "value": good});
+        let _ = lines.send(line).await;
+        tokio::time::sleep(ASK_EVERY).await;
+    }
 }

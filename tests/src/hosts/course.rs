@@ -9,7 +9,7 @@ use anyhow::{Context, bail, ensure};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use super::fault::{Fault, GONE_S, Kind, STALE_S, WHOLE_WITHIN_S};
+use super::fault::{Fault, GONE_S, Kind, LATE_ELSEWHERE_S, LATE_S, STALE_S, WHOLE_WITHIN_S};
 use super::lab::{Host, Lab};
 use super::record::Record;
 use crate::client::{Division, division, now};
@@ -17,6 +17,9 @@ use crate::cluster::SERVICES;
 use crate::process::{Process, program};
 
 const FLEET: &str = "hosts";
+
+/// What robots behind a narrow link are configured with.
+const NARROW_LINK: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/narrow-link.json5");
 
 /// Robots of the fleet, in two groups.
 const ROBOTS: usize = 12;
@@ -57,10 +60,13 @@ pub struct Measured {
     pub pause_on_board: f64,
     /// Greatest age of the data behind a division, as told in the fault.
     pub oldest_data: f64,
-    /// How long poses were on their way in the fault: half of them at most, and all.
+    /// How long poses from the robots' host were on their way in the fault: half of them at most, and
+    /// all.
     pub late: Option<(f64, f64)>,
-    /// Poses that arrived per second in the fault.
+    /// Poses from the robots' host that arrived at the router per second in the fault.
     pub poses_hz: f64,
+    /// The same of the robots on the router's host, which no fault of a link is in the way of.
+    pub late_elsewhere: Option<(f64, f64)>,
     /// Gets of the division in the fault that were answered at the router, and how many were asked.
     pub answered: (usize, usize),
     /// What contradicted the division from before the fault.
@@ -132,12 +138,17 @@ impl World {
         for (host, robots) in [(Host::Robots, &here), (Host::Router, &there)] {
             if !robots.is_empty() {
                 let only = robots.join(",");
-                let arguments = [&scenario[..], &["--only", &only], &bus].concat();
+                let mut arguments = [&scenario[..], &["--only", &only], &bus].concat();
+                if matches!(fault.kind, Kind::Narrow(_)) {
+                    arguments.extend(["--zenoh-config", NARROW_LINK]);
+                }
                 others.push(start(&lab, folder.path(), host, "muster", &arguments)?);
             }
         }
         let observed = [endpoint.as_str(), FLEET];
-        let console = start(&lab, folder.path(), Host::Router, "observer", &observed)?;
+        // Who looks at poses and asks does so where that is no burden on the link of the robots' host.
+        let all = [&observed[..], &["all"]].concat();
+        let console = start(&lab, folder.path(), Host::Router, "observer", &all)?;
         let on_board = start(&lab, folder.path(), Host::Robots, "observer", &observed)?;
         let world = Self { router, console, on_board, relay, _others: others, lab, folder };
         Ok((world, there.into_iter().collect()))
@@ -201,7 +212,7 @@ impl World {
         match kind {
             Kind::Pulled(host) => self.lab.plug(host),
             Kind::Lost(host) => self.lab.find(host),
-            Kind::Narrow(_) => self.lab.unlimit(Host::Robots),
+            Kind::Narrow(_) => self.lab.widen(Host::Robots),
             Kind::Slow => self.signal_relay("USR2"),
             Kind::RouterKilled => {
                 self.router = Some(Self::start_router(&self.lab, self.folder.path())?);
@@ -254,7 +265,9 @@ pub fn run(fault: Fault) -> anyhow::Result<Measured> {
     let after_begin = |at: Option<f64>| at.map(|at| at - begin);
     let after_end = |at: Option<f64>| at.map(|at| at - healed);
     let late = console.lateness(begin + 1.0, healed, &there);
-    let middle = late.get(late.len() / 2).copied();
+    let here = wanted.keys().filter(|robot| !there.contains(*robot)).cloned().collect();
+    let late_elsewhere = console.lateness(begin + 1.0, healed, &here);
+    let half_and_all = |late: &[f64]| late.get(late.len() / 2).copied().zip(late.last().copied());
     let mut contradictions = console.contradictions(&wanted, &there, begin);
     // Robots that have left and come back are in no team for a moment; the others always are.
     contradictions.extend(on_board.contradictions(&wanted, &there, begin));
@@ -269,7 +282,8 @@ pub fn run(fault: Fault) -> anyhow::Result<Measured> {
         pause: console.longest_pause(begin, end),
         pause_on_board: on_board.longest_pause(begin, end),
         oldest_data: console.oldest_data(begin, healed),
-        late: middle.zip(late.last().copied()),
+        late: half_and_all(&late),
+        late_elsewhere: half_and_all(&late_elsewhere),
         poses_hz: late.len() as f64 / (healed - begin - 1.0).max(1.0),
         answered: console.answered(begin, healed),
         contradictions,
@@ -301,6 +315,14 @@ impl Measured {
         } else {
             hold(self.left.is_empty(), "nobody leaves");
         }
+        if self.fault.is_of_a_link() {
+            let on_time = |(_, all)| all <= LATE_ELSEWHERE_S;
+            hold(self.late_elsewhere.is_none_or(on_time), "other links are not held up");
+        }
+        if matches!(self.fault.kind, Kind::Narrow(_) | Kind::Slow) {
+            hold(self.late.is_some_and(|(_, all)| all <= LATE_S), "newer poses replace what waits");
+            hold(self.stale.is_none(), "nobody is taken for silent");
+        }
         if self.fault.lets_base_speak() {
             hold(self.pause <= 3.0, "divisions are told meanwhile");
             let (answered, asked) = self.answered;
@@ -324,6 +346,7 @@ impl Measured {
             "pause_on_board_s": self.pause_on_board,
             "oldest_data_s": self.oldest_data,
             "late_s": self.late.map(|(half, all)| [half, all]),
+            "late_elsewhere_s": self.late_elsewhere.map(|(half, all)| [half, all]),
             "poses_hz": self.poses_hz,
             "answered": self.answered.0,
             "asked": self.answered.1,

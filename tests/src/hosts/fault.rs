@@ -11,7 +11,7 @@ pub enum Kind {
     Pulled(Host),
     /// Every packet from and to a host is lost in silence.
     Lost(Host),
-    /// The link of the robots' host is narrowed to so many kbit/s.
+    /// The link of the robots' host is narrowed to so many kbit/s, and they are configured for that.
     Narrow(u32),
     /// Packets of the robots' host are late, and some are lost.
     Slow,
@@ -85,6 +85,13 @@ pub const GONE_S: (f64, f64) = (9.0, 15.0);
 /// How soon after the end of a fault the fleet is whole again from fresh data.
 pub const WHOLE_WITHIN_S: f64 = 10.0;
 
+/// How late a pose is at most that no fault is in the way of: a link that is closed must not hold up
+/// the others.
+pub const LATE_ELSEWHERE_S: f64 = 3.0;
+
+/// How late a pose is at most over a link that is narrow or slow: newer ones take the place of what waits.
+pub const LATE_S: f64 = 5.0;
+
 impl Fault {
     /// The fault of a name.
     #[must_use]
@@ -102,6 +109,12 @@ impl Fault {
     #[must_use]
     pub fn lets_robots_leave(&self) -> bool {
         self.cuts_robots_off() && self.lasts > Duration::from_secs(10)
+    }
+
+    /// Whether only a link is at fault, and the router runs.
+    #[must_use]
+    pub fn is_of_a_link(&self) -> bool {
+        !matches!(self.kind, Kind::RouterKilled | Kind::RouterStopped)
     }
 
     /// Whether the router lives and reaches the services, so that divisions are told meanwhile.

@@ -116,7 +116,7 @@ pub fn missing() -> Option<String> {
         let lab = Lab::new()?;
         // A rate limit takes a part of the kernel that some leave out.
         lab.limit(Host::Robots, 64)?;
-        lab.unlimit(Host::Robots)
+        lab.widen(Host::Robots)
     };
     probe().err().map(|error| format!("{error:#}"))
 }
@@ -219,23 +219,23 @@ impl Lab {
     /// # Errors
     /// If the kernel refuses, as one does that was built without the token bucket filter.
     pub fn limit(&self, host: Host, kbit_per_s: u32) -> anyhow::Result<()> {
-        let rate = format!("{kbit_per_s}kbit");
-        for (namespace, device) in self.ends(host) {
-            let root = ["-n", &namespace, "qdisc", "add", "dev", device, "root"];
-            // The bucket holds one whole frame; a smaller one would never let it pass.
-            let filter = ["tbf", "rate", &rate, "burst", "1600", "latency", "1s"];
-            run("tc", &[&root[..], &filter[..]].concat())?;
-        }
-        Ok(())
+        // The bucket holds one whole frame; a smaller one would never let it pass.
+        self.filter(host, &format!("{kbit_per_s}kbit"), "1600")
     }
 
-    /// Takes the limit away.
+    /// Widens a limited link to a rate that nothing here reaches. What waits goes on its way.
     ///
     /// # Errors
-    /// If there is none.
-    pub fn unlimit(&self, host: Host) -> anyhow::Result<()> {
+    /// If the kernel refuses.
+    pub fn widen(&self, host: Host) -> anyhow::Result<()> {
+        self.filter(host, "1gbit", "1mb")
+    }
+
+    fn filter(&self, host: Host, rate: &str, burst: &str) -> anyhow::Result<()> {
         for (namespace, device) in self.ends(host) {
-            run("tc", &["-n", &namespace, "qdisc", "del", "dev", device, "root"])?;
+            let root = ["-n", &namespace, "qdisc", "replace", "dev", device, "root"];
+            let filter = ["tbf", "rate", rate, "burst", burst, "latency", "1s"];
+            run("tc", &[&root[..], &filter[..]].concat())?;
         }
         Ok(())
     }

@@ -1,0 +1,265 @@
+//! A long run of many robots over real processes, to see that memory stays flat and nothing slows down.
+//!
+//! `soak [--robots N] [--minutes M] [--teams K] [--plot FILE.svg]` starts a router, the four services
+//! and the robots, looks at each process and at the division every second, and tells once a minute what
+//! it saw. It ends with 1 if the memory of a process grows faster than [`MOST_GROWTH`] once it has warmed
+//! up, if divisions paused for longer than [`MOST_PAUSE`], or if robots were lost.
+
+use std::collections::BTreeMap;
+use std::io::Write as _;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use muster_tests::client::{Client, division, now};
+use muster_tests::cluster::{Cluster, SERVICES};
+use serde_json::Value;
+
+/// Growth of a process that counts as flat, in KiB a minute: at this rate a day costs less than 400 MiB,
+/// and a run of ten minutes can tell it from the noise of an allocator.
+const MOST_GROWTH: f64 = 256.0;
+
+/// Longest pause of the division, in seconds: it is told once a second, and a busy machine may be late.
+const MOST_PAUSE: f64 = 5.0;
+
+/// How much of the run is warming up, at most so long: buffers grow to what the fleet needs.
+const WARM_UP_PART: f64 = 0.3;
+const WARM_UP_AT_MOST: f64 = 180.0;
+
+/// How long the fleet may take to be whole.
+const FORMED_WITHIN: Duration = Duration::from_secs(60);
+
+/// The kernel's ticks a second in `/proc/PID/stat`, the same on every Linux.
+const TICKS_HZ: f64 = 100.0;
+
+/// Counters of what was lost.
+const LOST: [&str; 3] = ["inbox_dropped", "outbox_dropped", "inbox_superseded"];
+
+/// What was asked for.
+struct Options {
+    robots: usize,
+    teams: usize,
+    minutes: f64,
+    plot: Option<String>,
+}
+
+/// One look at one process.
+#[derive(Debug, Clone, Copy)]
+struct Look {
+    /// Seconds since the fleet was whole.
+    at: f64,
+    /// Memory in KiB.
+    memory: f64,
+    /// Processor time so far, in seconds.
+    busy: f64,
+}
+
+fn options() -> anyhow::Result<Options> {
+    let mut options = Options { robots: 200, teams: 8, minutes: 10.0, plot: None };
+    let mut arguments = std::env::args().skip(1);
+    while let Some(flag) = arguments.next() {
+        let value = arguments.next().with_context(|| format!("{flag}: the value is missing"))?;
+        let wrong = || format!("{flag}: {value:?} is no number");
+        match flag.as_str() {
+            "--robots" => options.robots = value.parse().with_context(wrong)?,
+            "--teams" => options.teams = value.parse().with_context(wrong)?,
+            "--minutes" => options.minutes = value.parse().with_context(wrong)?,
+            "--plot" => options.plot = Some(value),
+            _ => anyhow::bail!("{flag}: soak knows --robots, --teams, --minutes and --plot"),
+        }
+    }
+    Ok(options)
+}
+
+fn look(process: u32, at: f64) -> anyhow::Result<Look> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status"))?;
+    let memory = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))
+        .and_then(|rest| rest.split_whitespace().next())
+        .and_then(|number| number.parse().ok())
+        .context("a process has no memory; has it ended?")?;
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat"))?;
+    // The name of the program stands in brackets and may hold blanks.
+    let fields = stat.rsplit_once(") ").map_or("", |(_, rest)| rest).split(' ');
+    let ticks: f64 = fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum();
+    Ok(Look { at, memory, busy: ticks / TICKS_HZ })
+}
+
+/// The slope of the straight line that fits the memory best, in KiB a minute.
+fn growth(looks: &[Look]) -> f64 {
+    let count = looks.len() as f64;
+    let mean = |value: fn(&Look) -> f64| looks.iter().map(value).sum::<f64>() / count.max(1.0);
+    let (at, memory) = (mean(|look| look.at), mean(|look| look.memory));
+    let (mut both, mut square) = (0.0, 0.0);
+    for look in looks {
+        both += (look.at - at) * (look.memory - memory);
+        square += (look.at - at).powi(2);
+    }
+    if square > 0.0 { both / square * 60.0 } else { 0.0 }
+}
+
+/// The value below which a part of sorted values lies.
+fn part(sorted: &[f64], part: f64) -> f64 {
+    let place = (sorted.len() as f64 * part) as usize;
+    sorted.get(place.min(sorted.len().saturating_sub(1))).copied().unwrap_or(f64::NAN)
+}
+
+/// The memory of every process over time, as a picture.
+fn plot(looks: &BTreeMap<&str, Vec<Look>>) -> String {
+    const WIDTH: f64 = 720.0;
+    const HEIGHT: f64 = 320.0;
+    const COLOURS: [&str; 6] = ["#1b6", "#26c", "#c33", "#c80", "#808", "#555"];
+    let all = || looks.values().flatten();
+    let last = all().map(|look| look.at).fold(1.0, f64::max);
+    let most = all().map(|look| look.memory).fold(1024.0, f64::max) / 1024.0;
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\" font-family=\"sans-serif\" \
+         font-size=\"12\">\n<text x=\"4\" y=\"14\">MiB (top: {most:.0}) over {:.1} minutes</text>\n",
+        WIDTH + 120.0,
+        HEIGHT + 20.0,
+        last / 60.0
+    );
+    for (number, (name, looks)) in looks.iter().enumerate() {
+        let colour = COLOURS[number % COLOURS.len()];
+        let place = |look: &Look| {
+            let (x, y) = (look.at / last * WIDTH, look.memory / 1024.0 / most * HEIGHT);
+            format!("{x:.1},{:.1}", HEIGHT + 20.0 - y)
+        };
+        let points: Vec<_> = looks.iter().map(place).collect();
+        svg += &format!(
+            "<polyline fill=\"none\" stroke=\"{colour}\" points=\"{}\"/>\n<text x=\"{}\" y=\"{}\" \
+             fill=\"{colour}\">{name}</text>\n",
+            points.join(" "),
+            WIDTH + 6.0,
+            40 + 18 * number
+        );
+    }
+    svg + "</svg>\n"
+}
+
+/// What each service counted as lost.
+async fn lost(client: &Client) -> BTreeMap<String, u64> {
+    let mut lost = BTreeMap::new();
+    for service in SERVICES {
+        let status = client.get_one(&format!("service/{service}/status")).await;
+        let counters = status.map(|status| status["counters"].clone()).unwrap_or_default();
+        for name in LOST {
+            if let Some(count) = counters[name].as_u64().filter(|count| *count > 0) {
+                lost.insert(format!("{service} {name}"), count);
+            }
+        }
+    }
+    lost
+}
+
+#[tokio::main]
+async fn main() -> anyhow::Result<ExitCode> {
+    let options = options()?;
+    let mut out = std::io::stdout();
+    let teams = format!("teams={}", options.teams);
+    let mut cluster = Cluster::start("soak", &[("clusterer", &teams)])?;
+    let (robots, groups) = (options.robots.to_string(), options.teams.to_string());
+    let scenario = ["--scenario", "clusters", "--robots", &robots, "--teams", &groups];
+    let fleet = cluster.robots(&scenario)?;
+    let client = cluster.client().await?;
+    let told = client.watch("json/teams").await?;
+    let events = client.watch("json/event").await?;
+    let whole = |value: &Value| {
+        let division = division(value);
+        division.len() == options.robots && division.values().all(Option::is_some)
+    };
+    told.until("every robot in a team", FORMED_WITHIN, whole).await?;
+    writeln!(
+        out,
+        "{} robots in {} teams; {} minutes",
+        options.robots, options.teams, options.minutes
+    )?;
+
+    let mut processes = vec![("router", cluster.router_id()), ("robots", fleet.id())];
+    for service in SERVICES {
+        processes.push((service, cluster.service(service)?.id()));
+    }
+    events.clear();
+    told.clear();
+    let begin = Instant::now();
+    let lasts = options.minutes * 60.0;
+    let mut looks: BTreeMap<&str, Vec<Look>> = BTreeMap::new();
+    let (mut ages, mut longest, mut last) = (Vec::new(), 0.0_f64, now());
+    let (mut incomplete, mut left, mut minute) = (0_usize, 0_usize, 1.0);
+    let mut every = tokio::time::interval(Duration::from_secs(1));
+    while begin.elapsed().as_secs_f64() < lasts {
+        every.tick().await;
+        let at = begin.elapsed().as_secs_f64();
+        for (name, process) in &processes {
+            let look = look(*process, at).with_context(|| format!("{name} has ended"))?;
+            looks.entry(name).or_default().push(look);
+        }
+        for (arrived, value) in told.take() {
+            longest = longest.max(arrived - last);
+            last = arrived;
+            ages.extend(value["data_age_s"].as_f64());
+            incomplete += usize::from(!whole(&value));
+        }
+        longest = longest.max(now() - last);
+        let gone = |(_, value): &(f64, Value)| value["event"] == "robot_left";
+        left += events.take().iter().filter(|event| gone(event)).count();
+        if at >= minute * 60.0 {
+            let memory: Vec<_> = processes
+                .iter()
+                .filter_map(|(name, _)| Some((name, looks.get(name)?.last()?.memory / 1024.0)))
+                .map(|(name, memory)| format!("{name} {memory:.1}"))
+                .collect();
+            writeln!(
+                out,
+                "minute {minute}: MiB {}; longest pause {longest:.2} s",
+                memory.join(", ")
+            )?;
+            minute += 1.0;
+        }
+    }
+    let warm = (lasts * WARM_UP_PART).min(WARM_UP_AT_MOST);
+    let mut kept = true;
+    writeln!(
+        out,
+        "\n| process | MiB at first | MiB at last | KiB/min after {warm:.0} s | CPU % |"
+    )?;
+    writeln!(out, "| --- | --- | --- | --- | --- |")?;
+    for (name, _) in &processes {
+        let all = looks.get(name).map(Vec::as_slice).unwrap_or_default();
+        let later = &all[all.partition_point(|look| look.at < warm)..];
+        let (Some(first), Some(last)) = (later.first(), later.last()) else { continue };
+        let (growth, spent) = (growth(later), (last.busy - first.busy) / (last.at - first.at));
+        writeln!(
+            out,
+            "| {name} | {:.1} | {:.1} | {growth:.1} | {:.1} |",
+            all.first().unwrap_or(first).memory / 1024.0,
+            last.memory / 1024.0,
+            spent * 100.0
+        )?;
+        if growth > MOST_GROWTH {
+            kept = false;
+            writeln!(out, "{name} grows faster than {MOST_GROWTH} KiB a minute")?;
+        }
+    }
+    ages.sort_by(f64::total_cmp);
+    writeln!(
+        out,
+        "\n{} divisions told; data age median {:.3} s, 99 % {:.3} s, greatest {:.3} s; longest pause {longest:.2} s",
+        ages.len(),
+        part(&ages, 0.5),
+        part(&ages, 0.99),
+        part(&ages, 1.0)
+    )?;
+    writeln!(
+        out,
+        "{left} robots left, {incomplete} divisions incomplete; lost: {:?}",
+        lost(&client).await
+    )?;
+    kept &= left == 0 && incomplete == 0 && longest <= MOST_PAUSE;
+    if let Some(path) = &options.plot {
+        std::fs::write(path, plot(&looks)).with_context(|| format!("--plot {path}"))?;
+    }
+    writeln!(out, "{}", if kept { "flat and whole" } else { "NOT flat and whole" })?;
+    Ok(if kept { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
