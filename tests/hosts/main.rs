@@ -11,12 +11,15 @@
 )]
 
 use std::io::Write as _;
+use std::process::Command;
+use std::time::Duration;
 
 use muster_tests::hosts::course;
 use muster_tests::hosts::fault::{FAULTS, Fault};
-use muster_tests::hosts::lab;
+use muster_tests::hosts::lab::{self, Host, Lab};
 
 /// Says something past the test harness, which keeps back what a good test prints.
+#[allow(clippy::explicit_write, reason = "what eprintln prints is kept back")]
 fn say(text: &str) {
     writeln!(std::io::stderr(), "{text}").unwrap();
 }
@@ -25,7 +28,7 @@ fn check(name: &str) {
     if let Some(missing) = lab::missing() {
         say(&format!(
             "NOT TESTED: {name}, a fault of hosts and links: {missing}; run as root on Linux with \
-             iproute2: cargo test -p muster-tests --test hosts"
+             iproute2: cargo test --workspace --test hosts"
         ));
         return;
     }
@@ -66,4 +69,44 @@ faults! {
 #[test]
 fn every_fault_of_the_table_has_a_test() {
     assert_eq!(TESTED, FAULTS.map(|fault| fault.name));
+}
+
+/// The namespaces of this machine that these tests made.
+fn namespaces() -> Vec<String> {
+    let output = Command::new("ip").args(["netns", "list"]).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    let names = text.lines().filter_map(|line| line.split_whitespace().next());
+    names.filter(|name| name.starts_with("muster-hosts-")).map(str::to_owned).collect()
+}
+
+#[test]
+fn hosts_are_gone_when_a_test_panics_and_after_one_was_killed() {
+    if let Some(missing) = lab::missing() {
+        say(&format!("NOT TESTED: hosts are removed: {missing}"));
+        return;
+    }
+    let (told, heard) = std::sync::mpsc::channel();
+    let failing = std::thread::spawn(move || {
+        let lab = Lab::new().unwrap();
+        told.send(lab.namespace(Host::Base)).unwrap();
+        panic!("as a test that fails");
+    });
+    let name = heard.recv().unwrap();
+    assert!(failing.join().is_err());
+    assert!(!namespaces().contains(&name), "{name} is left behind");
+
+    // What a killed process leaves: a namespace with its name, which no process has any more, and
+    // a program that still runs in it.
+    let mut child = Command::new("sleep").arg("0").spawn().unwrap();
+    let left = format!("muster-hosts-{}-1-0-base", child.id());
+    child.wait().unwrap();
+    assert!(Command::new("ip").args(["netns", "add", &left]).status().unwrap().success());
+    let mut running =
+        Command::new("ip").args(["netns", "exec", &left, "sleep", "60"]).spawn().unwrap();
+    while Command::new("ip").args(["netns", "pids", &left]).output().unwrap().stdout.is_empty() {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    drop(Lab::new().unwrap());
+    assert!(!namespaces().contains(&left), "{left} is left behind");
+    assert!(!running.wait().unwrap().success(), "what ran there was killed");
 }

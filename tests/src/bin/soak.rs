@@ -3,7 +3,8 @@
 //! `soak [--robots N] [--minutes M] [--teams K] [--plot FILE.svg]` starts a router, the four services
 //! and the robots, looks at each process and at the division every second, and tells once a minute what
 //! it saw. It ends with 1 if the memory of a process grows faster than [`MOST_GROWTH`] once it has warmed
-//! up, if divisions paused for longer than [`MOST_PAUSE`], or if robots were lost.
+//! up (half of the run, at most five minutes), if divisions paused for longer than [`MOST_PAUSE`], or if
+//! robots were lost.
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
@@ -22,9 +23,10 @@ const MOST_GROWTH: f64 = 256.0;
 /// Longest pause of the division, in seconds: it is told once a second, and a busy machine may be late.
 const MOST_PAUSE: f64 = 5.0;
 
-/// How much of the run is warming up, at most so long: buffers grow to what the fleet needs.
-const WARM_UP_PART: f64 = 0.3;
-const WARM_UP_AT_MOST: f64 = 180.0;
+/// How much of the run is warming up, and how many seconds at most: buffers grow to what the fleet
+/// needs, and an allocator takes the memory for them in steps over the first minutes.
+const WARM_UP_PART: f64 = 0.5;
+const WARM_UP_AT_MOST: f64 = 300.0;
 
 /// How long the fleet may take to be whole.
 const FORMED_WITHIN: Duration = Duration::from_secs(60);

@@ -357,7 +357,7 @@ impl Measured {
     /// The head of the table.
     #[must_use]
     pub fn head() -> &'static str {
-        "| fault | stale | gone | whole again | on board | pause | on board |\n\
+        "| fault | stale | gone | pause | whole again | pause on board | on board |\n\
          | --- | --- | --- | --- | --- | --- | --- |"
     }
 
@@ -365,15 +365,12 @@ impl Measured {
     #[must_use]
     pub fn line(&self) -> String {
         let time = |at: Option<f64>| at.map_or("–".to_owned(), |at| format!("{at:.1}"));
+        let what = self.fault.what;
+        let (stale, gone) = (time(self.stale), time(self.gone));
+        let (whole, on_board) = (time(self.whole), time(self.whole_on_board));
+        let (pause, pause_on_board) = (self.pause, self.pause_on_board);
         format!(
-            "| {} | {} | {} | {} | {} | {:.1} | {:.1} |",
-            self.fault.what,
-            time(self.stale),
-            time(self.gone),
-            time(self.whole),
-            time(self.whole_on_board),
-            self.pause,
-            self.pause_on_board
+            "| {what} | {stale} | {gone} | {pause:.1} | {whole} | {pause_on_board:.1} | {on_board} |"
         )
     }
 }

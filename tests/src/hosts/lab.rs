@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::process::Command;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
@@ -17,9 +18,6 @@ const PREFIX: &str = "muster-hosts-";
 
 /// How the one link of a host is called there.
 const LINK: &str = "cable";
-
-/// Which part of a lab's name says which process made it.
-const MAKER_PARTS: usize = 2;
 
 /// How long the relay of a slow link may take to open its ends.
 const RELAY_WITHIN: Duration = Duration::from_secs(10);
@@ -70,7 +68,7 @@ fn run(program: &str, arguments: &[&str]) -> anyhow::Result<String> {
     let output = Command::new(program)
         .args(arguments)
         .output()
-        .with_context(|| format!("{program} does not start; install iproute2"))?;
+        .with_context(|| format!("{program} does not start; install iproute2 and python3"))?;
     ensure!(
         output.status.success(),
         "{program} {}: {}",
@@ -101,7 +99,7 @@ fn remove_leftovers() {
     for entry in std::fs::read_dir(NAMES).into_iter().flatten().flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
         let Some(maker) = name.strip_prefix(PREFIX) else { continue };
-        let mut parts = maker.splitn(MAKER_PARTS + 1, '-');
+        let mut parts = maker.split('-');
         let (Some(process), Some(start)) = (parts.next(), parts.next()) else { continue };
         if started(process).as_deref() != Some(start) {
             remove(&name);
@@ -112,12 +110,21 @@ fn remove_leftovers() {
 /// Why hosts cannot be tested here; none if they can.
 #[must_use]
 pub fn missing() -> Option<String> {
+    // Tests run at the same time, and what a machine lacks does not change meanwhile.
+    static FOUND: OnceLock<Option<String>> = OnceLock::new();
+    FOUND.get_or_init(look_for_missing).clone()
+}
+
+fn look_for_missing() -> Option<String> {
     let probe = || -> anyhow::Result<()> {
+        run("python3", &["--version"])?;
+        ensure!(Path::new("/dev/net/tun").exists(), "the kernel has no tap devices");
         let lab = Lab::new()?;
         // A rate limit takes a part of the kernel that some leave out.
         lab.limit(Host::Robots, 64)?;
         lab.widen(Host::Robots)
     };
+    // The text of an error, without its backtrace.
     probe().err().map(|error| format!("{error:#}"))
 }
 
