@@ -204,8 +204,12 @@ async fn main() -> anyhow::Result<ExitCode> {
             incomplete += usize::from(!whole(&value));
         }
         longest = longest.max(now() - last);
-        let gone = |(_, value): &(f64, Value)| value["event"] == "robot_left";
-        left += events.take().iter().filter(|event| gone(event)).count();
+        for (_, value) in events.take() {
+            if value["event"] == "robot_left" {
+                left += 1;
+                writeln!(out, "after {at:.0} s {} left: {}", value["robot"], value["reason"])?;
+            }
+        }
         if at >= minute * 60.0 {
             let memory: Vec<_> = processes
                 .iter()

@@ -69,6 +69,8 @@ pub struct Measured {
     pub late_elsewhere: Option<(f64, f64)>,
     /// Gets of the division in the fault that were answered at the router, and how many were asked.
     pub answered: (usize, usize),
+    /// Messages that came by the key of another, to either console.
+    pub misplaced: usize,
     /// What contradicted the division from before the fault.
     pub contradictions: Vec<String>,
 }
@@ -286,6 +288,7 @@ pub fn run(fault: Fault) -> anyhow::Result<Measured> {
         late_elsewhere: half_and_all(&late_elsewhere),
         poses_hz: late.len() as f64 / (healed - begin - 1.0).max(1.0),
         answered: console.answered(begin, healed),
+        misplaced: console.misplaced(begin) + on_board.misplaced(begin),
         contradictions,
     })
 }
@@ -321,6 +324,8 @@ impl Measured {
         }
         if matches!(self.fault.kind, Kind::Narrow(_) | Kind::Slow) {
             hold(self.late.is_some_and(|(_, all)| all <= LATE_S), "newer poses replace what waits");
+        }
+        if self.fault.kind == Kind::Slow {
             hold(self.stale.is_none(), "nobody is taken for silent");
         }
         if self.fault.lets_base_speak() {
@@ -350,6 +355,7 @@ impl Measured {
             "poses_hz": self.poses_hz,
             "answered": self.answered.0,
             "asked": self.answered.1,
+            "misplaced": self.misplaced,
             "contradictions": self.contradictions.len(),
         })
     }

@@ -89,8 +89,9 @@ pub const WHOLE_WITHIN_S: f64 = 10.0;
 /// the others.
 pub const LATE_ELSEWHERE_S: f64 = 3.0;
 
-/// How late a pose is at most over a link that is narrow or slow: newer ones take the place of what waits.
-pub const LATE_S: f64 = 5.0;
+/// How late a pose is at most over a link that is narrow or slow. About a second's worth waits, and TCP
+/// may repeat a packet more than once; what may not be is a delay that grows with the time.
+pub const LATE_S: f64 = 10.0;
 
 impl Fault {
     /// The fault of a name.

@@ -45,7 +45,16 @@ impl Record {
 
     /// The divisions that were told since a moment.
     pub fn teams(&self, since: f64) -> impl DoubleEndedIterator<Item = &Seen> {
-        self.of("json/teams", since)
+        self.of("json/teams", since).filter(|seen| seen.value["teams"].is_array())
+    }
+
+    /// How many messages came by the key of another since a moment. Zenoh has been seen to do so when
+    /// a router that hung goes on and its clients have meanwhile connected anew.
+    #[must_use]
+    pub fn misplaced(&self, since: f64) -> usize {
+        let told = self.of("json/teams", since).filter(|seen| !seen.value["teams"].is_array());
+        let events = self.of("json/event", since).filter(|seen| !seen.value["event"].is_string());
+        told.count() + events.count()
     }
 
     /// When the first event of a name was seen since a moment.
