@@ -221,7 +221,9 @@ fn tell<C: Core>(messages: &[Message]) -> Vec<Message> {
         while let Some(event) = events.pop_front() {
             for command in driver.step(now, event) {
                 match command {
-                    Command::Run(job) => events.push_back(Event::Done(C::run(job, &mut Stopwatch::still()))),
+                    Command::Run(job) => {
+                        events.push_back(Event::Done(C::run(job, &mut Stopwatch::still())))
+                    }
                     Command::Fetch { fetch, .. } => {
                         events.push_back(Event::Fetched { fetch, messages: Vec::new() });
                     }
