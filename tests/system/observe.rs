@@ -145,6 +145,28 @@ fn a_service_without_its_input_is_not_ready() {
 }
 
 #[test]
+fn an_instance_that_stands_by_is_ready() {
+    let endpoint = free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let _router = start_router(&endpoint, folder.path()).unwrap();
+    let start = |address: &str| {
+        let arguments = ["--connect", &endpoint, "--http", address, "--state-directory", "none"];
+        Process::start("muster-ingest", &arguments, &[], folder.path()).unwrap()
+    };
+    let stands = |address: &str, as_what: &str| {
+        let standing = format!("\"standing\":\"{as_what}\"");
+        get(address, "/readyz").is_some_and(|(code, body)| code == 200 && body.contains(&standing))
+    };
+    let (first, second) = (free_address(), free_address());
+    let mut holder = start(&first);
+    until("the first one holds the role", || stands(&first, "holding"));
+    let _standby = start(&second);
+    until("the second one stands by", || stands(&second, "standby"));
+    holder.kill().unwrap();
+    until("the second one takes over", || stands(&second, "holding"));
+}
+
+#[test]
 fn the_metrics_are_those_that_are_promised() {
     let (endpoint, address) = (free_endpoint().unwrap(), free_address());
     let folder = tempfile::tempdir().unwrap();
