@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, JobGate, QueryId, Role, START_FETCH, Start,
-    Stopwatch, Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
+    Answered, Core, Delivery, Effect, Effects, Event, Footprint, JobGate, QueryId, Role,
+    START_FETCH, Start, Stopwatch, Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
 };
 use muster_model::audit::{Audit, Verdict};
 use muster_model::embedding::Embedding;
@@ -555,6 +555,17 @@ impl Core for Auditor {
 
     fn status(&self, now: Tick) -> ServiceStatus {
         self.role.status(now, &self.state())
+    }
+
+    fn footprint(&self) -> Footprint {
+        let single = [self.newest.is_some(), self.judged.is_some(), self.audit.is_some()];
+        let single = single.into_iter().filter(|held| *held).count();
+        Footprint {
+            robots: self.rosters.iter().map(|roster| roster.robots.len()).sum(),
+            edges: 0,
+            messages: self.embeddings.len() + self.rosters.len() + single,
+            offenders: self.role.offender_count(),
+        }
     }
 
     fn run(job: Job, _: &mut Stopwatch) -> Outcome {

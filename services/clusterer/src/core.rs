@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, JobGate, QueryId, Role, START_FETCH, Start,
-    Stopwatch, Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
+    Answered, Core, Delivery, Effect, Effects, Event, Footprint, JobGate, QueryId, Role,
+    START_FETCH, Start, Stopwatch, Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
 };
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
@@ -562,6 +562,23 @@ impl Core for Clusterer {
 
     fn status(&self, now: Tick) -> ServiceStatus {
         self.role.status(now, &self.state())
+    }
+
+    fn footprint(&self) -> Footprint {
+        let held = [
+            self.newest.is_some(),
+            self.roster.is_some(),
+            self.audit.is_some(),
+            self.division.is_some(),
+            self.divided.is_some(),
+            self.told.is_some(),
+        ];
+        Footprint {
+            robots: self.memory.robot_count(),
+            edges: 0,
+            messages: held.into_iter().filter(|held| *held).count(),
+            offenders: self.role.offender_count(),
+        }
     }
 
     fn run(job: Job, _: &mut Stopwatch) -> Outcome {

@@ -71,6 +71,11 @@ impl Memory {
         }
     }
 
+    /// How many robots are remembered, each as often as it stands in a team that ended.
+    pub(crate) fn robot_count(&self) -> usize {
+        self.last.len() + self.ended.values().map(|ended| ended.members.len()).sum::<usize>()
+    }
+
     /// Whether something was remembered for long enough.
     pub(crate) fn is_overdue(&self, now: Tick) -> bool {
         let times = self.last.values().map(|(_, at)| *at);

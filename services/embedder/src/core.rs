@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, JobGate, Role, START_FETCH, Start, Stopwatch,
-    Subscription, TERM_FETCH, Turn, Wiring,
+    Answered, Core, Delivery, Effect, Effects, Event, Footprint, JobGate, Role, START_FETCH, Start,
+    Stopwatch, Subscription, TERM_FETCH, Turn, Wiring,
 };
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::{EventKind, Severity};
@@ -106,6 +106,13 @@ impl Core for Embedder {
 
     fn status(&self, now: Tick) -> ServiceStatus {
         self.role.status(now, &self.state())
+    }
+
+    fn footprint(&self) -> Footprint {
+        let mut held = self.follow.footprint();
+        held.messages += usize::from(self.embedding.is_some());
+        held.offenders = self.role.offender_count();
+        held
     }
 
     fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_machine::START_FETCH;
+use muster_machine::{Footprint, START_FETCH};
 use muster_model::graph::{GraphDelta, GraphError, GraphReplica};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId, ServiceName};
@@ -102,6 +102,21 @@ impl Follower {
     /// Whether a roster is known, complete or not.
     pub(crate) fn has_roster(&self) -> bool {
         self.roster.is_some()
+    }
+
+    /// What is held of rosters and graphs, with those of the newest frame.
+    pub(crate) fn footprint(&self) -> Footprint {
+        let frame = self.frame.as_deref();
+        let framed = frame.into_iter().flat_map(|frame| &frame.graphs).map(|(_, graph)| graph);
+        let graphs = self.graphs.values().map(|followed| &followed.graph).chain(framed);
+        let rosters = self.roster.as_ref().into_iter().chain(frame.map(|frame| &frame.roster));
+        let sizes: Vec<usize> = rosters.map(|roster| roster.robots.len()).collect();
+        Footprint {
+            robots: sizes.iter().sum(),
+            edges: graphs.map(|graph| graph.edge_count()).sum(),
+            messages: sizes.len(),
+            offenders: 0,
+        }
     }
 
     /// The newest consistent state.

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, QueryId, Role, START_FETCH, Start, Stopwatch,
-    Subscription, TERM_FETCH, Turn, Wiring,
+    Answered, Core, Delivery, Effect, Effects, Event, Footprint, QueryId, Role, START_FETCH, Start,
+    Stopwatch, Subscription, TERM_FETCH, Turn, Wiring,
 };
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{RobotId, ServiceName};
@@ -348,6 +348,15 @@ impl Core for Ingest {
 
     fn status(&self, now: Tick) -> ServiceStatus {
         self.role.status(now, &self.state())
+    }
+
+    fn footprint(&self) -> Footprint {
+        Footprint {
+            robots: self.fleet.record_count(),
+            edges: self.fleet.reported_edge_count() + self.frames.edge_count(),
+            messages: self.frames.roster_count(),
+            offenders: self.role.offender_count(),
+        }
     }
 
     fn run((): (), _: &mut Stopwatch) {}

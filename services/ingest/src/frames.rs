@@ -232,6 +232,16 @@ impl Frames {
         messages
     }
 
+    /// Edges of the graphs as they were last published.
+    pub(crate) fn edge_count(&self) -> usize {
+        self.graphs.values().flat_map(|graph| &graph.rows).map(|row| row.edges.len()).sum()
+    }
+
+    /// How many rosters are kept.
+    pub(crate) fn roster_count(&self) -> usize {
+        usize::from(self.roster.is_some())
+    }
+
     /// What a get is answered with: the last roster and whole graphs, as far as they are selected.
     pub(crate) fn answer(&self, space: &KeySpace, request: &Request) -> Vec<Message> {
         let mut messages = Vec::new();

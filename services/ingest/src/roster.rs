@@ -34,6 +34,19 @@ impl Fleet {
         self.robots.iter().map(|(name, robot)| robot.entry(name)).collect()
     }
 
+    /// Robots that are known, and those that left and whose token is still there.
+    pub(crate) fn record_count(&self) -> usize {
+        self.robots.len() + self.hung.len()
+    }
+
+    /// Edges that the robots have reported.
+    pub(crate) fn reported_edge_count(&self) -> usize {
+        let reported = |robot: &Robot| {
+            robot.links.len() + robot.relations.values().map(Vec::len).sum::<usize>()
+        };
+        self.robots.values().map(reported).sum()
+    }
+
     /// When the newest message was received.
     pub(crate) fn newest_message(&self) -> Option<Tick> {
         self.newest_message

@@ -191,6 +191,20 @@ pub fn is_patient<C: Core>(fetch: u32, pattern: &Pattern) -> bool {
     fetch == START_FETCH && !of_role.iter().any(|key| *pattern == Pattern::One(key.clone()))
 }
 
+/// What a core holds in memory, counted. Every count is bounded by settings and `model::limits`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Footprint {
+    /// Records of single robots: those that are known, waited for, or remembered.
+    pub robots: usize,
+    /// Edges of graphs and of the reports that they are made of.
+    pub edges: usize,
+    /// Whole messages: rosters, embeddings, divisions, audits. One that two places share counts
+    /// twice.
+    pub messages: usize,
+    /// Senders of refused messages who are watched for repetition.
+    pub offenders: usize,
+}
+
 /// A service without its shell.
 pub trait Core: Send + Sized + 'static {
     /// Its settings.
@@ -220,6 +234,11 @@ pub trait Core: Send + Sized + 'static {
 
     /// What the service tells of itself, for those who watch over the process.
     fn status(&self, now: Tick) -> ServiceStatus;
+
+    /// What the core holds now. A core that holds nothing of a fleet has nothing to count.
+    fn footprint(&self) -> Footprint {
+        Footprint::default()
+    }
 
     /// Does long work. Runs on another thread, beside the core, and must not depend on anything
     /// but the job and the stopwatch.

@@ -18,8 +18,8 @@ mod stopwatch;
 mod tenure;
 
 pub use crate::core::{
-    Core, Delivery, Effect, Effects, Event, QueryId, Start, Stored, Subscription, Wiring,
-    is_patient,
+    Core, Delivery, Effect, Effects, Event, Footprint, QueryId, Start, Stored, Subscription,
+    Wiring, is_patient,
 };
 pub use driver::{Command, Driver};
 pub use jobs::JobGate;

@@ -25,6 +25,12 @@ pub(super) struct Offender {
 }
 
 impl<S: Settings> Role<S> {
+    /// How many senders of refused messages are watched for repetition.
+    #[must_use]
+    pub fn offender_count(&self) -> usize {
+        self.offenders.len()
+    }
+
     /// Refuses the content of a message, as [`Role::quarantine`] does.
     pub fn refuse<J>(&mut self, now: Tick, key: &Key, reason: &str, effects: &mut Effects<J>) {
         let rejection = Rejection::new(&self.space, &self.space.format(key), reason);
