@@ -1,0 +1,225 @@
+//! The whole fleet in one thread: the real cores of all services, robots, an operator and a stranger,
+//! around a virtual router, with virtual clocks, and with everything going wrong that a seed decides.
+//!
+//! A run has a *storm*, in which the faults of its [`plan`] happen, and a *quiet*, in which nothing
+//! happens any more and everybody must come to agree. Messages cross links as the bytes that they are
+//! on the bus, through the real bounded inbox; what the real shell does in time (gets, fetches, jobs,
+//! deadlines, errands) is done here in virtual time. After every event the [`oracle`] judges what was
+//! published; what it knows of the promises is its own. The same seed tells the same story, byte for
+//! byte. [`shrink()`] makes a failing one short.
+//!
+//! Services are addressed as (service, instance), each on a host of its own; [`INSTANCES`] says how
+//! many of each there are.
+
+mod batch;
+mod chance;
+mod clock;
+mod link;
+mod log;
+mod machine;
+mod mischief;
+mod node;
+mod operator;
+mod oracle;
+mod plan;
+mod robots;
+mod router;
+mod sabotage;
+mod shrink;
+mod turns;
+mod wires;
+mod world;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+pub use batch::{Batch, Summary, run_batch};
+pub use sabotage::Sabotage;
+pub use shrink::{Shrunk, shrink};
+
+use chance::{Chance, Purpose};
+use clock::{MS, Micros, SECOND};
+use plan::{Span, plan};
+use world::{World, places};
+
+/// How many instances of each service there are.
+const INSTANCES: usize = 1;
+
+/// The unit in which the time to agreement is told: a frame of `ingest` at its default rate.
+pub(crate) const TICK: Micros = 100 * MS;
+
+/// How many ticks after the last fault everybody agrees at the latest.
+///
+/// What can follow each other: links are back after 1 s; a holder whose readers know a higher revision
+/// sees that within 5 s, once more a second later, each time after a fetch of at most 1 s (8 s); robots
+/// that left have a patience of at most 8 s since the link is back, which runs beside that; a service
+/// that asks for the number of teams believes a lower answer at the second time, after 20 s. A last
+/// second or two bring the frame, its embedding, division and audit, and what each robot is told.
+const AGREEMENT_TICKS: u64 = 300;
+
+/// The length of one step of a storm.
+const STEP: Micros = 10 * MS;
+
+/// How a run is to be.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Options {
+    /// How many robots the plan is made for; by the seed if it is left out.
+    pub robots: Option<usize>,
+    /// How many of those there really are; all if it is left out.
+    pub fleet: Option<usize>,
+    /// How long the storm lasts, in steps of 10 ms.
+    pub steps: u64,
+    /// Which faults of the plan happen; all if it is left out.
+    pub only: Option<BTreeSet<usize>>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { robots: None, fleet: None, steps: 1500, only: None }
+    }
+}
+
+impl Options {
+    fn scale(&self, seed: u64) -> Scale {
+        let mut chance = Chance::new(seed, Purpose::Fleet, 2);
+        // Most fleets are small: every rule has to hold for them, and they take little time.
+        let most = [3, 8, 8, 14][chance.below(4)];
+        let drawn = 1 + chance.below(most);
+        let robots = self.robots.unwrap_or(drawn).max(1);
+        let fleet = self.fleet.unwrap_or(robots).min(robots);
+        Scale { robots, fleet, storm: self.steps.max(100) * STEP }
+    }
+}
+
+/// The size of a run.
+#[derive(Debug, Clone, Copy)]
+struct Scale {
+    robots: usize,
+    fleet: usize,
+    storm: Micros,
+}
+
+/// What a run was like, in numbers.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Stats {
+    /// How many events happened.
+    pub events: u64,
+    /// How long it was, in microseconds of its own time.
+    pub simulated: u64,
+    /// How many faults of each kind happened.
+    pub faults: BTreeMap<&'static str, u64>,
+    /// How many messages were lost, repeated, and overtaken on links in bad weather.
+    pub lost: u64,
+    /// See `lost`.
+    pub repeated: u64,
+    /// See `lost`.
+    pub mixed: u64,
+    /// How many jobs were made to panic.
+    pub panics: u64,
+    /// How many messages services published.
+    pub published: u64,
+    /// How many divisions there were.
+    pub divisions: u64,
+    /// How long after the last fault everybody agreed, in microseconds.
+    pub agreement: u64,
+}
+
+/// A broken promise.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Failure {
+    /// Which promise.
+    pub promise: &'static str,
+    /// What was seen.
+    pub seen: String,
+    /// When, in microseconds.
+    pub at: u64,
+    /// The faults that had happened by then.
+    pub happened: BTreeSet<usize>,
+    /// How many faults the plan had.
+    pub planned: usize,
+}
+
+/// What became of a run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Story {
+    /// The seed.
+    pub seed: u64,
+    /// How many robots there were.
+    pub robots: usize,
+    /// In numbers.
+    pub stats: Stats,
+    /// The first broken promise, if there was one.
+    pub failure: Option<Failure>,
+    /// The faults that were left in the plan, in words.
+    pub faults: Vec<String>,
+    /// Every event, if that was wanted.
+    pub log: Vec<String>,
+}
+
+/// Runs one seed.
+#[must_use]
+pub fn simulate(seed: u64, options: &Options, sabotage: Option<Sabotage>, logged: bool) -> Story {
+    let scale = options.scale(seed);
+    let mut injections = plan(seed, &scale, &places(&scale));
+    let planned = injections.len();
+    if let Some(only) = &options.only {
+        injections.retain(|injection| only.contains(&injection.number));
+    }
+    let faults =
+        injections.iter().map(|fault| format!("{:>12}  {fault}", Span(fault.at).to_string()));
+    let faults = faults.collect();
+    let times: Vec<(Micros, usize)> = injections.iter().map(|i| (i.at, i.number)).collect();
+    let world = World::new(seed, &scale, injections, sabotage, logged);
+    let Some(world) = world else {
+        return Story {
+            seed,
+            robots: scale.fleet,
+            stats: Stats::default(),
+            failure: None,
+            faults,
+            log: Vec::new(),
+        };
+    };
+    let (stats, breach, log) = world.run();
+    let failure = breach.map(|(breach, at)| Failure {
+        promise: breach.promise,
+        seen: breach.seen,
+        at,
+        happened: times.iter().filter(|(when, _)| *when <= at).map(|(_, n)| *n).collect(),
+        planned,
+    });
+    Story { seed, robots: scale.fleet, stats, failure, faults, log }
+}
+
+impl Story {
+    /// The command that tells the same story again.
+    #[must_use]
+    pub fn command(&self, options: &Options) -> String {
+        use std::fmt::Write as _;
+        let mut command = format!(
+            "cargo run -p muster-tests --bin simulate -- --seed {} --steps {} --log",
+            self.seed, options.steps
+        );
+        let mut add = |flag: &str, value: Option<String>| {
+            if let Some(value) = value {
+                // Writing to a text cannot fail.
+                let _ = write!(command, " --{flag} {value}");
+            }
+        };
+        add("robots", options.robots.map(|robots| robots.to_string()));
+        add("fleet", options.fleet.map(|fleet| fleet.to_string()));
+        let only = options.only.as_ref().map(|only| {
+            let numbers: Vec<String> = only.iter().map(ToString::to_string).collect();
+            if numbers.is_empty() { "none".to_owned() } else { numbers.join(",") }
+        });
+        add("only", only);
+        command
+    }
+}
+
+/// The longest time to agreement, in words.
+#[must_use]
+pub fn in_ticks(agreement: u64) -> String {
+    #[expect(clippy::cast_precision_loss, reason = "some seconds")]
+    let seconds = agreement as f64 / SECOND as f64;
+    format!("{} ticks ({seconds:.1} s, limit {AGREEMENT_TICKS})", agreement.div_ceil(TICK))
+}

@@ -1,0 +1,84 @@
+//! An operator who changes settings, asks again until the service has answered, and remembers what
+//! was confirmed.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use muster_model::id::ServiceName;
+use serde_json::Value;
+
+use super::oracle::{Truth, Witness};
+use super::robots::Robots;
+use super::router::{Answer, LinkId};
+
+/// What an operator wants and knows.
+#[derive(Debug)]
+pub(crate) struct Operator {
+    pub(crate) link: LinkId,
+    wanted: BTreeMap<ServiceName, VecDeque<String>>,
+    /// How many teams the clusterer has confirmed, or has in its file.
+    teams: Option<u32>,
+    /// How often a service has refused, confirmed, or said nothing.
+    pub(crate) refused: u64,
+    pub(crate) confirmed: u64,
+}
+
+impl Operator {
+    pub(crate) fn new(link: LinkId, teams: Option<u64>) -> Self {
+        let teams = teams.and_then(|teams| u32::try_from(teams).ok());
+        Self { link, wanted: BTreeMap::new(), teams, refused: 0, confirmed: 0 }
+    }
+
+    /// It wants to change settings.
+    pub(crate) fn wants(&mut self, service: ServiceName, patch: String) {
+        self.wanted.entry(service).or_default().push_back(patch);
+    }
+
+    /// The next patch for each service.
+    pub(crate) fn next(&self) -> Vec<(ServiceName, String)> {
+        let first = |(service, wanted): (&ServiceName, &VecDeque<String>)| {
+            Some((*service, wanted.front()?.clone()))
+        };
+        self.wanted.iter().filter_map(first).collect()
+    }
+
+    /// Whether something it wants is not answered yet.
+    pub(crate) fn is_busy(&self) -> bool {
+        self.wanted.values().any(|wanted| !wanted.is_empty())
+    }
+
+    /// A service has answered.
+    pub(crate) fn answered(&mut self, service: ServiceName, answer: &Answer) {
+        let Some(patch) = self.wanted.get_mut(&service).and_then(VecDeque::pop_front) else {
+            return;
+        };
+        if matches!(answer, Answer::Error(_)) {
+            self.refused += 1;
+            return;
+        }
+        self.confirmed += 1;
+        let patch: Option<Value> = serde_json::from_str(&patch).ok();
+        let teams = patch.as_ref().and_then(|patch| patch.get("teams")?.as_u64());
+        if service == ServiceName::Clusterer
+            && let Some(teams) = teams
+        {
+            self.teams = u32::try_from(teams).ok();
+        }
+    }
+
+    /// What is true and known beside the bus.
+    pub(crate) fn witness<'a>(&self, robots: &'a Robots) -> Witness<'a> {
+        let alive = robots.alive();
+        let truth = |robot: usize| Truth {
+            position: robots.position(robot).unwrap_or_default(),
+            superior: robots.superior(robot),
+        };
+        Witness {
+            fleet: alive.iter().map(|(name, robot)| (*name, truth(*robot))).collect(),
+            told: alive
+                .iter()
+                .filter_map(|(name, robot)| Some((*name, robots.all.get(*robot)?.told.as_ref())))
+                .collect(),
+            teams: self.teams,
+        }
+    }
+}

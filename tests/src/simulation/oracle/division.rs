@@ -1,0 +1,127 @@
+//! Every robot has exactly one place, in a division of an embedding of a roster that there was.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use muster_model::embedding::Embedding;
+use muster_model::id::RobotId;
+use muster_model::roster::Roster;
+use muster_model::teams::{RobotTeam, Teams};
+
+use super::{Published, Verdict, breach};
+
+/// Nobody stands twice in a roster, by name or by node.
+pub(crate) fn check_roster(roster: &Roster) -> Verdict {
+    let names: BTreeSet<_> = roster.robots.iter().map(|entry| &entry.robot).collect();
+    let nodes: BTreeSet<_> = roster.robots.iter().map(|entry| entry.node).collect();
+    if names.len() != roster.robots.len() || nodes.len() != roster.robots.len() {
+        return breach(
+            "a robot stands once in a roster",
+            format!("roster {:?}: {:?}", roster.header.revision, roster.robots),
+        );
+    }
+    Ok(())
+}
+
+/// An embedding has one finite vector for each robot of the roster that it names.
+pub(crate) fn check_embedding(embedding: &Embedding, rosters: &Published<Roster>) -> Verdict {
+    let revision = embedding.header.revision;
+    let of_roster =
+        |roster: &Arc<Roster>| roster.robots.iter().map(|entry| &entry.robot).eq(&embedding.robots);
+    if !rosters.named(embedding.roster).iter().any(of_roster) {
+        return breach(
+            "an embedding has the robots of the roster that it names",
+            format!("embedding {revision:?} names {:?}: {:?}", embedding.roster, embedding.robots),
+        );
+    }
+    let wanted = embedding.robots.len() * embedding.dimension as usize;
+    if embedding.values.len() != wanted || embedding.unseen.len() != embedding.robots.len() {
+        return breach(
+            "an embedding has one vector for each robot",
+            format!("embedding {revision:?}: {} numbers, not {wanted}", embedding.values.len()),
+        );
+    }
+    Ok(())
+}
+
+/// Each robot of the embedding that a division names is in exactly one team, or in none.
+pub(crate) fn check_division(teams: &Teams, embeddings: &Published<Embedding>) -> Verdict {
+    let revision = teams.header.revision;
+    let named = embeddings.named(teams.embedding);
+    if named.is_empty() {
+        return breach(
+            "every division names an embedding that was published",
+            format!("division {revision:?} names {:?}", teams.embedding),
+        );
+    }
+    let members = teams.teams.iter().flat_map(|team| &team.members).map(|member| &member.robot);
+    let mut robots: Vec<&RobotId> = members.chain(&teams.unassigned).collect();
+    robots.sort();
+    if let Some(pair) = robots.windows(2).find(|pair| pair[0] == pair[1]) {
+        return breach(
+            "a robot is in exactly one team, or in none",
+            format!("division {revision:?}: {} stands twice", pair[0]),
+        );
+    }
+    if !named.iter().any(|embedding| robots.iter().copied().eq(&embedding.robots)) {
+        return breach(
+            "a robot is in exactly one team, or in none",
+            format!(
+                "division {revision:?} has {robots:?}, its embedding {:?}",
+                named.iter().map(|embedding| &embedding.robots).collect::<Vec<_>>()
+            ),
+        );
+    }
+    check_teams(teams)
+}
+
+/// The teams of a division are whole. Pins and limits of size will be checked here once there are any.
+fn check_teams(teams: &Teams) -> Verdict {
+    let revision = teams.header.revision;
+    let ids: BTreeSet<_> = teams.teams.iter().map(|team| &team.id).collect();
+    if ids.len() != teams.teams.len() || teams.teams.len() > teams.requested as usize {
+        return breach(
+            "teams are distinct and no more than asked for",
+            format!("division {revision:?}: {ids:?} of {}", teams.requested),
+        );
+    }
+    for team in &teams.teams {
+        let leads = team.members.iter().any(|member| member.robot == team.leader);
+        let number = team.id.as_str().strip_prefix('t').and_then(|number| number.parse().ok());
+        let is_new = number.is_some_and(|number: u64| number >= teams.next_team);
+        if !leads || is_new {
+            return breach(
+                "a team has members, one of whom leads it, and a number that was given before",
+                format!("division {revision:?}, next {}: {team:?}", teams.next_team),
+            );
+        }
+    }
+    Ok(())
+}
+
+/// What a robot is told is what the division says of it.
+pub(crate) fn check_told(told: &RobotTeam, divisions: &Published<Teams>) -> Verdict {
+    let revision = told.header.revision;
+    let says = |teams: &Arc<Teams>| {
+        let team = teams
+            .teams
+            .iter()
+            .find(|team| team.members.iter().any(|member| member.robot == told.robot));
+        match team {
+            None => told.team.is_none() && teams.unassigned.contains(&told.robot),
+            Some(team) => {
+                let names: Vec<_> = team.members.iter().map(|member| &member.robot).collect();
+                told.team.as_ref() == Some(&team.id)
+                    && told.leader.as_ref() == Some(&team.leader)
+                    && told.members.as_ref().is_none_or(|told| told.iter().eq(names))
+            }
+        }
+    };
+    if divisions.named(revision).iter().any(says) {
+        return Ok(());
+    }
+    breach(
+        "a robot is told what the division says",
+        format!("{} is told {:?} of {revision:?}", told.robot, told.team),
+    )
+}

@@ -1,0 +1,132 @@
+//! What must hold at every moment, judged from outside by what crosses the bus.
+//!
+//! The judge sees every message that a service publishes, as it decodes from its bytes, and knows the
+//! truth about the fleet. Its rules are written anew from the promises of the README, plainly and
+//! slowly, and share no code with what they judge but the types of the messages.
+
+mod agreement;
+mod division;
+mod finite;
+mod memory;
+mod order;
+mod silhouettes;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use muster_model::audit::Audit;
+use muster_model::embedding::Embedding;
+use muster_model::header::Revision;
+use muster_model::id::ServiceName;
+use muster_model::roster::Roster;
+use muster_model::teams::Teams;
+use muster_wire::Message;
+
+pub(crate) use agreement::{Settled, Truth, Witness};
+pub(crate) use memory::{Bounds, check_footprint};
+
+/// How many messages of each kind the judge remembers: more than a minute of frames, longer than
+/// anything that names an older one is under way.
+const REMEMBERED: usize = 2048;
+
+/// What a rule says: nothing, or what is wrong.
+pub(crate) type Verdict = Result<(), Breach>;
+
+/// A broken promise.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Breach {
+    /// Which promise.
+    pub(crate) promise: &'static str,
+    /// What was seen.
+    pub(crate) seen: String,
+}
+
+/// A breach of a promise.
+pub(crate) fn breach<T>(promise: &'static str, seen: impl Into<String>) -> Result<T, Breach> {
+    Err(Breach { promise, seen: seen.into() })
+}
+
+/// What has been published, by revision. Two holders of a role may give the same one.
+#[derive(Debug)]
+pub(crate) struct Published<T> {
+    all: BTreeMap<Revision, Vec<Arc<T>>>,
+    order: VecDeque<Revision>,
+}
+
+impl<T> Default for Published<T> {
+    fn default() -> Self {
+        Self { all: BTreeMap::new(), order: VecDeque::new() }
+    }
+}
+
+impl<T> Published<T> {
+    fn add(&mut self, revision: Revision, content: &Arc<T>) {
+        self.all.entry(revision).or_default().push(Arc::clone(content));
+        self.order.push_back(revision);
+        if self.order.len() > REMEMBERED
+            && let Some(oldest) = self.order.pop_front()
+        {
+            self.all.remove(&oldest);
+        }
+    }
+
+    /// Everything that was published under a revision.
+    pub(crate) fn named(&self, revision: Revision) -> &[Arc<T>] {
+        self.all.get(&revision).map_or(&[], Vec::as_slice)
+    }
+
+    /// Everything, the newest first.
+    fn newest_first(&self) -> impl Iterator<Item = &Arc<T>> {
+        self.order.iter().rev().filter_map(|revision| self.all.get(revision)).flatten()
+    }
+
+    /// What was published last.
+    pub(crate) fn last(&self) -> Option<&Arc<T>> {
+        self.all.get(self.order.back()?)?.last()
+    }
+}
+
+/// What the judge knows.
+#[derive(Debug, Default)]
+pub(crate) struct Judge {
+    pub(crate) rosters: Published<Roster>,
+    pub(crate) embeddings: Published<Embedding>,
+    pub(crate) divisions: Published<Teams>,
+    pub(crate) audits: Published<Audit>,
+    order: order::Order,
+}
+
+impl Judge {
+    /// Takes in what a service publishes. `process` counts the processes of that instance.
+    pub(crate) fn published(
+        &mut self,
+        service: ServiceName,
+        instance: usize,
+        process: u32,
+        message: &Message,
+    ) -> Verdict {
+        finite::check(message)?;
+        self.order.check(service, instance, process, message)?;
+        match message {
+            Message::Roster(roster) => {
+                division::check_roster(roster)?;
+                self.rosters.add(roster.header.revision, roster);
+            }
+            Message::Embedding(embedding) => {
+                division::check_embedding(embedding, &self.rosters)?;
+                self.embeddings.add(embedding.header.revision, embedding);
+            }
+            Message::Teams { teams, .. } => {
+                division::check_division(teams, &self.embeddings)?;
+                self.divisions.add(teams.header.revision, teams);
+            }
+            Message::RobotTeam(told) => division::check_told(told, &self.divisions)?,
+            Message::Audit(audit) => {
+                silhouettes::check(audit, self)?;
+                self.audits.add(audit.header.revision, audit);
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,339 @@
+//! What goes wrong in a run, and when: a list that follows from the seed, and of which any part can be
+//! left out when a failure is shrunk.
+
+use std::fmt;
+
+use muster_model::id::ServiceName;
+
+use super::Scale;
+use super::chance::{Chance, Purpose};
+use super::clock::{MS, Micros, SECOND};
+
+/// How much quiet a fleet has before the first fault, so that there is something to break.
+const CALM_BEFORE: Micros = 2 * SECOND;
+
+/// Who is connected to the router by a link of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Place {
+    /// The host of one instance of a service.
+    Service(ServiceName, usize),
+    /// The host of a robot, by number.
+    Robot(usize),
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Service(service, instance) => write!(formatter, "{service}/{instance}"),
+            Self::Robot(robot) => write!(formatter, "robot {robot}"),
+        }
+    }
+}
+
+/// What a stranger puts on robots' keys.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Rubbish {
+    /// Bytes without meaning, also as binary messages.
+    Noise,
+    /// JSON that is almost right: wrong fields, numbers out of range, endless nesting.
+    AlmostRight,
+    /// More bytes than a robot may put.
+    TooLarge,
+    /// Wild keys, keys of nothing, deletions, unknown encodings.
+    WrongKey,
+    /// Good messages in another robot's name.
+    Forged,
+    /// Messages for the keys of services, which robots must not put.
+    AsService,
+}
+
+impl Rubbish {
+    const ALL: [Self; 6] = [
+        Self::Noise,
+        Self::AlmostRight,
+        Self::TooLarge,
+        Self::WrongKey,
+        Self::Forged,
+        Self::AsService,
+    ];
+}
+
+/// One thing that goes wrong, or that people and robots do. Spans are in microseconds.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Fault {
+    /// A link loses, repeats, delays and, if it `reorders`, mixes what it carries.
+    Storm { at: Place, lasts: Micros, loss: u64, copies: u64, delay: Micros, reorders: bool },
+    /// A link is cut: at once and noticed by both ends, or silently.
+    Cut { at: Place, lasts: Micros, clean: bool },
+    /// The router is restarted: every link is cut at once.
+    Router { lasts: Micros },
+    /// A service is killed, and started again after a while.
+    Kill { at: Place, lasts: Micros },
+    /// A service is stopped as by SIGSTOP, and goes on after a while.
+    Hang { at: Place, lasts: Micros },
+    /// A service takes long over every event.
+    Slow { at: Place, lasts: Micros, each: Micros },
+    /// Jobs of a service take long.
+    SlowJobs { at: Place, lasts: Micros, each: Micros },
+    /// Every job of a service that ends within the span has panicked.
+    Panics { at: Place, lasts: Micros },
+    /// The wall clock of a host is set, by so many microseconds.
+    Clock { at: Place, by: i64 },
+    /// A robot leaves for a while: with its token withdrawn, or by losing its power.
+    Leave { robot: usize, lasts: Micros, politely: bool },
+    /// A robot leaves and does not come back.
+    LeaveForGood { robot: usize },
+    /// The software of a robot is restarted.
+    Reboot { robot: usize },
+    /// A robot answers to another one from now on.
+    Promote { robot: usize, superior: Option<usize> },
+    /// A robot is somewhere else from now on.
+    Jump { robot: usize, by: [i64; 2] },
+    /// A robot says the same many times at once.
+    Burst { robot: usize, many: usize },
+    /// A stranger puts rubbish.
+    Rubbish { robot: usize, kind: Rubbish, many: usize },
+    /// Robots appear that say where they are once and are never heard again.
+    Ghosts { many: usize },
+    /// An operator changes settings.
+    Set { service: ServiceName, patch: String },
+    /// An operator sets what stops every job of the embedder, and mends it after a while.
+    BadAlpha { lasts: Micros },
+}
+
+/// When something goes wrong.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Injection {
+    /// Its number in the plan of the seed.
+    pub(crate) number: usize,
+    /// When it begins.
+    pub(crate) at: Micros,
+    /// What it is.
+    pub(crate) fault: Fault,
+}
+
+impl Fault {
+    /// The kind in one word, for counting.
+    pub(crate) const fn kind(&self) -> &'static str {
+        match self {
+            Self::Storm { .. } => "storm",
+            Self::Cut { clean: true, .. } => "clean cut",
+            Self::Cut { clean: false, .. } => "silent cut",
+            Self::Router { .. } => "router restart",
+            Self::Kill { .. } => "kill",
+            Self::Hang { .. } => "hang",
+            Self::Slow { .. } => "slow service",
+            Self::SlowJobs { .. } => "slow jobs",
+            Self::Panics { .. } => "job panics",
+            Self::Clock { .. } => "clock set",
+            Self::Leave { .. } => "robot leaves and returns",
+            Self::LeaveForGood { .. } => "robot leaves",
+            Self::Reboot { .. } => "robot reboots",
+            Self::Promote { .. } => "rank change",
+            Self::Jump { .. } => "jump",
+            Self::Burst { .. } => "burst",
+            Self::Rubbish { .. } => "rubbish",
+            Self::Ghosts { .. } => "ghosts",
+            Self::Set { .. } => "settings",
+            Self::BadAlpha { .. } => "bad alpha",
+        }
+    }
+}
+
+impl fmt::Display for Injection {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { number, fault, .. } = self;
+        write!(formatter, "fault {number}: {}: ", fault.kind())?;
+        match fault {
+            Fault::Storm { at, lasts, loss, copies, delay, reorders } => {
+                let order = if *reorders { ", mixes" } else { "" };
+                let (lasts, delay) = (Span(*lasts), Span(*delay));
+                write!(
+                    formatter,
+                    "{at} for {lasts}: loses {loss} %, repeats {copies} %, delays up to {delay}{order}"
+                )
+            }
+            Fault::Cut { at, lasts, .. }
+            | Fault::Kill { at, lasts }
+            | Fault::Hang { at, lasts }
+            | Fault::Panics { at, lasts } => write!(formatter, "{at} for {}", Span(*lasts)),
+            Fault::Router { lasts } | Fault::BadAlpha { lasts } => {
+                write!(formatter, "for {}", Span(*lasts))
+            }
+            Fault::Slow { at, lasts, each } | Fault::SlowJobs { at, lasts, each } => {
+                write!(formatter, "{at} for {}: {} each", Span(*lasts), Span(*each))
+            }
+            Fault::Clock { at, by } => write!(formatter, "{at} by {by} µs"),
+            Fault::Leave { robot, lasts, politely } => {
+                let how = if *politely { "politely" } else { "without a word" };
+                write!(formatter, "{robot} for {}, {how}", Span(*lasts))
+            }
+            Fault::LeaveForGood { robot } | Fault::Reboot { robot } => write!(formatter, "{robot}"),
+            Fault::Promote { robot, superior } => {
+                write!(formatter, "{robot} answers to {superior:?}")
+            }
+            Fault::Jump { robot, by: [x, y] } => write!(formatter, "{robot} by {x}, {y} m"),
+            Fault::Burst { robot, many } => write!(formatter, "{robot}, {many} messages"),
+            Fault::Rubbish { robot, kind, many } => {
+                write!(formatter, "{kind:?} about robot {robot}, {many} messages")
+            }
+            Fault::Ghosts { many } => write!(formatter, "{many}"),
+            Fault::Set { service, patch } => write!(formatter, "{service} {patch}"),
+        }
+    }
+}
+
+/// A span or moment, written in seconds.
+pub(crate) struct Span(pub(crate) Micros);
+
+impl fmt::Display for Span {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}.{:06} s", self.0 / SECOND, self.0 % SECOND)
+    }
+}
+
+/// Patches that leave a fleet able to work, by service.
+const PATCHES: [(ServiceName, &[&str]); 4] = [
+    (
+        ServiceName::Ingest,
+        &[
+            r#"{"tick_hz":4.0}"#,
+            r#"{"tick_hz":20.0}"#,
+            r#"{"stale_after_s":1.0}"#,
+            r#"{"stale_after_s":3.0,"gone_after_s":6.0}"#,
+            r#"{"gone_after_s":4.0}"#,
+            r#"{"spatial":{"kernel":"exponential"}}"#,
+            r#"{"spatial":{"radius_m":60.0}}"#,
+            r#"{"spatial":{"all_pairs_up_to":3,"neighbours":3}}"#,
+            r#"{"max_rate_hz":40.0}"#,
+            r#"{"modalities":["thermal"]}"#,
+            r#"{"modalities":["thermal","radar"]}"#,
+            r#"{"modalities":[]}"#,
+            r#"{"tick_hz":0}"#,
+        ],
+    ),
+    (
+        ServiceName::Embedder,
+        &[
+            r#"{"alpha":{"fraction":0.25}}"#,
+            r#"{"alpha":{"fraction":0.9}}"#,
+            r#"{"dimension":2}"#,
+            r#"{"dimension":6}"#,
+            r#"{"dimension":"auto"}"#,
+            r#"{"scale":"none"}"#,
+            r#"{"rows":"none"}"#,
+            r#"{"normalize":"none"}"#,
+            r#"{"weights":{"spatial":1.0}}"#,
+            r#"{"weights":{"hierarchy":0.5,"connectivity":0.5}}"#,
+            r#"{"weights":{}}"#,
+            r#"{"weights":{"spatial":0.7}}"#,
+        ],
+    ),
+    (
+        ServiceName::Clusterer,
+        &[
+            r#"{"teams":1}"#,
+            r#"{"teams":2}"#,
+            r#"{"teams":3}"#,
+            r#"{"teams":4}"#,
+            r#"{"teams":7}"#,
+            r#"{"hysteresis":0.0}"#,
+            r#"{"restarts":5}"#,
+            r#"{"seed":7}"#,
+            r#"{"heartbeat_s":0.5}"#,
+            r#"{"heartbeat_s":2.0}"#,
+            r#"{"init":"random"}"#,
+            r#"{"teams":0}"#,
+        ],
+    ),
+    (
+        ServiceName::Auditor,
+        &[
+            r#"{"good":0.7,"poor":0.4}"#,
+            r#"{"alert_after_s":0.0}"#,
+            r#"{"poor":-0.5}"#,
+            r#"{"good":"x"}"#,
+        ],
+    ),
+];
+
+/// The plan of a seed, in order of time. Nothing that heals by itself outlasts the storm.
+pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection> {
+    let mut chance = Chance::new(seed, Purpose::Plan, 0);
+    let end = scale.storm;
+    let mut injections = Vec::new();
+    let begin = CALM_BEFORE.min(end / 4);
+    // Some seeds are rough and some nearly calm: what hides in a crowd of faults shows alone.
+    let most = [1, 4, 10, 25, 40][chance.below(5)];
+    for _ in 0..chance.between(0, most) {
+        let at = chance.between(begin, end.saturating_sub(MS).max(begin));
+        let fault = draw(&mut chance, scale, places, end - at.min(end));
+        injections.push(Injection { number: 0, at, fault });
+    }
+    injections.sort_by_key(|injection| injection.at);
+    for (number, injection) in injections.iter_mut().enumerate() {
+        injection.number = number;
+    }
+    injections
+}
+
+fn draw(chance: &mut Chance, scale: &Scale, places: &[Place], room: Micros) -> Fault {
+    let services: Vec<Place> =
+        places.iter().copied().filter(|place| matches!(place, Place::Service(..))).collect();
+    let any = Place::Service(ServiceName::Ingest, 0);
+    let service = chance.pick(&services).copied().unwrap_or(any);
+    let place =
+        if chance.percent(60) { service } else { chance.pick(places).copied().unwrap_or(service) };
+    let robots = scale.robots;
+    let robot = chance.below(robots);
+    let mut span = |low: Micros, high: Micros| chance.between(low, high).min(room);
+    let (short, long, whole) =
+        (span(50 * MS, 3 * SECOND), span(SECOND, 12 * SECOND), span(SECOND, 30 * SECOND));
+    match chance.below(100) {
+        0..18 => Fault::Storm {
+            at: place,
+            lasts: whole,
+            loss: chance.between(0, 40),
+            copies: chance.between(0, 30),
+            delay: chance.between(0, 600) * MS,
+            reorders: chance.percent(70),
+        },
+        18..24 => Fault::Cut { at: place, lasts: short, clean: chance.percent(50) },
+        24..31 => Fault::Cut { at: place, lasts: long, clean: chance.percent(50) },
+        31..34 => Fault::Router { lasts: short },
+        34..48 => Fault::Kill { at: service, lasts: short },
+        48..51 => Fault::Kill { at: service, lasts: long },
+        51..55 => Fault::Hang { at: service, lasts: if chance.percent(50) { short } else { long } },
+        55..58 => Fault::Slow { at: service, lasts: long, each: chance.between(5, 200) * MS },
+        58..61 => Fault::SlowJobs { at: service, lasts: long, each: chance.between(50, 2500) * MS },
+        61..65 => Fault::Panics { at: service, lasts: long },
+        65..69 => {
+            let by = i64::try_from(chance.between(0, 8_000_000)).unwrap_or_default() - 4_000_000;
+            Fault::Clock { at: place, by: if chance.percent(20) { by * 1000 } else { by } }
+        }
+        69..75 => Fault::Leave { robot, lasts: long, politely: chance.percent(50) },
+        75..77 => Fault::LeaveForGood { robot },
+        77..80 => Fault::Reboot { robot },
+        80..84 => Fault::Promote {
+            robot,
+            superior: Some(chance.below(robots)).filter(|superior| *superior != robot),
+        },
+        84..87 => {
+            let mut metres = || i64::try_from(chance.between(0, 200)).unwrap_or_default() - 100;
+            Fault::Jump { robot, by: [metres(), metres()] }
+        }
+        87..89 => Fault::Burst { robot, many: chance.below(150) },
+        89..93 => Fault::Rubbish {
+            robot,
+            kind: chance.pick(&Rubbish::ALL).copied().unwrap_or(Rubbish::Noise),
+            many: chance.below(20) + 1,
+        },
+        93..95 => Fault::Ghosts { many: chance.below(12) + 1 },
+        95..96 => Fault::BadAlpha { lasts: long },
+        _ => {
+            let (service, patches) = PATCHES[chance.below(PATCHES.len())];
+            let patch = chance.pick(patches).copied().unwrap_or("{}").to_owned();
+            Fault::Set { service, patch }
+        }
+    }
+}

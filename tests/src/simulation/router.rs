@@ -1,0 +1,183 @@
+//! What crosses links, and what the router knows: who holds which liveliness token, and which gets
+//! are under way.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use muster_wire::{KeySpace, Packet, Pattern};
+
+/// A link, by number.
+pub(crate) type LinkId = usize;
+
+/// A get, by number.
+pub(crate) type GetId = u64;
+
+/// What a link carries.
+#[derive(Debug, Clone)]
+pub(crate) enum Carried {
+    /// A message of somebody.
+    Put(Arc<Packet>),
+    /// A liveliness token is declared or withdrawn; on the way down: appeared or is gone.
+    Token { key: Arc<str>, alive: bool },
+    /// A get.
+    Ask { get: GetId, ask: Arc<Ask> },
+    /// One server's whole answer.
+    Answer { get: GetId, answer: Arc<Answer> },
+    /// Everybody who was asked has answered.
+    Complete { get: GetId },
+}
+
+/// A get.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Ask {
+    pub(crate) selector: String,
+    pub(crate) parameters: &'static str,
+    pub(crate) payload: Option<Vec<u8>>,
+}
+
+/// What one server answers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Answer {
+    Packets(Vec<Packet>),
+    Error(String),
+}
+
+impl Carried {
+    /// Declarations are never lost on a link that holds.
+    pub(crate) fn is_declaration(&self) -> bool {
+        matches!(self, Self::Token { .. })
+    }
+
+    /// Gets and their answers have numbers, by which repetitions are seen.
+    pub(crate) fn may_be_repeated(&self) -> bool {
+        matches!(self, Self::Put(_))
+    }
+}
+
+/// A get that is under way.
+#[derive(Debug)]
+struct Get {
+    asker: LinkId,
+    /// How many servers have not answered; none until the router has passed the get on.
+    open: Option<usize>,
+}
+
+/// What the router knows.
+#[derive(Debug, Default)]
+pub(crate) struct Router {
+    /// Who declared each token.
+    tokens: BTreeMap<Arc<str>, BTreeSet<LinkId>>,
+    gets: BTreeMap<GetId, Get>,
+    next_get: GetId,
+}
+
+impl Router {
+    /// Takes in that a token was declared or withdrawn; whether others are to hear of it.
+    pub(crate) fn token(&mut self, link: LinkId, key: &Arc<str>, alive: bool) -> bool {
+        if alive {
+            let owners = self.tokens.entry(Arc::clone(key)).or_default();
+            owners.insert(link) && owners.len() == 1
+        } else {
+            let Some(owners) = self.tokens.get_mut(key) else { return false };
+            let withdrawn = owners.remove(&link) && owners.is_empty();
+            if owners.is_empty() {
+                self.tokens.remove(key);
+            }
+            withdrawn
+        }
+    }
+
+    /// The tokens of one link.
+    pub(crate) fn tokens_of(&self, link: LinkId) -> Vec<Arc<str>> {
+        let own = self.tokens.iter().filter(|(_, owners)| owners.contains(&link));
+        own.map(|(key, _)| Arc::clone(key)).collect()
+    }
+
+    /// All tokens that are there.
+    pub(crate) fn tokens(&self) -> Vec<Arc<str>> {
+        self.tokens.keys().cloned().collect()
+    }
+
+    /// A get begins.
+    pub(crate) fn begin_get(&mut self, asker: LinkId) -> GetId {
+        self.next_get += 1;
+        self.gets.insert(self.next_get, Get { asker, open: None });
+        self.next_get
+    }
+
+    /// The get is passed on to so many servers. True if nobody serves it.
+    pub(crate) fn pass_on(&mut self, get: GetId, servers: usize) -> bool {
+        self.gets.get_mut(&get).is_some_and(|get| {
+            get.open = Some(servers);
+            servers == 0
+        })
+    }
+
+    /// A server has answered: who asked, and whether that was the last answer.
+    pub(crate) fn answered(&mut self, get: GetId) -> Option<(LinkId, bool)> {
+        let get = self.gets.get_mut(&get)?;
+        let open = get.open?.saturating_sub(1);
+        get.open = Some(open);
+        Some((get.asker, open == 0))
+    }
+
+    /// The get has ended for who asked.
+    pub(crate) fn end_get(&mut self, get: GetId) {
+        self.gets.remove(&get);
+    }
+}
+
+/// Whether a key or pattern stands within another one. There are no wild chunks but `*`, which is all
+/// that services declare.
+pub(crate) fn includes(pattern: &str, key: &str) -> bool {
+    let (mut pattern, mut key) = (pattern.split('/'), key.split('/'));
+    loop {
+        match (pattern.next(), key.next()) {
+            (None, None) => return true,
+            (Some(wanted), Some(chunk)) if wanted == "*" || wanted == chunk => {}
+            _ => return false,
+        }
+    }
+}
+
+/// Whether two patterns have a key in common.
+pub(crate) fn intersects(left: &str, right: &str) -> bool {
+    let (mut left, mut right) = (left.split('/'), right.split('/'));
+    loop {
+        match (left.next(), right.next()) {
+            (None, None) => return true,
+            (Some(l), Some(r)) if l == "*" || r == "*" || l == r => {}
+            _ => return false,
+        }
+    }
+}
+
+/// The texts of patterns on the bus.
+pub(crate) fn texts<'a>(
+    space: &KeySpace,
+    patterns: impl IntoIterator<Item = &'a Pattern>,
+) -> Vec<String> {
+    patterns.into_iter().map(|pattern| space.pattern(pattern)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns_include_and_intersect_as_on_the_bus() {
+        assert!(includes("a/*/pose", "a/r1/pose") && !includes("a/*/pose", "a/r1/links"));
+        assert!(!includes("a/*", "a/b/c") && !includes("a/b", "a/*"));
+        assert!(intersects("a/graph/spatial", "a/graph/*") && intersects("a/*", "a/*"));
+        assert!(!intersects("a/graph/*", "a/*"));
+    }
+
+    #[test]
+    fn a_token_that_two_hold_is_gone_when_both_have_left() {
+        let mut router = Router::default();
+        let key: Arc<str> = "k".into();
+        assert!(router.token(1, &key, true) && !router.token(2, &key, true));
+        assert!(!router.token(1, &key, false) && router.tokens().len() == 1);
+        assert!(router.token(2, &key, false) && router.tokens().is_empty());
+    }
+}

@@ -1,0 +1,134 @@
+//! Faults of the code under test that are made on purpose, to prove that the simulation finds them.
+
+use std::sync::Arc;
+
+use muster_model::id::ServiceName;
+use muster_model::teams::Teams;
+use muster_model::time::Tick;
+use muster_wire::{Format, Key, KeySpace, Message, Packet};
+
+/// What is broken on purpose. Each only shows after a fault of some kind, so that there is something
+/// to find when a failing run is shrunk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sabotage {
+    /// The clusterer puts a robot into two teams once a service was killed.
+    RobotTwice,
+    /// The auditor's silhouettes are off by a millionth once a link was in bad weather.
+    WrongSilhouette,
+    /// The auditor publishes a mean that is no number once a robot has left.
+    NotANumber,
+    /// The bus delivers an embedding of a lower term as the newest once a service was killed.
+    OldTermAsNewest,
+    /// The auditor hears nothing any more once a link was cut.
+    DeafAuditor,
+    /// The clusterer shifts its division about although nothing changes, once settings were changed.
+    Restless,
+}
+
+impl Sabotage {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::RobotTwice,
+        Self::WrongSilhouette,
+        Self::NotANumber,
+        Self::OldTermAsNewest,
+        Self::DeafAuditor,
+        Self::Restless,
+    ];
+
+    /// The kinds of faults after which it shows.
+    #[must_use]
+    pub const fn after(self) -> &'static [&'static str] {
+        match self {
+            Self::RobotTwice | Self::OldTermAsNewest => &["kill"],
+            Self::WrongSilhouette => &["storm"],
+            Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
+            Self::DeafAuditor => &["clean cut", "silent cut"],
+            Self::Restless => &["settings"],
+        }
+    }
+}
+
+/// Breaks things.
+#[derive(Debug)]
+pub(crate) struct Saboteur {
+    sabotage: Option<Sabotage>,
+    active: bool,
+    published: u64,
+}
+
+impl Saboteur {
+    pub(crate) fn new(sabotage: Option<Sabotage>) -> Self {
+        Self { sabotage, active: false, published: 0 }
+    }
+
+    /// A fault has happened.
+    pub(crate) fn sees(&mut self, kind: &str) {
+        self.active |= self.sabotage.is_some_and(|sabotage| sabotage.after().contains(&kind));
+    }
+
+    /// What a core publishes, as a broken one would.
+    pub(crate) fn core(&mut self, message: Message) -> Message {
+        let Some(sabotage) = self.sabotage.filter(|_| self.active) else { return message };
+        match (sabotage, message) {
+            (Sabotage::RobotTwice, Message::Teams { teams, mirror }) => {
+                let mut teams = Teams::clone(&teams);
+                if let Some(robot) = teams.teams.first().and_then(|team| team.members.first()) {
+                    // As the wire would still let it through: without a place in the order of names.
+                    teams.unassigned = vec![robot.robot.clone()];
+                }
+                Message::Teams { teams: Arc::new(teams), mirror }
+            }
+            (Sabotage::Restless, Message::Teams { teams, mirror }) => {
+                self.published += 1;
+                let mut teams = Teams::clone(&teams);
+                if self.published.is_multiple_of(2) {
+                    let moved = teams.teams.first_mut().filter(|team| team.members.len() > 1);
+                    if let Some(team) = moved {
+                        let last = team.members.last().map(|member| member.robot.clone());
+                        team.leader = last.unwrap_or_else(|| team.leader.clone());
+                    }
+                }
+                Message::Teams { teams: Arc::new(teams), mirror }
+            }
+            (Sabotage::WrongSilhouette, Message::Audit(audit)) => {
+                let mut audit = audit.as_ref().clone();
+                if let Some((_, score)) = audit.in_embedding.per_robot.first_mut() {
+                    *score = (*score - 1e-6).max(-1.0);
+                }
+                Message::Audit(audit.into())
+            }
+            (Sabotage::NotANumber, Message::Audit(audit)) => {
+                let mut audit = audit.as_ref().clone();
+                audit.in_embedding.mean = audit.in_embedding.mean.map(|_| f64::NAN);
+                Message::Audit(audit.into())
+            }
+            (_, message) => message,
+        }
+    }
+
+    /// What the bus makes of a message.
+    pub(crate) fn bus(&mut self, space: &KeySpace, packet: Packet, now: Tick) -> Packet {
+        let old = self.active && self.sabotage == Some(Sabotage::OldTermAsNewest);
+        if !old || packet.key != space.format(&Key::Embedding) {
+            return packet;
+        }
+        let Ok(Message::Embedding(embedding)) = Message::decode(space, &packet) else {
+            return packet;
+        };
+        let mut embedding = embedding.as_ref().clone();
+        embedding.header.revision.term += 1;
+        let message = Message::Embedding(embedding.into());
+        match message.encode(Key::Embedding, Format::Binary, now) {
+            Ok(outbound) => Packet { payload: Ok(outbound.payload), ..packet },
+            Err(_) => packet,
+        }
+    }
+
+    /// Whether a service hears nothing.
+    pub(crate) fn deafens(&self, service: ServiceName) -> bool {
+        self.active
+            && self.sabotage == Some(Sabotage::DeafAuditor)
+            && service == ServiceName::Auditor
+    }
+}
