@@ -1,5 +1,9 @@
 //! Makes a fault happen.
 
+use std::sync::Arc;
+
+use muster_machine::Stored;
+use muster_model::header::Header;
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::observation::Pose;
 use muster_wire::{Format, Key, Message, Packet, Source};
@@ -7,7 +11,7 @@ use muster_wire::{Format, Key, Message, Packet, Source};
 use super::chance::{Chance, Purpose};
 use super::clock::{MS, Micros};
 use super::link::{State, Storm, Way};
-use super::plan::{Fault, Rubbish};
+use super::plan::{Fault, Rubbish, Throne};
 use super::robots::{Speech, packet};
 use super::router::Carried;
 use super::world::{Event, World};
@@ -47,6 +51,22 @@ impl World {
                     self.kill(index, lasts, &mut chance);
                 }
             }
+            Fault::LostDisk { at, lasts } => {
+                if let Some(index) = node(self, at) {
+                    self.kill(index, lasts, &mut chance);
+                    self.nodes[index].stored = Stored::default();
+                    let node = &self.nodes[index];
+                    self.judge.forget_order(node.service, node.instance);
+                    self.operator.forgets(node.service);
+                }
+            }
+            Fault::Blackout { lasts } => {
+                for index in 0..self.nodes.len() {
+                    let lasts = chance.between(lasts / 2, lasts);
+                    self.kill(index, lasts, &mut chance);
+                }
+            }
+            Fault::Usurp { what, terms } => self.usurp(what, terms),
             Fault::Hang { at, lasts } => {
                 let Some(index) = node(self, at) else { return };
                 let until = self.now + lasts;
@@ -154,6 +174,26 @@ impl World {
         if let Some(lasts) = back {
             let event = Event::RobotStarts { robot: index, life };
             self.schedule(self.now + lasts.max(DOWN), event);
+        }
+    }
+
+    /// Repeats the last message on a key with a higher term. Whoever hears it can tell it from nothing
+    /// that a new holder of the role would say.
+    fn usurp(&mut self, what: Throne, terms: u64) {
+        let Some(mut message) = self.judge.last_on(what) else { return };
+        let raise = |header: &mut Header| header.revision.term += terms;
+        match &mut message {
+            Message::Roster(roster) => raise(&mut Arc::make_mut(roster).header),
+            Message::Graph(delta) => raise(&mut Arc::make_mut(delta).header),
+            Message::Embedding(embedding) => raise(&mut Arc::make_mut(embedding).header),
+            Message::Teams { teams, .. } => raise(&mut Arc::make_mut(teams).header),
+            Message::Audit(audit) => raise(&mut Arc::make_mut(audit).header),
+            Message::Settings(announced) => raise(&mut announced.header),
+            _ => return,
+        }
+        self.judge.usurped(&message);
+        if let Some(packet) = packet(&self.space, &message, Format::Binary) {
+            self.put(self.stranger(), packet);
         }
     }
 

@@ -17,6 +17,8 @@ pub(crate) struct Operator {
     wanted: BTreeMap<ServiceName, VecDeque<String>>,
     /// How many teams the clusterer has confirmed, or has in its file.
     teams: Option<u32>,
+    /// Whether the clusterer has lost its disk.
+    terms_lost: bool,
     /// How often a service has refused, confirmed, or said nothing.
     pub(crate) refused: u64,
     pub(crate) confirmed: u64,
@@ -25,12 +27,20 @@ pub(crate) struct Operator {
 impl Operator {
     pub(crate) fn new(link: LinkId, teams: Option<u64>) -> Self {
         let teams = teams.and_then(|teams| u32::try_from(teams).ok());
-        Self { link, wanted: BTreeMap::new(), teams, refused: 0, confirmed: 0 }
+        Self { link, wanted: BTreeMap::new(), teams, terms_lost: false, refused: 0, confirmed: 0 }
     }
 
     /// It wants to change settings.
     pub(crate) fn wants(&mut self, service: ServiceName, patch: String) {
         self.wanted.entry(service).or_default().push_back(patch);
+    }
+
+    /// A service has lost its disk, and with it what was confirmed.
+    pub(crate) fn forgets(&mut self, service: ServiceName) {
+        if service == ServiceName::Clusterer {
+            self.teams = None;
+            self.terms_lost = true;
+        }
     }
 
     /// The next patch for each service.
@@ -78,6 +88,7 @@ impl Operator {
                 .iter()
                 .filter_map(|(name, robot)| Some((*name, robots.all.get(*robot)?.told.as_ref())))
                 .collect(),
+            terms_lost: self.terms_lost,
             teams: self.teams,
         }
     }

@@ -58,6 +58,22 @@ impl Rubbish {
     ];
 }
 
+/// What can be usurped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Throne {
+    Roster,
+    Graph,
+    Embedding,
+    Teams,
+    Audit,
+    Settings,
+}
+
+impl Throne {
+    const ALL: [Self; 6] =
+        [Self::Roster, Self::Graph, Self::Embedding, Self::Teams, Self::Audit, Self::Settings];
+}
+
 /// One thing that goes wrong, or that people and robots do. Spans are in microseconds.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Fault {
@@ -69,6 +85,12 @@ pub(crate) enum Fault {
     Router { lasts: Micros },
     /// A service is killed, and started again after a while.
     Kill { at: Place, lasts: Micros },
+    /// A service is killed, loses its disk, and is started again.
+    LostDisk { at: Place, lasts: Micros },
+    /// All services are killed at once, and started again within a while.
+    Blackout { lasts: Micros },
+    /// A stranger repeats the last message on the key of a service, so many terms higher.
+    Usurp { what: Throne, terms: u64 },
     /// A service is stopped as by SIGSTOP, and goes on after a while.
     Hang { at: Place, lasts: Micros },
     /// A service takes long over every event.
@@ -121,6 +143,9 @@ impl Fault {
             Self::Cut { clean: false, .. } => "silent cut",
             Self::Router { .. } => "router restart",
             Self::Kill { .. } => "kill",
+            Self::LostDisk { .. } => "lost disk",
+            Self::Blackout { .. } => "blackout",
+            Self::Usurp { .. } => "usurper",
             Self::Hang { .. } => "hang",
             Self::Slow { .. } => "slow service",
             Self::SlowJobs { .. } => "slow jobs",
@@ -155,9 +180,11 @@ impl fmt::Display for Injection {
             }
             Fault::Cut { at, lasts, .. }
             | Fault::Kill { at, lasts }
+            | Fault::LostDisk { at, lasts }
             | Fault::Hang { at, lasts }
             | Fault::Panics { at, lasts } => write!(formatter, "{at} for {}", Span(*lasts)),
-            Fault::Router { lasts } | Fault::BadAlpha { lasts } => {
+            Fault::Usurp { what, terms } => write!(formatter, "{what:?}, {terms} terms higher"),
+            Fault::Router { lasts } | Fault::BadAlpha { lasts } | Fault::Blackout { lasts } => {
                 write!(formatter, "for {}", Span(*lasts))
             }
             Fault::Slow { at, lasts, each } | Fault::SlowJobs { at, lasts, each } => {
@@ -301,8 +328,14 @@ fn draw(chance: &mut Chance, scale: &Scale, places: &[Place], room: Micros) -> F
         18..24 => Fault::Cut { at: place, lasts: short, clean: chance.percent(50) },
         24..31 => Fault::Cut { at: place, lasts: long, clean: chance.percent(50) },
         31..34 => Fault::Router { lasts: short },
-        34..48 => Fault::Kill { at: service, lasts: short },
-        48..51 => Fault::Kill { at: service, lasts: long },
+        34..44 => Fault::Kill { at: service, lasts: short },
+        44..46 => Fault::Kill { at: service, lasts: long },
+        46..48 => Fault::LostDisk { at: service, lasts: short },
+        48..49 => Fault::Blackout { lasts: short },
+        49..51 => Fault::Usurp {
+            what: chance.pick(&Throne::ALL).copied().unwrap_or(Throne::Roster),
+            terms: [1, 2, 1 << 20][chance.below(3)],
+        },
         51..55 => Fault::Hang { at: service, lasts: if chance.percent(50) { short } else { long } },
         55..58 => Fault::Slow { at: service, lasts: long, each: chance.between(5, 200) * MS },
         58..61 => Fault::SlowJobs { at: service, lasts: long, each: chance.between(50, 2500) * MS },

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use muster_model::id::TeamId;
 use muster_model::time::Tick;
 use muster_wire::{Message, Packet, Source};
 
@@ -9,6 +10,7 @@ use super::clock::{MS, Micros};
 use super::link::Way;
 use super::machine::{Input, Output};
 use super::oracle::{Verdict, breach, check_footprint};
+use super::robots::{Told, read_told};
 use super::router::{Answer, Carried};
 use super::world::{Event, World};
 
@@ -154,6 +156,17 @@ impl World {
         let verdict = self.judge_published(index, &message);
         self.judged(verdict);
         for outbound in outbound {
+            if let Message::RobotTeam(told) = &message {
+                let read = read_told(&outbound.payload);
+                let same = |read: &Told| {
+                    read.revision == told.header.revision
+                        && read.team.as_deref() == told.team.as_ref().map(TeamId::as_str)
+                };
+                if !read.as_ref().is_some_and(same) {
+                    let seen = format!("{} is told {read:?} for {told:?}", told.robot);
+                    self.judged(breach("a robot can read what it is told", seen));
+                }
+            }
             let packet = Packet {
                 key: self.space.format(&outbound.key),
                 encoding: outbound.encoding.into_owned(),

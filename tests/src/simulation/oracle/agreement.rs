@@ -25,6 +25,10 @@ pub(crate) struct Witness<'a> {
     pub(crate) fleet: BTreeMap<&'a RobotId, Truth>,
     /// What each of them believes.
     pub(crate) told: BTreeMap<&'a RobotId, Option<&'a Told>>,
+    /// Whether the clusterer has lost its disk. If nobody then remembers its last division but the
+    /// robots, who answer no gets, it cannot know which term is above all that were heard of; a robot
+    /// that holds a higher revision than the last keeps its team until the epochs have passed that.
+    pub(crate) terms_lost: bool,
     /// How many teams an operator was last confirmed to have asked for, if that is known.
     pub(crate) teams: Option<u32>,
 }
@@ -97,6 +101,9 @@ impl Judge {
                 .iter()
                 .find(|team| team.members.iter().any(|member| member.robot == **robot));
             let told = told.ok_or_else(|| format!("{robot} was told nothing"))?;
+            if witness.terms_lost && told.revision > teams.header.revision {
+                continue;
+            }
             let right = match team {
                 None => told.team.is_none(),
                 Some(team) => {

@@ -16,11 +16,15 @@ use std::sync::Arc;
 
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
+use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::roster::Roster;
 use muster_model::teams::Teams;
 use muster_wire::Message;
+use muster_wire::envelope::AnnouncedSettings;
+
+use super::plan::Throne;
 
 pub(crate) use agreement::{Settled, Truth, Witness};
 pub(crate) use memory::{Bounds, check_footprint};
@@ -94,9 +98,43 @@ pub(crate) struct Judge {
     pub(crate) divisions: Published<Teams>,
     pub(crate) audits: Published<Audit>,
     order: order::Order,
+    graph: Option<Arc<GraphDelta>>,
+    settings: Option<Box<AnnouncedSettings>>,
 }
 
 impl Judge {
+    /// An instance has lost its disk: it cannot know the terms that it held.
+    pub(crate) fn forget_order(&mut self, service: ServiceName, instance: usize) {
+        self.order.forget(service, instance);
+    }
+
+    /// The last message of a kind.
+    pub(crate) fn last_on(&self, what: Throne) -> Option<Message> {
+        match what {
+            Throne::Roster => self.rosters.last().cloned().map(Message::Roster),
+            Throne::Graph => self.graph.clone().map(Message::Graph),
+            Throne::Embedding => self.embeddings.last().cloned().map(Message::Embedding),
+            Throne::Teams => {
+                let teams = self.divisions.last().cloned()?;
+                Some(Message::Teams { teams, mirror: false })
+            }
+            Throne::Audit => self.audits.last().cloned().map(Message::Audit),
+            Throne::Settings => self.settings.clone().map(Message::Settings),
+        }
+    }
+
+    /// A stranger puts a whole message of a service. It is there for others to name, like any other.
+    pub(crate) fn usurped(&mut self, message: &Message) {
+        match message {
+            Message::Roster(roster) => self.rosters.add(roster.header.revision, roster),
+            Message::Embedding(embedding) => {
+                self.embeddings.add(embedding.header.revision, embedding);
+            }
+            Message::Teams { teams, .. } => self.divisions.add(teams.header.revision, teams),
+            _ => {}
+        }
+    }
+
     /// Takes in what a service publishes. `process` counts the processes of that instance.
     pub(crate) fn published(
         &mut self,
@@ -119,6 +157,10 @@ impl Judge {
             Message::Teams { teams, .. } => {
                 division::check_division(teams, &self.embeddings)?;
                 self.divisions.add(teams.header.revision, teams);
+            }
+            Message::Graph(delta) => self.graph = Some(Arc::clone(delta)),
+            Message::Settings(announced) if service == ServiceName::Clusterer => {
+                self.settings = Some(announced.clone());
             }
             Message::RobotTeam(told) => division::check_told(told, &self.divisions)?,
             Message::Audit(audit) => {

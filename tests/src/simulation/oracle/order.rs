@@ -18,6 +18,11 @@ pub(crate) struct Order {
 }
 
 impl Order {
+    /// An instance has lost its disk, and with it its terms.
+    pub(crate) fn forget(&mut self, service: ServiceName, instance: usize) {
+        self.given.retain(|(of, number, _), _| (*of, *number) != (service, instance));
+    }
+
     /// Takes in what a service publishes.
     pub(crate) fn check(
         &mut self,
