@@ -83,7 +83,8 @@ fn the_same_seed_tells_the_same_story() {
 #[test]
 fn what_is_broken_on_purpose_is_found_and_made_short() {
     for (sabotage, promise) in [
-        (Sabotage::RobotTwice, "a robot is in exactly one team, or in none"),
+        (Sabotage::RobotTwice, "what a service publishes, others understand"),
+        (Sabotage::RobotForgotten, "a robot is in exactly one team, or in none"),
         (Sabotage::WrongSilhouette, "silhouettes are those of the definition"),
         (Sabotage::NotANumber, "every number that is published is finite"),
         (Sabotage::OldTermAsNewest, "every division names an embedding that was published"),

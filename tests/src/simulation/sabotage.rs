@@ -11,8 +11,10 @@ use muster_wire::{Format, Key, KeySpace, Message, Packet};
 /// to find when a failing run is shrunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sabotage {
-    /// The clusterer puts a robot into two teams once a service was killed.
+    /// The clusterer puts a robot into two places once a service was killed.
     RobotTwice,
+    /// The clusterer forgets a robot once a service was killed.
+    RobotForgotten,
     /// The auditor's silhouettes are off by a millionth once a link was in bad weather.
     WrongSilhouette,
     /// The auditor publishes a mean that is no number once a robot has left.
@@ -27,8 +29,9 @@ pub enum Sabotage {
 
 impl Sabotage {
     /// All of them.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::RobotTwice,
+        Self::RobotForgotten,
         Self::WrongSilhouette,
         Self::NotANumber,
         Self::OldTermAsNewest,
@@ -40,7 +43,7 @@ impl Sabotage {
     #[must_use]
     pub const fn after(self) -> &'static [&'static str] {
         match self {
-            Self::RobotTwice | Self::OldTermAsNewest => &["kill"],
+            Self::RobotTwice | Self::RobotForgotten | Self::OldTermAsNewest => &["kill"],
             Self::WrongSilhouette => &["storm"],
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
             Self::DeafAuditor => &["clean cut", "silent cut"],
@@ -74,8 +77,15 @@ impl Saboteur {
             (Sabotage::RobotTwice, Message::Teams { teams, mirror }) => {
                 let mut teams = Teams::clone(&teams);
                 if let Some(robot) = teams.teams.first().and_then(|team| team.members.first()) {
-                    // As the wire would still let it through: without a place in the order of names.
                     teams.unassigned = vec![robot.robot.clone()];
+                }
+                Message::Teams { teams: Arc::new(teams), mirror }
+            }
+            (Sabotage::RobotForgotten, Message::Teams { teams, mirror }) => {
+                let mut teams = Teams::clone(&teams);
+                for team in &mut teams.teams {
+                    // A team without its leader would not even be understood.
+                    team.members.retain(|member| member.robot == team.leader);
                 }
                 Message::Teams { teams: Arc::new(teams), mirror }
             }
