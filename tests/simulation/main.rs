@@ -82,25 +82,26 @@ fn the_same_seed_tells_the_same_story() {
 
 #[test]
 fn what_is_broken_on_purpose_is_found_and_made_short() {
-    for (sabotage, promise) in [
-        (Sabotage::RobotTwice, "what a service publishes, others understand"),
-        (Sabotage::RobotForgotten, "a robot is in exactly one team, or in none"),
-        (Sabotage::WrongSilhouette, "silhouettes are those of the definition"),
-        (Sabotage::NotANumber, "every number that is published is finite"),
-        (Sabotage::OldTermAsNewest, "every division names an embedding that was published"),
-        (Sabotage::DeafAuditor, "after the last fault all agree within the stated time"),
-        (Sabotage::Restless, "after the last fault all agree within the stated time"),
+    let settle = "after the last fault all agree within the stated time";
+    for (sabotage, promises) in [
+        (Sabotage::RobotTwice, vec!["what a service publishes, others understand"]),
+        (Sabotage::RobotForgotten, vec!["a robot is in exactly one team, or in none"]),
+        (Sabotage::WrongSilhouette, vec!["silhouettes are those of the definition"]),
+        (Sabotage::NotANumber, vec!["every number that is published is finite"]),
+        (Sabotage::OldTermAsNewest, vec!["every division names an embedding that was published"]),
+        (Sabotage::DeafAuditor, vec![settle]),
+        (Sabotage::Restless, vec![settle, "unchanged input leaves the teams unchanged"]),
     ] {
         let options = Options { robots: Some(6), ..Options::default() };
         let stories = (0..40).map(|seed| simulate(seed, &options, Some(sabotage), false));
         let found = stories
             .filter_map(|story| Some((story.seed, story.failure?)))
-            .find(|(_, failure)| failure.promise == promise && failure.happened.len() > 3);
+            .find(|(_, failure)| promises.contains(&failure.promise) && failure.happened.len() > 3);
         let (seed, failure) = found.unwrap_or_else(|| panic!("{sabotage:?} is not found"));
         let within = Duration::from_secs(30);
         let shrunk = shrink(seed, &options, Some(sabotage), &failure, within);
         let left = shrunk.story.failure.as_ref().unwrap();
-        assert_eq!(left.promise, promise, "{sabotage:?}");
+        assert_eq!(left.promise, failure.promise, "{sabotage:?}");
         assert_eq!(
             shrunk.faults.len(),
             1,

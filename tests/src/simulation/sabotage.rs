@@ -1,8 +1,9 @@
 //! Faults of the code under test that are made on purpose, to prove that the simulation finds them.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use muster_model::id::ServiceName;
+use muster_model::id::{RobotId, ServiceName, TeamId};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_wire::{Format, Key, KeySpace, Message, Packet};
@@ -23,7 +24,7 @@ pub enum Sabotage {
     OldTermAsNewest,
     /// The auditor hears nothing any more once a link was cut.
     DeafAuditor,
-    /// The clusterer shifts its division about although nothing changes, once settings were changed.
+    /// The clusterer changes the leaders with every heartbeat, once settings were changed.
     Restless,
 }
 
@@ -58,11 +59,13 @@ pub(crate) struct Saboteur {
     sabotage: Option<Sabotage>,
     active: bool,
     published: u64,
+    /// The leaders that it has made up in the last division.
+    leaders: BTreeMap<TeamId, RobotId>,
 }
 
 impl Saboteur {
     pub(crate) fn new(sabotage: Option<Sabotage>) -> Self {
-        Self { sabotage, active: false, published: 0 }
+        Self { sabotage, active: false, published: 0, leaders: BTreeMap::new() }
     }
 
     /// A fault has happened.
@@ -91,15 +94,22 @@ impl Saboteur {
             }
             (Sabotage::Restless, Message::Teams { teams, mirror }) => {
                 self.published += 1;
+                self.leaders.clear();
                 let mut teams = Teams::clone(&teams);
-                if self.published.is_multiple_of(2) {
-                    let moved = teams.teams.first_mut().filter(|team| team.members.len() > 1);
-                    if let Some(team) = moved {
-                        let last = team.members.last().map(|member| member.robot.clone());
-                        team.leader = last.unwrap_or_else(|| team.leader.clone());
+                for team in &mut teams.teams {
+                    let other = team.members.iter().map(|member| &member.robot);
+                    let other = other.filter(|robot| **robot != team.leader).max().cloned();
+                    if let Some(other) = other.filter(|_| self.published.is_multiple_of(2)) {
+                        team.leader = other.clone();
+                        self.leaders.insert(team.id.clone(), other);
                     }
                 }
                 Message::Teams { teams: Arc::new(teams), mirror }
+            }
+            (Sabotage::Restless, Message::RobotTeam(mut told)) => {
+                let leader = told.team.as_ref().and_then(|team| self.leaders.get(team));
+                told.leader = leader.cloned().or(told.leader);
+                Message::RobotTeam(told)
             }
             (Sabotage::WrongSilhouette, Message::Audit(audit)) => {
                 let mut audit = audit.as_ref().clone();
