@@ -477,7 +477,11 @@ impl<C: Core> Shell<C> {
     fn add_counters(&self, counters: &mut std::collections::BTreeMap<String, u64>) {
         let inbox = self.inbox.counts();
         let (sent, dropped) = self.outbox.counts();
+        let held = self.driver.core().footprint();
         for (name, count) in [
+            ("held_robots", held.robots as u64),
+            ("held_edges", held.edges as u64),
+            ("held_messages", held.messages as u64),
             ("inbox_superseded", inbox.superseded),
             ("inbox_dropped", inbox.dropped),
             ("outbox_sent", sent),

@@ -73,3 +73,25 @@ pub(crate) fn check_footprint(service: ServiceName, held: Footprint, bounds: Bou
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_too_many_of_anything_is_seen() {
+        let bounds = Bounds { max_robots: 5, names: 9 };
+        for service in ServiceName::ALL {
+            let full = most(service, bounds);
+            assert_eq!(check_footprint(service, full, bounds), Ok(()));
+            for more in [
+                Footprint { robots: full.robots + 1, ..full },
+                Footprint { edges: full.edges + 1, ..full },
+                Footprint { messages: full.messages + 1, ..full },
+                Footprint { offenders: full.offenders + 1, ..full },
+            ] {
+                assert!(check_footprint(service, more, bounds).is_err(), "{service}");
+            }
+        }
+    }
+}
