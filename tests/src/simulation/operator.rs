@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 use muster_model::id::ServiceName;
 use serde_json::Value;
 
+use super::node::Node;
 use super::oracle::{Truth, Witness};
 use super::robots::Robots;
 use super::router::{Answer, LinkId};
@@ -76,7 +77,8 @@ impl Operator {
     }
 
     /// What is true and known beside the bus.
-    pub(crate) fn witness<'a>(&self, robots: &'a Robots) -> Witness<'a> {
+    pub(crate) fn witness<'a>(&self, robots: &'a Robots, nodes: &[Node]) -> Witness<'a> {
+        let runs = nodes.iter().filter(|node| node.process.is_some());
         let alive = robots.alive();
         let truth = |robot: usize| Truth {
             position: robots.position(robot).unwrap_or_default(),
@@ -88,6 +90,7 @@ impl Operator {
                 .iter()
                 .filter_map(|(name, robot)| Some((*name, robots.all.get(*robot)?.told.as_ref())))
                 .collect(),
+            running: runs.map(|node| (node.service, node.instance, node.life)).collect(),
             terms_lost: self.terms_lost,
             teams: self.teams,
         }

@@ -444,7 +444,7 @@ impl World {
         let since = self.now - self.storm;
         let limit = AGREEMENT_TICKS * TICK;
         let agreed = {
-            let witness = self.operator.witness(&self.robots);
+            let witness = self.operator.witness(&self.robots, &self.nodes);
             if self.operator.is_busy() {
                 Err("an operator's settings are not confirmed".to_owned())
             } else {

@@ -1,10 +1,10 @@
 //! After the last fault, everybody comes to agree with the truth and with each other; and who has
 //! agreed does not change while nothing changes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use muster_model::embedding::Embedding;
-use muster_model::id::RobotId;
+use muster_model::id::{RobotId, ServiceName};
 use muster_model::roster::Presence;
 use muster_model::teams::Teams;
 
@@ -29,6 +29,8 @@ pub(crate) struct Witness<'a> {
     pub(crate) fleet: BTreeMap<&'a RobotId, Truth>,
     /// What each of them believes.
     pub(crate) told: BTreeMap<&'a RobotId, Option<&'a Told>>,
+    /// The processes of services that run: service, instance, number of the process.
+    pub(crate) running: BTreeSet<(ServiceName, usize, u32)>,
     /// Whether the clusterer has lost its disk. If nobody then remembers its last division but the
     /// robots, who answer no gets, it cannot know which term is above all that were heard of; a robot
     /// that holds a higher revision than the last keeps its team until the epochs have passed that.
@@ -64,9 +66,8 @@ impl Judge {
                 ));
             }
         }
-        if roster.robots.is_empty() && self.embeddings.last().is_none() {
-            // There never was anybody to divide.
-            return Ok(Settled { division: None });
+        if roster.robots.is_empty() {
+            return self.nobody(witness);
         }
         let embedding = self.embeddings.last().ok_or("there is no embedding")?;
         let graphs = embedding.graphs.iter().map(|(name, at, _)| (name, at));
@@ -96,6 +97,25 @@ impl Judge {
         }
         self.told(teams, witness)?;
         Ok(Settled { division: Some(std::sync::Arc::clone(teams)) })
+    }
+
+    /// Where nobody lives, no service that runs may still say anything of robots. One that was killed
+    /// with everybody who remembered need not say again that there is nobody.
+    fn nobody(&self, witness: &Witness<'_>) -> Result<Settled, String> {
+        let runs = |service: ServiceName| {
+            let last = self.last_by.get(&service);
+            last.is_some_and(|(instance, process)| {
+                witness.running.contains(&(service, *instance, *process))
+            })
+        };
+        let embedded = self.embeddings.last().is_some_and(|last| !last.robots.is_empty());
+        let divided = self.divisions.last();
+        let divided =
+            divided.is_some_and(|last| !last.teams.is_empty() || !last.unassigned.is_empty());
+        if runs(ServiceName::Embedder) && embedded || runs(ServiceName::Clusterer) && divided {
+            return Err("robots that have left are still embedded or divided".to_owned());
+        }
+        Ok(Settled { division: None })
     }
 
     fn told(&self, teams: &Teams, witness: &Witness<'_>) -> Result<(), String> {

@@ -98,6 +98,8 @@ pub(crate) struct Judge {
     pub(crate) divisions: Published<Teams>,
     pub(crate) audits: Published<Audit>,
     order: order::Order,
+    /// Which process of a service last published its output.
+    last_by: BTreeMap<ServiceName, (usize, u32)>,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
 }
@@ -145,6 +147,9 @@ impl Judge {
     ) -> Verdict {
         finite::check(message)?;
         self.order.check(service, instance, process, message)?;
+        if !matches!(message, Message::Event(_) | Message::Settings(_)) {
+            self.last_by.insert(service, (instance, process));
+        }
         match message {
             Message::Roster(roster) => {
                 division::check_roster(roster)?;
