@@ -68,13 +68,29 @@ fn fail(error: zenoh::Error) -> anyhow::Error {
     anyhow::anyhow!("{error}")
 }
 
+/// The configuration of a client of a router.
+fn client_of(endpoint: &str, timeout_ms: &str) -> anyhow::Result<zenoh::Config> {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{endpoint}\"]")),
+        ("connect/timeout_ms", timeout_ms.to_owned()),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        // Zenoh's own default waits up to 4 s before it tries a lost router again.
+        ("connect/retry", "{period_init_ms: 100, period_max_ms: 500}".to_owned()),
+    ] {
+        config.insert_json5(key, &value).map_err(fail)?;
+    }
+    Ok(config)
+}
+
 impl Client {
     /// Connects to a router.
     ///
     /// # Errors
     /// If the router does not answer.
     pub async fn connect(endpoint: &str, fleet: &str) -> anyhow::Result<Self> {
-        Self::open(endpoint, fleet, "10000").await
+        Self::open(client_of(endpoint, "10000")?, fleet).await
     }
 
     /// Connects to a router whenever it answers, and tries a lost one twice a second.
@@ -82,22 +98,7 @@ impl Client {
     /// # Errors
     /// If the endpoint is none.
     pub async fn connect_for_ever(endpoint: &str, fleet: &str) -> anyhow::Result<Self> {
-        Self::open(endpoint, fleet, "-1").await
-    }
-
-    async fn open(endpoint: &str, fleet: &str, timeout_ms: &str) -> anyhow::Result<Self> {
-        let mut config = zenoh::Config::default();
-        for (key, value) in [
-            ("mode", "\"client\"".to_owned()),
-            ("connect/endpoints", format!("[\"{endpoint}\"]")),
-            ("connect/timeout_ms", timeout_ms.to_owned()),
-            ("scouting/multicast/enabled", "false".to_owned()),
-            // Zenoh's own default waits up to 4 s before it tries a lost router again.
-            ("connect/retry", "{period_init_ms: 100, period_max_ms: 500}".to_owned()),
-        ] {
-            config.insert_json5(key, &value).map_err(fail)?;
-        }
-        Self::open(config, fleet).await
+        Self::open(client_of(endpoint, "-1")?, fleet).await
     }
 
     /// Connects as a configuration of Zenoh says.

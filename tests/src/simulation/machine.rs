@@ -11,7 +11,9 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::{Command, Core, Driver, Event, Footprint, QueryId, Start, Stored, Wiring};
+use muster_machine::{
+    Command, Core, Driver, Event, Footprint, QueryId, Start, Stopwatch, Stored, Wiring, is_patient,
+};
 use muster_model::id::{FleetId, InstanceId, ServiceName};
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
@@ -81,6 +83,7 @@ pub(crate) trait Machine {
 #[derive(Debug, Clone)]
 pub(crate) struct Kind {
     pub(crate) wiring: Wiring,
+    pub(crate) is_patient: fn(u32, &Pattern) -> bool,
     pub(crate) understand: fn(&KeySpace, &Packet) -> Result<Message, Rejection>,
     start: fn(Birth) -> Box<dyn Machine>,
 }
@@ -98,7 +101,8 @@ impl Kind {
 
     fn real<C: Core>() -> Self {
         Self {
-            wiring: C::wiring(),
+            wiring: Wiring::of::<C>(),
+            is_patient: is_patient::<C>,
             understand: C::understand,
             start: |birth| Box::new(Running::<C>::new(birth)),
         }
@@ -144,40 +148,26 @@ impl<C: Core> Running<C> {
 
     fn carry_out(&mut self, command: Command<C::Job>) -> Output {
         match command {
-            Command::Publish(message) => Output::Publish(without_times(message)),
-            Command::Reply { query, request, answer } => {
-                let answer = answer
-                    .map(|messages| messages.into_iter().map(without_times).collect::<Vec<_>>());
-                Output::Reply { query, request, answer }
-            }
+            Command::Publish(message) => Output::Publish(message),
+            Command::Reply { query, request, answer } => Output::Reply { query, request, answer },
             Command::Run(_) if self.job.is_some() => {
                 Output::Broken("a second job is started while one runs".to_owned())
             }
-            Command::Run(job) => match catch_unwind(AssertUnwindSafe(|| C::run(job))) {
-                Ok(done) => {
-                    self.job = Some(done);
-                    Output::Started
+            Command::Run(job) => {
+                match catch_unwind(AssertUnwindSafe(|| C::run(job, &mut Stopwatch::still()))) {
+                    Ok(done) => {
+                        self.job = Some(done);
+                        Output::Started
+                    }
+                    Err(panic) => {
+                        let said = panic_text(panic.as_ref());
+                        Output::Broken(format!("a job of {} panics: {said}", C::SERVICE))
+                    }
                 }
-                Err(panic) => {
-                    let said = panic_text(panic.as_ref());
-                    Output::Broken(format!("a job of {} panics: {said}", C::SERVICE))
-                }
-            },
+            }
             Command::Fetch { fetch, patterns } => Output::Fetch { fetch, patterns },
             Command::Store(stored) => Output::Store(stored),
         }
-    }
-}
-
-/// The embedder measures how long its work took, which no seed decides.
-fn without_times(message: Message) -> Message {
-    match message {
-        Message::Embedding(embedding) if embedding.quality.stage_us != [0; 3] => {
-            let mut embedding = embedding.as_ref().clone();
-            embedding.quality.stage_us = [0; 3];
-            Message::Embedding(embedding.into())
-        }
-        other => other,
     }
 }
 

@@ -11,7 +11,7 @@ use muster_machine::{QueryId, Stored, Wiring};
 use muster_model::id::ServiceName;
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_runtime::inbox::Inbox;
-use muster_wire::{Key, KeySpace, Message, Packet, Pattern, Rejection, Request, Source};
+use muster_wire::{KeySpace, Message, Packet, Rejection, Request, Source};
 
 use super::chance::Chance;
 use super::clock::{HostClock, MS, Micros, ProcessClock};
@@ -100,8 +100,7 @@ impl Node {
             .iter()
             .map(|s| (space.pattern(&s.pattern), s.delivery, s.pattern.payload_limit()))
             .collect();
-        let own = [Pattern::One(Key::Settings(service)), Pattern::One(Key::Status(service))];
-        let served = texts(space, served.iter().map(|(pattern, _)| pattern).chain(&own));
+        let served = texts(space, served.iter().map(|(pattern, _)| pattern));
         let tokens = texts(space, tokens);
         Self {
             service,

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use muster_machine::START_FETCH;
 use muster_model::id::ServiceName;
 use muster_wire::{Key, Pattern};
 
@@ -251,12 +250,14 @@ impl World {
 
     /// A core asks the bus.
     pub(super) fn begin_fetch(&mut self, index: usize, fetch: u32, patterns: &[Pattern]) {
-        let patience = if fetch == START_FETCH { START_PATIENCE } else { 0 };
         self.next_fetch += 1;
         let id = self.next_fetch;
-        let until = self.now + patience;
+        let until = self.now + START_PATIENCE;
+        let is_patient = self.nodes[index].kind.is_patient;
+        let patient = patterns.iter().filter(|pattern| is_patient(fetch, pattern));
+        let patient = patient.map(|pattern| self.space.pattern(pattern)).collect();
         let (life, open) = (self.nodes[index].life, patterns.len());
-        let begun = Fetch { node: index, life, fetch, until, open, messages: Vec::new() };
+        let begun = Fetch { node: index, life, fetch, until, patient, open, messages: Vec::new() };
         self.fetches.insert(id, begun);
         for pattern in patterns {
             self.ask_for_fetch(id, self.space.pattern(pattern));
@@ -315,7 +316,8 @@ impl World {
                 begun.messages.extend(understood);
             }
         }
-        if begun.messages.len() == before && self.now < begun.until {
+        let again = self.now < begun.until && begun.patient.contains(&pattern);
+        if begun.messages.len() == before && again {
             self.schedule(self.now + START_AGAIN, Event::AskAgain { fetch: id, pattern });
             return;
         }

@@ -94,8 +94,10 @@ pub(super) struct Fetch {
     pub(super) node: usize,
     pub(super) life: u32,
     pub(super) fetch: u32,
-    /// Until then, what nobody answers is asked again.
+    /// Until then, what nobody answers is asked again …
     pub(super) until: Micros,
+    /// … if it is one of these.
+    pub(super) patient: BTreeSet<String>,
     pub(super) open: usize,
     pub(super) messages: Vec<Message>,
 }

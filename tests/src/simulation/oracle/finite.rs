@@ -15,7 +15,7 @@ use super::{Verdict, breach};
 /// Checks every number of a message.
 pub(crate) fn check(message: &Message) -> Verdict {
     let walked = match message {
-        Message::RobotToken { .. } => Ok(()),
+        Message::RobotToken { .. } | Message::ServiceToken { .. } => Ok(()),
         Message::Pose(_, body) => body.serialize(Walker),
         Message::Links(_, body) => body.serialize(Walker),
         Message::Rank(_, body) => body.serialize(Walker),
@@ -27,6 +27,7 @@ pub(crate) fn check(message: &Message) -> Verdict {
         Message::Teams { teams, .. } => teams.serialize(Walker),
         Message::Audit(audit) => audit.serialize(Walker),
         Message::Event(event) => event.serialize(Walker),
+        Message::Claim(claim) => claim.serialize(Walker),
         Message::Settings(announced) => announced.serialize(Walker),
         Message::Status(status) => status.serialize(Walker),
     };
