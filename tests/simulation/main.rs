@@ -9,7 +9,15 @@
 
 use std::time::Duration;
 
+use muster_auditor::Auditor;
+use muster_clusterer::Clusterer;
+use muster_embedder::Embedder;
+use muster_ingest::Ingest;
+use muster_machine::Core;
+use muster_model::limits::MAX_ROBOT_PAYLOAD;
+
 use muster_tests::simulation::{Batch, Options, Sabotage, Summary, run_batch, shrink, simulate};
+use muster_wire::{Key, Pattern};
 
 /// How many seeds the test command runs; `simulate --seeds` runs any number.
 const SEEDS: u64 = 300;
@@ -62,6 +70,23 @@ fn every_promise_holds_for_three_hundred_seeds() {
     let total = &summary.total;
     assert!(total.lost > 0 && total.repeated > 0 && total.mixed > 0 && total.panics > 0);
     assert!(total.events > SEEDS * 2000, "{}", total.events);
+}
+
+/// A holder that has forgotten its terms asks its readers, and each must answer for what it goes by:
+/// one that does not would drop all that the holder says until the epochs have passed what it knows.
+#[test]
+fn every_reader_repeats_what_it_reads() {
+    let wirings = [Ingest::wiring(), Embedder::wiring(), Clusterer::wiring(), Auditor::wiring()];
+    for wiring in wirings {
+        for subscription in wiring.subscriptions {
+            let pattern = subscription.pattern;
+            // Robots have no terms, and settings are believed when they contradict twice.
+            let exempt = pattern.payload_limit() == MAX_ROBOT_PAYLOAD
+                || matches!(pattern, Pattern::One(Key::Settings(_)));
+            let served = wiring.served.iter().any(|(served, _)| *served == pattern);
+            assert!(exempt || served, "{pattern:?} is read and not repeated");
+        }
+    }
 }
 
 #[test]

@@ -488,6 +488,11 @@ impl Clusterer {
             });
             messages.extend(newest.into_iter().chain(named).cloned().map(Message::Embedding));
         }
+        if let Some(roster) = &self.roster
+            && selects(&Key::Roster)
+        {
+            messages.push(Message::Roster(Arc::clone(roster)));
+        }
         if let Some(audit) = &self.audit
             && (selects(&Key::Audit) || selects(&Key::JsonAudit))
         {
@@ -527,6 +532,7 @@ impl Core for Clusterer {
                 (Pattern::One(Key::JsonTeams), true),
                 (Pattern::RobotTeams, true),
                 (Pattern::One(Key::Embedding), false),
+                (Pattern::One(Key::Roster), false),
                 (Pattern::One(Key::Audit), false),
                 (Pattern::One(Key::JsonAudit), false),
             ],

@@ -464,6 +464,9 @@ impl World {
                 Err(_) => self.settled = Some((since, now)),
             },
             (Err(differs), _) => {
+                if differs != self.differs {
+                    self.log.line(self.now, format_args!("they differ: {differs}"));
+                }
                 self.differs = differs;
             }
         }

@@ -14,6 +14,20 @@ fn the_wiring_is_that_of_the_role() {
     assert!(wiring.served.contains(&(Pattern::One(Key::Embedding), false)));
 }
 
+/// An `ingest` that has lost its terms learns from its readers which of them a lower term would not
+/// reach. It must learn so from each of them.
+#[test]
+fn what_it_goes_by_it_repeats_to_an_ingest_that_has_forgotten() {
+    assert!(Clusterer::wiring().served.contains(&(Pattern::One(Key::Roster), false)));
+    let mut bench = Bench::begun(teams(2));
+    bench.hear_roster(roster(7, "a b"));
+    bench.hear_roster(roster(3, "a b c"));
+    match &bench.ask("roster", None).unwrap()[..] {
+        [Message::Roster(told)] => assert_eq!(*told.as_ref(), roster(7, "a b")),
+        other => panic!("{other:?}"),
+    }
+}
+
 #[test]
 fn nothing_is_said_before_the_term_has_begun() {
     let mut bench = Bench::new(teams(2));
