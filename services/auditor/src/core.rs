@@ -330,7 +330,7 @@ impl Auditor {
     /// When a job that has panicked is to be tried again. One whose embedding is missing now waits
     /// for that first.
     fn retry_at(&self) -> Option<Tick> {
-        self.gate.deadline().filter(|_| self.ask.is_none())
+        self.gate.deadline().filter(|_| self.ask.is_none() && self.role.is_holding())
     }
 
     /// Tells the last judgement.

@@ -561,8 +561,9 @@ impl Core for Clusterer {
     }
 
     fn deadline(&self) -> Option<Tick> {
-        let times =
-            [self.heartbeat_at(), self.retell_at(), self.gate.deadline(), self.role.deadline()];
+        // Nothing is divided by who may not tell of it.
+        let retry = self.gate.deadline().filter(|_| self.role.is_holding());
+        let times = [self.heartbeat_at(), self.retell_at(), retry, self.role.deadline()];
         times.into_iter().flatten().min()
     }
 

@@ -91,6 +91,9 @@ impl World {
                     self.judged(breach("every get is answered once", seen));
                     return;
                 };
+                for message in answer.iter().flatten() {
+                    self.judge.answered(message);
+                }
                 let answer = answer.and_then(|messages| {
                     let mut packets = Vec::new();
                     for message in messages {

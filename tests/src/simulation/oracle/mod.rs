@@ -74,6 +74,11 @@ impl<T> Published<T> {
         }
     }
 
+    /// Takes in what a get was answered with: a holder in doubt answers, and publishes nothing.
+    fn know(&mut self, revision: Revision, content: &Arc<T>) {
+        self.all.entry(revision).or_insert_with(|| vec![Arc::clone(content)]);
+    }
+
     /// Everything that was published under a revision.
     pub(crate) fn named(&self, revision: Revision) -> &[Arc<T>] {
         self.all.get(&revision).map_or(&[], Vec::as_slice)
@@ -137,6 +142,18 @@ impl Judge {
         }
     }
 
+    /// Takes in what a service answers a get with.
+    pub(crate) fn answered(&mut self, message: &Message) {
+        match message {
+            Message::Roster(roster) => self.rosters.know(roster.header.revision, roster),
+            Message::Embedding(embedding) => {
+                self.embeddings.know(embedding.header.revision, embedding);
+            }
+            Message::Teams { teams, .. } => self.divisions.know(teams.header.revision, teams),
+            _ => {}
+        }
+    }
+
     /// Takes in what a service publishes. `process` counts the processes of that instance.
     pub(crate) fn published(
         &mut self,
@@ -147,7 +164,7 @@ impl Judge {
     ) -> Verdict {
         finite::check(message)?;
         self.order.check(service, instance, process, message)?;
-        if !matches!(message, Message::Event(_) | Message::Settings(_)) {
+        if !matches!(message, Message::Event(_) | Message::Settings(_) | Message::Claim(_)) {
             self.last_by.insert(service, (instance, process));
         }
         match message {

@@ -34,9 +34,11 @@ impl Order {
         let Some(header) = message.header() else { return Ok(()) };
         let revision = header.revision;
         let (key, _) = message.keys();
-        // What robots are told is the division of that revision; settings may change between two
-        // outputs, and events have a count of their own.
-        let counts = !matches!(message, Message::RobotTeam(_) | Message::Settings(_));
+        // What robots are told is the division of that revision, and what a holder claims is its last
+        // output; settings may change between two outputs, and events have a count of their own.
+        let repeats =
+            matches!(message, Message::RobotTeam(_) | Message::Settings(_) | Message::Claim(_));
+        let counts = !repeats;
         let place = (service, instance, key.to_string());
         let last = self.given.get(&place).copied();
         if last.is_some_and(|last| revision < last || counts && revision == last) {
