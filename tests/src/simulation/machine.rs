@@ -15,6 +15,7 @@ use muster_machine::{
     Command, Core, Driver, Event, Footprint, QueryId, Start, Stopwatch, Stored, Wiring, is_patient,
 };
 use muster_model::id::{FleetId, InstanceId, ServiceName};
+use muster_model::role::Standing;
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
 use muster_wire::{KeySpace, Message, Packet, Pattern, Rejection, Request};
@@ -77,6 +78,7 @@ pub(crate) trait Machine {
     fn step(&mut self, now: Tick, input: Input) -> Vec<Output>;
     fn deadline(&self) -> Option<Tick>;
     fn footprint(&self) -> Footprint;
+    fn standing(&self) -> Standing;
 }
 
 /// What is known of a service without starting it.
@@ -192,6 +194,10 @@ impl<C: Core> Machine for Running<C> {
 
     fn footprint(&self) -> Footprint {
         self.driver.core().footprint()
+    }
+
+    fn standing(&self) -> Standing {
+        self.driver.standing()
     }
 }
 

@@ -8,8 +8,8 @@
 //! published; what it knows of the promises is its own. The same seed tells the same story, byte for
 //! byte. [`shrink()`] makes a failing one short.
 //!
-//! Services are addressed as (service, instance), each on a host of its own; [`INSTANCES`] says how
-//! many of each there are.
+//! Services are addressed as (service, instance), each on a host of its own; every other seed has two
+//! of each, of which one holds the role and the other stands by.
 
 mod batch;
 mod chance;
@@ -40,9 +40,6 @@ use chance::{Chance, Purpose};
 use clock::{MS, Micros, SECOND};
 use plan::{Span, plan};
 use world::{World, places};
-
-/// How many instances of each service there are.
-const INSTANCES: usize = 1;
 
 /// The unit in which the time to agreement is told: a frame of `ingest` at its default rate.
 pub(crate) const TICK: Micros = 100 * MS;
@@ -86,7 +83,8 @@ impl Options {
         let drawn = 1 + chance.below(most);
         let robots = self.robots.unwrap_or(drawn).max(1);
         let fleet = self.fleet.unwrap_or(robots).min(robots);
-        Scale { robots, fleet, storm: self.steps.max(100) * STEP }
+        let instances = if seed.is_multiple_of(2) { 1 } else { 2 };
+        Scale { robots, fleet, instances, storm: self.steps.max(100) * STEP }
     }
 }
 
@@ -95,6 +93,8 @@ impl Options {
 struct Scale {
     robots: usize,
     fleet: usize,
+    /// How many instances of each service there are.
+    instances: usize,
     storm: Micros,
 }
 

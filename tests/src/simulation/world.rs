@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use muster_machine::Stored;
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
+use muster_model::role::Standing;
 use muster_wire::{Key, KeySpace, Message, Packet};
 use serde_json::{Value, json};
 
@@ -22,7 +23,7 @@ use super::plan::{Injection, Place};
 use super::robots::{Robots, Speech};
 use super::router::{Answer, Carried, GetId, LinkId, Router};
 use super::sabotage::Saboteur;
-use super::{AGREEMENT_TICKS, INSTANCES, Sabotage, Scale, Stats, TICK};
+use super::{AGREEMENT_TICKS, Sabotage, Scale, Stats, TICK};
 
 /// How long everybody must have agreed without a change before a run ends.
 const HELD: Micros = 6 * SECOND;
@@ -150,9 +151,9 @@ pub(super) struct World {
 
 /// The links of everybody: services first, then robots, an operator and a stranger.
 pub(super) fn places(scale: &Scale) -> Vec<Place> {
-    let services = ServiceName::ALL
-        .into_iter()
-        .flat_map(|service| (0..INSTANCES).map(move |instance| Place::Service(service, instance)));
+    let services = ServiceName::ALL.into_iter().flat_map(|service| {
+        (0..scale.instances).map(move |instance| Place::Service(service, instance))
+    });
     services.chain((0..scale.robots).map(Place::Robot)).collect()
 }
 
@@ -450,7 +451,7 @@ impl World {
             if self.operator.is_busy() {
                 Err("an operator's settings are not confirmed".to_owned())
             } else {
-                self.judge.agreement(&witness)
+                one_holds_each_role(&self.nodes).and_then(|()| self.judge.agreement(&witness))
             }
         };
         match (agreed, self.settled.take()) {
@@ -492,4 +493,21 @@ impl World {
             self.schedule(at, Event::Turn { node: index });
         }
     }
+}
+
+/// Of the instances of a service, one holds its role and all others stand by.
+fn one_holds_each_role(nodes: &[Node]) -> Result<(), String> {
+    for service in ServiceName::ALL {
+        let standings: Vec<Standing> = nodes
+            .iter()
+            .filter(|node| node.service == service)
+            .filter_map(|node| Some(node.process.as_ref()?.machine.standing()))
+            .collect();
+        let holding = standings.iter().filter(|standing| **standing == Standing::Holding).count();
+        let waiting = standings.iter().filter(|standing| **standing == Standing::Standby).count();
+        if holding != 1 || holding + waiting != standings.len() {
+            return Err(format!("the instances of {service} are {standings:?}"));
+        }
+    }
+    Ok(())
 }
