@@ -295,9 +295,16 @@ impl World {
         self.router.end_get(get);
         match asker {
             Asker::Operator(service) => {
-                let confirmed =
-                    answers.iter().find(|answer| matches!(***answer, Answer::Packets(_)));
-                if let Some(answer) = confirmed.or(answers.first()) {
+                // An instance that stands by answers with nothing.
+                let says = |answer: &&Arc<Answer>| match answer.as_ref() {
+                    Answer::Packets(packets) => !packets.is_empty(),
+                    Answer::Error(_) => true,
+                };
+                let confirmed = answers
+                    .iter()
+                    .filter(says)
+                    .find(|answer| matches!(***answer, Answer::Packets(_)));
+                if let Some(answer) = confirmed.or(answers.iter().find(says)) {
                     self.log.line(self.now, format_args!("{service} answers {answer:?}"));
                     self.operator.answered(service, answer);
                 }
