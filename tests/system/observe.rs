@@ -326,7 +326,7 @@ fn logs_name_service_instance_and_fleet_and_follow_its_life() {
         ["--connect", &endpoint, "--fleet", "alpha", "--state-directory", "none", "--log-json"];
     let mut ingest = Process::start("muster-ingest", &arguments, &[], folder.path()).unwrap();
     let says = |ingest: &Process, what: &str| ingest.output().contains(what);
-    until("it holds its role", || says(&ingest, "holding the role, term 1"));
+    until("it holds its role", || says(&ingest, "ingest holds the role"));
     router.kill().unwrap();
     until("it has lost its link", || says(&ingest, "link to the router is lost"));
     let _router = start_router(&endpoint, folder.path()).unwrap();
@@ -337,16 +337,17 @@ fn logs_name_service_instance_and_fleet_and_follow_its_life() {
     let lines: Vec<Value> =
         output.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let text = |line: &Value| line["fields"]["message"].as_str().unwrap_or_default().to_owned();
-    for step in [
-        "ingest serves fleet alpha",
-        "holding the role",
-        "the link to the router is lost",
-        "the link to the router is back",
-        "ingest ends",
-        "ingest has stopped",
+    for (step, at_most) in [
+        ("ingest serves fleet alpha", 1),
+        // Once more when a holder that was cut off is certain again.
+        ("ingest holds the role", 2),
+        ("the link to the router is lost", 1),
+        ("the link to the router is back", 1),
+        ("ingest ends", 1),
+        ("ingest has stopped", 1),
     ] {
         let found: Vec<_> = lines.iter().filter(|line| text(line).contains(step)).collect();
-        assert_eq!(found.len(), 1, "{step:?} in\n{output}");
+        assert!((1..=at_most).contains(&found.len()), "{step:?} in\n{output}");
         assert_eq!(found[0]["span"]["service"], "ingest", "{}", found[0]);
         assert_eq!(found[0]["span"]["fleet"], "alpha");
         assert!(found[0]["span"]["instance"].as_str().is_some_and(|name| !name.is_empty()));
