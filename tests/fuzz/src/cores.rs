@@ -353,7 +353,8 @@ impl<C: Core> World<C> {
         }
         if let Some(header) = message.header().filter(|_| !matches!(message, Message::Event(_))) {
             let before = self.told.insert(key.clone(), header.revision);
-            let again = matches!(message, Message::Settings(_) | Message::RobotTeam(_));
+            let again =
+                matches!(message, Message::Settings(_) | Message::RobotTeam(_) | Message::Claim(_));
             let in_order = before.is_none_or(|before| {
                 before < header.revision || (again && before == header.revision)
             });
