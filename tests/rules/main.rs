@@ -14,7 +14,7 @@ use std::process::Command;
 /// The names of all packages that a package depends on when it is built.
 fn dependencies(package: &str, flags: &[&str]) -> BTreeSet<String> {
     let output = Command::new(env!("CARGO"))
-        .args(["tree", "--offline", "-e", "normal", "--prefix", "none", "-f", "{p}", "-p", package])
+        .args(["tree", "--locked", "-e", "normal", "--prefix", "none", "-f", "{p}", "-p", package])
         .args(flags)
         .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
         .output()

@@ -23,6 +23,7 @@ mod record;
 mod restarts;
 mod schema;
 mod secured;
+mod secured_client;
 mod settings;
 mod standby;
 mod verdicts;

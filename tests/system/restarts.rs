@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use muster_tests::client::{Client, Division, Watch, division};
-use muster_tests::cluster::{Cluster, SERVICES};
+use muster_tests::cluster::{Cluster, SERVICES, free_endpoint, start_router};
+use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 
 use crate::pipeline::{formed, truth};
@@ -36,6 +37,38 @@ pub(crate) fn stage(value: &Value, name: &str) -> f64 {
 
 pub(crate) fn now() -> f64 {
     std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs_f64()
+}
+
+/// Waits until the auditor answers a command that is given these routers.
+fn auditor_answers(routers: &str) {
+    let arguments = ["status", "--json", "--fleet", "alpha", "--connect", routers];
+    let start = Instant::now();
+    loop {
+        let (code, output, errors) = run("muster", &arguments, Duration::from_secs(20)).unwrap();
+        if code == Some(0) && output.contains("auditor") {
+            return;
+        }
+        assert!(start.elapsed() < Duration::from_secs(20), "{code:?} {output} {errors}");
+        std::thread::sleep(Duration::from_millis(200));
+    }
+}
+
+#[test]
+fn of_several_routers_any_that_answers_is_used() {
+    let folder = tempfile::tempdir().unwrap();
+    // The first takes connections and says nothing, the second refuses.
+    let silent_listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let silent = format!("tcp/{}", silent_listener.local_addr().unwrap());
+    let (refusing, alive) = (free_endpoint().unwrap(), free_endpoint().unwrap());
+    let routers = [silent, refusing.clone(), alive.clone()].join(",");
+    let mut first = start_router(&alive, folder.path()).unwrap();
+    let state = folder.path().join("state").to_string_lossy().into_owned();
+    let arguments = ["--fleet", "alpha", "--connect", &routers, "--state-directory", &state];
+    let _auditor = Process::start("muster-auditor", &arguments, &[], folder.path()).unwrap();
+    auditor_answers(&routers);
+    let _second = start_router(&refusing, folder.path()).unwrap();
+    first.kill().unwrap();
+    auditor_answers(&refusing);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -168,16 +201,14 @@ async fn services_wait_for_their_router_and_say_so() {
     let folder = tempfile::tempdir().unwrap();
     let endpoint = muster_tests::cluster::free_endpoint().unwrap();
     let arguments = ["--connect", endpoint.as_str(), "--state-directory", "none"];
-    let mut service =
-        muster_tests::process::Process::start("muster-ingest", &arguments, &[], folder.path())
-            .unwrap();
+    let mut service = Process::start("muster-ingest", &arguments, &[], folder.path()).unwrap();
     let start = Instant::now();
     while !service.output().contains("muster router") {
         assert!(start.elapsed() < Duration::from_secs(10), "{}", service.output());
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
     assert!(service.is_running().unwrap());
-    let _router = muster_tests::cluster::start_router(&endpoint, folder.path()).unwrap();
+    let _router = start_router(&endpoint, folder.path()).unwrap();
     let client = Client::connect(&endpoint, "default").await.unwrap();
     let start = Instant::now();
     while client.get_one("service/ingest/status").await.is_err() {

@@ -19,7 +19,7 @@ const REFUSED_WITHIN_MS: &str = "3000";
 const ROBOTS: [(&str, f64); 4] = [("a1", 0.0), ("a2", 3.0), ("b1", 90.0), ("b2", 93.0)];
 
 /// A secured router with services, all as processes with identities of their own.
-struct Secured {
+pub(crate) struct Secured {
     services: Vec<(String, Process)>,
     routers: Vec<Process>,
     // Dropped last: what the processes have printed stands in it.
@@ -55,7 +55,7 @@ fn fleet_file(folder: &Path, robots: &str, routers: &[&str]) -> PathBuf {
 }
 
 impl Secured {
-    fn start(routers: &[&str]) -> Self {
+    pub(crate) fn start(routers: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let fleet = fleet_file(folder.path(), r#""a1", "a2", "b1", "b2", "absent""#, routers);
         let identities = folder.path().join("identities");
@@ -83,7 +83,7 @@ impl Secured {
         secured
     }
 
-    fn identity(&self, name: &str) -> PathBuf {
+    pub(crate) fn identity(&self, name: &str) -> PathBuf {
         self.folder.path().join("identities").join(name).join("zenoh.json5")
     }
 

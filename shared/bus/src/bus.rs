@@ -6,15 +6,16 @@ use anyhow::Context;
 use muster_model::id::FleetId;
 use muster_wire::{Key, KeySpace, Outbound, Packet, Pattern, Source};
 use tokio::sync::mpsc::error::TrySendError;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 use zenoh::Wait;
 use zenoh::config::WhatAmI;
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
-use crate::config::{BusConfig, Mode};
-use crate::zenoh_config::{connect_endpoints, zenoh_config};
+use crate::config::BusConfig;
+use crate::handshake::reach;
+use crate::zenoh_config::{RETRY_MS, connect_endpoints, is_client, zenoh_config};
 
 /// Most answers to one get, or tokens, that are kept.
 const MAX_ANSWERS: usize = 16_384;
@@ -33,6 +34,9 @@ const CLOSE_WITHIN: Duration = Duration::from_secs(1);
 
 /// When waiting for a router is first told of.
 const TELL_WAITING_AFTER: Duration = Duration::from_secs(1);
+
+/// How long each router of a list may take to answer before it is put behind those that do.
+const REACH_WITHIN: Duration = Duration::from_secs(1);
 
 /// How long opening the bus may wait for a router.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -173,16 +177,10 @@ impl Bus {
         let zenoh = zenoh_config(&config)?;
         let routers = connect_endpoints(&zenoh).unwrap_or_else(|| config.connect.value.clone());
         let routers = routers.join(", ");
-        // Zenoh opens, and waits for its router, on the thread that asks. A plain thread can be left
-        // behind when it is time to stop; a runtime would wait for one of its own as it ends.
-        let (sender, mut opening) = tokio::sync::oneshot::channel();
-        std::thread::Builder::new()
-            .name("muster-open".to_owned())
-            .spawn(move || drop(sender.send(zenoh::open(zenoh).wait())))
-            .map_err(|error| OpenError::Failed(error.to_string()))?;
         let remedy = format!(
             "no router answers at {routers}; start one with `muster router`, or name another with --connect"
         );
+        let mut opening = std::pin::pin!(open_session(zenoh));
         let at_once = match patience {
             Patience::Forever => TELL_WAITING_AFTER,
             Patience::AtMost(limit) => limit,
@@ -198,13 +196,11 @@ impl Bus {
             Err(_) => return Err(OpenError::Unreachable(remedy)),
         };
         let failed = |error: anyhow::Error| OpenError::Failed(format!("{error:#}"));
-        let opened = opened.map_err(|error| failed(error.into()))?;
-        let session = opened.map_err(|error| match config.mode.value {
-            Mode::Client => OpenError::Unreachable(format!("{remedy} ({error})")),
-            Mode::Peer | Mode::Router => OpenError::Unreachable(format!(
+        let session = opened.map_err(failed)?.map_err(|error| {
+            OpenError::Unreachable(format!(
                 "the bus does not open at {}: {error}; is the address taken? Choose another with --listen",
                 config.listen.value.join(", ")
-            )),
+            ))
         })?;
         let link = watch_link(&session).await.map_err(failed)?;
         Ok(Self { session, space: KeySpace::new(config.fleet), link })
@@ -501,6 +497,51 @@ fn packet(sample: &Sample, limit: usize) -> Packet {
             Ok(payload.to_bytes().into_owned())
         },
     }
+}
+
+/// Opens a session. A client tries its routers again and again, those that answer before those that do
+/// not; for others what goes wrong is final.
+async fn open_session(mut config: zenoh::Config) -> anyhow::Result<zenoh::Result<zenoh::Session>> {
+    let (mut pause, longest_pause) = RETRY_MS;
+    loop {
+        let several = connect_endpoints(&config).filter(|list| list.len() > 1);
+        if let Some(endpoints) = several.filter(|_| is_client(&config)) {
+            let ordered = serde_json::json!(answering_first(endpoints).await).to_string();
+            let inserted = config.insert_json5("connect/endpoints", &ordered);
+            inserted.map_err(|error| anyhow::anyhow!("{error}"))?;
+        }
+        // Zenoh opens on the thread that asks. A plain thread can be left behind when it is time to
+        // stop; a runtime would wait for one of its own as it ends.
+        let (sender, opened) = oneshot::channel();
+        let attempt = config.clone();
+        std::thread::Builder::new()
+            .name("muster-open".to_owned())
+            .spawn(move || drop(sender.send(zenoh::open(attempt).wait())))?;
+        match opened.await? {
+            Err(error) if is_client(&config) => tracing::debug!("no session: {error}"),
+            session => return Ok(session),
+        }
+        tokio::time::sleep(Duration::from_millis(pause)).await;
+        pause = (pause * 2).min(longest_pause);
+    }
+}
+
+/// The routers of a list with those first that answer now: one that is silent costs Zenoh seconds.
+async fn answering_first(endpoints: Vec<String>) -> Vec<String> {
+    let looking: Vec<_> = endpoints
+        .into_iter()
+        .map(|endpoint| {
+            tokio::spawn(async move { (reach(&endpoint, REACH_WITHIN).await.answers(), endpoint) })
+        })
+        .collect();
+    let (mut there, mut gone) = (Vec::new(), Vec::new());
+    for look in looking {
+        if let Ok((answers, endpoint)) = look.await {
+            if answers { &mut there } else { &mut gone }.push(endpoint);
+        }
+    }
+    there.append(&mut gone);
+    there
 }
 
 /// Follows whether a router is linked. A process that never had one (a router, a peer) counts as

@@ -3,7 +3,7 @@
 //!
 //! A session only says that it does not open. This opens a link by hand, as far as the router tells
 //! its terms, and lets go of it: nothing is declared on it and nothing is put. It serves `muster
-//! doctor` and nothing else.
+//! doctor`, and tells which router of a list to try first.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -50,6 +50,14 @@ pub enum Reach {
     },
     /// Something listens; this protocol (TLS, a local socket) is not looked into further.
     Listens,
+}
+
+impl Reach {
+    /// Whether there may be a router.
+    #[must_use]
+    pub fn answers(&self) -> bool {
+        matches!(self, Self::Zenoh { .. } | Self::Listens | Self::Closed(_))
+    }
 }
 
 /// Looks what answers at an endpoint.

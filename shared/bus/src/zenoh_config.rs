@@ -13,7 +13,11 @@ use crate::config::BusConfig;
 const LEASE_MS: u64 = 2000;
 
 /// How soon a lost router is tried again, at first and at most.
-const RETRY_MS: (u64, u64) = (100, 500);
+pub(crate) const RETRY_MS: (u64, u64) = (100, 500);
+
+/// How long a router may take to open a link before the next of a list is tried: a few round trips of
+/// a TLS handshake over a slow link.
+const OPEN_WITHIN_MS: u64 = 5000;
 
 /// How long a message may wait for a busy link before it is dropped: long enough for a snapshot of
 /// some megabytes to leave, short enough that newer data is not far behind.
@@ -80,7 +84,23 @@ pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenErro
             })?;
         }
     }
+    if is_client(&zenoh) {
+        // Zenoh would wait at the first router of a list for as long as that is gone. It shall try
+        // each one once, and be asked again.
+        for (key, value) in
+            [("connect/timeout_ms", 0), ("transport/unicast/open_timeout", OPEN_WITHIN_MS)]
+        {
+            zenoh.insert_json5(key, &value.to_string()).map_err(|error| {
+                OpenError::Config(format!("Zenoh refuses {key} = {value}: {error}"))
+            })?;
+        }
+    }
     Ok(zenoh)
+}
+
+/// Whether a configuration is that of a client, which has one link: to a router.
+pub(crate) fn is_client(zenoh: &zenoh::Config) -> bool {
+    zenoh.get_json("mode").is_ok_and(|mode| mode == "\"client\"")
 }
 
 /// The routers that a process will look for, whoever named them: a flag, a file of ours, or Zenoh's.

@@ -51,6 +51,8 @@ pub(crate) struct Tenure {
     standing: Standing,
     /// The other instances whose tokens are there.
     peers: BTreeSet<InstanceId>,
+    /// Whether there ever were more tokens than are told apart.
+    crowded: bool,
     holder: Option<Holder>,
     /// The highest term that anybody claimed.
     highest: u64,
@@ -91,6 +93,7 @@ impl Tenure {
             instance,
             standing: Standing::Starting,
             peers: BTreeSet::new(),
+            crowded: false,
             holder: None,
             highest: 0,
             linked: true,
@@ -197,6 +200,8 @@ impl Tenure {
         if alive {
             if self.peers.len() < MAX_PEERS {
                 self.peers.insert(instance);
+            } else {
+                self.crowded |= !self.peers.contains(&instance);
             }
             return;
         }
@@ -213,8 +218,9 @@ impl Tenure {
         }
         let revision = claim.header.revision;
         // A claim counts if somebody stands behind it. Who answers a get does; otherwise there must be
-        // a token, and the next claim comes soon if that is still on its way.
-        if !answered && !self.peers.contains(&claim.instance) {
+        // a token, and the next claim comes soon if that is still on its way. Once there were more
+        // tokens than are told apart it is not known who has one, and they must not shut a holder out.
+        if !answered && !self.crowded && !self.peers.contains(&claim.instance) {
             return Heard::Noted;
         }
         self.highest = self.highest.max(revision.term);
@@ -477,5 +483,18 @@ mod tests {
             tenure.token(START, InstanceId::of_process("z", other, 1), true);
         }
         assert_eq!(tenure.peers.len(), MAX_PEERS);
+    }
+
+    #[test]
+    fn a_crowd_of_tokens_does_not_shut_the_holder_out() {
+        let mut tenure = Tenure::new(name("b"), START);
+        for other in 0..1000 {
+            tenure.token(START, InstanceId::of_process("z", other, 1), true);
+        }
+        tenure.token(START, name("a"), true);
+        tenure.token(START, InstanceId::of_process("z", 0, 1), false);
+        tenure.hear(START, &claim("a", 3), false, 0);
+        assert_eq!(tenure.decide(START, false), Decision::StandBy);
+        assert_eq!(tenure.followed(), Some(Revision { term: 3, epoch: 5 }));
     }
 }

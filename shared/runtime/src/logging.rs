@@ -20,7 +20,7 @@ use tracing_subscriber::registry::LookupSpan;
 
 /// What is logged when neither a flag nor `MUSTER_LOG` says otherwise: what Muster does, and what
 /// goes wrong below it.
-const DEFAULT_FILTER: &str = "warn,muster=info";
+const DEFAULT_FILTER: &str = "warn,muster=info,zenoh::net::runtime::orchestrator=error";
 
 /// Most lines that one place in the code writes in [`WINDOW`]: enough to see what repeats and how
 /// often. More are counted, and the number is told afterwards.

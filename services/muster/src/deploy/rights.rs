@@ -99,15 +99,14 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
 fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
     let key = |key: Key| space.format(&key);
     let team = key(Key::RobotTeam(robot.clone()));
+    let (pose, token) = (key(Key::Pose(robot.clone())), key(Key::RobotToken(robot.clone())));
     let mut rights = Rights {
-        say: vec![
-            key(Key::Pose(robot.clone())),
-            key(Key::Links(robot.clone())),
-            key(Key::Rank(robot.clone())),
-        ],
-        hear: vec![team.clone()],
+        say: vec![pose.clone(), key(Key::Links(robot.clone())), key(Key::Rank(robot.clone()))],
+        // It looks whether another process speaks for it: one that has a copy of its certificate.
+        hear: vec![team.clone(), pose],
         ask: vec![team, schema(space)],
-        be: vec![key(Key::RobotToken(robot.clone()))],
+        be: vec![token.clone()],
+        see: vec![token],
         ..Rights::default()
     };
     rights.say.extend(
@@ -244,11 +243,11 @@ mod tests {
     #[test]
     fn a_robot_may_speak_for_itself_only() {
         let may = rights("robot.r1");
-        for list in [&may.say, &may.be, &may.hear] {
+        for list in [&may.say, &may.be, &may.hear, &may.see] {
             assert!(list.iter().all(|key| key.starts_with("muster/v1/default/robot/r1")));
             assert!(!list.iter().any(|key| key.contains('*')), "{list:?}");
         }
-        assert!(may.answer.is_empty() && may.see.is_empty());
+        assert!(may.answer.is_empty());
         assert_eq!(may.say.len(), 3);
         let mut fleet = fleet();
         fleet.robots_read_json = true;

@@ -68,16 +68,10 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
         endpoints.push(Endpoint { name: endpoint.clone(), reach });
     }
     let mut found: Vec<Finding> = endpoints.iter().filter_map(findings::of_endpoint).collect();
-    let answers = |endpoint: &&Endpoint| {
-        matches!(endpoint.reach, Reach::Zenoh { .. } | Reach::Listens | Reach::Closed(_))
-    };
-    // A session that opens waits for the first router that is named, also for one that is gone.
-    let there = endpoints.iter().filter(answers).map(|endpoint| endpoint.name.clone());
-    let there: Vec<_> = there.collect();
-    let bus = if there.is_empty() {
-        no_router(&endpoints)
+    let bus = if endpoints.iter().any(|endpoint| endpoint.reach.answers()) {
+        ask::open(config).await
     } else {
-        ask::open(&config.as_client(there)).await
+        no_router(&endpoints)
     };
     let bus: Bus = match bus {
         Ok(bus) => bus,
@@ -92,9 +86,7 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
     // Another router answers: one that does not is a warning, not the end.
     for finding in found.iter_mut().filter(|finding| finding.id == "no_router") {
         finding.severity = Severity::Warning;
-        finding.remedy.push_str(
-            ". A program that starts waits for the router that it names first: name one that runs",
-        );
+        finding.remedy.push_str(". Programs use the other one meanwhile");
     }
     let look = look::look(&bus, Duration::from_secs_f64(args.listen_for)).await?;
     found.extend(findings::of_fleet(&look));
