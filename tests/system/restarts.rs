@@ -199,7 +199,7 @@ async fn a_base_station_that_reboots_costs_nobody_a_team() {
 #[tokio::test(flavor = "multi_thread")]
 async fn services_wait_for_their_router_and_say_so() {
     let folder = tempfile::tempdir().unwrap();
-    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let endpoint = free_endpoint().unwrap();
     let arguments = ["--connect", endpoint.as_str(), "--state-directory", "none"];
     let mut service = Process::start("muster-ingest", &arguments, &[], folder.path()).unwrap();
     let start = Instant::now();

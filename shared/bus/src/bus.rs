@@ -38,6 +38,13 @@ const TELL_WAITING_AFTER: Duration = Duration::from_secs(1);
 /// How long each router of a list may take to answer before it is put behind those that do.
 const REACH_WITHIN: Duration = Duration::from_secs(1);
 
+/// How long each router of a list may take to open a link in the first round: a few round trips, so
+/// that a console comes to the second one. Later rounds have the patience of Zenoh's configuration.
+const OPEN_WITHIN_MS: u32 = 2000;
+
+/// The key of that patience.
+const OPEN_TIMEOUT: &str = "transport/unicast/open_timeout";
+
 /// How long opening the bus may wait for a router.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Patience {
@@ -178,7 +185,8 @@ impl Bus {
         let routers = connect_endpoints(&zenoh).unwrap_or_else(|| config.connect.value.clone());
         let routers = routers.join(", ");
         let remedy = format!(
-            "no router answers at {routers}; start one with `muster router`, or name another with --connect"
+            "no router answers at {routers}; start one with `muster router`, or name another with \
+             --connect; `--log warn` tells what is wrong with a link"
         );
         let mut opening = std::pin::pin!(open_session(zenoh));
         let at_once = match patience {
@@ -502,28 +510,38 @@ fn packet(sample: &Sample, limit: usize) -> Packet {
 /// Opens a session. A client tries its routers again and again, those that answer before those that do
 /// not; for others what goes wrong is final.
 async fn open_session(mut config: zenoh::Config) -> anyhow::Result<zenoh::Result<zenoh::Session>> {
+    if !is_client(&config) {
+        return attempt(config).await;
+    }
+    let failed = |error: zenoh::Error| anyhow::anyhow!("{error}");
     let (mut pause, longest_pause) = RETRY_MS;
+    let patience = config.get_json(OPEN_TIMEOUT).map_err(failed)?;
+    let mut first = true;
     loop {
-        let several = connect_endpoints(&config).filter(|list| list.len() > 1);
-        if let Some(endpoints) = several.filter(|_| is_client(&config)) {
+        if let Some(endpoints) = connect_endpoints(&config).filter(|list| list.len() > 1) {
             let ordered = serde_json::json!(answering_first(endpoints).await).to_string();
-            let inserted = config.insert_json5("connect/endpoints", &ordered);
-            inserted.map_err(|error| anyhow::anyhow!("{error}"))?;
+            config.insert_json5("connect/endpoints", &ordered).map_err(failed)?;
+            let within = if first { OPEN_WITHIN_MS.to_string() } else { patience.clone() };
+            config.insert_json5(OPEN_TIMEOUT, &within).map_err(failed)?;
+            first = false;
         }
-        // Zenoh opens on the thread that asks. A plain thread can be left behind when it is time to
-        // stop; a runtime would wait for one of its own as it ends.
-        let (sender, opened) = oneshot::channel();
-        let attempt = config.clone();
-        std::thread::Builder::new()
-            .name("muster-open".to_owned())
-            .spawn(move || drop(sender.send(zenoh::open(attempt).wait())))?;
-        match opened.await? {
-            Err(error) if is_client(&config) => tracing::debug!("no session: {error}"),
-            session => return Ok(session),
+        match attempt(config.clone()).await? {
+            Ok(session) => return Ok(Ok(session)),
+            Err(error) => tracing::debug!("no session: {error}"),
         }
         tokio::time::sleep(Duration::from_millis(pause)).await;
         pause = (pause * 2).min(longest_pause);
     }
+}
+
+/// Opens a session once, on a thread of its own: Zenoh opens on the thread that asks. A plain thread
+/// can be left behind when it is time to stop; a runtime would wait for one of its own as it ends.
+async fn attempt(config: zenoh::Config) -> anyhow::Result<zenoh::Result<zenoh::Session>> {
+    let (sender, opened) = oneshot::channel();
+    std::thread::Builder::new()
+        .name("muster-open".to_owned())
+        .spawn(move || drop(sender.send(zenoh::open(config).wait())))?;
+    Ok(opened.await?)
 }
 
 /// The routers of a list with those first that answer now: one that is silent costs Zenoh seconds.

@@ -50,13 +50,15 @@ pub enum Reach {
     },
     /// Something listens; this protocol (TLS, a local socket) is not looked into further.
     Listens,
+    /// This protocol (QUIC, over UDP) tells nothing before a session is open.
+    Unseen,
 }
 
 impl Reach {
     /// Whether there may be a router.
     #[must_use]
     pub fn answers(&self) -> bool {
-        matches!(self, Self::Zenoh { .. } | Self::Listens | Self::Closed(_))
+        matches!(self, Self::Zenoh { .. } | Self::Listens | Self::Unseen | Self::Closed(_))
     }
 }
 
@@ -70,6 +72,10 @@ pub async fn reach(endpoint: &str, within: Duration) -> Reach {
         "unixsock-stream" => match tokio::net::UnixStream::connect(&address).await {
             Ok(_) => Reach::Listens,
             Err(_) => Reach::Refused,
+        },
+        "quic" => match tokio::net::lookup_host(&address).await {
+            Ok(_) => Reach::Unseen,
+            Err(error) => Reach::Unknown(error.to_string()),
         },
         protocol => {
             let plain = protocol == "tcp";

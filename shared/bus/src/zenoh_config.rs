@@ -15,10 +15,6 @@ const LEASE_MS: u64 = 2000;
 /// How soon a lost router is tried again, at first and at most.
 pub(crate) const RETRY_MS: (u64, u64) = (100, 500);
 
-/// How long a router may take to open a link before the next of a list is tried: a few round trips of
-/// a TLS handshake over a slow link.
-const OPEN_WITHIN_MS: u64 = 5000;
-
 /// How long a message may wait for a busy link before it is dropped: long enough for a snapshot of
 /// some megabytes to leave, short enough that newer data is not far behind.
 const WAIT_BEFORE_DROP_US: u64 = 100_000;
@@ -41,7 +37,7 @@ pub fn check_endpoint(text: &str) -> Result<(), String> {
     let Ok(endpoint) = text.parse::<EndPoint>() else { return wrong("is no endpoint") };
     match endpoint.protocol().as_str() {
         "unixsock-stream" => Ok(()),
-        "tcp" | "tls" => {
+        "tcp" | "tls" | "quic" => {
             let port =
                 endpoint.address().as_str().rsplit_once(':').map(|(_, port)| port.to_owned());
             match port.map(|port| port.parse::<u16>()) {
@@ -49,7 +45,7 @@ pub fn check_endpoint(text: &str) -> Result<(), String> {
                 _ => wrong("names no port"),
             }
         }
-        _ => wrong("is of no protocol that is built in (tcp, tls, unixsock-stream)"),
+        _ => wrong("is of no protocol that is built in (tcp, tls, quic, unixsock-stream)"),
     }
 }
 
@@ -87,13 +83,9 @@ pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenErro
     if is_client(&zenoh) {
         // Zenoh would wait at the first router of a list for as long as that is gone. It shall try
         // each one once, and be asked again.
-        for (key, value) in
-            [("connect/timeout_ms", 0), ("transport/unicast/open_timeout", OPEN_WITHIN_MS)]
-        {
-            zenoh.insert_json5(key, &value.to_string()).map_err(|error| {
-                OpenError::Config(format!("Zenoh refuses {key} = {value}: {error}"))
-            })?;
-        }
+        zenoh
+            .insert_json5("connect/timeout_ms", "0")
+            .map_err(|error| OpenError::Config(format!("Zenoh refuses timeout_ms: {error}")))?;
     }
     Ok(zenoh)
 }

@@ -57,8 +57,11 @@ impl Client {
         if !matches!(flavor, Ok(RuntimeFlavor::MultiThread)) {
             return Err(Error::Runtime);
         }
-        let bus = Bus::open(config.bus()?, config.bus_patience()).await;
-        let bus = bus.map_err(|error| Error::open(error, &config.routers))?;
+        let bus = config.bus()?;
+        // Zenoh's own configuration may name others than ours does.
+        let routers = muster_bus::routers(&bus).unwrap_or_else(|_| config.routers.clone());
+        let bus = Bus::open(bus, config.bus_patience()).await;
+        let bus = bus.map_err(|error| Error::open(error, &routers))?;
         let outgoing = Outgoing::default();
         let sending = bus.clone();
         let started = outgoing.start(move |message| {

@@ -42,8 +42,8 @@ const REPEAT_EVERY_RANGE: (Duration, Duration) =
 pub struct Config {
     /// The fleet.
     pub fleet: String,
-    /// Routers, as `tcp/HOST:PORT`, `tls/HOST:PORT` or `unixsock-stream/PATH`: the first that answers
-    /// is used, the next when that is lost.
+    /// Routers, as `tcp/HOST:PORT`, `quic/HOST:PORT`, `tls/HOST:PORT` or
+    /// `unixsock-stream/PATH`: the first that answers is used, another when that is lost.
     pub routers: Vec<String>,
     /// Zenoh's own configuration in JSON5, for everything else: certificates, user and password,
     /// access through several interfaces. What [`Config::routers`] names overrides its endpoints,

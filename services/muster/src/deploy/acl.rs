@@ -13,7 +13,7 @@ use muster_runtime::exit::ExitError;
 use muster_wire::{KeySpace, Pattern};
 
 use super::certs::{AUTHORITY, CERTIFICATE, KEY, PUBLIC_MODE, SECRET_MODE, base64, read, write};
-use super::fleet::{FleetFile, Identity, Kind, Router};
+use super::fleet::{FleetFile, Identity, Kind, PROTOCOLS, Router};
 use super::rights::Rights;
 
 /// The router for trusted networks, which the secured one differs from only in what is put in here.
@@ -111,10 +111,12 @@ impl Tls {
 /// # Errors
 /// If the plain configuration has lost a place where something is put in.
 fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Result<String> {
-    let listen = serde_json::to_string(&[format!("tls/0.0.0.0:{}", router.port)])?;
+    let listen = serde_json::to_string(&router.listens())?;
+    let protocols = serde_json::to_string(&PROTOCOLS.map(|protocol| protocol.to_string()))?;
     // Each router links with those before it, so that each pair has one link.
     let before = fleet.routers.iter().take_while(|other| other.name != router.name);
-    let connect = serde_json::to_string(&before.map(Router::endpoint).collect::<Vec<_>>())?;
+    let connect =
+        serde_json::to_string(&before.map(|other| fleet.endpoint(other)).collect::<Vec<_>>())?;
     let head = PLAIN.lines().take_while(|line| line.starts_with("//")).count();
     let mut text = format!(
         "// The Zenoh router {} of fleet {}, for networks that are not trusted: everybody shows a certificate, and
@@ -129,8 +131,8 @@ fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Resul
         text.push('\n');
     }
     let with_tls = format!(
-        "      // Nothing but TLS, also where an endpoint is changed by mistake.
-      protocols: [\"tls\"],
+        "      // Nothing without certificates, also where an endpoint is changed by mistake.
+      protocols: {protocols},
       tls: {{
         // Everybody must show a certificate (mutual TLS).
         enable_mtls: true,
@@ -174,6 +176,7 @@ fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Resul
 fn access_control(fleet: &FleetFile) -> anyhow::Result<String> {
     let mut rules = Rules::default();
     let (mut subjects, mut policies) = (String::new(), String::new());
+    let protocols = serde_json::to_string(&PROTOCOLS.map(|protocol| protocol.to_string()))?;
     rules.shared(&fleet.fleet)?;
     for identity in fleet.identities() {
         let name = fleet.common_name(&identity);
@@ -183,7 +186,7 @@ fn access_control(fleet: &FleetFile) -> anyhow::Result<String> {
         };
         writeln!(
             subjects,
-            "      {{ id: \"{identity}\", cert_common_names: [\"{name}\"], link_protocols: [\"tls\"] }},"
+            "      {{ id: \"{identity}\", cert_common_names: [\"{name}\"], link_protocols: {protocols} }},"
         )?;
         let used = serde_json::to_string(&used)?;
         writeln!(policies, "      {{ subjects: [\"{identity}\"], rules: {used} }},")?;
@@ -197,7 +200,7 @@ fn access_control(fleet: &FleetFile) -> anyhow::Result<String> {
     // Ingress is what the router takes from a client, egress what it hands to one.
     rules: [
 {rules}    ],
-    // Who is who: exactly the common name of the certificate, and only over TLS.
+    // Who is who: exactly the common name of the certificate, and only over links that show one.
     subjects: [
 {subjects}    ],
     // Who has which rights.
@@ -325,8 +328,8 @@ mod tests {
         let text =
             |index: usize| router_config(&fleet, &fleet.routers[index], &Tls::installed()).unwrap();
         assert!(text(0).contains("    endpoints: [],\n"));
-        assert!(text(1).contains("    endpoints: [\"tls/base.local:7447\"],\n"));
-        assert!(text(1).contains("[\"tls/0.0.0.0:7448\"]"));
+        assert!(text(1).contains("    endpoints: [\"quic/base.local:7447\"],\n"));
+        assert!(text(1).contains("[\"quic/0.0.0.0:7448\",\"tls/0.0.0.0:7448\"]"));
         assert!(text(1).contains("{ subjects: [\"router.spare\"], rules: [\"trusted\"] }"));
     }
 }

@@ -237,7 +237,7 @@ fn client_config(
     certificate: &str,
     key: &str,
 ) -> anyhow::Result<String> {
-    let endpoints: Vec<_> = fleet.routers.iter().map(super::fleet::Router::endpoint).collect();
+    let endpoints: Vec<_> = fleet.routers.iter().map(|router| fleet.endpoint(router)).collect();
     let endpoints = serde_json::to_string(&endpoints)?;
     Ok(format!(
         "// Zenoh's configuration of {identity} of fleet {fleet_name}. Keep it secret: it holds the key.
@@ -249,9 +249,11 @@ fn client_config(
   // Nobody is looked for: what can be found can be forged.
   scouting: {{ multicast: {{ enabled: false }}, gossip: {{ enabled: false }} }},
   transport: {{
+    // A router that does not answer is given up after so many milliseconds, and the next one tried.
+    unicast: {{ open_timeout: 2000 }},
     link: {{
-      // Nothing but TLS, also where an endpoint is changed by mistake.
-      protocols: [\"tls\"],
+      // Nothing without certificates, also where an endpoint is changed by mistake.
+      protocols: [\"{protocol}\"],
       tls: {{
         // Show a certificate of our own (mutual TLS).
         enable_mtls: true,
@@ -271,6 +273,7 @@ fn client_config(
 }}
 ",
         fleet_name = fleet.fleet,
+        protocol = fleet.protocol,
         authority = base64(authority),
         certificate = base64(certificate),
         key = base64(key),

@@ -69,6 +69,30 @@ impl fmt::Display for Identity {
     }
 }
 
+/// How clients and routers connect to a router, with certificates on both sides either way.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Protocol {
+    /// Over UDP. Zenoh's link over TLS lets two threads into one stream at once: it breaks now and then
+    /// and may damage memory (eclipse-zenoh/zenoh#2557). Its link over QUIC has a stream per direction.
+    #[default]
+    Quic,
+    /// Over TCP, for networks that let no UDP through.
+    Tls,
+}
+
+/// All of them: a router takes in those who speak either.
+pub(super) const PROTOCOLS: [Protocol; 2] = [Protocol::Quic, Protocol::Tls];
+
+impl fmt::Display for Protocol {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(match self {
+            Self::Quic => "quic",
+            Self::Tls => "tls",
+        })
+    }
+}
+
 /// One router.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -77,7 +101,7 @@ pub(super) struct Router {
     pub(super) name: String,
     /// Host names and addresses by which it is reached; clients use the first.
     pub(super) addresses: Vec<String>,
-    /// The TCP port that it listens at.
+    /// The port that it listens at, of UDP for QUIC and of TCP for TLS.
     #[serde(default = "default_port")]
     pub(super) port: u16,
 }
@@ -90,6 +114,9 @@ pub(super) struct FleetFile {
     pub(super) fleet: FleetId,
     /// Its routers, in the order in which clients try them.
     pub(super) routers: Vec<Router>,
+    /// How they are connected to.
+    #[serde(default)]
+    pub(super) protocol: Protocol,
     /// Its robots.
     #[serde(default)]
     pub(super) robots: Vec<RobotId>,
@@ -133,19 +160,26 @@ fn default_authority_days() -> u32 {
 }
 
 impl Router {
-    /// Where clients connect to.
-    pub(super) fn endpoint(&self) -> String {
-        let address = self.addresses.first().map_or("localhost", String::as_str);
-        // Of addresses only those of IPv6 have colons, which must not run into that of the port.
-        if address.contains(':') {
-            format!("tls/[{address}]:{}", self.port)
-        } else {
-            format!("tls/{address}:{}", self.port)
-        }
+    /// Where it listens, on every interface. An address of IPv6 takes those of IPv4 as well.
+    pub(super) fn listens(&self) -> Vec<String> {
+        let with_ipv6 = self.addresses.iter().any(|address| address.contains(':'));
+        let any = if with_ipv6 { "[::]" } else { "0.0.0.0" };
+        PROTOCOLS.map(|protocol| format!("{protocol}/{any}:{}", self.port)).to_vec()
     }
 }
 
 impl FleetFile {
+    /// Where clients connect to a router.
+    pub(super) fn endpoint(&self, router: &Router) -> String {
+        let address = router.addresses.first().map_or("localhost", String::as_str);
+        // Of addresses only those of IPv6 have colons, which must not run into that of the port.
+        if address.contains(':') {
+            format!("{}/[{address}]:{}", self.protocol, router.port)
+        } else {
+            format!("{}/{address}:{}", self.protocol, router.port)
+        }
+    }
+
     /// Reads and checks a file.
     ///
     /// # Errors
@@ -286,7 +320,9 @@ mod tests {
         assert_eq!(fleet.identities().len(), 1 + 4 + 3 + 1 + 1);
         let robot = Identity { kind: Kind::Robot, name: "r1".to_owned() };
         assert_eq!(fleet.common_name(&robot), "robot.r1.default");
-        assert_eq!(fleet.router(None).unwrap().endpoint(), "tls/base.local:7447");
+        let router = fleet.router(None).unwrap();
+        assert_eq!(fleet.endpoint(router), "quic/base.local:7447");
+        assert_eq!(router.listens(), ["quic/0.0.0.0:7447", "tls/0.0.0.0:7447"]);
     }
 
     #[test]
@@ -310,7 +346,11 @@ mod tests {
         assert!(with("modalities = []", "modalities = [\"spatial\"]").contains("modalities"));
         assert!(with("[\"operator\"]", "[\"a.b\"]").contains("operators"));
         let address = FleetFile::parse(&EXAMPLE.replace("\"base.local\"", "\"::1\"")).unwrap();
-        assert_eq!(address.routers[0].endpoint(), "tls/[::1]:7447");
+        assert_eq!(address.endpoint(&address.routers[0]), "quic/[::1]:7447");
+        assert_eq!(address.routers[0].listens(), ["quic/[::]:7447", "tls/[::]:7447"]);
+        let over_tcp = FleetFile::parse(&EXAMPLE.replace("\"quic\"", "\"tls\"")).unwrap();
+        assert_eq!(over_tcp.endpoint(&over_tcp.routers[0]), "tls/base.local:7447");
+        assert!(with("\"quic\"", "\"tcp\"").contains("quic"));
         assert!(address.router(Some("other")).unwrap_err().contains("base"));
     }
 }

@@ -126,6 +126,7 @@ fn print(
                 Reach::Foreign(_) => ("foreign", None),
                 Reach::Closed(_) => ("closed", None),
                 Reach::Listens => ("listens", None),
+                Reach::Unseen => ("unseen", None),
                 Reach::Zenoh { lease, .. } => ("zenoh", Some(lease.as_secs_f64())),
             };
             json!({"endpoint": endpoint.name, "answer": answer, "lease_s": lease_s})

@@ -15,7 +15,7 @@ const LEASE_AT_MOST: Duration = Duration::from_secs(4);
 pub(in crate::doctor) fn of_endpoint(endpoint: &Endpoint) -> Option<Finding> {
     let name = &endpoint.name;
     let found = match &endpoint.reach {
-        Reach::Listens => return None,
+        Reach::Listens | Reach::Unseen => return None,
         Reach::Zenoh { lease, router: true } if *lease <= LEASE_AT_MOST => return None,
         Reach::Zenoh { lease, router: true } => warning(
             "router_lease",
@@ -52,7 +52,7 @@ pub(in crate::doctor) fn of_endpoint(endpoint: &Endpoint) -> Option<Finding> {
                 "no_router",
                 format!("something takes connections at {name}, and it is not Zenoh: {said}"),
                 "check the port in --connect: the router listens at another one, usually 7447. If the \
-                 router speaks TLS there, write tls/ instead of tcp/",
+                 router wants certificates, write quic/ or tls/ instead of tcp/",
             )
         }
         Reach::Closed(reason) => error(
