@@ -17,6 +17,7 @@ mod keys;
 mod languages;
 mod notify;
 mod observe;
+mod partition;
 mod pipeline;
 mod presence;
 mod record;

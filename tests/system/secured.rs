@@ -532,6 +532,13 @@ fn certificates_are_kept_renewed_and_guarded() {
     assert!(told.contains("robot.a1: kept") && told.contains("robot.a2: made"), "{told}");
     assert_eq!(keys(), before);
     assert_eq!(read("robot.a2/authority.pem"), read("authority/certificate.pem"));
+    // A router that is reached by another name needs a certificate that names it.
+    let moved = std::fs::read_to_string(&fleet).unwrap().replace("\"127.0.0.1\"", "\"base.local\"");
+    std::fs::write(&fleet, moved).unwrap();
+    let told = certs(&[]);
+    assert!(told.contains("router.base: made anew, as its addresses"), "{told}");
+    assert!(told.contains("robot.a1: kept, valid for 364 more days"), "{told}");
+    assert!(certs(&[]).contains("router.base: kept"));
     certs(&["--force", "--only", "robot.a1"]);
     let renewed = keys();
     assert_eq!((&renewed[0], &renewed[2]), (&before[0], &before[2]));
@@ -552,4 +559,10 @@ fn certificates_are_kept_renewed_and_guarded() {
     fails(&["acl", "--fleet-file", fleet, "--out", text(&router), "--router", "x"], "--router");
     std::fs::remove_file(folder.path().join("identities/authority/key.pem")).unwrap();
     fails(&["certs", "--fleet-file", fleet, "--out", out], "key.pem is missing");
+    // With a new authority, the certificates of the old one open no link.
+    std::fs::remove_dir_all(folder.path().join("identities/authority")).unwrap();
+    let told = deploy(&["certs", "--fleet-file", fleet, "--out", out]);
+    assert!(told.contains("authority: made, valid"), "{told}");
+    assert!(told.contains("robot.a1: made anew, as the authority"), "{told}");
+    assert!(!told.contains("kept"), "{told}");
 }

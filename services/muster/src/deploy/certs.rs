@@ -17,6 +17,8 @@ use rcgen::{
     KeyUsagePurpose, PKCS_ECDSA_P256_SHA256, SanType,
 };
 use time::{Duration, OffsetDateTime};
+use x509_parser::extensions::GeneralName;
+use x509_parser::pem::parse_x509_pem;
 
 use super::fleet::{FleetFile, Identity, Kind};
 
@@ -47,13 +49,15 @@ pub(super) const PUBLIC_MODE: u32 = 0o644;
 /// Largest certificate or key in bytes that is read back.
 const MAX_PEM: u64 = 64 * 1024;
 
+const SECONDS_PER_DAY: i64 = 24 * 60 * 60;
+
 /// Arguments of `muster deploy certs`.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Makes OUT/authority (keep its key.pem off the network: who has it can be anybody), and for \
 each router, service, robot, operator and viewer a folder such as OUT/robot.r1 with certificate.pem, \
-key.pem, authority.pem and, for clients, zenoh.json5, which holds all of them. What is there already \
-stays as it is; the authority is never replaced.\n\nExamples:\n  \
+key.pem, authority.pem and, for clients, zenoh.json5, which holds all of them. What is there \
+and still good stays as it is; the authority is never replaced.\n\nExamples:\n  \
 muster deploy certs --fleet-file fleet.toml --out identities\n  \
 muster deploy certs --fleet-file fleet.toml --out identities --force                  renew all\n  \
 muster deploy certs --fleet-file fleet.toml --out identities --force --only robot.r1   renew one\n  \
@@ -93,12 +97,26 @@ pub(super) fn run(args: &CertsArgs) -> anyhow::Result<()> {
     for identity in chosen {
         let folder = args.out.join(identity.to_string());
         let there = [CERTIFICATE, KEY].iter().all(|name| folder.join(name).exists());
+        let mut made = "made";
         if there && !args.force {
-            writeln!(out, "{identity}: kept")?;
-            // What clients are told of the routers may have changed, and is no secret to be kept.
             let pem = |name| read(&folder.join(name));
-            write_identity(&fleet, &identity, &folder, &pem(CERTIFICATE)?, &pem(KEY)?, &authority)?;
-            continue;
+            let certificate = pem(CERTIFICATE)?;
+            match kept(&fleet, &identity, &folder, &certificate, &authority)? {
+                Ok(days) => {
+                    writeln!(out, "{identity}: kept, valid for {days} more days")?;
+                    // What clients are told of the routers may have changed, and is no secret to be kept.
+                    write_identity(
+                        &fleet,
+                        &identity,
+                        &folder,
+                        &certificate,
+                        &pem(KEY)?,
+                        &authority,
+                    )?;
+                    continue;
+                }
+                Err(reason) => made = reason,
+            }
         }
         let (certificate, key) = certify(&fleet, &identity, &authority)
             .with_context(|| format!("cannot certify {identity}"))?;
@@ -106,9 +124,51 @@ pub(super) fn run(args: &CertsArgs) -> anyhow::Result<()> {
         // An old certificate beside a new key would look whole after a crash.
         remove(&folder.join(CERTIFICATE))?;
         write_identity(&fleet, &identity, &folder, &certificate, &key, &authority)?;
-        writeln!(out, "{identity}: made, valid for {} days", fleet.certificate_days)?;
+        writeln!(out, "{identity}: {made}, valid for {} days", fleet.certificate_days)?;
     }
     Ok(())
+}
+
+/// For how many days the certificate of an identity is still good, or why it is made anew: by a
+/// certificate of another authority, or without all addresses of its router, no link would open.
+fn kept(
+    fleet: &FleetFile,
+    identity: &Identity,
+    folder: &Path,
+    certificate: &str,
+    authority: &Authority,
+) -> anyhow::Result<Result<i64, &'static str>> {
+    let of = folder.join(AUTHORITY);
+    if !of.exists() || read(&of)? != authority.certificate {
+        return Ok(Err("made anew, as the authority is another"));
+    }
+    let path = folder.join(CERTIFICATE);
+    let damaged = |error: String| damaged(&path, &error);
+    let (_, pem) = parse_x509_pem(certificate.as_bytes()).map_err(|e| damaged(e.to_string()))?;
+    let parsed = pem.parse_x509().map_err(|error| damaged(error.to_string()))?;
+    let names = parsed.subject_alternative_name().map_err(|error| damaged(error.to_string()))?;
+    let named = |address: &String| {
+        let mut names = names.iter().flat_map(|names| &names.value.general_names);
+        match address.parse::<IpAddr>() {
+            Ok(IpAddr::V4(address)) => {
+                names.any(|name| *name == GeneralName::IPAddress(&address.octets()))
+            }
+            Ok(IpAddr::V6(address)) => {
+                names.any(|name| *name == GeneralName::IPAddress(&address.octets()))
+            }
+            Err(_) => names.any(|name| *name == GeneralName::DNSName(address)),
+        }
+    };
+    let router = fleet.routers.iter().find(|router| router.name == identity.name);
+    let router = router.filter(|_| identity.kind == Kind::Router);
+    if router.is_some_and(|router| !router.addresses.iter().all(named)) {
+        return Ok(Err("made anew, as its addresses have changed"));
+    }
+    let left = parsed.validity().not_after.timestamp() - OffsetDateTime::now_utc().unix_timestamp();
+    if left <= 0 {
+        return Ok(Err("made anew, as it was no longer valid"));
+    }
+    Ok(Ok(left / SECONDS_PER_DAY))
 }
 
 fn choose(fleet: &FleetFile, only: &[String]) -> Result<Vec<Identity>, ExitError> {
