@@ -31,6 +31,7 @@ pub mod embedding;
 pub mod fuse;
 mod jacobi;
 pub mod katz;
+pub mod katz_svd;
 pub mod kmeans;
 pub mod margins;
 pub mod matching;

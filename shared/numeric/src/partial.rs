@@ -7,6 +7,7 @@
 //! precision; how well decides the number of rounds, not the accuracy. This is a block Davidson method
 //! (Davidson, J. Comput. Phys. 17, 1975) for SᵀS that exploits how the Katz similarity is made.
 
+use pulp::Arch;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -28,6 +29,10 @@ const MAX_ROUNDS: usize = 300;
 /// Pivot of a Gram matrix with a diagonal of ones below which a direction counts as contained in the
 /// others: half of the digits.
 const DEPENDENT: f64 = 1e-8;
+
+/// What must be left of every new direction, beside the space and the other ones, for rounding to have
+/// spoiled no more than a few digits of its being orthogonal.
+const LITTLE: f64 = 0.03;
 
 /// Values up to this fraction of the largest count as zero, and their vectors are not looked at.
 const NULL: f64 = 1e-13;
@@ -138,25 +143,21 @@ impl Search<'_> {
     }
 
     fn begin(&mut self, start: &[(&[f64], usize)]) {
-        let width = self.carried;
-        let mut filled = 0;
         for (block, columns) in start {
-            let taken = (*columns).min(width - filled);
-            let rows = self.work.block.chunks_exact_mut(width);
-            for (row, from) in rows.zip(block.chunks_exact((*columns).max(1))) {
-                row[filled..filled + taken].copy_from_slice(&from[..taken]);
+            let columns = (*columns).min(self.carried).min(self.capacity - self.size);
+            if columns > 0 {
+                self.work.block[..self.n * columns].copy_from_slice(&block[..self.n * columns]);
+                self.expand(columns);
             }
-            filled += taken;
         }
-        if filled < width {
+        if self.size < self.carried {
+            let columns = self.carried - self.size;
             let mut rng = ChaCha8Rng::seed_from_u64(self.request.seed);
-            for row in self.work.block.chunks_exact_mut(width) {
-                for value in &mut row[filled..] {
-                    *value = rng.random::<f64>() - 0.5;
-                }
+            for value in &mut self.work.block[..self.n * columns] {
+                *value = rng.random::<f64>() - 0.5;
             }
+            self.expand(columns);
         }
-        self.expand(width);
     }
 
     fn run(&mut self, out: &mut Triplets) {
@@ -197,18 +198,24 @@ impl Search<'_> {
             let Workspace { block, product, .. } = &mut *self.work;
             let (block, product) = (&mut block[..n * width], &mut product[..n * width]);
             self.operator.multiply(Orientation::Forward, block, product, width);
-            for (w, s) in block.iter_mut().zip(&*product) {
-                *w -= s;
-            }
+            Arch::new().dispatch(|| {
+                for (w, s) in block.iter_mut().zip(&*product) {
+                    *w -= s;
+                }
+            });
         }
         let mut kept = width;
-        // Twice is enough (Kahan and Parlett).
+        // Twice is enough (Kahan and Parlett), and once where little was taken out.
         for _ in 0..2 {
             self.normalise(width);
             self.project_out(width);
-            kept = self.orthonormalise(width, kept);
+            let (independent, left) = self.orthonormalise(width, kept);
+            kept = independent;
             if kept == 0 {
                 return;
+            }
+            if left >= LITTLE {
+                break;
             }
         }
         let size = self.size;
@@ -243,11 +250,13 @@ impl Search<'_> {
             *length = if *length > 0.0 { 1.0 / *length } else { 0.0 };
         }
         for rows in [block, product] {
-            for row in rows.chunks_exact_mut(width) {
-                for (value, factor) in row.iter_mut().zip(&*lengths) {
-                    *value *= factor;
+            Arch::new().dispatch(|| {
+                for row in rows.chunks_exact_mut(width) {
+                    for (value, factor) in row.iter_mut().zip(&*lengths) {
+                        *value *= factor;
+                    }
                 }
-            }
+            });
         }
     }
 
@@ -268,9 +277,9 @@ impl Search<'_> {
         subtract_product(image, overlap, BlockMut::new(product, width, width));
     }
 
-    /// Makes the first `columns` new directions orthonormal. Returns how many independent ones there
-    /// were; these come first.
-    fn orthonormalise(&mut self, width: usize, columns: usize) -> usize {
+    /// Makes the first `columns` new directions, which had length 1, orthonormal. Returns how many
+    /// independent ones there were, which come first, and what was left at least of each.
+    fn orthonormalise(&mut self, width: usize, columns: usize) -> (usize, f64) {
         let n = self.n;
         let Workspace { block, product, compact, overlap, lengths, symmetric, .. } =
             &mut *self.work;
@@ -296,13 +305,16 @@ impl Search<'_> {
                     factor[i * columns + j] *= lengths[i];
                 }
             }
+            let left = (0..columns).map(|i| factor[i * columns + i]).fold(1.0, f64::min);
             for rows in [block, product] {
                 divide_by_factor(factor, columns, BlockMut::new(rows, columns, width));
             }
-            return columns;
+            return (columns, left);
         }
         // Some directions depend on others: keep the principal ones.
-        let Some((values, vectors)) = symmetric.eigen(gram_matrix, columns) else { return 0 };
+        let Some((values, vectors)) = symmetric.eigen(gram_matrix, columns) else {
+            return (0, 0.0);
+        };
         let kept = values.iter().filter(|value| **value > DEPENDENT).count();
         let transform = &mut overlap[..columns * kept];
         for i in 0..columns {
@@ -323,7 +335,7 @@ impl Search<'_> {
                 values[..kept].copy_from_slice(&row);
             }
         }
-        kept
+        (kept, 0.0)
     }
 
     /// The best triplets of the space.
@@ -374,21 +386,24 @@ impl Search<'_> {
         let null = NULL * top;
         lengths.clear();
         lengths.extend(out.sigma.iter().map(|s| if *s > null { 1.0 / s } else { 0.0 }));
-        for ((to, image), right) in block
-            .chunks_exact_mut(width)
-            .zip(out.image.chunks_exact(width))
-            .zip(out.right.chunks_exact(width))
-        {
-            for c in 0..width {
-                to[c] = image[c] * lengths[c] + right[c] * out.sigma[c];
+        let sigma = &out.sigma[..width];
+        Arch::new().dispatch(|| {
+            let rows = block.chunks_exact_mut(width).zip(out.image.chunks_exact(width));
+            for ((to, image), right) in rows.zip(out.right.chunks_exact(width)) {
+                let values = to.iter_mut().zip(image).zip(right).zip(&*lengths).zip(sigma);
+                for ((((to, image), right), inverse), sigma) in values {
+                    *to = image * inverse + right * sigma;
+                }
             }
-        }
+        });
         self.operator.multiply(Orientation::Backward, block, product, width);
-        for (row, right) in product.chunks_exact_mut(width).zip(out.right.chunks_exact(width)) {
-            for c in 0..width {
-                row[c] -= right[c] * out.sigma[c];
+        Arch::new().dispatch(|| {
+            for (row, right) in product.chunks_exact_mut(width).zip(out.right.chunks_exact(width)) {
+                for ((value, right), sigma) in row.iter_mut().zip(right).zip(sigma) {
+                    *value -= right * sigma;
+                }
             }
-        }
+        });
         column_lengths(product, width, lengths);
         out.residuals.clear();
         let relative = |(length, sigma): (&f64, &f64)| {
@@ -402,10 +417,10 @@ impl Search<'_> {
         }
         let open: Vec<usize> =
             (0..width).filter(|c| out.residuals[*c] > tolerance).collect();
-        for i in 0..n {
-            for (k, &c) in open.iter().enumerate() {
-                let scale = 1.0 / lengths[c];
-                block[i * open.len() + k] = product[i * width + c] * scale;
+        let scales: Vec<f64> = open.iter().map(|&c| 1.0 / lengths[c]).collect();
+        for (to, from) in block.chunks_exact_mut(open.len()).zip(product.chunks_exact(width)) {
+            for ((to, &c), scale) in to.iter_mut().zip(&open).zip(&scales) {
+                *to = from[c] * scale;
             }
         }
         open.len()
@@ -435,15 +450,20 @@ impl Search<'_> {
         let block = &mut block[..n * width];
         let [r, z, next] = single;
         let (r, z, next) = (&mut r[..n * width], &mut z[..n * width], &mut next[..n * width]);
-        for (to, from) in r.iter_mut().zip(&*block) {
-            *to = *from as f32;
-        }
+        Arch::new().dispatch(|| {
+            for (to, from) in r.iter_mut().zip(&*block) {
+                *to = *from as f32;
+            }
+        });
         let (mut current, mut other): (&mut [f32], &mut [f32]) = (z, next);
         for orientation in [Orientation::Backward, Orientation::Forward] {
             let Some((last, rest)) = polynomial.split_last() else { return };
-            for (z, r) in current.iter_mut().zip(&*r) {
-                *z = *last as f32 * r;
-            }
+            let last = *last as f32;
+            Arch::new().dispatch(|| {
+                for (z, r) in current.iter_mut().zip(&*r) {
+                    *z = last * r;
+                }
+            });
             for coefficient in rest.iter().rev() {
                 let c = *coefficient as f32;
                 self.operator.horner_step(orientation, c, r, current, other, width);
@@ -451,9 +471,11 @@ impl Search<'_> {
             }
             r.copy_from_slice(current);
         }
-        for (to, from) in block.iter_mut().zip(&*r) {
-            *to = f64::from(*from);
-        }
+        Arch::new().dispatch(|| {
+            for (to, from) in block.iter_mut().zip(&*r) {
+                *to = f64::from(*from);
+            }
+        });
     }
 
     /// Coefficients of the polynomial p of a degree for which p(B) comes nearest to (I − B)⁻¹ on a few
@@ -530,11 +552,13 @@ fn solve_small(system: &mut [f64], right: &mut [f64], size: usize) -> Vec<f64> {
 fn column_lengths(rows: &[f64], width: usize, lengths: &mut Vec<f64>) {
     lengths.clear();
     lengths.resize(width, 0.0);
-    for row in rows.chunks_exact(width) {
-        for (sum, value) in lengths.iter_mut().zip(row) {
-            *sum += value * value;
+    Arch::new().dispatch(|| {
+        for row in rows.chunks_exact(width) {
+            for (sum, value) in lengths.iter_mut().zip(row) {
+                *sum += value * value;
+            }
         }
-    }
+    });
     for length in lengths {
         *length = length.sqrt();
     }
