@@ -64,9 +64,31 @@ pub(crate) fn strongly_connected(a: &SparseMatrix) -> Vec<Vec<usize>> {
     components
 }
 
+/// True when the graph has no cycle, by taking away nodes that no edge enters until none is left
+/// (Kahn, Commun. ACM 5, 1962). O(nodes + edges), a fraction of [`strongly_connected`].
+pub(crate) fn is_acyclic(a: &SparseMatrix) -> bool {
+    let n = a.nodes();
+    let mut entering = vec![0_u32; n];
+    for (_, j, _) in a.triplets() {
+        entering[j] += 1;
+    }
+    let mut free: Vec<usize> = (0..n).filter(|&i| entering[i] == 0).collect();
+    let mut taken = 0;
+    while let Some(node) = free.pop() {
+        taken += 1;
+        for (j, _) in a.row(node) {
+            entering[j] -= 1;
+            if entering[j] == 0 {
+                free.push(j);
+            }
+        }
+    }
+    taken == n
+}
+
 #[cfg(test)]
 mod tests {
-    use super::strongly_connected;
+    use super::{is_acyclic, strongly_connected};
     use crate::matrix::SparseMatrix;
 
     #[test]
@@ -77,6 +99,17 @@ mod tests {
         assert!(found.iter().position(|c| c == &[2, 3]) < found.iter().position(|c| c == &[0, 1]));
         found.sort();
         assert_eq!(found, [vec![0, 1], vec![2, 3], vec![4], vec![5]]);
+    }
+
+    #[test]
+    fn a_cycle_behind_a_chain_is_seen() {
+        let chain = (1..50).map(|i| (i - 1, i, 1.0));
+        let a = SparseMatrix::from_triplets(50, chain.clone()).unwrap();
+        assert!(is_acyclic(&a));
+        for back in [(49, 49), (49, 45), (20, 0)] {
+            let edges = chain.clone().chain([(back.0, back.1, 1.0)]);
+            assert!(!is_acyclic(&SparseMatrix::from_triplets(50, edges).unwrap()));
+        }
     }
 
     #[test]

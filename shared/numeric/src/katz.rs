@@ -81,19 +81,19 @@ impl Alpha {
             Self::Fraction(f) if a.is_zero() => f,
             Self::Fraction(f) => f / spectral_norm(a),
         };
-        check_alpha(alpha, radius)?;
+        check_alpha(alpha, radius.upper)?;
         Ok(alpha)
     }
 }
 
-/// Refuses α unless it is positive, finite and certified to let the series converge.
-fn check_alpha(alpha: f64, radius: &SpectralRadius) -> Result<(), KatzError> {
+/// Refuses α unless it is positive, finite and certified to let the series converge by the upper
+/// bound `radius` of ρ.
+pub(crate) fn check_alpha(alpha: f64, radius: f64) -> Result<(), KatzError> {
     if !(alpha.is_finite() && alpha > 0.0) {
         return Err(KatzError::Alpha(alpha));
     }
-    let product = alpha * radius.upper;
+    let product = alpha * radius;
     if product.is_nan() || product >= 1.0 {
-        let radius = radius.upper;
         return Err(KatzError::Diverges { alpha, radius });
     }
     Ok(())
@@ -114,7 +114,7 @@ pub fn katz_similarity(
     alpha: f64,
     radius: &SpectralRadius,
 ) -> Result<DenseMatrix, KatzError> {
-    check_alpha(alpha, radius)?;
+    check_alpha(alpha, radius.upper)?;
     let n = a.nodes();
     let overflow = KatzError::Overflow { alpha };
     // Only an acyclic graph admits an α so large that even αA is out of range.

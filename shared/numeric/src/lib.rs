@@ -24,6 +24,7 @@
 //! [`matrix::MAX_ENTRY`], which is checked on construction; functions that take them rely on it.
 
 pub mod alignment;
+pub mod alpha_band;
 mod backend;
 mod components;
 pub mod dimension;
@@ -41,6 +42,7 @@ mod operator;
 mod order;
 mod partial;
 pub mod norm;
+pub mod radius_bound;
 mod scaling;
 pub mod silhouette;
 pub mod spectral_radius;

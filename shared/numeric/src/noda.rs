@@ -15,8 +15,9 @@ use std::collections::VecDeque;
 
 use crate::matrix::SparseMatrix;
 
-/// Relative width of the bracket at which the iteration stops.
-const TOLERANCE: f64 = 1e-13;
+/// Relative width of the bracket that is asked for where the radius is wanted exactly: a few
+/// hundred roundings.
+pub(crate) const TOLERANCE: f64 = 1e-13;
 
 /// Power steps before the first factorisation: they sort out easy matrices cheaply.
 const POWER_STEPS: usize = 20;
@@ -29,7 +30,7 @@ const MAX_POWER_STEPS: usize = 1000;
 const FAR: f64 = 4.0;
 
 /// Largest block that is factorised; larger ones get power steps only.
-const MAX_FACTORISED: usize = 4096;
+pub(crate) const MAX_FACTORISED: usize = 4096;
 
 /// Multiply-adds spent on the power steps of a block that is too large to factorise.
 const POWER_WORK: usize = 400_000_000;
@@ -51,10 +52,11 @@ pub(crate) struct Perron {
     pub(crate) vector: Vec<f64>,
 }
 
-/// Brackets ρ of the irreducible matrix `a`, starting from the positive vector `start`.
-pub(crate) fn perron(a: &SparseMatrix, start: Vec<f64>) -> Perron {
+/// Brackets ρ of the irreducible matrix `a`, starting from the positive vector `start`, to a
+/// relative width of `tolerance`.
+pub(crate) fn perron(a: &SparseMatrix, start: Vec<f64>, tolerance: f64) -> Perron {
     let m = a.nodes();
-    let mut state = Bracket::new(start);
+    let mut state = Bracket::new(start, tolerance);
     let factorised = m <= MAX_FACTORISED;
     let steps =
         if factorised { MAX_POWER_STEPS } else { (POWER_WORK / a.edges().max(1)).clamp(100, 5000) };
@@ -105,11 +107,12 @@ struct Bracket {
     lower: f64,
     upper: f64,
     x: Vec<f64>,
+    tolerance: f64,
 }
 
 impl Bracket {
-    fn new(start: Vec<f64>) -> Self {
-        Self { lower: 0.0, upper: f64::INFINITY, x: normalised(start) }
+    fn new(start: Vec<f64>, tolerance: f64) -> Self {
+        Self { lower: 0.0, upper: f64::INFINITY, x: normalised(start), tolerance }
     }
 
     /// Improves the bounds by the quotients of the current iterate and returns A x.
@@ -131,7 +134,7 @@ impl Bracket {
     }
 
     fn tight(&self) -> bool {
-        self.width() <= TOLERANCE * self.upper
+        self.width() <= self.tolerance * self.upper
     }
 }
 

@@ -6,7 +6,7 @@
 
 use crate::components::strongly_connected;
 use crate::matrix::SparseMatrix;
-use crate::noda::perron;
+use crate::noda::{TOLERANCE, perron};
 
 /// Enclosure of the spectral radius ρ, in the unit of the weights.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,7 +53,7 @@ pub fn spectral_radius(a: &SparseMatrix, warm: Option<&[f64]>) -> SpectralRadius
         result.acyclic = false;
         let block = restriction(a, &nodes, &mut place);
         let start = start_vector(&nodes, warm);
-        let root = perron(&block, start);
+        let root = perron(&block, start, TOLERANCE);
         result.lower = result.lower.max(root.lower);
         result.upper = result.upper.max(root.upper);
         for (&node, &value) in nodes.iter().zip(&root.vector) {
@@ -66,7 +66,7 @@ pub fn spectral_radius(a: &SparseMatrix, warm: Option<&[f64]>) -> SpectralRadius
 
 /// Rows and columns `nodes` of `a`, renumbered. `place` is scratch space of one entry per node
 /// of `a`, all `usize::MAX` before and after.
-fn restriction(a: &SparseMatrix, nodes: &[usize], place: &mut [usize]) -> SparseMatrix {
+pub(crate) fn restriction(a: &SparseMatrix, nodes: &[usize], place: &mut [usize]) -> SparseMatrix {
     for (k, &node) in nodes.iter().enumerate() {
         place[node] = k;
     }

@@ -141,6 +141,12 @@ impl SparseMatrix {
         self.weights.iter().fold(0.0, |m, &w| w.max(m))
     }
 
+    /// The compressed rows: where each row starts (and, last, where the last one ends), columns and
+    /// weights. For inner loops, which a bounds check per row would slow down.
+    pub(crate) fn parts(&self) -> (&[usize], &[usize], &[f64]) {
+        (&self.starts, &self.columns, &self.weights)
+    }
+
     /// Most edges that leave one node.
     pub(crate) fn max_degree(&self) -> usize {
         let degrees = self.starts.windows(2).map(|w| w[1] - w[0]);
