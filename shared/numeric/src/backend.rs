@@ -5,6 +5,7 @@
 //! the result cannot be used. Parallelism is passed explicitly: the global default is a
 //! process-wide pool that costs more than it gives at the sizes of this crate.
 
+pub(crate) mod general;
 pub(crate) mod tall;
 
 use faer::diag::Diag;

@@ -26,6 +26,7 @@
 pub mod alignment;
 pub mod alpha_band;
 mod backend;
+pub mod cached_katz;
 mod components;
 pub mod dimension;
 pub mod embedding;
