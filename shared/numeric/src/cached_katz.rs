@@ -1,7 +1,7 @@
 //! The Katz similarity of all pairs, kept from frame to frame.
 //!
 //! Solving for S anew costs 8/3 n³ multiply-adds; when a few robots have moved, the identity of
-//! Woodbury (see [`woodbury`]) gives the new S for 2n² per changed row or column. What changed is
+//! Woodbury gives the new S for 2n² per changed row or column. What changed is
 //! found by comparing the matrices, not from a list of who moved: robots change the neighbourhood
 //! of others too. Robots that join or leave are rows and columns that appear or disappear.
 //!

@@ -7,16 +7,18 @@
 //! | step | module |
 //! | --- | --- |
 //! | fuse the graphs of all modalities into one, A* = Σ w_m A_m | [`fuse`] |
-//! | bound the spectral radius of A*, on which the choice of α rests | [`spectral_radius`] |
-//! | Katz similarity S = (I − αA*)⁻¹ − I | [`katz`] |
+//! | bound the spectral radius of A*, on which the choice of α rests | [`spectral_radius`], [`radius_bound`] |
+//! | choose α, and keep it while it holds | [`katz`], [`alpha_band`] |
+//! | Katz similarity S = (I − αA*)⁻¹ − I | [`katz`], [`cached_katz`] |
 //! | singular value decomposition of S, cut at K | [`svd`], [`dimension`] |
 //! | representation X = \[U, V\], one row per node | [`embedding`], [`alignment`] |
 //! | k-means on the rows of X | [`kmeans`], [`margins`] |
 //! | carry cluster identities over from the previous division | [`matching`] |
 //! | score the division | [`silhouette`] |
 //!
-//! The crate knows nodes by their index only, does no input or output, keeps no state, and is
-//! deterministic: the same input gives the same output, bit for bit, on the same machine.
+//! The crate knows nodes by their index only, does no input or output, keeps no state but in values
+//! that the caller holds, and is deterministic: the same input gives the same output, bit for bit,
+//! on the same machine.
 //! All linear algebra runs on the calling thread. Public signatures use the types of this crate;
 //! the linear algebra library behind them can be exchanged without touching a caller.
 //!

@@ -13,14 +13,13 @@
 
 use std::collections::VecDeque;
 
+use pulp::Arch;
+
 use crate::matrix::SparseMatrix;
 
 /// Relative width of the bracket that is asked for where the radius is wanted exactly: a few
 /// hundred roundings.
 pub(crate) const TOLERANCE: f64 = 1e-13;
-
-/// Power steps before the first factorisation: they sort out easy matrices cheaply.
-const POWER_STEPS: usize = 20;
 
 /// Power steps granted while the bounds are still far apart. Noda's iteration only halves the
 /// upper bound per factorisation until it comes near to ρ.
@@ -29,11 +28,8 @@ const MAX_POWER_STEPS: usize = 1000;
 /// Quotient of the bounds from which they are far apart.
 const FAR: f64 = 4.0;
 
-/// Largest block that is factorised; larger ones get power steps only.
+/// Largest block that is factorised; larger ones keep the bounds that they come with.
 pub(crate) const MAX_FACTORISED: usize = 4096;
-
-/// Multiply-adds spent on the power steps of a block that is too large to factorise.
-const POWER_WORK: usize = 400_000_000;
 
 /// Factorisations; about five suffice from a good start.
 const MAX_ITERATIONS: usize = 200;
@@ -53,17 +49,20 @@ pub(crate) struct Perron {
 }
 
 /// Brackets ρ of the irreducible matrix `a`, starting from the positive vector `start`, to a
-/// relative width of `tolerance`.
-pub(crate) fn perron(a: &SparseMatrix, start: Vec<f64>, tolerance: f64) -> Perron {
-    let m = a.nodes();
+/// relative width of `tolerance`. Bounds that are known already, 0 and infinity where there are
+/// none, are improved upon; how far the iteration is depends on the vector alone.
+pub(crate) fn perron(
+    a: &SparseMatrix,
+    start: Vec<f64>,
+    known: (f64, f64),
+    tolerance: f64,
+) -> Perron {
     let mut state = Bracket::new(start, tolerance);
-    let factorised = m <= MAX_FACTORISED;
-    let steps =
-        if factorised { MAX_POWER_STEPS } else { (POWER_WORK / a.edges().max(1)).clamp(100, 5000) };
-    for step in 0..steps {
+    let factorised = a.nodes() <= MAX_FACTORISED;
+    let steps = if factorised { MAX_POWER_STEPS } else { 0 };
+    for _ in 0..steps {
         let product = state.tighten(a);
-        let near = factorised && step >= POWER_STEPS && state.upper <= FAR * state.lower;
-        if state.tight() || near {
+        if state.tight() || state.upper <= FAR * state.lower {
             break;
         }
         // The mean of x and Ax makes periodic graphs (rings, two-cycles) converge too. It is the
@@ -75,13 +74,15 @@ pub(crate) fn perron(a: &SparseMatrix, start: Vec<f64>, tolerance: f64) -> Perro
     if factorised && !state.tight() {
         iterate(a, &mut state);
     }
+    let bounds = (state.lower.max(known.0), state.upper.min(known.1));
+    widened(a, bounds, state.x)
+}
+
+/// Bounds widened by the rounding of the sums that they come from.
+pub(crate) fn widened(a: &SparseMatrix, (lower, upper): (f64, f64), vector: Vec<f64>) -> Perron {
     // Sums of non-negative terms are off by at most one rounding per term.
     let slack = (a.max_degree() + 4) as f64 * f64::EPSILON;
-    Perron {
-        lower: state.lower * (1.0 - slack),
-        upper: state.upper * (1.0 + slack),
-        vector: state.x,
-    }
+    Perron { lower: lower * (1.0 - slack), upper: upper * (1.0 + slack), vector }
 }
 
 /// Noda's iteration until the bracket is tight or rounding stops its progress.
@@ -173,41 +174,26 @@ fn shifted_solve(
     for (k, &node) in order.iter().enumerate() {
         place[node] = k;
     }
-    // links[i·m + j] = −(σI − A)_ij x_j for i ≠ j, in elimination order; the diagonal is implied.
-    let mut links = vec![0.0; m * m];
-    let mut end = vec![0; m];
+    let mut system = System {
+        links: vec![0.0; m * m],
+        end: vec![0; m],
+        last: (0..m).collect(),
+        slack: order.iter().map(|&i| (sigma * x[i] - product[i]).max(0.0)).collect(),
+        rhs: order.iter().map(|&i| x[i]).collect(),
+        pivot: vec![0.0; m],
+    };
     for (i, &node) in order.iter().enumerate() {
         for (j, w) in a.row(node) {
-            links[i * m + place[j]] = w * x[j];
-            end[i] = end[i].max(place[j] + 1);
+            let j = place[j];
+            system.links[i * m + j] = w * x[order[j]];
+            system.end[i] = system.end[i].max(j + 1);
+            system.last[j] = system.last[j].max(i);
         }
     }
-    let slack = |&i: &usize| (sigma * x[i] - product[i]).max(0.0);
-    let mut slack: Vec<f64> = order.iter().map(slack).collect();
-    let mut rhs: Vec<f64> = order.iter().map(|&i| x[i]).collect();
-    let mut pivot = vec![0.0; m];
-
-    for k in 0..m {
-        let (head, tail) = links.split_at_mut((k + 1) * m);
-        let row = &head[k * m..];
-        let stop = end[k].max(k + 1);
-        pivot[k] = slack[k] + row[k + 1..stop].iter().sum::<f64>();
-        if pivot[k] <= 0.0 {
-            return None;
-        }
-        for (below, i) in tail.chunks_exact_mut(m).zip(k + 1..) {
-            if below[k] == 0.0 {
-                continue;
-            }
-            let factor = below[k] / pivot[k];
-            for (target, source) in below[k + 1..stop].iter_mut().zip(&row[k + 1..stop]) {
-                *target += factor * source;
-            }
-            end[i] = end[i].max(stop);
-            slack[i] += factor * slack[k];
-            rhs[i] += factor * rhs[k];
-        }
+    if !Arch::new().dispatch(|| system.eliminate()) {
+        return None;
     }
+    let System { links, end, rhs, pivot, .. } = system;
 
     let mut scaled = vec![0.0; m];
     for k in (0..m).rev() {
@@ -221,6 +207,65 @@ fn shifted_solve(
     }
     let usable = y.iter().all(|v| v.is_finite()) && y.iter().any(|v| *v > 0.0);
     usable.then_some(y)
+}
+
+/// Multiply-adds of one factorisation of `a`, from above.
+pub(crate) fn factorisation_work(a: &SparseMatrix) -> usize {
+    let mut place = vec![0; a.nodes()];
+    for (k, node) in bandwidth_order(a).into_iter().enumerate() {
+        place[node] = k;
+    }
+    let band = a.triplets().map(|(i, j, _)| place[i].abs_diff(place[j])).max().unwrap_or(0);
+    a.nodes() * band * band
+}
+
+/// The system (σI − A) y = x in elimination order, columns scaled by x.
+struct System {
+    /// −(σI − A)_ij x_j for i ≠ j at i·m + j; the diagonal is implied.
+    links: Vec<f64>,
+    /// End of the non-zero entries of each row.
+    end: Vec<usize>,
+    /// The last row with an entry in each column.
+    last: Vec<usize>,
+    /// Sums of the rows, the diagonal included.
+    slack: Vec<f64>,
+    rhs: Vec<f64>,
+    pivot: Vec<f64>,
+}
+
+impl System {
+    /// Elimination without pivoting and subtractions; false when a pivot vanishes. Inlined into
+    /// its dispatch to the vector instructions of the machine.
+    #[inline(always)]
+    fn eliminate(&mut self) -> bool {
+        let Self { links, end, last, slack, rhs, pivot } = self;
+        let m = end.len();
+        // Elimination of a row fills in no further down than its own column and those before.
+        let mut bottom = 0;
+        for k in 0..m {
+            bottom = bottom.max(last[k]);
+            let (head, tail) = links.split_at_mut((k + 1) * m);
+            let row = &head[k * m..];
+            let stop = end[k].max(k + 1);
+            pivot[k] = slack[k] + row[k + 1..stop].iter().sum::<f64>();
+            if pivot[k] <= 0.0 {
+                return false;
+            }
+            for (below, i) in tail.chunks_exact_mut(m).zip(k + 1..=bottom) {
+                if below[k] == 0.0 {
+                    continue;
+                }
+                let factor = below[k] / pivot[k];
+                for (target, source) in below[k + 1..stop].iter_mut().zip(&row[k + 1..stop]) {
+                    *target += factor * source;
+                }
+                end[i] = end[i].max(stop);
+                slack[i] += factor * slack[k];
+                rhs[i] += factor * rhs[k];
+            }
+        }
+        true
+    }
 }
 
 /// Reverse Cuthill–McKee order of the undirected pattern: nodes that are linked come close

@@ -17,7 +17,8 @@ use crate::katz::{KatzError, check_alpha};
 use crate::matrix::SparseMatrix;
 use crate::noda::{MAX_FACTORISED, TOLERANCE, perron};
 use crate::spectral_radius::{SpectralRadius, restriction};
-use search::{Found, Limits, Vectors};
+use search::Found;
+pub(crate) use search::{Limits, Vectors};
 use sweep::Chebyshev;
 
 /// Relative width of the bracket that [`RadiusTracker::bound`] asks for: enough to hold αρ within
@@ -41,6 +42,10 @@ const CENTRALITY_SWEEPS: usize = 2000;
 
 /// Growth of the residual beyond its best value that shows a spectrum far from real.
 const DIVERGING: f64 = 4.0;
+
+/// Sweeps after which Chebyshev steps must have done better than as many of the Neumann series,
+/// which they do for real spectra.
+const TRIAL: i32 = 32;
 
 /// Certified enclosure of a spectral radius ρ, in the unit of the weights.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -153,7 +158,8 @@ impl RadiusTracker {
             edges += own.sweeps * block.edges();
             if !own.tight(width) && factorised {
                 let top = self.block.x.iter().fold(1.0_f64, |top, x| x.max(top));
-                let root = perron(&block, std::mem::take(&mut self.block.x), 0.5 * width);
+                let known = (own.lower, own.upper);
+                let root = perron(&block, std::mem::take(&mut self.block.x), known, 0.5 * width);
                 own.lower = own.lower.max(root.lower);
                 own.upper = own.upper.min(root.upper);
                 self.block.x.extend(root.vector.iter().map(|v| v * top));
@@ -205,7 +211,8 @@ impl RadiusTracker {
     /// them from [`RadiusTracker::centralities`]. Entry i weighs all walks that leave node i, the
     /// empty walk included, so that it is at least 1.
     ///
-    /// Ends after 2000 sweeps in any case; look at the residual.
+    /// Ends when the residual is lost in the rounding of x, and after 2000 sweeps in any case; look
+    /// at the residual that is answered.
     ///
     /// # Errors
     /// [`KatzError::Alpha`] and [`KatzError::Diverges`] for a decay that `bound`, which must
@@ -225,21 +232,29 @@ impl RadiusTracker {
             x.resize(n, 1.0);
         }
         next.resize(n, 0.0);
-        let mut chebyshev = Chebyshev::new(alpha, alpha * bound.upper);
+        let half_width = alpha * bound.upper;
+        let mut chebyshev = Chebyshev::new(alpha, half_width);
         let mut best = f64::INFINITY;
+        let mut wanted = f64::INFINITY;
+        let rounding = (a.max_degree() + 4) as f64 * f64::EPSILON;
         for sweeps in 1..=CENTRALITY_SWEEPS {
             let sweep = chebyshev.step(a, x, next);
             if !(sweep.top.is_finite() && sweep.residual.is_finite()) {
                 x.fill(1.0);
                 return Err(KatzError::Overflow { alpha });
             }
-            if sweep.residual <= tolerance || sweeps == CENTRALITY_SWEEPS || n == 0 {
+            let reached = sweep.residual <= tolerance.max(rounding * sweep.top);
+            if reached || sweeps == CENTRALITY_SWEEPS || n == 0 {
                 return Ok(Centrality { residual: sweep.residual, sweeps });
             }
-            if sweep.residual > DIVERGING * best {
+            let checked = sweeps % TRIAL as usize == 0;
+            if sweep.residual > DIVERGING * best || (checked && sweep.residual > wanted) {
                 chebyshev = Chebyshev::new(alpha, 0.0);
             }
             best = best.min(sweep.residual);
+            if checked {
+                wanted = sweep.residual * half_width.powi(TRIAL);
+            }
             std::mem::swap(x, next);
         }
         Ok(Centrality { residual: best, sweeps: CENTRALITY_SWEEPS })

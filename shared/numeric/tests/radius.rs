@@ -83,13 +83,14 @@ fn large_blocks_keep_honest_bounds() {
 fn warm_start_is_optional_and_harmless() {
     let a = path(50);
     let cold = spectral_radius(&a, None);
-    check(&spectral_radius(&a, Some(&cold.vector)), cold.value);
+    let expected = 2.0 * (PI / 51.0).cos();
+    check(&spectral_radius(&a, Some(&cold.vector)), expected);
     for bad in [vec![], vec![f64::NAN; 50], vec![0.0; 50], vec![-1.0; 50], vec![1e300; 50]] {
-        check(&spectral_radius(&a, Some(&bad)), cold.value);
+        check(&spectral_radius(&a, Some(&bad)), expected);
     }
     let mut tiny = vec![1.0; 50];
     tiny[7] = 5e-324;
-    check(&spectral_radius(&a, Some(&tiny)), cold.value);
+    check(&spectral_radius(&a, Some(&tiny)), expected);
 }
 
 proptest! {

@@ -176,6 +176,29 @@ fn centralities_of_heavy_chains_overflow_with_a_message() {
     assert!(tracker.solve_centrality(&a, 0.5, &bound, 1e-6).is_ok());
 }
 
+#[test]
+fn centralities_over_a_spectrum_that_chebyshev_steps_do_not_damp() {
+    let edges = [
+        (0, 0, 0.07507118638139033),
+        (0, 1, 1.0),
+        (0, 3, 8.150565162269658),
+        (0, 5, 49.61230274380968),
+        (1, 5, 34.07420654155142),
+        (3, 1, 4.328640991290111),
+        (3, 4, 10.686246594680219),
+        (4, 0, 1.8052891488701472),
+        (5, 4, 1.0),
+        (5, 5, 3.158303455864465),
+    ];
+    let a = graph(6, &edges);
+    let mut tracker = RadiusTracker::default();
+    let bound = tracker.bound(&a);
+    for f in [0.5, 0.8054345567053536, 0.95] {
+        let found = tracker.solve_centrality(&a, f / bound.upper, &bound, 1e-8).unwrap();
+        assert!(found.residual <= 1e-8 && found.sweeps < 500, "{found:?}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
@@ -213,7 +236,7 @@ proptest! {
         let expected = katz_centrality(&katz_similarity(&a, alpha, &radius).unwrap());
         for _ in 0..2 {
             let found = tracker.solve_centrality(&a, alpha, &bound, tolerance).unwrap();
-            let rounding = 1e-14 * expected.iter().fold(0.0_f64, |m, v| v.max(m));
+            let rounding = 1e-13 * expected.iter().fold(0.0_f64, |m, v| v.max(m));
             prop_assert!(found.residual <= tolerance + rounding, "{:?}", found);
             for (x, y) in tracker.centralities().iter().zip(&expected) {
                 prop_assert!(*x >= 1.0);

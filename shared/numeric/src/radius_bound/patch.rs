@@ -11,11 +11,17 @@ use crate::matrix::SparseMatrix;
 /// Place in the patch of a node that is not in it.
 const OUTSIDE: u32 = u32::MAX;
 
-/// Rounds of the power method; a limit for patches with nearly equal eigenvalues.
+/// Rounds of the power method at most; a limit for patches with nearly equal eigenvalues.
 const MAX_ROUNDS: usize = 200;
 
+/// Rounds that a large patch gets however few edges the graph has.
+const MIN_ROUNDS: usize = 8;
+
+/// Sweeps over the whole graph that a patch may cost; its products are dense, but much faster.
+const WORTH: usize = 4;
+
 /// Rounds before the first look at the progress.
-const MIN_ROUNDS: usize = 4;
+const SETTLING: usize = 4;
 
 /// Scratch space for patches of one graph after the other.
 #[derive(Debug, Default)]
@@ -33,7 +39,7 @@ pub(crate) struct Patches {
 impl Patches {
     /// A lower bound of ρ(A) from at most `size` nodes around `seed`, taken in the order of the
     /// positive `x`, one entry per node of `a`. The power method stops when a round raises the
-    /// bound by less than the fraction `progress`. 0 when no edge of the patch goes both ways.
+    /// bound by less than the fraction `progress`, or costs too much. 0 when no edge of the patch goes both ways.
     ///
     /// The matrix G of the geometric means g_ij = √(a_ij a_ji) has ρ(G) ≤ ρ(A) (Schwenk, Linear
     /// Algebra Appl. 75, 1986; Elsner, Johnson and Dias da Silva, Linear Multilinear Algebra 24,
@@ -56,14 +62,15 @@ impl Patches {
             *v /= top;
         }
         let mut best = 0.0_f64;
-        for round in 0..MAX_ROUNDS {
+        let rounds = (WORTH * a.edges() / (m * m)).clamp(MIN_ROUNDS, MAX_ROUNDS);
+        for round in 0..rounds {
             let (norm, quotient) = self.multiply(m);
             if norm.is_nan() || norm <= 0.0 || quotient <= 0.0 {
                 break;
             }
             let gained = quotient > best * (1.0 + progress);
             best = best.max(quotient);
-            if !gained && round >= MIN_ROUNDS {
+            if !gained && round >= SETTLING {
                 break;
             }
             // A shift by half the quotient makes patches with eigenvalues ±λ converge too.
