@@ -18,10 +18,47 @@ use crate::backend::general::{Factored, add_product};
 /// is all that such an update costs; beyond, the blocked product of the library is faster.
 const MAX_FUSED_RANK: usize = 6;
 
+/// The m × k matrix U by its columns, whose entries are (row, value).
+#[derive(Debug, Default)]
+struct Sparse {
+    starts: Vec<usize>,
+    entries: Vec<(u32, f64)>,
+}
+
+impl Sparse {
+    fn assign(&mut self, alpha: f64, changes: &Changes) {
+        self.entries.clear();
+        self.starts.clear();
+        self.starts.push(0);
+        for (line, held) in changes.lines() {
+            match line {
+                Line::Row(i) => self.entries.push((i, 1.0)),
+                Line::Column(_) => {
+                    self.entries.extend(held.iter().map(|c| (c.row, alpha * c.difference)));
+                }
+            }
+            self.starts.push(self.entries.len());
+        }
+    }
+
+    fn columns(&self) -> usize {
+        self.starts.len().saturating_sub(1)
+    }
+
+    /// The product of one row with column `a`.
+    #[inline(always)]
+    fn product(&self, row: &[f64], a: usize) -> f64 {
+        let entries = &self.entries[self.starts[a]..self.starts[a + 1]];
+        entries.iter().map(|&(j, value)| value * row[j as usize]).sum()
+    }
+}
+
 /// Memory of the updates of one matrix.
 #[derive(Debug, Default)]
 pub(crate) struct Woodbury {
-    /// G U, m × k.
+    /// U.
+    sparse: Sparse,
+    /// U in rows and then G U, m × k.
     left: Vec<f64>,
     /// VᵀG and then (I − VᵀGU)⁻¹VᵀG, k × m.
     right: Vec<f64>,
@@ -32,53 +69,27 @@ impl Woodbury {
     /// Prepares the update of the m × m matrix `s` in rows by `alpha` times `changes`. Answers the
     /// reciprocal condition of the k × k capacitance matrix I − VᵀGU; S itself is not touched.
     pub(crate) fn prepare(&mut self, s: &[f64], m: usize, alpha: f64, changes: &Changes) -> f64 {
-        let k = changes.lines().len();
-        self.fill_left(s, m, k, alpha, changes);
+        self.sparse.assign(alpha, changes);
+        let k = self.sparse.columns();
+        self.left.clear();
+        self.left.resize(m * k, 0.0);
+        for (a, bounds) in self.sparse.starts.windows(2).enumerate() {
+            for &(i, value) in &self.sparse.entries[bounds[0]..bounds[1]] {
+                self.left[i as usize * k + a] = value;
+            }
+        }
         self.fill_right(s, m, alpha, changes);
-        let right = &self.right;
-        self.factored.factor(k, |capacitance| {
+        let Self { sparse, right, factored, .. } = self;
+        factored.factor(k, |capacitance| {
             for (row, right) in capacitance.chunks_exact_mut(k).zip(right.chunks_exact(m)) {
-                for (entry, (line, held)) in row.iter_mut().zip(changes.lines()) {
-                    *entry = match line {
-                        Line::Row(i) => -right[i as usize],
-                        Line::Column(_) => {
-                            let terms = held.iter().map(|c| c.difference * right[c.row as usize]);
-                            -alpha * terms.sum::<f64>()
-                        }
-                    };
+                for (a, entry) in row.iter_mut().enumerate() {
+                    *entry = -sparse.product(right, a);
                 }
             }
             for i in 0..k {
                 capacitance[i * k + i] += 1.0;
             }
         })
-    }
-
-    fn fill_left(&mut self, s: &[f64], m: usize, k: usize, alpha: f64, changes: &Changes) {
-        self.left.clear();
-        self.left.resize(m * k, 0.0);
-        for (left, row) in self.left.chunks_exact_mut(k).zip(s.chunks_exact(m)) {
-            for (entry, (line, held)) in left.iter_mut().zip(changes.lines()) {
-                *entry = match line {
-                    Line::Row(i) => row[i as usize],
-                    Line::Column(_) => {
-                        let terms = held.iter().map(|c| c.difference * row[c.row as usize]);
-                        alpha * terms.sum::<f64>()
-                    }
-                };
-            }
-        }
-        // The I of G = I + S.
-        for (at, (line, held)) in changes.lines().enumerate() {
-            match line {
-                Line::Row(i) => self.left[i as usize * k + at] += 1.0,
-                Line::Column(_) => {
-                    for c in held {
-                        self.left[c.row as usize * k + at] += alpha * c.difference;
-                    }
-                }
-            }
-        }
     }
 
     fn fill_right(&mut self, s: &[f64], m: usize, alpha: f64, changes: &Changes) {
@@ -108,30 +119,36 @@ impl Woodbury {
 
     /// Carries out what [`Woodbury::prepare`] prepared, and writes S' z to `product`.
     pub(crate) fn apply(&mut self, s: &mut [f64], m: usize, z: &[f64], product: &mut [f64]) {
-        let k = self.right.len() / m.max(1);
+        let k = self.sparse.columns();
         self.factored.solve(&mut self.right, m);
-        let (left, right) = (&self.left, &self.right);
+        let Self { sparse, left, right, .. } = self;
         if k > MAX_FUSED_RANK {
+            for (left, row) in left.chunks_exact_mut(k).zip(s.chunks_exact(m)) {
+                for (a, entry) in left.iter_mut().enumerate() {
+                    *entry += sparse.product(row, a);
+                }
+            }
             add_product(left, right, s, k, m);
             multiply(s, m, z, product);
         } else {
-            Arch::new().dispatch(Fused { left, right, s, m, k, z, product });
+            Arch::new().dispatch(Fused { sparse, left, right, s, m, z, product });
         }
     }
 }
 
 /// `product` = S z for the m × m matrix S in rows.
 pub(crate) fn multiply(s: &mut [f64], m: usize, z: &[f64], product: &mut [f64]) {
-    Arch::new().dispatch(Fused { left: &[], right: &[], s, m, k: 0, z, product });
+    let sparse = &Sparse::default();
+    Arch::new().dispatch(Fused { sparse, left: &[], right: &[], s, m, z, product });
 }
 
-/// S' = S + P Z row by row, and its product with z while the row is in the cache.
+/// S' = S + (U + S U) Z row by row, and its product with z while the row is in the cache.
 struct Fused<'a> {
+    sparse: &'a Sparse,
     left: &'a [f64],
     right: &'a [f64],
     s: &'a mut [f64],
     m: usize,
-    k: usize,
     z: &'a [f64],
     product: &'a mut [f64],
 }
@@ -144,7 +161,7 @@ impl WithSimd for Fused<'_> {
         if self.m == 0 {
             return;
         }
-        match self.k {
+        match self.sparse.columns() {
             0 => self.rows::<S, 0>(simd),
             1 => self.rows::<S, 1>(simd),
             2 => self.rows::<S, 2>(simd),
@@ -164,7 +181,8 @@ impl Fused<'_> {
         let right: [_; K] =
             std::array::from_fn(|a| S::as_simd_f64s(&self.right[a * m..(a + 1) * m]));
         for (i, (row, product)) in self.s.chunks_exact_mut(m).zip(self.product).enumerate() {
-            let left: [f64; K] = std::array::from_fn(|a| self.left[i * K + a]);
+            let left: [f64; K] =
+                std::array::from_fn(|a| self.left[i * K + a] + self.sparse.product(row, a));
             let spread = left.map(|v| simd.splat_f64s(v));
             let (whole, rest) = S::as_mut_simd_f64s(row);
             let mut sums = [simd.splat_f64s(0.0); 4];
