@@ -14,6 +14,9 @@ fn interleave(x: f64, y: f64, side: f64) -> u64 {
     (0..16).map(|b| ((x >> b & 1) << (2 * b)) | ((y >> b & 1) << (2 * b + 1))).sum()
 }
 
+/// How far robots move from one frame to the next, relative to their mean spacing.
+const MOTION: f64 = 0.004;
+
 /// Squads of eight at unit density, along a Morton curve.
 fn fleet(n: usize, seed: u64) -> Vec<(f64, f64)> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -128,7 +131,7 @@ fn main() {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
         for p in &mut points {
             let angle = rng.random::<f64>() * std::f64::consts::TAU;
-            *p = (p.0 + 0.1 * angle.cos(), p.1 + 0.1 * angle.sin());
+            *p = (p.0 + MOTION * angle.cos(), p.1 + MOTION * angle.sin());
         }
         measure("smooth", n, &a, &smooth(&points));
         let a = random(n, 8);

@@ -75,6 +75,8 @@ pub(crate) struct Vectors {
     pub(crate) x: Vec<f64>,
     next: Vec<f64>,
     pub(crate) patches: Patches,
+    /// Nodes of the patch that sufficed the last time, where the next search begins.
+    size: usize,
 }
 
 impl Vectors {
@@ -83,6 +85,7 @@ impl Vectors {
         if self.x.len() != nodes {
             self.x.clear();
             self.x.resize(nodes, 1.0);
+            self.size = 0;
         }
         self.next.resize(nodes, 0.0);
     }
@@ -98,12 +101,13 @@ impl Vectors {
     pub(crate) fn search(&mut self, a: &SparseMatrix, floor: f64, limits: Limits) -> Found {
         let n = a.nodes();
         self.prepare(n);
-        let Self { x, next, patches } = self;
+        let Self { x, next, patches, size: sufficed } = self;
         let width = limits.width;
         let mut found = Found { lower: floor, upper: f64::INFINITY, sweeps: 0 };
         let first = multiply(a, x, next);
         found.take(first);
-        let mut size = FIRST_PATCH.min(n);
+        // A round on a patch of √edges nodes costs as much as a sweep.
+        let mut size = FIRST_PATCH.max((*sufficed).min(a.edges().isqrt())).min(n);
         if !found.tight(width) && first.top > 0.0 {
             let own = patches.lower_bound(a, next, first.peak, size, width * PATCH_PROGRESS);
             found.lower = found.lower.max(own);
@@ -159,6 +163,7 @@ impl Vectors {
                 (power, stalled) = (true, 0);
             }
         }
+        *sufficed = size;
         found
     }
 }
