@@ -4,9 +4,11 @@
 //! the live fleet and a fleet in a file are judged by the same rules. All edge lists are ordered by
 //! source, then target, and name no edge twice.
 
+mod compact;
 pub mod connectivity;
 pub mod edge;
 pub mod hierarchy;
+pub mod kernel;
 mod neighbours;
 pub mod spatial;
 

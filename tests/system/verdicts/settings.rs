@@ -81,6 +81,8 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
             r#"{"tick_hz":null,"spatial":null,"frames":null}"#,
             r#"{"spatial":{"kernel":"exponential","radius_m":12.5}}"#,
             r#"{"spatial":{"radius_m":null,"width":null}}"#,
+            r#"{"spatial":{"kernel":"wendland-c2","cutoff":3}}"#,
+            r#"{"spatial":{"kernel":null,"cutoff":null}}"#,
             r#"{"connectivity":{"unit":"rssi_dbm"}}"#,
             r#"{"frames":["map","odom"]}"#,
             r#"{"modalities":["thermal","sonar"]}"#,
@@ -94,10 +96,11 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
             r#"{"tick_hz":"10"}"#,
             r#"{"tick_hz":true}"#,
             r#"{"max_robots":10.5}"#,
-            r#"{"spatial":["gaussian",2.0,200,16,null]}"#,
+            r#"{"spatial":["gaussian",2.0,9.0,200,16,null]}"#,
             r#"{"spatial":7}"#,
             r#"{"spatial":{"kernel":"cubic"}}"#,
             r#"{"spatial":{"kernel":7}}"#,
+            r#"{"spatial":{"cutoff":"far"}}"#,
             r#"{"spatial":{"radius":1}}"#,
             r#"{"connectivity":{"unit":"volts"}}"#,
             r#"{"frames":[]}"#,
@@ -116,7 +119,10 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
     add(
         "ingest",
         OnlyByService("spatial.neighbours times max_robots"),
-        &[r#"{"spatial":{"neighbours":200},"max_robots":100000}"#],
+        &[
+            r#"{"spatial":{"neighbours":200},"max_robots":100000}"#,
+            r#"{"spatial":{"kernel":"wendland-c2","neighbours":13},"max_robots":100000}"#,
+        ],
     );
     add(
         "embedder",

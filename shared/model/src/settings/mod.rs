@@ -198,6 +198,20 @@ mod tests {
     }
 
     #[test]
+    fn the_largest_graph_of_each_kernel_fits_a_message() {
+        let settings = IngestSettings::default().patched(&json!({"max_robots": 100_000})).unwrap();
+        for (kernel, most) in [("gaussian", 25), ("exponential", 25), ("wendland-c2", 12)] {
+            let patch =
+                |neighbours: u32| json!({"spatial": {"kernel": kernel, "neighbours": neighbours}});
+            assert!(settings.patched(&patch(most)).is_ok());
+            let error = settings.patched(&patch(most + 1)).unwrap_err();
+            assert_eq!(error.field, "spatial.neighbours");
+            let remedy = format!("at most {most} for max_robots of 100000");
+            assert!(error.problem.contains(&remedy), "{error}");
+        }
+    }
+
+    #[test]
     fn a_bad_patch_names_its_field() {
         let field = |patch: Value| ClustererSettings::default().patched(&patch).unwrap_err().field;
         assert_eq!(field(json!({"team": 5})), "team");
@@ -209,7 +223,9 @@ mod tests {
         let spatial = |patch: Value| IngestSettings::default().patched(&patch).unwrap_err().field;
         assert_eq!(spatial(json!({"spatial": {"radius": 1}})), "spatial.radius");
         assert_eq!(spatial(json!({"spatial": {"width": 0.0}})), "spatial.width");
-        assert_eq!(spatial(json!({"spatial": ["gaussian", 2.0, 200, 16, null]})), "spatial");
+        assert_eq!(spatial(json!({"spatial": {"cutoff": 0.9}})), "spatial.cutoff");
+        assert_eq!(spatial(json!({"spatial": {"kernel": "wendland"}})), "spatial.kernel");
+        assert_eq!(spatial(json!({"spatial": ["gaussian", 2.0, 9.0, 200, 16, null]})), "spatial");
         let alpha = |patch: Value| EmbedderSettings::default().patched(&patch).unwrap_err();
         for wrong in [json!("x"), json!({"fraction": 0.5, "x": 1}), json!({}), json!([1])] {
             let error = alpha(json!({ "alpha": wrong }));
