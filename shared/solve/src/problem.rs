@@ -13,7 +13,7 @@ use muster_numeric::matrix::{MAX_DENSE_ENTRIES, MAX_ENTRY, MIN_WEIGHT, SparseMat
 
 use super::file::{Emit, File, ModalityEntry};
 use super::observations::{Graphs, Observations};
-use super::{SolveError, memory, refuse};
+use super::{SolveError, refuse};
 
 /// Most robots: the square of it is the largest dense matrix.
 pub(super) const MAX_SOLVE_ROBOTS: usize = MAX_DENSE_ENTRIES.isqrt();
@@ -161,7 +161,6 @@ fn places(robots: &[RobotId]) -> Result<HashMap<RobotId, usize>, SolveError> {
             ),
         );
     }
-    memory::check(robots.len())?;
     let mut places = HashMap::with_capacity(robots.len());
     for (place, robot) in robots.iter().enumerate() {
         if let Some(first) = places.insert(robot.clone(), place) {
