@@ -40,7 +40,8 @@ use crate::neighbours::{Point, distance, k_nearest, length_scale, nearest_distan
 /// jump, since no scale that follows the fleet can be continuous there: when half of the robots come
 /// to stand on others exactly, and when more than 4 × `neighbours` come to stand on one spot exactly.
 /// Robots that come or go change the median and the neighbours, which is a change of the fleet and no
-/// motion.
+/// motion. And a fleet of pairs that stand much closer than one pair to the next is measured by the
+/// pairs, as with every kernel here: beyond `cutoff` such lengths there is no edge.
 ///
 /// Robots whose position is not finite or beyond 4e7 m are left out. Each edge stands in both
 /// directions with the same weight. The weights do not depend on the unit, the origin or the axes of
