@@ -240,12 +240,23 @@ pub(super) fn estimate(problem: &Problem) -> Estimate {
 
 /// Refuses a problem that does not fit, instead of being killed half an hour later.
 pub(super) fn check(problem: &Problem) -> Result<(), SolveError> {
-    let robots = problem.robots.len();
+    admit_now(problem.robots.len(), &Size::of(problem), Path::of(problem))
+}
+
+/// Refuses so many robots if they do not fit whatever their graphs are.
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
+pub(super) fn check_robots(robots: usize) -> Result<(), SolveError> {
+    let size =
+        Size { robots: robots as f64, edges: 0.0, dimension: 2.0, teams: 1.0, restarts: 0.0 };
+    admit_now(robots, &size, Path::Dense)
+}
+
+/// Refuses what does not fit now. Small fleets are not worth asking the system.
+fn admit_now(robots: usize, size: &Size, path: Path) -> Result<(), SolveError> {
     if robots <= SMALL {
         return Ok(());
     }
-    let peak_mib = Size::of(problem).peak_mib(Path::of(problem));
-    admit(robots, peak_mib, available_mib())
+    admit(robots, size.peak_mib(path), available_mib())
 }
 
 /// Whether a fleet fits. Where the system does not tell how much memory is available, every fleet does.

@@ -158,6 +158,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
     // With --json another program waits, which wants no line on the terminal that it shares.
     let line = line::Line::start(!args.json && std::io::stderr().is_terminal());
     let text = read(&args.file).with_context(|| name.clone())?;
+    let parse = if args.estimate { parse } else { parse_to_solve };
     let problem = parse(&text, args.normalize_weights).with_context(|| name.clone())?;
     drop(text);
     if args.estimate {
@@ -209,7 +210,7 @@ impl Solved {
         normalize_weights: bool,
         progress: &mut dyn FnMut(Step),
     ) -> Result<Self, SolveError> {
-        let problem = parse(text, normalize_weights)?;
+        let problem = parse_to_solve(text, normalize_weights)?;
         let solution = solve(&problem, progress)?;
         Ok(Self { problem, solution })
     }
@@ -246,7 +247,12 @@ fn solve(
 
 /// A text as a checked input.
 fn parse(text: &[u8], normalize_weights: bool) -> Result<problem::Problem, SolveError> {
-    problem::check(file::read(text)?, normalize_weights)
+    problem::check(file::read(text)?, normalize_weights, |_| Ok(()))
+}
+
+/// A text as a checked input, unless its robots alone are too many for the memory of this machine.
+fn parse_to_solve(text: &[u8], normalize_weights: bool) -> Result<problem::Problem, SolveError> {
+    problem::check(file::read(text)?, normalize_weights, estimate::check_robots)
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, SolveError> {

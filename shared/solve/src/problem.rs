@@ -54,9 +54,15 @@ pub(super) enum Division {
     Given(Vec<u32>),
 }
 
-/// Checks a file. With `normalize_weights`, weights of any sum are accepted and divided by it.
-pub(super) fn check(mut file: File, normalize_weights: bool) -> Result<Problem, SolveError> {
+/// Checks a file. With `normalize_weights`, weights of any sum are accepted and divided by it. `admit` is
+/// asked for the number of robots before the graphs are made, which may be large.
+pub(super) fn check(
+    mut file: File,
+    normalize_weights: bool,
+    admit: fn(usize) -> Result<(), SolveError>,
+) -> Result<Problem, SolveError> {
     let places = places(&file.robots)?;
+    admit(file.robots.len())?;
     let graphs = graphs(&mut file, &places, normalize_weights)?;
     let division = division(&mut file)?;
     let defaults = EmbedderSettings::default();
