@@ -109,3 +109,23 @@ fn the_last_audit_is_repeated_for_the_auditor() {
         assert_eq!(answer[0].header().unwrap().revision, Revision { term: 7, epoch: 2 });
     }
 }
+
+#[test]
+fn a_division_that_is_finished_in_doubt_is_told_whole_once_the_role_is_confirmed() {
+    let (mut bench, _) = divided(teams(3), &line(1, 200, 200));
+    bench.hold = true;
+    bench.hear(&line(2, 200, 150));
+    bench.step(Event::LinkLost);
+    bench.take();
+    bench.run_job();
+    bench.wait(2.0);
+    assert!(bench.take().teams.is_empty(), "nobody hears it");
+    bench.step(Event::LinkRestored);
+    let sent = bench.take();
+    let told = told(&sent.changes());
+    assert!(!told.is_empty() && told == self::told(&sent.division().changes), "{told:?}");
+    assert_eq!(sent.robots.len(), 200, "all have other companions now");
+    bench.wait(1.0);
+    let sent = bench.take();
+    assert!(sent.changes().is_empty() && sent.division().changes.is_empty(), "told once");
+}

@@ -46,7 +46,7 @@ fn most(service: ServiceName, bounds: Bounds) -> Footprint {
             // as many of those as it was moved within the minute of memory.
             robots: bounds.names * (1 + bounds.names),
             edges: 0,
-            messages: 6,
+            messages: 7,
             offenders: OFFENDERS,
         },
         ServiceName::Auditor => Footprint {
