@@ -350,6 +350,8 @@ impl Clusterer {
         let revision = self.role.next_revision();
         let stage = self.role.stage(source.received, now);
         teams.embedding = source.embedding.header.revision;
+        // A restart goes by the division alone, so that it says which numbers others have given.
+        teams.next_team = teams.next_team.max(self.memory.next_team);
         teams.header = source.embedding.header.next_stage(revision, stage);
 
         let heartbeat = seconds(self.role.settings().heartbeat_s);
@@ -444,10 +446,14 @@ impl Clusterer {
                 memory.next_team = memory.next_team.max(teams.next_team);
             }
         }
+        // The job that runs knows neither those numbers nor, at first, that division.
+        if self.gate.is_running() {
+            self.gate = self.gate.abandoned();
+        }
         self.turn.hurry();
         if self.told.is_some() {
             self.tell_again(now, effects);
-        } else if !self.gate.is_running() {
+        } else {
             self.inherit(messages);
         }
     }
