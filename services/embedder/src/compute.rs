@@ -12,7 +12,8 @@ use muster_model::graph::{GraphReplica, Node};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::{
-    Alpha, Dimension, EmbedderSettings, Normalization, RowScaling, SingularValueScaling,
+    Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
+    SingularValueScaling,
 };
 use muster_numeric::alignment::align;
 use muster_numeric::dimension::choose_seeing_dimension;
@@ -177,7 +178,8 @@ fn compute(
             choose_seeing_dimension(&kept.svd, &related(&kept.fused), teams, before)
         }
     };
-    let svd = kept.svd.truncate(wanted.clamp(1, robots))?;
+    let most = robots.min(MAX_DIMENSION as usize / 2);
+    let svd = kept.svd.truncate(wanted.clamp(1, most))?;
     let residual = svd.residual(&kept.similarity)?;
     let scale = match settings.scale {
         SingularValueScaling::None => Scale::None,

@@ -88,6 +88,17 @@ pub(crate) enum Content {
     Relation(Modality, Vec<(RobotId, f64)>),
 }
 
+impl Content {
+    /// How many edges it may lead to.
+    pub(crate) fn edge_count(&self) -> usize {
+        match self {
+            Self::Links(links) => links.len(),
+            Self::Relation(_, edges) => edges.len(),
+            Self::Pose { .. } | Self::Rank(_) => 0,
+        }
+    }
+}
+
 /// Whom a robot answers to, and what it is.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Tie {

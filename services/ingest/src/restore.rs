@@ -78,9 +78,7 @@ pub(crate) fn restore(
         let observed = pose_of(entry, settings).into_iter().chain(rank_of(entry, ties.as_ref()));
         contents.extend(observed.map(|observed| (observed.stream, observed.content)));
         for (stream, content) in contents {
-            if !robot.has_spoken(&stream) {
-                robot.take(received, content);
-            }
+            fleet.recall(received, &entry.robot, stream, content);
         }
         restored.insert(entry.robot.clone());
     }

@@ -280,6 +280,15 @@ impl Robot {
         change
     }
 
+    /// How many edges it has reported on a stream.
+    pub(crate) fn edge_count(&self, stream: &Stream) -> usize {
+        match stream {
+            Stream::Links => self.links.len(),
+            Stream::Relation(modality) => self.relations.get(modality).map_or(0, Vec::len),
+            Stream::Pose | Stream::Rank => 0,
+        }
+    }
+
     /// What the roster says of it.
     pub(crate) fn entry(&self, name: &RobotId) -> RosterEntry {
         let pose = self.pose.as_ref();

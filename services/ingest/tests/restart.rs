@@ -102,7 +102,10 @@ fn a_robot_without_new_poses_stays_stale_over_a_restart_while_it_says_other_thin
     assert!(new.happened().is_empty(), "neither recovered nor stale anew");
     assert_eq!(new.presence("r1"), Some(Stale));
     let oldest = new.roster.as_ref().unwrap().header.oldest.unwrap();
-    assert!(new.now.since(oldest) > seconds(2.0) && oldest >= posed, "its pose is not made younger");
+    assert!(
+        new.now.since(oldest) > seconds(2.0) && oldest >= posed,
+        "its pose is not made younger"
+    );
     new.say(pose("r1", 0.0, 0.0));
     assert_eq!(new.happened(), ["recovered r1"]);
 }

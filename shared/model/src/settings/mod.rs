@@ -16,8 +16,8 @@ use serde_json::{Map, Value};
 pub use auditor::AuditorSettings;
 pub use clusterer::{CentroidStart, ClustererSettings};
 pub use embedder::{
-    Alpha, Dimension, EmbedderSettings, Normalization, RowScaling, SingularValueScaling,
-    check_weights,
+    Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
+    SingularValueScaling, check_weights,
 };
 pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialSettings,
