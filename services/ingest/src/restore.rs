@@ -17,7 +17,7 @@ use muster_model::time::{Tick, seconds};
 use muster_relation::hierarchy::DEFAULT_TIE;
 use muster_wire::Message;
 
-use crate::admission::{self, Content, Observed, Stream};
+use crate::admission::{self, Content, LinkQuality, Observed, Stream};
 use crate::roster::Fleet;
 
 /// Other ends and weights of edges.
@@ -145,7 +145,10 @@ fn said_of_graphs(
         for (peer, hearer, weight) in named_edges(graph) {
             links.entry(hearer.clone()).or_default().push((peer.clone(), weight.min(1.0)));
         }
-        say(links, Stream::Links, &Content::Links);
+        say(links, Stream::Links, &|edges| {
+            let weight = |(peer, weight)| (peer, LinkQuality::Weight(weight));
+            Content::Links(edges.into_iter().map(weight).collect())
+        });
     }
     for modality in &settings.modalities {
         let Some(graph) = graphs.get(modality) else { continue };

@@ -286,6 +286,7 @@ mod tests {
     use muster_model::observation::Provenance;
 
     use super::*;
+    use crate::admission::LinkQuality;
 
     const NOW: Tick = Tick(1_000_000_000_000);
 
@@ -295,7 +296,8 @@ mod tests {
 
     /// Lets a robot report so many links.
     fn report(fleet: &mut Fleet, name: &str, links: usize) -> Result<Change, Refusal> {
-        let peers = (0..links).map(|peer| (robot(&format!("p{peer}")), 0.5)).collect();
+        let peers =
+            (0..links).map(|peer| (robot(&format!("p{peer}")), LinkQuality::Weight(0.5))).collect();
         let provenance = Provenance { stamp: None, boot: None, seq: None };
         let observed =
             Observed { stream: Stream::Links, provenance, content: Content::Links(peers) };
