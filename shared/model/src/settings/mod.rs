@@ -198,6 +198,14 @@ mod tests {
     }
 
     #[test]
+    fn no_service_may_be_silent_for_so_long_that_it_is_taken_for_dead() {
+        let heartbeat = |s: f64| ClustererSettings::default().patched(&json!({"heartbeat_s": s}));
+        assert!(heartbeat(4.0).is_ok() && heartbeat(4.1).unwrap_err().field == "heartbeat_s");
+        let tick = |hz: f64| IngestSettings::default().patched(&json!({"tick_hz": hz}));
+        assert!(tick(0.5).is_ok() && tick(0.4).unwrap_err().field == "tick_hz");
+    }
+
+    #[test]
     fn a_bad_patch_names_its_field() {
         let field = |patch: Value| ClustererSettings::default().patched(&patch).unwrap_err().field;
         assert_eq!(field(json!({"team": 5})), "team");
