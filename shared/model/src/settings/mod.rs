@@ -17,7 +17,7 @@ pub use auditor::AuditorSettings;
 pub use clusterer::{CentroidStart, ClustererSettings};
 pub use embedder::{
     Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
-    SingularValueScaling, check_weights,
+    SingularValueScaling, WEIGHT_SUM_TOLERANCE, check_weights,
 };
 pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialSettings,
