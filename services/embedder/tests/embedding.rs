@@ -507,7 +507,7 @@ fn every_get_is_answered_once() {
     let mut bench = Bench::new(EmbedderSettings::default());
     let keys = ["embedding", "roster", "graph/*", "graph/spatial", "teams", "service/*/status"];
     for key in keys.into_iter().chain(["service/embedder/settings", "no/such/key"]) {
-        let empty = key != "service/*/status";
+        let empty = !key.starts_with("service");
         assert_eq!(bench.ask(key, None).unwrap().is_empty(), empty, "{key}");
     }
     let (mut bench, _) = following();

@@ -199,13 +199,14 @@ fn who_begins_takes_over_what_a_holder_in_doubt_could_not_announce() {
 }
 
 #[test]
-fn who_starts_tells_nobody_its_settings() {
+fn who_starts_tells_its_settings_and_nobody_takes_them_over() {
     let mut bench = Bench::new();
     assert!(matches!(bench.get_settings(None), Answered::Done));
-    assert!(bench.wanted().answers.is_empty());
-    let mut bench = Bench::holding();
-    assert!(matches!(bench.get_settings(None), Answered::Done));
-    assert_eq!(bench.wanted().answers.len(), 1);
+    let told = bench.wanted().answers;
+    assert_eq!(told[0].header().unwrap().revision, Revision::default());
+    let mut other = Bench::answered(vec![settings(0, 0, 9)]);
+    assert_eq!(other.role.settings().teams, ClustererSettings::default().teams);
+    assert_eq!(other.hear_settings(0, 0, 9), ClustererSettings::default().teams);
 }
 
 #[test]

@@ -76,14 +76,10 @@ fn started<C: Core>(stored: Stored) {
         settings: C::Settings::default(),
         stored,
     };
-    let begun = |stored: Stored| {
-        let mut driver = Driver::<C>::new(start(stored));
-        let mut commands = driver.step(NOW, Event::Started);
-        let fetched = Event::Fetched { fetch: START_FETCH, messages: Vec::new() };
-        commands.extend(driver.step(NOW, fetched));
-        (driver, commands)
-    };
-    let (mut driver, commands) = begun(stored);
+    let mut driver = Driver::<C>::new(start(stored));
+    let mut commands = driver.step(NOW, Event::Started);
+    let fetched = Event::Fetched { fetch: START_FETCH, messages: Vec::new() };
+    commands.extend(driver.step(NOW, fetched));
     let kept = commands.iter().find_map(|command| match command {
         Command::Store(stored) => Some(stored.clone()),
         _ => None,
@@ -116,5 +112,5 @@ fn started<C: Core>(stored: Stored) {
     assert_eq!(read.check(), Ok(()));
     let written = serde_json::to_vec(&kept).unwrap();
     let kept: Stored = serde_json::from_slice(&written).unwrap();
-    assert_eq!(told(&mut begun(kept).0), settings, "a restart changes settings");
+    assert_eq!(told(&mut Driver::<C>::new(start(kept))), settings, "a restart changes settings");
 }

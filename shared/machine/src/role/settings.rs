@@ -37,6 +37,10 @@ impl<S: Settings> Role<S> {
             return;
         }
         let revision = announced.header.revision;
+        if revision.term == 0 {
+            // It has no term itself, and may know less than this one.
+            return;
+        }
         let is_holders = |holder: &Revision| holder.term == revision.term && *holder < self.adopted;
         if revision < self.adopted && !self.tenure.followed().as_ref().is_some_and(is_holders) {
             self.count("settings_old");
@@ -74,14 +78,9 @@ impl<S: Settings> Role<S> {
             return Answered::Done;
         }
         if request.selects(&self.space, &Key::Settings(self.service))
-            && match self.standing() {
-                // The holder answers; two answers to one change would be one too many.
-                Standing::Standby => true,
-                // They may be old, and another instance that starts would take them over.
-                Standing::Starting => request.payload.is_none(),
-                Standing::Holding | Standing::Doubtful => false,
-            }
+            && self.standing() == Standing::Standby
         {
+            // The holder answers; two answers to one change would be one too many.
             effects.push(Effect::Reply { query, request, answer: Ok(Vec::new()) });
             return Answered::Done;
         }
@@ -141,9 +140,12 @@ impl<S: Settings> Role<S> {
         serde_json::to_string(&self.settings).unwrap_or_default()
     }
 
+    /// The settings in force. Those of an instance without a term stand at the first of all places, so
+    /// that no other instance takes them over.
     pub(super) fn settings_message(&self, now: Tick) -> Message {
+        let revision = if self.has_term() { self.revision } else { Revision::default() };
         Message::Settings(Box::new(AnnouncedSettings {
-            header: self.own_header(now, self.revision),
+            header: self.own_header(now, revision),
             service: self.service,
             settings: self.settings_json(),
         }))
