@@ -134,7 +134,7 @@ fn recordings() -> Vec<Seed> {
     let inputs = [
         Input::Started,
         Input::Received(Heard::Put(put.clone())),
-        Input::Rejected(Rejection::new(&space(), "k", "r".to_owned())),
+        Input::Rejected(Rejection::new(&space(), "k", "r")),
         Input::Timeout,
         Input::Done(vec![5, 9]),
         Input::JobFailed(vec![5], "a panic".to_owned()),
