@@ -50,7 +50,8 @@ pub(crate) struct Process {
     not_before: Micros,
     /// When its errands thread has done what it was told.
     pub(crate) errands_free: Micros,
-    /// How often it has announced its settings.
+    /// The settings that it has announced last, and how often those were others than before.
+    pub(crate) settings: String,
     pub(crate) announced: u32,
     /// The same as its last job began …
     pub(crate) announced_before_job: u32,
@@ -160,6 +161,7 @@ impl Node {
             seen: BTreeSet::new(),
             not_before: 0,
             errands_free: 0,
+            settings: String::new(),
             announced: 0,
             announced_before_job: 0,
             announced_before_result: 0,

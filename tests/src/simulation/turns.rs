@@ -164,7 +164,10 @@ impl World {
         };
         match (&message, &mut self.nodes[index].process) {
             (Message::Teams { .. }, _) => self.stats.divisions += 1,
-            (Message::Settings(_), Some(process)) => process.announced += 1,
+            (Message::Settings(told), Some(process)) if told.settings != process.settings => {
+                process.settings.clone_from(&told.settings);
+                process.announced += 1;
+            }
             _ => {}
         }
         self.stats.published += 1;
