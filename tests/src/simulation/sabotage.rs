@@ -27,7 +27,7 @@ pub enum Sabotage {
     DeafAuditor,
     /// The clusterer changes the leaders with every heartbeat, once settings were changed.
     Restless,
-    /// The clusterer takes a robot out of its team with every other heartbeat, once settings were changed.
+    /// The clusterer takes a robot out of its team with every heartbeat, once settings were changed.
     Fickle,
     /// Ingest gives every other roster the revision of the one before, once a service was killed.
     RevisionTwice,
@@ -88,6 +88,8 @@ pub(crate) struct Saboteur {
     leaders: BTreeMap<TeamId, RobotId>,
     /// The robot that it has taken out of its team in the last division.
     taken_out: Option<RobotId>,
+    /// The inertia of the last division, which tells the vectors behind it, in bits.
+    inertia: Option<u64>,
     /// A revision that it comes back to.
     old: Option<Revision>,
 }
@@ -100,6 +102,7 @@ impl Saboteur {
             published: 0,
             leaders: BTreeMap::new(),
             taken_out: None,
+            inertia: None,
             old: None,
         }
     }
@@ -148,12 +151,14 @@ impl Saboteur {
                 Message::RobotTeam(told)
             }
             (Sabotage::Fickle, Message::Teams { teams, mirror }) => {
-                self.published += 1;
+                // Only where the same vectors were divided again: otherwise others may find it first.
+                let inertia = Some(teams.inertia.to_bits());
+                let again = std::mem::replace(&mut self.inertia, inertia) == inertia;
                 self.taken_out = None;
                 let mut teams = Teams::clone(&teams);
                 let follower = teams.teams.iter_mut().find_map(|team| {
                     let at = team.members.iter().position(|member| member.robot != team.leader)?;
-                    self.published.is_multiple_of(2).then(|| team.members.remove(at).robot)
+                    again.then(|| team.members.remove(at).robot)
                 });
                 if let Some(robot) = follower {
                     teams.unassigned.push(robot.clone());
