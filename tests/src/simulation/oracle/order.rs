@@ -60,6 +60,10 @@ impl Order {
             matches!(message, Message::RobotTeam(_) | Message::Settings(_) | Message::Claim(_));
         let counts = !repeats;
         let Speaker { service, instance, .. } = speaker;
+        // A process that is killed before its term is on the disk begins it again. Readers tell it what
+        // it gave, but for events, which nobody keeps.
+        let of_process = matches!(message, Message::Event(_));
+        let key = if of_process { format!("{key} of process {}", speaker.process) } else { key };
         let place = (service, instance, key);
         let last = self.given.get(&place).copied();
         let key = &place.2;
