@@ -330,8 +330,10 @@ impl Measured {
         if matches!(self.fault.kind, Kind::Narrow(_) | Kind::Slow) {
             hold(self.late.is_some_and(|(_, all)| all <= LATE_S), "newer poses replace what waits");
         }
-        // A link that is too narrow may be lost for a while; its robots are silent then.
-        if !self.fault.cuts_robots_off() && !matches!(self.fault.kind, Kind::Narrow(_)) {
+        // A link that is too narrow may be lost for a while, and one that loses packets waits longer with
+        // each time that it loses the same one; their robots are silent then.
+        let falters = matches!(self.fault.kind, Kind::Narrow(_) | Kind::Slow);
+        if !self.fault.cuts_robots_off() && !falters {
             hold(self.stale.is_none(), "nobody is taken for silent");
         }
         if self.fault.lets_base_speak() {
