@@ -5,6 +5,8 @@
 //! the result cannot be used. Parallelism is passed explicitly: the global default is a
 //! process-wide pool that costs more than it gives at the sizes of this crate.
 
+pub(crate) mod tall;
+
 use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::lu::partial_pivoting::{factor, solve};

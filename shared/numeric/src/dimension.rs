@@ -94,7 +94,7 @@ fn limit(n: usize, teams: usize) -> usize {
 
 /// Numeric rank: values above the noise.
 fn rank(sigma: &[f64]) -> usize {
-    let noise = null_threshold(sigma);
+    let noise = null_threshold(sigma, sigma.len());
     sigma.iter().filter(|s| **s > noise).count()
 }
 
