@@ -11,6 +11,7 @@
 
 use thiserror::Error;
 
+use crate::dimension::Spectrum;
 use crate::katz::KatzError;
 use crate::matrix::{DenseMatrix, SparseMatrix};
 use crate::operator::KatzOperator;
@@ -82,6 +83,8 @@ pub struct KatzSvd {
     /// The same in the order of the operator.
     start: [Vec<f64>; 2],
     nodes: usize,
+    /// How many triplets were asked for last.
+    rank: usize,
     frames: u64,
 }
 
@@ -105,6 +108,7 @@ impl KatzSvd {
         let n = a.nodes();
         check(n, alpha, radius, options)?;
         self.take_over(n, previous)?;
+        self.rank = options.rank;
         let same_order = previous.is_none() && !self.frames.is_multiple_of(ORDER_FRAMES);
         self.operator.assign(a, alpha, same_order);
         let start = self.start();
@@ -128,7 +132,7 @@ impl KatzSvd {
 
     /// Singular values, descending: those that were asked for, and some more that are less exact.
     #[must_use]
-    pub fn singular_values(&self) -> &[f64] {
+    pub fn all_singular_values(&self) -> &[f64] {
         &self.triplets.sigma
     }
 
@@ -136,7 +140,7 @@ impl KatzSvd {
     /// of values below 1e-7 σ₁ are set to zero: they cannot be told from the null space.
     ///
     /// # Errors
-    /// [`SvdError::Rank`] unless 1 ≤ k ≤ the number of [`KatzSvd::singular_values`].
+    /// [`SvdError::Rank`] unless 1 ≤ k ≤ the number of [`KatzSvd::all_singular_values`].
     pub fn truncate(&self, k: usize) -> Result<RankKSvd, SvdError> {
         let Triplets { width, right, image, sigma, .. } = &self.triplets;
         let nodes = sigma.len();
@@ -232,6 +236,30 @@ impl KatzSvd {
                 *to = right + image;
             }
         }
+    }
+}
+
+impl Spectrum for KatzSvd {
+    fn nodes(&self) -> usize {
+        self.nodes
+    }
+
+    /// Those that were asked for.
+    fn singular_values(&self) -> &[f64] {
+        &self.triplets.sigma[..self.rank.min(self.triplets.sigma.len())]
+    }
+
+    fn noise(&self) -> f64 {
+        NULL * self.triplets.sigma.first().copied().unwrap_or(0.0)
+    }
+
+    fn squared_share(&self, i: usize, j: usize) -> f64 {
+        let Triplets { width, right, image, sigma, .. } = &self.triplets;
+        let at = self.operator.inner()[i] as usize * width + j;
+        if sigma[j] <= self.noise() {
+            return 0.0;
+        }
+        image[at].powi(2) / sigma[j] + right[at].powi(2) * sigma[j]
     }
 }
 

@@ -8,6 +8,7 @@
 use thiserror::Error;
 
 use crate::backend::{Factors, thin_svd};
+use crate::dimension::Spectrum;
 use crate::jacobi::jacobi_svd;
 use crate::matrix::DenseMatrix;
 
@@ -154,12 +155,6 @@ impl FullSvd {
         &self.sigma
     }
 
-    /// Squared length that triplet `j` adds to the row of node `i` in \[U√Σ, V√Σ\].
-    pub(crate) fn squared_share(&self, i: usize, j: usize) -> f64 {
-        let root = self.sigma[j].sqrt();
-        (self.u.at(i, j) * root).powi(2) + (self.v.at(i, j) * root).powi(2)
-    }
-
     /// The `k` leading triplets, 1 ≤ k ≤ n.
     ///
     /// # Errors
@@ -175,6 +170,25 @@ impl FullSvd {
             v: DenseMatrix::from_fn(nodes, k, |i, j| self.v.at(i, j)),
             sigma_next: self.sigma.get(k).copied(),
         })
+    }
+}
+
+impl Spectrum for FullSvd {
+    fn nodes(&self) -> usize {
+        self.sigma.len()
+    }
+
+    fn singular_values(&self) -> &[f64] {
+        &self.sigma
+    }
+
+    fn noise(&self) -> f64 {
+        null_threshold(&self.sigma, self.sigma.len())
+    }
+
+    fn squared_share(&self, i: usize, j: usize) -> f64 {
+        let root = self.sigma[j].sqrt();
+        (self.u.at(i, j) * root).powi(2) + (self.v.at(i, j) * root).powi(2)
     }
 }
 
