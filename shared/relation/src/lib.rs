@@ -12,7 +12,7 @@ pub mod kernel;
 mod neighbours;
 pub mod spatial;
 
-pub use connectivity::{connectivity_edges, link_weight};
+pub use connectivity::{connectivity_edges, link_weight, signal_weight};
 pub use edge::{Edge, EdgeError, relation_edges};
 pub use hierarchy::hierarchy_edges;
 pub use neighbours::median_nearest_neighbour_distance;

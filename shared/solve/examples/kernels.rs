@@ -40,7 +40,7 @@ fn kernels() -> Vec<(String, Value)> {
 }
 
 /// The file of a fleet at a moment, from positions alone or from everything that it observes.
-fn file(fleet: &Fleet, t_seconds: f64, is_whole: bool, spatial: &Value) -> String {
+fn file(fleet: &Fleet, teams: usize, t_seconds: f64, is_whole: bool, spatial: &Value) -> String {
     let names: Vec<String> = fleet.robots().iter().map(ToString::to_string).collect();
     let by_name = |values: Vec<Value>| -> Value {
         Value::Object(names.iter().cloned().zip(values).collect::<Map<_, _>>())
@@ -48,7 +48,7 @@ fn file(fleet: &Fleet, t_seconds: f64, is_whole: bool, spatial: &Value) -> Strin
     let pose = |pose: &muster_model::observation::Pose| json!({"x": pose.x, "y": pose.y});
     let poses = by_name(fleet.poses(t_seconds).iter().map(pose).collect());
     let mut file = json!({
-        "robots": names, "poses": poses, "spatial": spatial, "teams": fleet.options().teams,
+        "robots": names, "poses": poses, "spatial": spatial, "teams": teams,
         "restarts": 10,
     });
     if is_whole {
@@ -106,7 +106,7 @@ fn main() {
                         for t in MOMENTS_S {
                             let truth = fleet.truth(t);
                             for ((_, spatial), scores) in kernels.iter().zip(&mut scores) {
-                                let text = file(&fleet, t, is_whole, spatial);
+                                let text = file(&fleet, teams, t, is_whole, spatial);
                                 let solved = Solved::new(text.as_bytes(), false).unwrap();
                                 scores.push(adjusted_rand_index(solved.labels(), &truth));
                             }

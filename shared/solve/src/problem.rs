@@ -7,7 +7,7 @@ use muster_model::limits::MAX_WEIGHT;
 use muster_model::object::Object;
 use muster_model::settings::{
     Alpha, ClustererSettings, Dimension, EmbedderSettings, Normalization, RowScaling, Settings,
-    SingularValueScaling,
+    SingularValueScaling, WEIGHT_SUM_TOLERANCE,
 };
 use muster_numeric::matrix::{MAX_DENSE_ENTRIES, MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
 
@@ -17,9 +17,6 @@ use super::{SolveError, refuse};
 
 /// Most robots: the square of it is the largest dense matrix.
 pub(super) const MAX_SOLVE_ROBOTS: usize = MAX_DENSE_ENTRIES.isqrt();
-
-/// How far the weights of the modalities may sum from 1: rounding of a few decimal fractions.
-const WEIGHT_SUM_TOLERANCE: f64 = 1e-9;
 
 /// A checked input.
 #[derive(Debug)]

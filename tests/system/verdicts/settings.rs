@@ -42,7 +42,7 @@ fn at_the_bounds(service: &str, schema: &Value) -> Vec<(String, Wanted)> {
                 (json!({}), OnlyByService("not above stale_after_s"))
             }
             ("ingest", "stale_after_s", 86_400.0) => (json!({"gone_after_s": 604_800}), Accepted),
-            ("ingest", "spatial.neighbours", 256.0) => (json!({"max_robots": 9000}), Accepted),
+            ("ingest", "spatial.neighbours", 256.0) => (json!({"max_robots": 8700}), Accepted),
             ("ingest", "connectivity.rssi_floor_dbm", 100.0)
             | ("ingest", "connectivity.rssi_ceiling_dbm", -200.0) => {
                 (json!({}), OnlyByService("less than 1 dB above"))

@@ -11,6 +11,9 @@ use crate::schema::{DeclaredModality, Name};
 /// Highest rate of frames: above it a frame is shorter than the way over a radio.
 pub const MAX_TICK_HZ: f64 = 100.0;
 
+/// Lowest rate of frames: a roster is part of a frame, and who misses it for 5 s takes ingest for dead.
+const MIN_TICK_HZ: f64 = 0.5;
+
 /// Most coordinate frames that a fleet may use: positions of different frames are not comparable.
 const MAX_FRAMES: usize = 8;
 
@@ -94,8 +97,8 @@ pub struct ConnectivitySettings {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IngestSettings {
-    /// Frames per second; nothing is published while nothing changes.
-    #[schemars(range(min = 0.1, max = MAX_TICK_HZ))]
+    /// Frames per second; while nothing changes there is one in each second.
+    #[schemars(range(min = MIN_TICK_HZ, max = MAX_TICK_HZ))]
     pub tick_hz: f64,
     /// A robot is stale this many seconds after its last pose, or after its token was lost.
     #[schemars(range(min = 0.1, max = 86_400))]
@@ -193,7 +196,7 @@ impl ConnectivitySettings {
 
 impl Settings for IngestSettings {
     fn check(&self) -> Result<(), SettingsError> {
-        check_range("tick_hz", self.tick_hz, 0.1..=MAX_TICK_HZ)?;
+        check_range("tick_hz", self.tick_hz, MIN_TICK_HZ..=MAX_TICK_HZ)?;
         check_range("stale_after_s", self.stale_after_s, 0.1..=86_400.0)?;
         check_range("gone_after_s", self.gone_after_s, 0.1..=604_800.0)?;
         if self.gone_after_s <= self.stale_after_s {

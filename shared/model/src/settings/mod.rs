@@ -16,8 +16,8 @@ use serde_json::{Map, Value};
 pub use auditor::AuditorSettings;
 pub use clusterer::{CentroidStart, ClustererSettings};
 pub use embedder::{
-    Alpha, Dimension, EmbedderSettings, Normalization, RowScaling, SingularValueScaling,
-    check_weights,
+    Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
+    SingularValueScaling, WEIGHT_SUM_TOLERANCE, check_weights,
 };
 pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialSettings,
@@ -200,7 +200,7 @@ mod tests {
     #[test]
     fn the_largest_graph_of_each_kernel_fits_a_message() {
         let settings = IngestSettings::default().patched(&json!({"max_robots": 100_000})).unwrap();
-        for (kernel, most) in [("gaussian", 25), ("exponential", 25), ("wendland-c2", 12)] {
+        for (kernel, most) in [("gaussian", 22), ("exponential", 22), ("wendland-c2", 11)] {
             let patch =
                 |neighbours: u32| json!({"spatial": {"kernel": kernel, "neighbours": neighbours}});
             assert!(settings.patched(&patch(most)).is_ok());
@@ -209,6 +209,14 @@ mod tests {
             let remedy = format!("at most {most} for max_robots of 100000");
             assert!(error.problem.contains(&remedy), "{error}");
         }
+    }
+
+    #[test]
+    fn no_service_may_be_silent_for_so_long_that_it_is_taken_for_dead() {
+        let heartbeat = |s: f64| ClustererSettings::default().patched(&json!({"heartbeat_s": s}));
+        assert!(heartbeat(4.0).is_ok() && heartbeat(4.1).unwrap_err().field == "heartbeat_s");
+        let tick = |hz: f64| IngestSettings::default().patched(&json!({"tick_hz": hz}));
+        assert!(tick(0.5).is_ok() && tick(0.4).unwrap_err().field == "tick_hz");
     }
 
     #[test]
