@@ -10,13 +10,14 @@
 //! | bound the spectral radius of A*, on which the choice of α rests | [`spectral_radius`] |
 //! | Katz similarity S = (I − αA*)⁻¹ − I | [`katz`] |
 //! | singular value decomposition of S, cut at K | [`svd`], [`dimension`] |
+//! | the same for large graphs, without S, from frame to frame | [`katz_svd`] |
 //! | representation X = \[U, V\], one row per node | [`embedding`], [`alignment`] |
 //! | k-means on the rows of X | [`kmeans`], [`margins`] |
 //! | carry cluster identities over from the previous division | [`matching`] |
 //! | score the division | [`silhouette`] |
 //!
-//! The crate knows nodes by their index only, does no input or output, keeps no state, and is
-//! deterministic: the same input gives the same output, bit for bit, on the same machine.
+//! The crate knows nodes by their index only, does no input or output, keeps no state but
+//! what a [`katz_svd::KatzSvd`] carries from frame to frame, and is deterministic: the same input gives the same output, bit for bit, on the same machine.
 //! All linear algebra runs on the calling thread. Public signatures use the types of this crate;
 //! the linear algebra library behind them can be exchanged without touching a caller.
 //!
