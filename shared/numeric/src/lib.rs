@@ -17,7 +17,8 @@
 //! | score the division | [`silhouette`] |
 //!
 //! The crate knows nodes by their index only, does no input or output, keeps no state but
-//! what a [`katz_svd::KatzSvd`] carries from frame to frame, and is deterministic: the same input gives the same output, bit for bit, on the same machine.
+//! what its types carry from frame to frame, and is deterministic: the same input gives the same
+//! output, bit for bit, on the same machine.
 //! All linear algebra runs on the calling thread. Public signatures use the types of this crate;
 //! the linear algebra library behind them can be exchanged without touching a caller.
 //!
