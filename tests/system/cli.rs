@@ -166,6 +166,33 @@ fn the_shipped_configuration_is_the_built_in_one() {
 }
 
 #[test]
+fn a_solve_is_estimated_before_it_is_begun() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("fleet.json");
+    let file = r#"{"robots": ["a", "b"], "teams": 1,
+                   "modalities": [{"name": "m", "edges": [["a", "b", 1]]}]}"#;
+    std::fs::write(&path, file).unwrap();
+    let path = path.to_str().unwrap();
+    let (code, out, err) = run("muster", &["solve", path, "--estimate", "--json"], SOON).unwrap();
+    assert_eq!(
+        (code, err.as_str()),
+        (Some(0), ""),
+        "nothing but the estimate where no terminal is"
+    );
+    let estimate: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((estimate["robots"].as_u64(), estimate["fits"].as_bool()), (Some(2), Some(true)));
+    let (code, out, _) = run("muster", &["solve", path, "--estimate"], SOON).unwrap();
+    assert_eq!(code, Some(0));
+    assert!(out.contains("it fits"), "{out}");
+    let many: Vec<String> = (0..16_385).map(|robot| format!("\"r{robot}\"")).collect();
+    let file = format!(r#"{{"robots": [{}], "teams": 1, "ranks": {{}}}}"#, many.join(","));
+    std::fs::write(path, file).unwrap();
+    let (code, _, err) = run("muster", &["solve", path, "--estimate"], SOON).unwrap();
+    assert_eq!(code, Some(2));
+    assert!(err.contains("robots: 16385 are too many"), "{err}");
+}
+
+#[test]
 fn every_command_has_examples() {
     for command in [
         "demo",

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use muster_tests::client::division;
 use muster_tests::cluster::Cluster;
 use muster_tests::process::{Process, python};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::pipeline::FORMED_WITHIN;
 
@@ -133,12 +133,28 @@ async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
     // Nothing that the programs said was refused.
     assert!(!dashboard.output().contains("quarantined"), "{}", dashboard.output());
 
+    // Neither goes back to what was said before the newest, whoever repeats it.
+    let old = json!({"fleet": "alpha", "term": 0, "epoch": 1, "data_age_s": null, "stages": []});
+    let with = |more: Value| {
+        let mut message = old.clone();
+        message.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        message
+    };
+    let team = json!({"id": "t99", "members": ["r1"], "leader": "r1"});
+    let teams = with(json!({"teams": [team], "unassigned": [], "stale": []}));
+    client.put("json/teams", &teams).await.unwrap();
+    let told = with(json!({"robot": "r1", "team": "t99", "members": ["r1"], "leader": "r1"}));
+    client.put("robot/r1/team", &told).await.unwrap();
+
     // A robot that goes away is missed, and a dashboard that comes late sees what is.
     robots.pop().unwrap().kill().unwrap();
     printed(&mut dashboard, "a stale robot", |line| {
         line.contains("event: robot_stale") && line.contains("robot: s2")
     })
     .await;
+    for program in [&dashboard, &robots[0]] {
+        assert!(!program.output().contains("t99"), "{}", program.output());
+    }
     let mut late = programs.start("dashboard.py", &[]);
     printed(&mut late, "the teams, late", |line| line.starts_with("teams  t")).await;
     printed(&mut late, "the audit, late", |line| line.starts_with("audit  ")).await;

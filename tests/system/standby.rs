@@ -72,57 +72,126 @@ async fn told_anew(watch: &Watch, service: &str, since: f64) -> Duration {
     start.elapsed()
 }
 
-fn all_are(teams: &Watch, wanted: &Division, when: &str) {
-    for (_, value) in teams.all() {
-        assert_eq!(division(&value), *wanted, "{when}");
+/// Most messages of an older term that an instance may send when it runs again: what was on its way as
+/// it was stopped. Readers drop them.
+const LATE_MESSAGES: usize = 3;
+
+/// A stream that must neither pause nor go back, whoever holds the role.
+struct Stream {
+    watch: Watch,
+    last_arrival: f64,
+    last_place: (u64, u64),
+}
+
+impl Stream {
+    async fn of(client: &Client, key: &str) -> Self {
+        let watch = client.watch(key).await.unwrap();
+        Self { watch, last_arrival: now(), last_place: (0, 0) }
+    }
+
+    /// Takes what has arrived since the last look. The pauses count from the last message before that
+    /// until now, so that none is missed between two looks.
+    fn look(&mut self, when: &str) -> Vec<Value> {
+        let mut longest: f64 = 0.0;
+        let mut values = Vec::new();
+        let mut late = Vec::new();
+        for (at, value) in self.watch.take() {
+            let place = (value["term"].as_u64().unwrap(), value["epoch"].as_u64().unwrap());
+            if place.0 < self.last_place.0 {
+                late.push(place);
+                continue;
+            }
+            longest = longest.max(at - self.last_arrival);
+            self.last_arrival = at;
+            assert!(place > self.last_place, "{when}: {place:?} after {:?}", self.last_place);
+            self.last_place = place;
+            values.push(value);
+        }
+        assert!(late.len() <= LATE_MESSAGES, "{when}: {late:?} after {:?}", self.last_place);
+        longest = longest.max(now() - self.last_arrival);
+        eprintln!("{when}: longest pause {longest:.1} s");
+        assert!(longest <= LONGEST_GAP.as_secs_f64(), "{when}: a pause of {longest} s");
+        values
+    }
+}
+
+/// What consoles and robots are told while roles change hands.
+struct Followed {
+    wanted: Division,
+    teams: Stream,
+    audits: Stream,
+    told: Watch,
+}
+
+impl Followed {
+    async fn of(client: &Client, wanted: Division) -> Self {
+        let teams = Stream::of(client, "json/teams").await;
+        let audits = Stream::of(client, "json/audit").await;
+        let told = client.watch("robot/*/team").await.unwrap();
+        Self { wanted, teams, audits, told }
+    }
+
+    /// The stream in which fresh data of a service show.
+    fn shows(&self, service: &str) -> &Watch {
+        if service == "auditor" { &self.audits.watch } else { &self.teams.watch }
+    }
+
+    /// Everything that was told since the last look came without a pause and without another division.
+    fn look(&mut self, when: &str) {
+        for value in self.teams.look(&format!("json/teams, {when}")) {
+            assert_eq!(division(&value), self.wanted, "{when}");
+        }
+        self.audits.look(&format!("json/audit, {when}"));
+        for (_, value) in self.told.take() {
+            let robot = value["robot"].as_str().unwrap();
+            let team = value["team"].as_str().map(str::to_owned);
+            assert_eq!(Some(&team), self.wanted.get(robot), "{robot}, {when}");
+        }
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_other_takes_over_from_a_holder_that_is_killed() {
     let (mut cluster, _robots, client, wanted) = doubled().await;
-    let teams = client.watch("json/teams").await.unwrap();
-    let audits = client.watch("json/audit").await.unwrap();
+    let mut followed = Followed::of(&client, wanted).await;
     for service in SERVICES {
         let (holder, _) = settled(&mut cluster, &client, service).await;
         let since = now();
         cluster.service(&holder).unwrap().kill().unwrap();
-        let watch = if service == "auditor" { &audits } else { &teams };
         // The service says something new by its other instance, to whoever follows it.
-        let gap = told_anew(watch, service, since).await;
+        let gap = told_anew(followed.shows(service), service, since).await;
         eprintln!("{service} killed: fresh data after {gap:?}");
-        all_are(&teams, &wanted, &format!("{service} was killed"));
         cluster.start_instance(service, &holder).unwrap();
         let (still, _) = settled(&mut cluster, &client, service).await;
         assert_ne!(still, holder, "nobody takes the role of {service} from one that holds it");
+        followed.look(&format!("{service} was killed"));
     }
-    in_order(&teams);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_holder_that_hangs_is_replaced_and_stands_by_when_it_goes_on() {
     let (mut cluster, _robots, client, wanted) = doubled().await;
-    let teams = client.watch("json/teams").await.unwrap();
-    let audits = client.watch("json/audit").await.unwrap();
+    let mut followed = Followed::of(&client, wanted).await;
+    let mut went_back = Vec::new();
     for service in SERVICES {
         let (holder, other) = settled(&mut cluster, &client, service).await;
         let since = now();
         cluster.service(&holder).unwrap().signal("STOP").unwrap();
-        let watch = if service == "auditor" { &audits } else { &teams };
-        let gap = told_anew(watch, service, since).await;
+        let gap = told_anew(followed.shows(service), service, since).await;
         eprintln!("{service} stopped: fresh data after {gap:?}");
         tokio::time::sleep(Duration::from_secs(1)).await;
         cluster.service(&holder).unwrap().signal("CONT").unwrap();
         tokio::time::sleep(Duration::from_secs(1)).await;
-        // On a machine that starves its processes the role may go back again, as from any holder that
-        // is silent; what counts is that one holds it, and that nobody is told another division.
         let (now_holds, _) = settled(&mut cluster, &client, service).await;
         if now_holds != other {
-            eprintln!("{service}: the role went back to {holder}");
+            went_back.push(service);
         }
-        all_are(&teams, &wanted, &format!("{service} was stopped"));
+        followed.look(&format!("{service} was stopped and went on"));
     }
-    in_order(&teams);
+    // A machine that starves its processes may silence the new holder for a lease, so that the role
+    // rightly goes back. That happens to one service at most; to more it is a habit of the product.
+    eprintln!("the role went back for {went_back:?}");
+    assert!(went_back.len() <= 1, "a holder that goes on takes its role back: {went_back:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -134,26 +203,18 @@ async fn a_second_host_takes_over_all_roles_and_the_settings() {
     }
     let (code, _, error) = cluster.muster(&["set", "clusterer", "hysteresis=0.3"]).unwrap();
     assert_eq!(code, Some(0), "{error}");
-    let teams = client.watch("json/teams").await.unwrap();
+    let mut followed = Followed::of(&client, wanted).await;
     tokio::time::sleep(Duration::from_millis(500)).await;
     let since = now();
     for holder in &holders {
         cluster.service(holder).unwrap().kill().unwrap();
     }
-    let gap = told_anew(&teams, "ingest", since).await;
+    let gap = told_anew(followed.shows("ingest"), "ingest", since).await;
     eprintln!("all holders killed: fresh data after {gap:?}");
-    all_are(&teams, &wanted, "all holders were killed");
+    for service in SERVICES {
+        told_anew(followed.shows(service), service, since).await;
+    }
+    followed.look("all holders were killed");
     let settings = client.get_one("service/clusterer/settings").await.unwrap();
     assert_eq!(settings["hysteresis"], 0.3, "what an operator has changed outlives the holder");
-    in_order(&teams);
-}
-
-/// Whoever reads the JSON and looks at no terms is never told an older division after a newer one.
-fn in_order(teams: &Watch) {
-    let mut last = (0, 0);
-    for (_, value) in teams.all() {
-        let place = (value["term"].as_u64().unwrap(), value["epoch"].as_u64().unwrap());
-        assert!(place > last, "{place:?} after {last:?}");
-        last = place;
-    }
 }

@@ -194,6 +194,7 @@ impl Auditor {
                 let patterns = [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One);
                 effects.push(Effect::Fetch { fetch: PAIR_FETCH, patterns: patterns.to_vec() });
                 self.publish(now, effects);
+                self.watch(now, effects);
                 self.consider(now, effects);
             }
         }
@@ -333,6 +334,11 @@ impl Auditor {
         self.gate.deadline().filter(|_| self.ask.is_none() && self.role.is_holding())
     }
 
+    /// When the alert is to be raised.
+    fn alert_at(&self) -> Option<Tick> {
+        self.alert.due(self.role.settings()).filter(|_| self.role.is_holding())
+    }
+
     /// Tells the last judgement.
     fn publish(&mut self, now: Tick, effects: &mut Effects<Job>) {
         let Some(judged) = &mut self.judged else { return };
@@ -352,9 +358,9 @@ impl Auditor {
         effects.publish(Message::Audit(audit));
     }
 
-    /// Raises or ends the alert.
+    /// Raises or ends the alert, once that can be told: in doubt of the role it would be lost.
     fn watch(&mut self, now: Tick, effects: &mut Effects<Job>) {
-        let Some(judged) = &self.judged else { return };
+        let Some(judged) = self.judged.as_ref().filter(|_| self.role.is_holding()) else { return };
         let mean = judged.judgement.in_embedding.mean;
         let Some(kind) = self.alert.observe(now, mean, self.role.settings()) else { return };
         let severity = if matches!(kind, EventKind::QualityLow { .. }) {
@@ -426,7 +432,7 @@ impl Auditor {
         if self.judged.as_ref().is_some_and(|judged| now >= judged.published.after(HEARTBEAT)) {
             self.publish(now, effects);
         }
-        if self.alert.due(self.role.settings()).is_some_and(|due| now >= due) {
+        if self.alert_at().is_some_and(|due| now >= due) {
             self.watch(now, effects);
         }
         if self.retry_at().is_some_and(|due| now >= due) {
@@ -548,9 +554,8 @@ impl Core for Auditor {
 
     fn deadline(&self) -> Option<Tick> {
         let heartbeat = self.judged.as_ref().map(|judged| judged.published.after(HEARTBEAT));
-        let alert = self.alert.due(self.role.settings());
-        let retry = self.retry_at();
-        [self.ask, heartbeat, alert, retry, self.role.deadline()].into_iter().flatten().min()
+        let due = [self.ask, heartbeat, self.alert_at(), self.retry_at(), self.role.deadline()];
+        due.into_iter().flatten().min()
     }
 
     fn status(&self, now: Tick) -> ServiceStatus {

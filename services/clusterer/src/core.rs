@@ -74,6 +74,9 @@ pub struct Clusterer {
     gate: JobGate<Task>,
     /// The last good answer; of the holder before until this one has its own.
     division: Option<Arc<Teams>>,
+    /// The division that others have heard last: what is told while the role is in doubt is heard by
+    /// nobody, and its changes are told with the next one.
+    heard: Option<Arc<Teams>>,
     /// The embedding that the division names.
     divided: Option<Arc<Embedding>>,
     /// Teams that robots had before the division.
@@ -94,6 +97,7 @@ impl Clusterer {
             audit: None,
             gate,
             division: None,
+            heard: None,
             divided: None,
             memory: Arc::default(),
             told: None,
@@ -300,10 +304,12 @@ impl Clusterer {
         let newer = self.newest.as_ref().filter(|h| same_data(&h.embedding, &task.heard.embedding));
         let source = newer.unwrap_or(&task.heard).clone();
         Arc::make_mut(&mut self.memory).follow(now, self.division.as_deref(), &teams);
-        let changes = teams.changes.clone();
-        let shortage = shortage(&teams);
         self.publish(now, teams, source, effects);
+    }
 
+    /// Tells what a division has changed.
+    fn tell_changes(&mut self, now: Tick, teams: &Teams, effects: &mut Effects<Job>) {
+        let changes = teams.changes.clone();
         let many = changes.len();
         self.role.count_many("team_changes", many as u64);
         for change in changes.into_iter().take(MAX_CHANGE_EVENTS) {
@@ -312,7 +318,7 @@ impl Clusterer {
         if let Some(untold) = many.checked_sub(MAX_CHANGE_EVENTS).filter(|untold| *untold > 0) {
             self.role.count_many("team_changes_untold", untold as u64);
         }
-        match shortage {
+        match shortage(teams) {
             Some((requested, formed, reason)) if self.fewer != Some((requested, formed)) => {
                 self.fewer = Some((requested, formed));
                 let kind = EventKind::FewerTeams { requested, formed, reason };
@@ -326,7 +332,10 @@ impl Clusterer {
     /// Tells the last division anew, as it stands by the newest roster.
     fn repeat(&mut self, now: Tick, source: Heard, effects: &mut Effects<Job>) {
         let Some(division) = &self.division else { return };
-        let teams = Teams { changes: Vec::new(), ..Teams::clone(division) };
+        let mut teams = Teams::clone(division);
+        if self.heard.as_ref().is_some_and(|heard| Arc::ptr_eq(heard, division)) {
+            teams.changes.clear();
+        }
         self.publish(now, teams, source, effects);
     }
 
@@ -341,10 +350,12 @@ impl Clusterer {
         let revision = self.role.next_revision();
         let stage = self.role.stage(source.received, now);
         teams.embedding = source.embedding.header.revision;
+        // A restart goes by the division alone, so that it says which numbers others have given.
+        teams.next_team = teams.next_team.max(self.memory.next_team);
         teams.header = source.embedding.header.next_stage(revision, stage);
 
         let heartbeat = seconds(self.role.settings().heartbeat_s);
-        let before = self.division.as_deref();
+        let before = self.heard.as_deref();
         let mirrored = self.told.as_ref().map(|told| told.mirrored);
         let mirror = mirrored.is_none_or(|last| now.since(last) >= heartbeat)
             || before.is_none_or(|before| !before.same_division(&teams));
@@ -364,11 +375,15 @@ impl Clusterer {
         self.told = Some(Told { source, published: now, mirrored });
         self.division = Some(Arc::clone(&teams));
         self.retell(now, &changed, effects);
+        if self.role.is_holding() {
+            self.heard = Some(Arc::clone(&teams));
+            self.tell_changes(now, &teams, effects);
+        }
     }
 
     /// When the next robots are to be told again.
     fn retell_at(&self) -> Option<Tick> {
-        self.told.as_ref()?;
+        self.told.as_ref().filter(|_| self.role.is_holding())?;
         Some(self.turn.due(seconds(self.role.settings().heartbeat_s)))
     }
 
@@ -408,6 +423,7 @@ impl Clusterer {
                 self.divided = Some(Arc::clone(embedding));
             }
         }
+        self.heard = self.division.clone();
     }
 
     fn begin(&mut self, now: Tick, messages: Vec<Message>, effects: &mut Effects<Job>) {
@@ -430,10 +446,14 @@ impl Clusterer {
                 memory.next_team = memory.next_team.max(teams.next_team);
             }
         }
+        // The job that runs knows neither those numbers nor, at first, that division.
+        if self.gate.is_running() {
+            self.gate = self.gate.abandoned();
+        }
         self.turn.hurry();
         if self.told.is_some() {
             self.tell_again(now, effects);
-        } else if !self.gate.is_running() {
+        } else {
             self.inherit(messages);
         }
     }
@@ -577,6 +597,7 @@ impl Core for Clusterer {
             self.roster.is_some(),
             self.audit.is_some(),
             self.division.is_some(),
+            self.heard.is_some(),
             self.divided.is_some(),
             self.told.is_some(),
         ];

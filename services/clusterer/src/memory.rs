@@ -132,3 +132,51 @@ impl Memory {
 fn is_over(now: Tick, at: Tick) -> bool {
     now.since(at) >= REMEMBERED
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As many robots that left as are given, and one ended team for each count of members; what has a
+    /// higher number is newer.
+    fn memory(left: usize, ended: &[usize]) -> Memory {
+        let robot = |number: usize| RobotId::new(format!("r{number:06}")).unwrap();
+        let at = |number: usize| Tick(1000 + number as u64);
+        let team = |number: usize| TeamId::numbered(number as u64);
+        let ended = ended.iter().enumerate().map(|(number, members)| {
+            let members = (0..*members).map(robot).collect();
+            (team(number), Ended { members, at: at(number) })
+        });
+        Memory {
+            last: (0..left).map(|number| (robot(number), (team(0), at(number)))).collect(),
+            ended: ended.collect(),
+            next_team: 0,
+        }
+    }
+
+    #[test]
+    fn the_oldest_of_what_is_too_much_is_dropped() {
+        let most_teams = MAX_TEAMS as usize;
+        // How many robots left, the members of teams that ended; how many of both are kept.
+        let cases: [(usize, Vec<usize>, usize, usize); 6] = [
+            (3, vec![2, 2], 3, 2),
+            (MAX_ROBOTS, vec![], MAX_ROBOTS, 0),
+            (MAX_ROBOTS + 2, vec![], MAX_ROBOTS, 0),
+            (0, vec![1; most_teams], 0, most_teams),
+            (0, vec![1; most_teams + 3], 0, most_teams),
+            (1, vec![5, MAX_ROBOTS - 4, 4], 1, 2),
+        ];
+        for (left, ended, kept_left, kept_ended) in cases {
+            let mut memory = memory(left, &ended);
+            memory.bound();
+            assert_eq!((memory.last.len(), memory.ended.len()), (kept_left, kept_ended));
+            let robots: usize = ended[ended.len() - kept_ended..].iter().sum();
+            assert_eq!(memory.robot_count(), kept_left + robots);
+            assert!(memory.robot_count() <= 2 * MAX_ROBOTS);
+            let oldest_left = memory.last.values().map(|(_, at)| at.0).min();
+            assert!(oldest_left.is_none_or(|at| at == 1000 + (left - kept_left) as u64));
+            let oldest_ended = memory.ended.values().map(|ended| ended.at.0).min();
+            assert!(oldest_ended.is_none_or(|at| at == 1000 + (ended.len() - kept_ended) as u64));
+        }
+    }
+}

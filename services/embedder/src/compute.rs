@@ -12,17 +12,18 @@ use muster_model::graph::{GraphReplica, Node};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::{
-    Alpha, Dimension, EmbedderSettings, Normalization, RowScaling, SingularValueScaling,
+    Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
+    SingularValueScaling,
 };
 use muster_numeric::alignment::align;
-use muster_numeric::dimension::choose_seeing_dimension;
 use muster_numeric::embedding::{Rows, Scale, embed};
 use muster_numeric::fuse::{self, fuse};
 use muster_numeric::katz::{self, KatzError};
+use muster_numeric::katz_svd::KatzSvdError;
 use muster_numeric::matrix::{DenseMatrix, MatrixError, SparseMatrix};
 use muster_numeric::svd::SvdError;
 
-use crate::cache::{Cache, obtain, radius_of};
+use crate::cache::{Cache, Cut, Obtained, Wanted, obtain, radius_of};
 use crate::follow::Frame;
 
 /// What an embedding rests on. As long as it stays the same, so does the embedding.
@@ -97,6 +98,9 @@ pub(crate) enum ComputeError {
     /// The similarity cannot be decomposed.
     #[error("the similarity cannot be decomposed: {0}")]
     Svd(#[from] SvdError),
+    /// Its leading triplets cannot be searched for.
+    #[error("the similarity cannot be decomposed: {0}")]
+    Search(KatzSvdError),
 }
 
 impl ComputeError {
@@ -108,7 +112,7 @@ impl ComputeError {
             Self::Graph(_) => "graph",
             Self::Fuse(_) => "fuse",
             Self::Katz(_) => "katz",
-            Self::Svd(_) => "svd",
+            Self::Svd(_) | Self::Search(_) => "svd",
         }
     }
 }
@@ -164,21 +168,27 @@ fn compute(
         return Ok(Computed { graphs, dimension: 2, values, unseen, quality });
     }
 
-    let seed = frame.roster.header.revision.epoch;
-    let tolerance = settings.residual_tolerance;
-    let (kept, how) = obtain(cache.take(), fused, radius, alpha, tolerance, seed, stopwatch)?;
-    let kept = cache.insert(kept);
-
-    let wanted = match (settings.dimension, basis.teams) {
-        (Dimension::Fixed(dimension), _) => dimension as usize / 2,
-        (Dimension::Auto, teams) => {
-            let teams = teams.unwrap_or(2) as usize;
-            let before = previous.map(|embedding| embedding.dimension as usize / 2);
-            choose_seeing_dimension(&kept.svd, &related(&kept.fused), teams, before)
-        }
+    let related = related(&fused);
+    let before = previous.map(|embedding| embedding.dimension as usize / 2);
+    let cut = match (settings.dimension, basis.teams) {
+        (Dimension::Fixed(dimension), _) => Cut::Fixed(dimension as usize / 2),
+        (Dimension::Auto, teams) => Cut::Seeing {
+            teams: teams.unwrap_or(2) as usize,
+            related: &related,
+            before,
+            most: MAX_DIMENSION as usize / 2,
+        },
     };
-    let svd = kept.svd.truncate(wanted.clamp(1, robots))?;
-    let residual = svd.residual(&kept.similarity)?;
+    let wanted = Wanted {
+        fused,
+        radius,
+        alpha,
+        robots: &basis.robots,
+        tolerance: settings.residual_tolerance,
+        seed: frame.roster.header.revision.epoch,
+        cut,
+    };
+    let Obtained { svd, mode, residual, probe, took_us } = obtain(cache, wanted, stopwatch)?;
     let scale = match settings.scale {
         SingularValueScaling::None => Scale::None,
         SingularValueScaling::SqrtSigma => Scale::SqrtSigma,
@@ -192,7 +202,7 @@ fn compute(
         Some(previous) => aligned(embedded.x, &svd.sigma, previous, &basis.robots),
         None => embedded.x,
     };
-    let [katz_us, svd_us] = how.took_us;
+    let [katz_us, svd_us] = took_us;
     Ok(Computed {
         graphs,
         dimension: u32::try_from(x.cols()).unwrap_or(u32::MAX),
@@ -202,10 +212,10 @@ fn compute(
             alpha,
             next_singular_value: svd.sigma_next.unwrap_or(0.0),
             residual,
-            katz_residual: how.probe,
+            katz_residual: probe,
             gap: svd.gap(),
             ambiguous: svd.ambiguous(),
-            mode: how.mode,
+            mode,
             stage_us: [fused_us, katz_us, svd_us.saturating_add(stopwatch.lap())],
             singular_values: svd.sigma,
         },

@@ -33,8 +33,8 @@ const BEHIND_PATIENCE: Duration = Duration::from_millis(50);
 /// How long a graph may be ahead of the roster: the roster of its frame is on the way.
 const AHEAD_PATIENCE: Duration = Duration::from_secs(1);
 
-/// How often a roster is asked for while none is known: `ingest` tells nothing while nothing
-/// changes, so that the one answer that was lost would be missed for good.
+/// How often a roster is asked for while none is known: `ingest` may be gone, and those that answer in
+/// its place tell nothing by themselves.
 const ROSTER_INTERVAL: Duration = Duration::from_secs(2);
 
 /// One consistent state of the fleet.

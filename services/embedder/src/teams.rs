@@ -11,9 +11,9 @@ use muster_wire::envelope::AnnouncedSettings;
 /// The number of the fetch that asks for the settings alone.
 pub(crate) const SETTINGS_FETCH: u32 = TERM_FETCH - 1;
 
-/// How often the settings are asked for: `clusterer` announces them when they change and then not
-/// again, so that one lost announcement would last for good. It need not be often, as the number of
-/// teams seldom changes and only guides the choice of the dimension.
+/// How often the settings are asked for: `clusterer` announces them again and again, but a forged
+/// announcement of a later revision would shut those out, and only answers can contradict it. It need
+/// not be often, as the number of teams seldom changes and only guides the choice of the dimension.
 const ASK_INTERVAL: Duration = Duration::from_secs(10);
 
 /// The newest announcement.

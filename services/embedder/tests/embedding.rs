@@ -12,7 +12,7 @@ use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
-use muster_model::settings::{Alpha, Dimension, EmbedderSettings};
+use muster_model::settings::{Alpha, Dimension, EmbedderSettings, MAX_DIMENSION};
 use muster_wire::{Message, Rejection};
 
 const NAMES: [&str; 3] = ["connectivity", "hierarchy", "spatial"];
@@ -180,6 +180,18 @@ fn the_number_of_teams_reaches_the_rule_for_the_dimension() {
 }
 
 /// Settings of a clusterer.
+#[test]
+fn a_dimension_that_is_chosen_keeps_to_the_largest_that_may_be_asked_for() {
+    let mut ingest = Ingest::new(&["spatial"]);
+    for pair in 0..MAX_DIMENSION / 2 + 4 {
+        ingest.clique("spatial", &format!("p{pair}x"), 2, 1.0);
+    }
+    let mut bench =
+        Bench::started(EmbedderSettings::default(), vec![announced(&teams(MAX_DIMENSION))]);
+    bench.frame(&mut ingest);
+    assert_eq!(bench.last().dimension, MAX_DIMENSION);
+}
+
 fn teams(teams: u32) -> String {
     let settings = muster_model::settings::ClustererSettings { teams, ..Default::default() };
     serde_json::to_string(&settings).unwrap()

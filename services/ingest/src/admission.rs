@@ -4,11 +4,11 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use muster_model::id::{Modality, RobotId};
-use muster_model::observation::{Links, Observation, Pose, Provenance, Rank, Relation};
-use muster_model::settings::IngestSettings;
+use muster_model::observation::{Link, Links, Observation, Pose, Provenance, Rank, Relation};
+use muster_model::settings::{ConnectivitySettings, IngestSettings, LinkUnit};
 use muster_model::time::{Tick, seconds};
 use muster_relation::hierarchy::DEFAULT_TIE;
-use muster_relation::link_weight;
+use muster_relation::{link_weight, signal_weight};
 use muster_wire::Key;
 
 /// How many runs of a robot's software are remembered as over, per stream. A late message comes from
@@ -80,12 +80,43 @@ pub(crate) enum Content {
         /// The frame, named.
         frame: String,
     },
-    /// Who is heard and how well, from 0 to 1, ordered by name and without zeros.
-    Links(Vec<(RobotId, f64)>),
+    /// Who is heard and how well, ordered by name and without what is worth nothing whatever is set.
+    Links(Vec<(RobotId, LinkQuality)>),
     /// Whom the robot answers to.
     Rank(Tie),
     /// Where edges of a declared modality lead to, ordered by name and without zeros.
     Relation(Modality, Vec<(RobotId, f64)>),
+}
+
+/// How well a robot is heard, as it was reported: what a signal is worth follows the settings, which
+/// may change after the report.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum LinkQuality {
+    /// A weight from 0 to 1.
+    Weight(f64),
+    /// A signal strength in dBm.
+    Signal(f64),
+}
+
+impl LinkQuality {
+    /// What it is worth, from 0 to 1.
+    pub(crate) fn weight(self, settings: &ConnectivitySettings) -> f64 {
+        match self {
+            Self::Weight(weight) => weight,
+            Self::Signal(dbm) => signal_weight(settings, dbm),
+        }
+    }
+}
+
+impl Content {
+    /// How many edges it may lead to.
+    pub(crate) fn edge_count(&self) -> usize {
+        match self {
+            Self::Links(links) => links.len(),
+            Self::Relation(_, edges) => edges.len(),
+            Self::Pose { .. } | Self::Rank(_) => 0,
+        }
+    }
 }
 
 /// Whom a robot answers to, and what it is.
@@ -134,9 +165,8 @@ impl From<String> for Refusal {
     }
 }
 
-/// Ready for the graphs: ordered by name, and without what is worth nothing.
-fn in_order(mut edges: Vec<(RobotId, f64)>) -> Vec<(RobotId, f64)> {
-    edges.retain(|(_, weight)| *weight > 0.0);
+/// Ready for the graphs: ordered by name.
+fn in_order<T>(mut edges: Vec<(RobotId, T)>) -> Vec<(RobotId, T)> {
     edges.sort_unstable_by(|left, right| left.0.cmp(&right.0));
     edges
 }
@@ -168,7 +198,7 @@ pub(crate) fn pose(settings: &IngestSettings, pose: Pose) -> Result<Observed, St
     })
 }
 
-/// Checks a link report and turns what it says into weights.
+/// Checks a link report.
 pub(crate) fn links(
     settings: &IngestSettings,
     robot: &RobotId,
@@ -178,13 +208,18 @@ pub(crate) fn links(
         if links.links.iter().any(|link| link.peer == *robot) {
             return Err("links.peer: a robot does not report that it hears itself".to_owned());
         }
-        let weights = links.links.into_iter().map(|link| {
-            let weight = link_weight(&settings.connectivity, link.quality)?;
-            Ok((link.peer, weight))
-        });
-        let weights =
-            weights.collect::<Result<Vec<_>, muster_model::observation::ObservationError>>();
-        Ok(Content::Links(in_order(weights.map_err(|error| error.to_string())?)))
+        let mut reported = Vec::new();
+        for Link { peer, quality } in links.links {
+            let weight = link_weight(&settings.connectivity, quality);
+            match (settings.connectivity.unit, weight.map_err(|error| error.to_string())?) {
+                (LinkUnit::RssiDbm, _) => reported.push((peer, LinkQuality::Signal(quality))),
+                (LinkUnit::Quality | LinkUnit::DeliveryRatio, 0.0) => {}
+                (LinkUnit::Quality | LinkUnit::DeliveryRatio, weight) => {
+                    reported.push((peer, LinkQuality::Weight(weight)));
+                }
+            }
+        }
+        Ok(Content::Links(in_order(reported)))
     })
 }
 
@@ -216,7 +251,8 @@ pub(crate) fn relation(
         if relation.edges.iter().any(|(from, to, _)| from == to) {
             return Err("edges: a robot has no edge to itself".to_owned());
         }
-        let edges = relation.edges.into_iter().map(|(_, to, weight)| (to, weight)).collect();
+        let edges = relation.edges.into_iter().map(|(_, to, weight)| (to, weight));
+        let edges = edges.filter(|(_, weight)| *weight > 0.0).collect();
         Ok(Content::Relation(modality.clone(), in_order(edges)))
     })
 }

@@ -186,7 +186,7 @@ impl Frames {
         for (stream, graph) in &mut self.graphs {
             let rows = std::mem::take(&mut graph.dirty).then(|| match (stream, &places) {
                 (Stream::Pose, _) => Ok(spatial_rows(fleet, settings)),
-                (stream, Some(places)) => places.rows(fleet, stream),
+                (stream, Some(places)) => places.rows(fleet, stream, settings),
                 (_, None) => Ok(Vec::new()),
             });
             // What was let in keeps the rules of edges; if it did not, the last good graph stands.

@@ -9,7 +9,7 @@ use muster_model::settings::IngestSettings;
 use muster_relation::edge::{Edge, EdgeError};
 use muster_relation::{connectivity_edges, hierarchy_edges, relation_edges, spatial_edges};
 
-use crate::admission::Stream;
+use crate::admission::{LinkQuality, Stream};
 use crate::roster::Fleet;
 
 /// The place of each robot in the order of names, which is the index that relations are made with:
@@ -26,18 +26,26 @@ impl<'a> Places<'a> {
     }
 
     /// Edges to those other robots that are known.
-    fn known(&self, edges: &[(RobotId, f64)]) -> Vec<(u32, f64)> {
-        let place = |(robot, weight): &(RobotId, f64)| Some((*self.by_name.get(robot)?, *weight));
+    fn known<T: Copy>(&self, edges: &[(RobotId, T)], weight: impl Fn(T) -> f64) -> Vec<(u32, f64)> {
+        let place =
+            |(robot, worth): &(RobotId, T)| Some((*self.by_name.get(robot)?, weight(*worth)));
         edges.iter().filter_map(place).collect()
     }
 
     /// The rows of every graph but the spatial one.
-    pub(crate) fn rows(&self, fleet: &Fleet, stream: &Stream) -> Result<Vec<GraphRow>, EdgeError> {
+    pub(crate) fn rows(
+        &self,
+        fleet: &Fleet,
+        stream: &Stream,
+        settings: &IngestSettings,
+    ) -> Result<Vec<GraphRow>, EdgeError> {
         let robots = || (0..).zip(fleet.robots().values());
         let edges = match stream {
             Stream::Links => {
-                let reports: Vec<(u32, Vec<_>)> =
-                    robots().map(|(place, robot)| (place, self.known(&robot.links))).collect();
+                let weight = |quality: LinkQuality| quality.weight(&settings.connectivity);
+                let reports: Vec<(u32, Vec<_>)> = robots()
+                    .map(|(place, robot)| (place, self.known(&robot.links, weight)))
+                    .collect();
                 connectivity_edges(reports.iter().map(|(place, links)| (*place, links.as_slice())))
             }
             Stream::Rank => hierarchy_edges(robots().map(|(place, robot)| {
@@ -47,7 +55,9 @@ impl<'a> Places<'a> {
             })),
             Stream::Relation(modality) => relation_edges(robots().flat_map(|(place, robot)| {
                 let edges = robot.relations.get(modality).map_or(&[][..], Vec::as_slice);
-                self.known(edges).into_iter().map(move |(to, weight)| (place, to, weight))
+                self.known(edges, |weight| weight)
+                    .into_iter()
+                    .map(move |(to, weight)| (place, to, weight))
             })),
             Stream::Pose => Ok(Vec::new()),
         };

@@ -11,13 +11,13 @@ use muster_model::graph::{GraphDelta, GraphReplica, Node};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::observation::{Pose, Rank};
-use muster_model::roster::{Roster, RosterEntry};
+use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::IngestSettings;
 use muster_model::time::{Tick, seconds};
 use muster_relation::hierarchy::DEFAULT_TIE;
 use muster_wire::Message;
 
-use crate::admission::{self, Content, Observed, Stream};
+use crate::admission::{self, Content, LinkQuality, Observed, Stream};
 use crate::roster::Fleet;
 
 /// Other ends and weights of edges.
@@ -37,8 +37,10 @@ pub(crate) fn highest_revision(messages: &[Message]) -> Option<Revision> {
 /// Fills the fleet with what is remembered; streams that were heard in this run stay as they are.
 /// Returns the robots that are remembered and known now.
 ///
-/// A robot that was stale stays stale. One that was active has its whole patience to speak again, but
-/// `last_seen` and the age of the data stay what they are.
+/// A robot that was stale stays stale: a roster tells when anything was last heard of it, which may be
+/// later than its pose, but its pose was older than `stale_after_s` as the roster was told. One that was
+/// active has its whole patience to speak again, but `last_seen` and the age of the data stay what they
+/// are.
 pub(crate) fn restore(
     now: Tick,
     messages: &[Message],
@@ -68,13 +70,15 @@ pub(crate) fn restore(
         let Ok((robot, _)) = fleet.find_or_join(now, &entry.robot, settings) else { continue };
         let last_seen = entry.last_seen.min(now);
         robot.restore(now, last_seen, entry.presence);
+        let received = match entry.presence {
+            Presence::Active => last_seen,
+            Presence::Stale => last_seen.min(told.min(now).before(seconds(settings.stale_after_s))),
+        };
         let mut contents = said.remove(&entry.robot).unwrap_or_default();
         let observed = pose_of(entry, settings).into_iter().chain(rank_of(entry, ties.as_ref()));
         contents.extend(observed.map(|observed| (observed.stream, observed.content)));
         for (stream, content) in contents {
-            if !robot.has_spoken(&stream) {
-                robot.take(last_seen, content);
-            }
+            fleet.recall(received, &entry.robot, stream, content);
         }
         restored.insert(entry.robot.clone());
     }
@@ -141,7 +145,10 @@ fn said_of_graphs(
         for (peer, hearer, weight) in named_edges(graph) {
             links.entry(hearer.clone()).or_default().push((peer.clone(), weight.min(1.0)));
         }
-        say(links, Stream::Links, &Content::Links);
+        say(links, Stream::Links, &|edges| {
+            let weight = |(peer, weight)| (peer, LinkQuality::Weight(weight));
+            Content::Links(edges.into_iter().map(weight).collect())
+        });
     }
     for modality in &settings.modalities {
         let Some(graph) = graphs.get(modality) else { continue };

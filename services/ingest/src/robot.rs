@@ -18,7 +18,7 @@ use muster_model::roster::{Presence, RosterEntry};
 use muster_model::settings::IngestSettings;
 use muster_model::time::{Tick, seconds};
 
-use crate::admission::{Content, Gate, Stream, Tie};
+use crate::admission::{Content, Gate, LinkQuality, Stream, Tie};
 
 /// Where a robot is.
 #[derive(Debug, Clone)]
@@ -60,8 +60,8 @@ pub(crate) struct Robot {
     token: Token,
     /// Where it is, if it ever said so.
     pub(crate) pose: Option<Placed>,
-    /// Whom it hears, with weights from 0 to 1.
-    pub(crate) links: Vec<(RobotId, f64)>,
+    /// Whom it hears, and how well.
+    pub(crate) links: Vec<(RobotId, LinkQuality)>,
     /// Whom it answers to.
     pub(crate) tie: Tie,
     /// Its edges of declared modalities.
@@ -278,6 +278,15 @@ impl Robot {
             }
         }
         change
+    }
+
+    /// How many edges it has reported on a stream.
+    pub(crate) fn edge_count(&self, stream: &Stream) -> usize {
+        match stream {
+            Stream::Links => self.links.len(),
+            Stream::Relation(modality) => self.relations.get(modality).map_or(0, Vec::len),
+            Stream::Pose | Stream::Rank => 0,
+        }
     }
 
     /// What the roster says of it.

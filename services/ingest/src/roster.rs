@@ -4,11 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use muster_model::graph::Node;
 use muster_model::id::{Modality, RobotId};
+use muster_model::limits::MAX_GRAPH_EDGES;
 use muster_model::roster::{Presence, RosterEntry};
 use muster_model::settings::IngestSettings;
 use muster_model::time::Tick;
 
-use crate::admission::{Gate, Observed, Refusal};
+use crate::admission::{Content, Gate, Observed, Refusal, Stream};
 use crate::robot::{Change, Patience, Robot, Token, Transition};
 
 /// All robots that are known.
@@ -16,6 +17,8 @@ use crate::robot::{Change, Patience, Robot, Token, Transition};
 pub(crate) struct Fleet {
     robots: BTreeMap<RobotId, Robot>,
     next_node: Node,
+    /// How many edges all robots together have reported on each stream.
+    edges: BTreeMap<Stream, usize>,
     /// Robots that left and whose token is still there.
     hung: BTreeSet<RobotId>,
     /// No presence changes before this; none if it never does.
@@ -41,10 +44,54 @@ impl Fleet {
 
     /// Edges that the robots have reported.
     pub(crate) fn reported_edge_count(&self) -> usize {
-        let reported = |robot: &Robot| {
-            robot.links.len() + robot.relations.values().map(Vec::len).sum::<usize>()
-        };
-        self.robots.values().map(reported).sum()
+        self.edges.values().sum()
+    }
+
+    /// How many edges the robots would have reported on a stream with this of one robot, unless that
+    /// is more than its graph may have. Edges to robots that are not known count, because they may
+    /// come. Who reports fewer than before is always let in.
+    fn edges_with(
+        &self,
+        name: &RobotId,
+        stream: &Stream,
+        content: &Content,
+    ) -> Result<usize, String> {
+        let before = self.robots.get(name).map_or(0, |robot| robot.edge_count(stream));
+        let added = content.edge_count();
+        let others = self.edges.get(stream).copied().unwrap_or(0).saturating_sub(before);
+        let edges = others.saturating_add(added);
+        if added > before && edges as u64 > MAX_GRAPH_EDGES {
+            let field = if *stream == Stream::Links { "links" } else { "edges" };
+            return Err(format!(
+                "{field}: all robots together would report more than {MAX_GRAPH_EDGES}, which fit no \
+                 message; let each report only its strongest"
+            ));
+        }
+        Ok(edges)
+    }
+
+    /// Takes over what a robot said on a stream before a restart, unless it was heard on it since.
+    pub(crate) fn recall(
+        &mut self,
+        received: Tick,
+        name: &RobotId,
+        stream: Stream,
+        content: Content,
+    ) {
+        let Ok(edges) = self.edges_with(name, &stream, &content) else { return };
+        let robot = self.robots.get_mut(name).filter(|robot| !robot.has_spoken(&stream));
+        if let Some(robot) = robot {
+            robot.take(received, content);
+            self.edges.insert(stream, edges);
+        }
+    }
+
+    /// Counts reported edges anew: robots have gone, or what they said was forgotten.
+    fn count_edges(&mut self) {
+        for (stream, edges) in &mut self.edges {
+            *edges = self.robots.values().map(|robot| robot.edge_count(stream)).sum();
+        }
+        self.edges.retain(|_, edges| *edges > 0);
     }
 
     /// When the newest message was received.
@@ -72,6 +119,7 @@ impl Fleet {
         settings: &IngestSettings,
     ) -> Result<Change, Refusal> {
         let Observed { stream, provenance, content } = observed;
+        let edges = self.edges_with(name, &stream, &content)?;
         let known = self.robots.get_mut(name);
         let mut fresh = Gate::new(now, settings);
         let gate = known.and_then(|robot| robot.gates.get_mut(&stream)).unwrap_or(&mut fresh);
@@ -83,9 +131,10 @@ impl Fleet {
         }
         passed?;
         let (robot, joined) = self.find_or_join(now, name, settings)?;
-        robot.gates.entry(stream).or_insert(fresh);
+        robot.gates.entry(stream.clone()).or_insert(fresh);
         robot.hear(now);
         let change = robot.take(now, content);
+        self.edges.insert(stream, edges);
         self.newest_message = Some(now);
         self.expect(name, settings.into());
         Ok(Change { joined, roster: change.roster || joined, ..change })
@@ -187,6 +236,9 @@ impl Fleet {
                 self.hung.insert(name.clone());
             }
         }
+        if transitions.iter().any(|(_, transition)| *transition == Transition::Left) {
+            self.count_edges();
+        }
         transitions
     }
 
@@ -217,6 +269,7 @@ impl Fleet {
             }
             !hangs
         });
+        self.count_edges();
     }
 
     /// Forgets what was said of modalities that are not declared any more.
@@ -224,5 +277,61 @@ impl Fleet {
         for robot in self.robots.values_mut() {
             robot.keep_modalities(declared);
         }
+        self.count_edges();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::observation::Provenance;
+
+    use super::*;
+    use crate::admission::LinkQuality;
+
+    const NOW: Tick = Tick(1_000_000_000_000);
+
+    fn robot(name: &str) -> RobotId {
+        RobotId::new(name).unwrap()
+    }
+
+    /// Lets a robot report so many links.
+    fn report(fleet: &mut Fleet, name: &str, links: usize) -> Result<Change, Refusal> {
+        let peers =
+            (0..links).map(|peer| (robot(&format!("p{peer}")), LinkQuality::Weight(0.5))).collect();
+        let provenance = Provenance { stamp: None, boot: None, seq: None };
+        let observed =
+            Observed { stream: Stream::Links, provenance, content: Content::Links(peers) };
+        fleet.observe(NOW, &robot(name), observed, &IngestSettings::default())
+    }
+
+    #[test]
+    fn a_report_is_refused_that_would_take_its_graph_past_what_a_message_holds() {
+        let mut fleet = Fleet::default();
+        report(&mut fleet, "r1", 3).unwrap();
+        report(&mut fleet, "r2", 2).unwrap();
+        assert_eq!(fleet.reported_edge_count(), 5);
+        // So many others that there is room for one more.
+        let most = usize::try_from(MAX_GRAPH_EDGES).unwrap();
+        fleet.edges.insert(Stream::Links, most - 1);
+        report(&mut fleet, "r1", 4).unwrap();
+        for (name, links) in [("r1", 5), ("r3", 1)] {
+            let Err(Refusal::Wrong(reason)) = report(&mut fleet, name, links) else { panic!() };
+            assert!(reason.starts_with("links: ") && reason.contains("strongest"), "{reason}");
+        }
+        assert!(!fleet.robots.contains_key(&robot("r3")));
+        assert_eq!(fleet.robots[&robot("r1")].links.len(), 4, "what was let in stays");
+        report(&mut fleet, "r2", 1).unwrap();
+        assert_eq!(fleet.edges[&Stream::Links], most - 1);
+    }
+
+    #[test]
+    fn who_leaves_makes_room() {
+        let mut fleet = Fleet::default();
+        report(&mut fleet, "r1", 3).unwrap();
+        report(&mut fleet, "r1", 2).unwrap();
+        assert_eq!(fleet.reported_edge_count(), 2);
+        let later = NOW.after(std::time::Duration::from_secs(11));
+        fleet.judge(later, &IngestSettings::default());
+        assert_eq!(fleet.reported_edge_count(), 0);
     }
 }

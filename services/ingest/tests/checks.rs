@@ -114,6 +114,29 @@ fn the_unit_of_links_is_that_of_the_settings() {
 }
 
 #[test]
+fn what_a_signal_is_worth_follows_the_settings_at_once() {
+    let mut bench = three_robots();
+    bench.set(&json!({"connectivity": {"unit": "rssi_dbm"}}));
+    bench.say(links("r1", &[("r2", -65.0), ("r3", -95.0)]));
+    bench.set(&json!({"connectivity": {"rssi_floor_dbm": -100.0, "rssi_ceiling_dbm": -60.0}}));
+    bench.wait(0.2);
+    assert_eq!(bench.weight("connectivity", "r2", "r1"), Some(0.875));
+    assert_eq!(
+        bench.weight("connectivity", "r3", "r1"),
+        Some(0.125),
+        "it was worth nothing before"
+    );
+    // What was reported in one unit is not taken for the other.
+    bench.say(links("r2", &[("r1", -70.0)]));
+    bench.set(&json!({"connectivity": {"unit": "quality"}}));
+    bench.say(links("r3", &[("r1", 0.5)]));
+    bench.set(&json!({"connectivity": {"unit": "rssi_dbm"}}));
+    bench.wait(0.2);
+    assert_eq!(bench.weight("connectivity", "r1", "r2"), Some(0.75));
+    assert_eq!(bench.weight("connectivity", "r1", "r3"), Some(0.5));
+}
+
+#[test]
 fn within_a_boot_the_sequence_grows() {
     let mut bench = three_robots();
     assert!(passes(&mut bench, ordered(Some("a"), Some(5), None)));

@@ -55,6 +55,7 @@ fn patch() -> impl Strategy<Value = Value> {
         json!({"max_robots": 4}),
         json!({"max_robots": 6}),
         json!({"spatial": {"all_pairs_up_to": 0, "neighbours": 1}}),
+        json!({"spatial": {"kernel": "wendland-c2", "cutoff": 2}}),
         json!({"spatial": null}),
         json!({"stale_after_s": 0.5, "gone_after_s": 1.5}),
         json!({"stale_after_s": 1.0, "gone_after_s": 4.0}),

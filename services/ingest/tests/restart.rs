@@ -86,6 +86,31 @@ fn a_restart_leads_to_the_same_fleet_in_a_higher_term() {
 }
 
 #[test]
+fn a_robot_without_new_poses_stays_stale_over_a_restart_while_it_says_other_things() {
+    let mut old = Bench::new(settings());
+    old.say(pose("r1", 0.0, 0.0));
+    let posed = old.now;
+    for _ in 0..5 {
+        old.wait(1.0);
+        old.say(links("r1", &[]));
+    }
+    assert_eq!(old.happened(), ["joined r1", "stale r1"]);
+    old.wait(1.1);
+    let mut new = after(old.now, old.remembered());
+    new.wait(1.0);
+    new.say(links("r1", &[]));
+    assert!(new.happened().is_empty(), "neither recovered nor stale anew");
+    assert_eq!(new.presence("r1"), Some(Stale));
+    let oldest = new.roster.as_ref().unwrap().header.oldest.unwrap();
+    assert!(
+        new.now.since(oldest) > seconds(2.0) && oldest >= posed,
+        "its pose is not made younger"
+    );
+    new.say(pose("r1", 0.0, 0.0));
+    assert_eq!(new.happened(), ["recovered r1"]);
+}
+
+#[test]
 fn restored_robots_have_their_whole_patience() {
     let mut old = before();
     let remembered = old.remembered();

@@ -74,7 +74,7 @@ pub(crate) fn simulate(kind: ScenarioKind, options: &FleetOptions) -> anyhow::Re
 pub(crate) fn check_seconds(seconds: Option<f64>) -> anyhow::Result<Option<f64>> {
     match seconds {
         Some(seconds) if !(0.0..=MAX_SECONDS).contains(&seconds) => {
-            Err(ExitError::usage("--seconds: must be a number from 0").into())
+            Err(ExitError::usage(format!("--seconds: must be 0 to {MAX_SECONDS:e}")).into())
         }
         seconds => Ok(seconds),
     }
@@ -137,4 +137,20 @@ fn speakers(fleet: &Fleet, only: &[RobotId]) -> anyhow::Result<Vec<usize>> {
             })
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_duration_that_is_refused_is_told_both_bounds() {
+        for seconds in [None, Some(0.0), Some(MAX_SECONDS)] {
+            assert_eq!(check_seconds(seconds).unwrap(), seconds);
+        }
+        for seconds in [-1.0, 2.0 * MAX_SECONDS, f64::NAN] {
+            let error = check_seconds(Some(seconds)).unwrap_err().to_string();
+            assert!(error.contains("0 to 1e9"), "{error}");
+        }
+    }
 }

@@ -10,6 +10,7 @@ use tokio::sync::{mpsc, oneshot, watch};
 use zenoh::Wait;
 use zenoh::config::WhatAmI;
 use zenoh::key_expr::KeyExpr;
+use zenoh::qos::Priority;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
@@ -26,8 +27,20 @@ const MAX_ANSWER_BYTES: usize = 512 * 1024 * 1024;
 /// Largest payload of a get that is looked at: more than any patch of settings.
 const MAX_QUERY_PAYLOAD: usize = 256 * 1024;
 
+/// Longest parameters of a get that are looked at: more than any that is understood, so that whoever
+/// asks a bit too much is told so.
+const MAX_QUERY_PARAMETERS: usize = 8 * 1024;
+
 /// Most bytes of an error that are read.
 const MAX_ERROR: usize = 4096;
+
+/// The priority of who holds a role, said or asked for: on a slow link a claim that waits behind other
+/// messages would cost a living holder its role.
+const CLAIMS: Priority = Priority::InteractiveHigh;
+
+/// The priority of other gets, and so of their answers: they may be large, and come before nothing that
+/// is said once.
+const ANSWERS: Priority = Priority::DataLow;
 
 /// How long closing a session may take.
 const CLOSE_WITHIN: Duration = Duration::from_secs(1);
@@ -239,6 +252,7 @@ impl Bus {
         self.session
             .put(self.space.format(&message.key), message.payload)
             .encoding(message.encoding.as_ref())
+            .priority(if is_claim(&message.key) { CLAIMS } else { Priority::DEFAULT })
             .wait()
             .map_err(|error| anyhow::anyhow!("cannot put to {}: {error}", message.key))
     }
@@ -389,10 +403,13 @@ impl Bus {
             .callback(move |mut query| {
                 let narrowed =
                     query.key_expr().includes(&served).then(|| served.as_str().to_owned());
-                // What waits must be small: a larger payload is left where it is, unanswered.
-                if query.payload().is_some_and(|payload| payload.len() > MAX_QUERY_PAYLOAD) {
+                // What waits must be small: a larger get is left where it is, unanswered.
+                let carried = [query.payload(), query.attachment()];
+                let carried = carried.into_iter().flatten().map(zenoh::bytes::ZBytes::len).sum();
+                if !is_small(carried, query.parameters().as_str().len()) {
                     tracing::warn!(
-                        "a get is dropped: it carries more than {MAX_QUERY_PAYLOAD} bytes"
+                        "a get is dropped: it carries more than {MAX_QUERY_PAYLOAD} bytes, or has \
+                         more than {MAX_QUERY_PARAMETERS} bytes of parameters"
                     );
                     return;
                 }
@@ -426,6 +443,8 @@ impl Bus {
         let (sender, mut receiver) = mpsc::channel(MAX_ANSWERS);
         let payload = ask.payload.map(<[u8]>::to_vec);
         let (within, limit) = (ask.within, pattern.payload_limit());
+        let is_claim = matches!(pattern, Pattern::One(key) if is_claim(key));
+        let priority = if is_claim { CLAIMS } else { ANSWERS };
         // Asking may wait for a busy link, on the thread that asks. The answers come by a callback
         // into a bounded channel: a handler that is not drained would stall the link.
         let asking = tokio::task::spawn_blocking(move || {
@@ -433,6 +452,7 @@ impl Bus {
                 .get(selector.as_str())
                 .target(target)
                 .consolidation(ConsolidationMode::None)
+                .priority(priority)
                 .allowed_destination(Locality::Remote)
                 .timeout(within);
             if let Some(payload) = payload {
@@ -469,6 +489,16 @@ impl Bus {
             tracing::debug!("the session did not close in time");
         }
     }
+}
+
+/// Whether a message on a key says who holds a role.
+fn is_claim(key: &Key) -> bool {
+    matches!(key, Key::Holder(_))
+}
+
+/// Whether a get is small enough to wait, by the bytes that it carries and those of its parameters.
+fn is_small(carried: usize, parameters: usize) -> bool {
+    carried <= MAX_QUERY_PAYLOAD && parameters <= MAX_QUERY_PARAMETERS
 }
 
 /// How a get is asked.
@@ -591,4 +621,16 @@ async fn watch_link(session: &zenoh::Session) -> anyhow::Result<watch::Receiver<
         .map_err(|error| anyhow::anyhow!("{error}"))
         .context("cannot follow the links of the session")?;
     Ok(receiver)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_get_is_small_only_with_everything_that_waits_with_it() {
+        assert!(is_small(MAX_QUERY_PAYLOAD, MAX_QUERY_PARAMETERS));
+        assert!(!is_small(MAX_QUERY_PAYLOAD + 1, 0));
+        assert!(!is_small(0, MAX_QUERY_PARAMETERS + 1));
+    }
 }

@@ -12,4 +12,4 @@ mod zenoh_config;
 
 pub use bus::{Answer, Ask, Asked, Bus, OpenError, Patience, Query, Served, Subscription, Token};
 pub use config::{BusConfig, Mode};
-pub use zenoh_config::{check_endpoint, check_zenoh_config, routers};
+pub use zenoh_config::{QUIET_LOG, check_endpoint, check_zenoh_config, routers};

@@ -15,6 +15,10 @@ const LEASE_MS: u64 = 2000;
 /// How soon a lost router is tried again, at first and at most.
 pub(crate) const RETRY_MS: (u64, u64) = (100, 500);
 
+/// What of Zenoh is logged only if it is an error: a router that is away would be told of twice a second,
+/// by its address, as long as it is away.
+pub const QUIET_LOG: &str = "zenoh::net::runtime::orchestrator=error";
+
 /// How long a message may wait for a busy link before it is dropped: long enough for a snapshot of
 /// some megabytes to leave, short enough that newer data is not far behind.
 const WAIT_BEFORE_DROP_US: u64 = 100_000;

@@ -77,7 +77,8 @@ impl Default for Config {
 
 impl Config {
     /// The defaults, changed by the variables that every program of Muster reads: `MUSTER_FLEET`,
-    /// `MUSTER_CONNECT` (several with commas), `MUSTER_ZENOH_CONFIG`.
+    /// `MUSTER_CONNECT` (several with commas), `MUSTER_ZENOH_CONFIG`. One that is empty is as good as
+    /// none.
     #[must_use]
     pub fn from_env() -> Self {
         Self::from_variables(&|name| std::env::var(name).ok())
@@ -85,7 +86,13 @@ impl Config {
 
     fn from_variables(variable: &dyn Fn(&str) -> Option<String>) -> Self {
         let default = Self::default();
-        let split = |text: String| text.split(',').map(|part| part.trim().to_owned()).collect();
+        let variable = |name| variable(name).filter(|text| !text.is_empty());
+        let split = |text: String| {
+            text.split(',')
+                .map(|part| part.trim().to_owned())
+                .filter(|part| !part.is_empty())
+                .collect()
+        };
         Self {
             fleet: variable("MUSTER_FLEET").unwrap_or(default.fleet),
             routers: variable("MUSTER_CONNECT").map_or(default.routers, split),
@@ -163,11 +170,12 @@ mod tests {
     fn the_variables_of_our_programs_hold_here_too() {
         let config = Config::from_variables(&|name| match name {
             "MUSTER_FLEET" => Some("alpha".to_owned()),
-            "MUSTER_CONNECT" => Some("tcp/a:1, tcp/b:2".to_owned()),
+            "MUSTER_CONNECT" => Some("tcp/a:1, ,tcp/b:2,".to_owned()),
             _ => None,
         });
         assert_eq!((config.fleet.as_str(), config.routers.len()), ("alpha", 2));
         assert!(config.bus().unwrap().connect.chosen);
         assert_eq!(Config::from_variables(&|_| None), Config::default());
+        assert_eq!(Config::from_variables(&|_| Some(String::new())), Config::default());
     }
 }

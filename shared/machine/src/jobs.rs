@@ -122,11 +122,6 @@ impl<Task: PartialEq> JobGate<Task> {
         self.standing.as_deref()
     }
 
-    /// Forgets what was settled, so that the same task is done again.
-    pub fn forget(&mut self) {
-        self.settled = None;
-    }
-
     /// When a failed task is to be tried again.
     #[must_use]
     pub fn deadline(&self) -> Option<Tick> {
@@ -148,8 +143,6 @@ mod tests {
         assert!(!gate.wants(NOW, &1) && !gate.wants(NOW, &2));
         gate.succeeded();
         assert!(!gate.wants(NOW, &1) && gate.wants(NOW, &2));
-        gate.forget();
-        assert!(gate.wants(NOW, &1));
     }
 
     #[test]

@@ -12,8 +12,10 @@ use crate::id::{Modality, RobotId};
 pub enum EmbeddingMode {
     /// The similarity was solved for by LU and decomposed whole.
     Dense,
-    /// The cached similarity was still that of the graphs, and was decomposed anew.
+    /// The graphs and the decay are still those of the last embedding, whose triplets serve.
     Cached,
+    /// The leading triplets were found from products with the graphs, and the similarity never formed.
+    InverseFree,
 }
 
 /// What the embedding rests on and how exact it is.
@@ -27,9 +29,10 @@ pub struct EmbeddingQuality {
     pub singular_values: Vec<f64>,
     /// The singular value after them.
     pub next_singular_value: f64,
-    /// Largest ‖S v − σ u‖ or ‖Sᵀ u − σ v‖ over the K triplets, relative to σ₁.
+    /// Largest ‖S v − σ u‖ or ‖Sᵀ u − σ v‖ over the K triplets, relative to σ₁. Where the similarity is
+    /// never formed, ‖Mᵀ(Sᵀ u − σ v)‖ instead, with M = I − α A*.
     pub residual: f64,
-    /// ‖M (S + I) z − z‖ / ‖z‖ for a random sign vector z and M = I − α A*.
+    /// ‖M (S + I) z − z‖ / ‖z‖ for a random sign vector z; 0 where the similarity is never formed.
     pub katz_residual: f64,
     /// (σ_K − σ_{K+1}) / σ₁: how far the chosen subspace stands apart from the rest.
     pub gap: f64,

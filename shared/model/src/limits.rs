@@ -45,5 +45,6 @@ pub const MAX_REVISION: u64 = 1 << 48;
 /// of everybody would be more than the rest of the traffic together.
 pub const MAX_MEMBERS_TOLD: usize = 256;
 
-/// Most edges of one graph that fit a message between services, at about 12 bytes each.
-pub const MAX_GRAPH_EDGES: u64 = 5_000_000;
+/// Most edges of one graph: at 13 bytes each beside the names of [`MAX_ROBOTS`] robots, as many as fit
+/// a message between services.
+pub const MAX_GRAPH_EDGES: u64 = 4_500_000;

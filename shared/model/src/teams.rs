@@ -173,14 +173,6 @@ pub struct RobotTeam {
 }
 
 impl Teams {
-    /// What each robot of the fleet is told, in the order of the teams.
-    pub fn robot_teams(&self) -> impl Iterator<Item = RobotTeam> {
-        let assigned = self.teams.iter().flat_map(move |team| {
-            team.members.iter().map(move |member| self.told(&member.robot, Some((team, member))))
-        });
-        assigned.chain(self.unassigned.iter().map(|robot| self.told(robot, None)))
-    }
-
     /// What one robot of the fleet is told; none if the division does not know it.
     #[must_use]
     pub fn robot_team(&self, robot: &RobotId) -> Option<RobotTeam> {
@@ -191,11 +183,7 @@ impl Teams {
         if place.is_none() && self.unassigned.binary_search(robot).is_err() {
             return None;
         }
-        Some(self.told(robot, place))
-    }
-
-    fn told(&self, robot: &RobotId, place: Option<(&Team, &Member)>) -> RobotTeam {
-        RobotTeam {
+        Some(RobotTeam {
             header: self.header.clone(),
             robot: robot.clone(),
             team: place.map(|(team, _)| team.id.clone()),
@@ -208,6 +196,6 @@ impl Teams {
             },
             leader: place.map(|(team, _)| team.leader.clone()),
             confidence: place.map_or(0.0, |(_, member)| member.margin.clamp(0.0, 1.0)),
-        }
+        })
     }
 }

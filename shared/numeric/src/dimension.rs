@@ -11,7 +11,22 @@
 //! move where the choice is close.
 
 use crate::embedding::WEAK_ROW;
-use crate::svd::{FullSvd, null_threshold};
+use crate::svd::null_threshold;
+
+/// What the choice looks at: the leading singular triplets of the similarity, all of them or some.
+pub trait Spectrum {
+    /// Number of nodes n.
+    fn nodes(&self) -> usize;
+
+    /// Those singular values that are known, descending: all n, or the largest.
+    fn singular_values(&self) -> &[f64];
+
+    /// Values up to this one are noise.
+    fn noise(&self) -> f64;
+
+    /// Squared length that triplet `j` adds to the row of node `i` in \[U√Σ, V√Σ\].
+    fn squared_share(&self, i: usize, j: usize) -> f64;
+}
 
 /// Ratios within this relative distance count as equal; the smaller K wins.
 pub const RATIO_TIE: f64 = 1e-9;
@@ -33,11 +48,16 @@ pub const KEEP: f64 = 0.05;
 #[must_use]
 pub fn choose_dimension(sigma: &[f64], teams: usize) -> usize {
     let n = sigma.len();
+    ruled(sigma, n, null_threshold(sigma, n), teams)
+}
+
+/// The rule for values of which those up to `noise` do not count, of a similarity of `n` nodes.
+fn ruled(sigma: &[f64], n: usize, noise: f64, teams: usize) -> usize {
     if n <= 2 {
         return n;
     }
     let limit = limit(n, teams);
-    let rank = rank(sigma);
+    let rank = rank(sigma, noise);
     if rank <= limit {
         return rank.max(2);
     }
@@ -49,42 +69,70 @@ pub fn choose_dimension(sigma: &[f64], teams: usize) -> usize {
     (2..=limit).fold(2, better)
 }
 
+/// The K that was chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Choice {
+    /// K, from 1 to the number of values that are known.
+    pub dimension: usize,
+    /// Whether more triplets than are known could make more nodes seen, so that the choice is to be made
+    /// again with them.
+    pub short: bool,
+}
+
+/// How many of the leading triplets [`choose_seeing_dimension`] must know at least for so many teams, of
+/// `n` nodes: one more than the rule looks at.
+#[must_use]
+pub fn least_rank(n: usize, teams: usize) -> usize {
+    if n <= 2 { n } else { limit(n, teams) + 1 }
+}
+
 /// K of [`choose_dimension`], raised until the K leading triplets see every node that is `related`
 /// (has an edge, one entry per node), or as many of them as K can make seen within the numeric rank
 /// and [`MAX_SEEING`].
 ///
-/// `previous` is the K of the frame before. It is kept if it sees as many, and either is within the
-/// range of the rule with a ratio within [`KEEP`] of the best, or is above the K that was raised
-/// with a value σ within [`KEEP`] of the one there, so that the last groups may change places.
+/// `svd` must know [`least_rank`] triplets or all. `previous` is the K of the frame before. It is kept
+/// if it sees as many, and either is within the range of the rule with a ratio within [`KEEP`] of the
+/// best, or is above the K that was raised with a value σ within [`KEEP`] of the one there, so that the
+/// last groups may change places.
 #[must_use]
 pub fn choose_seeing_dimension(
-    svd: &FullSvd,
+    svd: &impl Spectrum,
     related: &[bool],
     teams: usize,
     previous: Option<usize>,
-) -> usize {
+) -> Choice {
     let sigma = svd.singular_values();
-    let (n, rank) = (sigma.len(), rank(sigma));
-    let ruled = choose_dimension(sigma, teams);
+    let (n, noise) = (svd.nodes(), svd.noise());
+    let rank = rank(sigma, noise);
+    let ruled = ruled(sigma, n, noise, teams).min(sigma.len());
+    let found = |dimension| Choice { dimension, short: false };
     if n <= 2 || rank == 0 {
-        return ruled;
+        return found(ruled);
     }
     let limit = limit(n, teams);
     let seen = seen_counts(svd, related, rank.min(MAX_SEEING.max(limit)));
     let count = |k: usize| seen[k.clamp(1, seen.len()) - 1];
     let most = (ruled..=rank.min(MAX_SEEING)).map(count).fold(count(ruled), usize::max);
+    // The last value that is known has none behind it to be compared with.
+    let all = rank == sigma.len() && sigma.len() < n.min(MAX_SEEING + 1);
+    let short = all && most < related.iter().filter(|related| **related).count();
     let raised = (ruled..=rank).find(|k| count(*k) >= most).unwrap_or(ruled);
     let Some(previous) = previous.filter(|k| (2..=seen.len()).contains(k) && count(*k) >= most)
     else {
-        return raised;
+        return Choice { dimension: raised, short };
     };
     // Positive up to the rank, and infinite behind it.
-    let ratio = |k: usize| if k < rank { sigma[k - 1] / sigma[k] } else { f64::INFINITY };
+    let ratio = |k: usize| match sigma.get(k) {
+        Some(next) if k < rank => sigma[k - 1] / next,
+        _ if k >= rank && rank < sigma.len() => f64::INFINITY,
+        _ if sigma.len() == n => f64::INFINITY,
+        _ => 1.0,
+    };
     let as_good = previous <= limit && ratio(previous) >= (1.0 - KEEP) * ratio(ruled);
     let swapped = previous > raised
         && raised > ruled
         && sigma[previous - 1] >= (1.0 - KEEP) * sigma[raised - 1];
-    if as_good || swapped { previous } else { raised }
+    Choice { dimension: if as_good || swapped { previous } else { raised }, short }
 }
 
 /// Largest K of the rule.
@@ -92,15 +140,14 @@ fn limit(n: usize, teams: usize) -> usize {
     teams.clamp(2, n - 1)
 }
 
-/// Numeric rank: values above the noise.
-fn rank(sigma: &[f64]) -> usize {
-    let noise = null_threshold(sigma);
+/// Values above the noise.
+fn rank(sigma: &[f64], noise: f64) -> usize {
     sigma.iter().filter(|s| **s > noise).count()
 }
 
 /// How many related nodes the k leading triplets see, for k from 1 to `bound`.
-fn seen_counts(svd: &FullSvd, related: &[bool], bound: usize) -> Vec<usize> {
-    let mut squares = vec![0.0; svd.singular_values().len()];
+fn seen_counts(svd: &impl Spectrum, related: &[bool], bound: usize) -> Vec<usize> {
+    let mut squares = vec![0.0; svd.nodes()];
     let add = |j: usize| {
         for (i, square) in squares.iter_mut().enumerate() {
             *square += svd.squared_share(i, j);
@@ -124,7 +171,7 @@ mod tests {
         let n = sigma.len();
         let s = DenseMatrix::from_fn(n, n, |i, j| if i == j { sigma[i] } else { 0.0 });
         let related: Vec<bool> = (0..n).map(|i| i < related).collect();
-        choose_seeing_dimension(&full_svd(&s).unwrap(), &related, teams, previous)
+        choose_seeing_dimension(&full_svd(&s).unwrap(), &related, teams, previous).dimension
     }
 
     #[test]

@@ -134,17 +134,31 @@ pub enum KMeansError {
 /// # Errors
 /// [`KMeansError`] for an impossible number of clusters or unusable options.
 pub fn kmeans(x: &DenseMatrix, options: &KMeansOptions<'_>) -> Result<KMeans, KMeansError> {
+    kmeans_watched(x, options, &mut |_| {})
+}
+
+/// [`kmeans`], and how many of the restarts are done whenever one more is, for whoever waits.
+///
+/// # Errors
+/// As of [`kmeans`].
+pub fn kmeans_watched(
+    x: &DenseMatrix,
+    options: &KMeansOptions<'_>,
+    done: &mut dyn FnMut(usize),
+) -> Result<KMeans, KMeansError> {
     check(x, options)?;
     let distinct_points = seeding::count_distinct(x, options.clusters);
     let clusters = options.clusters.min(distinct_points);
     let limit = options.max_iterations.max(1);
 
     let mut best = restart(x, clusters, 0, options, limit);
-    for number in 1..options.restarts.max(1) as u64 {
-        let next = restart(x, clusters, number, options, limit);
+    done(1);
+    for number in 1..options.restarts.max(1) {
+        let next = restart(x, clusters, number as u64, options, limit);
         if next.inertia < best.inertia * (1.0 - TIE) {
             best = next;
         }
+        done(number + 1);
     }
     let mut warm = false;
     if let Some(labels) = options.warm_labels {

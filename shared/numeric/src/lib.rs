@@ -11,6 +11,7 @@
 //! | choose α, and keep it while it holds | [`katz`], [`alpha_band`] |
 //! | Katz similarity S = (I − αA*)⁻¹ − I | [`katz`], [`cached_katz`] |
 //! | singular value decomposition of S, cut at K | [`svd`], [`dimension`] |
+//! | the same for large graphs, without S, from frame to frame | [`katz_svd`] |
 //! | representation X = \[U, V\], one row per node | [`embedding`], [`alignment`] |
 //! | k-means on the rows of X | [`kmeans`], [`margins`] |
 //! | carry cluster identities over from the previous division | [`matching`] |
@@ -41,10 +42,10 @@ pub mod margins;
 pub mod matching;
 pub mod matrix;
 mod noda;
+pub mod norm;
 mod operator;
 mod order;
 mod partial;
-pub mod norm;
 pub mod radius_bound;
 mod scaling;
 pub mod silhouette;

@@ -95,7 +95,13 @@ impl KatzOperator {
     }
 
     /// Y = B X with B = αA or αAᵀ; X and Y are n × `width` in rows of `width` values.
-    pub(crate) fn multiply(&self, orientation: Orientation, x: &[f64], y: &mut [f64], width: usize) {
+    pub(crate) fn multiply(
+        &self,
+        orientation: Orientation,
+        x: &[f64],
+        y: &mut [f64],
+        width: usize,
+    ) {
         let rows = match orientation {
             Orientation::Forward => &self.forward,
             Orientation::Backward => &self.backward,

@@ -23,19 +23,29 @@ const EXTRA: usize = 8;
 /// How many blocks of vectors the search space holds before it is restarted with the best.
 const BLOCKS: usize = 3;
 
+/// Columns of a block are a multiple of this where possible: the doubles in the largest registers.
+const REGISTER: usize = 8;
+
+/// Degree of the preconditioner: with fewer, rounds get more, with more, dearer.
+const DEGREE: usize = 3;
+
+/// Random vectors that the preconditioner is fitted to.
+const SAMPLES: usize = 8;
+
 /// Rounds after which the search gives up.
 const MAX_ROUNDS: usize = 300;
 
-/// Pivot of a Gram matrix with a diagonal of ones below which a direction counts as contained in the
-/// others: half of the digits.
-const DEPENDENT: f64 = 1e-8;
+/// Squared length that must be left of a direction of length 1 beside the space and the other ones. What
+/// is left is scaled up to length 1 again, and the rounding of S V with it.
+const DEPENDENT: f64 = 1e-12;
 
 /// What must be left of every new direction, beside the space and the other ones, for rounding to have
 /// spoiled no more than a few digits of its being orthogonal.
 const LITTLE: f64 = 0.03;
 
-/// Values up to this fraction of the largest count as zero, and their vectors are not looked at.
-const NULL: f64 = 1e-13;
+/// Values up to this fraction of the largest count as zero, and their vectors are not looked at: squares
+/// of them are lost beside the square of the largest.
+pub(crate) const NULL: f64 = 1e-7;
 
 /// What is asked for.
 #[derive(Debug, Clone, Copy)]
@@ -44,8 +54,8 @@ pub(crate) struct Request {
     pub(crate) rank: usize,
     /// Largest residual ‖Mᵀ(Sᵀu − σv)‖ relative to σ₁.
     pub(crate) tolerance: f64,
-    /// An upper bound of ρ(αA), below 1.
-    pub(crate) radius: f64,
+    /// Random directions beside those to begin with, which find what those do not hold at all.
+    pub(crate) probes: usize,
     /// Seed of the random directions.
     pub(crate) seed: u64,
 }
@@ -105,8 +115,7 @@ pub(crate) fn leading_triplets(
     let capacity = (BLOCKS * carried).min(n);
     let mut search = Search { operator, request, n, carried, capacity, size: 0, work };
     search.reserve(out);
-    let degree = std::env::var("DEGREE").map_or(3, |d| d.parse().unwrap());
-    search.fit_polynomial(degree);
+    search.fit_polynomial();
     search.begin(start);
     search.run(out);
 }
@@ -134,7 +143,7 @@ impl Search<'_> {
             buffer.resize(n * carried, 0.0);
         }
         for buffer in &mut work.single {
-            buffer.resize(n * carried, 0.0);
+            buffer.resize(n * carried.next_multiple_of(2 * REGISTER), 0.0);
         }
         work.energy.resize(capacity * capacity, 0.0);
         work.compact.resize(capacity * capacity, 0.0);
@@ -150,8 +159,9 @@ impl Search<'_> {
                 self.expand(columns);
             }
         }
-        if self.size < self.carried {
-            let columns = self.carried - self.size;
+        let missing = self.carried.saturating_sub(self.size).max(self.request.probes);
+        let columns = missing.min(self.carried).min(self.capacity - self.size);
+        if columns > 0 {
             let mut rng = ChaCha8Rng::seed_from_u64(self.request.seed);
             for value in &mut self.work.block[..self.n * columns] {
                 *value = rng.random::<f64>() - 0.5;
@@ -164,13 +174,12 @@ impl Search<'_> {
         out.rounds = 0;
         loop {
             out.rounds += 1;
-            self.ritz(out);
+            if !self.ritz(out) {
+                out.converged = false;
+                return;
+            }
             let wanted = self.residuals(out);
             out.converged = wanted == 0;
-            if std::env::var("TRACE").is_ok() {
-                let worst = out.residuals[..self.request.rank].iter().fold(0.0_f64, |m, r| m.max(*r));
-                eprintln!("round {} size {} wanted {wanted} worst {worst:.2e}", out.rounds, self.size);
-            }
             if wanted == 0 || out.rounds >= MAX_ROUNDS || self.size >= self.n {
                 return;
             }
@@ -281,30 +290,14 @@ impl Search<'_> {
     /// independent ones there were, which come first, and what was left at least of each.
     fn orthonormalise(&mut self, width: usize, columns: usize) -> (usize, f64) {
         let n = self.n;
-        let Workspace { block, product, compact, overlap, lengths, symmetric, .. } =
-            &mut *self.work;
+        let Workspace { block, product, compact, overlap, symmetric, .. } = &mut *self.work;
         let (block, product) = (&mut block[..n * width], &mut product[..n * width]);
-        column_lengths(block, width, lengths);
         let gram_matrix = &mut compact[..columns * columns];
         let view = Block::new(block, columns, width);
         gram(view, view, BlockMut::new(gram_matrix, columns, columns));
-        // For a diagonal of ones: what is left of a direction tells nothing about its worth.
-        for i in 0..columns {
-            for j in 0..columns {
-                let scale = lengths[i] * lengths[j];
-                gram_matrix[i * columns + j] =
-                    if scale > 0.0 { gram_matrix[i * columns + j] / scale } else { 0.0 };
-            }
-        }
         let factor = &mut overlap[..columns * columns];
         factor.copy_from_slice(gram_matrix);
         if symmetric.cholesky(factor, columns, DEPENDENT) {
-            // D⁻¹ G D⁻¹ = L Lᵀ means G = (D L)(D L)ᵀ.
-            for i in 0..columns {
-                for j in 0..=i {
-                    factor[i * columns + j] *= lengths[i];
-                }
-            }
             let left = (0..columns).map(|i| factor[i * columns + i]).fold(1.0, f64::min);
             for rows in [block, product] {
                 divide_by_factor(factor, columns, BlockMut::new(rows, columns, width));
@@ -319,8 +312,7 @@ impl Search<'_> {
         let transform = &mut overlap[..columns * kept];
         for i in 0..columns {
             for j in 0..kept {
-                let length = if lengths[i] > 0.0 { lengths[i] } else { f64::INFINITY };
-                transform[i * kept + j] = vectors[i * columns + j] / (length * values[j].sqrt());
+                transform[i * kept + j] = vectors[i * columns + j] / values[j].sqrt();
             }
         }
         let mut row = vec![0.0; kept];
@@ -333,13 +325,14 @@ impl Search<'_> {
                     }
                 }
                 values[..kept].copy_from_slice(&row);
+                values[kept..].fill(0.0);
             }
         }
         (kept, 0.0)
     }
 
-    /// The best triplets of the space.
-    fn ritz(&mut self, out: &mut Triplets) {
+    /// The best triplets of the space. False when there are none in floating point.
+    fn ritz(&mut self, out: &mut Triplets) -> bool {
         let (size, capacity, carried) = (self.size, self.capacity, self.carried);
         let Workspace { space, image, energy, compact, overlap, symmetric, .. } = &mut *self.work;
         let compact = &mut compact[..size * size];
@@ -349,17 +342,15 @@ impl Search<'_> {
         out.sigma.clear();
         let count = carried.min(size);
         let vectors = &mut overlap[..size * count];
-        match symmetric.eigen(compact, size) {
-            Some((values, all)) => {
-                out.sigma.extend(values[..count].iter().map(|value| value.max(0.0).sqrt()));
-                for (to, from) in vectors.chunks_exact_mut(count).zip(all.chunks_exact(size)) {
-                    to.copy_from_slice(&from[..count]);
-                }
-            }
-            None => {
-                out.sigma.resize(count, 0.0);
-                vectors.fill(0.0);
-            }
+        let Some((values, all)) = symmetric.eigen(compact, size) else {
+            out.sigma.resize(carried, 0.0);
+            out.residuals.clear();
+            out.residuals.resize(carried, f64::INFINITY);
+            return false;
+        };
+        out.sigma.extend(values[..count].iter().map(|value| value.max(0.0).sqrt()));
+        for (to, from) in vectors.chunks_exact_mut(count).zip(all.chunks_exact(size)) {
+            to.copy_from_slice(&from[..count]);
         }
         let vectors = Block::new(vectors, count, count);
         let width = out.width;
@@ -374,6 +365,7 @@ impl Search<'_> {
             BlockMut::new(&mut out.image, count, width),
         );
         out.sigma.resize(carried, 0.0);
+        true
     }
 
     /// Residuals of all triplets, into the block. How many triplets still need directions, 0 when those
@@ -415,8 +407,11 @@ impl Search<'_> {
         if out.residuals[..rank].iter().all(|residual| *residual <= tolerance) {
             return 0;
         }
-        let open: Vec<usize> =
-            (0..width).filter(|c| out.residuals[*c] > tolerance).collect();
+        let mut open: Vec<usize> = (0..width).filter(|c| out.residuals[*c] > tolerance).collect();
+        // Registers hold so many columns, and what is left over costs as much as a whole one.
+        let wanted = open.len().next_multiple_of(REGISTER);
+        let rest = (0..width).filter(|c| (1e-14..=tolerance).contains(&out.residuals[*c]));
+        open.extend(rest.take(wanted - open.len()));
         let scales: Vec<f64> = open.iter().map(|&c| 1.0 / lengths[c]).collect();
         for (to, from) in block.chunks_exact_mut(open.len()).zip(product.chunks_exact(width)) {
             for ((to, &c), scale) in to.iter_mut().zip(&open).zip(&scales) {
@@ -449,10 +444,16 @@ impl Search<'_> {
         let Workspace { block, single, polynomial, .. } = &mut *self.work;
         let block = &mut block[..n * width];
         let [r, z, next] = single;
-        let (r, z, next) = (&mut r[..n * width], &mut z[..n * width], &mut next[..n * width]);
+        // Twice as many single numbers fit a register; columns that fill it up are zero.
+        let stride = width.next_multiple_of(2 * REGISTER);
+        let (r, z, next) = (&mut r[..n * stride], &mut z[..n * stride], &mut next[..n * stride]);
         Arch::new().dispatch(|| {
-            for (to, from) in r.iter_mut().zip(&*block) {
-                *to = *from as f32;
+            for (to, from) in r.chunks_exact_mut(stride).zip(block.chunks_exact(width)) {
+                let (to, padding) = to.split_at_mut(width);
+                padding.fill(0.0);
+                for (to, from) in to.iter_mut().zip(from) {
+                    *to = *from as f32;
+                }
             }
         });
         let (mut current, mut other): (&mut [f32], &mut [f32]) = (z, next);
@@ -466,25 +467,30 @@ impl Search<'_> {
             });
             for coefficient in rest.iter().rev() {
                 let c = *coefficient as f32;
-                self.operator.horner_step(orientation, c, r, current, other, width);
+                self.operator.horner_step(orientation, c, r, current, other, stride);
                 std::mem::swap(&mut current, &mut other);
             }
             r.copy_from_slice(current);
         }
+        // Weights may span more magnitudes than single numbers do; the residuals serve as they are then.
+        if !r.iter().all(|value| value.is_finite()) {
+            return;
+        }
         Arch::new().dispatch(|| {
-            for (to, from) in block.iter_mut().zip(&*r) {
-                *to = f64::from(*from);
+            for (to, from) in block.chunks_exact_mut(width).zip(r.chunks_exact(stride)) {
+                for (to, from) in to.iter_mut().zip(from) {
+                    *to = f64::from(*from);
+                }
             }
         });
     }
 
-    /// Coefficients of the polynomial p of a degree for which p(B) comes nearest to (I − B)⁻¹ on a few
+    /// Coefficients of the polynomial p of degree [`DEGREE`] for which p(B) comes nearest to (I − B)⁻¹ on a few
     /// random vectors, B = αA: that of GMRES (Embree, Loe and Morgan, SIAM J. Sci. Comput. 43, 2021).
     /// It fits any spectrum, also that of directed graphs.
-    fn fit_polynomial(&mut self, degree: usize) {
-        const SAMPLES: usize = 8;
+    fn fit_polynomial(&mut self) {
         let n = self.n;
-        let terms = degree + 2;
+        let terms = DEGREE + 2;
         let mut powers: Vec<Vec<f64>> = Vec::with_capacity(terms);
         let mut rng = ChaCha8Rng::seed_from_u64(self.request.seed ^ 0x9e37);
         powers.push((0..n * SAMPLES).map(|_| rng.random::<f64>() - 0.5).collect());
@@ -504,7 +510,7 @@ impl Search<'_> {
         }
         let p = |i: usize, j: usize| products[i * terms + j];
         // Normal equations for the columns Bᵏ b − Bᵏ⁺¹ b.
-        let size = degree + 1;
+        let size = DEGREE + 1;
         let mut system = vec![0.0; size * size];
         let mut right = vec![0.0; size];
         for i in 0..size {
@@ -590,12 +596,10 @@ mod tests {
                 let full = full_svd(&katz_similarity(&a, alpha, &radius).unwrap()).unwrap();
                 let mut operator = KatzOperator::default();
                 operator.assign(&a, alpha, false);
-                let request =
-                    Request { rank: 8, tolerance: 1e-9, radius: alpha * radius.upper, seed: 5 };
+                let request = Request { rank: 8, tolerance: 1e-9, probes: 0, seed: 5 };
                 let mut out = Triplets::default();
                 leading_triplets(&operator, request, &[], &mut Workspace::default(), &mut out);
                 assert!(out.converged, "n {n}: {:?}", out.residuals);
-                eprintln!("n {n} c {fraction}: {} rounds", out.rounds);
                 for j in 0..8 {
                     let wanted = full.singular_values()[j];
                     assert!((out.sigma[j] - wanted).abs() < 1e-11 * wanted, "n {n} σ{j}");

@@ -8,6 +8,7 @@
 use thiserror::Error;
 
 use crate::backend::{Factors, thin_svd};
+use crate::dimension::Spectrum;
 use crate::jacobi::jacobi_svd;
 use crate::matrix::DenseMatrix;
 
@@ -90,13 +91,15 @@ pub fn full_svd(s: &DenseMatrix) -> Result<FullSvd, SvdError> {
     // The library fails on very large and very small numbers that are perfectly regular.
     let scaled = DenseMatrix::from_fn(rows, rows, |i, j| s.at(i, j) / top);
     let mut factors = robust_svd(&scaled);
-    let cut = null_threshold(&factors.sigma);
+    let cut = null_threshold(&factors.sigma, rows);
     for (j, sigma) in factors.sigma.iter_mut().enumerate() {
-        let sign = if *sigma <= cut { 0.0 } else { sign_of_column(&factors.u, j) };
-        scale_column(&mut factors.u, j, sign);
-        scale_column(&mut factors.v, j, sign);
+        if *sigma <= cut {
+            scale_column(&mut factors.u, j, 0.0);
+            scale_column(&mut factors.v, j, 0.0);
+        }
         *sigma *= top;
     }
+    fix_signs(&mut factors.u, &mut factors.v);
     Ok(FullSvd { u: factors.u, sigma: factors.sigma, v: factors.v })
 }
 
@@ -115,9 +118,20 @@ fn robust_svd(s: &DenseMatrix) -> Factors {
     thin_svd(s).or_else(|| thin_svd(&s.transpose()).map(swapped)).unwrap_or_else(|| jacobi_svd(s))
 }
 
-/// Singular values up to this one are rounding noise: n ε σ₁.
-pub(crate) fn null_threshold(sigma: &[f64]) -> f64 {
-    sigma.len() as f64 * f64::EPSILON * sigma.first().copied().unwrap_or(0.0)
+/// Singular values of a matrix of n rows up to this one are rounding noise: n ε σ₁.
+pub(crate) fn null_threshold(sigma: &[f64], n: usize) -> f64 {
+    n as f64 * f64::EPSILON * sigma.first().copied().unwrap_or(0.0)
+}
+
+/// Turns each pair of columns so that the entry of u with the largest modulus is positive, the first of
+/// them within [`SIGN_TIE`].
+pub(crate) fn fix_signs(u: &mut DenseMatrix, v: &mut DenseMatrix) {
+    for j in 0..u.cols() {
+        if sign_of_column(u, j) < 0.0 {
+            scale_column(u, j, -1.0);
+            scale_column(v, j, -1.0);
+        }
+    }
 }
 
 /// Sign of the first entry of column `j` whose modulus ties with the largest one.
@@ -141,12 +155,6 @@ impl FullSvd {
         &self.sigma
     }
 
-    /// Squared length that triplet `j` adds to the row of node `i` in \[U√Σ, V√Σ\].
-    pub(crate) fn squared_share(&self, i: usize, j: usize) -> f64 {
-        let root = self.sigma[j].sqrt();
-        (self.u.at(i, j) * root).powi(2) + (self.v.at(i, j) * root).powi(2)
-    }
-
     /// The `k` leading triplets, 1 ≤ k ≤ n.
     ///
     /// # Errors
@@ -162,6 +170,25 @@ impl FullSvd {
             v: DenseMatrix::from_fn(nodes, k, |i, j| self.v.at(i, j)),
             sigma_next: self.sigma.get(k).copied(),
         })
+    }
+}
+
+impl Spectrum for FullSvd {
+    fn nodes(&self) -> usize {
+        self.sigma.len()
+    }
+
+    fn singular_values(&self) -> &[f64] {
+        &self.sigma
+    }
+
+    fn noise(&self) -> f64 {
+        null_threshold(&self.sigma, self.sigma.len())
+    }
+
+    fn squared_share(&self, i: usize, j: usize) -> f64 {
+        let root = self.sigma[j].sqrt();
+        (self.u.at(i, j) * root).powi(2) + (self.v.at(i, j) * root).powi(2)
     }
 }
 

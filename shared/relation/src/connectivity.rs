@@ -23,15 +23,19 @@ pub fn link_weight(settings: &ConnectivitySettings, quality: f64) -> Result<f64,
     match settings.unit {
         LinkUnit::Quality => share("quality"),
         LinkUnit::DeliveryRatio => share("delivery ratio"),
-        LinkUnit::RssiDbm if quality.is_finite() => {
-            // Checked settings have a span of at least 1 dB; the bound keeps any others from 0/0.
-            let span = (settings.rssi_ceiling_dbm - settings.rssi_floor_dbm).max(f64::MIN_POSITIVE);
-            Ok(((quality - settings.rssi_floor_dbm) / span).clamp(0.0, 1.0))
-        }
+        LinkUnit::RssiDbm if quality.is_finite() => Ok(signal_weight(settings, quality)),
         LinkUnit::RssiDbm => {
             refuse(format!("must be a signal strength as a finite number of dBm, is {quality}"))
         }
     }
+}
+
+/// What a link of a signal strength in dBm is worth, whatever the unit of the settings.
+#[must_use]
+pub fn signal_weight(settings: &ConnectivitySettings, dbm: f64) -> f64 {
+    // Checked settings have a span of at least 1 dB; the bound keeps any others from 0/0.
+    let span = (settings.rssi_ceiling_dbm - settings.rssi_floor_dbm).max(f64::MIN_POSITIVE);
+    ((dbm - settings.rssi_floor_dbm) / span).clamp(0.0, 1.0)
 }
 
 fn refuse<T>(problem: String) -> Result<T, ObservationError> {

@@ -4,13 +4,15 @@
 //! the live fleet and a fleet in a file are judged by the same rules. All edge lists are ordered by
 //! source, then target, and name no edge twice.
 
+mod compact;
 pub mod connectivity;
 pub mod edge;
 pub mod hierarchy;
+pub mod kernel;
 mod neighbours;
 pub mod spatial;
 
-pub use connectivity::{connectivity_edges, link_weight};
+pub use connectivity::{connectivity_edges, link_weight, signal_weight};
 pub use edge::{Edge, EdgeError, relation_edges};
 pub use hierarchy::hierarchy_edges;
 pub use neighbours::median_nearest_neighbour_distance;

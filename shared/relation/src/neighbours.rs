@@ -71,14 +71,14 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 }
 
 /// All robots on one spot.
-struct Stack {
-    at: Point,
-    /// In ascending order.
-    robots: Vec<u32>,
+pub(crate) struct Stack {
+    pub(crate) at: Point,
+    /// In ascending order, at least one.
+    pub(crate) robots: Vec<u32>,
 }
 
 /// The distinct positions in order, each with its robots.
-fn stacks(points: &[Point]) -> Vec<Stack> {
+pub(crate) fn stacks(points: &[Point]) -> Vec<Stack> {
     let mut robots: Vec<(&Point, u32)> = points.iter().zip(0..).collect();
     robots.sort_unstable_by(|l, r| by_position(l.0, r.0).then(l.1.cmp(&r.1)));
     robots

@@ -52,6 +52,11 @@ fn the_kernels_are_those_of_the_settings() {
     };
     assert!((weight(SpatialKernel::Gaussian) - (-0.5f64).exp()).abs() < 1e-15);
     assert!((weight(SpatialKernel::Exponential) - (-1.0f64).exp()).abs() < 1e-15);
+    let kernel = SpatialKernel::WendlandC2;
+    for (cutoff, expected) in [(4.0, Some(0.1875)), (2.0, None), (1.5, None)] {
+        let settings = SpatialSettings { kernel, cutoff, ..settings() };
+        assert_eq!(weights(&spatial_edges(&line, &settings)).get(&(0, 2)).copied(), expected);
+    }
 }
 
 #[test]
@@ -109,12 +114,17 @@ fn fleet() -> impl Strategy<Value = Vec<Point>> {
 }
 
 fn any_settings() -> impl Strategy<Value = SpatialSettings> {
-    let kernel = prop_oneof![Just(SpatialKernel::Gaussian), Just(SpatialKernel::Exponential)];
+    let kernel = prop_oneof![
+        Just(SpatialKernel::Gaussian),
+        Just(SpatialKernel::Exponential),
+        Just(SpatialKernel::WendlandC2)
+    ];
     let pairs = prop_oneof![Just(0u32), Just(200)];
-    (kernel, 0.1..10.0f64, pairs, 1..20u32).prop_map(
-        |(kernel, width, all_pairs_up_to, neighbours)| SpatialSettings {
+    (kernel, 0.1..10.0f64, 1.0..10.0f64, pairs, 1..20u32).prop_map(
+        |(kernel, width, cutoff, all_pairs_up_to, neighbours)| SpatialSettings {
             kernel,
             width,
+            cutoff,
             all_pairs_up_to,
             neighbours,
             radius_m: None,

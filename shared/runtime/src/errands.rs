@@ -18,8 +18,12 @@ use crate::store::Store;
 /// Most answers that wait to be sent.
 const MAX_WAITING: usize = 256;
 
-/// Most bytes of answers that wait to be sent: a few of the largest messages.
+/// So many bytes of answers may wait to be sent while a further get is taken: a few of the largest
+/// messages.
 const MAX_WAITING_BYTES: usize = 256 * 1024 * 1024;
+
+/// What one get may need of the queue: an answer, and states that are kept before.
+const ROOM: usize = 4;
 
 /// An answer on its way to whoever asked.
 struct Answer {
@@ -83,16 +87,24 @@ impl Errands {
         let _ = self.sender.try_send(None);
     }
 
-    /// Answers a get. Never waits; an answer is dropped when too many or too large ones wait. One
-    /// that says that something is `kept` becomes an error if that has failed.
+    /// Whether there is room for what a further get leads to. Where there is none, gets are to wait
+    /// where they are.
+    pub(crate) fn has_room(&self) -> bool {
+        let waiting = self.waiting_bytes.load(Ordering::Relaxed);
+        self.sender.capacity() >= ROOM && waiting <= MAX_WAITING_BYTES
+    }
+
+    /// Answers a get. Never waits, given [`Errands::has_room`]. One that says that something is `kept`
+    /// becomes an error if that has failed.
     pub(crate) fn reply(&self, query: Query, answer: Result<Vec<Outbound>, String>, kept: bool) {
         let size = answer.iter().flatten().map(|message| message.payload.len()).sum();
-        let waiting = self.waiting_bytes.fetch_add(size, Ordering::Relaxed);
-        let fits = waiting == 0 || waiting.saturating_add(size) <= MAX_WAITING_BYTES;
+        self.waiting_bytes.fetch_add(size, Ordering::Relaxed);
         let answer = Answer { query, answer, kept, size };
-        if !fits || self.sender.try_send(Some(answer)).is_err() {
+        if let Err(dropped) = self.sender.try_send(Some(answer)) {
             self.waiting_bytes.fetch_sub(size, Ordering::Relaxed);
             tracing::warn!("an answer is dropped: too many wait");
+            // Letting go of a get tells whoever asked, which waits for a busy link.
+            tokio::task::spawn_blocking(move || drop(dropped));
         }
     }
 }
@@ -114,5 +126,37 @@ fn send(bus: &Bus, query: &Query, answer: Result<Vec<Outbound>, String>) {
     };
     if let Err(error) = sent {
         tracing::debug!("an answer is not sent: {error}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn errands() -> (Errands, mpsc::Receiver<Errand>) {
+        let (sender, receiver) = mpsc::channel(MAX_WAITING);
+        (Errands { sender, newest: Arc::default(), waiting_bytes: Arc::default() }, receiver)
+    }
+
+    #[test]
+    fn gets_wait_while_the_queue_is_full_and_go_on_after() {
+        let (errands, mut receiver) = errands();
+        for _ in 0..MAX_WAITING {
+            errands.store(Stored::default());
+        }
+        assert!(!errands.has_room());
+        for _ in 0..ROOM {
+            receiver.try_recv().unwrap();
+        }
+        assert!(errands.has_room());
+    }
+
+    #[test]
+    fn gets_wait_while_large_answers_do() {
+        let (errands, _receiver) = errands();
+        errands.waiting_bytes.store(MAX_WAITING_BYTES, Ordering::Relaxed);
+        assert!(errands.has_room());
+        errands.waiting_bytes.store(MAX_WAITING_BYTES + 1, Ordering::Relaxed);
+        assert!(!errands.has_room());
     }
 }

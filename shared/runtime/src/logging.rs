@@ -20,7 +20,7 @@ use tracing_subscriber::registry::LookupSpan;
 
 /// What is logged when neither a flag nor `MUSTER_LOG` says otherwise: what Muster does, and what
 /// goes wrong below it.
-const DEFAULT_FILTER: &str = "warn,muster=info,zenoh::net::runtime::orchestrator=error";
+const DEFAULT_FILTER: &str = "warn,muster=info";
 
 /// Most lines that one place in the code writes in [`WINDOW`]: enough to see what repeats and how
 /// often. More are counted, and the number is told afterwards.
@@ -41,7 +41,8 @@ pub fn check(filter: Option<&str>) -> Result<(), String> {
 }
 
 fn read_filter(filter: Option<&str>) -> Result<EnvFilter, String> {
-    EnvFilter::try_new(filter.unwrap_or(DEFAULT_FILTER)).map_err(|error| {
+    let default = || format!("{DEFAULT_FILTER},{}", crate::bus::QUIET_LOG);
+    EnvFilter::try_new(filter.map_or_else(default, str::to_owned)).map_err(|error| {
         format!("log: {error}; use a level such as info, or target=level pairs with commas")
     })
 }

@@ -1,11 +1,14 @@
-//! The bounded way out: one thread sends, so that no loop ever waits for the bus.
+//! The bounded way out: threads of its own send, so that no loop ever waits for the bus.
+//!
+//! What a holder claims has a lane of one place. A large message may take the bus longer than a holder
+//! may be silent, and a claim that waits behind it would cost a living holder its role.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use muster_wire::Outbound;
+use muster_wire::{Key, Outbound};
 
 /// Most messages that wait to be sent: the per-robot messages of a division of 10,000 robots.
 const MAX_WAITING: usize = 16_384;
@@ -30,6 +33,8 @@ struct Shared {
 struct State {
     waiting: VecDeque<Outbound>,
     bytes: usize,
+    /// The newest claim of the role.
+    claim: Option<Outbound>,
     closed: bool,
     done: bool,
     dropped: u64,
@@ -54,6 +59,12 @@ impl Outbox {
         let mut state = self.state();
         if state.closed {
             return;
+        }
+        if matches!(message.key, Key::Holder(_)) {
+            // An older claim says nothing more.
+            state.dropped += u64::from(state.claim.replace(message).is_some());
+            drop(state);
+            return self.0.changed.notify_all();
         }
         state.bytes += message.payload.len();
         state.waiting.push_back(message);
@@ -81,29 +92,41 @@ impl Outbox {
         (state.waiting.len(), state.bytes)
     }
 
-    /// Starts the thread that sends; it ends when the outbox is closed and empty.
+    /// Starts the threads that send; they end when the outbox is closed and empty. The one that is
+    /// returned sends everything but claims.
     ///
     /// # Errors
     /// If no thread can be started.
     pub fn start(
         &self,
+        send: impl FnMut(Outbound) + Clone + Send + 'static,
+    ) -> std::io::Result<JoinHandle<()>> {
+        self.start_lane("muster-claims", |state| state.claim.take(), send.clone(), |_| {})?;
+        self.start_lane("muster-sender", State::pop, send, |state| state.done = true)
+    }
+
+    fn start_lane(
+        &self,
+        name: &str,
+        pop: fn(&mut State) -> Option<Outbound>,
         mut send: impl FnMut(Outbound) + Send + 'static,
+        end: fn(&mut State),
     ) -> std::io::Result<JoinHandle<()>> {
         let outbox = self.clone();
-        std::thread::Builder::new().name("muster-sender".to_owned()).spawn(move || {
-            while let Some(message) = outbox.next() {
+        std::thread::Builder::new().name(name.to_owned()).spawn(move || {
+            while let Some(message) = outbox.next(pop) {
                 send(message);
                 outbox.state().sent += 1;
             }
-            outbox.state().done = true;
+            end(&mut outbox.state());
             outbox.0.changed.notify_all();
         })
     }
 
-    fn next(&self) -> Option<Outbound> {
+    fn next(&self, pop: fn(&mut State) -> Option<Outbound>) -> Option<Outbound> {
         let mut state = self.state();
         loop {
-            if let Some(message) = state.pop() {
+            if let Some(message) = pop(&mut state) {
                 return Some(message);
             }
             if state.closed {
@@ -133,7 +156,7 @@ mod tests {
     use std::borrow::Cow;
     use std::sync::mpsc;
 
-    use muster_wire::Key;
+    use muster_model::id::ServiceName;
 
     use super::*;
 
@@ -162,6 +185,34 @@ mod tests {
             outbox.push(message(0));
         }
         assert_eq!(outbox.counts(), (0, 7));
+    }
+
+    #[test]
+    fn a_claim_passes_a_message_that_takes_long_and_only_the_newest_waits() {
+        let outbox = Outbox::default();
+        let claim = |byte| Outbound { key: Key::Holder(ServiceName::Ingest), ..message(byte) };
+        outbox.push(claim(1));
+        outbox.push(claim(2));
+        outbox.push(message(9));
+        let (sender, receiver) = mpsc::channel();
+        let (release, held) = mpsc::channel::<()>();
+        let held = Arc::new(Mutex::new(held));
+        let send = move |message: Outbound| {
+            if message.key == Key::Teams {
+                let _ = held.lock().unwrap().recv();
+            }
+            sender.send(message.payload[0]).unwrap();
+        };
+        let thread = outbox.start(send).unwrap();
+        let within = Duration::from_secs(10);
+        assert_eq!(receiver.recv_timeout(within), Ok(2));
+        outbox.push(claim(3));
+        assert_eq!(receiver.recv_timeout(within), Ok(3), "the large one is not through yet");
+        drop(release);
+        assert_eq!(receiver.recv_timeout(within), Ok(9));
+        outbox.close();
+        thread.join().unwrap();
+        assert_eq!(outbox.counts().1, 1);
     }
 
     #[test]

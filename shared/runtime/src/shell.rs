@@ -178,7 +178,8 @@ pub async fn run<C: Core>(
             }
             _ = beat.tick() => shell.show(),
             () = inbox.arrived() => shell.take_packets(),
-            Some(asked) = asked.recv() => shell.take_query(asked),
+            // Looked at again with every turn of the loop, the next beat at the latest.
+            Some(asked) = asked.recv(), if shell.errands.has_room() => shell.take_query(asked),
             Some(ended) = ended.recv() => match ended {
                 Ended::Job { event, laps } => shell.step_with(event, &laps),
                 Ended::Fetch { fetch, messages } => shell.step(Event::Fetched { fetch, messages }),

@@ -70,7 +70,10 @@ impl Store {
         file.flush()?;
         file.as_file().sync_all()?;
         file.persist(path).with_context(|| format!("cannot write {}", path.display()))?;
-        Ok(())
+        // The new name is only kept over a loss of power once the directory is on the disk, too.
+        std::fs::File::open(directory)
+            .and_then(|directory| directory.sync_all())
+            .with_context(|| format!("cannot sync the directory {}", directory.display()))
     }
 }
 

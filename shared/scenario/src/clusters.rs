@@ -75,8 +75,4 @@ impl Formation for Clusters {
     fn commands(&self, _t_seconds: f64) -> Vec<Command> {
         self.commands.clone()
     }
-
-    fn period_s(&self) -> Option<f64> {
-        None
-    }
 }

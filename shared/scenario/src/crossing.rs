@@ -265,8 +265,4 @@ impl Formation for Crossing {
         let apart = are_apart(t_seconds);
         self.slots.iter().map(|slot| if apart { slot.apart } else { slot.command }).collect()
     }
-
-    fn period_s(&self) -> Option<f64> {
-        Some(PERIOD_S)
-    }
 }

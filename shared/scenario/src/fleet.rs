@@ -36,7 +36,6 @@ pub struct RobotObservation {
 /// taken as 0. The same moment always gives the same answers.
 #[derive(Debug, Clone)]
 pub struct Fleet {
-    kind: ScenarioKind,
     options: FleetOptions,
     robots: Vec<RobotId>,
     formation: Arc<dyn Formation>,
@@ -57,31 +56,13 @@ impl Fleet {
         };
         let robots = formation.members().iter().map(|member| member.id.clone()).collect();
         let radio = Arc::new(Radio::new(options.robots, options.radio_range_m, options.seed));
-        Ok(Self { kind, options, robots, formation, radio })
-    }
-
-    /// What the fleet does.
-    #[must_use]
-    pub fn kind(&self) -> ScenarioKind {
-        self.kind
-    }
-
-    /// What it was made from.
-    #[must_use]
-    pub fn options(&self) -> &FleetOptions {
-        &self.options
+        Ok(Self { options, robots, formation, radio })
     }
 
     /// The robots; their number is that of the options.
     #[must_use]
     pub fn robots(&self) -> &[RobotId] {
         &self.robots
-    }
-
-    /// After how many seconds the story begins again; none if it does not.
-    #[must_use]
-    pub fn period_s(&self) -> Option<f64> {
-        self.formation.period_s()
     }
 
     /// Where the robots measure themselves to be: metres and radians in the frame `map`, with noise

@@ -49,9 +49,6 @@ pub(crate) trait Formation: fmt::Debug + Send + Sync {
 
     /// Whom they belong to after finite seconds.
     fn commands(&self, t_seconds: f64) -> Vec<Command>;
-
-    /// After how many seconds it all begins again.
-    fn period_s(&self) -> Option<f64>;
 }
 
 /// Divides `count` robots into `parts` that differ by at most one: the indices of each part.

@@ -109,8 +109,4 @@ impl Formation for Random {
     fn commands(&self, _t_seconds: f64) -> Vec<Command> {
         self.commands.clone()
     }
-
-    fn period_s(&self) -> Option<f64> {
-        None
-    }
 }

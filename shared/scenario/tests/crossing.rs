@@ -45,7 +45,7 @@ fn one_squad_is_handed_over_within_thirty_seconds_and_returns() {
         assert!(!moved.is_empty() && moved.len() <= 9);
         assert!(moved.iter().all(|&robot| (before[robot], apart[robot]) == (0, 1)));
         assert_eq!(before, after);
-        assert_eq!(before, fleet.truth(5.0 + fleet.period_s().unwrap()));
+        assert_eq!(before, fleet.truth(65.0));
         // Only the leader of the squad answers to somebody else.
         let (ranks, lent) = (fleet.ranks(5.0), fleet.ranks(25.0));
         let changed: Vec<_> =

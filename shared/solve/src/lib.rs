@@ -2,28 +2,31 @@
 //!
 //! The input goes through [`file`], which reads it, and [`problem`], which checks it, with
 //! [`observations`] for raw observations; [`method`] computes and [`output`] writes. Nothing here
-//! knows the bus.
+//! knows the bus. [`estimate`] says beforehand what it will take, and [`line`] meanwhile what is being
+//! done.
 
+mod estimate;
 mod file;
-mod memory;
+mod line;
 mod method;
 mod observations;
 mod output;
 mod problem;
+mod speed;
+mod step;
 #[cfg(test)]
 mod tests;
 
 use std::io::{IsTerminal, Read};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use anyhow::Context;
 
+pub use estimate::Estimate;
+pub use step::Step;
+
 /// Largest file that is read: the matrix of the largest fleet in short decimals fits.
 const MAX_FILE_BYTES: u64 = 1 << 30;
-
-/// Fleets above this size take long enough to say what is being done.
-const LONG: usize = 1000;
 
 /// Longest error message in characters; the rest of it is text of the file.
 const MAX_MESSAGE: usize = 800;
@@ -66,8 +69,13 @@ The method as printed in the paper: "normalize": "none", "scale": "none", "rows"
 In the output, labels are numbered by first appearance (given ones stay as they are), and
 silhouette.per_team is ordered by label. Silhouettes are those in the embedding.
 
+A solve that takes longer than a second says on a terminal what it is doing, unless --json is given.
+Exit codes: 0 done, or --estimate and it fits; 1 the results cannot be written; 2 the file is wrong, or
+what it asks for does not fit into the memory that is available.
+
 Examples:
   muster solve fleet.json
+  muster solve fleet.json --estimate
   muster solve fleet.json --json | jq .teams
   generate-fleet | muster solve - --json"#;
 
@@ -84,6 +92,9 @@ pub struct SolveArgs {
     /// Divide the weights of the modalities by their sum instead of refusing them.
     #[arg(long)]
     normalize_weights: bool,
+    /// Only say how much memory and time it will take on this machine, and whether it fits.
+    #[arg(long)]
+    estimate: bool,
 }
 
 /// What is wrong with the input.
@@ -144,13 +155,24 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
     } else {
         tidy(&args.file.to_string_lossy())
     };
+    // With --json another program waits, which wants no line on the terminal that it shares.
+    let line = line::Line::start(!args.json && std::io::stderr().is_terminal());
     let text = read(&args.file).with_context(|| name.clone())?;
-    let mut progress = Progress::start();
+    let parse = if args.estimate { parse } else { parse_to_solve };
     let problem = parse(&text, args.normalize_weights).with_context(|| name.clone())?;
     drop(text);
-    progress.shown = problem.robots.len() > LONG && std::io::stderr().is_terminal();
-    progress.done("read and checked");
-    let solution = method::solve(&problem, &mut progress).with_context(|| name)?;
+    if args.estimate {
+        drop(line);
+        let estimate = estimate::estimate(&problem);
+        if args.json {
+            estimate.write_json()?;
+        } else {
+            estimate.write_summary()?;
+        }
+        return estimate.check().with_context(|| name);
+    }
+    let solution = solve(&problem, &mut |step| line.tell(step)).with_context(|| name)?;
+    drop(line);
     for warning in &solution.warnings {
         eprintln!("warning: {warning}");
     }
@@ -176,9 +198,27 @@ impl Solved {
     /// # Errors
     /// Names the field that is wrong and the remedy.
     pub fn new(text: &[u8], normalize_weights: bool) -> Result<Self, SolveError> {
-        let problem = parse(text, normalize_weights)?;
-        let solution = method::solve(&problem, &mut Progress::start())?;
+        Self::watched(text, normalize_weights, &mut |_| {})
+    }
+
+    /// The same, telling each step when it begins, and each restart of k-means when it is done.
+    ///
+    /// # Errors
+    /// As of [`Solved::new`].
+    pub fn watched(
+        text: &[u8],
+        normalize_weights: bool,
+        progress: &mut dyn FnMut(Step),
+    ) -> Result<Self, SolveError> {
+        let problem = parse_to_solve(text, normalize_weights)?;
+        let solution = solve(&problem, progress)?;
         Ok(Self { problem, solution })
+    }
+
+    /// The label of each robot, in the order of the file.
+    #[must_use]
+    pub fn labels(&self) -> &[usize] {
+        &self.solution.labels
     }
 
     /// The results as one JSON object, numbers in full precision.
@@ -196,9 +236,23 @@ impl Solved {
     }
 }
 
+/// Applies the method where it fits into the memory of this machine.
+fn solve(
+    problem: &problem::Problem,
+    progress: &mut dyn FnMut(Step),
+) -> Result<method::Solution, SolveError> {
+    estimate::check(problem)?;
+    method::solve(problem, progress)
+}
+
 /// A text as a checked input.
 fn parse(text: &[u8], normalize_weights: bool) -> Result<problem::Problem, SolveError> {
-    problem::check(file::read(text)?, normalize_weights)
+    problem::check(file::read(text)?, normalize_weights, |_| Ok(()))
+}
+
+/// A text as a checked input, unless its robots alone are too many for the memory of this machine.
+fn parse_to_solve(text: &[u8], normalize_weights: bool) -> Result<problem::Problem, SolveError> {
+    problem::check(file::read(text)?, normalize_weights, estimate::check_robots)
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, SolveError> {
@@ -212,25 +266,4 @@ fn read_limited(source: impl Read) -> Result<Vec<u8>, SolveError> {
     let mut text = Vec::new();
     source.take(MAX_FILE_BYTES + 1).read_to_end(&mut text).map_err(SolveError::Read)?;
     if text.len() as u64 > MAX_FILE_BYTES { Err(SolveError::Size) } else { Ok(text) }
-}
-
-/// Tells an operator who waits what has been done.
-struct Progress {
-    shown: bool,
-    since: Instant,
-}
-
-impl Progress {
-    /// A silent one.
-    fn start() -> Self {
-        Self { shown: false, since: Instant::now() }
-    }
-
-    /// A stage is done.
-    fn done(&mut self, stage: &str) {
-        if self.shown {
-            eprintln!("{stage}: {:.2} s", self.since.elapsed().as_secs_f64());
-        }
-        self.since = Instant::now();
-    }
 }

@@ -10,7 +10,7 @@ use muster_numeric::dimension::choose_dimension;
 use muster_numeric::embedding::{Rows, Scale, embed};
 use muster_numeric::fuse::{self, fuse};
 use muster_numeric::katz::{self, KatzError, katz_probe, katz_similarity};
-use muster_numeric::kmeans::{Init, KMeansOptions, kmeans};
+use muster_numeric::kmeans::{Init, KMeansOptions, kmeans_watched};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::silhouette::{Silhouette, silhouette};
 use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};
@@ -18,7 +18,8 @@ use muster_numeric::svd::full_svd;
 
 use super::file::Emit;
 use super::problem::{Division, Problem};
-use super::{Progress, SolveError, refuse};
+use super::step::Step;
+use super::{SolveError, refuse};
 
 /// How many robots a warning names.
 const MOST_NAMED: usize = 10;
@@ -62,21 +63,24 @@ pub(super) struct Diagnostics {
     pub(super) katz_residual: f64,
 }
 
-/// Applies the method.
-pub(super) fn solve(problem: &Problem, progress: &mut Progress) -> Result<Solution, SolveError> {
+/// Applies the method, and tells each step that it begins.
+pub(super) fn solve(
+    problem: &Problem,
+    progress: &mut dyn FnMut(Step),
+) -> Result<Solution, SolveError> {
+    progress(Step::Fuse);
     let fused = fused(problem)?;
+    progress(Step::SpectralRadius);
     let radius = spectral_radius(&fused, None);
     let alpha = match problem.alpha {
         Alpha::Value(alpha) => katz::Alpha::Value(alpha),
         Alpha::Fraction { fraction } => katz::Alpha::Fraction(fraction),
     };
     let alpha = alpha.resolve(&fused, &radius).or_else(of_katz)?;
-    progress.done("spectral radius");
-
+    progress(Step::Katz);
     let similarity = katz_similarity(&fused, alpha, &radius).or_else(of_katz)?;
-    progress.done("Katz similarity");
+    progress(Step::Svd);
     let full = full_svd(&similarity).or_else(of_numbers)?;
-    progress.done("singular value decomposition");
     let wanted = match problem.dimension {
         Dimension::Fixed(dimension) => dimension as usize / 2,
         Dimension::Auto => choose_dimension(full.singular_values(), wanted_teams(problem)),
@@ -112,20 +116,18 @@ pub(super) fn solve(problem: &Problem, progress: &mut Progress) -> Result<Soluti
         ));
     }
     warnings.extend(unseen_warning(problem, &embedded.weak, svd.rank()));
-    progress.done("embedding");
 
     let (labels, inertia) = match &problem.division {
-        Division::Wanted(settings) => cluster(&embedded.x, settings, &mut warnings)?,
+        Division::Wanted(settings) => cluster(&embedded.x, settings, &mut warnings, progress)?,
         Division::Given(labels) => {
             let labels: Vec<usize> = labels.iter().map(|label| *label as usize).collect();
             let inertia = inertia(&embedded.x, &labels);
             (labels, inertia)
         }
     };
-    progress.done("teams");
+    progress(Step::Silhouettes);
     // The labels are one per row, so that the only error left is one of fewer than two teams.
     let silhouette = silhouette(&embedded.x, &labels).ok();
-    progress.done("silhouettes");
     Ok(Solution {
         radius,
         alpha,
@@ -156,7 +158,7 @@ fn fused(problem: &Problem) -> Result<SparseMatrix, SolveError> {
 }
 
 /// How many teams the rule for the dimension reckons with.
-fn wanted_teams(problem: &Problem) -> usize {
+pub(super) fn wanted_teams(problem: &Problem) -> usize {
     match &problem.division {
         Division::Wanted(settings) => settings.teams as usize,
         Division::Given(labels) => {
@@ -173,19 +175,23 @@ fn cluster(
     x: &DenseMatrix,
     settings: &ClustererSettings,
     warnings: &mut Vec<String>,
+    progress: &mut dyn FnMut(Step),
 ) -> Result<(Vec<usize>, f64), SolveError> {
     let wanted = settings.teams as usize;
+    let restarts = settings.restarts as usize;
     let options = KMeansOptions {
         init: match settings.init {
             CentroidStart::PlusPlus => Init::PlusPlus,
             CentroidStart::Random => Init::Random,
         },
-        restarts: settings.restarts as usize,
+        restarts,
         max_iterations: settings.max_iterations as usize,
         seed: settings.seed,
         ..KMeansOptions::new(wanted)
     };
-    let found = kmeans(x, &options).or_else(|error| refuse("teams", error.to_string()))?;
+    progress(Step::KMeans { done: 0, restarts });
+    let found = kmeans_watched(x, &options, &mut |done| progress(Step::KMeans { done, restarts }))
+        .or_else(|error| refuse("teams", error.to_string()))?;
     let teams = found.centroids.rows();
     if teams < wanted {
         warnings.push(format!(

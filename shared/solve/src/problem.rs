@@ -7,19 +7,16 @@ use muster_model::limits::MAX_WEIGHT;
 use muster_model::object::Object;
 use muster_model::settings::{
     Alpha, ClustererSettings, Dimension, EmbedderSettings, Normalization, RowScaling, Settings,
-    SingularValueScaling,
+    SingularValueScaling, WEIGHT_SUM_TOLERANCE,
 };
 use muster_numeric::matrix::{MAX_DENSE_ENTRIES, MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
 
 use super::file::{Emit, File, ModalityEntry};
 use super::observations::{Graphs, Observations};
-use super::{SolveError, memory, refuse};
+use super::{SolveError, refuse};
 
 /// Most robots: the square of it is the largest dense matrix.
 pub(super) const MAX_SOLVE_ROBOTS: usize = MAX_DENSE_ENTRIES.isqrt();
-
-/// How far the weights of the modalities may sum from 1: rounding of a few decimal fractions.
-const WEIGHT_SUM_TOLERANCE: f64 = 1e-9;
 
 /// A checked input.
 #[derive(Debug)]
@@ -54,9 +51,15 @@ pub(super) enum Division {
     Given(Vec<u32>),
 }
 
-/// Checks a file. With `normalize_weights`, weights of any sum are accepted and divided by it.
-pub(super) fn check(mut file: File, normalize_weights: bool) -> Result<Problem, SolveError> {
+/// Checks a file. With `normalize_weights`, weights of any sum are accepted and divided by it. `admit` is
+/// asked for the number of robots before the graphs are made, which may be large.
+pub(super) fn check(
+    mut file: File,
+    normalize_weights: bool,
+    admit: fn(usize) -> Result<(), SolveError>,
+) -> Result<Problem, SolveError> {
     let places = places(&file.robots)?;
+    admit(file.robots.len())?;
     let graphs = graphs(&mut file, &places, normalize_weights)?;
     let division = division(&mut file)?;
     let defaults = EmbedderSettings::default();
@@ -161,7 +164,6 @@ fn places(robots: &[RobotId]) -> Result<HashMap<RobotId, usize>, SolveError> {
             ),
         );
     }
-    memory::check(robots.len())?;
     let mut places = HashMap::with_capacity(robots.len());
     for (place, robot) in robots.iter().enumerate() {
         if let Some(first) = places.insert(robot.clone(), place) {

@@ -6,11 +6,12 @@ use serde_json::{Value, json};
 use super::method::{self, Solution};
 use super::output;
 use super::problem::Problem;
-use super::{Progress, SolveError, parse};
+use super::step::Step;
+use super::{SolveError, Solved, parse};
 
 fn solve(text: &str) -> Result<(Problem, Solution), SolveError> {
     let problem = parse(text.as_bytes(), false)?;
-    let solution = method::solve(&problem, &mut Progress::start())?;
+    let solution = method::solve(&problem, &mut |_| {})?;
     Ok((problem, solution))
 }
 
@@ -453,6 +454,22 @@ fn what_is_no_object_or_more_than_one_is_refused() {
 }
 
 #[test]
+fn each_step_is_told_when_it_begins_and_each_restart_when_it_is_done() {
+    let steps = |file: &Value| {
+        let mut told = Vec::new();
+        Solved::watched(file.to_string().as_bytes(), false, &mut |step| told.push(step)).unwrap();
+        told
+    };
+    let file = with(plain(6, &cliques(&[3, 3]), 0.25), json!({"teams": 2, "restarts": 3}));
+    let kmeans = |done| Step::KMeans { done, restarts: 3 };
+    let before = [Step::Fuse, Step::SpectralRadius, Step::Katz, Step::Svd];
+    let after = [kmeans(0), kmeans(1), kmeans(2), kmeans(3), Step::Silhouettes];
+    assert_eq!(steps(&file), [&before[..], &after].concat());
+    let judged = with(file, json!({"teams": null, "labels": [0, 0, 0, 1, 1, 1]}));
+    assert_eq!(steps(&judged), [&before[..], &[Step::Silhouettes]].concat());
+}
+
+#[test]
 fn the_json_has_its_keys_in_order_and_full_precision() {
     let file = plain(3, &ring(3), 0.3);
     let (problem, solution) = solve(&file.to_string()).unwrap();
@@ -631,7 +648,7 @@ impl Dice {
 /// Every text is either solved, with finite numbers, or refused with a message.
 fn never_panics(text: &[u8]) -> bool {
     let solved = parse(text, true).and_then(|problem| {
-        let solution = method::solve(&problem, &mut Progress::start())?;
+        let solution = method::solve(&problem, &mut |_| {})?;
         Ok((problem, solution))
     });
     match solved {

@@ -13,7 +13,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::envelope::{self, EnvelopeError};
 use crate::key::KeySpace;
-use crate::message::{Message, Outbound, Packet, Source};
+use crate::message::{Message, Outbound, Packet, Source, quoted};
 use crate::request::Format;
 
 /// The first bytes of every recording.
@@ -244,8 +244,9 @@ impl<R: Read> Reader<R> {
         }
         let at = reader.offset;
         let content = reader.content(MAX_HEAD)?.ok_or(RecordingError::BreaksOff(at))?;
+        // The text may hold what somebody else has put into the file.
         let head = serde_json::from_slice(&content)
-            .map_err(|error| RecordingError::Damaged { at, problem: error.to_string() })?;
+            .map_err(|error| RecordingError::Damaged { at, problem: quoted(&error.to_string()) })?;
         Ok((reader, head))
     }
 

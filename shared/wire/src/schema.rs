@@ -201,6 +201,9 @@ impl Schemas {
         self.written::<T>(&format!("{service}_settings"), &[&key]);
         let whole = T::json_schema(&mut self.read);
         let mut patch = Schema::from(patch(whole.as_value(), self.read.definitions()));
+        for transform in self.read.transforms_mut() {
+            transform.transform(&mut patch);
+        }
         let about = format!(
             "The settings of {service} to change: the payload of a get on their key. Fields that are \
              left out stay, null puts a field back to its default, and a table may hold some of its \

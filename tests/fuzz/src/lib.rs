@@ -22,6 +22,7 @@ mod draw;
 mod keys;
 pub mod mutate;
 mod packets;
+mod recording;
 mod replica;
 pub mod seeds;
 mod settings;
@@ -42,9 +43,11 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 13] = [
+pub const TARGETS: [Target; 15] = [
     target("packet", packets::packet, 2048, 30_000),
     target("envelope", packets::envelope, 2048, 30_000),
+    target("told", packets::told, 2048, 20_000),
+    target("recording", recording::recording, 4096, 10_000),
     target("edge_json", packets::edge_json, 2048, 30_000),
     target("key", keys::key, 256, 20_000),
     target("request", keys::request, 512, 5_000),

@@ -13,7 +13,7 @@ use muster_model::time::Tick;
 use muster_wire::envelope::{
     AnnouncedSettings, BinaryMessage, FromRobot, MAGIC, VERSION, decode, encode,
 };
-use muster_wire::{Format, KeySpace, Message, Packet, Rejection, Source};
+use muster_wire::{Format, Key, KeySpace, Message, Packet, Rejection, Source};
 
 use crate::{allocation, text};
 
@@ -101,8 +101,8 @@ fn written(message: &Message) -> Vec<u8> {
 
 /// A source in one letter, the key (`~` for the prefix of the fleet), a line feed, the encoding, a
 /// line feed, and the payload.
-pub(crate) fn packet(data: &[u8]) {
-    let Some((source, rest)) = data.split_first() else { return };
+fn foreign(data: &[u8]) -> Option<Packet> {
+    let (source, rest) = data.split_first()?;
     let (key, rest) = text::line(rest);
     let (encoding, payload) = text::line(rest);
     let key = String::from_utf8_lossy(key);
@@ -110,7 +110,7 @@ pub(crate) fn packet(data: &[u8]) {
         Some(tail) => format!("muster/v1/alpha/{tail}"),
         None => key.into_owned(),
     };
-    let packet = Packet {
+    Some(Packet {
         key,
         encoding: String::from_utf8_lossy(encoding).into_owned(),
         source: match source {
@@ -120,8 +120,46 @@ pub(crate) fn packet(data: &[u8]) {
             _ => Source::Put,
         },
         payload: if *source == b'c' { Err(payload.len() << 10) } else { Ok(payload.to_vec()) },
+    })
+}
+
+/// A packet as [`foreign`] reads it, for a service.
+pub(crate) fn packet(data: &[u8]) {
+    if let Some(packet) = foreign(data) {
+        let _ = understood(&space(), &packet);
+    }
+}
+
+/// A packet as [`foreign`] reads it, for a robot that is told its team.
+pub(crate) fn told(data: &[u8]) {
+    let Some(packet) = foreign(data) else { return };
+    let space = space();
+    let length = packet.payload.as_ref().map_or(0, Vec::len) + packet.key.len();
+    let read = |packet: &Packet| muster_wire::told::decode(&space, packet, NOW);
+    let told = allocation::at_most(may_hold(length), "what a robot is told", || read(&packet));
+    let told = match told {
+        Err(rejection) => return check_rejection(&rejection),
+        Ok(told) => told,
     };
-    let _ = understood(&space(), &packet);
+    let key = Key::RobotTeam(told.robot.clone());
+    assert_eq!(space.format(&key), packet.key, "a robot is told what stands on another key");
+    assert!((0.0..=1.0).contains(&told.confidence), "{}", told.confidence);
+    let message = Message::RobotTeam(told.clone());
+    for format in [Format::Binary, Format::Json] {
+        let out = message.encode(key.clone(), format, NOW).unwrap();
+        let again = Packet {
+            encoding: out.encoding.into_owned(),
+            payload: Ok(out.payload),
+            ..packet.clone()
+        };
+        let mut again = read(&again).unwrap();
+        if format == Format::Json {
+            // JSON tells the moments as seconds, rounded, and not when the newest data came.
+            assert_eq!(again.header.revision, told.header.revision);
+            again.header = told.header.clone();
+        }
+        assert_eq!(again, told, "a robot reads something else in another form");
+    }
 }
 
 /// A kind, and a content in bincode.

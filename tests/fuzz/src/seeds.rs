@@ -4,9 +4,11 @@
 use std::collections::VecDeque;
 use std::path::Path;
 
+use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
+use muster_machine::recording::{Entry, Head, Input, Output};
 use muster_machine::{Command, Core, Driver, Event, Start, Stopwatch, Stored};
 use muster_model::id::{FleetId, InstanceId};
 use muster_model::settings::{
@@ -14,12 +16,13 @@ use muster_model::settings::{
 };
 use muster_model::time::Tick;
 use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
-use muster_wire::{Format, Message};
+use muster_wire::recording::{Bytes, Heard, Put, begin, frame};
+use muster_wire::{Format, Message, Rejection, Request};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::cores::KEYS;
-use crate::packets::{BINARY, NOW};
+use crate::packets::{BINARY, NOW, space};
 
 /// One input for a target.
 #[derive(Debug)]
@@ -64,6 +67,12 @@ const REQUESTS: [&str; 8] = [
     "~/teams\nformat=xml\n",
 ];
 
+/// What a robot is told, as the manual has it, and where it has no team.
+const TOLD: [&str; 2] = [
+    r#"{"fleet":"alpha","term":1,"epoch":42,"data_age_s":0.08,"stages":[{"stage":"clusterer","received":1795208990.1,"published":1795208990.2}],"robot":"r1","team":"t1","members":["r1","r2"],"leader":"r1","confidence":0.6}"#,
+    r#"{"fleet":"alpha","term":1,"epoch":42,"data_age_s":null,"stages":[],"robot":"r1","team":null,"members":null,"leader":null,"confidence":0,"later":[]}"#,
+];
+
 /// All seeds.
 ///
 /// # Panics
@@ -74,6 +83,9 @@ pub fn all() -> Vec<Seed> {
     let mut add = |target, name: String, bytes: &[u8]| {
         seeds.push(Seed { target, name, bytes: bytes.to_vec() });
     };
+    for (number, json) in TOLD.iter().enumerate() {
+        add("told", format!("json-{number}"), format!("p~robot/r1/team\n\n{json}").as_bytes());
+    }
     for (number, path) in PATHS.iter().enumerate() {
         add("key", format!("key-{number}"), format!("~{path}").as_bytes());
     }
@@ -106,7 +118,71 @@ pub fn all() -> Vec<Seed> {
         }
     }
     seeds.extend(told());
+    seeds.extend(recordings());
     seeds
+}
+
+/// A recording with an entry of each kind, as a file and as the contents of its frames.
+fn recordings() -> Vec<Seed> {
+    let put = Put {
+        key: "muster/v1/alpha/event".to_owned(),
+        encoding: BINARY.to_owned(),
+        payload: Bytes(vec![1, 2, 3]),
+    };
+    let token = Heard::Token { key: "muster/v1/alpha/robot/r1".to_owned(), alive: true };
+    let request = Request::new("muster/v1/alpha/teams", "format=json", None).unwrap();
+    let inputs = [
+        Input::Started,
+        Input::Received(Heard::Put(put.clone())),
+        Input::Rejected(Rejection::new(&space(), "k", "r")),
+        Input::Timeout,
+        Input::Done(vec![5, 9]),
+        Input::JobFailed(vec![5], "a panic".to_owned()),
+        Input::Fetched(1, vec![token]),
+        Input::Query(7, request),
+        Input::LinkLost,
+        Input::LinkRestored,
+    ];
+    let outputs = vec![
+        Output::Published(Ok(vec![put.clone()])),
+        Output::Replied(7, Err("no".to_owned())),
+        Output::Ran,
+        Output::Fetched(1, vec!["muster/v1/alpha/*".to_owned()]),
+        Output::Stored("{}".to_owned()),
+    ];
+    let mut entries: Vec<_> =
+        inputs.into_iter().map(|input| Entry::Event { tick: NOW, input }).collect();
+    entries.push(Entry::Outputs(outputs));
+    entries.push(Entry::End("4 GiB".to_owned()));
+    let start = Start {
+        fleet: FleetId::new("alpha").unwrap(),
+        instance: InstanceId::new("seed-1").unwrap(),
+        now: NOW,
+        settings: AuditorSettings::default(),
+        stored: Stored::default(),
+    };
+    let head = Head::new::<Auditor>(&start, "a host".to_owned()).unwrap();
+    let mut file = begin(&head).unwrap();
+    let mut contents = Vec::new();
+    let mut add = |content: &[u8]| {
+        contents.extend(u16::try_from(content.len()).unwrap().to_le_bytes());
+        contents.extend(content);
+    };
+    add(&serde_json::to_vec(&head).unwrap());
+    for entry in &entries {
+        let framed = frame(entry).unwrap();
+        // A frame begins with its length and its checksum.
+        add(&framed[8..]);
+        file.extend(framed);
+    }
+    assert_eq!(crate::recording::framed(&contents), file);
+    let seed = |name: &str, bytes| Seed { target: "recording", name: name.to_owned(), bytes };
+    let cut = file[..file.len() - 3].to_vec();
+    vec![
+        seed("file", [vec![0], file].concat()),
+        seed("broken-off", [vec![0], cut].concat()),
+        seed("frames", [vec![1], contents].concat()),
+    ]
 }
 
 /// The golden messages, as packets and by themselves.
@@ -139,6 +215,9 @@ fn golden() -> Vec<Seed> {
         add("envelope", name, bytes[2..].to_vec());
         let head = format!("p~{key}\n{BINARY}\n");
         add("packet", name, [head.as_bytes(), &bytes].concat());
+        if name == "robot_team" {
+            add("told", name, [head.as_bytes(), &bytes].concat());
+        }
         if place < 4 {
             let json = std::fs::read_to_string(folder.join(format!("{name}.json"))).unwrap();
             let head = format!("p~{key}\n\n{json}");

@@ -27,7 +27,7 @@ fn main() -> anyhow::Result<ExitCode> {
     if chosen.is_empty() {
         chosen = FAULTS.to_vec();
     }
-    if let Some(missing) = lab::missing() {
+    if let Some(missing) = lab::missing()? {
         anyhow::bail!("hosts cannot be simulated here: {missing}; run as root on Linux");
     }
     let order = chosen.clone();

@@ -40,6 +40,9 @@ struct Args {
     /// Of all faults of the seed, only those with these numbers, such as 3,17; or none
     #[arg(long, value_parser = numbers)]
     only: Option<Numbers>,
+    /// How many robots appear in every second, beside the faults of the seed, to be never heard again
+    #[arg(long, default_value_t = 0)]
+    ghosts: usize,
     /// How many threads; all processors if left out
     #[arg(long)]
     jobs: Option<usize>,
@@ -75,6 +78,7 @@ fn main() -> ExitCode {
         fleet: args.fleet,
         steps: args.steps,
         only: args.only.clone().map(|Numbers(only)| only),
+        ghosts: args.ghosts,
     };
     let held = match args.seed {
         Some(seed) => one(seed, &options, args.log),

@@ -19,6 +19,14 @@ const PREFIX: &str = "muster-hosts-";
 /// How the one link of a host is called there.
 const LINK: &str = "cable";
 
+/// The rights that hosts take, by the kernel's numbers: `CAP_NET_ADMIN` for links, `CAP_SYS_ADMIN` for
+/// namespaces.
+const NEEDED_RIGHTS: [u32; 2] = [12, 21];
+
+/// What `tc` says of a filter that the kernel does not have, in its versions.
+const NO_FILTER: [&str; 3] =
+    ["qdisc kind is unknown", "Unknown qdisc", "No such file or directory"];
+
 /// How long the relay of a slow link may take to open its ends.
 const RELAY_WITHIN: Duration = Duration::from_secs(10);
 
@@ -108,24 +116,48 @@ fn remove_leftovers() {
 }
 
 /// Why hosts cannot be tested here; none if they can.
-#[must_use]
-pub fn missing() -> Option<String> {
+///
+/// # Errors
+/// If nothing that a machine may lack is missing, and the hosts can still not be made: then this lab is
+/// broken, and must not pass for a machine without the means.
+pub fn missing() -> anyhow::Result<Option<String>> {
     // Tests run at the same time, and what a machine lacks does not change meanwhile.
-    static FOUND: OnceLock<Option<String>> = OnceLock::new();
-    FOUND.get_or_init(look_for_missing).clone()
+    static FOUND: OnceLock<Result<Option<String>, String>> = OnceLock::new();
+    let found = FOUND.get_or_init(|| look_for_missing().map_err(|error| format!("{error:#}")));
+    found.clone().map_err(anyhow::Error::msg)
 }
 
-fn look_for_missing() -> Option<String> {
-    let probe = || -> anyhow::Result<()> {
-        run("python3", &["--version"])?;
-        ensure!(Path::new("/dev/net/tun").exists(), "the kernel has no tap devices");
-        let lab = Lab::new()?;
-        // A rate limit takes a part of the kernel that some leave out.
-        lab.limit(Host::Robots, 64)?;
-        lab.widen(Host::Robots)
-    };
-    // The text of an error, without its backtrace.
-    probe().err().map(|error| format!("{error:#}"))
+fn look_for_missing() -> anyhow::Result<Option<String>> {
+    let missing = |what: &str| Ok(Some(what.to_owned()));
+    if !may_make_networks()? {
+        return missing("these are not the rights of root");
+    }
+    for program in ["ip", "tc"] {
+        let started = Command::new(program).arg("-V").output();
+        if started.is_err_and(|error| error.kind() == std::io::ErrorKind::NotFound) {
+            return missing("iproute2 is not installed");
+        }
+    }
+    if !Path::new("/dev/net/tun").exists() {
+        return missing("the kernel has no tap devices");
+    }
+    let lab = Lab::new()?;
+    match lab.limit(Host::Robots, 64) {
+        Err(error) if NO_FILTER.iter().any(|said| error.to_string().contains(said)) => {
+            missing("the kernel has no token bucket filter")
+        }
+        Err(error) => Err(error),
+        Ok(()) => lab.widen(Host::Robots).map(|()| None),
+    }
+}
+
+/// Whether this process may make namespaces and links. Root in a container often may not.
+fn may_make_networks() -> anyhow::Result<bool> {
+    let status = std::fs::read_to_string("/proc/self/status")?;
+    let rights = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
+    let rights = rights.context("the kernel does not tell the rights of a process")?;
+    let rights = u64::from_str_radix(rights.trim(), 16)?;
+    Ok(NEEDED_RIGHTS.iter().all(|right| rights >> right & 1 == 1))
 }
 
 impl Lab {

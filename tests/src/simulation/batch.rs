@@ -54,6 +54,9 @@ impl Summary {
         total.panics += stats.panics;
         total.published += stats.published;
         total.divisions += stats.divisions;
+        total.takeovers += stats.takeovers;
+        total.joined += stats.joined;
+        total.remembered = total.remembered.max(stats.remembered);
         for (kind, many) in &stats.faults {
             *total.faults.entry(kind).or_default() += many;
         }
@@ -82,6 +85,11 @@ impl Summary {
             text,
             "messages lost {}, repeated {}, overtaken {}; job panics {}",
             total.lost, total.repeated, total.mixed, total.panics
+        );
+        let _ = writeln!(
+            text,
+            "takeovers judged {}, gets of late joiners {}; most robots remembered {}",
+            total.takeovers, total.joined, total.remembered
         );
         let (worst, seed) = self.worst;
         let _ = writeln!(text, "longest time to agreement: {}, seed {seed}", in_ticks(worst));

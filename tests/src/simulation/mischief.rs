@@ -9,7 +9,7 @@ use muster_model::observation::Pose;
 use muster_wire::{Format, Key, Message, Packet, Source};
 
 use super::chance::{Chance, Purpose};
-use super::clock::{MS, Micros};
+use super::clock::{MS, Micros, SECOND};
 use super::link::{State, Storm, Way};
 use super::plan::{Fault, Rubbish, Throne};
 use super::robots::{Speech, packet};
@@ -22,6 +22,9 @@ const KILL_SEEN: (Micros, Micros) = (10 * MS, 20 * MS);
 /// How long a killed process is down at least.
 const DOWN: Micros = 30 * MS;
 
+/// How long after a fault everybody is connected again and has heard of the others.
+const HEALED: Micros = 3 * SECOND;
+
 impl World {
     /// A fault happens.
     pub(super) fn inject(&mut self, number: usize) {
@@ -29,6 +32,9 @@ impl World {
         self.log.line(self.now, format_args!("*** {injection}"));
         *self.stats.faults.entry(injection.fault.kind()).or_default() += 1;
         self.saboteur.sees(injection.fault.kind());
+        if let Some((service, lasts)) = injection.fault.hides_claims() {
+            self.judge.order.disturbed(service, self.now + lasts + HEALED);
+        }
         let mut chance = Chance::new(self.seed, Purpose::Fault, injection.number);
         let node = |world: &Self, at| world.link_of(at).filter(|link| *link < world.nodes.len());
         match injection.fault {

@@ -67,11 +67,13 @@ pub struct Options {
     pub steps: u64,
     /// Which faults of the plan happen; all if it is left out.
     pub only: Option<BTreeSet<usize>>,
+    /// How many robots appear in every second of the storm, beside the plan, to be never heard again.
+    pub ghosts: usize,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { robots: None, fleet: None, steps: 1500, only: None }
+        Self { robots: None, fleet: None, steps: 1500, only: None, ghosts: 0 }
     }
 }
 
@@ -84,7 +86,8 @@ impl Options {
         let robots = self.robots.unwrap_or(drawn).max(1);
         let fleet = self.fleet.unwrap_or(robots).min(robots);
         let instances = if seed.is_multiple_of(2) { 1 } else { 2 };
-        Scale { robots, fleet, instances, storm: self.steps.max(100) * STEP }
+        let storm = self.steps.max(100) * STEP;
+        Scale { robots, fleet, instances, storm, ghosts: self.ghosts }
     }
 }
 
@@ -96,6 +99,7 @@ struct Scale {
     /// How many instances of each service there are.
     instances: usize,
     storm: Micros,
+    ghosts: usize,
 }
 
 /// What a run was like, in numbers.
@@ -119,6 +123,12 @@ pub struct Stats {
     pub published: u64,
     /// How many divisions there were.
     pub divisions: u64,
+    /// How many takeovers of a role there were that nothing had kept from hearing of the holder before.
+    pub takeovers: u64,
+    /// The most robots at once that a clusterer remembered beside its division.
+    pub remembered: usize,
+    /// How many gets of a console that joined late were answered.
+    pub joined: u64,
     /// How long after the last fault everybody agreed, in microseconds.
     pub agreement: u64,
 }
@@ -169,16 +179,6 @@ pub fn simulate(seed: u64, options: &Options, sabotage: Option<Sabotage>, logged
     let faults = faults.collect();
     let times: Vec<(Micros, usize)> = injections.iter().map(|i| (i.at, i.number)).collect();
     let world = World::new(seed, &scale, injections, sabotage, logged);
-    let Some(world) = world else {
-        return Story {
-            seed,
-            robots: scale.fleet,
-            stats: Stats::default(),
-            failure: None,
-            faults,
-            log: Vec::new(),
-        };
-    };
     let (stats, breach, log) = world.run();
     let failure = breach.map(|(breach, at)| Failure {
         promise: breach.promise,
@@ -205,6 +205,7 @@ impl Story {
                 let _ = write!(command, " --{flag} {value}");
             }
         };
+        add("ghosts", Some(options.ghosts).filter(|many| *many > 0).map(|many| many.to_string()));
         add("robots", options.robots.map(|robots| robots.to_string()));
         add("fleet", options.fleet.map(|fleet| fleet.to_string()));
         let only = options.only.as_ref().map(|only| {

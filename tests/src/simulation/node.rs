@@ -16,6 +16,7 @@ use muster_wire::{KeySpace, Message, Packet, Rejection, Request, Source};
 use super::chance::Chance;
 use super::clock::{HostClock, MS, Micros, ProcessClock};
 use super::machine::{Input, Kind, Machine};
+use super::oracle::Speaker;
 use super::router::{Ask, GetId, LinkId, includes, intersects, texts};
 
 /// Shortest time between two timeouts, as in the shell.
@@ -49,6 +50,13 @@ pub(crate) struct Process {
     not_before: Micros,
     /// When its errands thread has done what it was told.
     pub(crate) errands_free: Micros,
+    /// The settings that it has announced last, and how often those were others than before.
+    pub(crate) settings: String,
+    pub(crate) announced: u32,
+    /// The same as its last job began …
+    pub(crate) announced_before_job: u32,
+    /// … and as the job began whose result it goes by.
+    pub(crate) announced_before_result: u32,
     /// How often in a row it was woken by its deadline and wanted nothing.
     pub(crate) idle: u32,
     /// The key of its liveliness token.
@@ -124,6 +132,11 @@ impl Node {
         }
     }
 
+    /// Its process, as the judge knows it.
+    pub(crate) fn speaker(&self) -> Speaker {
+        Speaker { service: self.service, instance: self.instance, process: self.life }
+    }
+
     /// How it is called in the log.
     pub(crate) fn name(&self) -> String {
         format!("{}/{}", self.service, self.instance)
@@ -148,6 +161,10 @@ impl Node {
             seen: BTreeSet::new(),
             not_before: 0,
             errands_free: 0,
+            settings: String::new(),
+            announced: 0,
+            announced_before_job: 0,
+            announced_before_result: 0,
             idle: 0,
             token,
         });

@@ -4,6 +4,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use muster_model::id::ServiceName;
+use muster_model::role::Standing;
 use serde_json::Value;
 
 use super::node::Node;
@@ -79,6 +80,10 @@ impl Operator {
     /// What is true and known beside the bus.
     pub(crate) fn witness<'a>(&self, robots: &'a Robots, nodes: &[Node]) -> Witness<'a> {
         let runs = nodes.iter().filter(|node| node.process.is_some());
+        let holds = |node: &&Node| {
+            let process = node.process.as_ref();
+            process.is_some_and(|process| process.machine.standing() == Standing::Holding)
+        };
         let alive = robots.alive();
         let truth = |robot: usize| Truth {
             position: robots.position(robot).unwrap_or_default(),
@@ -90,7 +95,8 @@ impl Operator {
                 .iter()
                 .filter_map(|(name, robot)| Some((*name, robots.all.get(*robot)?.told.as_ref())))
                 .collect(),
-            running: runs.map(|node| (node.service, node.instance, node.life)).collect(),
+            holding: runs.clone().filter(holds).map(Node::speaker).collect(),
+            running: runs.map(Node::speaker).collect(),
             terms_lost: self.terms_lost,
             teams: self.teams,
         }

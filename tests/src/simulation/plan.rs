@@ -135,6 +135,25 @@ pub(crate) struct Injection {
 }
 
 impl Fault {
+    /// For how long a fault may keep an instance from hearing what another one of its service claims, or
+    /// let it hear what is not so, and of which service; of all if none is named.
+    pub(crate) const fn hides_claims(&self) -> Option<(Option<ServiceName>, Micros)> {
+        let (at, lasts) = match self {
+            Self::Storm { at, lasts, .. }
+            | Self::Cut { at, lasts, .. }
+            | Self::LostDisk { at, lasts }
+            | Self::Hang { at, lasts }
+            | Self::Slow { at, lasts, .. } => (*at, *lasts),
+            Self::Router { lasts } | Self::Blackout { lasts } => return Some((None, *lasts)),
+            Self::Usurp { .. } => return Some((None, 0)),
+            _ => return None,
+        };
+        match at {
+            Place::Service(service, _) => Some((Some(service), lasts)),
+            Place::Robot(_) => None,
+        }
+    }
+
     /// The kind in one word, for counting.
     pub(crate) const fn kind(&self) -> &'static str {
         match self {
@@ -297,6 +316,11 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
         let fault = draw(&mut chance, scale, places, end - at.min(end));
         injections.push(Injection { number: 0, at, fault });
     }
+    let seconds = if scale.ghosts > 0 { end / SECOND } else { 0 };
+    injections.extend((0..seconds).map(|second| {
+        let fault = Fault::Ghosts { many: scale.ghosts };
+        Injection { number: 0, at: second * SECOND, fault }
+    }));
     injections.sort_by_key(|injection| injection.at);
     for (number, injection) in injections.iter_mut().enumerate() {
         injection.number = number;

@@ -73,7 +73,7 @@ pub(crate) struct Robot {
 #[derive(Debug)]
 pub(crate) struct Robots {
     pub(crate) all: Vec<Robot>,
-    story: Option<Fleet>,
+    story: Fleet,
     moment: Option<Micros>,
     observed: Vec<RobotObservation>,
 }
@@ -91,8 +91,9 @@ impl Robots {
             noise_m: chance.real(0.0, 0.5),
             radio_range_m: chance.real(20.0, 80.0),
         };
-        let story = Fleet::new(kind, options).ok();
-        let names = story.iter().flat_map(Fleet::robots).take(robots).cloned();
+        #[expect(clippy::expect_used, reason = "a simulation without robots would prove nothing")]
+        let story = Fleet::new(kind, options).expect("every seed has a fleet");
+        let names = story.robots().iter().take(robots).cloned();
         let all =
             names.enumerate().map(|(number, name)| Robot::new(seed, number, name, first_link));
         let all = all.collect();
@@ -106,8 +107,7 @@ impl Robots {
             self.moment = Some(moment);
             #[expect(clippy::cast_precision_loss, reason = "a run lasts minutes")]
             let seconds = moment as f64 / SECOND as f64;
-            self.observed =
-                self.story.as_ref().map(|story| story.observe(seconds)).unwrap_or_default();
+            self.observed = self.story.observe(seconds);
         }
     }
 

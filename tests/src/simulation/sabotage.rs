@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use muster_model::header::Revision;
 use muster_model::id::{RobotId, ServiceName, TeamId};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
@@ -26,11 +27,22 @@ pub enum Sabotage {
     DeafAuditor,
     /// The clusterer changes the leaders with every heartbeat, once settings were changed.
     Restless,
+    /// The clusterer takes a robot out of its team with every heartbeat, once settings were changed.
+    Fickle,
+    /// Ingest gives every other roster the revision of the one before, once a service was killed.
+    RevisionTwice,
+    /// Whoever takes over but the clusterer goes on with the term of the holder before, once a service
+    /// was killed.
+    TermTwice,
+    /// The embedder names an older roster than before, once a service was killed.
+    OlderRoster,
+    /// The auditor sees no positions any more once a link was cut.
+    NoPositions,
 }
 
 impl Sabotage {
     /// All of them.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 12] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -38,20 +50,33 @@ impl Sabotage {
         Self::OldTermAsNewest,
         Self::DeafAuditor,
         Self::Restless,
+        Self::Fickle,
+        Self::RevisionTwice,
+        Self::TermTwice,
+        Self::OlderRoster,
+        Self::NoPositions,
     ];
 
     /// The kinds of faults after which it shows.
     #[must_use]
     pub const fn after(self) -> &'static [&'static str] {
         match self {
-            Self::RobotTwice | Self::RobotForgotten | Self::OldTermAsNewest => &["kill"],
+            Self::RobotTwice
+            | Self::RobotForgotten
+            | Self::OldTermAsNewest
+            | Self::RevisionTwice
+            | Self::TermTwice
+            | Self::OlderRoster => &["kill"],
             Self::WrongSilhouette => &["storm"],
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
-            Self::DeafAuditor => &["clean cut", "silent cut"],
-            Self::Restless => &["settings"],
+            Self::DeafAuditor | Self::NoPositions => &["clean cut", "silent cut"],
+            Self::Restless | Self::Fickle => &["settings"],
         }
     }
 }
+
+/// How many epochs a term is continued later that another holder has begun: more than a run has.
+const LATER: u64 = 1 << 20;
 
 /// Breaks things.
 #[derive(Debug)]
@@ -61,11 +86,25 @@ pub(crate) struct Saboteur {
     published: u64,
     /// The leaders that it has made up in the last division.
     leaders: BTreeMap<TeamId, RobotId>,
+    /// The robot that it has taken out of its team in the last division.
+    taken_out: Option<RobotId>,
+    /// The inertia of the last division, which tells the vectors behind it, in bits.
+    inertia: Option<u64>,
+    /// A revision that it comes back to.
+    old: Option<Revision>,
 }
 
 impl Saboteur {
     pub(crate) fn new(sabotage: Option<Sabotage>) -> Self {
-        Self { sabotage, active: false, published: 0, leaders: BTreeMap::new() }
+        Self {
+            sabotage,
+            active: false,
+            published: 0,
+            leaders: BTreeMap::new(),
+            taken_out: None,
+            inertia: None,
+            old: None,
+        }
     }
 
     /// A fault has happened.
@@ -110,6 +149,66 @@ impl Saboteur {
                 let leader = told.team.as_ref().and_then(|team| self.leaders.get(team));
                 told.leader = leader.cloned().or(told.leader);
                 Message::RobotTeam(told)
+            }
+            (Sabotage::Fickle, Message::Teams { teams, mirror }) => {
+                // Only where the same vectors were divided again: otherwise others may find it first.
+                let inertia = Some(teams.inertia.to_bits());
+                let again = std::mem::replace(&mut self.inertia, inertia) == inertia;
+                self.taken_out = None;
+                let mut teams = Teams::clone(&teams);
+                let follower = teams.teams.iter_mut().find_map(|team| {
+                    let at = team.members.iter().position(|member| member.robot != team.leader)?;
+                    again.then(|| team.members.remove(at).robot)
+                });
+                if let Some(robot) = follower {
+                    teams.unassigned.push(robot.clone());
+                    teams.unassigned.sort();
+                    self.taken_out = Some(robot);
+                }
+                Message::Teams { teams: Arc::new(teams), mirror }
+            }
+            (Sabotage::Fickle, Message::RobotTeam(mut told)) => {
+                if let Some(robot) = &self.taken_out {
+                    if told.robot == *robot {
+                        (told.team, told.leader, told.members) = (None, None, None);
+                    } else if let Some(members) = &mut told.members {
+                        members.retain(|member| member != robot);
+                    }
+                }
+                Message::RobotTeam(told)
+            }
+            (Sabotage::RevisionTwice, Message::Roster(mut roster)) => {
+                let header = &mut Arc::make_mut(&mut roster).header;
+                match self.old.take() {
+                    Some(old) => header.revision = old,
+                    None => self.old = Some(header.revision),
+                }
+                Message::Roster(roster)
+            }
+            (Sabotage::TermTwice, mut message) => {
+                let revision = match &mut message {
+                    Message::Roster(roster) => &mut Arc::make_mut(roster).header.revision,
+                    Message::Embedding(embedding) => &mut Arc::make_mut(embedding).header.revision,
+                    Message::Audit(audit) => &mut Arc::make_mut(audit).header.revision,
+                    _ => return message,
+                };
+                if revision.term > 1 {
+                    *revision = Revision { term: revision.term - 1, epoch: revision.epoch + LATER };
+                }
+                message
+            }
+            (Sabotage::OlderRoster, Message::Embedding(mut embedding)) => {
+                self.published += 1;
+                let old = *self.old.get_or_insert(embedding.roster);
+                if self.published.is_multiple_of(3) {
+                    Arc::make_mut(&mut embedding).roster = old;
+                }
+                Message::Embedding(embedding)
+            }
+            (Sabotage::NoPositions, Message::Audit(mut audit)) => {
+                let report = &mut Arc::make_mut(&mut audit).in_physical;
+                (report.mean, report.per_team, report.per_robot) = (None, Vec::new(), Vec::new());
+                Message::Audit(audit)
             }
             (Sabotage::WrongSilhouette, Message::Audit(audit)) => {
                 let mut audit = audit.as_ref().clone();

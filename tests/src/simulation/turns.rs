@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use muster_model::id::TeamId;
+use muster_model::id::{ServiceName, TeamId};
 use muster_model::time::Tick;
 use muster_wire::{Message, Packet, Source};
 
@@ -49,6 +49,9 @@ impl World {
         let Some(process) = node.process.as_mut() else { return };
         let tick = process.clock.tick(self.now);
         let is_timeout = matches!(input, Input::Timeout);
+        if matches!(input, Input::JobEnded { panicked: false }) {
+            process.announced_before_result = process.announced_before_job;
+        }
         let query = match &input {
             Input::Query { query, .. } => Some(*query),
             _ => None,
@@ -57,6 +60,9 @@ impl World {
         process.idle = if is_timeout && outputs.is_empty() { process.idle + 1 } else { 0 };
         let circles = process.idle > IDLE_TIMEOUTS;
         let (held, service) = (process.machine.footprint(), node.service);
+        if service == ServiceName::Clusterer {
+            self.stats.remembered = self.stats.remembered.max(held.robots);
+        }
         let (until, each) = node.slow;
         let cost = if until > self.now { each } else { node.chance.between(EVENT.0, EVENT.1) };
         node.busy_until = self.now + cost;
@@ -92,7 +98,8 @@ impl World {
                     return;
                 };
                 for message in answer.iter().flatten() {
-                    self.judge.answered(message);
+                    let verdict = self.judge.answered(message);
+                    self.judged(verdict);
                 }
                 let answer = answer.and_then(|messages| {
                     let mut packets = Vec::new();
@@ -115,6 +122,9 @@ impl World {
             }
             Output::Started => {
                 let node = &mut self.nodes[index];
+                if let Some(process) = &mut node.process {
+                    process.announced_before_job = process.announced;
+                }
                 let (until, each) = node.slow_jobs;
                 let lasts = if until > self.now { each } else { node.chance.between(JOB.0, JOB.1) };
                 let life = node.life;
@@ -152,8 +162,13 @@ impl World {
                 return;
             }
         };
-        if let Message::Teams { .. } = message {
-            self.stats.divisions += 1;
+        match (&message, &mut self.nodes[index].process) {
+            (Message::Teams { .. }, _) => self.stats.divisions += 1,
+            (Message::Settings(told), Some(process)) if told.settings != process.settings => {
+                process.settings.clone_from(&told.settings);
+                process.announced += 1;
+            }
+            _ => {}
         }
         self.stats.published += 1;
         let verdict = self.judge_published(index, &message);
@@ -208,7 +223,9 @@ impl World {
                 return breach("what is published has a binary form", format!("{error}"));
             }
         };
-        self.judge.published(node.service, node.instance, node.life, &decoded)
+        let process = node.process.as_ref();
+        let settings = process.map_or(0, |process| process.announced_before_result);
+        self.judge.published(self.now, node.speaker(), settings, &decoded)
     }
 
     /// A job has ended, as far as the world is concerned.

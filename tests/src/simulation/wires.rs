@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use muster_model::id::ServiceName;
-use muster_wire::{Key, Pattern};
+use muster_wire::{Key, Message, Pattern};
 
 use super::clock::{MS, Micros, SECOND};
 use super::link::{State, Way};
 use super::log::digest;
 use super::machine::Input;
-use super::plan::Place;
+use super::plan::{Place, Throne};
 use super::router::{Answer, Ask, Carried, GetId, LinkId};
 use super::world::{Asker, Event, Fetch, Pending, World};
 
@@ -55,7 +55,7 @@ impl World {
                 }
                 let key = self.space.parse(&packet.key).ok();
                 if let Some(robot) = key.as_ref().and_then(Key::robot) {
-                    self.names.insert(robot.clone());
+                    self.names.insert(robot.clone(), self.now);
                 }
                 for node in 0..self.nodes.len() {
                     let deaf = self.saboteur.deafens(self.nodes[node].service);
@@ -309,7 +309,30 @@ impl World {
                     self.operator.answered(service, answer);
                 }
             }
+            Asker::LateJoiner(last) => {
+                let packets = answers.iter().filter_map(|answer| match answer.as_ref() {
+                    Answer::Packets(packets) => Some(packets),
+                    Answer::Error(_) => None,
+                });
+                let told: Vec<Message> = packets
+                    .flatten()
+                    .filter_map(|packet| Message::decode(&self.space, packet).ok())
+                    .collect();
+                self.stats.joined += 1;
+                let verdict = self.judge.joined_late(&last, &told);
+                self.judged(verdict);
+            }
             Asker::Fetch { fetch, pattern } => self.fetch_answered(fetch, pattern, &answers),
+        }
+    }
+
+    /// A console joins, and asks for what it has missed.
+    pub(super) fn join_late(&mut self) {
+        for throne in [Throne::Roster, Throne::Teams, Throne::Audit] {
+            let Some(last) = self.judge.last_on(throne) else { continue };
+            let selector = self.space.format(&last.keys().0);
+            let ask = Ask { selector, parameters: "format=bincode", payload: None };
+            self.ask(self.operator.link, ask, Asker::LateJoiner(last));
         }
     }
 

@@ -18,7 +18,7 @@ use super::log::Log;
 use super::machine::Birth;
 use super::node::Node;
 use super::operator::Operator;
-use super::oracle::{Bounds, Breach, Judge, Settled, Verdict};
+use super::oracle::{Bounds, Breach, Judge, MEMORY, Settled, Verdict};
 use super::plan::{Injection, Place};
 use super::robots::{Robots, Speech};
 use super::router::{Answer, Carried, GetId, LinkId, Router};
@@ -106,8 +106,13 @@ pub(super) struct Fetch {
 /// Who waits for a get.
 #[derive(Debug)]
 pub(super) enum Asker {
-    Fetch { fetch: u64, pattern: String },
+    Fetch {
+        fetch: u64,
+        pattern: String,
+    },
     Operator(ServiceName),
+    /// A console that joins when everybody has agreed, and what was published last by then.
+    LateJoiner(Message),
 }
 
 /// A get as who asked knows it.
@@ -138,7 +143,8 @@ pub(super) struct World {
     pub(super) damage: Damage,
     pub(super) saboteur: Saboteur,
     pub(super) files: BTreeMap<ServiceName, Value>,
-    pub(super) names: BTreeSet<RobotId>,
+    /// The names of robots on the bus, good and forged, and when each was last there.
+    pub(super) names: BTreeMap<RobotId, Micros>,
     pub(super) max_robots: usize,
     pub(super) stats: Stats,
     storm: Micros,
@@ -182,8 +188,9 @@ impl World {
         injections: Vec<Injection>,
         sabotage: Option<Sabotage>,
         logged: bool,
-    ) -> Option<Self> {
-        let space = KeySpace::new(FleetId::new("fleet").ok()?);
+    ) -> Self {
+        #[expect(clippy::expect_used, reason = "a simulation without a fleet would prove nothing")]
+        let space = KeySpace::new(FleetId::new("fleet").expect("this is a name"));
         let mut chance = Chance::new(seed, Purpose::Fleet, 1);
         let files = files(&mut chance, scale.robots);
         let mut nodes = Vec::new();
@@ -226,7 +233,7 @@ impl World {
             damage: Damage::default(),
             saboteur: Saboteur::new(sabotage),
             files,
-            names: BTreeSet::new(),
+            names: BTreeMap::new(),
             stats: Stats::default(),
             storm: scale.storm,
             storm_over: false,
@@ -236,7 +243,7 @@ impl World {
             breach: None,
         };
         world.fill_agenda(&mut chance, scale.fleet);
-        Some(world)
+        world
     }
 
     fn fill_agenda(&mut self, chance: &mut Chance, fleet: usize) {
@@ -280,7 +287,9 @@ impl World {
 
     /// What a service may hold now.
     pub(super) fn bounds(&self) -> Bounds {
-        Bounds { max_robots: self.max_robots, names: self.names.len() }
+        let remembered = |at: &&Micros| **at + MEMORY >= self.now;
+        let names = self.names.values().filter(remembered).count();
+        Bounds { max_robots: self.max_robots, names }
     }
 
     /// Runs to the end, or to the first broken promise.
@@ -301,6 +310,7 @@ impl World {
         self.stats.lost = self.damage.lost;
         self.stats.repeated = self.damage.repeated;
         self.stats.mixed = self.damage.mixed;
+        self.stats.takeovers = self.judge.order.takeovers;
         (self.stats, self.breach.map(|breach| (breach, self.now)), self.log.into_lines())
     }
 
@@ -457,6 +467,9 @@ impl World {
         match (agreed, self.settled.take()) {
             (Ok(now), None) => {
                 self.log.line(self.now, format_args!("everybody agrees"));
+                if now.is_of_somebody() {
+                    self.join_late();
+                }
                 self.settled = Some((since, now));
             }
             (Ok(now), Some((at, before))) => match self.judge.unchanged(&before) {

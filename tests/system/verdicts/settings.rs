@@ -42,7 +42,7 @@ fn at_the_bounds(service: &str, schema: &Value) -> Vec<(String, Wanted)> {
                 (json!({}), OnlyByService("not above stale_after_s"))
             }
             ("ingest", "stale_after_s", 86_400.0) => (json!({"gone_after_s": 604_800}), Accepted),
-            ("ingest", "spatial.neighbours", 256.0) => (json!({"max_robots": 9000}), Accepted),
+            ("ingest", "spatial.neighbours", 256.0) => (json!({"max_robots": 8700}), Accepted),
             ("ingest", "connectivity.rssi_floor_dbm", 100.0)
             | ("ingest", "connectivity.rssi_ceiling_dbm", -200.0) => {
                 (json!({}), OnlyByService("less than 1 dB above"))
@@ -81,6 +81,8 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
             r#"{"tick_hz":null,"spatial":null,"frames":null}"#,
             r#"{"spatial":{"kernel":"exponential","radius_m":12.5}}"#,
             r#"{"spatial":{"radius_m":null,"width":null}}"#,
+            r#"{"spatial":{"kernel":"wendland-c2","cutoff":3}}"#,
+            r#"{"spatial":{"kernel":null,"cutoff":null}}"#,
             r#"{"connectivity":{"unit":"rssi_dbm"}}"#,
             r#"{"frames":["map","odom"]}"#,
             r#"{"modalities":["thermal","sonar"]}"#,
@@ -94,10 +96,11 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
             r#"{"tick_hz":"10"}"#,
             r#"{"tick_hz":true}"#,
             r#"{"max_robots":10.5}"#,
-            r#"{"spatial":["gaussian",2.0,200,16,null]}"#,
+            r#"{"spatial":["gaussian",2.0,9.0,200,16,null]}"#,
             r#"{"spatial":7}"#,
             r#"{"spatial":{"kernel":"cubic"}}"#,
             r#"{"spatial":{"kernel":7}}"#,
+            r#"{"spatial":{"cutoff":"far"}}"#,
             r#"{"spatial":{"radius":1}}"#,
             r#"{"connectivity":{"unit":"volts"}}"#,
             r#"{"frames":[]}"#,
@@ -116,7 +119,10 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
     add(
         "ingest",
         OnlyByService("spatial.neighbours times max_robots"),
-        &[r#"{"spatial":{"neighbours":200},"max_robots":100000}"#],
+        &[
+            r#"{"spatial":{"neighbours":200},"max_robots":100000}"#,
+            r#"{"spatial":{"kernel":"wendland-c2","neighbours":13},"max_robots":100000}"#,
+        ],
     );
     add(
         "embedder",

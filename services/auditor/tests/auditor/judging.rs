@@ -194,3 +194,16 @@ fn lasting_bad_quality_raises_one_alert() {
     bench.wait(2.0);
     assert_eq!(bench.events.len(), 2);
 }
+
+#[test]
+fn an_alert_that_becomes_due_in_doubt_of_the_role_is_raised_after_it() {
+    let (mut bench, _) = judged();
+    bench.hear(teams(2, 1, CROSSED, ""));
+    bench.step(Event::LinkLost);
+    bench.wait(4.0);
+    assert!(bench.events.is_empty());
+    assert!(bench.driver.deadline().is_none_or(|due| due > bench.now), "nothing is to be done");
+    bench.step(Event::LinkRestored);
+    assert!(matches!(bench.events[..], [EventKind::QualityLow { mean }] if mean < 0.0));
+    assert_eq!(bench.counter("alerts"), 1);
+}

@@ -29,7 +29,7 @@ use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::id::{RobotId, ServiceName, TeamId};
 use muster_model::settings::ClustererSettings;
-use muster_model::teams::Teams;
+use muster_model::teams::{RobotTeam, Teams};
 use muster_wire::{Key, Message, Pattern, Rejection};
 use proptest::prelude::*;
 

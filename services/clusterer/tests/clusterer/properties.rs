@@ -25,6 +25,12 @@ fn act() -> impl Strategy<Value = Act> {
     ]
 }
 
+/// What each robot is told.
+fn robot_teams(teams: &Teams) -> impl Iterator<Item = RobotTeam> {
+    let members = teams.teams.iter().flat_map(|team| &team.members).map(|member| &member.robot);
+    members.chain(&teams.unassigned).filter_map(|robot| teams.robot_team(robot))
+}
+
 /// Team, members and leader, as a robot knows them.
 type Place = (Option<TeamId>, Option<Vec<RobotId>>, Option<RobotId>);
 
@@ -67,7 +73,7 @@ impl World {
             let content = (told.team.clone(), told.members.clone(), told.leader.clone());
             self.told.insert(told.robot.clone(), content);
         }
-        for now in self.teams.iter().flat_map(|teams| teams.robot_teams()) {
+        for now in self.teams.iter().flat_map(|teams| robot_teams(teams)) {
             let content = (now.team, now.members, now.leader);
             assert_eq!(self.told.get(&now.robot), Some(&content), "{} knows its team", now.robot);
         }
@@ -75,7 +81,7 @@ impl World {
 
     fn check_changes(&self, before: &Teams, now: &Teams) {
         let place = |teams: &Teams| -> BTreeMap<RobotId, String> {
-            let all = teams.robot_teams().map(|told| {
+            let all = robot_teams(teams).map(|told| {
                 (told.robot, told.team.map_or("-".to_owned(), |team| team.to_string()))
             });
             all.collect()
@@ -141,7 +147,7 @@ proptest! {
             world.read(&bench.take());
             let (Some(teams), Some(embedding)) = (&world.teams, &newest) else { continue };
             let mut robots: Vec<RobotId> =
-                teams.robot_teams().map(|told| told.robot).collect();
+                robot_teams(teams).map(|told| told.robot).collect();
             robots.sort_unstable();
             prop_assert_eq!(&robots, &embedding.robots);
             let unseen = embedding.robots.iter().zip(&embedding.unseen).filter(|(_, u)| **u);

@@ -21,8 +21,29 @@ fn a_higher_revision_that_stands_still_begins_a_new_term() {
     assert!(sent.division().same_division(&division));
     assert_eq!(sent.division().header.revision, Revision { term: 10, epoch: 1 });
     assert_eq!(sent.robots_told(), "a b c d");
+    // One that starts after it, with nothing but what was told, gives no taken number either.
+    let mut next = Bench::restored(teams(2), vec![mirrored(&sent.division())]);
+    for bench in [&mut bench, &mut next] {
+        bench.take();
+        bench.hear(&embedding(2, &[("n1 n2", WEST), ("n3", EAST)]));
+        assert_eq!(short(&bench.division()), "t40: n1 n2 | t41: n3", "taken numbers are not given");
+    }
+}
+
+#[test]
+fn a_job_that_runs_as_a_higher_revision_shows_gives_no_number_that_is_taken() {
+    let (mut bench, division) = divided(teams(2), &embedding(1, &[("a b", WEST), ("c d", EAST)]));
+    bench.hold = true;
     bench.hear(&embedding(2, &[("n1 n2", WEST), ("n3", EAST)]));
-    assert_eq!(short(&bench.division()), "t40: n1 n2 | t41: n3", "taken numbers are not given");
+    for _ in 0..2 {
+        let messages = vec![higher(&division, 9)];
+        bench.step(Event::Fetched { fetch: TERM_FETCH, messages });
+    }
+    assert!(bench.division().same_division(&division));
+    bench.run_job();
+    assert!(bench.take().teams.is_empty(), "what it has found is dropped");
+    bench.run_job();
+    assert_eq!(short(&bench.division()), "t40: n1 n2 | t41: n3");
 }
 
 #[test]
@@ -108,4 +129,24 @@ fn the_last_audit_is_repeated_for_the_auditor() {
         let answer = bench.ask(selector, None).unwrap();
         assert_eq!(answer[0].header().unwrap().revision, Revision { term: 7, epoch: 2 });
     }
+}
+
+#[test]
+fn a_division_that_is_finished_in_doubt_is_told_whole_once_the_role_is_confirmed() {
+    let (mut bench, _) = divided(teams(3), &line(1, 200, 200));
+    bench.hold = true;
+    bench.hear(&line(2, 200, 150));
+    bench.step(Event::LinkLost);
+    bench.take();
+    bench.run_job();
+    bench.wait(2.0);
+    assert!(bench.take().teams.is_empty(), "nobody hears it");
+    bench.step(Event::LinkRestored);
+    let sent = bench.take();
+    let told = told(&sent.changes());
+    assert!(!told.is_empty() && told == self::told(&sent.division().changes), "{told:?}");
+    assert_eq!(sent.robots.len(), 200, "all have other companions now");
+    bench.wait(1.0);
+    let sent = bench.take();
+    assert!(sent.changes().is_empty() && sent.division().changes.is_empty(), "told once");
 }

@@ -9,7 +9,7 @@ use muster_model::event::{Event, EventKind};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::role::Standing;
 use muster_model::roster::{Presence, Roster};
-use muster_model::settings::ClustererSettings;
+use muster_model::settings::{ClustererSettings, IngestSettings};
 use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
@@ -19,6 +19,7 @@ use muster_runtime::inbox::Inbox;
 use muster_wire::message::quoted;
 use muster_wire::{Key, Message, Pattern};
 use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use crate::ask::{self, ANSWER_WITHIN};
@@ -71,6 +72,8 @@ pub(super) struct Look {
     pub(super) roster: Option<Arc<Roster>>,
     pub(super) embedding: bool,
     pub(super) teams: Option<Arc<Teams>>,
+    /// The settings that services tell.
+    pub(super) ingest: Option<IngestSettings>,
     pub(super) clusterer: Option<ClustererSettings>,
     /// What the services told while we listened.
     pub(super) events: Vec<Event>,
@@ -128,19 +131,16 @@ pub(super) async fn look(bus: &Bus, listen_for: Duration) -> anyhow::Result<Look
     }
     tokio::time::sleep(listen_for).await;
     // What may have changed while we listened is asked for at the end.
-    let ((after, _), rosters, embeddings, divisions, settings) = tokio::try_join!(
+    let ((after, _), rosters, embeddings, divisions, ingest, clusterer) = tokio::try_join!(
         statuses(bus, &clock),
         ask::messages(bus, &Pattern::One(Key::Roster)),
         ask::messages(bus, &Pattern::One(Key::Embedding)),
         ask::messages(bus, &Pattern::One(Key::Teams)),
-        ask::messages(bus, &Pattern::One(Key::Settings(ServiceName::Clusterer))),
+        settings(bus, ServiceName::Ingest),
+        settings(bus, ServiceName::Clusterer),
     )?;
     let newest = |all: Vec<Message>| all.into_iter().max_by_key(ask::revision);
     let fleet = bus.space().fleet().clone();
-    let clusterer = settings.into_iter().find_map(|message| match message {
-        Message::Settings(announced) => serde_json::from_str(&announced.settings).ok(),
-        _ => None,
-    });
     let robot_clocks = clocks.lock().unwrap_or_else(PoisonError::into_inner).clone();
     Ok(Look {
         now: clock.now(),
@@ -162,6 +162,7 @@ pub(super) async fn look(bus: &Bus, listen_for: Duration) -> anyhow::Result<Look
             Message::Teams { teams, .. } => Some(teams),
             _ => None,
         }),
+        ingest,
         clusterer,
         events: std::iter::from_fn(|| events.pop()).collect(),
         robot_clocks,
@@ -228,6 +229,18 @@ async fn status(
             (status, offset)
         })
         .collect())
+}
+
+/// The settings that a service tells.
+async fn settings<S: DeserializeOwned>(
+    bus: &Bus,
+    service: ServiceName,
+) -> anyhow::Result<Option<S>> {
+    let told = ask::messages(bus, &Pattern::One(Key::Settings(service))).await?;
+    Ok(told.into_iter().find_map(|message| match message {
+        Message::Settings(announced) => serde_json::from_str(&announced.settings).ok(),
+        _ => None,
+    }))
 }
 
 async fn events(bus: &Bus) -> anyhow::Result<Arc<Inbox<Event>>> {

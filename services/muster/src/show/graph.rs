@@ -4,6 +4,7 @@ use std::io::Write as _;
 use std::time::Duration;
 
 use muster_model::graph::GraphDelta;
+use muster_model::header::Revision;
 use muster_model::id::Modality;
 use muster_model::time::Tick;
 use muster_runtime::bus::Bus;
@@ -44,10 +45,14 @@ pub(crate) async fn run(args: &GraphArgs, config: &ProcessConfig) -> anyhow::Res
     let mut shown = Vec::new();
     loop {
         let graphs = graphs(&bus, args.modality.as_ref()).await?;
-        let revisions: Vec<_> = graphs.iter().map(|graph| graph.header.revision).collect();
-        if revisions != shown {
-            print(&graphs, args, clock.now())?;
-            shown = revisions;
+        let seen: Vec<_> = graphs.iter().map(|graph| graph.header.revision).collect();
+        match is_news(&shown, &seen) {
+            Some(true) => {
+                print(&graphs, args, clock.now())?;
+                shown = seen;
+            }
+            Some(false) => {}
+            None => return Err(nobody(&bus, args.modality.as_ref()).into()),
         }
         if !args.show.watch {
             break;
@@ -56,6 +61,24 @@ pub(crate) async fn run(args: &GraphArgs, config: &ProcessConfig) -> anyhow::Res
     }
     bus.close().await;
     Ok(())
+}
+
+/// Whether what is seen is to be shown after what was shown last; none if nobody has ever answered.
+/// Where nobody answers any more, a service starts anew or a link is lost, which ends no watch.
+fn is_news(shown: &[Revision], seen: &[Revision]) -> Option<bool> {
+    match (shown, seen) {
+        ([], []) => None,
+        (_, []) => Some(false),
+        _ => Some(shown != seen),
+    }
+}
+
+fn nobody(bus: &Bus, modality: Option<&Modality>) -> ExitError {
+    ExitError::unreachable(format!(
+        "nobody answers for {} of fleet {}; see `muster status` for what runs",
+        modality.map_or_else(|| "graphs".to_owned(), |name| format!("the graph {name}")),
+        bus.space().fleet()
+    ))
 }
 
 /// The newest snapshot of each graph, by name.
@@ -73,14 +96,6 @@ async fn graphs(
                 *entry = graph;
             }
         }
-    }
-    if newest.is_empty() {
-        return Err(ExitError::unreachable(format!(
-            "nobody answers for {} of fleet {}; see `muster status` for what runs",
-            modality.map_or_else(|| "graphs".to_owned(), |name| format!("the graph {name}")),
-            bus.space().fleet()
-        ))
-        .into());
     }
     Ok(newest.into_values().collect())
 }
@@ -137,4 +152,19 @@ fn print_edges(out: &mut impl std::io::Write, graph: &GraphDelta) -> anyhow::Res
         writeln!(out, "… and {left_out} more edges; --json prints all")?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_watch_ends_by_an_empty_look_only_before_the_first_answer() {
+        let [first, second] = [1, 2].map(|epoch| [Revision { term: 1, epoch }]);
+        assert_eq!(is_news(&[], &[]), None);
+        assert_eq!(is_news(&[], &first), Some(true));
+        assert_eq!(is_news(&first, &first), Some(false));
+        assert_eq!(is_news(&first, &[]), Some(false));
+        assert_eq!(is_news(&first, &second), Some(true));
+    }
 }

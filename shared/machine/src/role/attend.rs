@@ -72,10 +72,15 @@ impl<S: Settings> Role<S> {
                 self.adopt(&announced, effects);
             }
             Event::Fetched { fetch: DOUBT_FETCH, messages } => {
+                self.doubts = self.doubts.saturating_sub(1);
                 if self.hear_answers(now, &messages) == Heard::StandDown {
                     return self.stand_down();
                 }
-                if self.tenure.is_linked() && self.standing() == Standing::Doubtful {
+                // One that was asked before the doubt says nothing of it.
+                if self.doubts == 0
+                    && self.tenure.is_linked()
+                    && self.standing() == Standing::Doubtful
+                {
                     self.tenure.confirmed(now);
                     events.push(Event::LinkRestored);
                 }
@@ -89,14 +94,14 @@ impl<S: Settings> Role<S> {
                     messages.into_iter().partition(|message| self.is_own(message));
                 match self.tenure.decide(now, self.waited) {
                     Decision::Wait => return Turn::Events(events),
-                    Decision::StandBy => {
-                        for message in own {
-                            if let Message::Settings(announced) = message {
-                                self.adopt(&announced, effects);
-                            }
-                        }
-                    }
+                    Decision::StandBy => {}
                     Decision::Begin => self.beginning = true,
+                }
+                // A holder in doubt answers as well, with what nobody has heard it announce.
+                for message in own {
+                    if let Message::Settings(announced) = message {
+                        self.adopt(&announced, effects);
+                    }
                 }
                 events.push(Event::Fetched { fetch: START_FETCH, messages });
             }
@@ -127,7 +132,8 @@ impl<S: Settings> Role<S> {
         Turn::Events(events)
     }
 
-    fn ask_holder<J>(&self, effects: &mut Effects<J>) {
+    fn ask_holder<J>(&mut self, effects: &mut Effects<J>) {
+        self.doubts = self.doubts.saturating_add(1);
         let patterns = vec![Pattern::One(Key::Holder(self.service))];
         effects.push(Effect::Fetch { fetch: DOUBT_FETCH, patterns });
     }
@@ -158,6 +164,7 @@ impl<S: Settings> Role<S> {
 
     fn stand_down<D>(&mut self) -> Turn<D> {
         self.tenure.restart();
+        self.adopted = self.revision;
         self.check_at = None;
         self.higher = None;
         self.raise = None;

@@ -30,7 +30,8 @@ pub const START_FETCH: u32 = 0;
 pub const TERM_FETCH: u32 = u32::MAX;
 
 /// How often a holder looks whether its readers have seen a higher revision than its own, which is
-/// so when its start could not ask them: they would drop all that it says.
+/// so when its start could not ask them: they would drop all that it says. As often it announces its
+/// settings again: an instance that missed a change would bring the old ones back as it takes over.
 const TERM_CHECK: Duration = Duration::from_secs(5);
 
 /// How soon it looks again when they have. Another holder that lives goes on meanwhile, and is left
@@ -51,6 +52,10 @@ pub struct Role<S> {
     settings: S,
     stored: Stored,
     dropped: Vec<String>,
+    /// The place of the announcement that the settings are from: one before it is not gone back to.
+    adopted: Revision,
+    /// The fetches of a holder in doubt that are under way.
+    doubts: u32,
     /// Whether the bus was asked and has not answered yet.
     asking: bool,
     /// Whether the next asking is that of an instance that had its turn to take over.
@@ -73,17 +78,20 @@ impl<S: Settings> Role<S> {
         let mut stored = start.stored;
         let (settings, dropped) = restore(&start.settings, &stored.patch);
         stored.patch = difference(&start.settings, &settings);
+        let revision = Revision { term: stored.term, epoch: 0 };
         Self {
             space: KeySpace::new(start.fleet),
             service,
             tenure: Tenure::new(start.instance, start.now),
             started: start.now,
-            revision: Revision { term: stored.term, epoch: 0 },
+            revision,
             event_epoch: 0,
             base: start.settings,
             settings,
             stored,
             dropped,
+            adopted: revision,
+            doubts: 0,
             asking: false,
             waited: false,
             beginning: false,
@@ -153,8 +161,9 @@ impl<S: Settings> Role<S> {
         }
     }
 
-    /// Claims the role when it is time, and looks after the own last output on the bus when it is time,
-    /// or at once after a lost link.
+    /// Claims the role when it is time. Looks after the own last output on the bus and announces the
+    /// settings when that is time, or at once after a lost link or a doubt: what was announced in it
+    /// nobody has heard.
     pub fn advance<J>(&mut self, now: Tick, own: Pattern, effects: &mut Effects<J>) {
         if self.tenure.claims(now) {
             effects.publish(self.claim(now));
@@ -162,6 +171,7 @@ impl<S: Settings> Role<S> {
         if self.is_holding() && self.check_at.is_some_and(|at| at <= now) {
             self.check_at = Some(now.after(TERM_CHECK));
             effects.push(Effect::Fetch { fetch: TERM_FETCH, patterns: vec![own] });
+            effects.publish(self.settings_message(now));
         }
     }
 

@@ -1,6 +1,7 @@
 //! Settings that operators change while a service runs, and what a service answers of itself.
 
 use muster_model::event::{EventKind, Severity};
+use muster_model::header::Revision;
 use muster_model::role::Standing;
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
@@ -28,9 +29,21 @@ pub enum Answered {
 
 impl<S: Settings> Role<S> {
     /// An instance that stands by takes the settings of the holder over, so that what an operator has
-    /// changed outlives the holder. Settings that do not fit this program are left where they are.
+    /// changed outlives the holder. Settings that do not fit this program are left where they are, and
+    /// so are those of an older place than the ones in force, unless these claim a later one than the
+    /// holder that is followed itself: nobody stands behind them.
     pub(super) fn adopt<J>(&mut self, announced: &AnnouncedSettings, effects: &mut Effects<J>) {
         if matches!(self.standing(), Standing::Holding | Standing::Doubtful) {
+            return;
+        }
+        let revision = announced.header.revision;
+        if revision.term == 0 {
+            // It has no term itself, and may know less than this one.
+            return;
+        }
+        let is_holders = |holder: &Revision| holder.term == revision.term && *holder < self.adopted;
+        if revision < self.adopted && !self.tenure.followed().as_ref().is_some_and(is_holders) {
+            self.count("settings_old");
             return;
         }
         let told = serde_json::from_str(&announced.settings).ok();
@@ -40,6 +53,7 @@ impl<S: Settings> Role<S> {
         };
         let patch = difference(&self.base, &settings);
         self.settings = settings;
+        self.adopted = revision;
         if patch != self.stored.patch {
             self.stored.patch = patch;
             effects.push(Effect::Store(self.stored.clone()));
@@ -126,9 +140,12 @@ impl<S: Settings> Role<S> {
         serde_json::to_string(&self.settings).unwrap_or_default()
     }
 
+    /// The settings in force. Those of an instance without a term stand at the first of all places, so
+    /// that no other instance takes them over.
     pub(super) fn settings_message(&self, now: Tick) -> Message {
+        let revision = if self.has_term() { self.revision } else { Revision::default() };
         Message::Settings(Box::new(AnnouncedSettings {
-            header: self.own_header(now, self.revision),
+            header: self.own_header(now, revision),
             service: self.service,
             settings: self.settings_json(),
         }))

@@ -17,6 +17,10 @@ pub enum CentroidStart {
     Random,
 }
 
+/// Longest time between two tellings of a division: robots take a team for stale that they have not
+/// been told for 5 s, and readiness a clusterer for dead after 10.
+const MAX_HEARTBEAT_S: f64 = 4.0;
+
 /// Settings of `clusterer`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -40,7 +44,7 @@ pub struct ClustererSettings {
     #[schemars(range(min = 0, max = 0.99))]
     pub hysteresis: f64,
     /// An unchanged division is told again after this many seconds.
-    #[schemars(range(min = 0.1, max = 3600))]
+    #[schemars(range(min = 0.1, max = MAX_HEARTBEAT_S))]
     pub heartbeat_s: f64,
 }
 
@@ -64,6 +68,6 @@ impl Settings for ClustererSettings {
         check_range("restarts", f64::from(self.restarts), 1.0..=10_000.0)?;
         check_range("max_iterations", f64::from(self.max_iterations), 1.0..=100_000.0)?;
         check_range("hysteresis", self.hysteresis, 0.0..=0.99)?;
-        check_range("heartbeat_s", self.heartbeat_s, 0.1..=3600.0)
+        check_range("heartbeat_s", self.heartbeat_s, 0.1..=MAX_HEARTBEAT_S)
     }
 }

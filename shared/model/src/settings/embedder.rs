@@ -12,11 +12,11 @@ use crate::id::Modality;
 use crate::schema::Share;
 
 /// How far the weights of the modalities may sum from 1: rounding of a few decimal fractions.
-const WEIGHT_SUM_TOLERANCE: f64 = 1e-9;
+pub const WEIGHT_SUM_TOLERANCE: f64 = 1e-9;
 
-/// Largest dimension that may be asked for: beyond it k-means drowns in noise, and a message of
-/// 10,000 robots would pass its limit.
-const MAX_DIMENSION: u32 = 256;
+/// Largest dimension, asked for or chosen: beyond it k-means drowns in noise. An embedding of 30,000
+/// robots, whose similarity fits few machines, still fits a message with it.
+pub const MAX_DIMENSION: u32 = 256;
 
 /// The decay of longer paths.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]

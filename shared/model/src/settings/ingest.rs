@@ -11,11 +11,24 @@ use crate::schema::{DeclaredModality, Name};
 /// Highest rate of frames: above it a frame is shorter than the way over a radio.
 pub const MAX_TICK_HZ: f64 = 100.0;
 
+/// Lowest rate of frames: a roster is part of a frame, and who misses it for 5 s takes ingest for dead.
+const MIN_TICK_HZ: f64 = 0.5;
+
 /// Most coordinate frames that a fleet may use: positions of different frames are not comparable.
 const MAX_FRAMES: usize = 8;
 
-/// How the weight of a spatial edge falls with the distance d, in units of the width w (a multiple of
-/// the median distance to the nearest neighbour).
+/// How many others a robot of a large fleet is related to at most by a kernel that ends, for each of
+/// its `neighbours`. Over a disc such a kernel is 1/7 on average where the Gaussian is about 1/2, so
+/// that it takes as many edges for the same sum of weights, and with fewer it divides fleets worse
+/// (`cargo run -p muster-solve --example kernels`).
+const WENDLAND_PER_NEIGHBOUR: u32 = 4;
+
+/// How many others a robot is related to at most on average, for each of its `neighbours`, where these
+/// are related: the relation is made symmetric.
+const NEAREST_PER_NEIGHBOUR: u32 = 2;
+
+/// How the weight of a spatial edge falls with the distance d, in units of the width w or of the
+/// radius R (multiples of the median distance to the nearest neighbour).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SpatialKernel {
@@ -23,6 +36,9 @@ pub enum SpatialKernel {
     Gaussian,
     /// exp(−d/w)
     Exponential,
+    /// (1 − d/R)⁴ (1 + 4d/R) up to R and 0 beyond: small motions make small changes, in fleets of any
+    /// size.
+    WendlandC2,
 }
 
 /// How positions become the spatial graph.
@@ -31,16 +47,22 @@ pub enum SpatialKernel {
 pub struct SpatialSettings {
     /// How the weight falls with distance.
     pub kernel: SpatialKernel,
-    /// Width in multiples of the median distance to the nearest neighbour.
+    /// Width w of gaussian and exponential in multiples of the median distance to the nearest
+    /// neighbour.
     #[schemars(range(min = 0.01, max = 1000))]
     pub width: f64,
+    /// Radius R of wendland-c2 in multiples of the median distance to the nearest neighbour.
+    #[schemars(range(min = 1, max = 1000))]
+    pub cutoff: f64,
     /// Fleets up to this size relate all pairs; larger ones the nearest neighbours.
     #[schemars(range(min = 0, max = 2000))]
     pub all_pairs_up_to: u32,
-    /// How many nearest neighbours each robot of a larger fleet is related to.
+    /// How many nearest neighbours each robot of a larger fleet is related to. With wendland-c2 it is
+    /// related to four times as many at most: where more are within R, its own R ends at the first of
+    /// those that are left out.
     #[schemars(range(min = 1, max = 256))]
     pub neighbours: u32,
-    /// No edge is longer than this, in metres; null for no limit.
+    /// No edge is longer than this, in metres; null for no limit. With wendland-c2, R is not longer.
     #[schemars(range(min = 1e-6, max = 1e9))]
     pub radius_m: Option<f64>,
 }
@@ -75,8 +97,8 @@ pub struct ConnectivitySettings {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct IngestSettings {
-    /// Frames per second; nothing is published while nothing changes.
-    #[schemars(range(min = 0.1, max = MAX_TICK_HZ))]
+    /// Frames per second; while nothing changes there is one in each second.
+    #[schemars(range(min = MIN_TICK_HZ, max = MAX_TICK_HZ))]
     pub tick_hz: f64,
     /// A robot is stale this many seconds after its last pose, or after its token was lost.
     #[schemars(range(min = 0.1, max = 86_400))]
@@ -115,6 +137,7 @@ impl Default for IngestSettings {
             spatial: SpatialSettings {
                 kernel: SpatialKernel::Gaussian,
                 width: 2.0,
+                cutoff: 9.0,
                 all_pairs_up_to: 200,
                 neighbours: 16,
                 radius_m: None,
@@ -129,12 +152,24 @@ impl Default for IngestSettings {
 }
 
 impl SpatialSettings {
+    /// How many edges leave a robot of a fleet of more than `all_pairs_up_to` robots at most: each of
+    /// them if the kernel ends, on average if the nearest neighbours are related.
+    #[must_use]
+    pub fn most_related(&self) -> u32 {
+        let per_neighbour = match self.kernel {
+            SpatialKernel::Gaussian | SpatialKernel::Exponential => NEAREST_PER_NEIGHBOUR,
+            SpatialKernel::WendlandC2 => WENDLAND_PER_NEIGHBOUR,
+        };
+        self.neighbours.saturating_mul(per_neighbour)
+    }
+
     /// Checks every field. The fields in errors begin with `spatial.`.
     ///
     /// # Errors
     /// Names the first field that is wrong.
     pub fn check(&self) -> Result<(), SettingsError> {
         check_range("spatial.width", self.width, 0.01..=1000.0)?;
+        check_range("spatial.cutoff", self.cutoff, 1.0..=1000.0)?;
         check_range("spatial.neighbours", f64::from(self.neighbours), 1.0..=256.0)?;
         check_range("spatial.all_pairs_up_to", f64::from(self.all_pairs_up_to), 0.0..=2000.0)?;
         self.radius_m.map_or(Ok(()), |radius| check_range("spatial.radius_m", radius, 1e-6..=1e9))
@@ -161,7 +196,7 @@ impl ConnectivitySettings {
 
 impl Settings for IngestSettings {
     fn check(&self) -> Result<(), SettingsError> {
-        check_range("tick_hz", self.tick_hz, 0.1..=MAX_TICK_HZ)?;
+        check_range("tick_hz", self.tick_hz, MIN_TICK_HZ..=MAX_TICK_HZ)?;
         check_range("stale_after_s", self.stale_after_s, 0.1..=86_400.0)?;
         check_range("gone_after_s", self.gone_after_s, 0.1..=604_800.0)?;
         if self.gone_after_s <= self.stale_after_s {
@@ -206,14 +241,17 @@ impl Settings for IngestSettings {
             return Err(SettingsError::new("modalities", "a modality is declared twice"));
         }
         self.spatial.check()?;
-        // A neighbour relation is made symmetric, so that a robot may have twice as many edges.
-        let edges = 2 * u64::from(self.max_robots) * u64::from(self.spatial.neighbours);
+        let edges = u64::from(self.max_robots) * u64::from(self.spatial.most_related());
         if edges > MAX_GRAPH_EDGES {
+            let most = MAX_GRAPH_EDGES / u64::from(self.max_robots);
+            let most =
+                u64::from(self.spatial.neighbours) * most / u64::from(self.spatial.most_related());
             return Err(SettingsError::new(
                 "spatial.neighbours",
                 format!(
-                    "times max_robots may be at most {}: a larger graph fits no message",
-                    MAX_GRAPH_EDGES / 2
+                    "may be at most {most} for max_robots of {} and this kernel: a larger graph fits \
+                     no message",
+                    self.max_robots
                 ),
             ));
         }

@@ -16,8 +16,8 @@ use serde_json::{Map, Value};
 pub use auditor::AuditorSettings;
 pub use clusterer::{CentroidStart, ClustererSettings};
 pub use embedder::{
-    Alpha, Dimension, EmbedderSettings, Normalization, RowScaling, SingularValueScaling,
-    check_weights,
+    Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
+    SingularValueScaling, WEIGHT_SUM_TOLERANCE, check_weights,
 };
 pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialSettings,
@@ -198,6 +198,28 @@ mod tests {
     }
 
     #[test]
+    fn the_largest_graph_of_each_kernel_fits_a_message() {
+        let settings = IngestSettings::default().patched(&json!({"max_robots": 100_000})).unwrap();
+        for (kernel, most) in [("gaussian", 22), ("exponential", 22), ("wendland-c2", 11)] {
+            let patch =
+                |neighbours: u32| json!({"spatial": {"kernel": kernel, "neighbours": neighbours}});
+            assert!(settings.patched(&patch(most)).is_ok());
+            let error = settings.patched(&patch(most + 1)).unwrap_err();
+            assert_eq!(error.field, "spatial.neighbours");
+            let remedy = format!("at most {most} for max_robots of 100000");
+            assert!(error.problem.contains(&remedy), "{error}");
+        }
+    }
+
+    #[test]
+    fn no_service_may_be_silent_for_so_long_that_it_is_taken_for_dead() {
+        let heartbeat = |s: f64| ClustererSettings::default().patched(&json!({"heartbeat_s": s}));
+        assert!(heartbeat(4.0).is_ok() && heartbeat(4.1).unwrap_err().field == "heartbeat_s");
+        let tick = |hz: f64| IngestSettings::default().patched(&json!({"tick_hz": hz}));
+        assert!(tick(0.5).is_ok() && tick(0.4).unwrap_err().field == "tick_hz");
+    }
+
+    #[test]
     fn a_bad_patch_names_its_field() {
         let field = |patch: Value| ClustererSettings::default().patched(&patch).unwrap_err().field;
         assert_eq!(field(json!({"team": 5})), "team");
@@ -209,7 +231,9 @@ mod tests {
         let spatial = |patch: Value| IngestSettings::default().patched(&patch).unwrap_err().field;
         assert_eq!(spatial(json!({"spatial": {"radius": 1}})), "spatial.radius");
         assert_eq!(spatial(json!({"spatial": {"width": 0.0}})), "spatial.width");
-        assert_eq!(spatial(json!({"spatial": ["gaussian", 2.0, 200, 16, null]})), "spatial");
+        assert_eq!(spatial(json!({"spatial": {"cutoff": 0.9}})), "spatial.cutoff");
+        assert_eq!(spatial(json!({"spatial": {"kernel": "wendland"}})), "spatial.kernel");
+        assert_eq!(spatial(json!({"spatial": ["gaussian", 2.0, 9.0, 200, 16, null]})), "spatial");
         let alpha = |patch: Value| EmbedderSettings::default().patched(&patch).unwrap_err();
         for wrong in [json!("x"), json!({"fraction": 0.5, "x": 1}), json!({}), json!([1])] {
             let error = alpha(json!({ "alpha": wrong }));

@@ -1,8 +1,10 @@
 //! The port: `/healthz`, `/readyz` and `/metrics`, and nothing else.
 //!
 //! It runs on a thread of its own. Every connection is bounded in time and bytes, and there are at
-//! most so many: whoever can reach the port can watch the process and not slow it down.
+//! most so many, of which the oldest gives way: whoever can reach the port can watch the process, and
+//! neither slow it down nor keep others out by connections that say nothing.
 
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::net::{SocketAddr, TcpListener};
 use std::sync::Arc;
@@ -16,12 +18,13 @@ use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use serde_json::{Map, Value, json};
-use tokio::sync::{Semaphore, oneshot};
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
 
 use super::{Shared, health, metrics};
 use crate::exit::{Exit, ExitError};
 
-/// Most connections at once: a handful of probes and scrapers. One more is closed at once.
+/// Most connections at once: a handful of probes and scrapers.
 const MAX_CONNECTIONS: usize = 32;
 
 /// Largest head of a request in bytes, and most fields in it: browsers send some hundred bytes.
@@ -86,7 +89,7 @@ async fn serve(
         Ok(listener) => listener,
         Err(error) => return tracing::error!("--http is not served: {error}"),
     };
-    let room = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+    let mut open: VecDeque<JoinHandle<()>> = VecDeque::with_capacity(MAX_CONNECTIONS);
     loop {
         let accepted = tokio::select! {
             _ = &mut closed => return,
@@ -100,9 +103,14 @@ async fn serve(
                 continue;
             }
         };
-        let Ok(place) = Arc::clone(&room).try_acquire_owned() else { continue };
+        open.retain(|connection| !connection.is_finished());
+        if open.len() >= MAX_CONNECTIONS
+            && let Some(oldest) = open.pop_front()
+        {
+            oldest.abort();
+        }
         let shared = Arc::clone(&shared);
-        tokio::spawn(async move {
+        open.push_back(tokio::spawn(async move {
             let service = service_fn(move |request| {
                 let answer = answer(&request, &shared);
                 async move { Ok::<_, Infallible>(answer) }
@@ -118,8 +126,7 @@ async fn serve(
             if let Ok(Err(error)) = tokio::time::timeout(CONNECTION_WITHIN, connection).await {
                 tracing::debug!("a connection to --http failed: {error}");
             }
-            drop(place);
-        });
+        }));
     }
 }
 

@@ -311,6 +311,7 @@ impl Observer {
                 let mode = match quality.mode {
                     muster_model::embedding::EmbeddingMode::Dense => "dense",
                     muster_model::embedding::EmbeddingMode::Cached => "cached",
+                    muster_model::embedding::EmbeddingMode::InverseFree => "inverse-free",
                 };
                 results.embeddings.get_or_create(&[own.labels, ("mode", mode)]).inc();
             }

@@ -4,16 +4,22 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use muster_model::embedding::Embedding;
+use muster_model::header::Revision;
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::roster::Presence;
 use muster_model::teams::Teams;
+use muster_wire::Message;
 
 use super::super::robots::Told;
-use super::{Judge, Verdict, breach};
+use super::Speaker;
+use super::{Divided, Judge, Published, Verdict, breach, silhouettes};
 
 /// How many epochs after its own a robot that held a lost revision has been told again: its turn comes
 /// with every heartbeat, in which a quiet fleet has one epoch or two.
 const JUST_PASSED: u64 = 5;
+
+/// What is promised of a fleet in which nothing changes.
+const UNCHANGED: &str = "unchanged input leaves the teams unchanged";
 
 /// What is true of one robot.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,8 +35,10 @@ pub(crate) struct Witness<'a> {
     pub(crate) fleet: BTreeMap<&'a RobotId, Truth>,
     /// What each of them believes.
     pub(crate) told: BTreeMap<&'a RobotId, Option<&'a Told>>,
-    /// The processes of services that run: service, instance, number of the process.
-    pub(crate) running: BTreeSet<(ServiceName, usize, u32)>,
+    /// The processes of services that run.
+    pub(crate) running: BTreeSet<Speaker>,
+    /// Those of them that hold the role of their service.
+    pub(crate) holding: BTreeSet<Speaker>,
     /// Whether the clusterer has lost its disk. If nobody then remembers its last division but the
     /// robots, who answer no gets, it cannot know which term is above all that were heard of; a robot
     /// that holds a higher revision than the last keeps its team until the epochs have passed that.
@@ -44,6 +52,13 @@ pub(crate) struct Witness<'a> {
 pub(crate) struct Settled {
     /// None where there never was anybody to divide.
     division: Option<std::sync::Arc<Teams>>,
+}
+
+impl Settled {
+    /// Whether there was somebody to divide.
+    pub(crate) fn is_of_somebody(&self) -> bool {
+        self.division.is_some()
+    }
 }
 
 impl Judge {
@@ -68,6 +83,13 @@ impl Judge {
         }
         if roster.robots.is_empty() {
             return self.nobody(witness);
+        }
+        // What was right when a holder died may be right still, and is not known to the next one.
+        for service in ServiceName::ALL {
+            let last = self.last_by.get(&service);
+            if !last.is_some_and(|speaker| witness.holding.contains(speaker)) {
+                return Err(format!("who holds {service} has said nothing yet"));
+            }
         }
         let embedding = self.embeddings.last().ok_or("there is no embedding")?;
         let graphs = embedding.graphs.iter().map(|(name, at, _)| (name, at));
@@ -95,8 +117,39 @@ impl Judge {
         {
             return Err("the audit is not that of the division".to_owned());
         }
+        if !silhouettes::is_of_positions(audit, teams, roster) {
+            return Err("the audit is not that of the positions in the roster".to_owned());
+        }
         self.told(teams, witness)?;
         Ok(Settled { division: Some(std::sync::Arc::clone(teams)) })
+    }
+
+    /// A console that joins late is told what was published last when it asked, or something newer, and
+    /// nothing that was never published.
+    pub(crate) fn joined_late(&self, last: &Message, told: &[Message]) -> Verdict {
+        let revision = |message: &Message| message.header().map(|header| header.revision);
+        let newest = told.iter().max_by_key(|message| revision(message));
+        let right = newest.is_some_and(|newest| revision(newest) >= revision(last))
+            && told.iter().all(|message| self.was_published(message));
+        if right {
+            return Ok(());
+        }
+        breach(
+            "who joins late is told what was published last",
+            format!("{:?} was published last, and told {told:?}", last.header()),
+        )
+    }
+
+    fn was_published(&self, message: &Message) -> bool {
+        fn among<T: PartialEq>(published: &Published<T>, revision: Revision, told: &T) -> bool {
+            published.named(revision).iter().any(|published| **published == *told)
+        }
+        match message {
+            Message::Roster(roster) => among(&self.rosters, roster.header.revision, roster),
+            Message::Teams { teams, .. } => among(&self.divisions, teams.header.revision, teams),
+            Message::Audit(audit) => among(&self.audits, audit.header.revision, audit),
+            _ => false,
+        }
     }
 
     /// Where nobody lives, no service that runs may still say anything of robots. One that was killed
@@ -104,9 +157,7 @@ impl Judge {
     fn nobody(&self, witness: &Witness<'_>) -> Result<Settled, String> {
         let runs = |service: ServiceName| {
             let last = self.last_by.get(&service);
-            last.is_some_and(|(instance, process)| {
-                witness.running.contains(&(service, *instance, *process))
-            })
+            last.is_some_and(|speaker| witness.running.contains(speaker))
         };
         let embedded = self.embeddings.last().is_some_and(|last| !last.robots.is_empty());
         let divided = self.divisions.last();
@@ -146,6 +197,27 @@ impl Judge {
         Ok(())
     }
 
+    /// The same process divides the same vectors under the same settings as it did just before.
+    pub(super) fn check_same_again(&self, before: &Divided) -> Verdict {
+        let Some(now) = &self.divided else { return Ok(()) };
+        let same_vectors = || {
+            let (old, new) = (before.teams.embedding, now.teams.embedding);
+            let (old, new) = (self.embeddings.named(old), self.embeddings.named(new));
+            // Where two holders gave one revision, it is not known which of the two was divided.
+            matches!((old, new), ([old], [new]) if same_vectors(old, new))
+        };
+        if (before.speaker, before.settings) != (now.speaker, now.settings)
+            || same_members(&before.teams, &now.teams)
+            || !same_vectors()
+        {
+            return Ok(());
+        }
+        breach(
+            UNCHANGED,
+            format!("{:?}, and from the same {:?}", short(&before.teams), short(&now.teams)),
+        )
+    }
+
     /// Unchanged input leaves the division as everybody had agreed on it.
     pub(crate) fn unchanged(&self, agreed: &Settled) -> Verdict {
         let (Some(last), Some(agreed)) = (self.divisions.last(), &agreed.division) else {
@@ -154,10 +226,7 @@ impl Judge {
         if same_division(last, agreed) && last.stale.is_empty() {
             return Ok(());
         }
-        breach(
-            "unchanged input leaves the teams unchanged",
-            format!("agreed on {:?}, now {:?}", short(agreed), short(last)),
-        )
+        breach(UNCHANGED, format!("agreed on {:?}, now {:?}", short(agreed), short(last)))
     }
 }
 
@@ -170,18 +239,19 @@ fn short(teams: &Teams) -> Vec<(String, Vec<String>)> {
 }
 
 fn same_vectors(left: &Embedding, right: &Embedding) -> bool {
-    left.robots == right.robots && left.values == right.values && left.unseen == right.unseen
+    left.dimension == right.dimension
+        && left.robots == right.robots
+        && left.values == right.values
+        && left.unseen == right.unseen
 }
 
 /// The same teams by name, with the same members and leaders.
 fn same_division(left: &Teams, right: &Teams) -> bool {
-    let same = |(l, r): (&muster_model::teams::Team, &muster_model::teams::Team)| {
-        let names = |team: &muster_model::teams::Team| {
-            team.members.iter().map(|member| member.robot.clone()).collect::<Vec<_>>()
-        };
-        l.id == r.id && l.leader == r.leader && names(l) == names(r)
-    };
-    left.teams.len() == right.teams.len()
-        && left.teams.iter().zip(&right.teams).all(same)
-        && left.unassigned == right.unassigned
+    same_members(left, right)
+        && left.teams.iter().zip(&right.teams).all(|(l, r)| l.leader == r.leader)
+}
+
+/// The same teams by name, with the same members: who leads them rests on the roster too.
+fn same_members(left: &Teams, right: &Teams) -> bool {
+    short(left) == short(right) && left.unassigned == right.unassigned
 }

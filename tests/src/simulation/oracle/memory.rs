@@ -2,8 +2,9 @@
 
 use muster_machine::Footprint;
 use muster_model::id::ServiceName;
-use muster_model::limits::{MAX_DECLARED_MODALITIES, MAX_LINKS, MAX_RELATION_EDGES};
+use muster_model::limits::{MAX_DECLARED_MODALITIES, MAX_LINKS, MAX_RELATION_EDGES, MAX_ROBOTS};
 
+use super::super::clock::{Micros, SECOND};
 use super::{Verdict, breach};
 
 /// Most senders of refused messages that a service watches.
@@ -12,12 +13,16 @@ const OFFENDERS: usize = 256;
 /// Most whole messages of each kind that the auditor keeps for divisions that name them.
 const HISTORY: usize = 32;
 
+/// How long a robot may be remembered after it was last heard of: the clusterer's minute since it left,
+/// the longest time until it is taken for gone, and some more for what was under way.
+pub(crate) const MEMORY: Micros = 90 * SECOND;
+
 /// What a fleet may be at most.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Bounds {
     /// The largest `max_robots` that was in force.
     pub(crate) max_robots: usize,
-    /// How many names of robots were on the bus, good and forged.
+    /// How many names of robots were on the bus within [`MEMORY`], good and forged.
     pub(crate) names: usize,
 }
 
@@ -43,10 +48,11 @@ fn most(service: ServiceName, bounds: Bounds) -> Footprint {
         },
         ServiceName::Clusterer => Footprint {
             // The last team of a robot that left, and the robots of teams that ended. A robot is in
-            // as many of those as it was moved within the minute of memory.
-            robots: bounds.names * (1 + bounds.names),
+            // as many of those as it was moved within the minute of memory. Each of the two has the
+            // limit of a fleet, whatever happens.
+            robots: bounds.names.min(MAX_ROBOTS) + bounds.names.pow(2).min(MAX_ROBOTS),
             edges: 0,
-            messages: 6,
+            messages: 7,
             offenders: OFFENDERS,
         },
         ServiceName::Auditor => Footprint {

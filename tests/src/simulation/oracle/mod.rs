@@ -24,10 +24,11 @@ use muster_model::teams::Teams;
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
 
+use super::clock::Micros;
 use super::plan::Throne;
 
 pub(crate) use agreement::{Settled, Truth, Witness};
-pub(crate) use memory::{Bounds, check_footprint};
+pub(crate) use memory::{Bounds, MEMORY, check_footprint};
 
 /// How many messages of each kind the judge remembers: more than a minute of frames, longer than
 /// anything that names an older one is under way.
@@ -48,6 +49,25 @@ pub(crate) struct Breach {
 /// A breach of a promise.
 pub(crate) fn breach<T>(promise: &'static str, seen: impl Into<String>) -> Result<T, Breach> {
     Err(Breach { promise, seen: seen.into() })
+}
+
+/// One process of one instance of a service.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Speaker {
+    /// Its service.
+    pub(crate) service: ServiceName,
+    /// Its instance.
+    pub(crate) instance: usize,
+    /// Counts the processes of that instance.
+    pub(crate) process: u32,
+}
+
+/// The division that was published last, and what it was made of.
+#[derive(Debug)]
+struct Divided {
+    speaker: Speaker,
+    settings: u32,
+    teams: Arc<Teams>,
 }
 
 /// What has been published, by revision. Two holders of a role may give the same one.
@@ -102,9 +122,10 @@ pub(crate) struct Judge {
     pub(crate) embeddings: Published<Embedding>,
     pub(crate) divisions: Published<Teams>,
     pub(crate) audits: Published<Audit>,
-    order: order::Order,
+    pub(crate) order: order::Order,
     /// Which process of a service last published its output.
-    last_by: BTreeMap<ServiceName, (usize, u32)>,
+    last_by: BTreeMap<ServiceName, Speaker>,
+    divided: Option<Divided>,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
 }
@@ -138,34 +159,49 @@ impl Judge {
                 self.embeddings.add(embedding.header.revision, embedding);
             }
             Message::Teams { teams, .. } => self.divisions.add(teams.header.revision, teams),
+            Message::Audit(audit) => self.audits.know(audit.header.revision, audit),
             _ => {}
         }
     }
 
-    /// Takes in what a service answers a get with.
-    pub(crate) fn answered(&mut self, message: &Message) {
+    /// Takes in what a service answers a get with, which must be as right as what is published.
+    pub(crate) fn answered(&mut self, message: &Message) -> Verdict {
+        finite::check(message)?;
         match message {
-            Message::Roster(roster) => self.rosters.know(roster.header.revision, roster),
+            Message::Roster(roster) => {
+                division::check_roster(roster)?;
+                self.rosters.know(roster.header.revision, roster);
+            }
             Message::Embedding(embedding) => {
                 self.embeddings.know(embedding.header.revision, embedding);
             }
-            Message::Teams { teams, .. } => self.divisions.know(teams.header.revision, teams),
+            Message::Teams { teams, .. } => {
+                division::check_division(teams, &self.embeddings)?;
+                self.divisions.know(teams.header.revision, teams);
+            }
+            Message::Audit(audit) => {
+                silhouettes::check(audit, self)?;
+                self.audits.know(audit.header.revision, audit);
+            }
             _ => {}
         }
+        Ok(())
     }
 
-    /// Takes in what a service publishes. `process` counts the processes of that instance.
+    /// Takes in what a service publishes. `settings` counts the changes of its settings that the
+    /// process had announced before it began what it publishes.
     pub(crate) fn published(
         &mut self,
-        service: ServiceName,
-        instance: usize,
-        process: u32,
+        now: Micros,
+        speaker: Speaker,
+        settings: u32,
         message: &Message,
     ) -> Verdict {
+        let service = speaker.service;
         finite::check(message)?;
-        self.order.check(service, instance, process, message)?;
+        self.order.check(now, speaker, message)?;
         if !matches!(message, Message::Event(_) | Message::Settings(_) | Message::Claim(_)) {
-            self.last_by.insert(service, (instance, process));
+            self.last_by.insert(service, speaker);
         }
         match message {
             Message::Roster(roster) => {
@@ -178,6 +214,10 @@ impl Judge {
             }
             Message::Teams { teams, .. } => {
                 division::check_division(teams, &self.embeddings)?;
+                let divided = Divided { speaker, settings, teams: Arc::clone(teams) };
+                if let Some(before) = self.divided.replace(divided) {
+                    self.check_same_again(&before)?;
+                }
                 self.divisions.add(teams.header.revision, teams);
             }
             Message::Graph(delta) => self.graph = Some(Arc::clone(delta)),

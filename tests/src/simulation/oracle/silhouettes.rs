@@ -44,7 +44,8 @@ pub(crate) fn check(audit: &Audit, judge: &Judge) -> Verdict {
             format!("{name}: {:?}, by the definition {wanted:?}", audit.in_embedding),
         );
     }
-    // An audit may rest on a newer roster than the embedding, where that one did not come.
+    // An audit may rest on a newer roster than the embedding, where that one did not come, and on none
+    // as long as none has come; once everybody agrees, it must be the last.
     let exact = embeddings.iter().flat_map(|embedding| judge.rosters.named(embedding.roster));
     let by_positions = exact.chain(judge.rosters.newest_first()).any(|roster| {
         divisions.iter().any(|teams| agrees(&audit.in_physical, &positions(teams, roster)))
@@ -56,6 +57,11 @@ pub(crate) fn check(audit: &Audit, judge: &Judge) -> Verdict {
         );
     }
     Ok(())
+}
+
+/// Whether an audit says of a division what the definition says of the positions in a roster.
+pub(crate) fn is_of_positions(audit: &Audit, teams: &Teams, roster: &Roster) -> bool {
+    agrees(&audit.in_physical, &positions(teams, roster))
 }
 
 fn vectors<'a>(teams: &'a Teams, embedding: &Embedding) -> Vec<Point<'a>> {

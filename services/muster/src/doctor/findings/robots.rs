@@ -4,8 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use muster_model::event::EventKind;
-use muster_model::id::ServiceName;
-use muster_model::roster::Presence;
+use muster_model::id::{RobotId, ServiceName};
+use muster_model::roster::{Presence, Roster};
+use muster_model::settings::IngestSettings;
 use muster_model::status::ServiceStatus;
 use muster_wire::message::quoted;
 
@@ -46,19 +47,7 @@ pub(super) fn robots(look: &Look) -> Vec<Finding> {
     }
     let Some(ingest) = look.status(ServiceName::Ingest) else { return found };
     let Some(roster) = &look.roster else { return found };
-    let known: BTreeSet<_> = roster.robots.iter().map(|entry| &entry.robot).collect();
-    let late: Vec<_> = look.robot_tokens.iter().filter(|robot| !known.contains(robot)).collect();
-    if !late.is_empty() {
-        found.push(
-            error(
-                "robots_unknown",
-                format!("robots with a token that ingest does not know: {}", names(late.iter())),
-                "raise max_robots of ingest if the fleet is full (`muster set ingest`); otherwise access \
-                 control keeps ingest from seeing their tokens",
-            )
-            .about(late),
-        );
-    }
+    found.extend(unknown(&look.robot_tokens, roster, look.ingest.as_ref()));
     if roster.robots.is_empty() {
         if look.robot_tokens.is_empty() {
             found.push(error(
@@ -129,6 +118,32 @@ pub(super) fn robots(look: &Look) -> Vec<Finding> {
         ));
     }
     found
+}
+
+/// Robots that have a token and are not in the roster.
+fn unknown(
+    tokens: &BTreeSet<RobotId>,
+    roster: &Roster,
+    ingest: Option<&IngestSettings>,
+) -> Option<Finding> {
+    let known: BTreeSet<_> = roster.robots.iter().map(|entry| &entry.robot).collect();
+    let unknown: Vec<_> = tokens.iter().filter(|robot| !known.contains(robot)).collect();
+    if unknown.is_empty() {
+        return None;
+    }
+    let most = ingest.map(|settings| settings.max_robots);
+    let full = most.filter(|most| roster.robots.len() >= *most as usize);
+    let full = full.map_or_else(String::new, |most| {
+        format!("the fleet is full: raise max_robots of ingest ({most}) if they belong to it; ")
+    });
+    let patience = ingest.map(|settings| format!(" ({} s)", settings.gone_after_s));
+    let remedy = format!(
+        "{full}a robot with a token that has said nothing for gone_after_s{} has left: restart its \
+         software; if it speaks, access control keeps ingest from seeing its token",
+        patience.unwrap_or_default()
+    );
+    let seen = format!("robots with a token that ingest does not know: {}", names(unknown.iter()));
+    Some(error("robots_unknown", seen, remedy).about(unknown))
 }
 
 pub(super) fn refused(look: &Look) -> Option<Finding> {
@@ -210,4 +225,56 @@ pub(super) fn teams(look: &Look) -> Vec<Finding> {
         ));
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::header::{Header, Revision};
+    use muster_model::id::FleetId;
+    use muster_model::roster::RosterEntry;
+    use muster_model::time::Tick;
+
+    use super::*;
+
+    fn robot(name: &str) -> RobotId {
+        RobotId::new(name).unwrap()
+    }
+
+    fn roster(names: &[&str]) -> Roster {
+        let entry = |(node, name): (u32, &&str)| RosterEntry {
+            node,
+            robot: robot(name),
+            presence: Presence::Active,
+            position: None,
+            heading: None,
+            frame: None,
+            superior: None,
+            role: None,
+            last_seen: Tick::default(),
+        };
+        let header = Header {
+            fleet: FleetId::new("f").unwrap(),
+            revision: Revision::default(),
+            oldest: None,
+            newest: None,
+            stages: Vec::new(),
+        };
+        Roster { header, robots: (0..).zip(names).map(entry).collect(), graphs: Vec::new() }
+    }
+
+    #[test]
+    fn a_fleet_is_called_full_only_if_it_is() {
+        let tokens = ["r1", "r2", "x"].map(robot).into();
+        let settings = IngestSettings { max_robots: 2, ..IngestSettings::default() };
+        let remedy = |names: &[&str], settings: Option<&IngestSettings>| {
+            unknown(&tokens, &roster(names), settings).unwrap().remedy
+        };
+        let full = remedy(&["r1", "r2"], Some(&settings));
+        assert!(full.starts_with("the fleet is full: raise max_robots of ingest (2)"), "{full}");
+        for hangs in [remedy(&["r1"], Some(&settings)), remedy(&["r1", "r2"], None)] {
+            assert!(!hangs.contains("full") && hangs.contains("restart its software"), "{hangs}");
+        }
+        assert!(remedy(&["r1"], Some(&settings)).contains("gone_after_s (10 s)"));
+        assert!(unknown(&tokens, &roster(&["r1", "r2", "x"]), None).is_none());
+    }
 }

@@ -1,0 +1,121 @@
+//! One line on the terminal that tells an operator who waits what is being done.
+
+use std::fmt::Display;
+use std::io::Write as _;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use super::step::Step;
+
+/// How long a solve may take before anything is said: what is done within it needs no explanation.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// How often the line is written anew: a second that passes must be seen to pass.
+const REDRAWN: Duration = Duration::from_millis(250);
+
+/// Back to the first column, and everything to the right erased.
+const ERASE: &str = "\r\x1b[K";
+
+/// The line. A thread of its own writes it, since a step that takes minutes says nothing meanwhile.
+#[derive(Debug)]
+pub(super) struct Line {
+    steps: Option<Sender<Step>>,
+    writer: Option<JoinHandle<()>>,
+}
+
+impl Line {
+    /// A line on standard error, or none at all.
+    pub(super) fn start(is_shown: bool) -> Self {
+        if !is_shown {
+            return Self { steps: None, writer: None };
+        }
+        let (steps, told) = channel();
+        // Without a thread there is no line, and all else goes on.
+        let writer = std::thread::Builder::new().spawn(move || write(&told)).ok();
+        Self { steps: Some(steps), writer }
+    }
+
+    /// The step has begun.
+    pub(super) fn tell(&self, step: Step) {
+        if let Some(steps) = &self.steps {
+            // It fails without a writer only, who has nothing to say then.
+            let _ = steps.send(step);
+        }
+    }
+}
+
+impl Drop for Line {
+    /// Erases the line before anything else is written.
+    fn drop(&mut self) {
+        self.steps = None;
+        if let Some(writer) = self.writer.take() {
+            let _ = writer.join();
+        }
+    }
+}
+
+/// Writes the line until nobody tells anything any more.
+fn write(told: &Receiver<Step>) {
+    let begin = Instant::now();
+    let mut step: Option<Step> = None;
+    let mut written: Option<Instant> = None;
+    loop {
+        match told.recv_timeout(REDRAWN) {
+            Ok(next) => step = Some(next),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+        let is_due = written.is_none_or(|written| written.elapsed() >= REDRAWN);
+        if begin.elapsed() >= PATIENCE && is_due {
+            let text = match &step {
+                Some(step) => text(step, begin.elapsed()),
+                None => text(&"read the file", begin.elapsed()),
+            };
+            say(&format!("{ERASE}{text}"));
+            written = Some(Instant::now());
+        }
+    }
+    if written.is_some() {
+        say(ERASE);
+    }
+}
+
+/// Writes to standard error; whether anybody reads it does not matter to the solve.
+fn say(text: &str) {
+    let mut out = std::io::stderr().lock();
+    let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+}
+
+/// What is being done, and since when everything began.
+fn text(doing: &dyn Display, since: Duration) -> String {
+    format!("{doing} ({} s)", since.as_secs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_line_names_the_step_and_fits_a_terminal() {
+        let steps = [
+            (Step::Fuse, "fuse the graphs (61 s)"),
+            (Step::Svd, "singular value decomposition (61 s)"),
+            (Step::KMeans { done: 0, restarts: 50 }, "k-means (61 s)"),
+            (Step::KMeans { done: 12, restarts: 50 }, "k-means, 12 of 50 restarts (61 s)"),
+        ];
+        for (step, expected) in steps {
+            let text = text(&step, Duration::from_millis(61_400));
+            assert_eq!(text, expected);
+            assert!(text.len() < 80);
+        }
+    }
+
+    #[test]
+    fn it_ends_when_nobody_tells_anything_any_more() {
+        let line = Line::start(true);
+        line.tell(Step::Katz);
+        drop(line);
+        Line::start(false).tell(Step::Katz);
+    }
+}

@@ -1,0 +1,61 @@
+//! The largest that services may tell each other fits a message.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod samples;
+
+use std::sync::Arc;
+
+use muster_model::graph::{GraphDelta, GraphRow};
+use muster_model::id::{Modality, RobotId};
+use muster_model::limits::{MAX_GRAPH_EDGES, MAX_ID_LENGTH, MAX_ROBOTS};
+use muster_model::settings::MAX_DIMENSION;
+use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
+use muster_wire::{Format, Message};
+
+/// So much smaller than the largest are the messages that are made here.
+const SCALE: usize = 1000;
+
+fn fits(message: &Message) {
+    let out = message.encode(message.keys().0, Format::Binary, samples::NOW).unwrap();
+    let size = out.payload.len() * SCALE;
+    assert!(size <= MAX_SERVICE_PAYLOAD, "{} has {size} bytes", out.key);
+}
+
+/// Robots with the longest names.
+fn robots(count: usize) -> Vec<RobotId> {
+    let name = |robot| RobotId::new(format!("{robot:0width$}", width = MAX_ID_LENGTH)).unwrap();
+    (0..count / SCALE).map(name).collect()
+}
+
+#[test]
+fn the_largest_graph_fits_a_message() {
+    let nodes = || (0..u32::MAX).rev();
+    let robots = robots(MAX_ROBOTS);
+    let edges = usize::try_from(MAX_GRAPH_EDGES).unwrap() / SCALE / robots.len();
+    let row = |source| GraphRow { source, edges: nodes().zip(vec![0.1; edges]).collect() };
+    fits(&Message::Graph(Arc::new(GraphDelta {
+        header: samples::header(1),
+        modality: Modality::connectivity(),
+        base: None,
+        rows: nodes().take(robots.len()).map(row).collect(),
+        nodes_added: nodes().zip(robots).collect(),
+        nodes_removed: Vec::new(),
+    })));
+}
+
+#[test]
+fn an_embedding_of_thirty_thousand_robots_fits_a_message() {
+    let sample = samples::all().into_iter().find_map(|(_, message)| match message {
+        Message::Embedding(embedding) => Some(embedding),
+        _ => None,
+    });
+    let mut embedding = (*sample.unwrap()).clone();
+    embedding.robots = robots(30_000);
+    embedding.unseen = vec![false; embedding.robots.len()];
+    embedding.dimension = MAX_DIMENSION;
+    embedding.values = vec![0.1; embedding.robots.len() * MAX_DIMENSION as usize];
+    embedding.graphs = Vec::new();
+    embedding.quality.singular_values = Vec::new();
+    fits(&Message::Embedding(Arc::new(embedding)));
+}
