@@ -7,7 +7,7 @@ use crate::matrix::DenseMatrix;
 
 /// Share of the points that may change their cluster before all sums are made anew. To move a point
 /// costs two additions at places that are in no cache, to add it costs one.
-const FEW: usize = 4;
+const FEW: usize = 3;
 
 /// Points per cluster in each part of a sum, so that the partial sums never take more than half of
 /// the memory of the points.

@@ -118,6 +118,21 @@ impl WithSimd for AddRows<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let dims = self.sums.dims;
+        let per = dims / S::F64_LANES;
+        if per > 0 && dims.is_multiple_of(S::F64_LANES) {
+            // Rows of whole registers, as most are.
+            let (rows, _) = S::as_simd_f64s(&self.x.data()[self.first * dims..]);
+            let (high, _) = S::as_mut_simd_f64s(&mut self.sums.high);
+            let (low, _) = S::as_mut_simd_f64s(&mut self.sums.low);
+            for (row, &label) in rows.chunks_exact(per).zip(self.labels) {
+                let range = label as usize * per..(label as usize + 1) * per;
+                let sums = high[range.clone()].iter_mut().zip(&mut low[range]);
+                for ((high, low), x) in sums.zip(row) {
+                    accumulate(simd, high, low, *x);
+                }
+            }
+            return;
+        }
         for (i, &label) in self.labels.iter().enumerate() {
             let range = label as usize * dims..(label as usize + 1) * dims;
             let (high, low) = (&mut self.sums.high[range.clone()], &mut self.sums.low[range]);
