@@ -79,7 +79,7 @@ impl Panels {
     /// ‖x‖² of all points x, one per place.
     pub(crate) fn squares(&self) -> Vec<f64> {
         let mut squares = vec![0.0; self.places()];
-        Arch::new().dispatch(Squares { panels: self, squares: &mut squares });
+        dispatch(Squares { panels: self, squares: &mut squares });
         squares
     }
 
@@ -114,6 +114,16 @@ impl Panels {
     fn group(&self, g: usize) -> &[f64] {
         &self.data[g * self.dims * GROUP..(g + 1) * self.dims * GROUP]
     }
+}
+
+/// Runs `work` with the widest registers of this machine.
+pub(crate) fn dispatch<W: WithSimd>(work: W) -> W::Output {
+    #[cfg(test)]
+    let work = match tests::with_fewer_lanes(work) {
+        Ok(output) => return output,
+        Err(work) => work,
+    };
+    Arch::new().dispatch(work)
 }
 
 /// About the mean of the rows of `x`.
@@ -293,4 +303,68 @@ pub(crate) fn squared_distances<S: Simd, const R: usize, const C: usize, const F
         }
     }
     sums
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::kmeans::{Init, KMeansOptions, kmeans};
+    use crate::silhouette::silhouette_squared;
+    use crate::silhouette::{SilhouetteOptions, estimate_silhouette, silhouette};
+
+    thread_local! {
+        /// Lanes of the registers to work with; 0 for the widest.
+        static LANES: Cell<usize> = const { Cell::new(0) };
+    }
+
+    /// Runs `work` with registers of as many lanes as a test wants, or gives it back.
+    pub(super) fn with_fewer_lanes<W: WithSimd>(work: W) -> Result<W::Output, W> {
+        match LANES.get() {
+            1 => Ok(Simd::vectorize(pulp::Scalar::new(), work)),
+            #[cfg(target_arch = "x86_64")]
+            4 => match pulp::x86::V3::try_new() {
+                Some(simd) => Ok(Simd::vectorize(simd, work)),
+                None => Err(work),
+            },
+            _ => Err(work),
+        }
+    }
+
+    #[test]
+    fn results_are_the_same_with_registers_of_any_width() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        for (n, dims, clusters) in [(7, 1, 2), (61, 3, 5), (500, 9, 7), (333, 17, 19)] {
+            let x = DenseMatrix::from_fn(n, dims, |_, _| rng.random::<f64>());
+            let options =
+                KMeansOptions { init: Init::Random, restarts: 3, ..KMeansOptions::new(clusters) };
+            let sampling = SilhouetteOptions { exact_points: 0, sample: n / 2, seed: 1 };
+            let run = |lanes| {
+                LANES.set(lanes);
+                let found = kmeans(&x, &options).unwrap();
+                let drawn = kmeans(&x, &KMeansOptions { init: Init::PlusPlus, ..options });
+                let scores = [silhouette(&x, &found.labels), silhouette_squared(&x, &found.labels)];
+                let sampled = estimate_silhouette(&x, &found.labels, &sampling).unwrap().mean;
+                LANES.set(0);
+                (found, drawn.unwrap().inertia, scores.map(Result::unwrap), sampled)
+            };
+            let wide = run(8);
+            for lanes in [1, 4] {
+                let narrow = run(lanes);
+                assert_eq!(narrow.0.labels, wide.0.labels);
+                assert!((narrow.0.inertia / wide.0.inertia - 1.0).abs() < 1e-12);
+                assert!((narrow.1 / wide.1 - 1.0).abs() < 1e-9);
+                assert!((narrow.3 - wide.3).abs() < 1e-12);
+                for (narrow, wide) in narrow.2.iter().zip(&wide.2) {
+                    for (a, b) in narrow.per_point.iter().zip(&wide.per_point) {
+                        assert!((a - b).abs() < 1e-12);
+                    }
+                }
+            }
+        }
+    }
 }

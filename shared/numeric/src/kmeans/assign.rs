@@ -5,12 +5,12 @@
 //! two centroids come nearer to each other than the bound, the distances themselves decide: labels
 //! are those that [`nearest`] gives, in every case.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::points::{CHUNK, Points};
 use super::sums::Move;
 use crate::matrix::DenseMatrix;
-use crate::panels::{AHEAD, Block, GROUP, Panels, REGISTERS, over_group, products};
+use crate::panels::{AHEAD, Block, GROUP, Panels, REGISTERS, dispatch, over_group, products};
 
 /// Mark of a point whose two nearest centroids cannot be told apart by the shortened distance.
 const UNDECIDED: u64 = u64::MAX;
@@ -100,7 +100,7 @@ pub(super) fn assign_chunk(
 ) -> Changes {
     let changes = Changes { count: 0, list: Vec::new() };
     let first = chunk * CHUNK;
-    Arch::new().dispatch(Assign { points, centroids, packed, first, labels, changes })
+    dispatch(Assign { points, centroids, packed, first, labels, changes })
 }
 
 struct Assign<'a> {
@@ -156,8 +156,9 @@ impl Assign<'_> {
             let close = simd.less_than_or_equal_f64s(nearest.second[r], limit);
             registers[r] = simd.select_u64s(close, simd.splat_u64s(UNDECIDED), nearest.index[r]);
         }
-        let start = place - self.first;
-        let count = (R * S::F64_LANES).min(self.labels.len().saturating_sub(start));
+        // A narrow register may hold nothing but places behind the last point.
+        let start = (place - self.first).min(self.labels.len());
+        let count = (R * S::F64_LANES).min(self.labels.len() - start);
         let mut differ = false;
         for (label, found) in self.labels[start..start + count].iter().zip(&found) {
             differ |= u64::from(*label) != *found;

@@ -5,12 +5,12 @@
 //! iteration has ended, so that a vector kernel looks for those that might, with a margin for its
 //! rounding errors, and the plain formula decides about them one after the other.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::assign::{Packed, slack, squared_distance};
 use super::partition::Partition;
 use super::points::Points;
-use crate::panels::{Block, GROUP, REGISTERS};
+use crate::panels::{Block, GROUP, REGISTERS, dispatch};
 
 /// Relative gain below which a single point is not moved; rounding could make it move for ever.
 const MIN_GAIN: f64 = 1e-10;
@@ -122,7 +122,7 @@ impl Screen {
 
     /// The first point from `from` on that might gain by moving.
     fn next(&self, points: &Points<'_>, labels: &[u32], from: usize) -> Option<usize> {
-        Arch::new().dispatch(Next { screen: self, points, labels, from })
+        dispatch(Next { screen: self, points, labels, from })
     }
 }
 
@@ -159,8 +159,10 @@ impl WithSimd for Next<'_> {
 impl Next<'_> {
     #[inline(always)]
     fn block<S: Simd, const R: usize>(&self, simd: S, place: usize) -> Option<usize> {
-        let count = (R * S::F64_LANES).min(self.labels.len().saturating_sub(place));
-        let labels = &self.labels[place..place + count];
+        // A narrow register may hold nothing but places behind the last point.
+        let labels = &self.labels[place.min(self.labels.len())..];
+        let count = (R * S::F64_LANES).min(labels.len());
+        let labels = &labels[..count];
         let mut own_label = [0_u64; GROUP * REGISTERS];
         let mut saving = [0.0; GROUP * REGISTERS];
         for ((own, saving), &label) in own_label.iter_mut().zip(&mut saving).zip(labels) {

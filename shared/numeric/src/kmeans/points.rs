@@ -1,10 +1,10 @@
 //! The points of one call, in the form that the kernels read.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 use crate::matrix::DenseMatrix;
-use crate::panels::{GROUP, Panels, REGISTERS};
+use crate::panels::{GROUP, Panels, REGISTERS, dispatch};
 
 /// Points that are worked on together, by one thread: a multiple of what a kernel takes at a time.
 /// The bounds of the chunks depend on nothing else, so that sums over chunks are the same for any
@@ -80,7 +80,7 @@ pub(super) fn spread(
     labels: &[u32],
     centroids: &DenseMatrix,
 ) -> f64 {
-    Arch::new().dispatch(Spread { x, first, labels, centroids })
+    dispatch(Spread { x, first, labels, centroids })
 }
 
 struct Spread<'a> {
@@ -115,7 +115,7 @@ impl WithSimd for Spread<'_> {
 
 /// Largest squared length of a row of `x`.
 pub(super) fn longest_square(x: &DenseMatrix) -> f64 {
-    Arch::new().dispatch(LongestSquare(x))
+    dispatch(LongestSquare(x))
 }
 
 struct LongestSquare<'a>(&'a DenseMatrix);

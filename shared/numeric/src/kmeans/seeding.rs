@@ -1,13 +1,13 @@
 //! First centroids of a start.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::assign::squared_distance;
 use super::points::{CHUNK, Points, longest_square};
 use crate::matrix::DenseMatrix;
-use crate::panels::{Block, GROUP, Panels, REGISTERS, over_group, squared_distances};
+use crate::panels::{Block, GROUP, Panels, REGISTERS, dispatch, over_group, squared_distances};
 
 /// Points nearer to each other than this fraction of the longest row count as equal: nodes that
 /// are interchangeable in the graph have equal rows up to rounding, which must not divide them.
@@ -80,7 +80,7 @@ impl NearestChosen {
     fn add(&mut self, points: &Points<'_>, point: usize) {
         let others = packed(points, &[point]);
         self.sums = points.for_chunks(&mut self.squares, CHUNK, |number, squares| {
-            Arch::new().dispatch(Lower { points, others: &others, first: number * CHUNK, squares })
+            dispatch(Lower { points, others: &others, first: number * CHUNK, squares })
         });
     }
 
@@ -92,7 +92,7 @@ impl NearestChosen {
             let others = packed(points, others);
             let parts = points.over_chunks(&self.squares, CHUNK, |number, squares| {
                 let first = number * CHUNK;
-                Arch::new().dispatch(Potentials { points, others: &others, count, first, squares })
+                dispatch(Potentials { points, others: &others, count, first, squares })
             });
             let total = |c: usize| parts.iter().map(|part| part[c]).sum::<f64>();
             totals.extend((0..count).map(total));

@@ -4,10 +4,10 @@
 //! kept beside the sum (Knuth, The Art of Computer Programming 2, section 4.2.2), a sum that was
 //! changed point by point equals one that was made anew, up to the last digit.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use crate::matrix::DenseMatrix;
-use crate::panels::{GROUP, prefetch};
+use crate::panels::{GROUP, dispatch, prefetch};
 
 /// Moves between the one that is made and the one whose row is fetched into the cache meanwhile.
 /// The rows lie anywhere, so that the processor does not foresee which comes next.
@@ -37,12 +37,12 @@ impl Sums {
 
     /// Adds the rows of `x` from `first` on to the clusters that `labels` name.
     pub(super) fn add_rows(&mut self, x: &DenseMatrix, first: usize, labels: &[u32]) {
-        Arch::new().dispatch(AddRows { sums: self, x, first, labels });
+        dispatch(AddRows { sums: self, x, first, labels });
     }
 
     /// Takes rows of `x` from one cluster to another.
     pub(super) fn transfer(&mut self, x: &DenseMatrix, moves: &[Move]) {
-        Arch::new().dispatch(Transfer { sums: self, x, moves });
+        dispatch(Transfer { sums: self, x, moves });
     }
 
     /// Adds other sums of the same shape.

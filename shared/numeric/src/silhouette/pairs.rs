@@ -7,12 +7,14 @@
 
 use std::ops::Range;
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::groups::{Groups, Ordered};
 use super::value;
 use crate::matrix::DenseMatrix;
-use crate::panels::{Block, GROUP, Panels, centre, over_halves, products, squared_distances};
+use crate::panels::{
+    Block, GROUP, Panels, centre, dispatch, over_halves, products, squared_distances,
+};
 
 /// Points of one cluster that all points of another are compared with before the next ones are:
 /// they and what is summed for them stay in the fastest cache.
@@ -48,7 +50,7 @@ pub(super) fn all_pairs(x: &DenseMatrix, groups: &Groups) -> Vec<f64> {
                 let tile = first..(first + TILE).min(starts[b + 1]);
                 let columns = &mut columns[..tile.len() * GROUP];
                 columns.fill(0.0);
-                Arch::new().dispatch(Sweep {
+                dispatch(Sweep {
                     points: &ordered.panels,
                     squares: &ordered.squares,
                     weights: &ordered.used,
@@ -93,7 +95,7 @@ pub(super) fn some_points(x: &DenseMatrix, groups: &Groups, chosen: &[usize]) ->
         for first in (ordered.starts[c]..ordered.starts[c + 1]).step_by(TILE) {
             let tile = first..(first + TILE).min(ordered.starts[c + 1]);
             let columns = &mut columns[..tile.len() * GROUP];
-            Arch::new().dispatch(Sweep {
+            dispatch(Sweep {
                 points: &panels,
                 squares: &squares,
                 weights: &weights,

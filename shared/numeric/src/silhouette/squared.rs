@@ -1,11 +1,11 @@
 //! Silhouettes of squared distances.
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::groups::Groups;
 use super::{Method, Silhouette, SilhouetteError, summary, value};
 use crate::matrix::DenseMatrix;
-use crate::panels::{Block, GROUP, Panels, REGISTERS, over_group, squared_distances};
+use crate::panels::{Block, GROUP, Panels, REGISTERS, dispatch, over_group, squared_distances};
 
 /// As [`silhouette`](super::silhouette), with squared Euclidean distances throughout, in O(N k D).
 ///
@@ -25,7 +25,7 @@ pub fn silhouette_squared(
     let (means, spreads) = moments(x, &centre, &groups);
     let mut own = vec![0.0; panels.places()];
     let mut next = vec![f64::INFINITY; panels.places()];
-    Arch::new().dispatch(Means {
+    dispatch(Means {
         panels: &panels,
         means: &means,
         spreads: &spreads,
