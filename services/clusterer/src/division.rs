@@ -132,6 +132,7 @@ fn cluster(x: &DenseMatrix, seen: &[usize], job: &Job) -> Result<KMeans, String>
         seed: settings.seed,
         warm_labels: warm.as_deref(),
         hysteresis: settings.hysteresis.clamp(0.0, MAX_HYSTERESIS),
+        threads: 1,
     };
     kmeans(x, &options).map_err(|error| error.to_string())
 }

@@ -20,7 +20,8 @@
 //! The crate knows nodes by their index only, does no input or output, keeps no state but in values
 //! that the caller holds, and is deterministic: the same input gives the same output, bit for bit,
 //! on the same machine.
-//! All linear algebra runs on the calling thread. Public signatures use the types of this crate;
+//! Everything runs on the calling thread, except where an option asks for more threads; that never
+//! changes a result. Public signatures use the types of this crate;
 //! the linear algebra library behind them can be exchanged without touching a caller.
 //!
 //! Every entry of a [`matrix::DenseMatrix`] or [`matrix::SparseMatrix`] is finite and bounded by
@@ -45,6 +46,7 @@ mod noda;
 pub mod norm;
 mod operator;
 mod order;
+mod panels;
 mod partial;
 pub mod radius_bound;
 mod scaling;

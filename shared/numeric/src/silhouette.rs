@@ -1,10 +1,25 @@
-//! Exact silhouettes (Rousseeuw, J. Comput. Appl. Math. 20, 1987) with Euclidean distances.
+//! Silhouettes (Rousseeuw, J. Comput. Appl. Math. 20, 1987): how much nearer each point is to its
+//! own cluster than to the next one.
+//!
+//! Three ways lead to them, named by [`Method`]. All pairs of points, with Euclidean distances, is
+//! the definition; it takes O(N² D) operations. Squared distances are another, sharper measure, for
+//! which the sums over a cluster follow from its mean, in O(N k D). And the mean over all points
+//! can be estimated from some of them, each compared with all points, with a standard error.
 
-use std::collections::BTreeMap;
+mod groups;
+mod pairs;
+mod sample;
+mod squared;
 
 use thiserror::Error;
 
 use crate::matrix::DenseMatrix;
+use groups::Groups;
+
+pub use sample::{
+    EXACT_POINTS, SAMPLE, SilhouetteEstimate, SilhouetteOptions, estimate_silhouette,
+};
+pub use squared::silhouette_squared;
 
 /// Why there are no silhouettes.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -25,6 +40,18 @@ pub enum SilhouetteError {
     },
 }
 
+/// How silhouettes were computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Method {
+    /// From Euclidean distances between all pairs of points, up to rounding.
+    Exact,
+    /// From squared Euclidean distances between all pairs of points, up to rounding. The values
+    /// differ from those of [`Method::Exact`]: they are further away from zero.
+    SquaredExact,
+    /// From Euclidean distances between some points and all points: an estimate.
+    Sampled,
+}
+
 /// Silhouettes of one division, each between −1 and 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Silhouette {
@@ -34,67 +61,43 @@ pub struct Silhouette {
     pub per_cluster: Vec<(usize, f64)>,
     /// Mean over all points.
     pub mean: f64,
+    /// How they were computed.
+    pub method: Method,
 }
 
 /// Silhouette (b − a) / max(a, b) of every row of `x`, where a is the mean distance to the other
 /// members of its cluster and b the smallest mean distance to the members of another cluster.
 ///
 /// `x` is N × D, `labels` holds N arbitrary numbers. The only member of a cluster has the
-/// value 0, and so has a point with a = b = 0. O(N² D) time, O(N) memory besides the result.
+/// value 0, and so has a point with a = b = 0. O(N² D) time, every distance once; besides the
+/// result, memory for a copy of the points, and O(N + k) more.
 ///
 /// # Errors
 /// [`SilhouetteError::Labels`], and [`SilhouetteError::Undefined`] for fewer than two clusters.
 pub fn silhouette(x: &DenseMatrix, labels: &[usize]) -> Result<Silhouette, SilhouetteError> {
-    let points = x.rows();
-    if labels.len() != points {
-        let labels = labels.len();
-        return Err(SilhouetteError::Labels { labels, points });
-    }
-    let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
-    for &label in labels {
-        *sizes.entry(label).or_default() += 1;
-    }
-    let clusters = sizes.len();
-    if clusters < 2 {
-        return Err(SilhouetteError::Undefined { clusters });
-    }
-    let numbers: BTreeMap<usize, usize> = sizes.keys().copied().zip(0..).collect();
-    let member: Vec<usize> = labels.iter().map(|l| numbers[l]).collect();
-    let sizes: Vec<usize> = sizes.into_values().collect();
+    let groups = Groups::new(x, labels)?;
+    let per_point = pairs::all_pairs(x, &groups);
+    Ok(summary(per_point, &groups, Method::Exact))
+}
 
-    let mut sums = vec![0.0; clusters];
-    let mut totals = vec![0.0; clusters];
-    let mut per_point = Vec::with_capacity(points);
-    for i in 0..points {
-        sums.fill(0.0);
-        for (row, &c) in x.iter_rows().zip(&member) {
-            sums[c] += distance(x.row(i), row);
-        }
-        let value = value(member[i], &sums, &sizes);
-        totals[member[i]] += value;
-        per_point.push(value);
+/// The values together with their means.
+fn summary(per_point: Vec<f64>, groups: &Groups, method: Method) -> Silhouette {
+    let mut totals = vec![0.0; groups.sizes.len()];
+    for (value, &c) in per_point.iter().zip(&groups.member) {
+        totals[c as usize] += value;
     }
-    let means = numbers.into_keys().zip(&totals).zip(&sizes);
-    Ok(Silhouette {
-        per_cluster: means.map(|((label, t), &n)| (label, t / n as f64)).collect(),
-        mean: per_point.iter().sum::<f64>() / points as f64,
+    let means = groups.labels.iter().zip(&totals).zip(&groups.sizes);
+    Silhouette {
+        per_cluster: means.map(|((&label, total), &n)| (label, total / n as f64)).collect(),
+        mean: per_point.iter().sum::<f64>() / per_point.len() as f64,
         per_point,
-    })
-}
-
-/// Silhouette of a point in cluster `own`, from its summed distances to all clusters.
-fn value(own: usize, sums: &[f64], sizes: &[usize]) -> f64 {
-    if sizes[own] == 1 {
-        return 0.0;
+        method,
     }
-    let a = sums[own] / (sizes[own] - 1) as f64;
-    let others = sums.iter().zip(sizes).enumerate().filter(|e| e.0 != own);
-    let b = others.fold(f64::INFINITY, |b, (_, (sum, &n))| b.min(sum / n as f64));
-    let larger = a.max(b);
-    if larger > 0.0 { (b - a) / larger } else { 0.0 }
 }
 
-fn distance(a: &[f64], b: &[f64]) -> f64 {
-    let squares = a.iter().zip(b).map(|(x, y)| (x - y) * (x - y));
-    squares.sum::<f64>().sqrt()
+/// Silhouette of a point in a cluster of `size` members, from its mean distances a to the other
+/// members and b to the nearest other cluster.
+fn value(size: usize, a: f64, b: f64) -> f64 {
+    let larger = a.max(b);
+    if size > 1 && larger > 0.0 { (b - a) / larger } else { 0.0 }
 }

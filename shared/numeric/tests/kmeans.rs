@@ -4,7 +4,7 @@
 mod common;
 
 use common::{blobs, distance, numbers};
-use muster_numeric::kmeans::{Init, KMeansError, KMeansOptions, kmeans};
+use muster_numeric::kmeans::{Init, KMeansError, KMeansOptions, kmeans, lloyd};
 use muster_numeric::matrix::DenseMatrix;
 use proptest::prelude::*;
 
@@ -97,6 +97,108 @@ fn extreme_counts() {
     assert_eq!(kmeans(&single, &KMeansOptions::new(1)).unwrap().inertia, 0.0);
     let huge = DenseMatrix::new(3, 1, vec![1e100, -1e100, 0.0]).unwrap();
     assert!(kmeans(&huge, &KMeansOptions::new(2)).unwrap().inertia.is_finite());
+}
+
+/// Lloyd's iteration, written down literally.
+fn plain_lloyd(x: &DenseMatrix, first: &DenseMatrix, iterations: usize) -> Vec<usize> {
+    let mut centroids: Vec<Vec<f64>> = first.iter_rows().map(<[f64]>::to_vec).collect();
+    let mut labels = vec![0; x.rows()];
+    for _ in 0..=iterations {
+        for (row, label) in x.iter_rows().zip(&mut labels) {
+            let better = |best: usize, c: usize| {
+                let nearer = distance(row, &centroids[c]) < distance(row, &centroids[best]);
+                if nearer { c } else { best }
+            };
+            *label = (0..centroids.len()).fold(*label, better);
+        }
+        for (c, centroid) in centroids.iter_mut().enumerate() {
+            let rows: Vec<&[f64]> =
+                (0..x.rows()).filter(|&i| labels[i] == c).map(|i| x.row(i)).collect();
+            for (j, mean) in centroid.iter_mut().enumerate() {
+                *mean = rows.iter().map(|r| r[j]).sum::<f64>() / rows.len() as f64;
+            }
+        }
+    }
+    labels
+}
+
+#[test]
+fn lloyd_equals_the_plain_iteration() {
+    // More points than one chunk holds, and sizes that fill no register.
+    for (n, dims, k) in [(50, 1, 3), (999, 3, 5), (7_001, 17, 9), (13_000, 8, 20)] {
+        let centre = vec![3.0; dims];
+        let x = blobs(&[&centre], n, 1.0, n as u64);
+        let first = x.select_rows(&(0..k).collect::<Vec<_>>());
+        for iterations in [0, 1, 7, 30] {
+            let found = lloyd(&x, &first, iterations, 1).unwrap();
+            let wanted = plain_lloyd(&x, &first, iterations);
+            // Labels are numbered by first appearance, and so are the first k points by
+            // themselves, until they change places.
+            let mut number = vec![usize::MAX; k];
+            let mut next = 0;
+            for (label, found) in wanted.iter().zip(&found.labels) {
+                if number[*label] == usize::MAX {
+                    number[*label] = next;
+                    next += 1;
+                }
+                assert_eq!(number[*label], *found);
+            }
+            assert!((found.inertia / inertia(&x, &wanted, k) - 1.0).abs() < 1e-12);
+        }
+    }
+}
+
+#[test]
+fn lloyd_refuses_what_does_not_fit() {
+    let x = blobs(&[&[0.0, 0.0]], 5, 1.0, 1);
+    let flat = DenseMatrix::zeros(2, 1).unwrap();
+    let fault = KMeansError::Dimensions { points: 2, centroids: 1 };
+    assert_eq!(lloyd(&x, &flat, 5, 1), Err(fault));
+    let many = DenseMatrix::zeros(6, 2).unwrap();
+    assert!(matches!(lloyd(&x, &many, 5, 1), Err(KMeansError::Clusters { .. })));
+    // Equal first centroids: the empty clusters take points of others.
+    let same = DenseMatrix::zeros(3, 2).unwrap();
+    assert_eq!(lloyd(&x, &same, 5, 1).unwrap().centroids.rows(), 3);
+}
+
+#[test]
+fn the_result_does_not_depend_on_the_number_of_threads() {
+    let small = blobs(&[&[0.0; 5]], 300, 1.0, 8);
+    let options = KMeansOptions { seed: 3, restarts: 20, ..KMeansOptions::new(6) };
+    let large = blobs(&[&[0.0, 0.0]], 100_001, 1.0, 5);
+    let few = KMeansOptions { restarts: 2, max_iterations: 5, ..KMeansOptions::new(4) };
+    let warm: Vec<Option<usize>> = (0..large.rows()).map(|i| Some(i % 4)).collect();
+    let kept = KMeansOptions { restarts: 1, warm_labels: Some(&warm), ..few };
+    let first = large.select_rows(&[0, 1, 2, 3, 4, 5, 6]);
+    for threads in [0, 2, 3, 7] {
+        let with = |options| KMeansOptions { threads, ..options };
+        assert_eq!(kmeans(&small, &options), kmeans(&small, &with(options)));
+        assert_eq!(kmeans(&large, &few), kmeans(&large, &with(few)));
+        assert_eq!(kmeans(&large, &kept), kmeans(&large, &with(kept)));
+        assert_eq!(lloyd(&large, &first, 5, 1), lloyd(&large, &first, 5, threads));
+    }
+}
+
+#[test]
+fn huge_entries_stay_finite() {
+    let mut random = numbers(5);
+    for dims in [1, 3, 16] {
+        let data = (0..60 * dims).map(|_| 1e100 * (2.0 * random() - 1.0)).collect();
+        let x = DenseMatrix::new(60, dims, data).unwrap();
+        for clusters in [1, 2, 7, 60] {
+            let options = KMeansOptions { restarts: 3, ..KMeansOptions::new(clusters) };
+            let found = kmeans(&x, &options).unwrap();
+            assert!(found.inertia.is_finite() && found.converged);
+            assert_eq!(found.centroids.rows(), clusters);
+        }
+    }
+    // One point that is larger than the sum of all others leaves its cluster without a trace.
+    let mut data: Vec<f64> = (0..40).map(f64::from).collect();
+    data.push(1e100);
+    let x = DenseMatrix::new(41, 1, data).unwrap();
+    let first = DenseMatrix::new(2, 1, vec![0.0, 1e99]).unwrap();
+    let found = lloyd(&x, &first, 20, 1).unwrap();
+    assert_eq!(found.centroids.data(), [19.5, 1e100]);
 }
 
 #[test]

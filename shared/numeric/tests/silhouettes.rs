@@ -6,15 +6,17 @@ mod common;
 use common::{blobs, distance, numbers};
 use muster_numeric::margins::{MarginError, margins};
 use muster_numeric::matrix::DenseMatrix;
-use muster_numeric::silhouette::{SilhouetteError, silhouette};
+use muster_numeric::silhouette::{
+    Method, SilhouetteError, SilhouetteOptions, estimate_silhouette, silhouette, silhouette_squared,
+};
 use proptest::prelude::*;
 
-/// Rousseeuw's definition, written down literally.
-fn naive(x: &DenseMatrix, labels: &[usize], i: usize) -> f64 {
+/// Rousseeuw's definition, written down literally, with distances to the power of `power`.
+fn naive(x: &DenseMatrix, labels: &[usize], i: usize, power: i32) -> f64 {
     let mean_to = |label: usize| {
         let others: Vec<usize> =
             (0..labels.len()).filter(|&j| j != i && labels[j] == label).collect();
-        let sum: f64 = others.iter().map(|&j| distance(x.row(i), x.row(j))).sum();
+        let sum: f64 = others.iter().map(|&j| distance(x.row(i), x.row(j)).powi(power)).sum();
         (others.len(), sum / others.len() as f64)
     };
     let (count, a) = mean_to(labels[i]);
@@ -46,6 +48,86 @@ fn undefined_and_degenerate() {
     assert_eq!(silhouette(&none, &[]), Err(SilhouetteError::Undefined { clusters: 0 }));
     assert!(matches!(silhouette(&x, &[0]), Err(SilhouetteError::Labels { .. })));
     assert_eq!(silhouette(&x, &[0, 0, 1, 1]).unwrap().per_point, [0.0; 4]);
+    assert_eq!(silhouette_squared(&x, &[0, 0, 1, 1]).unwrap().per_point, [0.0; 4]);
+    let undefined = Err(SilhouetteError::Undefined { clusters: 1 });
+    assert_eq!(silhouette_squared(&x, &[1; 4]), undefined);
+    let flat = DenseMatrix::zeros(3, 0).unwrap();
+    assert_eq!(silhouette(&flat, &[0, 1, 1]).unwrap().per_point, [0.0; 3]);
+    let huge = DenseMatrix::new(4, 1, vec![1e100, 1e100, -1e100, -1e100]).unwrap();
+    assert_eq!(silhouette(&huge, &[0, 0, 1, 1]).unwrap().mean, 1.0);
+    assert_eq!(silhouette_squared(&huge, &[0, 0, 1, 1]).unwrap().mean, 1.0);
+}
+
+#[test]
+fn methods_are_named() {
+    let x = blobs(&[&[0.0, 0.0], &[1.0, 0.0]], 30, 1.0, 1);
+    let labels: Vec<usize> = (0..60).map(|i| i / 30).collect();
+    assert_eq!(silhouette(&x, &labels).unwrap().method, Method::Exact);
+    assert_eq!(silhouette_squared(&x, &labels).unwrap().method, Method::SquaredExact);
+    let all = estimate_silhouette(&x, &labels, &SilhouetteOptions::default()).unwrap();
+    let exact = silhouette(&x, &labels).unwrap();
+    assert_eq!((all.method, all.standard_error, all.mean), (Method::Exact, 0.0, exact.mean));
+    let some = SilhouetteOptions { exact_points: 59, sample: 20, seed: 3 };
+    let found = estimate_silhouette(&x, &labels, &some).unwrap();
+    assert_eq!((found.method, found.per_point.len()), (Method::Sampled, 20));
+    // A sample of all points is no sample.
+    let whole = SilhouetteOptions { sample: 60, ..some };
+    assert_eq!(estimate_silhouette(&x, &labels, &whole).unwrap().method, Method::Exact);
+}
+
+#[test]
+fn samples_estimate_the_mean_without_bias() {
+    let x = blobs(&[&[0.0, 0.0], &[1.0, 0.0], &[0.0, 3.0]], 200, 1.0, 1);
+    let labels: Vec<usize> = (0..600).map(|i| i / 200).collect();
+    let exact = silhouette(&x, &labels).unwrap();
+    let (mut sum, mut outside) = (0.0, 0);
+    for seed in 0..200 {
+        let options = SilhouetteOptions { exact_points: 0, sample: 50, seed };
+        let found = estimate_silhouette(&x, &labels, &options).unwrap();
+        assert!(found.per_point.is_sorted_by(|a, b| a.0 < b.0));
+        for &(point, value) in &found.per_point {
+            assert!((value - exact.per_point[point]).abs() < 1e-12);
+        }
+        let error = found.mean - exact.mean;
+        sum += error / found.standard_error;
+        outside += usize::from(error.abs() > 2.0 * found.standard_error);
+        let scored: f64 = found.per_cluster.iter().filter_map(|c| c.1).count() as f64;
+        assert_eq!(scored, 3.0);
+    }
+    // 200 errors of mean 0 in units of their standard error, about 5 % of them above 2.
+    assert!((sum / 200.0).abs() < 0.25, "{sum}");
+    assert!((2..=24).contains(&outside), "{outside}");
+}
+
+#[test]
+fn squared_distances_far_from_the_origin() {
+    let near = blobs(&[&[0.0, 0.0], &[2.0, 0.0]], 40, 1.0, 1);
+    let labels: Vec<usize> = (0..80).map(|i| i / 40).collect();
+    let rows: Vec<Vec<f64>> =
+        near.iter_rows().map(|r| r.iter().map(|v| v + 1e9).collect()).collect();
+    let far = DenseMatrix::from_rows(&rows).unwrap();
+    let found = silhouette_squared(&far, &labels).unwrap();
+    for i in 0..80 {
+        assert!((found.per_point[i] - naive(&far, &labels, i, 2)).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn equals_the_definition_in_several_tiles() {
+    let x = blobs(&[&[0.0; 5], &[0.5; 5]], 700, 1.0, 9);
+    // Sizes 1, 2, 9 and 1388.
+    let labels: Vec<usize> = (0..1400_usize)
+        .map(|i| match i {
+            0 => 1,
+            1 | 2 => 2,
+            3..12 => 3,
+            _ => 0,
+        })
+        .collect();
+    let found = silhouette(&x, &labels).unwrap();
+    for i in (0..20).chain(1390..1400) {
+        assert!((found.per_point[i] - naive(&x, &labels, i, 1)).abs() < 1e-12);
+    }
 }
 
 #[test]
@@ -68,14 +150,18 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
     #[test]
-    fn equals_the_definition(n in 2_usize..30, k in 2_usize..6, seed: u64) {
-        let x = blobs(&[&[0.0, 0.0, 0.0]], n, 1.0, seed);
+    fn equals_the_definition(n in 2_usize..90, k in 2_usize..12, dims in 1_usize..10, seed: u64) {
+        let x = blobs(&[&vec![0.0; dims]], n, 1.0, seed);
         let mut random = numbers(seed ^ 1);
         let labels: Vec<usize> = (0..n).map(|_| 3 * (random() * k as f64) as usize).collect();
         prop_assume!(labels.iter().any(|l| *l != labels[0]));
         let found = silhouette(&x, &labels).unwrap();
         for i in 0..n {
-            prop_assert!((found.per_point[i] - naive(&x, &labels, i)).abs() < 1e-12);
+            prop_assert!((found.per_point[i] - naive(&x, &labels, i, 1)).abs() < 1e-12);
+        }
+        let squared = silhouette_squared(&x, &labels).unwrap();
+        for i in 0..n {
+            prop_assert!((squared.per_point[i] - naive(&x, &labels, i, 2)).abs() < 1e-12);
         }
         let mean = found.per_point.iter().sum::<f64>() / n as f64;
         prop_assert!((found.mean - mean).abs() < 1e-12);

@@ -1,87 +1,118 @@
-//! A partition of points into clusters, and the two ways to improve it.
+//! A partition of points into clusters, and Lloyd's iteration.
 
+use super::assign::{Packed, assign_chunk, squared_distance};
+use super::points::{CHUNK, Points, spread};
+use super::sums::{Move, Sums};
 use crate::matrix::DenseMatrix;
 
-/// Relative gain below which a single point is not moved; rounding could make it move for ever.
-const MIN_GAIN: f64 = 1e-10;
+/// Share of the points that may change their cluster before all sums are made anew. To move a point
+/// costs two additions at places that are in no cache, to add it costs one.
+const FEW: usize = 3;
+
+/// Points per cluster in each part of a sum, so that the partial sums never take more than half of
+/// the memory of the points.
+const POINTS_PER_SUM: usize = 4;
 
 /// Labels together with the sizes and means of the clusters they describe.
-#[derive(Clone)]
 pub(super) struct Partition {
-    pub(super) labels: Vec<usize>,
-    sizes: Vec<usize>,
-    centroids: DenseMatrix,
+    pub(super) labels: Vec<u32>,
+    pub(super) sizes: Vec<usize>,
+    pub(super) centroids: DenseMatrix,
+    sums: Sums,
+    /// Whether the sums were made anew since a point moved last.
+    fresh: bool,
 }
 
 impl Partition {
     /// Partition given by `labels`, all below `clusters`. Clusters without a point get one.
-    pub(super) fn from_labels(x: &DenseMatrix, labels: Vec<usize>, clusters: usize) -> Self {
+    pub(super) fn from_labels(points: &Points<'_>, labels: Vec<u32>, clusters: usize) -> Self {
+        let dims = points.x.cols();
         let mut partition = Self {
             labels,
             sizes: vec![0; clusters],
-            centroids: DenseMatrix::from_fn(clusters, x.cols(), |_, _| 0.0),
+            centroids: DenseMatrix::from_fn(clusters, dims, |_, _| 0.0),
+            sums: Sums::zeros(clusters, dims),
+            fresh: false,
         };
-        partition.update(x);
+        partition.update(points);
         partition
     }
 
     /// Partition of the points by the nearest of the given centroids.
-    pub(super) fn from_centroids(x: &DenseMatrix, centroids: DenseMatrix) -> Self {
-        let nearest = |row| nearest(row, &centroids, 0);
-        let labels = x.iter_rows().map(nearest).collect();
-        let mut partition = Self { labels, sizes: vec![0; centroids.rows()], centroids };
-        partition.update(x);
+    pub(super) fn from_centroids(points: &Points<'_>, centroids: DenseMatrix) -> Self {
+        let (clusters, dims) = (centroids.rows(), centroids.cols());
+        let mut partition = Self {
+            labels: vec![0; points.len()],
+            sizes: vec![0; clusters],
+            centroids,
+            sums: Sums::zeros(clusters, dims),
+            fresh: false,
+        };
+        partition.assign(points);
+        partition.update(points);
         partition
     }
 
     /// Recomputes sizes and means. An empty cluster takes the point that lies farthest from its
     /// centroid among clusters that can spare one.
-    fn update(&mut self, x: &DenseMatrix) {
-        self.count();
-        if let Some(first) = self.sizes.iter().position(|&n| n == 0) {
-            self.set_means(x);
-            for empty in first..self.sizes.len() {
-                if self.sizes[empty] > 0 {
-                    continue;
-                }
-                let Some(point) = self.farthest(x) else { break };
-                self.sizes[self.labels[point]] -= 1;
-                self.labels[point] = empty;
-                self.sizes[empty] = 1;
-                self.set_means(x);
-            }
-        }
-        self.set_means(x);
-    }
-
-    fn count(&mut self) {
+    fn update(&mut self, points: &Points<'_>) {
         self.sizes.fill(0);
         for &label in &self.labels {
-            self.sizes[label] += 1;
+            self.sizes[label as usize] += 1;
+        }
+        self.set_means(points);
+        for empty in 0..self.sizes.len() {
+            if self.sizes[empty] > 0 {
+                continue;
+            }
+            let Some(point) = self.farthest(points) else { break };
+            self.transfer(points, point, empty);
         }
     }
 
     /// Means of all clusters; those of empty clusters are zero.
-    fn set_means(&mut self, x: &DenseMatrix) {
-        self.centroids.data_mut().fill(0.0);
-        for (row, &label) in x.iter_rows().zip(&self.labels) {
-            for (sum, value) in self.centroids.row_mut(label).iter_mut().zip(row) {
-                *sum += value;
-            }
+    fn set_means(&mut self, points: &Points<'_>) {
+        let (clusters, dims) = (self.sizes.len(), self.centroids.cols());
+        let part = (POINTS_PER_SUM * clusters).next_multiple_of(CHUNK);
+        let sums = points.over_chunks(&self.labels, part, |number, labels| {
+            let mut sums = Sums::zeros(clusters, dims);
+            sums.add_rows(points.x, number * part, labels);
+            sums
+        });
+        let mut sums = sums.into_iter();
+        if let Some(first) = sums.next() {
+            self.sums = first;
         }
-        for (c, &size) in self.sizes.iter().enumerate() {
-            let size = size.max(1) as f64;
-            for sum in self.centroids.row_mut(c) {
-                *sum /= size;
-            }
+        for other in sums {
+            self.sums.merge(&other);
         }
+        for c in 0..clusters {
+            self.set_mean(c);
+        }
+        self.fresh = true;
+    }
+
+    fn set_mean(&mut self, c: usize) {
+        self.sums.mean(c, self.sizes[c], self.centroids.row_mut(c));
+    }
+
+    /// Makes all sums anew if they were changed point by point; returns whether the means stayed
+    /// the same to the last digit.
+    pub(super) fn refresh(&mut self, points: &Points<'_>) -> bool {
+        if self.fresh {
+            return true;
+        }
+        let before = self.centroids.clone();
+        self.set_means(points);
+        before == self.centroids
     }
 
     /// The point farthest from its centroid, in a cluster of more than one point.
-    fn farthest(&self, x: &DenseMatrix) -> Option<usize> {
+    fn farthest(&self, points: &Points<'_>) -> Option<usize> {
         let mut best = None;
         for (i, &label) in self.labels.iter().enumerate() {
-            let far = squared_distance(x.row(i), self.centroids.row(label));
+            let label = label as usize;
+            let far = squared_distance(points.x.row(i), self.centroids.row(label));
             if self.sizes[label] > 1 && best.is_none_or(|(top, _)| far > top) {
                 best = Some((far, i));
             }
@@ -89,94 +120,74 @@ impl Partition {
         best.map(|(_, i)| i)
     }
 
-    /// Lloyd's iteration until no label changes; returns the iterations and whether it got there.
-    /// A point equally near to its own and another centroid stays.
-    pub(super) fn lloyd(&mut self, x: &DenseMatrix, limit: usize) -> (usize, bool) {
-        for iteration in 1..=limit {
-            let mut changed = false;
-            for (row, label) in x.iter_rows().zip(&mut self.labels) {
-                let next = nearest(row, &self.centroids, *label);
-                changed |= next != *label;
-                *label = next;
-            }
-            if !changed {
-                return (iteration, true);
-            }
-            self.update(x);
-        }
-        (limit, false)
-    }
-
-    /// Moves single points to other clusters while that lowers the inertia; returns the passes
-    /// and whether a pass without moves was reached.
-    ///
-    /// Taking point x out of a cluster of n points with mean φ lowers the inertia by
-    /// n/(n−1)·‖x−φ‖², adding it to one raises it by n/(n+1)·‖x−φ‖² (Hartigan and Wong 1979).
-    /// The gain must exceed the share `hysteresis` of the former.
-    pub(super) fn exchange(
-        &mut self,
-        x: &DenseMatrix,
-        limit: usize,
-        hysteresis: f64,
-    ) -> (usize, bool) {
-        let keep = 1.0 - hysteresis.max(MIN_GAIN);
-        for pass in 1..=limit {
-            let mut moved = false;
-            for i in 0..x.rows() {
-                let own = self.labels[i];
-                if self.sizes[own] < 2 {
-                    continue;
-                }
-                let (to, cost) = self.cheapest_insertion(x.row(i), own);
-                let n = self.sizes[own] as f64;
-                let saved = n / (n - 1.0) * squared_distance(x.row(i), self.centroids.row(own));
-                if cost < saved * keep {
-                    self.transfer(x.row(i), i, to);
-                    moved = true;
-                }
-            }
-            if !moved {
-                return (pass, true);
-            }
-            // Incremental means drift by rounding.
-            self.set_means(x);
-        }
-        (limit, false)
-    }
-
-    /// The other cluster whose inertia rises least by taking in `row`, and by how much.
-    fn cheapest_insertion(&self, row: &[f64], own: usize) -> (usize, f64) {
-        let mut best = (own, f64::INFINITY);
-        for (c, centroid) in self.centroids.iter_rows().enumerate() {
-            if c == own {
-                continue;
-            }
-            let n = self.sizes[c] as f64;
-            let cost = n / (n + 1.0) * squared_distance(row, centroid);
-            if cost < best.1 {
-                best = (c, cost);
-            }
-        }
-        best
-    }
-
-    fn transfer(&mut self, row: &[f64], point: usize, to: usize) {
-        let from = std::mem::replace(&mut self.labels[point], to);
+    /// Moves a point to cluster `to`.
+    pub(super) fn transfer(&mut self, points: &Points<'_>, point: usize, to: usize) {
+        let from = std::mem::replace(&mut self.labels[point], to as u32) as usize;
+        self.sums
+            .transfer(points.x, &[Move { point: point as u32, from: from as u32, to: to as u32 }]);
         self.sizes[from] -= 1;
         self.sizes[to] += 1;
-        let (left, joined) = (self.sizes[from] as f64, self.sizes[to] as f64);
-        for (mean, value) in self.centroids.row_mut(from).iter_mut().zip(row) {
-            *mean += (*mean - value) / left;
+        self.set_mean(from);
+        self.set_mean(to);
+        self.fresh = false;
+    }
+
+    /// Labels every point by its nearest centroid; returns the number of changes, and all of them
+    /// if they are few.
+    fn assign(&mut self, points: &Points<'_>) -> (usize, Option<Vec<Move>>) {
+        let packed = Packed::new(points, &self.centroids);
+        let centroids = &self.centroids;
+        let changes = points.for_chunks(&mut self.labels, CHUNK, |chunk, labels| {
+            assign_chunk(points, centroids, &packed, chunk, labels)
+        });
+        let count = changes.iter().map(|part| part.count).sum();
+        let complete = changes.iter().all(|part| part.list.len() == part.count);
+        let few = complete && count <= points.len() / FEW;
+        (count, few.then(|| changes.into_iter().flat_map(|part| part.list).collect()))
+    }
+
+    /// Lloyd's iteration until no label changes; returns the iterations and whether it got there.
+    /// A point equally near to its own and another centroid stays.
+    pub(super) fn lloyd(&mut self, points: &Points<'_>, limit: usize) -> (usize, bool) {
+        for iteration in 1..=limit {
+            let (count, moves) = self.assign(points);
+            match moves {
+                Some(_) if count == 0 => {
+                    if self.refresh(points) {
+                        return (iteration, true);
+                    }
+                }
+                Some(moves) => self.follow(points, &moves),
+                None => self.update(points),
+            }
         }
-        for (mean, value) in self.centroids.row_mut(to).iter_mut().zip(row) {
-            *mean += (value - *mean) / joined;
+        self.refresh(points);
+        (limit, false)
+    }
+
+    /// Takes over moves that are in the labels already.
+    fn follow(&mut self, points: &Points<'_>, moves: &[Move]) {
+        for &Move { from, to, .. } in moves {
+            self.sizes[from as usize] -= 1;
+            self.sizes[to as usize] += 1;
         }
+        if self.sizes.contains(&0) {
+            self.update(points);
+            return;
+        }
+        self.sums.transfer(points.x, moves);
+        for c in 0..self.sizes.len() {
+            self.set_mean(c);
+        }
+        self.fresh = false;
     }
 
     /// Sum of squared distances to the centroids.
-    pub(super) fn inertia(&self, x: &DenseMatrix) -> f64 {
-        let rows = x.iter_rows().zip(&self.labels);
-        rows.map(|(row, &c)| squared_distance(row, self.centroids.row(c))).sum()
+    pub(super) fn inertia(&self, points: &Points<'_>) -> f64 {
+        let parts = points.over_chunks(&self.labels, CHUNK, |number, labels| {
+            spread(points.x, number * CHUNK, labels, &self.centroids)
+        });
+        parts.into_iter().sum()
     }
 
     /// Labels numbered by first appearance, and the centroids in that order.
@@ -184,29 +195,13 @@ impl Partition {
         let mut order = Vec::new();
         let mut number = vec![usize::MAX; self.sizes.len()];
         for &label in &self.labels {
+            let label = label as usize;
             if number[label] == usize::MAX {
                 number[label] = order.len();
                 order.push(label);
             }
         }
-        let labels = self.labels.iter().map(|&l| number[l]).collect();
+        let labels = self.labels.iter().map(|&l| number[l as usize]).collect();
         (labels, self.centroids.select_rows(&order))
     }
-}
-
-/// Index of the centroid nearest to `row`; `current` wins ties, then the smallest index.
-pub(super) fn nearest(row: &[f64], centroids: &DenseMatrix, current: usize) -> usize {
-    let mut best = (current, squared_distance(row, centroids.row(current)));
-    for (c, centroid) in centroids.iter_rows().enumerate() {
-        let far = squared_distance(row, centroid);
-        if far < best.1 {
-            best = (c, far);
-        }
-    }
-    best.0
-}
-
-/// Squared Euclidean distance.
-pub(crate) fn squared_distance(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
 }

@@ -1,10 +1,13 @@
 //! First centroids of a start.
 
+use pulp::{Simd, WithSimd};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::partition::squared_distance;
+use super::assign::squared_distance;
+use super::points::{CHUNK, Points, longest_square};
 use crate::matrix::DenseMatrix;
+use crate::panels::{Block, GROUP, Panels, REGISTERS, dispatch, over_group, squared_distances};
 
 /// Points nearer to each other than this fraction of the longest row count as equal: nodes that
 /// are interchangeable in the graph have equal rows up to rounding, which must not divide them.
@@ -12,9 +15,7 @@ pub const DISTINCT: f64 = 1e-9;
 
 /// Number of distinct rows, counted up to `limit`.
 pub(super) fn count_distinct(x: &DenseMatrix, limit: usize) -> usize {
-    let squares = x.iter_rows().map(|r| r.iter().map(|v| v * v).sum::<f64>());
-    let longest = squares.fold(0.0, f64::max);
-    let tolerance = DISTINCT * DISTINCT * longest;
+    let tolerance = DISTINCT * DISTINCT * longest_square(x);
     let mut found: Vec<&[f64]> = Vec::new();
     for row in x.iter_rows() {
         if found.len() == limit {
@@ -39,53 +40,199 @@ pub(super) fn random(x: &DenseMatrix, clusters: usize, rng: &mut ChaCha8Rng) -> 
 
 /// Greedy k-means++: every further centroid is a point drawn with probability proportional to
 /// its squared distance from the nearest one so far, the best of 2 + ln k draws.
-pub(super) fn plus_plus(x: &DenseMatrix, clusters: usize, rng: &mut ChaCha8Rng) -> DenseMatrix {
+pub(super) fn plus_plus(points: &Points<'_>, clusters: usize, rng: &mut ChaCha8Rng) -> DenseMatrix {
     let trials = 2 + (clusters as f64).ln() as usize;
-    let mut chosen = vec![rng.random_range(0..x.rows())];
-    let mut nearest = distances(x, chosen[0]);
+    let mut chosen = vec![rng.random_range(0..points.len())];
+    let mut nearest = NearestChosen::new(points);
+    nearest.add(points, chosen[0]);
+    let mut drawn = Vec::with_capacity(trials);
     while chosen.len() < clusters {
-        let mut best: Option<(f64, usize, Vec<f64>)> = None;
-        for _ in 0..trials {
-            let candidate = draw(&nearest, rng);
-            let mut next = distances(x, candidate);
-            for (new, old) in next.iter_mut().zip(&nearest) {
-                *new = new.min(*old);
-            }
-            let potential: f64 = next.iter().sum();
-            if best.as_ref().is_none_or(|b| potential < b.0) {
-                best = Some((potential, candidate, next));
-            }
-        }
-        if let Some((_, candidate, next)) = best {
-            chosen.push(candidate);
-            nearest = next;
-        }
+        drawn.clear();
+        drawn.extend((0..trials).map(|_| nearest.draw(rng)));
+        let potentials = nearest.potentials(points, &drawn);
+        let better =
+            |best: usize, i: usize| if potentials[i] < potentials[best] { i } else { best };
+        let best = drawn[(0..trials).fold(0, better)];
+        chosen.push(best);
+        nearest.add(points, best);
     }
-    x.select_rows(&chosen)
+    points.x.select_rows(&chosen)
 }
 
-/// Squared distances of all points from point `i`.
-fn distances(x: &DenseMatrix, i: usize) -> Vec<f64> {
-    x.iter_rows().map(|row| squared_distance(row, x.row(i))).collect()
+/// Squared distance of every point from the nearest of some points.
+struct NearestChosen {
+    points: usize,
+    /// One per place of the packed points; zero where there is no point.
+    squares: Vec<f64>,
+    /// Sum of `squares` over each chunk.
+    sums: Vec<f64>,
 }
 
-/// Index drawn with probability proportional to `weights`; uniform when all are zero.
-fn draw(weights: &[f64], rng: &mut ChaCha8Rng) -> usize {
-    let total: f64 = weights.iter().sum();
-    if total <= 0.0 {
-        return rng.random_range(0..weights.len());
+impl NearestChosen {
+    /// Distances from no point: infinite.
+    fn new(points: &Points<'_>) -> Self {
+        let mut squares = vec![f64::INFINITY; points.panels.places()];
+        squares[points.len()..].fill(0.0);
+        Self { points: points.len(), squares, sums: Vec::new() }
     }
-    let mut left = rng.random::<f64>() * total;
-    let mut last = 0;
-    for (i, &weight) in weights.iter().enumerate() {
-        if weight > 0.0 {
-            last = i;
-            left -= weight;
-            if left < 0.0 {
+
+    /// Takes one more point into account.
+    fn add(&mut self, points: &Points<'_>, point: usize) {
+        let others = packed(points, &[point]);
+        self.sums = points.for_chunks(&mut self.squares, CHUNK, |number, squares| {
+            dispatch(Lower { points, others: &others, first: number * CHUNK, squares })
+        });
+    }
+
+    /// For each of the given points the sum of squared distances if it were added.
+    fn potentials(&self, points: &Points<'_>, others: &[usize]) -> Vec<f64> {
+        let mut totals = Vec::with_capacity(others.len());
+        for others in others.chunks(GROUP) {
+            let count = others.len();
+            let others = packed(points, others);
+            let parts = points.over_chunks(&self.squares, CHUNK, |number, squares| {
+                let first = number * CHUNK;
+                dispatch(Potentials { points, others: &others, count, first, squares })
+            });
+            let total = |c: usize| parts.iter().map(|part| part[c]).sum::<f64>();
+            totals.extend((0..count).map(total));
+        }
+        totals
+    }
+
+    /// Point drawn with probability proportional to its squared distance; uniform when all are
+    /// zero.
+    fn draw(&self, rng: &mut ChaCha8Rng) -> usize {
+        let total: f64 = self.sums.iter().sum();
+        if total <= 0.0 {
+            return rng.random_range(0..self.points);
+        }
+        let mut left = rng.random::<f64>() * total;
+        // The last chunk and point of positive weight take what rounding leaves over.
+        let mut chunk = 0;
+        for (number, &sum) in self.sums.iter().enumerate().filter(|s| *s.1 > 0.0) {
+            chunk = number;
+            if left < sum {
                 break;
             }
+            left -= sum;
+        }
+        let start = chunk * CHUNK;
+        let end = (start + CHUNK).min(self.points);
+        let mut last = start;
+        for (i, &weight) in self.squares[start..end].iter().enumerate() {
+            if weight > 0.0 {
+                last = start + i;
+                left -= weight;
+                if left < 0.0 {
+                    break;
+                }
+            }
+        }
+        last
+    }
+}
+
+/// Some of the points as one group.
+fn packed(points: &Points<'_>, chosen: &[usize]) -> Panels {
+    let mut panels = Panels::zeros(GROUP, points.x.cols());
+    for (place, &point) in chosen.iter().enumerate() {
+        panels.copy_point(place, &points.panels, point);
+    }
+    panels
+}
+
+struct Lower<'a> {
+    points: &'a Points<'a>,
+    others: &'a Panels,
+    first: usize,
+    squares: &'a mut [f64],
+}
+
+impl WithSimd for Lower<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let mut total = simd.splat_f64s(0.0);
+        let (squares, _) = S::as_mut_simd_f64s(self.squares);
+        let panels = &self.points.panels;
+        let mut blocks = squares.chunks_exact_mut(REGISTERS);
+        let mut place = self.first;
+        for block in &mut blocks {
+            let [found, _] =
+                squared_distances::<S, REGISTERS, 2, 0>(simd, panels, place, self.others, 0);
+            for r in 0..REGISTERS {
+                block[r] = simd.min_f64s(block[r], found[r]);
+                total = simd.add_f64s(total, block[r]);
+            }
+            place += REGISTERS * S::F64_LANES;
+        }
+        for square in blocks.into_remainder() {
+            let [[found], _] = squared_distances::<S, 1, 2, 0>(simd, panels, place, self.others, 0);
+            *square = simd.min_f64s(*square, found);
+            total = simd.add_f64s(total, *square);
+            place += S::F64_LANES;
+        }
+        simd.reduce_sum_f64s(total)
+    }
+}
+
+struct Potentials<'a> {
+    points: &'a Points<'a>,
+    others: &'a Panels,
+    count: usize,
+    first: usize,
+    squares: &'a [f64],
+}
+
+impl WithSimd for Potentials<'_> {
+    type Output = [f64; GROUP];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> [f64; GROUP] {
+        let mut sums = [simd.splat_f64s(0.0); GROUP];
+        let (squares, _) = S::as_simd_f64s(self.squares);
+        let (blocks, rest) = squares.as_chunks::<REGISTERS>();
+        let mut place = self.first;
+        for squares in blocks {
+            let mut sum = Sum { work: &self, place, squares: *squares, sums: &mut sums };
+            over_group(simd, &mut sum, 0, self.count);
+            place += REGISTERS * S::F64_LANES;
+        }
+        for square in rest {
+            let mut sum = Sum { work: &self, place, squares: [*square], sums: &mut sums };
+            over_group(simd, &mut sum, 0, self.count);
+            place += S::F64_LANES;
+        }
+        let mut totals = [0.0; GROUP];
+        for (total, sum) in totals.iter_mut().zip(sums) {
+            *total = simd.reduce_sum_f64s(sum);
+        }
+        totals
+    }
+}
+
+/// Sums over R registers of points of the lower of two squared distances.
+struct Sum<'a, S: Simd, const R: usize> {
+    work: &'a Potentials<'a>,
+    place: usize,
+    squares: [S::f64s; R],
+    sums: &'a mut [S::f64s; GROUP],
+}
+
+impl<S: Simd, const R: usize> Block<S, R> for Sum<'_, S, R> {
+    #[allow(clippy::needless_range_loop, reason = "registers of several arrays belong together")]
+    #[inline(always)]
+    fn run<const C: usize, const F: usize>(&mut self, simd: S, group: usize) {
+        let panels = &self.work.points.panels;
+        let others = self.work.others;
+        let found = squared_distances::<S, R, C, F>(simd, panels, self.place, others, group);
+        for c in 0..C {
+            for r in 0..R {
+                let square = simd.min_f64s(found[c][r], self.squares[r]);
+                self.sums[F + c] = simd.add_f64s(self.sums[F + c], square);
+            }
         }
     }
-    // The last positive weight takes what rounding leaves over.
-    last
 }

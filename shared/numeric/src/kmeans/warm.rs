@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::partition::{Partition, nearest, squared_distance};
+use super::assign::{nearest, squared_distance};
+use super::partition::Partition;
+use super::points::Points;
 use super::{Solution, polish};
 use crate::matrix::DenseMatrix;
 
@@ -13,19 +15,20 @@ use crate::matrix::DenseMatrix;
 /// the largest old clusters survive; with more, the points farthest from all centroids open new
 /// ones; either way the number has changed, so that there is nothing to hold on to.
 pub(super) fn refine(
-    x: &DenseMatrix,
+    points: &Points<'_>,
     labels: &[Option<usize>],
     clusters: usize,
     hysteresis: f64,
     limit: usize,
 ) -> Option<Solution> {
+    let x = points.x;
     let old = old_clusters(labels);
     if old.is_empty() {
         return None;
     }
     if old.len() != clusters {
         let centroids = adapted_means(x, old, clusters);
-        return Some(polish(x, Partition::from_centroids(x, centroids), limit));
+        return Some(polish(points, Partition::from_centroids(points, centroids), limit));
     }
     let centroids = means(x, &old);
     let mut numbered = vec![None; labels.len()];
@@ -34,12 +37,14 @@ pub(super) fn refine(
             numbered[i] = Some(c);
         }
     }
-    let place =
-        |(i, c): (usize, Option<usize>)| c.unwrap_or_else(|| nearest(x.row(i), &centroids, 0));
+    let place = |(i, c): (usize, Option<usize>)| {
+        c.unwrap_or_else(|| nearest(x.row(i), &centroids, 0)) as u32
+    };
     let numbered = numbered.into_iter().enumerate().map(place).collect();
-    let mut partition = Partition::from_labels(x, numbered, clusters);
-    let (iterations, converged) = partition.exchange(x, limit, hysteresis);
-    Some(Solution { inertia: partition.inertia(x), partition, iterations, converged })
+    let mut partition = Partition::from_labels(points, numbered, clusters);
+    let (iterations, converged) = partition.exchange(points, limit, hysteresis);
+    partition.refresh(points);
+    Some(Solution { inertia: partition.inertia(points), partition, iterations, converged })
 }
 
 /// Members of every old cluster, clusters in order of first appearance.
