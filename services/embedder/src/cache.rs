@@ -1,4 +1,4 @@
-//! What was last computed from a fused graph, kept for as long as it holds and as a start for the next.
+//! The decomposition of the last frame, kept for as long as it holds and as a start for the next.
 //!
 //! Small fleets get the Katz similarity S itself and its whole decomposition, which is exact to rounding.
 //! For larger ones the leading triplets are found without S, beginning with those of the frame before.
@@ -8,14 +8,17 @@ use std::sync::Arc;
 use muster_machine::Stopwatch;
 use muster_model::embedding::EmbeddingMode;
 use muster_model::id::RobotId;
+use muster_numeric::cached_katz::Method;
 use muster_numeric::dimension::{Choice, choose_seeing_dimension, least_rank};
-use muster_numeric::katz::{self, katz_probe, katz_similarity};
-use muster_numeric::katz_svd::{KatzSvd, KatzSvdError, KatzSvdOptions};
-use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
-use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};
+use muster_numeric::katz;
+use muster_numeric::katz_svd::{KatzSvd, KatzSvdError, KatzSvdOptions, KatzSvdReport};
+use muster_numeric::matrix::SparseMatrix;
 use muster_numeric::svd::{FullSvd, RankKSvd, full_svd};
 
 use crate::compute::ComputeError;
+use crate::correspondence::Correspondence;
+use crate::decay::Chosen;
+use crate::similarity::Similarity;
 
 /// Fleets up to this size are decomposed whole: that takes less time than anything else.
 const WHOLE: usize = 64;
@@ -24,26 +27,30 @@ const WHOLE: usize = 64;
 /// all: it takes seconds at most.
 const WHOLE_IN_NEED: usize = 2000;
 
-/// What was last computed from a fused graph.
-#[derive(Debug)]
+/// The decomposition of the last frame.
+#[derive(Debug, Default)]
 pub(crate) struct Cache {
-    /// A*.
-    pub(crate) fused: SparseMatrix,
-    alpha: f64,
-    /// Bounds of the spectral radius of the fused graph.
-    pub(crate) radius: SpectralRadius,
-    robots: Arc<[RobotId]>,
-    kept: Kept,
+    last: Option<Last>,
     /// The search, with the triplets of the frames before.
-    search: Box<KatzSvd>,
+    search: KatzSvd,
+    /// The robots that these are of.
+    robots: Arc<[RobotId]>,
+}
+
+/// A frame, and what its similarity was decomposed into.
+#[derive(Debug)]
+struct Last {
+    fused: SparseMatrix,
+    alpha: f64,
+    kept: Kept,
 }
 
 /// How S was decomposed.
 #[derive(Debug)]
 enum Kept {
-    /// S, and all of its triplets.
-    Whole(DenseMatrix, FullSvd),
-    /// The leading triplets, which stand in the search: how many, how exactly.
+    /// Into all of its triplets.
+    Whole(FullSvd),
+    /// Into the leading triplets, which stand in the search: how many, how exactly.
     Leading { rank: usize, residual: f64 },
 }
 
@@ -51,10 +58,9 @@ enum Kept {
 #[derive(Debug)]
 pub(crate) struct Wanted<'a> {
     /// A*.
-    pub(crate) fused: SparseMatrix,
-    /// Bounds of its spectral radius.
-    pub(crate) radius: SpectralRadius,
-    pub(crate) alpha: f64,
+    pub(crate) fused: &'a SparseMatrix,
+    /// Its decay, with bounds of its spectral radius.
+    pub(crate) chosen: &'a Chosen,
     /// The robots, ordered by name.
     pub(crate) robots: &'a Arc<[RobotId]>,
     /// Largest residual.
@@ -87,76 +93,85 @@ pub(crate) struct Obtained {
     pub(crate) took_us: [u64; 2],
 }
 
-/// The spectral radius of a fused graph: the kept one if the graph is still the same.
-pub(crate) fn radius_of(cache: Option<&Cache>, fused: &SparseMatrix) -> SpectralRadius {
-    match cache {
-        Some(kept) if kept.fused == *fused => kept.radius.clone(),
-        // Not started from the vector of the last frame, so that α depends on the graph alone.
-        _ => spectral_radius(fused, None),
-    }
-}
-
-/// The leading triplets of a frame. Those that are kept serve if graph and decay are the same bit for bit
-/// and they are still exact and many enough.
-pub(crate) fn obtain(
-    cache: &mut Option<Cache>,
-    wanted: Wanted<'_>,
-    stopwatch: &mut Stopwatch,
-) -> Result<Obtained, ComputeError> {
-    if let Some(kept) = cache.as_ref().filter(|kept| kept.is_of(&wanted))
-        && let Some(obtained) = kept.again(&wanted, stopwatch)?
-    {
-        return Ok(obtained);
-    }
-    let (before, mut search) = match cache.take() {
-        Some(kept) => (Some(kept.robots), kept.search),
-        None => (None, Box::default()),
-    };
-    let (kept, obtained) = if wanted.fused.nodes() <= WHOLE {
-        whole(&wanted, stopwatch)?
-    } else {
-        leading(&wanted, before.as_deref(), &mut search, stopwatch)?
-    };
-    let Wanted { fused, radius, alpha, robots, .. } = wanted;
-    *cache = Some(Cache { fused, alpha, radius, robots: Arc::clone(robots), kept, search });
-    Ok(obtained)
-}
-
 impl Cache {
-    fn is_of(&self, wanted: &Wanted<'_>) -> bool {
-        self.alpha.to_bits() == wanted.alpha.to_bits() && self.fused == wanted.fused
-    }
-
-    /// The triplets of the same graph once more, unless they have spoiled or are too few.
-    fn again(
-        &self,
+    /// The leading triplets of a frame. Those that are kept serve if graph and decay are the same bit for
+    /// bit and they are still exact and many enough.
+    pub(crate) fn obtain(
+        &mut self,
+        similarity: &mut Similarity,
         wanted: &Wanted<'_>,
         stopwatch: &mut Stopwatch,
-    ) -> Result<Option<Obtained>, ComputeError> {
-        let mode = EmbeddingMode::Cached;
-        match &self.kept {
-            Kept::Whole(similarity, all) => {
-                let probe = katz_probe(&self.fused, self.alpha, similarity, wanted.seed)?;
-                if probe > wanted.tolerance {
-                    return Ok(None);
-                }
-                let took_us = [stopwatch.lap(), 0];
-                let svd = all.truncate(wanted.cut.of_all(all))?;
-                let residual = svd.residual(similarity)?;
-                Ok(Some(Obtained { svd, mode, residual, probe, took_us }))
-            }
-            Kept::Leading { rank, residual } => {
-                let known = (*rank, self.fused.nodes());
-                let dimension =
-                    wanted.cut.of_some(&self.search, known).filter(|choice| !choice.short);
-                let (Some(choice), true) = (dimension, *residual <= tolerance_of(wanted)) else {
-                    return Ok(None);
-                };
-                let svd = self.search.truncate(choice.dimension)?;
-                let took_us = [0, stopwatch.lap()];
-                Ok(Some(Obtained { svd, mode, residual: *residual, probe: 0.0, took_us }))
-            }
+    ) -> Result<Obtained, ComputeError> {
+        let kept = self.last.take().filter(|last| last.is_of(wanted)).map(|last| last.kept);
+        let (kept, obtained) = if wanted.fused.nodes() <= WHOLE {
+            whole(similarity, kept, wanted, stopwatch)?
+        } else {
+            self.leading(similarity, kept, wanted, stopwatch)?
+        };
+        let (fused, alpha) = (wanted.fused.clone(), wanted.chosen.alpha);
+        self.last = Some(Last { fused, alpha, kept });
+        Ok(obtained)
+    }
+
+    /// The leading triplets without S.
+    fn leading(
+        &mut self,
+        similarity: &mut Similarity,
+        kept: Option<Kept>,
+        wanted: &Wanted<'_>,
+        stopwatch: &mut Stopwatch,
+    ) -> Result<(Kept, Obtained), ComputeError> {
+        let n = wanted.fused.nodes();
+        let tolerance = tolerance_of(wanted);
+        if let Some(Kept::Leading { rank, residual }) = kept
+            && residual <= tolerance
+            && let Some(choice) = wanted.cut.of_some(&self.search, (rank, n))
+            && !choice.short
+        {
+            let svd = self.search.truncate(choice.dimension)?;
+            let took_us = [0, stopwatch.lap()];
+            let mode = EmbeddingMode::Cached;
+            let obtained = Obtained { svd, mode, residual, probe: 0.0, took_us };
+            return Ok((Kept::Leading { rank, residual }, obtained));
         }
+        let mut rank = wanted.cut.least_rank(n);
+        let (choice, residual) = loop {
+            let options = KatzSvdOptions { rank, tolerance, seed: wanted.seed };
+            let report = self.search(wanted, options)?;
+            if !report.converged && n <= WHOLE_IN_NEED {
+                self.search.forget();
+                return whole(similarity, None, wanted, stopwatch);
+            }
+            match wanted.cut.of_some(&self.search, (rank, n)) {
+                Some(choice) if !choice.short => break (choice, report.residual),
+                _ => rank = (2 * rank).min(n),
+            }
+        };
+        let svd = self.search.truncate(choice.dimension)?;
+        let took_us = [0, stopwatch.lap()];
+        let mode = EmbeddingMode::InverseFree;
+        let obtained = Obtained { svd, mode, residual, probe: 0.0, took_us };
+        Ok((Kept::Leading { rank, residual }, obtained))
+    }
+
+    /// A search that begins with the triplets of the robots that were there before.
+    fn search(
+        &mut self,
+        wanted: &Wanted<'_>,
+        options: KatzSvdOptions,
+    ) -> Result<KatzSvdReport, KatzSvdError> {
+        let between = Correspondence::between(&self.robots, wanted.robots);
+        let to_old = between.as_ref().map(Correspondence::to_old);
+        let Chosen { alpha, radius, .. } = wanted.chosen;
+        let report = self.search.solve(wanted.fused, *alpha, radius, options, to_old)?;
+        self.robots = Arc::clone(wanted.robots);
+        Ok(report)
+    }
+}
+
+impl Last {
+    fn is_of(&self, wanted: &Wanted<'_>) -> bool {
+        self.alpha.to_bits() == wanted.chosen.alpha.to_bits() && self.fused == *wanted.fused
     }
 }
 
@@ -206,54 +221,27 @@ fn tolerance_of(wanted: &Wanted<'_>) -> f64 {
     wanted.tolerance.max(LEAST)
 }
 
-/// The decomposition of S as a whole.
-fn whole(wanted: &Wanted<'_>, stopwatch: &mut Stopwatch) -> Result<(Kept, Obtained), ComputeError> {
-    let Wanted { fused, radius, alpha, seed, .. } = wanted;
-    let similarity = katz_similarity(fused, *alpha, radius)?;
-    let probe = katz_probe(fused, *alpha, &similarity, *seed)?;
-    let solved_us = stopwatch.lap();
-    let all = full_svd(&similarity)?;
-    let svd = all.truncate(wanted.cut.of_all(&all))?;
-    let residual = svd.residual(&similarity)?;
-    let took_us = [solved_us, stopwatch.lap()];
-    let obtained = Obtained { svd, mode: EmbeddingMode::Dense, residual, probe, took_us };
-    Ok((Kept::Whole(similarity, all), obtained))
-}
-
-/// The leading triplets without S, beginning with those of the robots `before`.
-fn leading(
+/// The decomposition of S as a whole: the kept one if S has not changed.
+fn whole(
+    similarity: &mut Similarity,
+    kept: Option<Kept>,
     wanted: &Wanted<'_>,
-    before: Option<&[RobotId]>,
-    search: &mut KatzSvd,
     stopwatch: &mut Stopwatch,
 ) -> Result<(Kept, Obtained), ComputeError> {
-    let Wanted { fused, radius, alpha, robots, seed, .. } = wanted;
-    let n = fused.nodes();
-    let mut moved: Option<Vec<Option<usize>>> = before
-        .filter(|before| *before != &***robots)
-        .map(|before| robots.iter().map(|robot| before.binary_search(robot).ok()).collect());
-    if before.is_none() {
-        search.forget();
-    }
-    let mut rank = wanted.cut.least_rank(n);
-    let (choice, report) = loop {
-        let options = KatzSvdOptions { rank, tolerance: tolerance_of(wanted), seed: *seed };
-        let report = search.solve(fused, *alpha, radius, options, moved.as_deref())?;
-        moved = None;
-        if !report.converged && n <= WHOLE_IN_NEED {
-            search.forget();
-            return whole(wanted, stopwatch);
-        }
-        match wanted.cut.of_some(search, (rank, n)) {
-            Some(choice) if !choice.short => break (choice, report),
-            _ => rank = (2 * rank).min(n),
-        }
+    let update = similarity.update(wanted.fused, wanted.chosen, wanted.robots)?;
+    let overflow = katz::KatzError::Overflow { alpha: wanted.chosen.alpha };
+    let s = similarity.matrix().ok_or(overflow)?;
+    let solved_us = stopwatch.lap();
+    let (all, mode) = match (kept, update.method) {
+        (Some(Kept::Whole(all)), Method::Kept) => (all, EmbeddingMode::Cached),
+        (_, Method::Kept | Method::Updated) => (full_svd(&s)?, EmbeddingMode::Updated),
+        _ => (full_svd(&s)?, EmbeddingMode::Dense),
     };
-    let svd = search.truncate(choice.dimension)?;
-    let residual = report.residual;
-    let took_us = [0, stopwatch.lap()];
-    let mode = EmbeddingMode::InverseFree;
-    Ok((Kept::Leading { rank, residual }, Obtained { svd, mode, residual, probe: 0.0, took_us }))
+    let svd = all.truncate(wanted.cut.of_all(&all))?;
+    let residual = svd.residual(&s)?;
+    let took_us = [solved_us, stopwatch.lap()];
+    let obtained = Obtained { svd, mode, residual, probe: update.probe, took_us };
+    Ok((Kept::Whole(all), obtained))
 }
 
 impl From<katz::KatzError> for ComputeError {
@@ -279,42 +267,74 @@ impl From<KatzSvdError> for ComputeError {
 
 #[cfg(test)]
 mod tests {
+    use muster_numeric::katz::katz_similarity;
+    use muster_numeric::spectral_radius::spectral_radius;
+
     use super::*;
 
-    fn ring(n: usize) -> SparseMatrix {
-        SparseMatrix::from_triplets(n, (0..n).map(|i| (i, (i + 1) % n, 1.0 + i as f64))).unwrap()
+    /// A ring with a chord from node 0, so heavy.
+    fn ring(n: usize, chord: f64) -> SparseMatrix {
+        let ring = (0..n).map(|i| (i, (i + 1) % n, 1.0 + i as f64));
+        SparseMatrix::from_triplets(n, ring.chain([(0, n / 2, chord)])).unwrap()
     }
 
     fn names(n: usize) -> Arc<[RobotId]> {
         (0..n).map(|i| RobotId::new(format!("r{i:04}")).unwrap()).collect()
     }
 
-    fn get(cache: &mut Option<Cache>, n: usize, alpha: f64) -> Obtained {
-        let (fused, robots) = (ring(n), names(n));
-        let radius = radius_of(cache.as_ref(), &fused);
-        let alpha = alpha / radius.upper;
-        let cut = Cut::Fixed(3);
-        let wanted =
-            Wanted { fused, radius, alpha, robots: &robots, tolerance: 1e-8, seed: 7, cut };
-        obtain(cache, wanted, &mut Stopwatch::still()).unwrap()
+    #[derive(Default)]
+    struct Bench {
+        cache: Cache,
+        similarity: Similarity,
+    }
+
+    impl Bench {
+        fn get(&mut self, n: usize, chord: f64, alpha: f64) -> Obtained {
+            let fused = ring(n, chord);
+            let radius = spectral_radius(&fused, None);
+            let alpha = alpha / n as f64;
+            assert!(alpha * radius.upper < 1.0);
+            let wanted = Wanted {
+                fused: &fused,
+                chosen: &Chosen { alpha, radius, centrality: vec![1.0; n] },
+                robots: &names(n),
+                tolerance: 1e-8,
+                seed: 7,
+                cut: Cut::Fixed(3),
+            };
+            self.cache.obtain(&mut self.similarity, &wanted, &mut Stopwatch::still()).unwrap()
+        }
     }
 
     #[test]
     fn the_same_graph_and_decay_reuse_the_triplets() {
         for (n, mode) in [(8, EmbeddingMode::Dense), (90, EmbeddingMode::InverseFree)] {
-            let mut cache = None;
-            assert_eq!(get(&mut cache, n, 0.5).mode, mode);
-            assert_eq!(get(&mut cache, n, 0.5).mode, EmbeddingMode::Cached);
-            assert_eq!(get(&mut cache, n, 0.25).mode, mode);
+            let mut bench = Bench::default();
+            assert_eq!(bench.get(n, 0.0, 0.5).mode, mode);
+            assert_eq!(bench.get(n, 0.0, 0.5).mode, EmbeddingMode::Cached);
+            assert_eq!(bench.get(n, 0.0, 0.25).mode, mode);
         }
     }
 
     #[test]
+    fn few_changes_update_the_similarity_of_a_small_fleet() {
+        let mut bench = Bench::default();
+        bench.get(20, 0.5, 0.5);
+        let updated = bench.get(20, 0.7, 0.5);
+        assert_eq!(updated.mode, EmbeddingMode::Updated);
+        let anew = Bench::default().get(20, 0.7, 0.5);
+        assert_eq!(anew.mode, EmbeddingMode::Dense);
+        for (updated, anew) in updated.svd.sigma.iter().zip(&anew.svd.sigma) {
+            assert!((updated - anew).abs() < 1e-14);
+        }
+        assert!(updated.probe < 1e-14);
+    }
+
+    #[test]
     fn both_ways_agree() {
-        let mut cache = None;
-        let found = get(&mut cache, 90, 0.5);
-        let (fused, radius) = (ring(90), spectral_radius(&ring(90), None));
-        let similarity = katz_similarity(&fused, 0.5 / radius.upper, &radius).unwrap();
+        let found = Bench::default().get(90, 0.0, 0.5);
+        let (fused, radius) = (ring(90, 0.0), spectral_radius(&ring(90, 0.0), None));
+        let similarity = katz_similarity(&fused, 0.5 / 90.0, &radius).unwrap();
         let all = full_svd(&similarity).unwrap();
         for (found, wanted) in found.svd.sigma.iter().zip(all.singular_values()) {
             assert!((found - wanted).abs() < 1e-9 * wanted);
@@ -323,25 +343,11 @@ mod tests {
     }
 
     #[test]
-    fn a_spoilt_similarity_is_found_by_the_probe_and_replaced() {
-        let mut cache = None;
-        get(&mut cache, 8, 0.5);
-        let kept = cache.as_mut().unwrap();
-        let Kept::Whole(similarity, _) = &mut kept.kept else { panic!("a small fleet") };
-        let mut data = similarity.data().to_vec();
-        data[5] += 1e-3;
-        *similarity = DenseMatrix::new(8, 8, data).unwrap();
-        let mended = get(&mut cache, 8, 0.5);
-        assert_eq!(mended.mode, EmbeddingMode::Dense);
-        assert!(mended.probe < 1e-14);
-    }
-
-    #[test]
     fn robots_that_join_are_no_new_beginning() {
-        let mut cache = None;
-        get(&mut cache, 90, 0.5);
-        assert_eq!(get(&mut cache, 92, 0.5).mode, EmbeddingMode::InverseFree);
-        assert_eq!(get(&mut cache, 20, 0.5).mode, EmbeddingMode::Dense);
-        assert_eq!(get(&mut cache, 90, 0.5).mode, EmbeddingMode::InverseFree);
+        let mut bench = Bench::default();
+        bench.get(90, 0.0, 0.5);
+        assert_eq!(bench.get(92, 0.0, 0.5).mode, EmbeddingMode::InverseFree);
+        assert_eq!(bench.get(20, 0.0, 0.5).mode, EmbeddingMode::Dense);
+        assert_eq!(bench.get(90, 0.0, 0.5).mode, EmbeddingMode::InverseFree);
     }
 }

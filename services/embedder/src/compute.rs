@@ -1,4 +1,4 @@
-//! The job: from one consistent frame to one vector per robot.
+//! The job: from one consistent frame to one vector per robot, or to the similarity of pairs.
 //!
 //! A job owns or shares everything that it needs, and its result depends on nothing else but the
 //! times that its stopwatch tells ([`EmbeddingQuality::stage_us`]).
@@ -8,23 +8,26 @@ use std::sync::Arc;
 
 use muster_machine::Stopwatch;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
-use muster_model::graph::{GraphReplica, Node};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::{
-    Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
-    SingularValueScaling,
+    Dimension, EmbedderSettings, MAX_DIMENSION, RowScaling, SingularValueScaling,
 };
 use muster_numeric::alignment::align;
 use muster_numeric::embedding::{Rows, Scale, embed};
-use muster_numeric::fuse::{self, fuse};
-use muster_numeric::katz::{self, KatzError};
+use muster_numeric::fuse;
+use muster_numeric::katz::KatzError;
 use muster_numeric::katz_svd::KatzSvdError;
 use muster_numeric::matrix::{DenseMatrix, MatrixError, SparseMatrix};
 use muster_numeric::svd::SvdError;
 
-use crate::cache::{Cache, Cut, Obtained, Wanted, obtain, radius_of};
+use crate::cache::{Cache, Cut, Obtained, Wanted};
+use crate::correspondence::Correspondence;
+use crate::decay::{Chosen, Decay};
 use crate::follow::Frame;
+use crate::fusion::{Fusion, Recipe};
+use crate::pairs::{Compared, Fused, NOTHING_TO_COMPARE, compare};
+use crate::similarity::Similarity;
 
 /// What an embedding rests on. As long as it stays the same, so does the embedding.
 #[derive(Debug, Clone, PartialEq)]
@@ -37,26 +40,65 @@ pub(crate) struct Basis {
     pub(crate) settings: EmbedderSettings,
     /// How many teams the rule for the dimension reckons with; none if the dimension is fixed.
     pub(crate) teams: Option<u32>,
+    /// Whether the fleet has come to rest, so that there is time for the scales and the decay of its very
+    /// graphs, and for more digits.
+    pub(crate) settled: bool,
 }
 
-/// The computation of one embedding.
+impl Basis {
+    /// Whether both rest on the same, at rest or not.
+    pub(crate) fn is_of(&self, other: &Self) -> bool {
+        (&self.robots, &self.graphs, &self.settings, self.teams)
+            == (&other.robots, &other.graphs, &other.settings, other.teams)
+    }
+}
+
+/// Long work.
 #[derive(Debug)]
 pub struct Job {
-    pub(crate) frame: Arc<Frame>,
-    pub(crate) basis: Basis,
-    /// With which embedding the new one is aligned.
-    pub(crate) previous: Option<Arc<Embedding>>,
+    pub(crate) task: Task,
     /// It returns with the end of the job.
-    pub(crate) cache: Option<Cache>,
+    pub(crate) memory: Box<Memory>,
+}
+
+/// What a job is to do.
+#[derive(Debug)]
+pub(crate) enum Task {
+    /// An embedding.
+    Embed {
+        frame: Arc<Frame>,
+        basis: Basis,
+        /// With which embedding the new one is aligned.
+        previous: Option<Arc<Embedding>>,
+    },
+    /// The similarity of pairs of robots, by the graphs of the last embedding.
+    Compare(Vec<[RobotId; 2]>),
 }
 
 /// The end of a job.
 #[derive(Debug)]
 pub struct Done {
-    pub(crate) frame: Arc<Frame>,
-    pub(crate) basis: Basis,
-    pub(crate) cache: Option<Cache>,
-    pub(crate) result: Result<Computed, ComputeError>,
+    pub(crate) memory: Box<Memory>,
+    pub(crate) result: Outcome,
+}
+
+/// What a job has led to.
+#[derive(Debug)]
+pub(crate) enum Outcome {
+    Embedded { frame: Arc<Frame>, basis: Basis, result: Result<Computed, ComputeError> },
+    Compared(Vec<Result<Compared, String>>),
+}
+
+/// What is kept from job to job.
+#[derive(Debug, Default)]
+pub(crate) struct Memory {
+    robots: Arc<[RobotId]>,
+    fusion: Fusion,
+    decay: Decay,
+    similarity: Similarity,
+    cache: Cache,
+    /// A* and its decay, once there is an embedding.
+    pub(crate) last: Option<(SparseMatrix, Chosen)>,
 }
 
 /// An embedding without its head.
@@ -66,6 +108,7 @@ pub(crate) struct Computed {
     pub(crate) dimension: u32,
     pub(crate) values: Vec<f64>,
     pub(crate) unseen: Vec<bool>,
+    pub(crate) centrality: Vec<f64>,
     pub(crate) quality: EmbeddingQuality,
 }
 
@@ -119,38 +162,82 @@ impl ComputeError {
 
 /// Does a job.
 pub(crate) fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {
-    let Job { frame, basis, previous, mut cache } = job;
-    let result = compute(&frame, &basis, previous.as_deref(), &mut cache, stopwatch);
-    Done { frame, basis, cache, result }
+    let Job { task, mut memory } = job;
+    let result = match task {
+        Task::Embed { frame, basis, previous } => {
+            let result = compute(&frame, &basis, previous.as_deref(), &mut memory, stopwatch);
+            Outcome::Embedded { frame, basis, result }
+        }
+        Task::Compare(pairs) => Outcome::Compared(memory.compare(&pairs)),
+    };
+    Done { memory, result }
+}
+
+impl Memory {
+    /// The similarity of pairs of robots by the graphs of the last embedding.
+    fn compare(&mut self, pairs: &[[RobotId; 2]]) -> Vec<Result<Compared, String>> {
+        let Some((fused, chosen)) = &self.last else {
+            return pairs.iter().map(|_| Err(NOTHING_TO_COMPARE.to_owned())).collect();
+        };
+        let fused = Fused { matrix: fused, chosen, robots: &self.robots };
+        compare(fused, &self.fusion, &mut self.similarity, pairs)
+    }
+
+    /// A* and its decay for a frame.
+    fn fuse(
+        &mut self,
+        frame: &Frame,
+        basis: &Basis,
+    ) -> Result<(SparseMatrix, Chosen), ComputeError> {
+        let settings = &basis.settings;
+        self.last = None;
+        if let Some(between) = Correspondence::between(&self.robots, &frame.robots) {
+            self.decay.carry(&between);
+        }
+        self.robots = Arc::clone(&frame.robots);
+        let recipe = Recipe {
+            weights: &weights_of(basis)?,
+            normalize: settings.normalize,
+            hysteresis: settings.hysteresis,
+            settle: basis.settled,
+        };
+        let fused = self.fusion.fuse(frame, recipe)?;
+        let chosen =
+            self.decay.choose(&fused, settings.alpha, settings.hysteresis, basis.settled)?;
+        if basis.settled {
+            // Not brought up to date, but solved anew: to the last digits.
+            self.similarity = Similarity::default();
+        }
+        Ok((fused, chosen))
+    }
+}
+
+fn weights_of(basis: &Basis) -> Result<Vec<f64>, ComputeError> {
+    let names = basis.graphs.iter().map(|(name, _)| name);
+    match weights(&basis.settings.weights, names) {
+        // Whatever the weights, nobody is left to be divided, and that must be told.
+        Err(_) if basis.robots.is_empty() => Ok(vec![0.0; basis.graphs.len()]),
+        weights => weights,
+    }
 }
 
 fn compute(
     frame: &Frame,
     basis: &Basis,
     previous: Option<&Embedding>,
-    cache: &mut Option<Cache>,
+    memory: &mut Memory,
     stopwatch: &mut Stopwatch,
 ) -> Result<Computed, ComputeError> {
     let settings = &basis.settings;
-    let names = basis.graphs.iter().map(|(name, _)| name);
-    let weights = match weights(&settings.weights, names) {
-        // Whatever the weights, nobody is left to be divided, and that must be told.
-        Err(_) if basis.robots.is_empty() => vec![0.0; basis.graphs.len()],
-        weights => weights?,
-    };
-    let fused = fused(frame, &weights, settings.normalize)?;
-    let radius = radius_of(cache.as_ref(), &fused);
-    let alpha = match settings.alpha {
-        Alpha::Value(alpha) => katz::Alpha::Value(alpha),
-        Alpha::Fraction { fraction } => katz::Alpha::Fraction(fraction),
-    };
-    let alpha = alpha.resolve(&fused, &radius)?;
+    let (fused, chosen) = memory.fuse(frame, basis)?;
+    let centrality = chosen.centrality.clone();
     let fused_us = stopwatch.lap();
 
-    let named = basis.graphs.iter().zip(weights);
+    let named = basis.graphs.iter().zip(weights_of(basis)?);
     let graphs = named.map(|((name, at), weight)| (name.clone(), *at, weight)).collect();
     let robots = basis.robots.len();
-    let bounds = (radius.lower, radius.upper);
+    let bounds = (chosen.radius.lower, chosen.radius.upper);
+    let alpha = chosen.alpha;
     if robots < 2 || fused.is_zero() {
         let quality = EmbeddingQuality {
             spectral_radius: bounds,
@@ -165,7 +252,8 @@ fn compute(
             stage_us: [fused_us, 0, 0],
         };
         let (values, unseen) = (vec![0.0; 2 * robots], vec![true; robots]);
-        return Ok(Computed { graphs, dimension: 2, values, unseen, quality });
+        memory.last = Some((fused, chosen));
+        return Ok(Computed { graphs, dimension: 2, values, unseen, centrality, quality });
     }
 
     let related = related(&fused);
@@ -180,15 +268,21 @@ fn compute(
         },
     };
     let wanted = Wanted {
-        fused,
-        radius,
-        alpha,
+        fused: &fused,
+        chosen: &chosen,
         robots: &basis.robots,
-        tolerance: settings.residual_tolerance,
+        tolerance: if basis.settled {
+            settings.idle_tolerance.min(settings.residual_tolerance)
+        } else {
+            settings.residual_tolerance
+        },
         seed: frame.roster.header.revision.epoch,
         cut,
     };
-    let Obtained { svd, mode, residual, probe, took_us } = obtain(cache, wanted, stopwatch)?;
+    let Memory { cache, similarity, .. } = memory;
+    let obtained = cache.obtain(similarity, &wanted, stopwatch)?;
+    let Obtained { svd, mode, residual, probe, took_us } = obtained;
+    memory.last = Some((fused, chosen));
     let scale = match settings.scale {
         SingularValueScaling::None => Scale::None,
         SingularValueScaling::SqrtSigma => Scale::SqrtSigma,
@@ -207,6 +301,7 @@ fn compute(
         graphs,
         dimension: u32::try_from(x.cols()).unwrap_or(u32::MAX),
         unseen: embedded.weak,
+        centrality,
         quality: EmbeddingQuality {
             spectral_radius: bounds,
             alpha,
@@ -246,42 +341,6 @@ fn weights<'a>(
         return Ok(weights);
     }
     Ok(weights.into_iter().map(|weight| weight / present).collect())
-}
-
-/// A* of a frame.
-fn fused(
-    frame: &Frame,
-    weights: &[f64],
-    normalize: Normalization,
-) -> Result<SparseMatrix, ComputeError> {
-    if frame.graphs.is_empty() {
-        return Ok(SparseMatrix::from_triplets(frame.robots.len(), [])?);
-    }
-    let matrices = frame.graphs.iter().map(|(_, graph)| adjacency(graph, &frame.robots));
-    let matrices = matrices.collect::<Result<Vec<_>, _>>()?;
-    let weighted: Vec<_> = matrices.iter().zip(weights.iter().copied()).collect();
-    let normalization = match normalize {
-        Normalization::None => fuse::Normalization::None,
-        Normalization::Spectral => fuse::Normalization::Spectral,
-    };
-    Ok(fuse(&weighted, normalization)?)
-}
-
-/// The matrix of a graph over robots that are ordered by name. Edges of other robots are left out;
-/// a consistent frame has none.
-fn adjacency(graph: &GraphReplica, robots: &[RobotId]) -> Result<SparseMatrix, MatrixError> {
-    let place = |(node, robot): (&Node, &RobotId)| Some((*node, robots.binary_search(robot).ok()?));
-    let places: BTreeMap<_, _> = graph.nodes().iter().filter_map(place).collect();
-    let edges = graph.rows().iter().filter_map(|(source, edges)| {
-        let row = *places.get(source)?;
-        let places = &places;
-        Some(
-            edges
-                .iter()
-                .filter_map(move |(target, weight)| Some((row, *places.get(target)?, *weight))),
-        )
-    });
-    SparseMatrix::from_triplets(robots.len(), edges.flatten())
 }
 
 /// Whether each robot has an edge, from it or to it.

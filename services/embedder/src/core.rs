@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, Footprint, JobGate, Role, START_FETCH, Start,
-    Stopwatch, Subscription, TERM_FETCH, Turn, Wiring,
+    Answered, Core, Delivery, Effect, Effects, Event, Footprint, JobGate, QueryId, Role,
+    START_FETCH, Start, Stopwatch, Subscription, TERM_FETCH, Turn, Wiring,
 };
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::{EventKind, Severity};
@@ -17,14 +17,21 @@ use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern, Request};
 
-use crate::cache::Cache;
-use crate::compute::{Basis, Done, Job, run};
+use crate::compute::{Basis, Computed, Done, Job, Memory, Outcome, Task, run};
 use crate::follow::{Follower, Frame, Taken};
+use crate::pairs::{NOTHING_TO_COMPARE, Questions};
 use crate::teams::{SETTINGS_FETCH, TeamsWanted};
 
 /// How often an embedding is told again while rosters go on and nothing that it rests on changes, so
 /// that who reads it sees that the data behind it is fresh.
 const HEARTBEAT: Duration = Duration::from_secs(1);
+
+/// How long nothing must change for a fleet to be at rest. Two robots that stop, and a third one a moment
+/// later, should not cost two thorough embeddings.
+const REST: Duration = Duration::from_secs(1);
+
+/// Difference of two coordinates of the same vector that is rounding.
+const SAME: f64 = 1e-10;
 
 /// Packets of one graph that wait for the core: some seconds of deltas.
 const GRAPH_QUEUE: usize = 64;
@@ -36,15 +43,20 @@ pub struct Embedder {
     follow: Follower,
     /// How many teams `clusterer` divides the fleet into.
     teams: TeamsWanted,
-    /// The cache of the last job, while none runs.
-    cache: Option<Cache>,
-    /// None is started while one runs: the cache is with that one.
+    /// What the last job has left for the next one; none while one runs, which has it.
+    memory: Option<Box<Memory>>,
     gate: JobGate<Basis>,
+    /// Gets of the similarity of two robots.
+    questions: Questions,
     /// The last good embedding, the one of the holder before at first.
     embedding: Option<Arc<Embedding>>,
     /// What the embedding rests on, and when it was last published; none for one that was learned.
     published: Option<(Basis, Tick)>,
+    /// What the last embedding was computed from, and when.
+    made: Option<(Basis, Tick)>,
     heartbeat: Option<Tick>,
+    /// When the fleet will be at rest if nothing changes.
+    rest: Option<Tick>,
     /// Whether an embedding was made while the role was in doubt, and so was not heard by anybody.
     unheard: bool,
 }
@@ -83,6 +95,7 @@ impl Core for Embedder {
                 events.into_iter().for_each(|event| self.take_event(now, event, effects));
             }
             Turn::StandDown => {
+                self.questions.refuse("another instance has taken over; ask again", effects);
                 *self = Self::following(self.role.clone(), self.gate.abandoned());
                 self.take_event(now, Event::Started, effects);
             }
@@ -97,7 +110,7 @@ impl Core for Embedder {
         }
         let retry = self.gate.deadline().filter(|_| self.wanted().is_some());
         let asking = [follow, Some(self.teams.due()), self.role.deadline()];
-        asking.into_iter().chain([retry, self.heartbeat]).flatten().min()
+        asking.into_iter().chain([retry, self.heartbeat, self.rest]).flatten().min()
     }
 
     fn standing(&self) -> Standing {
@@ -127,11 +140,14 @@ impl Embedder {
             role,
             follow: Follower::default(),
             teams: TeamsWanted::default(),
-            cache: None,
+            memory: None,
             gate,
+            questions: Questions::default(),
             embedding: None,
             published: None,
+            made: None,
             heartbeat: None,
+            rest: None,
             unheard: false,
         }
     }
@@ -166,6 +182,10 @@ impl Embedder {
             Event::Fetched { fetch, messages } => self.fetched(now, fetch, messages, effects),
             Event::Done(_) | Event::JobFailed(_) if self.gate.was_abandoned() => {}
             Event::Done(done) => self.done(now, done, effects),
+            Event::JobFailed(_) if self.gate.ended_aside() => {
+                self.role.count("comparisons_failed");
+                self.questions.refuse("the comparison has failed", effects);
+            }
             Event::JobFailed(reason) => {
                 let told = self.gate.panicked(now, &reason);
                 self.fail(now, told, effects);
@@ -174,8 +194,7 @@ impl Embedder {
                 let state = self.state();
                 match self.role.answer(now, query, request, &state, effects) {
                     Answered::NotOurs(query, request) => {
-                        let answer = Ok(self.answer(&request));
-                        effects.push(Effect::Reply { query, request, answer });
+                        self.answer_get(query, request, effects);
                     }
                     Answered::Done | Answered::SettingsChanged => {}
                 }
@@ -312,13 +331,29 @@ impl Embedder {
             let patterns = vec![Pattern::One(Key::Settings(ServiceName::Clusterer))];
             effects.push(Effect::Fetch { fetch: SETTINGS_FETCH, patterns });
         }
-        self.heartbeat = None;
+        // Questions take turns with embeddings, however many are asked: each job answers all that wait.
+        if self.questions.wait() && !self.gate.is_running() {
+            self.compare(effects);
+        }
+        (self.heartbeat, self.rest) = (None, None);
         let Some(frame) = self.wanted().cloned() else { return };
-        let basis = self.basis(&frame);
+        let basis = self.basis(now, &frame);
         self.beat(now, &frame, &basis, effects);
         if self.gate.wants(now, &basis) {
             self.start(frame, basis, effects);
         }
+    }
+
+    /// Starts the job that answers the questions, if there is an embedding to answer them by.
+    fn compare(&mut self, effects: &mut Effects<Job>) {
+        let (Some(embedding), Some(memory)) = (&self.embedding, self.memory.take()) else {
+            self.questions.refuse(NOTHING_TO_COMPARE, effects);
+            return;
+        };
+        let task = Task::Compare(self.questions.ask(embedding.header.clone()));
+        self.role.count("comparisons_started");
+        self.gate.started_aside();
+        effects.push(Effect::Start(Job { task, memory }));
     }
 
     /// Whether the graphs are to be followed: the start has asked for them.
@@ -334,28 +369,47 @@ impl Embedder {
         self.follow.frame().filter(|frame| told || !frame.robots.is_empty())
     }
 
-    /// What the embedding of a frame rests on by the settings in force.
-    fn basis(&self, frame: &Frame) -> Basis {
+    /// What the embedding of a frame rests on by the settings in force; or says when it will rest on more.
+    fn basis(&mut self, now: Tick, frame: &Frame) -> Basis {
         let settings = self.role.settings().clone();
         let graphs = frame.graphs.iter().map(|(name, graph)| (name.clone(), graph.revision()));
-        Basis {
+        let mut basis = Basis {
             robots: frame.robots.clone(),
             graphs: graphs.collect(),
             teams: (settings.dimension == Dimension::Auto).then_some(self.teams.teams()),
             settings,
+            settled: false,
+        };
+        if let Some((made, since)) = &self.made
+            && made.is_of(&basis)
+        {
+            let due = since.after(REST);
+            basis.settled = made.settled || due <= now;
+            self.rest = (!basis.settled).then_some(due);
         }
+        basis
     }
 
     fn start(&mut self, frame: Arc<Frame>, basis: Basis, effects: &mut Effects<Job>) {
         self.role.count("jobs_started");
         self.gate.started(basis.clone());
-        let (previous, cache) = (self.embedding.clone(), self.cache.take());
-        effects.push(Effect::Start(Job { frame, basis, previous, cache }));
+        let previous = self.embedding.clone();
+        let memory = self.memory.take().unwrap_or_default();
+        let task = Task::Embed { frame, basis, previous };
+        effects.push(Effect::Start(Job { task, memory }));
     }
 
     fn done(&mut self, now: Tick, done: Done, effects: &mut Effects<Job>) {
-        self.cache = done.cache;
-        match done.result {
+        self.memory = Some(done.memory);
+        let (frame, basis, result) = match done.result {
+            Outcome::Embedded { frame, basis, result } => (frame, basis, result),
+            Outcome::Compared(answers) => {
+                self.gate.ended_aside();
+                self.questions.answered(answers, effects);
+                return;
+            }
+        };
+        match result {
             Err(error) => {
                 let told = self.gate.refused(now, error.kind(), error.to_string());
                 self.fail(now, told, effects);
@@ -363,22 +417,40 @@ impl Embedder {
             Ok(computed) => {
                 self.role.count("jobs_done");
                 self.gate.succeeded();
-                let roster = &done.frame.roster;
-                let stage = self.role.stage(done.frame.received, now);
+                self.made = Some((basis.clone(), now));
+                if basis.settled && self.is_told(&computed) {
+                    // Nobody needs to hear the same digits again.
+                    self.role.count("embeddings_confirmed");
+                    return;
+                }
+                let roster = &frame.roster;
+                let stage = self.role.stage(frame.received, now);
                 let embedding = Embedding {
                     header: roster.header.next_stage(self.role.next_revision(), stage),
                     roster: roster.header.revision,
                     graphs: computed.graphs,
-                    robots: done.basis.robots.to_vec(),
+                    robots: basis.robots.to_vec(),
                     dimension: computed.dimension,
                     values: computed.values,
                     unseen: computed.unseen,
+                    centrality: computed.centrality,
                     quality: computed.quality,
                 };
-                self.published = Some((done.basis, now));
+                self.published = Some((basis, now));
                 self.publish(embedding, effects);
             }
         }
+    }
+
+    /// Whether what was computed for a fleet at rest is what was published, as exactly as is promised.
+    fn is_told(&self, computed: &Computed) -> bool {
+        let Some(told) = &self.embedding else { return false };
+        let tolerance = self.role.settings().idle_tolerance;
+        let near = |(new, old): (&f64, &f64)| (new - old).abs() <= SAME;
+        told.quality.residual <= tolerance
+            && told.dimension == computed.dimension
+            && told.values.len() == computed.values.len()
+            && computed.values.iter().zip(&told.values).all(near)
     }
 
     fn publish(&mut self, embedding: Embedding, effects: &mut Effects<Job>) {
@@ -408,7 +480,7 @@ impl Embedder {
     fn beat(&mut self, now: Tick, frame: &Frame, basis: &Basis, effects: &mut Effects<Job>) {
         let (Some((of, at)), Some(embedding)) = (&self.published, &self.embedding) else { return };
         let roster = &frame.roster.header;
-        if of != basis || roster.revision <= embedding.roster {
+        if !of.is_of(basis) || roster.revision <= embedding.roster {
             return;
         }
         let due = at.after(HEARTBEAT);
@@ -429,6 +501,21 @@ impl Embedder {
         self.role.count("jobs_failed");
         if let Some(reason) = told {
             self.role.tell(now, Severity::Error, EventKind::JobFailed { reason }, effects);
+        }
+    }
+
+    /// Answers a get of what the service serves.
+    fn answer_get(&mut self, query: QueryId, request: Request, effects: &mut Effects<Job>) {
+        let of_embedding = request.selects(self.role.space(), &Key::Embedding);
+        match request.katz.clone() {
+            // Who does not hold the role leaves the answer to the holder.
+            Some(pair) if of_embedding && self.role.is_holding() => {
+                self.questions.take(query, request, pair, effects);
+            }
+            _ => {
+                let answer = Ok(self.answer(&request));
+                effects.push(Effect::Reply { query, request, answer });
+            }
         }
     }
 

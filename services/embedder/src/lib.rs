@@ -1,9 +1,11 @@
 //! Graphs in, one vector per robot out.
 //!
 //! `embedder` follows the graphs of all modalities into frames that belong together (module
-//! `follow`), fuses each frame, takes the leading singular vectors of its Katz similarity (module
-//! `compute`, with the similarity of the last frame kept by module `cache`), and publishes them as
-//! [`muster_model::embedding::Embedding`]. When it does so is decided by module `core`; how many
+//! `follow`), fuses each frame (module `fusion`) and chooses the decay (module `decay`), takes the
+//! leading singular vectors of the Katz similarity (module `compute`, beginning with those of the last
+//! frame, which module `cache` keeps), and publishes them as
+//! [`muster_model::embedding::Embedding`]. Gets of the similarity of two robots are answered by module
+//! `pairs`. When it does so is decided by module `core`; how many
 //! teams are wanted, on which the dimension depends, is heard by module `teams`.
 //!
 //! | comes in | goes out |
@@ -16,7 +18,12 @@
 mod cache;
 mod compute;
 mod core;
+mod correspondence;
+mod decay;
 mod follow;
+mod fusion;
+mod pairs;
+mod similarity;
 mod teams;
 
 pub use crate::compute::{Done, Job};

@@ -24,6 +24,8 @@ pub struct JobGate<Task> {
     retry: Option<Tick>,
     standing: Option<String>,
     told: Option<(&'static str, Tick)>,
+    /// Whether a job that is for no task runs.
+    aside: bool,
     abandoned: bool,
 }
 
@@ -35,6 +37,7 @@ impl<Task> Default for JobGate<Task> {
             retry: None,
             standing: None,
             told: None,
+            aside: false,
             abandoned: false,
         }
     }
@@ -45,7 +48,7 @@ impl<Task: PartialEq> JobGate<Task> {
     /// last, or the last has panicked and its time has come again.
     #[must_use]
     pub fn wants(&self, now: Tick, task: &Task) -> bool {
-        self.running.is_none()
+        !self.is_running()
             && (self.settled.as_ref() != Some(task) || self.retry.is_some_and(|at| at <= now))
     }
 
@@ -55,10 +58,21 @@ impl<Task: PartialEq> JobGate<Task> {
         self.running = Some(task);
     }
 
+    /// A job starts that is for no task, such as one whose result answers a get: it keeps others from
+    /// starting and leaves no trace. One that panics is no failure of a task either.
+    pub fn started_aside(&mut self) {
+        self.aside = true;
+    }
+
+    /// Such a job has ended, well or not, if one ran; whether one did.
+    pub fn ended_aside(&mut self) -> bool {
+        std::mem::take(&mut self.aside)
+    }
+
     /// Whether a job runs.
     #[must_use]
     pub fn is_running(&self) -> bool {
-        self.running.is_some()
+        self.aside || self.running.is_some()
     }
 
     /// The task of the last job that has ended.
@@ -71,8 +85,8 @@ impl<Task: PartialEq> JobGate<Task> {
     /// one's result is not wanted, and no other starts beside it.
     #[must_use]
     pub fn abandoned(&mut self) -> Self {
-        let running = self.running.take();
-        Self { abandoned: running.is_some(), running, ..Self::default() }
+        let abandoned = self.is_running();
+        Self { abandoned, aside: self.aside, running: self.running.take(), ..Self::default() }
     }
 
     /// Whether the job that has just ended was [`JobGate::abandoned`]: then it is as if it had never
@@ -82,6 +96,7 @@ impl<Task: PartialEq> JobGate<Task> {
         let abandoned = std::mem::take(&mut self.abandoned);
         if abandoned {
             self.running = None;
+            self.aside = false;
         }
         abandoned
     }
@@ -125,7 +140,7 @@ impl<Task: PartialEq> JobGate<Task> {
     /// When a failed task is to be tried again.
     #[must_use]
     pub fn deadline(&self) -> Option<Tick> {
-        self.retry.filter(|_| self.running.is_none())
+        self.retry.filter(|_| !self.is_running())
     }
 }
 
@@ -160,6 +175,21 @@ mod tests {
         assert_eq!(told, 3, "five tries in five seconds, each second one told");
         assert!(gate.standing_failure().unwrap().contains('x'));
         assert!(gate.wants(now, &2), "another task does not wait");
+    }
+
+    #[test]
+    fn a_job_aside_holds_others_up_and_leaves_no_trace() {
+        let mut gate = JobGate::default();
+        gate.started(1);
+        gate.succeeded();
+        gate.started_aside();
+        assert!(gate.is_running() && !gate.wants(NOW, &2));
+        assert!(gate.ended_aside() && !gate.ended_aside());
+        assert!(!gate.wants(NOW, &1) && gate.wants(NOW, &2));
+        gate.started_aside();
+        let mut anew = gate.abandoned();
+        assert!(!anew.wants(NOW, &2));
+        assert!(anew.was_abandoned() && !anew.ended_aside() && anew.wants(NOW, &1));
     }
 
     #[test]

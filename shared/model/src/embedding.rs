@@ -12,6 +12,9 @@ use crate::id::{Modality, RobotId};
 pub enum EmbeddingMode {
     /// The similarity was solved for by LU and decomposed whole.
     Dense,
+    /// The similarity was brought up to date by the rows and columns of the graph that changed, and
+    /// decomposed whole.
+    Updated,
     /// The graphs and the decay are still those of the last embedding, whose triplets serve.
     Cached,
     /// The leading triplets were found from products with the graphs, and the similarity never formed.
@@ -40,7 +43,8 @@ pub struct EmbeddingQuality {
     pub ambiguous: bool,
     /// Which way it was computed.
     pub mode: EmbeddingMode,
-    /// Microseconds that fusing and the spectral radius, the similarity, and the decomposition took.
+    /// Microseconds that fusing with the spectral radius and the centralities, the similarity, and the
+    /// decomposition took.
     pub stage_us: [u64; 3],
 }
 
@@ -61,6 +65,9 @@ pub struct Embedding {
     pub values: Vec<f64>,
     /// Robots that the K leading singular vectors do not see: no division can be read off their row.
     pub unseen: Vec<bool>,
+    /// Katz centrality of each robot, at least 1: the weight of all walks that begin at it, each step
+    /// damped by the decay, the walk of no step included.
+    pub centrality: Vec<f64>,
     /// What it rests on and how exact it is.
     pub quality: EmbeddingQuality,
 }
@@ -80,6 +87,10 @@ impl Embedding {
         }
         if !self.robots.is_sorted_by(|left, right| left < right) {
             return Err("robots: must be ordered by name without repetition");
+        }
+        if self.centrality.len() != robots || !self.centrality.iter().all(|value| value.is_finite())
+        {
+            return Err("centrality: must have one finite entry per robot");
         }
         if !self.values.iter().all(|value| value.is_finite()) {
             return Err("values: must be finite");

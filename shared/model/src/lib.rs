@@ -14,6 +14,7 @@ pub mod event;
 pub mod graph;
 pub mod header;
 pub mod id;
+pub mod katz;
 pub mod limits;
 pub mod object;
 pub mod observation;

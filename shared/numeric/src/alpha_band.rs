@@ -49,6 +49,11 @@ impl AlphaBand {
         self.alpha
     }
 
+    /// Lets go of the α in force: the next frame gets its own.
+    pub fn reset(&mut self) {
+        self.alpha = None;
+    }
+
     /// Least and largest αρ at which α stays.
     #[must_use]
     pub fn limits(&self) -> (f64, f64) {

@@ -15,7 +15,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::katz::{KatzError, check_alpha, katz_similarity};
-use crate::matrix::{MatrixError, SparseMatrix};
+use crate::matrix::{DenseMatrix, MatrixError, SparseMatrix};
 use crate::spectral_radius::SpectralRadius;
 use changes::{Changes, Row};
 use woodbury::{Woodbury, multiply};
@@ -454,6 +454,15 @@ impl CachedKatz {
     #[must_use]
     pub fn pair(&self, i: usize, j: usize) -> Option<f64> {
         self.entry(i, j).map(|value| value.max(0.0))
+    }
+
+    /// S as a matrix of its own, n × n, in the order of the nodes. `None` while changes wait for
+    /// [`CachedKatz::apply`].
+    #[must_use]
+    pub fn similarity(&self) -> Option<DenseMatrix> {
+        let n = self.place.len();
+        let at = |i: usize, j: usize| self.place[i] as usize * self.slots + self.place[j] as usize;
+        (!self.waiting).then(|| DenseMatrix::from_fn(n, n, |i, j| self.s[at(i, j)].max(0.0)))
     }
 
     fn entry(&self, i: usize, j: usize) -> Option<f64> {

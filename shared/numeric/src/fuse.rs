@@ -58,9 +58,23 @@ pub fn fuse(
     graphs: &[(&SparseMatrix, f64)],
     normalization: Normalization,
 ) -> Result<SparseMatrix, FuseError> {
+    let norm = |&(graph, weight): &(&SparseMatrix, f64)| match normalization {
+        Normalization::Spectral if weight > 0.0 => spectral_norm(graph),
+        _ => 1.0,
+    };
+    let scaled: Vec<_> = graphs.iter().map(|pair| (pair.0, pair.1, norm(pair))).collect();
+    fuse_scaled(&scaled)
+}
+
+/// Σ w_m A_m / s_m from (A_m, w_m, s_m): [`fuse`] with the scales s_m > 0 of the caller, such as those
+/// of [`crate::norm_band`].
+///
+/// # Errors
+/// As [`fuse`].
+pub fn fuse_scaled(graphs: &[(&SparseMatrix, f64, f64)]) -> Result<SparseMatrix, FuseError> {
     let expected = graphs.first().ok_or(FuseError::Empty)?.0.nodes();
     let mut entries = Vec::new();
-    for (index, &(graph, weight)) in graphs.iter().enumerate() {
+    for (index, &(graph, weight, scale)) in graphs.iter().enumerate() {
         if graph.nodes() != expected {
             let found = graph.nodes();
             return Err(FuseError::Nodes { index, expected, found });
@@ -71,13 +85,9 @@ pub fn fuse(
         if weight == 0.0 || graph.is_zero() {
             continue;
         }
-        let norm = match normalization {
-            Normalization::None => 1.0,
-            Normalization::Spectral => spectral_norm(graph),
-        };
         // Dividing each weight rather than multiplying by a quotient keeps symmetric graphs
         // symmetric and a lone graph of norm 1 unchanged.
-        entries.extend(graph.triplets().map(|(i, j, w)| (i, j, weight * (w / norm))));
+        entries.extend(graph.triplets().map(|(i, j, w)| (i, j, weight * (w / scale))));
     }
     Ok(SparseMatrix::from_triplets(expected, entries)?)
 }

@@ -50,6 +50,14 @@ pub enum KatzError {
         /// Nodes of A.
         nodes: usize,
     },
+    /// There is no such node.
+    #[error("node {node} is not one of {nodes}")]
+    Node {
+        /// The node.
+        node: usize,
+        /// Nodes of A.
+        nodes: usize,
+    },
     /// The graph is too large for a dense matrix.
     #[error(transparent)]
     Matrix(#[from] MatrixError),

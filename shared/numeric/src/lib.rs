@@ -8,8 +8,8 @@
 //! | --- | --- |
 //! | fuse the graphs of all modalities into one, A* = Σ w_m A_m | [`fuse`] |
 //! | bound the spectral radius of A*, on which the choice of α rests | [`spectral_radius`], [`radius_bound`] |
-//! | choose α, and keep it while it holds | [`katz`], [`alpha_band`] |
-//! | Katz similarity S = (I − αA*)⁻¹ − I | [`katz`], [`cached_katz`] |
+//! | choose the scales of the graphs and α, and keep them while they hold | [`norm_band`], [`katz`], [`alpha_band`] |
+//! | Katz similarity S = (I − αA*)⁻¹ − I | [`katz`], [`cached_katz`], [`katz_column`] |
 //! | singular value decomposition of S, cut at K | [`svd`], [`dimension`] |
 //! | the same for large graphs, without S, from frame to frame | [`katz_svd`] |
 //! | representation X = \[U, V\], one row per node | [`embedding`], [`alignment`] |
@@ -37,6 +37,7 @@ pub mod embedding;
 pub mod fuse;
 mod jacobi;
 pub mod katz;
+pub mod katz_column;
 pub mod katz_svd;
 pub mod kmeans;
 pub mod margins;
@@ -44,6 +45,7 @@ pub mod matching;
 pub mod matrix;
 mod noda;
 pub mod norm;
+pub mod norm_band;
 mod operator;
 mod order;
 mod panels;

@@ -24,12 +24,16 @@ pub fn spectral_norm(a: &SparseMatrix) -> f64 {
     if a.nodes() <= MAX_GRAM {
         top * spectral_radius(&gram(a, top), None).value.sqrt()
     } else {
-        // One row or column with many entries makes AᵀA or AAᵀ dense. The bipartite graph
-        // [0 A; Aᵀ 0] has eigenvalues ±σ_j and only twice the edges.
-        let n = a.nodes();
-        let both = a.triplets().flat_map(|(i, j, w)| [(i, n + j, w), (n + j, i, w)]);
-        spectral_radius(&SparseMatrix::from_checked(2 * n, both.collect()), None).value
+        // One row or column with many entries makes AᵀA or AAᵀ dense.
+        spectral_radius(&bipartite(a), None).value
     }
+}
+
+/// \[0 A; Aᵀ 0\], 2n × 2n: its eigenvalues are ±σ_j, and it has only twice the edges.
+pub(crate) fn bipartite(a: &SparseMatrix) -> SparseMatrix {
+    let n = a.nodes();
+    let both = a.triplets().flat_map(|(i, j, w)| [(i, n + j, w), (n + j, i, w)]);
+    SparseMatrix::from_checked(2 * n, both.collect())
 }
 
 /// AᵀA of the matrix divided by its largest weight `top`.

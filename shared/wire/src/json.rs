@@ -13,6 +13,7 @@ use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::GraphDelta;
 use muster_model::header::Header;
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
+use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::limits::MAX_MEMBERS_TOLD;
 use muster_model::roster::{Presence, Roster};
 use muster_model::teams::{RobotTeam, Teams};
@@ -433,6 +434,9 @@ pub(crate) struct EmbeddingForm<'a> {
     embedding: Vec<&'a [f64]>,
     /// Robots that the leading singular vectors do not see: no division can be read off their row.
     unseen: Vec<&'a RobotId>,
+    /// Katz centrality of each robot: the weight of all walks that begin at it, 1 for one without any
+    /// relation.
+    centrality: &'a [f64],
     /// The weight of each modality.
     #[serde(serialize_with = "as_object")]
     #[schemars(with = "BTreeMap<Modality, f64>")]
@@ -450,8 +454,49 @@ impl EdgeJson for Embedding {
             dimension: self.dimension,
             embedding: self.values.chunks(self.dimension.max(1) as usize).collect(),
             unseen: unseen.map(|(robot, _)| robot).collect(),
+            centrality: &self.centrality,
             weights: self.graphs.iter().map(|(name, _, weight)| (name, *weight)).collect(),
             quality: &self.quality,
+        })
+    }
+}
+
+/// How near one robot is to another in the fused graph: what `embedding?katz=from,to` is answered with.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct KatzForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// Where the walks begin.
+    from: &'a RobotId,
+    /// Where they end.
+    to: &'a RobotId,
+    /// The Katz similarity: the weight of all walks, each step damped by the decay.
+    #[schemars(range(min = 0))]
+    similarity: f64,
+    /// The weight of the walks whose first step is of each modality; they sum to the similarity.
+    #[serde(serialize_with = "as_object")]
+    #[schemars(with = "BTreeMap<Modality, f64>")]
+    shares: &'a [(Modality, f64)],
+    /// The decay.
+    alpha: f64,
+    /// How it was come by.
+    method: PairMethod,
+    /// How exact it is: for the method `cached`, how far the similarity of all pairs is from solving its
+    /// equation, by a random vector; for `column`, how much is missing at most.
+    residual: f64,
+}
+
+impl EdgeJson for PairSimilarity {
+    fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec(&KatzForm {
+            head: head(&self.header, now),
+            from: &self.from,
+            to: &self.to,
+            similarity: self.similarity,
+            shares: &self.shares,
+            alpha: self.alpha,
+            method: self.method,
+            residual: self.residual,
         })
     }
 }

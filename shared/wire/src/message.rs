@@ -8,6 +8,7 @@ use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::id::{InstanceId, Modality, RobotId, ServiceName};
+use muster_model::katz::PairSimilarity;
 use muster_model::limits::MAX_REVISION;
 use muster_model::object::Object;
 use muster_model::observation::{Links, Observation, Pose, Rank, Relation};
@@ -68,6 +69,8 @@ pub enum Message {
     Roster(Arc<Roster>),
     /// One vector per robot.
     Embedding(Arc<Embedding>),
+    /// The similarity of two robots: what a get of `embedding?katz=` is answered with.
+    Katz(Box<PairSimilarity>),
     /// The division. `mirror` says whether `json/teams` is told as well.
     Teams {
         /// The division.
@@ -329,6 +332,7 @@ impl Message {
             Self::Graph(delta) => Some(&delta.header),
             Self::Roster(roster) => Some(&roster.header),
             Self::Embedding(embedding) => Some(&embedding.header),
+            Self::Katz(pair) => Some(&pair.header),
             Self::Teams { teams, .. } => Some(&teams.header),
             Self::Audit(audit) => Some(&audit.header),
             Self::Event(event) => Some(&event.header),
@@ -355,7 +359,7 @@ impl Message {
             Self::RobotTeam(told) => (Key::RobotTeam(told.robot.clone()), None),
             Self::Graph(delta) => (Key::Graph(delta.modality.clone()), None),
             Self::Roster(_) => (Key::Roster, None),
-            Self::Embedding(_) => (Key::Embedding, None),
+            Self::Embedding(_) | Self::Katz(_) => (Key::Embedding, None),
             Self::Teams { .. } => (Key::Teams, Some(Key::JsonTeams)),
             Self::Audit(_) => (Key::Audit, Some(Key::JsonAudit)),
             Self::Event(_) => (Key::Event, Some(Key::JsonEvent)),
@@ -394,11 +398,16 @@ impl Message {
     ) -> Result<Vec<Outbound>, EnvelopeError> {
         let (key, mirror) = self.keys();
         let native = match self {
-            Self::RobotTeam(_) | Self::Settings(_) | Self::Status(_) => Format::Json,
+            Self::RobotTeam(_) | Self::Settings(_) | Self::Status(_) | Self::Katz(_) => {
+                Format::Json
+            }
             _ => Format::Binary,
         };
         let mut all = Vec::new();
-        if request.selects(space, &key) {
+        // Who asks for a pair does not want the embedding, from whomever knows it.
+        let of_pair = matches!(self, Self::Katz(_));
+        let wanted = key != Key::Embedding || request.katz.is_some() == of_pair;
+        if wanted && request.selects(space, &key) {
             all.push(self.encode(key, request.format.unwrap_or(native), now)?);
         }
         if let Some(mirror) = mirror.filter(|mirror| request.selects(space, mirror)) {
@@ -438,6 +447,7 @@ impl Message {
             Self::Graph(delta) => delta.to_json(now),
             Self::Roster(roster) => roster.to_json(now),
             Self::Embedding(embedding) => embedding.to_json(now),
+            Self::Katz(pair) => pair.to_json(now),
             Self::Teams { teams, .. } => teams.to_json(now),
             Self::Audit(audit) => audit.to_json(now),
             Self::Event(event) => event.to_json(now),
@@ -468,9 +478,12 @@ impl Message {
             Self::Event(event) => named(event),
             Self::Settings(announced) => named(announced.as_ref()),
             Self::Claim(claim) => named(claim.as_ref()),
-            Self::RobotToken { .. } | Self::ServiceToken { .. } | Self::Status(_) => {
-                Err(EnvelopeError::Encode("this message has no binary form".to_owned()))
-            }
+            Self::RobotToken { .. }
+            | Self::ServiceToken { .. }
+            | Self::Status(_)
+            | Self::Katz(_) => Err(EnvelopeError::Encode(
+                "this message has no binary form; ask with format=json".to_owned(),
+            )),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use muster_model::id::RobotId;
 use serde::{Deserialize, Serialize};
 
 use crate::key::{Key, KeySpace};
@@ -26,6 +27,8 @@ pub struct Request {
     exact: bool,
     /// The form that `?format=` asks for; none if the get leaves it to the key.
     pub format: Option<Format>,
+    /// The two robots whose Katz similarity `?katz=` asks for instead of the embedding: from, to.
+    pub katz: Option<[RobotId; 2]>,
     /// What the get carries, such as a patch of settings.
     pub payload: Option<Vec<u8>>,
 }
@@ -34,7 +37,8 @@ impl Request {
     /// Reads a get.
     ///
     /// # Errors
-    /// If the parameters ask for a form that there is not; the text names the remedy.
+    /// If the parameters ask for a form that there is not, or for something else than a pair of robots;
+    /// the text names the remedy.
     pub fn new(
         selector: impl Into<String>,
         parameters: &str,
@@ -43,7 +47,7 @@ impl Request {
         if parameters.len() > MAX_PARAMETERS {
             return Err(format!("parameters may have at most {MAX_PARAMETERS} bytes"));
         }
-        let mut format = None;
+        let (mut format, mut katz) = (None, None);
         for parameter in parameters.split([';', '&']) {
             match parameter.split_once('=') {
                 Some(("format", "json")) => format = Some(Format::Json),
@@ -52,12 +56,13 @@ impl Request {
                     let other: String = other.chars().take(32).collect();
                     return Err(format!("format {other:?} is unknown; ask for json or bincode"));
                 }
+                Some(("katz", names)) => katz = Some(pair(names)?),
                 _ => {}
             }
         }
         let selector = selector.into();
         let exact = !selector.contains('*');
-        Ok(Self { selector, exact, format, payload })
+        Ok(Self { selector, exact, format, katz, payload })
     }
 
     /// The part of the get that one server of several is to answer: a wild get reaches each server
@@ -97,11 +102,21 @@ impl fmt::Display for Request {
             Some(Format::Binary) => formatter.write_str("?format=bincode")?,
             None => {}
         }
+        if let Some([from, to]) = &self.katz {
+            write!(formatter, "?katz={from},{to}")?;
+        }
         match &self.payload {
             Some(payload) => write!(formatter, " {}", quoted(&String::from_utf8_lossy(payload))),
             None => Ok(()),
         }
     }
+}
+
+/// Two names with a comma between them.
+fn pair(names: &str) -> Result<[RobotId; 2], String> {
+    let id = |name: &str| name.parse::<RobotId>().ok();
+    let pair = names.split_once(',').and_then(|(from, to)| Some([id(from)?, id(to)?]));
+    pair.ok_or_else(|| format!("katz: {:?} must name two robots, as in katz=r1,r2", quoted(names)))
 }
 
 /// Whether a key expression of chunks, `*` (one chunk) and `**` (any number) matches a plain key.
@@ -187,5 +202,17 @@ mod tests {
         assert_eq!(format("format=json"), Ok(Some(Format::Json)));
         assert_eq!(format("x=1;format=bincode"), Ok(Some(Format::Binary)));
         assert!(format("format=xml").unwrap_err().contains("json"));
+    }
+
+    #[test]
+    fn a_pair_is_read_from_the_parameters() {
+        let pair = |text: &str| Request::new("a", text, None).map(|request| request.katz);
+        let [r1, r2] = ["r1", "r2"].map(|name| RobotId::new(name).unwrap());
+        assert_eq!(pair("format=json"), Ok(None));
+        assert_eq!(pair("format=json;katz=r1,r2"), Ok(Some([r1, r2])));
+        for wrong in ["katz=", "katz=r1", "katz=r1,", "katz=r1,r2,r3", "katz=R 1,r2"] {
+            let error = pair(wrong).unwrap_err();
+            assert!(error.starts_with("katz: ") && error.contains("katz=r1,r2"), "{error}");
+        }
     }
 }

@@ -23,7 +23,8 @@ use serde_json::{Map, Value, json};
 
 use crate::envelope::MAX_SMALL_PAYLOAD;
 use crate::json::{
-    AuditForm, EmbeddingForm, EventForm, GraphForm, Problem, RobotTeamForm, RosterForm, TeamsForm,
+    AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RobotTeamForm, RosterForm,
+    TeamsForm,
 };
 
 /// The version of JSON Schema.
@@ -156,6 +157,7 @@ impl Schemas {
         all.written::<GraphForm<'_>>("graph", &["graph/{modality}?format=json"]);
         all.written::<RosterForm<'_>>("roster", &["roster?format=json"]);
         all.written::<EmbeddingForm<'_>>("embedding", &["embedding?format=json"]);
+        all.written::<KatzForm<'_>>("katz", &["embedding?katz={from},{to}"]);
         all.written::<ServiceStatus>("status", &["service/{service}/status"]);
         all.written::<Claim>("claim", &["service/{service}/holder?format=json"]);
         all.settings::<IngestSettings>(

@@ -1,7 +1,7 @@
 //! Whole cores: a sequence of events that bytes choose, and what must hold of everything that a core
 //! wants done.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use muster_auditor::Auditor;
@@ -86,7 +86,16 @@ const SELECTORS: [&str; 16] = [
 ];
 
 /// What gets ask for.
-const PARAMETERS: [&str; 4] = ["", "format=json", "format=bincode", "x=1;format=json"];
+const PARAMETERS: [&str; 8] = [
+    "",
+    "format=json",
+    "format=bincode",
+    "x=1;format=json",
+    "katz=r1,r2",
+    "format=json;katz=r2,r1",
+    "format=bincode;katz=r1,r2",
+    "katz=r1,r1",
+];
 
 pub(crate) fn ingest(data: &[u8]) {
     run::<Ingest>(data);
@@ -119,7 +128,7 @@ struct World<C: Core> {
     job: Option<C::Job>,
     fetches: Vec<(u32, Vec<Pattern>)>,
     queries: u64,
-    open: Option<QueryId>,
+    open: BTreeSet<QueryId>,
     term: u64,
     /// The last revision on each key.
     told: BTreeMap<Key, Revision>,
@@ -142,7 +151,7 @@ impl<C: Core> World<C> {
             job: None,
             fetches: Vec::new(),
             queries: 0,
-            open: None,
+            open: BTreeSet::new(),
             term: 0,
             told: BTreeMap::new(),
             graphs: BTreeMap::new(),
@@ -275,19 +284,22 @@ impl<C: Core> World<C> {
     fn query(&mut self, draw: &mut Draw<'_>) {
         let selector = SELECTORS[usize::from(draw.below(16))].replace('~', "muster/v1/alpha");
         let choice = draw.byte();
-        let parameters = PARAMETERS[usize::from(choice % 4)];
+        let parameters = PARAMETERS[usize::from(choice & 3 | (choice & 8) >> 1)];
         let payload = (choice & 4 != 0).then(|| draw.block().to_vec());
         let request = Request::new(selector, parameters, payload).unwrap();
         self.queries += 1;
         let query = QueryId(self.queries);
-        self.open = Some(query);
+        self.open.insert(query);
         self.step(Event::Query { query, request });
-        assert_eq!(self.open, None, "a get is not answered");
+        // Who asks for a pair may have to wait for a job.
+        let waits = choice & 8 != 0 && self.job.is_some();
+        assert!(waits || !self.open.contains(&query), "a get is not answered");
     }
 
     fn finish_job(&mut self) {
         if let Some(job) = self.job.take() {
             self.step(Event::Done(C::run(job, &mut Stopwatch::still())));
+            assert!(self.job.is_some() || self.open.is_empty(), "a get is not answered");
         }
     }
 
@@ -319,14 +331,14 @@ impl<C: Core> World<C> {
     }
 
     fn replied(&mut self, query: QueryId, request: &Request, answer: Result<Vec<Message>, String>) {
-        assert_eq!(self.open.take(), Some(query), "a get is answered that is not open");
+        assert!(self.open.remove(&query), "a get is answered that is not open");
         match answer {
             Err(error) => text::check(&error, MAX_ERROR),
             Ok(messages) => {
                 for message in messages {
                     let answer = message.answer(&self.space, request, self.now);
-                    // A status has no binary form, and who asks for one is told so.
-                    let has_none = matches!(message, Message::Status(_))
+                    // These have no binary form, and who asks for one is told so.
+                    let has_none = matches!(message, Message::Status(_) | Message::Katz(_))
                         && request.format == Some(Format::Binary);
                     assert!(answer.is_ok() || has_none, "{message:?} is not answered: {answer:?}");
                 }

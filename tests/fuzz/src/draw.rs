@@ -275,6 +275,7 @@ impl Author {
             dimension,
             values: (0..values.min(256)).map(|_| draw.number()).collect(),
             unseen: robots.iter().map(|_| draw.below(4) == 1).collect(),
+            centrality: robots.iter().map(|_| draw.number()).collect(),
             robots,
             quality: EmbeddingQuality {
                 spectral_radius: (draw.number(), draw.number()),

@@ -253,6 +253,7 @@ pub fn from_rows(
         dimension: 2,
         values: rows.iter().flat_map(|row| row.1.clone()).collect(),
         unseen: rows.iter().map(|row| row.2).collect(),
+        centrality: vec![1.0; rows.len()],
         quality: EmbeddingQuality {
             spectral_radius: (1.0, 1.0),
             alpha: 0.5,

@@ -1,11 +1,11 @@
-//! `muster graph`: the graphs of the live fleet.
+//! `muster graph`: the graphs of the live fleet, each or fused.
 
 use std::io::Write as _;
 use std::time::Duration;
 
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
-use muster_model::id::Modality;
+use muster_model::id::{Modality, RobotId};
 use muster_model::time::Tick;
 use muster_runtime::bus::Bus;
 use muster_runtime::clock::Clock;
@@ -14,7 +14,7 @@ use muster_runtime::exit::ExitError;
 use muster_wire::json::EdgeJson;
 use muster_wire::{Key, Message, Pattern};
 
-use super::{ShowArgs, table};
+use super::{ShowArgs, katz, table};
 use crate::ask;
 
 /// How often `--watch` looks: a graph of a fleet that moves changes in every frame.
@@ -26,11 +26,15 @@ const MAX_EDGES: usize = 200;
 /// Arguments of `muster graph`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  muster graph\n  muster graph hierarchy\n  muster graph spatial --json"
+    after_help = "Examples:\n  muster graph\n  muster graph hierarchy\n  muster graph spatial --json\n  \
+                  muster graph --katz r1 r2"
 )]
 pub(crate) struct GraphArgs {
     /// One modality, edge by edge; all, in numbers, if none is named
     modality: Option<Modality>,
+    /// How near two robots are to one another in the fused graph, and the share of each modality
+    #[arg(long, num_args = 2, value_names = ["FROM", "TO"], conflicts_with_all = ["modality", "watch"])]
+    katz: Option<Vec<RobotId>>,
     #[command(flatten)]
     show: ShowArgs,
 }
@@ -42,6 +46,11 @@ pub(crate) struct GraphArgs {
 pub(crate) async fn run(args: &GraphArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let clock = Clock::start();
     let bus = ask::open(config).await?;
+    if let Some([from, to]) = args.katz.as_deref() {
+        katz::run(&bus, [from, to], args.show.json).await?;
+        bus.close().await;
+        return Ok(());
+    }
     let mut shown = Vec::new();
     loop {
         let graphs = graphs(&bus, args.modality.as_ref()).await?;

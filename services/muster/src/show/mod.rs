@@ -2,6 +2,7 @@
 
 pub(crate) mod audit;
 pub(crate) mod graph;
+pub(crate) mod katz;
 pub(crate) mod status;
 pub(crate) mod teams;
 

@@ -130,9 +130,17 @@ pub struct EmbedderSettings {
     pub scale: SingularValueScaling,
     /// How the rows are scaled.
     pub rows: RowScaling,
-    /// Residual above which the cached similarity is thrown away and computed anew.
+    /// How far, as a fraction of itself, the norm of a modality and α ρ may drift before scale and decay
+    /// are chosen anew; 0: in every frame.
+    #[schemars(range(min = 0, max = 0.5))]
+    pub hysteresis: f64,
+    /// Largest residual of the embedding of a fleet that moves.
     #[schemars(range(min = 1e-14, max = 1))]
     pub residual_tolerance: f64,
+    /// Largest residual of the embedding of a fleet in which nothing has changed for a second; scales and
+    /// decay are then those of its very graphs.
+    #[schemars(range(min = 1e-14, max = 1))]
+    pub idle_tolerance: f64,
 }
 
 impl Default for EmbedderSettings {
@@ -144,7 +152,9 @@ impl Default for EmbedderSettings {
             dimension: Dimension::Auto,
             scale: SingularValueScaling::SqrtSigma,
             rows: RowScaling::Unit,
-            residual_tolerance: 1e-8,
+            hysteresis: 0.05,
+            residual_tolerance: 1e-6,
+            idle_tolerance: 1e-10,
         }
     }
 }
@@ -181,6 +191,8 @@ impl Settings for EmbedderSettings {
                 format!("must be \"auto\" or an even number from 2 to {MAX_DIMENSION}"),
             ));
         }
-        check_range("residual_tolerance", self.residual_tolerance, 1e-14..=1.0)
+        check_range("hysteresis", self.hysteresis, 0.0..=0.5)?;
+        check_range("residual_tolerance", self.residual_tolerance, 1e-14..=1.0)?;
+        check_range("idle_tolerance", self.idle_tolerance, 1e-14..=1.0)
     }
 }

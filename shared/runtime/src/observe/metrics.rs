@@ -85,6 +85,7 @@ pub(super) struct Metrics {
     pub(super) spectral_radius: Family<Of, Number>,
     pub(super) alpha: Family<Of, Number>,
     pub(super) embeddings: Family<OfWith, Counter>,
+    pub(super) embedding_stage: Family<OfWith, Histogram, fn() -> Histogram>,
 }
 
 impl Metrics {
@@ -156,6 +157,7 @@ impl Metrics {
             spectral_radius: Family::default(),
             alpha: Family::default(),
             embeddings: Family::default(),
+            embedding_stage: Family::new_with_constructor(handling),
         };
         metrics.register_shell(&mut registry);
         metrics.register_results(&mut registry);
@@ -259,6 +261,12 @@ impl Metrics {
             "embeddings",
             "Embeddings that were published, by how they were computed",
             self.embeddings.clone(),
+        );
+        to.register_with_unit(
+            "embedding_stage",
+            "Time that each stage of an embedding took",
+            Unit::Seconds,
+            self.embedding_stage.clone(),
         );
         for (name, help, metric) in [
             ("teams", "Teams of the division", &self.teams),

@@ -310,10 +310,17 @@ impl Observer {
                 results.alpha.get_or_create(&of).set(quality.alpha);
                 let mode = match quality.mode {
                     muster_model::embedding::EmbeddingMode::Dense => "dense",
+                    muster_model::embedding::EmbeddingMode::Updated => "updated",
                     muster_model::embedding::EmbeddingMode::Cached => "cached",
                     muster_model::embedding::EmbeddingMode::InverseFree => "inverse-free",
                 };
                 results.embeddings.get_or_create(&[own.labels, ("mode", mode)]).inc();
+                let stages = ["fusion", "similarity", "decomposition"];
+                for (stage, took) in stages.iter().zip(quality.stage_us).filter(|pair| pair.1 > 0) {
+                    let labels = [own.labels, ("stage", *stage)];
+                    let histogram = results.embedding_stage.get_or_create(&labels);
+                    observe(&histogram, Duration::from_micros(took));
+                }
             }
             Message::Teams { teams, .. } => {
                 results.teams.get_or_create(&of).set(count(teams.teams.len()));

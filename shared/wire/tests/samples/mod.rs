@@ -115,6 +115,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         dimension: 2,
         values: vec![0.25, -0.5, 0.0, 0.0],
         unseen: vec![false, true],
+        centrality: vec![1.5, 1.0],
         quality: EmbeddingQuality {
             spectral_radius: (0.5, 0.5),
             alpha: 1.0,

@@ -1,0 +1,97 @@
+//! A fleet that moves, and one that has come to rest.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod common;
+
+use common::{Bench, Ingest};
+use muster_model::settings::EmbedderSettings;
+
+/// Squads of five on a line, with a link to the next squad each, so many in all.
+fn fleet(robots: usize) -> Ingest {
+    let mut ingest = Ingest::new(&["links"]);
+    let name = |i: usize| format!("r{i:04}");
+    (0..robots).for_each(|i| ingest.join(&name(i)));
+    for i in 0..robots {
+        for j in (i / 5 * 5)..(i / 5 * 5 + 5).min(robots) {
+            if i != j {
+                ingest.edge("links", &name(i), &name(j), 1.0 / (1.0 + (i % 7 + j % 7) as f64));
+            }
+        }
+        if i + 5 < robots {
+            ingest.edge("links", &name(i), &name(i + 5), 0.1);
+        }
+    }
+    ingest
+}
+
+#[test]
+fn a_fleet_at_rest_gets_more_digits_once() {
+    let mut bench = Bench::fresh();
+    let mut ingest = fleet(90);
+    bench.frame(&mut ingest);
+    let moving = bench.last().quality.residual;
+    assert!(moving > 1e-10, "{moving}");
+    for _ in 0..30 {
+        bench.frame(&mut ingest);
+    }
+    assert!(bench.last().quality.residual <= 1e-10);
+    assert_eq!(bench.counter("jobs_started"), 2);
+    ingest.edge("links", "r0003", "r0004", 0.3);
+    bench.frame(&mut ingest);
+    assert_eq!(bench.counter("jobs_started"), 3);
+    assert!(bench.last().quality.residual > 1e-10);
+}
+
+#[test]
+fn the_same_digits_are_not_told_again() {
+    let mut bench = Bench::fresh();
+    let mut ingest = fleet(10);
+    bench.frame(&mut ingest);
+    bench.pass(0.95);
+    assert_eq!((bench.counter("jobs_started"), bench.published.len()), (1, 1));
+    bench.pass(0.2);
+    assert_eq!((bench.counter("jobs_started"), bench.published.len()), (2, 1));
+    assert_eq!(bench.counter("embeddings_confirmed"), 1);
+}
+
+#[test]
+fn scales_and_decay_hold_while_the_graphs_drift_and_settle_at_rest() {
+    let mut bench = Bench::fresh();
+    let mut ingest = fleet(90);
+    bench.frame(&mut ingest);
+    let first = bench.last().quality.clone();
+    let product = |quality: &muster_model::embedding::EmbeddingQuality| {
+        quality.alpha * 0.5 * (quality.spectral_radius.0 + quality.spectral_radius.1)
+    };
+    assert!((product(&first) - 0.5).abs() < 1e-9);
+    for step in 1..=4 {
+        ingest.edge("links", "r0000", "r0001", 0.5 + 0.02 * f64::from(step));
+        bench.frame(&mut ingest);
+        let quality = &bench.last().quality;
+        assert_eq!(quality.alpha.to_bits(), first.alpha.to_bits());
+        assert!((product(quality) - 0.5).abs() < 0.5 * 0.05);
+    }
+    assert!((product(&bench.last().quality) - 0.5).abs() > 1e-6, "it has drifted");
+    bench.pass(1.5);
+    assert!((product(&bench.last().quality) - 0.5).abs() < 1e-9);
+    ingest.edge("links", "r0000", "r0001", 60.0);
+    bench.frame(&mut ingest);
+    assert!((product(&bench.last().quality) - 0.5).abs() < 1e-9, "too far to hold");
+}
+
+#[test]
+fn centralities_weigh_all_walks() {
+    let mut bench = Bench::started(EmbedderSettings::default(), Vec::new());
+    let mut ingest = Ingest::new(&["links"]);
+    ["a", "b", "c", "d"].iter().for_each(|name| ingest.join(name));
+    ingest.edge("links", "a", "b", 1.0);
+    ingest.edge("links", "b", "a", 1.0);
+    ingest.edge("links", "c", "a", 0.5);
+    bench.frame(&mut ingest);
+    // The norm of this graph is √1.25, and its radius 1: αA = A/2, so that a = 1 + b/2 = b = 2,
+    // c = 1 + a/4, d = 1.
+    for (found, wanted) in bench.last().centrality.iter().zip([2.0, 2.0, 1.5, 1.0]) {
+        assert!((found - wanted).abs() < 1e-8, "{:?}", bench.last().centrality);
+    }
+}
