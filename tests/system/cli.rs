@@ -36,6 +36,14 @@ async fn the_console_shows_the_live_fleet() {
     }
     assert!(show(&["graph", "hierarchy"]).contains("weight"));
     assert_eq!(json(&["graph", "spatial", "--json"])["modality"], "spatial");
+    let katz = show(&["graph", "--katz", "r1", "r2"]);
+    assert!(katz.contains("similarity") && katz.contains("spatial"), "{katz}");
+    let pair = json(&["graph", "--katz", "r1", "r2", "--json"]);
+    assert_eq!((&pair["from"], &pair["to"]), (&"r1".into(), &"r2".into()));
+    let shares: f64 =
+        pair["shares"].as_object().unwrap().values().map(|share| share.as_f64().unwrap()).sum();
+    let similarity = pair["similarity"].as_f64().unwrap();
+    assert!(similarity > 0.0 && (shares - similarity).abs() < 1e-12 * similarity, "{pair}");
     let status = show(&["status"]);
     for service in SERVICES {
         assert!(status.contains(service), "{status}");

@@ -165,6 +165,9 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
                 got.push((key, answer.unwrap()));
             }
         }
+        for (_, answer) in client.get("embedding?katz=r1,r2", None).await.unwrap() {
+            got.push(("katz".to_owned(), answer.unwrap()));
+        }
         got
     };
     got.extend(get_all().await);
@@ -205,7 +208,7 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
         }
     }
     let mut wanted = vec!["audit", "claim", "embedding", "event", "graph", "robot_team", "roster"];
-    wanted.extend(["status", "teams", "event robot_joined", "event robot_left"]);
+    wanted.extend(["katz", "status", "teams", "event robot_joined", "event robot_left"]);
     for name in wanted {
         assert!(seen.contains_key(name), "nothing was said of {name}: {seen:?}");
     }

@@ -35,8 +35,18 @@ fn the_schema_of_the_edge_is_frozen() {
 fn every_message_and_every_part_is_there_once_and_refers_to_what_is_there() {
     let document = document();
     let names: Vec<_> = schema::names(&document).collect();
-    let mut wanted =
-        vec!["audit", "claim", "embedding", "error", "event", "graph", "links", "pose", "rank"];
+    let mut wanted = vec![
+        "audit",
+        "claim",
+        "embedding",
+        "error",
+        "event",
+        "graph",
+        "katz",
+        "links",
+        "pose",
+        "rank",
+    ];
     wanted.extend(["relation", "robot_team", "roster", "status", "teams"]);
     let mut wanted: Vec<String> = wanted.into_iter().map(str::to_owned).collect();
     for service in ServiceName::ALL {

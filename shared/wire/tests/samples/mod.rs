@@ -11,6 +11,7 @@ use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
+use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{Link, Links, Pose, Rank, Relation};
 use muster_model::role::{Claim, Standing};
 use muster_model::roster::{Presence, Roster, RosterEntry};
@@ -129,6 +130,16 @@ pub fn all() -> Vec<(&'static str, Message)> {
             stage_us: [10, 20, 30],
         },
     };
+    let pair = PairSimilarity {
+        header: header(43),
+        from: robot("r1"),
+        to: robot("r2"),
+        similarity: 0.75,
+        shares: vec![(Modality::hierarchy(), 0.5), (Modality::spatial(), 0.25)],
+        alpha: 0.5,
+        method: PairMethod::Cached,
+        residual: 2e-16,
+    };
     let teams = Teams {
         header: header(44),
         embedding: revision(43),
@@ -225,5 +236,6 @@ pub fn all() -> Vec<(&'static str, Message)> {
             })),
         ),
         ("status", Message::Status(Box::new(status))),
+        ("katz", Message::Katz(Box::new(pair))),
     ]
 }
