@@ -17,7 +17,7 @@ pub enum PairMethod {
 }
 
 /// S_ij of two robots: the weight of all walks from one to the other, each step damped by α.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairSimilarity {
     /// The head of the embedding that rests on the same graphs.
     pub header: Header,

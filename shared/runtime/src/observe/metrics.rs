@@ -28,6 +28,9 @@ pub(super) type OfNamed = [(&'static str, String); 2];
 
 type Histograms = Family<Of, Histogram, fn() -> Histogram>;
 
+/// The same for several labels.
+pub(super) type HistogramsWith = Family<OfWith, Histogram, fn() -> Histogram>;
+
 /// 10 µs to 2.6 s: an event is handled in microseconds, unless something is wrong.
 fn handling() -> Histogram {
     Histogram::new(exponential_buckets(1e-5, 4.0, 10))
@@ -85,7 +88,7 @@ pub(super) struct Metrics {
     pub(super) spectral_radius: Family<Of, Number>,
     pub(super) alpha: Family<Of, Number>,
     pub(super) embeddings: Family<OfWith, Counter>,
-    pub(super) embedding_stage: Family<OfWith, Histogram, fn() -> Histogram>,
+    pub(super) embedding_stage: HistogramsWith,
 }
 
 impl Metrics {

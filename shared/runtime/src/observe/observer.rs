@@ -18,7 +18,9 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 
 use super::health::{self, Look};
-use super::metrics::{Metrics, Number, OfNamed, OfWith, count, observe, of, set_counter};
+use super::metrics::{
+    HistogramsWith, Metrics, Number, OfNamed, OfWith, count, observe, of, set_counter,
+};
 
 /// What waits for a service, and what has become of what waited.
 #[derive(Debug, Clone, Copy, Default)]
@@ -108,6 +110,7 @@ struct Results {
     spectral_radius: Family<super::metrics::Of, Number>,
     alpha: Family<super::metrics::Of, Number>,
     embeddings: Family<OfWith, Counter>,
+    embedding_stage: HistogramsWith,
 }
 
 impl Own {
@@ -154,6 +157,7 @@ impl Own {
                 spectral_radius: all.spectral_radius.clone(),
                 alpha: all.alpha.clone(),
                 embeddings: all.embeddings.clone(),
+                embedding_stage: all.embedding_stage.clone(),
             },
         }
     }

@@ -25,6 +25,7 @@ pub(crate) fn check(message: &Message) -> Verdict {
         Message::Roster(roster) => roster.serialize(Walker),
         Message::Embedding(embedding) => embedding.serialize(Walker),
         Message::Teams { teams, .. } => teams.serialize(Walker),
+        Message::Katz(pair) => pair.serialize(Walker),
         Message::Audit(audit) => audit.serialize(Walker),
         Message::Event(event) => event.serialize(Walker),
         Message::Claim(claim) => claim.serialize(Walker),
