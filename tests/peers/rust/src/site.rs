@@ -1,0 +1,161 @@
+//! A fleet with its graph, and Muster's decompositions of it from frame to frame.
+
+use std::collections::BTreeMap;
+
+use muster_numeric::alpha_band::AlphaBand;
+use muster_numeric::cached_katz::CachedKatz;
+use muster_numeric::katz_svd::{KatzSvd, KatzSvdOptions, KatzSvdReport};
+use muster_numeric::matrix::SparseMatrix;
+use muster_numeric::radius_bound::{RadiusBound, RadiusTracker};
+use muster_numeric::spectral_radius::SpectralRadius;
+use muster_numeric::svd::RankKSvd;
+
+use crate::Failure;
+use crate::clock::{Seconds, timed};
+use crate::fleet::Fleet;
+use crate::graph::{Kind, graph};
+
+/// Relative width of the bounds of the spectral radius: αρ is meant to be what is asked for.
+const WIDTH: f64 = 1e-3;
+
+/// By how much αρ may wander before α changes, as a share of what is asked for.
+const HYSTERESIS: f64 = 0.05;
+
+/// Seed of random directions.
+const SEED: u64 = 1;
+
+/// What is asked of a decomposition.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Wanted {
+    pub(crate) rank: usize,
+    pub(crate) tolerance: f64,
+    pub(crate) threads: usize,
+}
+
+impl Wanted {
+    /// The only place where the options are put together.
+    fn options(self) -> Result<KatzSvdOptions, Failure> {
+        if self.threads != 1 {
+            return Err("this version solves on one thread".into());
+        }
+        Ok(KatzSvdOptions { rank: self.rank, tolerance: self.tolerance, seed: SEED })
+    }
+}
+
+/// A fleet, its graph of the moment, and what is kept between frames.
+pub(crate) struct Site {
+    fleet: Fleet,
+    kind: Kind,
+    pub(crate) graph: SparseMatrix,
+    band: AlphaBand,
+    pub(crate) alpha: f64,
+    radius: SpectralRadius,
+    bounds: RadiusTracker,
+    streams: BTreeMap<String, KatzSvd>,
+    tracker: RadiusTracker,
+    similarity: CachedKatz,
+}
+
+impl Site {
+    /// A fleet of `robots`, 1 or more, with αρ = `fraction`.
+    pub(crate) fn new(
+        robots: usize,
+        kind: Kind,
+        fraction: f64,
+        seed: u64,
+    ) -> Result<Self, Failure> {
+        let fleet = Fleet::new(robots, seed);
+        let graph = graph(&fleet, kind)?;
+        let mut bounds = RadiusTracker::default();
+        let bound = bounds.refine(&graph, WIDTH);
+        let mut band = AlphaBand::new(fraction, HYSTERESIS)?;
+        let alpha = band.choose(&graph, &bound).alpha;
+        Ok(Self {
+            radius: radius(&bound, robots),
+            fleet,
+            kind,
+            graph,
+            band,
+            alpha,
+            bounds,
+            streams: BTreeMap::new(),
+            tracker: RadiusTracker::default(),
+            similarity: CachedKatz::default(),
+        })
+    }
+
+    /// All robots move so many mean spacings, or any one does.
+    pub(crate) fn advance(&mut self, spacings: f64, all: bool) -> Result<(), Failure> {
+        if all {
+            self.fleet.all_move(spacings);
+        } else {
+            self.fleet.one_moves(spacings);
+        }
+        self.graph = graph(&self.fleet, self.kind)?;
+        let bound = self.bounds.refine(&self.graph, WIDTH);
+        self.alpha = self.band.choose(&self.graph, &bound).alpha;
+        self.radius = radius(&bound, self.graph.nodes());
+        Ok(())
+    }
+
+    /// The bounds of the spectral radius that α rests on.
+    pub(crate) fn radius(&self) -> (f64, f64) {
+        (self.radius.lower, self.radius.upper)
+    }
+
+    /// Leading triplets from nothing but the graph and α: memory and all.
+    pub(crate) fn solve_cold(
+        &self,
+        wanted: Wanted,
+    ) -> Result<(Seconds, KatzSvdReport, RankKSvd), Failure> {
+        let (seconds, solved) = timed(|| self.run(&mut KatzSvd::default(), wanted));
+        let (report, svd) = solved?;
+        Ok((seconds, report, svd))
+    }
+
+    /// Leading triplets from where the last frame of the stream ended. Streams do not know of each other.
+    pub(crate) fn solve(
+        &mut self,
+        stream: &str,
+        wanted: Wanted,
+    ) -> Result<(Seconds, KatzSvdReport, RankKSvd), Failure> {
+        let mut search = self.streams.remove(stream).unwrap_or_default();
+        let (seconds, solved) = timed(|| self.run(&mut search, wanted));
+        self.streams.insert(stream.to_owned(), search);
+        let (report, svd) = solved?;
+        Ok((seconds, report, svd))
+    }
+
+    fn run(
+        &self,
+        search: &mut KatzSvd,
+        wanted: Wanted,
+    ) -> Result<(KatzSvdReport, RankKSvd), Failure> {
+        let report =
+            search.solve(&self.graph, self.alpha, &self.radius, wanted.options()?, None)?;
+        Ok((report, search.truncate(wanted.rank)?))
+    }
+
+    /// A bound of the spectral radius for the next frame of a fleet, from that of the last one.
+    pub(crate) fn bound(&mut self) -> (Seconds, RadiusBound) {
+        timed(|| self.tracker.bound(&self.graph))
+    }
+
+    /// The similarity of all pairs, brought up to date.
+    pub(crate) fn update_similarity(&mut self) -> Result<Seconds, Failure> {
+        let (seconds, update) =
+            timed(|| self.similarity.update(&self.graph, self.alpha, &self.radius, None));
+        update?;
+        Ok(seconds)
+    }
+}
+
+fn radius(bound: &RadiusBound, robots: usize) -> SpectralRadius {
+    SpectralRadius {
+        lower: bound.lower,
+        upper: bound.upper,
+        value: 0.5 * (bound.lower + bound.upper),
+        acyclic: bound.acyclic,
+        vector: vec![1.0; robots],
+    }
+}
