@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from . import katz
 from .progress import note
-from .timing import Times, ratio, timed
+from .timing import Times, added, ratio, timed
 from .worker import Failure
 
 RANK = 16
@@ -157,18 +157,25 @@ def supports_threads(case):
     return True
 
 
+def spent(job, answer):
+    """Time of a solve. When one robot moved, vectors are for those who ask for them."""
+    return answer["seconds"] if job == "event" else added(answer["seconds"], answer["vectors"])
+
+
 def frames(case, count, has_threads):
     """Some frames by Muster alone: times by job, and the triplets of the last ones."""
-    taken = {job: [] for job in ("tick", "event", "tick 2 threads")}
+    taken = {job: [] for job in ("tick", "event", "event vectors", "tick 2 threads")}
     last = {}
     for frame in range(count):
         for site in ("tick", "event"):
             case.advance(site)
             answer, last[site] = case.solve(site, site, want=frame == count - 1)
-            taken[site].append(answer)
+            taken[site].append((answer["rounds"], spent(site, answer)))
+            if site == "event":
+                taken["event vectors"].append((answer["rounds"], spent("tick", answer)))
         if has_threads:
             answer, _ = case.solve("tick", "tick", stream="threads", threads=2)
-            taken["tick 2 threads"].append(answer)
+            taken["tick 2 threads"].append((answer["rounds"], spent("tick", answer)))
     return taken, last
 
 
@@ -178,11 +185,11 @@ def settled(case, number, site, taken, residual):
         tighten(case, site)
         return
     case.saw(site, residual)
-    for job, answers in taken.items():
+    for job, frames_taken in taken.items():
         if job.startswith(site):
-            for answer in answers:
-                case.add(job, number, answer["seconds"])
-    case.searches[site] += [answer["rounds"] for answer in taken[site]]
+            for _, seconds in frames_taken:
+                case.add(job, number, seconds)
+    case.searches[site] += [rounds for rounds, _ in taken[site]]
 
 
 def tighten(case, job):
@@ -202,7 +209,7 @@ def cold(case, runs, number, judge):
         tighten(case, "cold")
     case.saw("cold", residual)
     for answer, _ in solved:
-        case.add("cold", number, answer["seconds"])
+        case.add("cold", number, spent("cold", answer))
         case.searches["cold"].append(answer["rounds"])
     return triplets[1], residual
 
@@ -225,10 +232,12 @@ class Graph:
     def answer(self, place):
         """Times, residual, and whether singular values are missing, with one setting."""
         if place not in self.known:
-            work = lambda: katz.leading(self.factors, RANK, tolerance=THEIRS[place])  # noqa: E731
-            solved = [timed(work) for _ in range(self.runs)]
+            solved = [
+                timed(lambda: katz.leading(self.factors, RANK, tolerance=THEIRS[place]))
+                for _ in range(self.runs)
+            ]
             sums = [
-                {clock: first[clock] + second[clock] for clock in first}
+                added(first, second)
                 for first, (second, _) in zip(self.seconds, solved, strict=True)
             ]
             triplets = solved[-1][1]
@@ -268,6 +277,7 @@ class Graph:
 
 def record(case):
     ratios = {job: ratio(case.times[f"{job} scipy"], case.times[job]).record() for job in TARGETS}
+    ratios["event vectors"] = ratio(case.times["event scipy"], case.times["event vectors"]).record()
     if "scipy default" in case.times:
         ratios["scipy default"] = ratio(case.times["scipy default"], case.times["cold"]).record()
     if "tick 2 threads" in case.times:

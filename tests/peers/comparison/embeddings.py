@@ -7,7 +7,7 @@ are checked. ProNE factorises something else; its time is shown and nothing more
 import os
 
 from . import katz
-from .decomposition import RANK, TARGETS, TICK, WARM
+from .decomposition import RANK, TARGETS, TICK, WARM, spent
 from .progress import note
 from .timing import Times, ratio
 from .worker import Failure, Worker
@@ -37,15 +37,15 @@ def measure(ours, theirs, folder, robots, problems):
     missing = {}
     graph, triplets, residual = folder / "graph", folder / "triplets", 0.0
     for number in range(-1, ROUNDS):
-        note(f"{name}: round {max(number, 0) + 1}")
+        note(f"{name}: round {number + 1}" if number >= 0 else name)
         for _ in range(FRAMES if number >= 0 else WARM):
             alpha = ours.ask("advance", site="tick", spacings=TICK, all=True)["alpha"]
             answer = solve(ours, "tick", None)
             if number >= 0:
-                times["tick"].add(number, answer["seconds"])
+                times["tick"].add(number, spent("tick", answer))
         answer = solve(ours, None, triplets)
         if number >= 0:
-            times["cold"].add(number, answer["seconds"])
+            times["cold"].add(number, spent("cold", answer))
         sigma = katz.read_triplets(triplets, robots)[1]
         ours.ask("write_graph", site="tick", to=str(graph))
         theirs.ask("load", robots=robots, **{"from": str(graph)})

@@ -3,7 +3,7 @@
 import math
 import statistics
 
-from .decomposition import RANK, TARGETS, TICK
+from .decomposition import RANK, TARGETS, TICK, spent
 from .progress import note
 from .worker import Worker
 
@@ -24,20 +24,20 @@ def measure(program, robots):
         seconds, rounds = [], []
         for _ in range(RUNS.get(robots, 1)):
             answer = solve(worker, None, TARGETS["cold"])
-            seconds.append(answer["seconds"])
+            seconds.append(spent("cold", answer)["cpu"])
             rounds.append(answer["rounds"])
         cold_peak = worker.ask("peak")["value"]
         ticks = []
         for _ in range(4):
             worker.ask("advance", spacings=TICK, all=True, **site)
-            ticks.append(solve(worker, "tick", TARGETS["tick"])["seconds"])
+            ticks.append(spent("tick", solve(worker, "tick", TARGETS["tick"]))["cpu"])
         return {
             "robots": robots,
             "edges": about["edges"],
             "times": {
-                "cold": statistics.median(taken["cpu"] for taken in seconds),
+                "cold": statistics.median(seconds),
                 # Those with two frames of history.
-                "tick": statistics.median(taken["cpu"] for taken in ticks[2:]),
+                "tick": statistics.median(ticks[2:]),
             },
             "searches": {"cold": statistics.median(rounds)},
             "peak": cold_peak,

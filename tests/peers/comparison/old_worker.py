@@ -77,7 +77,7 @@ def main():
     commands = {"versions": versions, "load": load, "gem": gem, "prone": prone}
     # What the libraries print must not stand among the answers.
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     for line in sys.stdin:
         command = json.loads(line)
         try:

@@ -8,9 +8,9 @@ radius, brings the similarity of all pairs up to date, and finds the leading tri
 import numpy as np
 
 from . import katz
-from .decomposition import EVENT, RANK, TARGETS, WARM
+from .decomposition import EVENT, RANK, TARGETS, WARM, spent
 from .progress import note
-from .timing import Times, ratio, timed
+from .timing import Times, added, ratio, timed
 
 SIZES = (200, 1_000)
 ROUNDS = {200: 15, 1_000: 5}
@@ -41,7 +41,7 @@ def measure(ours, folder, robots, kind, quick, problems):
     times = {job: Times() for job in ("triplets", "all", "faer", "lapack")}
     path = folder / "graph"
     for number in range(-1, 2 if quick else ROUNDS[robots]):
-        note(f"{name}: round {max(number, 0) + 1}")
+        note(f"{name}: round {number + 1}" if number >= 0 else name)
         for event in range(EVENTS if number >= 0 else WARM):
             about = ours.ask("advance", site="event", spacings=EVENT, all=False)
             bound = ours.ask("bound", site="event")["seconds"]
@@ -56,11 +56,9 @@ def measure(ours, folder, robots, kind, quick, problems):
                 to=str(folder / "triplets"),
             )
             if number >= 0:
-                steps = {"triplets": (bound, solved["seconds"])}
-                steps["all"] = (*steps["triplets"], updated)
-                for job, parts in steps.items():
-                    clocks = ("cpu", "wall")
-                    times[job].add(number, {c: sum(part[c] for part in parts) for c in clocks})
+                triplets = added(bound, spent("event", solved))
+                times["triplets"].add(number, triplets)
+                times["all"].add(number, added(triplets, updated))
         if number < 0:
             continue
         _, sigma, _ = katz.read_triplets(folder / "triplets", robots)
@@ -68,8 +66,8 @@ def measure(ours, folder, robots, kind, quick, problems):
         seconds, radius, expected = lapack(katz.read_graph(path, robots), about["alpha"])
         times["lapack"].add(number, seconds)
         found = ours.ask("literal", site="event")
-        parts = [found[step] for step in ("eigenvalues", "inverse", "svd")]
-        times["faer"].add(number, {c: sum(part[c] for part in parts) for c in ("cpu", "wall")})
+        parts = (found[step] for step in ("eigenvalues", "inverse", "svd"))
+        times["faer"].add(number, added(*parts))
         for peer, values in (("faer", found["sigma"]), ("LAPACK", expected)):
             gap = float(abs(np.array(values[:RANK]) - sigma).max() / sigma[0])
             if not gap <= TARGETS["event"]:

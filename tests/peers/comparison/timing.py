@@ -13,6 +13,11 @@ def timed(work):
     return {"cpu": cpu, "wall": wall}, result
 
 
+def added(*parts):
+    """The sum of times."""
+    return {clock: sum(part[clock] for part in parts) for clock in ("cpu", "wall")}
+
+
 class Times:
     """Times of one job, by the round in which they were taken."""
 

@@ -22,5 +22,6 @@ def search(robots, edges, rank, rounds):
     products += SINGLE_PRODUCTS * (8 * edges + 12 * robots * block)
     # Directions against the space, whose vectors and images are read, and the best of it written.
     dense = 8 * robots * (4 * space + 10 * block)
-    operations = (2 + SINGLE_PRODUCTS) * 2 * edges * block + 2 * robots * block * (6 * space + 3 * block)
+    operations = (2 + SINGLE_PRODUCTS) * 2 * edges * block
+    operations += 2 * robots * block * (6 * space + 3 * block)
     return {"operations": rounds * operations, "bytes": rounds * (products + dense)}

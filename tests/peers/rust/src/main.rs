@@ -71,19 +71,16 @@ impl Session {
             }
             Command::Solve { site, stream, rank, tolerance, threads, to } => {
                 let wanted = Wanted { rank, tolerance, threads };
-                let site = self.site(&site)?;
-                let (seconds, report, svd) = match stream {
-                    Some(stream) => site.solve(&stream, wanted)?,
-                    None => site.solve_cold(wanted)?,
-                };
+                let solved = self.site(&site)?.solve(stream.as_deref(), wanted)?;
                 if let Some(to) = to {
-                    files::write_triplets(&to, &svd)?;
+                    files::write_triplets(&to, &solved.svd)?;
                 }
                 json!({
-                    "seconds": seconds,
-                    "rounds": report.rounds,
-                    "residual": report.residual,
-                    "converged": report.converged,
+                    "seconds": solved.seconds,
+                    "vectors": solved.vectors,
+                    "rounds": solved.report.rounds,
+                    "residual": solved.report.residual,
+                    "converged": solved.report.converged,
                 })
             }
             Command::Bound { site } => {

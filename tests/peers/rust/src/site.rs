@@ -42,6 +42,16 @@ impl Wanted {
     }
 }
 
+/// A decomposition, and what it took.
+pub(crate) struct Solved {
+    /// Until singular values and residuals are known.
+    pub(crate) seconds: Seconds,
+    /// From there to U and V.
+    pub(crate) vectors: Seconds,
+    pub(crate) report: KatzSvdReport,
+    pub(crate) svd: RankKSvd,
+}
+
 /// A fleet, its graph of the moment, and what is kept between frames.
 pub(crate) struct Site {
     fleet: Fleet,
@@ -103,37 +113,25 @@ impl Site {
         (self.radius.lower, self.radius.upper)
     }
 
-    /// Leading triplets from nothing but the graph and α: memory and all.
-    pub(crate) fn solve_cold(
-        &self,
-        wanted: Wanted,
-    ) -> Result<(Seconds, KatzSvdReport, RankKSvd), Failure> {
-        let (seconds, solved) = timed(|| self.run(&mut KatzSvd::default(), wanted));
-        let (report, svd) = solved?;
-        Ok((seconds, report, svd))
-    }
-
-    /// Leading triplets from where the last frame of the stream ended. Streams do not know of each other.
+    /// Leading triplets: from nothing but the graph and α, memory and all, or from where the last frame of
+    /// the stream ended. Streams do not know of each other.
     pub(crate) fn solve(
         &mut self,
-        stream: &str,
+        stream: Option<&str>,
         wanted: Wanted,
-    ) -> Result<(Seconds, KatzSvdReport, RankKSvd), Failure> {
-        let mut search = self.streams.remove(stream).unwrap_or_default();
-        let (seconds, solved) = timed(|| self.run(&mut search, wanted));
-        self.streams.insert(stream.to_owned(), search);
-        let (report, svd) = solved?;
-        Ok((seconds, report, svd))
-    }
-
-    fn run(
-        &self,
-        search: &mut KatzSvd,
-        wanted: Wanted,
-    ) -> Result<(KatzSvdReport, RankKSvd), Failure> {
-        let report =
-            search.solve(&self.graph, self.alpha, &self.radius, wanted.options()?, None)?;
-        Ok((report, search.truncate(wanted.rank)?))
+    ) -> Result<Solved, Failure> {
+        let options = wanted.options()?;
+        let kept = stream.and_then(|stream| self.streams.remove(stream));
+        let (seconds, (search, report)) = timed(|| {
+            let mut search = kept.unwrap_or_default();
+            let report = search.solve(&self.graph, self.alpha, &self.radius, options, None);
+            (search, report)
+        });
+        let (vectors, svd) = timed(|| search.truncate(wanted.rank));
+        if let Some(stream) = stream {
+            self.streams.insert(stream.to_owned(), search);
+        }
+        Ok(Solved { seconds, vectors, report: report?, svd: svd? })
     }
 
     /// A bound of the spectral radius for the next frame of a fleet, from that of the last one.
