@@ -281,6 +281,9 @@ impl KatzSvd {
         a: &SparseMatrix,
         options: KatzSvdOptions,
     ) -> Option<KatzSvdReport> {
+        // In order, so that sums do not depend on who found the rows.
+        self.changed.sort_unstable();
+        self.changed.dedup();
         let Self { operator, work, triplets, history, pool, certificate, .. } = self;
         certificate.replace_rows(operator, a, &self.changed);
         let changed = certificate.has_changes();
