@@ -237,7 +237,8 @@ fn leading(
     }
     let mut rank = wanted.cut.least_rank(n);
     let (choice, report) = loop {
-        let options = KatzSvdOptions { rank, tolerance: tolerance_of(wanted), seed: *seed };
+        let options =
+            KatzSvdOptions { rank, tolerance: tolerance_of(wanted), seed: *seed, threads: 1 };
         let report = search.solve(fused, *alpha, radius, options, moved.as_deref())?;
         moved = None;
         if !report.converged && n <= WHOLE_IN_NEED {
