@@ -19,15 +19,24 @@ KINDS = ("knn", "smooth")
 FRACTIONS = (0.9, 0.5)
 
 # Residuals that are asked for, relative to the largest singular value.
-TARGETS = {"cold": 1e-6, "tick": 1e-3, "event": 1e-4}
-# How far every robot goes in a tick, and the one of an event, in mean spacings.
+TARGETS = {"cold": 1e-6, "tick": 1e-3, "event": 1e-4, "jump": 1e-4}
+# How far robots go in mean spacings: all of them in a tick, any one in an event, in which poses come one
+# by one, and any one in a jump, in which a robot is heard again.
 TICK = 0.004
-EVENT = 0.1
+EVENT = TICK
+JUMP = 25 * TICK
+# What is done on the graphs of each fleet, and for how many robots at most.
+SITES = {
+    "tick": {"jobs": ("cold", "tick"), "spacings": TICK, "most": 1_000_000},
+    "event": {"jobs": ("event",), "spacings": EVENT, "most": 1_000_000},
+    "jump": {"jobs": ("jump",), "spacings": JUMP, "most": 10_000},
+}
 # Tolerances of Muster relative to the target, and those of PROPACK, from loose to tight.
 OURS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1)
 THEIRS = (1.0, 0.3, 0.1, 0.03, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5, 1e-6, 1e-8, 0.0)
 # Where the search for PROPACK's begins.
 BEGIN = {"cold": THEIRS.index(1e-2), "tick": THEIRS.index(0.1), "event": THEIRS.index(0.03)}
+BEGIN["jump"] = BEGIN["event"]
 # Frames of Muster before anything is measured: two of history, and some to settle.
 WARM = 4
 # By how much singular values may differ beyond what the two residuals allow (Weyl).
@@ -76,9 +85,13 @@ class Case:
     def saw(self, job, residual):
         self.residuals[job] = max(self.residuals.get(job, 0.0), residual)
 
+    @property
+    def sites(self):
+        return [site for site, about in SITES.items() if self.robots <= about["most"]]
+
     def fleets(self):
-        """Two fleets, one for all to move, one for single robots."""
-        for site in ("tick", "event"):
+        """A fleet for each way to move."""
+        for site in self.sites:
             about = self.ours.ask(
                 "fleet",
                 site=site,
@@ -89,14 +102,13 @@ class Case:
             )
             self.alpha[site], self.edges = about["alpha"], about["edges"]
         for _ in range(WARM):
-            for site in ("tick", "event"):
+            for site in self.sites:
                 self.advance(site)
                 self.solve(site, site)
 
     def advance(self, site):
-        is_tick = site == "tick"
-        spacings = TICK if is_tick else EVENT
-        about = self.ours.ask("advance", site=site, spacings=spacings, all=is_tick)
+        spacings = SITES[site]["spacings"]
+        about = self.ours.ask("advance", site=site, spacings=spacings, all=site == "tick")
         self.alpha[site] = about["alpha"]
 
     def system(self, site):
@@ -132,7 +144,7 @@ def measure(ours, folder, robots, kind, fraction, quick, problems):
     for number in range(steps["rounds"]):
         note(f"{case.name}: round {number + 1} of {steps['rounds']}")
         taken, last = frames(case, steps["frames"], has_threads)
-        for site, jobs in (("tick", ("cold", "tick")), ("event", ("event",))):
+        for site in case.sites:
             matrix = case.system(site)
             graph = Graph(case, matrix, number, steps["runs"])
             settled(case, number, site, taken, graph.judge.residual(last[site]))
@@ -140,7 +152,7 @@ def measure(ours, folder, robots, kind, fraction, quick, problems):
                 graph.reference(*cold(case, steps["runs"], number, graph.judge))
             else:
                 graph.reference(last[site][1], graph.judge.residual(last[site]))
-            for job in jobs:
+            for job in SITES[site]["jobs"]:
                 graph.reach(job)
             if site == "tick" and not quick and robots <= DEFAULTS_UP_TO:
                 seconds, _ = timed(lambda matrix=matrix: katz.by_default(matrix, RANK))
@@ -158,16 +170,17 @@ def supports_threads(case):
 
 
 def spent(job, answer):
-    """Time of a solve. When one robot moved, vectors are for those who ask for them."""
-    return answer["seconds"] if job == "event" else added(answer["seconds"], answer["vectors"])
+    """Time of a solve. When one robot has moved, vectors are for those who ask for them."""
+    alone = job in ("event", "jump")
+    return answer["seconds"] if alone else added(answer["seconds"], answer["vectors"])
 
 
 def frames(case, count, has_threads):
     """Some frames by Muster alone: times by job, and the triplets of the last ones."""
-    taken = {job: [] for job in ("tick", "event", "event vectors", "tick 2 threads")}
+    taken = {job: [] for job in (*case.sites, "event vectors", "tick 2 threads")}
     last = {}
     for frame in range(count):
-        for site in ("tick", "event"):
+        for site in case.sites:
             case.advance(site)
             answer, last[site] = case.solve(site, site, want=frame == count - 1)
             taken[site].append((answer["rounds"], spent(site, answer)))
@@ -186,7 +199,7 @@ def settled(case, number, site, taken, residual):
         return
     case.saw(site, residual)
     for job, frames_taken in taken.items():
-        if job.startswith(site):
+        if job.split()[0] == site:
             for _, seconds in frames_taken:
                 case.add(job, number, seconds)
     case.searches[site] += [rounds for rounds, _ in taken[site]]
@@ -276,7 +289,8 @@ class Graph:
 
 
 def record(case):
-    ratios = {job: ratio(case.times[f"{job} scipy"], case.times[job]).record() for job in TARGETS}
+    jobs = [job for job in TARGETS if job in case.times]
+    ratios = {job: ratio(case.times[f"{job} scipy"], case.times[job]).record() for job in jobs}
     ratios["event vectors"] = ratio(case.times["event scipy"], case.times["event vectors"]).record()
     if "scipy default" in case.times:
         ratios["scipy default"] = ratio(case.times["scipy default"], case.times["cold"]).record()
@@ -294,5 +308,5 @@ def record(case):
         "residuals": case.residuals,
         "own": {job: TARGETS[job] * OURS[place] for job, place in case.own.items()},
         "theirs": {job: THEIRS[place] for job, place in case.theirs.items()},
-        "searches": {job: statistics.median(rounds) for job, rounds in case.searches.items()},
+        "searches": {job: statistics.median(case.searches[job]) for job in jobs},
     }

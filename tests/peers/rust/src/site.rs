@@ -33,12 +33,9 @@ pub(crate) struct Wanted {
 }
 
 impl Wanted {
-    /// The only place where the options are put together.
-    fn options(self) -> Result<KatzSvdOptions, Failure> {
-        if self.threads != 1 {
-            return Err("this version solves on one thread".into());
-        }
-        Ok(KatzSvdOptions { rank: self.rank, tolerance: self.tolerance, seed: SEED })
+    fn options(self) -> KatzSvdOptions {
+        let Self { rank, tolerance, threads } = self;
+        KatzSvdOptions { rank, tolerance, seed: SEED, threads }
     }
 }
 
@@ -61,7 +58,12 @@ pub(crate) struct Site {
     pub(crate) alpha: f64,
     radius: SpectralRadius,
     bounds: RadiusTracker,
-    streams: BTreeMap<String, KatzSvd>,
+    /// Number of the frame, and which rows of the graph differ from the last one, where few do: who makes
+    /// the graph knows them.
+    frame: u64,
+    changed: Option<Vec<usize>>,
+    /// Searches, and the frame that each has seen last.
+    streams: BTreeMap<String, (KatzSvd, u64)>,
     tracker: RadiusTracker,
     similarity: CachedKatz,
 }
@@ -81,13 +83,15 @@ impl Site {
         let mut band = AlphaBand::new(fraction, HYSTERESIS)?;
         let alpha = band.choose(&graph, &bound).alpha;
         Ok(Self {
-            radius: radius(&bound, robots),
+            radius: bounds.spectral_radius(&bound),
             fleet,
             kind,
             graph,
             band,
             alpha,
             bounds,
+            frame: 0,
+            changed: None,
             streams: BTreeMap::new(),
             tracker: RadiusTracker::default(),
             similarity: CachedKatz::default(),
@@ -101,10 +105,16 @@ impl Site {
         } else {
             self.fleet.one_moves(spacings);
         }
-        self.graph = graph(&self.fleet, self.kind)?;
+        let before = std::mem::replace(&mut self.graph, graph(&self.fleet, self.kind)?);
+        self.frame += 1;
+        self.changed = (!all).then(|| {
+            let mut rows = Vec::new();
+            before.differing_rows(&self.graph, self.graph.nodes(), &mut rows);
+            rows
+        });
         let bound = self.bounds.refine(&self.graph, WIDTH);
         self.alpha = self.band.choose(&self.graph, &bound).alpha;
-        self.radius = radius(&bound, self.graph.nodes());
+        self.radius = self.bounds.spectral_radius(&bound);
         Ok(())
     }
 
@@ -120,16 +130,21 @@ impl Site {
         stream: Option<&str>,
         wanted: Wanted,
     ) -> Result<Solved, Failure> {
-        let options = wanted.options()?;
         let kept = stream.and_then(|stream| self.streams.remove(stream));
+        let told = kept.as_ref().is_some_and(|(_, frame)| *frame + 1 == self.frame);
+        let (graph, alpha, radius, options) =
+            (&self.graph, self.alpha, &self.radius, wanted.options());
         let (seconds, (search, report)) = timed(|| {
-            let mut search = kept.unwrap_or_default();
-            let report = search.solve(&self.graph, self.alpha, &self.radius, options, None);
+            let mut search = kept.map_or_else(KatzSvd::default, |(search, _)| search);
+            let report = match &self.changed {
+                Some(rows) if told => search.solve_changed(graph, alpha, radius, options, rows),
+                _ => search.solve(graph, alpha, radius, options, None),
+            };
             (search, report)
         });
         let (vectors, svd) = timed(|| search.truncate(wanted.rank));
         if let Some(stream) = stream {
-            self.streams.insert(stream.to_owned(), search);
+            self.streams.insert(stream.to_owned(), (search, self.frame));
         }
         Ok(Solved { seconds, vectors, report: report?, svd: svd? })
     }
@@ -145,15 +160,5 @@ impl Site {
             timed(|| self.similarity.update(&self.graph, self.alpha, &self.radius, None));
         update?;
         Ok(seconds)
-    }
-}
-
-fn radius(bound: &RadiusBound, robots: usize) -> SpectralRadius {
-    SpectralRadius {
-        lower: bound.lower,
-        upper: bound.upper,
-        value: 0.5 * (bound.lower + bound.upper),
-        acyclic: bound.acyclic,
-        vector: vec![1.0; robots],
     }
 }
