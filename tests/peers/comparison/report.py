@@ -135,7 +135,7 @@ def other_rows(cases):
 def work_rows(results):
     limits = results["limits"]
     # The matrices of one gemm give the most operations; what does not fit a cache comes from memory.
-    most = max(limits["gemm faer"], limits["gemm LAPACK"])
+    most = max(limits["gemm faer"], limits["gemm BLAS"])
     cases = [c for c in results.get("decomposition", []) if c["kind"] == "smooth"]
     for case in [*cases, *(c for c in results.get("growth", []) if c["robots"] > 100_000)]:
         for job in ("cold", "tick"):
