@@ -30,6 +30,9 @@ class Times:
     def median(self, clock="cpu"):
         return statistics.median(s[clock] for taken in self.rounds.values() for s in taken)
 
+    def mean(self, clock="cpu"):
+        return statistics.fmean(s[clock] for taken in self.rounds.values() for s in taken)
+
     def by_round(self, clock="cpu"):
         return {
             number: statistics.median(seconds[clock] for seconds in taken)
