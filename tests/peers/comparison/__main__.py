@@ -104,8 +104,11 @@ def main():
     if asked.readme:
         print(report.readme(json.loads(asked.readme.read_text(encoding="utf-8"))))
         return
-    with tempfile.TemporaryDirectory(prefix="muster-compare-") as folder:
-        results = run(asked, pathlib.Path(folder))
+    try:
+        with tempfile.TemporaryDirectory(prefix="muster-compare-") as folder:
+            results = run(asked, pathlib.Path(folder))
+    except (Failure, ArithmeticError) as error:
+        sys.exit(f"the run ends: {error}")
     if asked.out:
         write(results, asked.out)
     print(report.goal_table(results["goals"]) if not asked.out else f"written: {asked.out}")

@@ -64,7 +64,8 @@ def draw(results, path):
     axes.set_title(f"16 leading triplets of the Katz similarity ({KIND} graphs, αρ = {FRACTION})")
     axes.grid(which="major", color="#dddddd", linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, loc="upper left", fontsize=8)
+    if any(found.values()):
+        axes.legend(frameon=False, loc="upper left", fontsize=8)
     figure.tight_layout()
     figure.savefig(path, metadata={"Date": None})
     plt.close(figure)
