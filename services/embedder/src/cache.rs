@@ -135,21 +135,24 @@ impl Cache {
             return Ok((Kept::Leading { rank, residual }, obtained));
         }
         let mut rank = wanted.cut.least_rank(n);
-        let (choice, residual) = loop {
-            let options = KatzSvdOptions { rank, tolerance, seed: wanted.seed };
+        let (choice, report) = loop {
+            let options =
+                KatzSvdOptions { rank, tolerance, seed: wanted.seed, threads: threads() };
             let report = self.search(wanted, options)?;
             if !report.converged && n <= WHOLE_IN_NEED {
                 self.search.forget();
                 return whole(similarity, None, wanted, stopwatch);
             }
             match wanted.cut.of_some(&self.search, (rank, n)) {
-                Some(choice) if !choice.short => break (choice, report.residual),
+                Some(choice) if !choice.short => break (choice, report),
                 _ => rank = (2 * rank).min(n),
             }
         };
         let svd = self.search.truncate(choice.dimension)?;
         let took_us = [0, stopwatch.lap()];
-        let mode = EmbeddingMode::InverseFree;
+        let searched = report.rounds > 0;
+        let mode = if searched { EmbeddingMode::InverseFree } else { EmbeddingMode::Updated };
+        let residual = report.residual;
         let obtained = Obtained { svd, mode, residual, probe: 0.0, took_us };
         Ok((Kept::Leading { rank, residual }, obtained))
     }
@@ -219,6 +222,11 @@ impl Cut<'_> {
 fn tolerance_of(wanted: &Wanted<'_>) -> f64 {
     const LEAST: f64 = 1e-10;
     wanted.tolerance.max(LEAST)
+}
+
+/// Threads that large fleets are shared out over: all that the host has. No result depends on it.
+fn threads() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// The decomposition of S as a whole: the kept one if S has not changed.

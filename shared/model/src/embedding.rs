@@ -12,8 +12,8 @@ use crate::id::{Modality, RobotId};
 pub enum EmbeddingMode {
     /// The similarity was solved for by LU and decomposed whole.
     Dense,
-    /// The similarity was brought up to date by the rows and columns of the graph that changed, and
-    /// decomposed whole.
+    /// The similarity, which was then decomposed whole, or for larger fleets the leading triplets
+    /// themselves were brought up to date by the rows of the graph that changed.
     Updated,
     /// The graphs and the decay are still those of the last embedding, whose triplets serve.
     Cached,

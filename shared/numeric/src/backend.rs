@@ -6,7 +6,7 @@
 //! process-wide pool that costs more than it gives at the sizes of this crate.
 
 pub(crate) mod general;
-pub(crate) mod tall;
+pub(crate) mod symmetric;
 
 use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};

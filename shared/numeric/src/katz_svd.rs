@@ -5,25 +5,66 @@
 //! ended: while the graph moves smoothly, the next triplets lie close to what the last two frames span,
 //! with an error of second order in the motion. Scratch space is kept between frames.
 //!
+//! When only few rows of the graph have changed, which is found by comparing it with the one before or told
+//! by the caller, the triplets and their residuals are brought up to date from those rows alone (see
+//! `certificate`), and nothing is searched for while the residuals allow it.
+//!
 //! The residual of each triplet is measured, so that every answer comes with its own error bound. A
 //! residual cannot reveal a triplet that is missing altogether; random directions that are added to
 //! every [`PROBE_EVERY`]th frame find those.
 
+mod certificate;
+
+use std::sync::OnceLock;
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
 use thiserror::Error;
 
+use crate::aligned::Aligned;
 use crate::dimension::Spectrum;
 use crate::katz::KatzError;
 use crate::matrix::{DenseMatrix, SparseMatrix};
 use crate::operator::KatzOperator;
-use crate::partial::{NULL, Request, Triplets, Workspace, leading_triplets};
+use crate::partial::{NULL, Request, Triplets, Workspace, leading_triplets, width_for};
+use crate::share::{Parts, Strided};
 use crate::spectral_radius::SpectralRadius;
 use crate::svd::{RankKSvd, SvdError, fix_signs};
+use crate::tall::{Block, product};
+use certificate::Certificate;
 
-/// How often random directions are added to those of the frames before.
+/// How often random directions are added to those of the frames before: with every so many searches.
 pub const PROBE_EVERY: u64 = 20;
+
+/// Frames with few changes after which random directions are due as well, by a search if need be: a few
+/// rows bring a new triplet to the front more rarely than all of them.
+pub const PROBE_CHANGES: u64 = 500;
 
 /// How many.
 pub const PROBES: usize = 8;
+
+/// Most threads that are started. More than any machine has cores help nobody, and each has a stack.
+const MAX_THREADS: usize = 1024;
+
+/// Most edges of a graph, so that places among them, with what is moved when rows change, can be told by
+/// 32 bits.
+pub const MAX_EDGES: usize = 1 << 30;
+
+/// Part of the rows up to which a change is followed row by row: 1 in so many. Beyond, a pass over
+/// everything, which needs no bookkeeping, takes as long.
+const FEW: usize = 8;
+
+/// Changes after which all sums that are carried on are made anew: what rounding adds up to by then is
+/// still far below every tolerance.
+const RENEWED: u32 = 1000;
+
+/// What part of the tolerance a search may leave when only few rows changed, so that the next changes can
+/// be followed without another one.
+const RESERVE: f64 = 0.2;
+
+/// Rows that were replaced by longer or shorter ones, in which the kept graph is out of date. They are
+/// looked at one by one each time, until copying the graph is cheaper.
+const STALE: usize = 256;
 
 /// Frames after which the order of the nodes is looked for anew: the graph has moved on.
 const ORDER_FRAMES: u64 = 100;
@@ -38,6 +79,9 @@ pub struct KatzSvdOptions {
     pub tolerance: f64,
     /// Seed of the random directions.
     pub seed: u64,
+    /// Threads that the rows of large graphs are shared out over; 0 counts as 1. The result does not
+    /// depend on it, bit for bit. More than one are started by the first frame and kept.
+    pub threads: usize,
 }
 
 /// Why no triplets could be computed.
@@ -59,12 +103,29 @@ pub enum KatzSvdError {
         /// Nodes of the graph.
         nodes: usize,
     },
+    /// A row is said to have changed that the graph does not have.
+    #[error("row {row} is said to have changed in a graph of {nodes} nodes")]
+    Changed {
+        /// The row.
+        row: usize,
+        /// Nodes of the graph.
+        nodes: usize,
+    },
+    /// The graph has more than [`MAX_EDGES`] edges.
+    #[error(
+        "{edges} edges are more than the {} that can be decomposed: thin the graph out",
+        MAX_EDGES
+    )]
+    Edges {
+        /// Edges of the graph.
+        edges: usize,
+    },
 }
 
 /// How a solve went.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KatzSvdReport {
-    /// Rounds of the search.
+    /// Rounds of the search; 0 when the triplets of the frame before could be brought up to date without.
     pub rounds: usize,
     /// The largest residual among the triplets that were asked for, as in [`KatzSvdOptions::tolerance`].
     pub residual: f64,
@@ -73,27 +134,66 @@ pub struct KatzSvdReport {
 }
 
 /// The triplets of the last frame, with what the next one begins with.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct KatzSvd {
     operator: KatzOperator,
     work: Workspace,
     triplets: Triplets,
-    /// W = V + UΣ of the last two frames in the caller's order, the newest first, each n × its width.
-    history: [(Vec<f64>, usize); 2],
-    /// The same in the order of the operator.
-    start: [Vec<f64>; 2],
+    /// W = V + UΣ of the last two frames in the order of the operator, the newest first, each n × its
+    /// width.
+    history: [(Aligned<f64>, usize); 2],
+    /// Threads of the pool, and the pool if there are more than one.
+    pool: (usize, Option<ThreadPool>),
+    certificate: Certificate,
+    /// Triplets in the range of the kept vectors, once they are asked for, when the certificate has turned
+    /// them: V and S V, n × width.
+    turned: OnceLock<[Vec<f64>; 2]>,
+    /// The graph of the last frame, but for the rows `stale`, which the operator has, and those that `changed`.
+    graph: SparseMatrix,
+    stale: Vec<usize>,
+    changed: Vec<usize>,
+    alpha: f64,
     nodes: usize,
     /// How many triplets were asked for last.
     rank: usize,
+    /// Searches so far.
     frames: u64,
+    /// When random directions are due: at [`PROBE_CHANGES`].
+    unprobed: u64,
+    /// Whether the graph has changed since there were some.
+    moved: bool,
+}
+
+impl Default for KatzSvd {
+    fn default() -> Self {
+        Self {
+            operator: KatzOperator::default(),
+            work: Workspace::default(),
+            triplets: Triplets::default(),
+            history: Default::default(),
+            pool: (1, None),
+            certificate: Certificate::default(),
+            turned: OnceLock::new(),
+            graph: SparseMatrix::empty(),
+            stale: Vec::new(),
+            changed: Vec::new(),
+            alpha: 0.0,
+            nodes: 0,
+            rank: 0,
+            frames: 0,
+            unprobed: PROBE_CHANGES,
+            moved: true,
+        }
+    }
 }
 
 impl KatzSvd {
     /// Finds the leading triplets for the graph `a`, whose radius is `radius`, and the decay `alpha`.
     ///
     /// `previous` names for each node its number in the frame before, none for one that is new; `None`
-    /// means that the nodes are the same. Nothing of the size of the graph is allocated while these
-    /// stay the same in number.
+    /// means that the nodes are the same. Nothing is allocated while they are, and the rank and the number
+    /// of threads, but for a new order of the nodes every hundred searches and for graphs with more edges
+    /// than any before; more than one thread allocate a little for handing work over.
     ///
     /// # Errors
     /// [`KatzSvdError`]; the frames before are kept.
@@ -105,29 +205,195 @@ impl KatzSvd {
         options: KatzSvdOptions,
         previous: Option<&[Option<usize>]>,
     ) -> Result<KatzSvdReport, KatzSvdError> {
-        let n = a.nodes();
-        check(n, alpha, radius, options)?;
-        self.take_over(n, previous)?;
+        check(a, alpha, radius, options)?;
+        let follows = previous.is_none() && self.follows(a, alpha, options);
+        self.take_nodes(a.nodes(), previous)?;
+        self.start_threads(options.threads);
         self.rank = options.rank;
-        let same_order = previous.is_none() && !self.frames.is_multiple_of(ORDER_FRAMES);
-        self.operator.assign(a, alpha, same_order);
-        let start = self.start();
+        let mut current = false;
+        if follows {
+            let most = self.few();
+            self.changed.clear();
+            self.graph.differing_rows(a, most, &mut self.changed);
+            if self.changed.len() <= most {
+                self.changed.extend_from_slice(&self.stale);
+                if let Some(report) = self.bring_up_to_date(a, options) {
+                    return Ok(report);
+                }
+                current = true;
+            }
+        }
+        Ok(self.search(a, alpha, options, previous, current))
+    }
+
+    /// [`KatzSvd::solve`] for a graph with the same nodes as the one before, for callers who know which of
+    /// its rows may have changed: all others must be the same bit for bit. Takes no look at those.
+    ///
+    /// # Errors
+    /// As [`KatzSvd::solve`], and [`KatzSvdError::Changed`] for a row that the graph does not have.
+    pub fn solve_changed(
+        &mut self,
+        a: &SparseMatrix,
+        alpha: f64,
+        radius: &SpectralRadius,
+        options: KatzSvdOptions,
+        changed: &[usize],
+    ) -> Result<KatzSvdReport, KatzSvdError> {
+        check(a, alpha, radius, options)?;
+        if let Some(&row) = changed.iter().find(|row| **row >= a.nodes()) {
+            return Err(KatzSvdError::Changed { row, nodes: a.nodes() });
+        }
+        let follows = self.follows(a, alpha, options);
+        self.take_nodes(a.nodes(), None)?;
+        self.start_threads(options.threads);
+        self.rank = options.rank;
+        let mut current = false;
+        if follows && changed.len() <= self.few() {
+            self.changed.clear();
+            self.changed.extend_from_slice(changed);
+            if let Some(report) = self.bring_up_to_date(a, options) {
+                return Ok(report);
+            }
+            current = true;
+        }
+        Ok(self.search(a, alpha, options, None, current))
+    }
+
+    /// Whether triplets and graph of the frame before are of use for bringing up to date.
+    fn follows(&self, a: &SparseMatrix, alpha: f64, options: KatzSvdOptions) -> bool {
+        self.nodes == a.nodes()
+            && self.graph.nodes() == a.nodes()
+            && self.alpha.to_bits() == alpha.to_bits()
+            && self.triplets.finite
+            && self.history[0].1 == width_for(options.rank)
+            && self.unprobed < PROBE_CHANGES
+    }
+
+    /// Rows that are few.
+    fn few(&self) -> usize {
+        self.nodes / FEW
+    }
+
+    /// The triplets after a change of the rows that `changed` names, without a search. `None` when their
+    /// residuals are too large; the operator is up to date in any case.
+    fn bring_up_to_date(
+        &mut self,
+        a: &SparseMatrix,
+        options: KatzSvdOptions,
+    ) -> Option<KatzSvdReport> {
+        // In order, so that sums do not depend on who found the rows.
+        self.changed.sort_unstable();
+        self.changed.dedup();
+        let Self { operator, work, triplets, history, pool, certificate, .. } = self;
+        certificate.replace_rows(operator, a, &self.changed);
+        let changed = certificate.has_changes();
+        self.moved |= changed;
+        self.unprobed += match (changed, self.moved) {
+            (true, _) => 1,
+            // Nothing to do is an opportunity.
+            (false, true) => PROBE_CHANGES / PROBE_EVERY,
+            (false, false) => 0,
+        };
+        if changed {
+            let (w, width) = &history[0];
+            let worn = certificate.updates >= RENEWED || operator.scattered();
+            if operator.scattered() {
+                operator.assign(a, self.alpha, true);
+            }
+            let vectors = work.spare();
+            let sums_hold = if certificate.valid && !worn {
+                certificate.update(operator, w, triplets, vectors)
+            } else {
+                debug_assert_eq!(*width, triplets.width);
+                let parts = Parts::new(self.nodes, pool.0);
+                within(pool, || certificate.renew(operator, parts, w, triplets, vectors))
+            };
+            self.turned = OnceLock::new();
+            self.keep_rows(a);
+            if !sums_hold {
+                return None;
+            }
+        }
+        let report = self.report(options, 0);
+        report.converged.then_some(report)
+    }
+
+    /// Brings the kept graph up to date where that is cheap.
+    fn keep_rows(&mut self, a: &SparseMatrix) {
+        for &row in &self.changed {
+            if !self.graph.copy_row(a, row) {
+                self.stale.push(row);
+            }
+        }
+        self.stale.sort_unstable();
+        self.stale.dedup();
+        if self.stale.len() > STALE {
+            self.graph.copy_from(a);
+            self.stale.clear();
+        }
+    }
+
+    /// Finds the triplets anew, beginning with those of the frames before. `current` says that the operator
+    /// is up to date.
+    fn search(
+        &mut self,
+        a: &SparseMatrix,
+        alpha: f64,
+        options: KatzSvdOptions,
+        previous: Option<&[Option<usize>]>,
+        current: bool,
+    ) -> KatzSvdReport {
+        let reordered = self.frames.is_multiple_of(ORDER_FRAMES);
+        if !current || reordered {
+            self.assign(a, alpha, previous);
+        }
+        self.alpha = alpha;
+        self.graph.copy_from(a);
+        self.stale.clear();
+        self.certificate.valid = false;
+        self.turned = OnceLock::new();
+        let probed = self.unprobed + PROBE_CHANGES / PROBE_EVERY > PROBE_CHANGES;
         let request = Request {
             rank: options.rank,
-            tolerance: options.tolerance,
-            probes: if self.frames.is_multiple_of(PROBE_EVERY) { PROBES } else { 0 },
+            tolerance: options.tolerance * if current { RESERVE } else { 1.0 },
+            probes: if probed { PROBES } else { 0 },
             seed: options.seed.wrapping_add(self.frames),
+            threads: self.pool.0,
         };
-        let blocks: Vec<(&[f64], usize)> =
-            self.start.iter().zip(start).map(|(block, width)| (block.as_slice(), width)).collect();
-        leading_triplets(&self.operator, request, &blocks, &mut self.work, &mut self.triplets);
+        let Self { operator, work, triplets, history, pool, .. } = self;
+        let mut start = history.each_ref().map(|(block, width)| (&**block, *width));
+        if current {
+            // After few changes, what the frame before the last adds to the last is nothing new.
+            start[1].1 = 0;
+        }
+        within(pool, || leading_triplets(operator, request, start, work, triplets));
+        self.unprobed = if probed { 0 } else { self.unprobed + PROBE_CHANGES / PROBE_EVERY };
+        self.moved = !probed;
         self.remember();
+        self.report(options, self.triplets.rounds)
+    }
+
+    fn report(&self, options: KatzSvdOptions, rounds: usize) -> KatzSvdReport {
         let residuals = self.triplets.residuals.iter().take(options.rank);
-        Ok(KatzSvdReport {
-            rounds: self.triplets.rounds,
-            residual: residuals.fold(0.0, |top, residual| residual.max(top)),
-            converged: self.triplets.converged,
-        })
+        let residual = residuals.fold(0.0, |top: f64, residual| residual.max(top));
+        KatzSvdReport { rounds, residual, converged: residual <= options.tolerance }
+    }
+
+    /// V and S V in the order of the operator, n × width.
+    fn vectors(&self) -> (&[f64], &[f64]) {
+        let Triplets { width, right, image, .. } = &self.triplets;
+        if !self.certificate.valid {
+            return (right, image);
+        }
+        let [right, image] = self.turned.get_or_init(|| {
+            let rotation = Block::new(&self.certificate.rotation, *width, *width);
+            [right, image].map(|block| {
+                let mut turned = vec![0.0; block.len()];
+                product(Block::new(block, *width, *width), rotation, &mut turned, *width, 0);
+                turned
+            })
+        });
+        (right, image)
     }
 
     /// Singular values, descending: those that were asked for, and some more that are less exact.
@@ -142,13 +408,14 @@ impl KatzSvd {
     /// # Errors
     /// [`SvdError::Rank`] unless 1 ≤ k ≤ the number of [`KatzSvd::all_singular_values`].
     pub fn truncate(&self, k: usize) -> Result<RankKSvd, SvdError> {
-        let Triplets { width, right, image, sigma, .. } = &self.triplets;
+        let Triplets { width, sigma, .. } = &self.triplets;
         let nodes = sigma.len();
         if k == 0 || k > nodes {
             return Err(SvdError::Rank { rank: k, nodes });
         }
         let cut = NULL * sigma[0];
         let inner = self.operator.inner();
+        let (right, image) = self.vectors();
         let at = |i: usize, j: usize| inner[i] as usize * width + j;
         let mut svd = RankKSvd {
             u: DenseMatrix::from_fn(self.nodes, k, |i, j| {
@@ -166,76 +433,100 @@ impl KatzSvd {
 
     /// Forgets the frames before: the next solve begins cold.
     pub fn forget(&mut self) {
-        for (block, width) in &mut self.history {
-            block.clear();
+        for (_, width) in &mut self.history {
             *width = 0;
         }
         self.frames = 0;
+        self.unprobed = PROBE_CHANGES;
     }
 
-    /// Brings the history to the nodes of the new frame.
-    fn take_over(
+    /// Refuses a correspondence that does not fit, and forgets frames of other nodes.
+    fn take_nodes(
         &mut self,
         n: usize,
         previous: Option<&[Option<usize>]>,
     ) -> Result<(), KatzSvdError> {
-        let Some(previous) = previous else {
-            if n != self.nodes {
-                self.forget();
+        match previous {
+            None if n != self.nodes => self.forget(),
+            None => {}
+            Some(previous) => {
+                let fits = |old: &Option<usize>| old.is_none_or(|old| old < self.nodes);
+                if previous.len() != n || !previous.iter().all(fits) {
+                    return Err(KatzSvdError::Correspondence { nodes: n });
+                }
             }
-            self.nodes = n;
-            return Ok(());
-        };
-        let fits = |old: &Option<usize>| old.is_none_or(|old| old < self.nodes);
-        if previous.len() != n || !previous.iter().all(fits) {
-            return Err(KatzSvdError::Correspondence { nodes: n });
-        }
-        for (block, width) in &mut self.history {
-            let moved = previous.iter().flat_map(|old| {
-                let row = old.map(|old| &block[old * *width..(old + 1) * *width]);
-                (0..*width).map(move |c| row.map_or(0.0, |row| row[c]))
-            });
-            *block = moved.collect();
         }
         self.nodes = n;
         Ok(())
     }
 
-    /// Puts the history into the order of the operator; the widths of its blocks.
-    fn start(&mut self) -> [usize; 2] {
-        let mut widths = [0; 2];
-        let blocks = self.start.iter_mut().zip(&self.history).zip(&mut widths);
-        for ((start, (block, width)), taken) in blocks {
-            start.clear();
-            if *width == 0 {
-                continue;
-            }
-            for &outer in self.operator.outer() {
-                start.extend_from_slice(&block[outer as usize * width..][..*width]);
-            }
-            *taken = *width;
+    /// Has as many threads ready; one if no more can be had.
+    fn start_threads(&mut self, threads: usize) {
+        let threads = threads.clamp(1, MAX_THREADS);
+        if threads == self.pool.1.as_ref().map_or(1, ThreadPool::current_num_threads) {
+            return;
         }
-        widths
+        let build = || ThreadPoolBuilder::new().num_threads(threads).build().ok();
+        let pool = if threads > 1 { build() } else { None };
+        self.pool = (if pool.is_some() { threads } else { 1 }, pool);
     }
 
+    /// Brings the operator, and the history with it, to the nodes and the weights of a new frame.
+    fn assign(&mut self, a: &SparseMatrix, alpha: f64, previous: Option<&[Option<usize>]>) {
+        let keep_order = previous.is_none() && !self.frames.is_multiple_of(ORDER_FRAMES);
+        if keep_order {
+            self.operator.assign(a, alpha, true);
+            return;
+        }
+        let before = self.operator.inner().to_vec();
+        self.operator.assign(a, alpha, false);
+        if previous.is_none() && before == self.operator.inner() {
+            return;
+        }
+        for (block, width) in &mut self.history {
+            let (stride, mut moved) = (*width, Aligned::default());
+            moved.resize(self.nodes * stride);
+            let rows = moved.chunks_exact_mut(stride.max(1));
+            for (to, &outer) in rows.zip(self.operator.outer()) {
+                let old = previous.map_or(Some(outer as usize), |old| old[outer as usize]);
+                if let Some(inner) = old.map(|old| before[old] as usize) {
+                    to.copy_from_slice(&block[inner * stride..(inner + 1) * stride]);
+                }
+            }
+            *block = moved;
+        }
+    }
+
+    /// Keeps W = V + UΣ for the next frame.
     fn remember(&mut self) {
         self.frames += 1;
-        if !self.triplets.right.iter().chain(&self.triplets.image).all(|value| value.is_finite()) {
+        if !self.triplets.finite {
             self.forget();
             return;
         }
         self.history.swap(0, 1);
-        let width = self.triplets.width;
+        let Triplets { width, right, image, .. } = &self.triplets;
         let (block, kept) = &mut self.history[0];
-        *kept = width;
-        block.resize(self.nodes * width, 0.0);
-        for (to, &inner) in block.chunks_exact_mut(width.max(1)).zip(self.operator.inner()) {
-            let row = inner as usize * width..(inner as usize + 1) * width;
-            let sums = self.triplets.right[row.clone()].iter().zip(&self.triplets.image[row]);
-            for (to, (right, image)) in to.iter_mut().zip(sums) {
-                *to = right + image;
-            }
-        }
+        *kept = *width;
+        block.resize(self.nodes * width);
+        let parts = Parts::new(self.nodes, self.pool.0);
+        within(&self.pool, || {
+            parts.run(Strided(block, *width), |rows, block| {
+                let own = rows.start * width..rows.end * width;
+                let sums = right[own.clone()].iter().zip(&image[own]);
+                for (to, (right, image)) in block.0.iter_mut().zip(sums) {
+                    *to = right + image;
+                }
+            });
+        });
+    }
+}
+
+/// Runs in the pool if there is one.
+fn within<T: Send>(pool: &(usize, Option<ThreadPool>), run: impl FnOnce() -> T + Send) -> T {
+    match &pool.1 {
+        Some(pool) => pool.install(run),
+        None => run(),
     }
 }
 
@@ -254,7 +545,8 @@ impl Spectrum for KatzSvd {
     }
 
     fn squared_share(&self, i: usize, j: usize) -> f64 {
-        let Triplets { width, right, image, sigma, .. } = &self.triplets;
+        let Triplets { width, sigma, .. } = &self.triplets;
+        let (right, image) = self.vectors();
         let at = self.operator.inner()[i] as usize * width + j;
         if sigma[j] <= self.noise() {
             return 0.0;
@@ -264,11 +556,15 @@ impl Spectrum for KatzSvd {
 }
 
 fn check(
-    n: usize,
+    a: &SparseMatrix,
     alpha: f64,
     radius: &SpectralRadius,
     options: KatzSvdOptions,
 ) -> Result<(), KatzSvdError> {
+    let n = a.nodes();
+    if a.edges() > MAX_EDGES {
+        return Err(KatzSvdError::Edges { edges: a.edges() });
+    }
     if !(alpha.is_finite() && alpha > 0.0) {
         return Err(KatzError::Alpha(alpha).into());
     }

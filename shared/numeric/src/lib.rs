@@ -27,6 +27,7 @@
 //! Every entry of a [`matrix::DenseMatrix`] or [`matrix::SparseMatrix`] is finite and bounded by
 //! [`matrix::MAX_ENTRY`], which is checked on construction; functions that take them rely on it.
 
+mod aligned;
 pub mod alignment;
 pub mod alpha_band;
 mod backend;
@@ -52,6 +53,8 @@ mod panels;
 mod partial;
 pub mod radius_bound;
 mod scaling;
+mod share;
 pub mod silhouette;
 pub mod spectral_radius;
 pub mod svd;
+mod tall;

@@ -211,6 +211,22 @@ impl RankKSvd {
         }
     }
 
+    /// A bound on the sine of the largest angle by which the subspaces of U and of V are off, given that
+    /// no ‖S v_j − σ_j u_j‖ or ‖Sᵀ u_j − σ_j v_j‖ exceeds `residual`, relative to σ₁ (as
+    /// [`RankKSvd::residual`] measures it, or (1 + σ₁) times that of
+    /// [`crate::katz_svd::KatzSvdReport`]).
+    ///
+    /// By Wedin's theorem (BIT 12, 1972) the sine is at most ‖R‖/δ, where the residuals of K triplets
+    /// make ‖R‖ ≤ √K·`residual`, and δ is the distance from σ_K to what is left out, which is known up
+    /// to another residual. 1, the trivial bound, where the gap is no larger than what blurs it. Like
+    /// every bound from residuals, it presumes that no triplet was missed altogether.
+    #[must_use]
+    pub fn angle_bound(&self, residual: f64) -> f64 {
+        let distance = self.gap() - residual;
+        let bound = (self.rank() as f64).sqrt() * residual / distance;
+        if distance > 0.0 && bound < 1.0 { bound } else { 1.0 }
+    }
+
     /// True when σ_K and σ_{K+1} coincide up to [`AMBIGUOUS_GAP`], so that which vectors were
     /// kept is arbitrary. Not so when both are negligible: their vectors are zero anyway.
     #[must_use]

@@ -48,6 +48,39 @@ fn gaps_and_ambiguity() {
 }
 
 #[test]
+fn subspaces_turn_by_no_more_than_the_bound() {
+    let s = similarity(&star(6));
+    let svd = rank_k_svd(&s, 2).unwrap();
+    assert_eq!(svd.angle_bound(0.0), 0.0);
+    // What the residual says of triplets of a matrix that is slightly off.
+    for size in [1e-12, 1e-6, 1e-3] {
+        let n = s.rows();
+        let rows: Vec<Vec<f64>> = (0..n)
+            .map(|i| (0..n).map(|j| s.row(i)[j] + size * ((3 * i + 5 * j) % 7) as f64).collect())
+            .collect();
+        let near = DenseMatrix::from_rows(&rows).unwrap();
+        let off = rank_k_svd(&near, 2).unwrap();
+        let bound = off.angle_bound(off.residual(&s).unwrap());
+        assert!(bound < 1.0 || size == 1e-3);
+        for (found, wanted) in [(&off.u, &svd.u), (&off.v, &svd.v)] {
+            for column in 0..2 {
+                // What of a vector lies outside of the true subspace.
+                let mut rest: Vec<f64> = (0..n).map(|i| found.row(i)[column]).collect();
+                for other in 0..2 {
+                    let along: f64 = (0..n).map(|i| wanted.row(i)[other] * rest[i]).sum();
+                    (0..n).for_each(|i| rest[i] -= along * wanted.row(i)[other]);
+                }
+                let sine = rest.iter().map(|r| r * r).sum::<f64>().sqrt();
+                assert!(sine <= bound + 1e-14, "{sine:e} {bound:e}");
+            }
+        }
+    }
+    // No gap, no bound.
+    let twins = full_svd(&similarity(&cliques(&[5, 5]))).unwrap();
+    assert_eq!(twins.truncate(1).unwrap().angle_bound(1e-9), 1.0);
+}
+
+#[test]
 fn unusual_input() {
     let zero = DenseMatrix::zeros(3, 3).unwrap();
     let svd = rank_k_svd(&zero, 2).unwrap();

@@ -2,6 +2,15 @@
 
 use super::{DenseMatrix, MAX_ENTRY, MAX_NODES, MIN_WEIGHT, MatrixError};
 
+/// Rows that are compared at once, in one sweep that looks at all of them.
+const COMPARED: usize = 64;
+
+/// True when all items pass. Looks at all of them, so that it can look at several at a time.
+#[inline(always)]
+fn all<T>(items: impl Iterator<Item = T>, test: impl Fn(T) -> bool) -> bool {
+    items.fold(true, |all, item| all & test(item))
+}
+
 /// Adjacency matrix of a weighted directed graph, n × n, in compressed sparse rows.
 ///
 /// Entry (i, j) is the weight of the edge from node i to node j: finite, positive, between
@@ -10,7 +19,8 @@ use super::{DenseMatrix, MAX_ENTRY, MAX_NODES, MIN_WEIGHT, MatrixError};
 pub struct SparseMatrix {
     nodes: usize,
     starts: Vec<usize>,
-    columns: Vec<usize>,
+    /// 32 bits hold every number below [`MAX_NODES`].
+    columns: Vec<u32>,
     weights: Vec<f64>,
 }
 
@@ -70,7 +80,7 @@ impl SparseMatrix {
         Self {
             nodes,
             starts,
-            columns: entries.iter().map(|e| e.1).collect(),
+            columns: entries.iter().map(|e| e.1 as u32).collect(),
             weights: entries.iter().map(|e| e.2).collect(),
         }
     }
@@ -121,7 +131,7 @@ impl SparseMatrix {
     pub fn row(&self, i: usize) -> impl ExactSizeIterator<Item = (usize, f64)> {
         let range = if i < self.nodes { self.starts[i]..self.starts[i + 1] } else { 0..0 };
         let columns = self.columns[range.clone()].iter();
-        columns.zip(&self.weights[range]).map(|(&j, &w)| (j, w))
+        columns.zip(&self.weights[range]).map(|(&j, &w)| (j as usize, w))
     }
 
     /// All edges as (row, column, weight), sorted by row and column.
@@ -143,8 +153,64 @@ impl SparseMatrix {
 
     /// The compressed rows: where each row starts (and, last, where the last one ends), columns and
     /// weights. For inner loops, which a bounds check per row would slow down.
-    pub(crate) fn parts(&self) -> (&[usize], &[usize], &[f64]) {
+    pub(crate) fn parts(&self) -> (&[usize], &[u32], &[f64]) {
         (&self.starts, &self.columns, &self.weights)
+    }
+
+    /// A matrix of no nodes.
+    pub(crate) fn empty() -> Self {
+        Self::from_sorted(0, &[])
+    }
+
+    /// Makes this matrix equal to `other` in the memory that is there.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.nodes = other.nodes;
+        self.starts.clone_from(&other.starts);
+        self.columns.clone_from(&other.columns);
+        self.weights.clone_from(&other.weights);
+    }
+
+    /// Adds to `rows`, ascending, the numbers of the rows that are not the same bit for bit in
+    /// `other`, which has as many nodes. Stops once there are more than `most`. O(edges), as fast as
+    /// memory is read.
+    pub fn differing_rows(&self, other: &Self, most: usize, rows: &mut Vec<usize>) {
+        let nodes = self.nodes.min(other.nodes);
+        let before = rows.len();
+        for first in (0..nodes).step_by(COMPARED) {
+            let last = (first + COMPARED).min(nodes);
+            if self.same_rows(other, first, last) {
+                continue;
+            }
+            rows.extend((first..last).filter(|&i| !self.same_rows(other, i, i + 1)));
+            if rows.len() - before > most {
+                return;
+            }
+        }
+    }
+
+    /// Copies row `i` of `other`, which has as many nodes, if it has as many entries as the one here.
+    pub(crate) fn copy_row(&mut self, other: &Self, i: usize) -> bool {
+        let (own, from) =
+            (self.starts[i]..self.starts[i + 1], other.starts[i]..other.starts[i + 1]);
+        let fits = own.len() == from.len();
+        if fits {
+            self.columns[own.clone()].copy_from_slice(&other.columns[from.clone()]);
+            self.weights[own].copy_from_slice(&other.weights[from]);
+        }
+        fits
+    }
+
+    /// True when the rows from `first` to before `last` are the same in `other` bit for bit.
+    fn same_rows(&self, other: &Self, first: usize, last: usize) -> bool {
+        let (from, to) = (self.starts[first], self.starts[last]);
+        let (start, end) = (other.starts[first], other.starts[last]);
+        let lengths = self.starts[first..last].iter().zip(&other.starts[first..last]);
+        if to - from != end - start || !all(lengths, |(a, b)| a - from == b - start) {
+            return false;
+        }
+        let weights = self.weights[from..to].iter().zip(&other.weights[start..end]);
+        self.columns[from..to] == other.columns[start..end]
+            && all(weights, |(a, b)| a.to_bits() == b.to_bits())
     }
 
     /// Most edges that leave one node.

@@ -89,7 +89,7 @@ fn sweep(
     for (i, ((bounds, &own), next)) in starts.windows(2).zip(x).zip(next).enumerate() {
         let range = bounds[0]..bounds[1];
         let edges = columns[range.clone()].iter().zip(&weights[range]);
-        let product = edges.map(|(&j, w)| w * x[j]).sum::<f64>();
+        let product = edges.map(|(&j, w)| w * x[j as usize]).sum::<f64>();
         // Divisions only where a quotient is the most extreme one so far.
         if product > upper * own {
             upper = product / own;

@@ -1,105 +1,151 @@
-//! Runs Muster's clustering and linfa's on the points of a file, one job per line of standard
-//! input, and answers each with a line: seconds, and what was found.
+//! Muster's side of the comparison with peers, and what there is in Rust beside it: fleets, partial
+//! decompositions, the paper's method to the letter on faer, k-means and silhouettes of Muster, k-means of
+//! linfa, and what the machine can do at most.
 //!
-//! `muster-peers FILE POINTS DIMS CLUSTERS ITERATIONS`, where FILE holds POINTS × DIMS numbers of
-//! eight bytes, low byte first. The first CLUSTERS points are the first centroids. The jobs are
-//! `muster` and `linfa` for k-means, and `exact`, `squared` and `sampled` for silhouettes of the
-//! labels that the first k-means found.
+//! `tests/peers/compare` starts it. One line of standard input is one [`Command`] in JSON; each is
+//! answered with one line in JSON, whose `error` says why there is no answer. Times are seconds of the
+//! process and of the wall, without what it takes to read, write and prepare.
 
-use std::io::BufRead;
-use std::time::Instant;
+mod cells;
+mod clock;
+mod command;
+mod files;
+mod fleet;
+mod graph;
+mod limits;
+mod literal;
+mod memory;
+mod points;
+mod site;
 
-use linfa::DatasetBase;
-use linfa::traits::{Fit, Predict};
-use linfa_clustering::{KMeans, KMeansInit};
-use linfa_nn::distance::L2Dist;
-use muster_numeric::kmeans::lloyd;
-use muster_numeric::matrix::DenseMatrix;
-use muster_numeric::silhouette::{
-    SilhouetteOptions, estimate_silhouette, silhouette, silhouette_squared,
-};
-use ndarray::{Array2, s};
-use rand_xoshiro::Xoshiro256Plus;
-use rand_xoshiro::rand_core::SeedableRng;
+use std::collections::BTreeMap;
+use std::io::{BufRead, Write};
+
+use serde_json::{Value, json};
+
+use clock::Seconds;
+use command::Command;
+use points::Points;
+use site::{Site, Wanted};
 
 type Failure = Box<dyn std::error::Error>;
 
-fn main() -> Result<(), Failure> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [file, numbers @ ..] = arguments.as_slice() else { return Err("no file".into()) };
-    let numbers: Vec<usize> = numbers.iter().map(|n| n.parse()).collect::<Result<_, _>>()?;
-    let [points, dims, clusters, iterations] = numbers[..] else {
-        return Err("FILE POINTS DIMS CLUSTERS ITERATIONS".into());
-    };
-    let bytes = std::fs::read(file)?;
-    let (values, _) = bytes.as_chunks::<8>();
-    let data: Vec<f64> = values.iter().map(|b| f64::from_le_bytes(*b)).collect();
-    let array = Array2::from_shape_vec((points, dims), data.clone())?;
-    let first_array = array.slice(s![..clusters, ..]).to_owned();
-    let dataset = DatasetBase::from(array);
-    let x = DenseMatrix::new(points, dims, data)?;
-    let first = x.select_rows(&(0..clusters).collect::<Vec<_>>());
-    let labels = lloyd(&x, &first, iterations, 1)?.labels;
+/// What is kept between commands.
+#[derive(Default)]
+struct Session {
+    sites: BTreeMap<String, Site>,
+    points: Option<Points>,
+}
 
-    for job in std::io::stdin().lock().lines() {
-        let start = Instant::now();
-        let (seconds, result, error) = match job?.as_str() {
-            "muster" => {
-                let found = lloyd(&x, &first, iterations, 1)?;
-                let seconds = start.elapsed();
-                (seconds, inertia(&x, &found.labels, clusters), 0.0)
-            }
-            "linfa" => {
-                let random = Xoshiro256Plus::seed_from_u64(0);
-                let init = KMeansInit::Precomputed(first_array.clone());
-                let start = Instant::now();
-                let model = KMeans::params_with(clusters, random, L2Dist)
-                    .init_method(init)
-                    .n_runs(1)
-                    .max_n_iterations(iterations as u64)
-                    .tolerance(f64::MIN_POSITIVE)
-                    .fit(&dataset)?;
-                let found = model.predict(dataset.records());
-                let seconds = start.elapsed();
-                (seconds, inertia(&x, &found.to_vec(), clusters), 0.0)
-            }
-            "exact" => {
-                let mean = silhouette(&x, &labels)?.mean;
-                (start.elapsed(), mean, 0.0)
-            }
-            "squared" => {
-                let mean = silhouette_squared(&x, &labels)?.mean;
-                (start.elapsed(), mean, 0.0)
-            }
-            "sampled" => {
-                let options = SilhouetteOptions { exact_points: 0, ..Default::default() };
-                let found = estimate_silhouette(&x, &labels, &options)?;
-                (start.elapsed(), found.mean, found.standard_error)
-            }
-            other => return Err(format!("no job {other}").into()),
-        };
-        println!("{} {result:?} {error:?}", seconds.as_secs_f64());
+fn main() -> Result<(), Failure> {
+    let mut session = Session::default();
+    let mut answers = std::io::stdout().lock();
+    for line in std::io::stdin().lock().lines() {
+        let answer = serde_json::from_str(&line?)
+            .map_err(Failure::from)
+            .and_then(|command| session.answer(command));
+        let answer = answer.unwrap_or_else(|error| json!({"error": error.to_string()}));
+        writeln!(answers, "{answer}")?;
+        answers.flush()?;
     }
     Ok(())
 }
 
-/// Sum of squared distances to the means of the clusters that the labels make, the same for all.
-fn inertia(x: &DenseMatrix, labels: &[usize], clusters: usize) -> f64 {
-    let mut means = vec![vec![0.0; x.cols()]; clusters];
-    let mut sizes = vec![0.0; clusters];
-    for (row, &label) in x.iter_rows().zip(labels) {
-        sizes[label] += 1.0;
-        for (mean, value) in means[label].iter_mut().zip(row) {
-            *mean += value;
-        }
+impl Session {
+    fn answer(&mut self, command: Command) -> Result<Value, Failure> {
+        Ok(match command {
+            Command::Fleet { site, robots, graph, fraction, seed } => {
+                let made = Site::new(robots.max(1), graph, fraction, seed)?;
+                let answer = about(&made);
+                self.sites.insert(site, made);
+                answer
+            }
+            Command::Advance { site, spacings, all } => {
+                let site = self.site(&site)?;
+                site.advance(spacings, all)?;
+                about(site)
+            }
+            Command::WriteGraph { site, to } => {
+                files::write_graph(&to, &self.site(&site)?.graph)?;
+                json!({})
+            }
+            Command::Solve { site, stream, rank, tolerance, threads, to } => {
+                let wanted = Wanted { rank, tolerance, threads };
+                let solved = self.site(&site)?.solve(stream.as_deref(), wanted)?;
+                if let Some(to) = to {
+                    files::write_triplets(&to, &solved.svd)?;
+                }
+                json!({
+                    "seconds": solved.seconds,
+                    "vectors": solved.vectors,
+                    "rounds": solved.report.rounds,
+                    "residual": solved.report.residual,
+                    "converged": solved.report.converged,
+                })
+            }
+            Command::Bound { site } => {
+                let (seconds, bound) = self.site(&site)?.bound();
+                json!({"seconds": seconds, "lower": bound.lower, "upper": bound.upper})
+            }
+            Command::UpdateSimilarity { site } => {
+                timed_only(self.site(&site)?.update_similarity()?)
+            }
+            Command::Literal { site } => {
+                let site = self.site(&site)?;
+                let found = literal::literal(&site.graph, site.alpha)?;
+                json!({
+                    "eigenvalues": found.eigenvalues,
+                    "inverse": found.inverse,
+                    "svd": found.svd,
+                    "radius": found.radius,
+                    "sigma": found.sigma,
+                })
+            }
+            Command::Points { from, dims, clusters, iterations } => {
+                let data = files::read_numbers(&from)?;
+                self.points = Some(Points::new(data, dims, clusters, iterations)?);
+                json!({})
+            }
+            Command::Labels => json!({"labels": self.points()?.labels()}),
+            Command::Kmeans => with_value(self.points()?.kmeans()?),
+            Command::Linfa => with_value(self.points()?.linfa()?),
+            Command::Silhouette { form } => {
+                let (seconds, value, error) = self.points()?.silhouette(form)?;
+                json!({"seconds": seconds, "value": value, "standard_error": error})
+            }
+            Command::Triad { bytes } => json!({"value": limits::triad(bytes)}),
+            Command::Gemm => json!({"value": limits::gemm()}),
+            Command::ForgetPeak => {
+                memory::forget_peak()?;
+                json!({})
+            }
+            Command::Peak => json!({"value": memory::peak()?}),
+        })
     }
-    for (mean, size) in means.iter_mut().zip(&sizes) {
-        for value in mean {
-            *value /= f64::max(*size, 1.0);
-        }
+
+    fn site(&mut self, name: &str) -> Result<&mut Site, Failure> {
+        self.sites.get_mut(name).ok_or_else(|| format!("no fleet {name}").into())
     }
-    let square = |(row, &label): (&[f64], &usize)| -> f64 {
-        row.iter().zip(&means[label]).map(|(v, m)| (v - m) * (v - m)).sum()
-    };
-    x.iter_rows().zip(labels).map(square).sum()
+
+    fn points(&self) -> Result<&Points, Failure> {
+        self.points.as_ref().ok_or_else(|| "no points".into())
+    }
+}
+
+fn about(site: &Site) -> Value {
+    let (lower, upper) = site.radius();
+    json!({
+        "robots": site.graph.nodes(),
+        "edges": site.graph.edges(),
+        "alpha": site.alpha,
+        "radius": [lower, upper],
+    })
+}
+
+fn timed_only(seconds: Seconds) -> Value {
+    json!({"seconds": seconds})
+}
+
+fn with_value((seconds, value): (Seconds, f64)) -> Value {
+    json!({"seconds": seconds, "value": value})
 }

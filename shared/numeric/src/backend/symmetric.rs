@@ -1,5 +1,4 @@
-//! Products of blocks of vectors, n × a few, and the small symmetric problems that come out of them.
-//! Everything works in rows, in memory of the caller, on the calling thread.
+//! The small symmetric problems that come out of blocks of vectors, in memory of the caller.
 
 use faer::diag::DiagMut;
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -7,70 +6,7 @@ use faer::linalg::cholesky::llt::factor::{
     LltRegularization, cholesky_in_place, cholesky_in_place_scratch,
 };
 use faer::linalg::evd::{ComputeEigenvectors, self_adjoint_evd, self_adjoint_evd_scratch};
-use faer::linalg::matmul::matmul;
-use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
-use faer::{Accum, MatMut, MatRef, Par};
-
-/// A block of `columns` vectors in rows that start `stride` values apart.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Block<'a> {
-    data: &'a [f64],
-    columns: usize,
-    stride: usize,
-}
-
-/// The same to be written.
-#[derive(Debug)]
-pub(crate) struct BlockMut<'a> {
-    data: &'a mut [f64],
-    columns: usize,
-    stride: usize,
-}
-
-impl<'a> Block<'a> {
-    /// The first `columns` values of rows of `stride` values.
-    pub(crate) fn new(data: &'a [f64], columns: usize, stride: usize) -> Self {
-        Self { data, columns, stride }
-    }
-
-    fn view(&self) -> MatRef<'a, f64> {
-        let rows = self.data.len() / self.stride;
-        MatRef::from_row_major_slice(self.data, rows, self.stride).subcols(0, self.columns)
-    }
-}
-
-impl<'a> BlockMut<'a> {
-    /// The first `columns` values of rows of `stride` values.
-    pub(crate) fn new(data: &'a mut [f64], columns: usize, stride: usize) -> Self {
-        Self { data, columns, stride }
-    }
-
-    fn view(self) -> MatMut<'a, f64> {
-        let rows = self.data.len() / self.stride;
-        MatMut::from_row_major_slice_mut(self.data, rows, self.stride).subcols_mut(0, self.columns)
-    }
-}
-
-/// Aᵀ B.
-pub(crate) fn gram(a: Block<'_>, b: Block<'_>, out: BlockMut<'_>) {
-    matmul(out.view(), Accum::Replace, a.view().transpose(), b.view(), 1.0, Par::Seq);
-}
-
-/// A B.
-pub(crate) fn product(a: Block<'_>, b: Block<'_>, out: BlockMut<'_>) {
-    matmul(out.view(), Accum::Replace, a.view(), b.view(), 1.0, Par::Seq);
-}
-
-/// `out` − A B.
-pub(crate) fn subtract_product(a: Block<'_>, b: Block<'_>, out: BlockMut<'_>) {
-    matmul(out.view(), Accum::Add, a.view(), b.view(), -1.0, Par::Seq);
-}
-
-/// `block` R⁻¹ for the upper triangular R whose transpose the rows of `factor` hold, n × n.
-pub(crate) fn divide_by_factor(factor: &[f64], n: usize, block: BlockMut<'_>) {
-    let lower = MatRef::from_row_major_slice(factor, n, n);
-    solve_lower_triangular_in_place(lower, block.view().transpose_mut(), Par::Seq);
-}
+use faer::{MatMut, MatRef, Par};
 
 /// The small symmetric problems, with their scratch space.
 #[derive(Default)]
@@ -139,6 +75,19 @@ impl Symmetric {
     }
 }
 
+/// The transpose of the inverse of the lower triangular `factor`, n × n, in rows of `stride` values.
+pub(crate) fn invert_transpose(factor: &[f64], n: usize, inverse: &mut [f64], stride: usize) {
+    for j in 0..n {
+        // Row j of the transpose is column j of the inverse, by substitution from its diagonal on.
+        let row = &mut inverse[j * stride..j * stride + n];
+        row[j] = 1.0 / factor[j * n + j];
+        for i in j + 1..n {
+            let known: f64 = (j..i).map(|k| factor[i * n + k] * row[k]).sum();
+            row[i] = -known / factor[i * n + i];
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -158,21 +107,11 @@ mod tests {
     }
 
     #[test]
-    fn a_block_is_made_orthonormal_by_the_factor_of_its_gram_matrix() {
-        let mut block: Vec<f64> = (0..40).map(|i| f64::from(i * i % 17)).collect();
-        let mut g = vec![0.0; 16];
-        let view = Block::new(&block, 4, 4);
-        gram(view, view, BlockMut::new(&mut g, 4, 4));
+    fn a_factor_is_refused_when_too_little_is_left() {
         let mut symmetric = Symmetric::default();
-        assert!(symmetric.cholesky(&mut g, 4, 1e-12));
-        divide_by_factor(&g, 4, BlockMut::new(&mut block, 4, 4));
-        let view = Block::new(&block, 4, 4);
-        gram(view, view, BlockMut::new(&mut g, 4, 4));
-        for i in 0..4 {
-            for j in 0..4 {
-                assert!((g[i * 4 + j] - f64::from(u8::from(i == j))).abs() < 1e-12);
-            }
-        }
+        let mut g = [4.0, 2.0, 2.0, 5.0];
+        assert!(symmetric.cholesky(&mut g, 2, 1e-12));
+        assert_eq!((g[0], g[2], g[3]), (2.0, 1.0, 2.0));
         assert!(!symmetric.cholesky(&mut [1.0, 1.0, 1.0, 1.0], 2, 1e-12));
     }
 }

@@ -1,0 +1,27 @@
+"""How much a search for singular triplets computes and moves, to be held against the machine's limits.
+
+An estimate from above: it takes every direction as open until the last round, while those that are
+found are searched for no more. Names are those of shared/numeric/src/partial.rs.
+"""
+
+# Vectors that are carried along beside those asked for, to a multiple of a register.
+EXTRA = 8
+REGISTER = 8
+# Products of the preconditioner in a round: its degree, with the matrix and with its transpose.
+SINGLE_PRODUCTS = 2 * 3
+# Vectors of the search space on average, in blocks, of three at most.
+SPACE = 2
+
+
+def search(robots, edges, rank, rounds):
+    """Operations and bytes of `rounds` rounds."""
+    block = -(-(rank + EXTRA) // REGISTER) * REGISTER
+    space = SPACE * block
+    # Two products in double precision, of rows of `block` numbers: read and written once each.
+    products = 2 * (12 * edges + 16 * robots * block)
+    products += SINGLE_PRODUCTS * (8 * edges + 12 * robots * block)
+    # Directions against the space, whose vectors and images are read, and the best of it written.
+    dense = 8 * robots * (4 * space + 10 * block)
+    operations = (2 + SINGLE_PRODUCTS) * 2 * edges * block
+    operations += 2 * robots * block * (6 * space + 3 * block)
+    return {"operations": rounds * operations, "bytes": rounds * (products + dense)}

@@ -1,0 +1,56 @@
+//! What this machine can do at most: bytes and operations per second on one thread.
+
+use std::hint::black_box;
+
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, Par};
+use pulp::Arch;
+
+use crate::clock::timed;
+
+/// Each limit is the best of so many tries: nothing but other work on the machine makes one slower.
+const TRIES: usize = 9;
+
+/// Bytes that one try moves at least.
+const MOVED: usize = 1 << 30;
+
+/// Side of the matrices that are multiplied.
+const SIDE: usize = 1024;
+
+/// Bytes per second of a = b + s c over three arrays of `bytes` together, counting each array once.
+pub(crate) fn triad(bytes: usize) -> f64 {
+    let n = bytes / (3 * size_of::<f64>());
+    let (mut a, b, c) = (vec![0.0_f64; n], vec![1.0_f64; n], vec![2.0_f64; n]);
+    let moved = 3 * n * size_of::<f64>();
+    let passes = (MOVED / moved).max(1);
+    best(|| {
+        for _ in 0..passes {
+            let s = black_box(3.0);
+            Arch::new().dispatch(|| {
+                for ((a, b), c) in a.iter_mut().zip(&b).zip(&c) {
+                    *a = b + s * c;
+                }
+            });
+            black_box(&a);
+        }
+    })
+    .recip()
+        * (passes * moved) as f64
+}
+
+/// Operations per second of a product of two dense matrices.
+pub(crate) fn gemm() -> f64 {
+    let a = Mat::from_fn(SIDE, SIDE, |i, j| (i + j) as f64 / SIDE as f64);
+    let b = Mat::from_fn(SIDE, SIDE, |i, j| (2 * i + j) as f64 / SIDE as f64);
+    let mut c = Mat::<f64>::zeros(SIDE, SIDE);
+    let seconds = best(|| {
+        matmul(c.as_mut(), Accum::Replace, a.as_ref(), b.as_ref(), 1.0, Par::Seq);
+        black_box(&c);
+    });
+    2.0 * (SIDE as f64).powi(3) / seconds
+}
+
+/// Seconds of the process for the fastest try.
+fn best(mut work: impl FnMut()) -> f64 {
+    (0..TRIES).map(|_| timed(&mut work).0.cpu).fold(f64::INFINITY, f64::min)
+}
