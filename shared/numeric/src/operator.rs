@@ -94,6 +94,12 @@ impl KatzOperator {
         &self.outer
     }
 
+    /// Whether a node, by its own number, has no edge at all.
+    pub(crate) fn is_isolated(&self, inner: usize) -> bool {
+        let has_none = |rows: &Rows<f64>| rows.starts[inner] == rows.starts[inner + 1];
+        has_none(&self.forward) && has_none(&self.backward)
+    }
+
     /// Y = B X with B = αA or αAᵀ; X and Y are n × `width` in rows of `width` values.
     pub(crate) fn multiply(
         &self,

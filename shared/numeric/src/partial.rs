@@ -335,6 +335,13 @@ impl Search<'_> {
     fn ritz(&mut self, out: &mut Triplets) -> bool {
         let (size, capacity, carried) = (self.size, self.capacity, self.carried);
         let Workspace { space, image, energy, compact, overlap, symmetric, .. } = &mut *self.work;
+        if size == 0 {
+            out.sigma.clear();
+            out.sigma.resize(carried, 0.0);
+            out.residuals.clear();
+            out.residuals.resize(carried, f64::INFINITY);
+            return false;
+        }
         let compact = &mut compact[..size * size];
         for (to, from) in compact.chunks_exact_mut(size).zip(energy.chunks_exact(capacity)) {
             to.copy_from_slice(&from[..size]);
