@@ -195,9 +195,13 @@ fn a_solve_is_estimated_before_it_is_begun() {
     let many: Vec<String> = (0..16_385).map(|robot| format!("\"r{robot}\"")).collect();
     let file = format!(r#"{{"robots": [{}], "teams": 1, "ranks": {{}}}}"#, many.join(","));
     std::fs::write(path, file).unwrap();
-    let (code, _, err) = run("muster", &["solve", path, "--estimate"], SOON).unwrap();
+    let (code, out, _) = run("muster", &["solve", path, "--estimate"], SOON).unwrap();
+    assert_eq!(code, Some(0));
+    assert!(out.contains("inverse-free: "), "{out}");
+    let dense = ["solve", path, "--estimate", "--path", "dense"];
+    let (code, _, err) = run("muster", &dense, SOON).unwrap();
     assert_eq!(code, Some(2));
-    assert!(err.contains("robots: 16385 are too many"), "{err}");
+    assert!(err.contains("robots: 16385 are too many for the dense path"), "{err}");
 }
 
 #[test]

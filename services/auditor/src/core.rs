@@ -1,6 +1,5 @@
 //! What is judged when, and what is told of it.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -22,15 +21,11 @@ use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::alert::Alert;
+use crate::history::{History, Taken};
 use crate::judge::{Case, Job, Judgement, Outcome, judge, verdict};
 
 /// The number of the fetch of an embedding that a division names and that has not come.
 const PAIR_FETCH: u32 = 1;
-
-/// Most embeddings, and most rosters, that are kept for divisions that name them: three seconds at
-/// ten per second, longer than a division takes. Those before the one that the newest division
-/// names are dropped at once.
-const HISTORY: usize = 32;
 
 /// Most packets that wait between two turns of the loop: the slot of the newest alone would lose
 /// the embedding that a division names when two come at once.
@@ -81,8 +76,8 @@ struct Judged {
 pub struct Auditor {
     role: Role<AuditorSettings>,
     newest: Option<Heard>,
-    embeddings: VecDeque<Arc<Embedding>>,
-    rosters: VecDeque<Arc<Roster>>,
+    embeddings: History<Embedding>,
+    rosters: History<Roster>,
     gate: JobGate<Task>,
     judged: Option<Judged>,
     /// The last good answer; of the holder before until this one has its own.
@@ -92,66 +87,14 @@ pub struct Auditor {
     ask: Option<Tick>,
 }
 
-/// A message that comes in order, and is kept for a while.
-trait Kept {
-    fn revision(&self) -> Revision;
-}
-
-impl Kept for Arc<Embedding> {
-    fn revision(&self) -> Revision {
-        self.header.revision
-    }
-}
-
-impl Kept for Arc<Roster> {
-    fn revision(&self) -> Revision {
-        self.header.revision
-    }
-}
-
-/// What became of a message that came in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Taken {
-    /// It is dropped: a newer one was there.
-    Old,
-    /// It is there, and the newest division does not rest on it; or was there before; or is
-    /// refused.
-    Kept,
-    /// There may be something to judge now.
-    Wanted,
-}
-
-/// Keeps a message in the order of revisions. One that is older than the newest is kept only if it
-/// is wanted.
-fn keep<T: Kept>(history: &mut VecDeque<T>, message: T, wanted: Option<Revision>) -> Taken {
-    let revision = message.revision();
-    let is_wanted = wanted == Some(revision);
-    match history.binary_search_by_key(&revision, Kept::revision) {
-        Ok(_) => return Taken::Kept,
-        Err(at) if at == history.len() || is_wanted => history.insert(at, message),
-        Err(_) => return Taken::Old,
-    }
-    if history.len() > HISTORY {
-        // What is wanted stays, however old it is.
-        let spare = usize::from(history.front().map(Kept::revision) == wanted);
-        history.remove(spare);
-    }
-    if is_wanted { Taken::Wanted } else { Taken::Kept }
-}
-
-fn find<T: Kept + Clone>(history: &VecDeque<T>, revision: Revision) -> Option<T> {
-    let at = history.binary_search_by_key(&revision, Kept::revision).ok()?;
-    history.get(at).cloned()
-}
-
 impl Auditor {
     /// An instance that has told nothing yet.
     fn following(role: Role<AuditorSettings>, gate: JobGate<Task>) -> Self {
         Self {
             role,
             newest: None,
-            embeddings: VecDeque::new(),
-            rosters: VecDeque::new(),
+            embeddings: History::default(),
+            rosters: History::default(),
             gate,
             judged: None,
             audit: None,
@@ -233,10 +176,7 @@ impl Auditor {
         }
         // Divisions go forward through the embeddings: no later one names what lies before this
         // one.
-        let named = teams.embedding;
-        if find(&self.embeddings, named).is_some() {
-            self.embeddings.retain(|embedding| embedding.header.revision >= named);
-        }
+        self.embeddings.drop_before(teams.embedding);
         self.newest = Some(Heard { teams, received: now });
         Taken::Wanted
     }
@@ -252,12 +192,13 @@ impl Auditor {
             self.role.refuse(now, &Key::Embedding, reason, effects);
             return Taken::Kept;
         }
-        keep(&mut self.embeddings, embedding, wanted)
+        self.embeddings.keep(embedding, wanted)
     }
 
     fn take_roster(&mut self, roster: Arc<Roster>) -> Taken {
-        let wanted = self.wanted().and_then(|named| Some(find(&self.embeddings, named)?.roster));
-        keep(&mut self.rosters, roster, wanted)
+        let embedding = self.wanted().and_then(|named| self.embeddings.find(named));
+        let wanted = embedding.map(|embedding| embedding.roster);
+        self.rosters.keep(roster, wanted)
     }
 
     /// The embedding that the newest division names.
@@ -268,9 +209,10 @@ impl Auditor {
     /// The newest division with what it was made from, if that is there.
     fn case(&self) -> Option<(Case, Heard)> {
         let heard = self.newest.as_ref()?;
-        let embedding = find(&self.embeddings, heard.teams.embedding)?;
-        let roster = find(&self.rosters, embedding.roster).or_else(|| self.rosters.back().cloned());
-        let case = Case::new(Arc::clone(&heard.teams), embedding, roster.as_deref());
+        let embedding = self.embeddings.find(heard.teams.embedding)?;
+        let roster = self.rosters.find(embedding.roster).or_else(|| self.rosters.newest());
+        let (teams, embedding) = (Arc::clone(&heard.teams), Arc::clone(embedding));
+        let case = Case::new(teams, embedding, roster.map(AsRef::as_ref));
         Some((case, heard.clone()))
     }
 
@@ -468,12 +410,12 @@ impl Auditor {
         if let Some(Heard { teams, .. }) = &self.newest {
             messages.extend(answer_teams(space, request, teams)?);
         }
-        if let Some(embedding) = self.embeddings.back()
+        if let Some(embedding) = self.embeddings.newest()
             && selects(&Key::Embedding)
         {
             messages.push(Message::Embedding(Arc::clone(embedding)));
         }
-        if let Some(roster) = self.rosters.back()
+        if let Some(roster) = self.rosters.newest()
             && selects(&Key::Roster)
         {
             messages.push(Message::Roster(Arc::clone(roster)));
@@ -568,7 +510,7 @@ impl Core for Auditor {
         Footprint {
             robots: self.rosters.iter().map(|roster| roster.robots.len()).sum(),
             edges: 0,
-            messages: self.embeddings.len() + self.rosters.len() + single,
+            messages: self.embeddings.iter().len() + self.rosters.iter().len() + single,
             offenders: self.role.offender_count(),
         }
     }

@@ -1,9 +1,9 @@
-//! The job: exact silhouettes of a division among the vectors and among the positions.
+//! The job: silhouettes of a division among the vectors and among the positions.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use muster_model::audit::{SilhouetteReport, Space, Verdict};
+use muster_model::audit::{SilhouetteMethod, SilhouetteReport, Space, Verdict};
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::limits::MAX_COORDINATE_M;
@@ -11,7 +11,16 @@ use muster_model::roster::Roster;
 use muster_model::settings::AuditorSettings;
 use muster_model::teams::Teams;
 use muster_numeric::matrix::DenseMatrix;
-use muster_numeric::silhouette::silhouette;
+use muster_numeric::silhouette::{Method, scores};
+
+/// Largest fleet whose silhouettes are exact. Up to here all pairs of robots take a few hundredths of a
+/// second, so that the audit keeps up with the divisions; it would take four times as long for twice as
+/// many.
+pub const EXACT_ROBOTS: usize = 10_000;
+
+/// Seed of the robots that are drawn from larger fleets. The same ones are drawn in every frame while the
+/// fleet stays the same, so that the estimate moves with the division and not with the draw.
+const SAMPLE_SEED: u64 = 0;
 
 /// One division to judge, with what it was made from.
 #[derive(Debug, Clone)]
@@ -113,26 +122,38 @@ fn report<'a>(
         scored.extend(members.filter(|robot| place(robot).is_some()).map(|r| (r, number)));
         present += usize::from(scored.len() > before);
     }
-    let undefined =
-        SilhouetteReport { space, mean: None, per_team: Vec::new(), per_robot: Vec::new() };
     if present < 2 {
-        return Ok(undefined);
+        return Ok(SilhouetteReport::undefined(space));
     }
     scored.sort_unstable();
     let values = scored.iter().filter_map(|(robot, _)| place(robot)).flatten().copied();
     let x = DenseMatrix::new(scored.len(), dimension, values.collect())
         .map_err(|error| error.to_string())?;
     let labels: Vec<usize> = scored.iter().map(|(_, number)| *number).collect();
-    let found = silhouette(&x, &labels).map_err(|error| error.to_string())?;
+    let method = Method::by_size(x.rows(), EXACT_ROBOTS);
+    let found = scores(&x, &labels, method, SAMPLE_SEED).map_err(|error| error.to_string())?;
+    let details = found.details;
     let named = |(number, mean): (usize, f64)| -> Option<(TeamId, f64)> {
         Some((teams.teams.get(number)?.id.clone(), mean))
     };
     Ok(SilhouetteReport {
         space,
         mean: Some(found.mean),
-        per_team: found.per_cluster.into_iter().filter_map(named).collect(),
-        per_robot: scored.into_iter().map(|(r, _)| r.clone()).zip(found.per_point).collect(),
+        method: told(found.method),
+        standard_error: found.standard_error,
+        per_team: details.per_cluster.into_iter().filter_map(named).collect(),
+        per_robot: scored.into_iter().map(|(r, _)| r.clone()).zip(details.per_point).collect(),
+        detail_method: told(details.method),
     })
+}
+
+/// A method as it is told.
+fn told(method: Method) -> SilhouetteMethod {
+    match method {
+        Method::Exact => SilhouetteMethod::Exact,
+        Method::SquaredExact => SilhouetteMethod::SquaredExact,
+        Method::Sampled => SilhouetteMethod::Sampled,
+    }
 }
 
 /// The judgement in one word.

@@ -1,9 +1,9 @@
 //! `auditor`: judges every division by silhouettes, independent of the service that made it.
 //!
 //! Read in the order of the data's path: [`Auditor`] takes events in, finds the embedding and the
-//! roster that a division was made from, and decides what is told when; `judge` is the job, exact
-//! silhouettes among the vectors and among the positions; `alert` tells an operator of lasting bad
-//! quality, and of its end.
+//! roster that a division was made from, and decides what is told when; `history` keeps those; `judge` is
+//! the job, silhouettes among the vectors and among the positions, exact for up to [`EXACT_ROBOTS`] robots;
+//! `alert` tells an operator of lasting bad quality, and of its end.
 //!
 //! What holds at all times:
 //! - A division is judged by the embedding that it names, or not at all; one that comes late is
@@ -17,7 +17,8 @@
 
 mod alert;
 mod core;
+mod history;
 mod judge;
 
 pub use crate::core::Auditor;
-pub use crate::judge::{Job, Judgement, Outcome};
+pub use crate::judge::{EXACT_ROBOTS, Job, Judgement, Outcome};

@@ -16,17 +16,54 @@ pub enum Space {
     Physical,
 }
 
+/// How silhouettes were computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum SilhouetteMethod {
+    /// From the distances between all pairs of robots, up to rounding.
+    Exact,
+    /// From the squared distances between all pairs of robots, up to rounding. The values are further
+    /// away from zero than those of distances.
+    SquaredExact,
+    /// From the distances between some robots, drawn at random, and all robots: an estimate.
+    Sampled,
+}
+
 /// Silhouettes (Rousseeuw 1987) of a division in one space: -1 misplaced, 0 on a border, 1 apart.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SilhouetteReport {
     /// In which space.
     pub space: Space,
-    /// Mean over all scored robots; none with fewer than two teams, where it is not defined.
+    /// Mean over all robots that have a place there; none with fewer than two teams, where it is not
+    /// defined.
     pub mean: Option<f64>,
+    /// How the mean was computed.
+    pub method: SilhouetteMethod,
+    /// Standard error of the mean; 0 unless it is an estimate.
+    pub standard_error: f64,
     /// Mean over the members of each team.
     pub per_team: Vec<(TeamId, f64)>,
-    /// Each scored robot, ordered by name.
+    /// Each robot that has a place there, ordered by name.
     pub per_robot: Vec<(RobotId, f64)>,
+    /// How those of teams and robots were computed: an estimate of the mean says nothing of the robots
+    /// that were not drawn.
+    pub detail_method: SilhouetteMethod,
+}
+
+impl SilhouetteReport {
+    /// That of a division of fewer than two teams, where silhouettes are not defined.
+    #[must_use]
+    pub fn undefined(space: Space) -> Self {
+        Self {
+            space,
+            mean: None,
+            method: SilhouetteMethod::Exact,
+            standard_error: 0.0,
+            per_team: Vec::new(),
+            per_robot: Vec::new(),
+            detail_method: SilhouetteMethod::Exact,
+        }
+    }
 }
 
 /// The judgement in one word.

@@ -51,6 +51,14 @@ pub fn choose_dimension(sigma: &[f64], teams: usize) -> usize {
     ruled(sigma, n, null_threshold(sigma, n), teams)
 }
 
+/// [`choose_dimension`] where only some of the singular values are known: [`least_rank`] at least, or all.
+/// Values up to [`Spectrum::noise`] count as zero.
+#[must_use]
+pub fn choose_known_dimension(svd: &impl Spectrum, teams: usize) -> usize {
+    let sigma = svd.singular_values();
+    ruled(sigma, svd.nodes(), svd.noise(), teams).min(sigma.len())
+}
+
 /// The rule for values of which those up to `noise` do not count, of a similarity of `n` nodes.
 fn ruled(sigma: &[f64], n: usize, noise: f64, teams: usize) -> usize {
     if n <= 2 {
@@ -79,8 +87,8 @@ pub struct Choice {
     pub short: bool,
 }
 
-/// How many of the leading triplets [`choose_seeing_dimension`] must know at least for so many teams, of
-/// `n` nodes: one more than the rule looks at.
+/// How many of the leading triplets [`choose_known_dimension`] and [`choose_seeing_dimension`] must know
+/// at least for so many teams, of `n` nodes: one more than the rule looks at.
 #[must_use]
 pub fn least_rank(n: usize, teams: usize) -> usize {
     if n <= 2 { n } else { limit(n, teams) + 1 }

@@ -403,7 +403,8 @@ impl KatzSvd {
     }
 
     /// The `k` leading triplets in the caller's order, with the signs of [`crate::svd::full_svd`]. Vectors
-    /// of values below 1e-7 σ₁ are set to zero: they cannot be told from the null space.
+    /// of values below 1e-7 σ₁ are set to zero: they cannot be told from the null space. So are the rows of
+    /// nodes without an edge, where the search leaves as much as the tolerance allows.
     ///
     /// # Errors
     /// [`SvdError::Rank`] unless 1 ≤ k ≤ the number of [`KatzSvd::all_singular_values`].
@@ -417,13 +418,14 @@ impl KatzSvd {
         let inner = self.operator.inner();
         let (right, image) = self.vectors();
         let at = |i: usize, j: usize| inner[i] as usize * width + j;
+        let isolated = |i: usize| self.operator.is_isolated(inner[i] as usize);
         let mut svd = RankKSvd {
             u: DenseMatrix::from_fn(self.nodes, k, |i, j| {
-                if sigma[j] > cut { image[at(i, j)] / sigma[j] } else { 0.0 }
+                if sigma[j] > cut && !isolated(i) { image[at(i, j)] / sigma[j] } else { 0.0 }
             }),
             sigma: sigma[..k].to_vec(),
             v: DenseMatrix::from_fn(self.nodes, k, |i, j| {
-                if sigma[j] > cut { right[at(i, j)] } else { 0.0 }
+                if sigma[j] > cut && !isolated(i) { right[at(i, j)] } else { 0.0 }
             }),
             sigma_next: sigma.get(k).copied(),
         };

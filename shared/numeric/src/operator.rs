@@ -84,6 +84,12 @@ impl KatzOperator {
         &self.outer
     }
 
+    /// Whether a node, by its own number, has no edge at all.
+    pub(crate) fn is_isolated(&self, inner: usize) -> bool {
+        let has_none = |orientation| self.row(orientation, inner).0.is_empty();
+        has_none(Orientation::Forward) && has_none(Orientation::Backward)
+    }
+
     /// Own numbers and weights of the entries of row `i`, an own number.
     pub(crate) fn row(&self, orientation: Orientation, i: usize) -> (&[u32], &[f64]) {
         self.rows(orientation).row(i)

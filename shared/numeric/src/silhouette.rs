@@ -5,10 +5,12 @@
 //! the definition; it takes O(N² D) operations. Squared distances are another, sharper measure, for
 //! which the sums over a cluster follow from its mean, in O(N k D). And the mean over all points
 //! can be estimated from some of them, each compared with all points, with a standard error.
+//! [`scores`] takes any of the three by name.
 
 mod groups;
 mod pairs;
 mod sample;
+mod scores;
 mod squared;
 
 use thiserror::Error;
@@ -19,6 +21,7 @@ use groups::Groups;
 pub use sample::{
     EXACT_POINTS, SAMPLE, SilhouetteEstimate, SilhouetteOptions, estimate_silhouette,
 };
+pub use scores::{Scores, scores};
 pub use squared::silhouette_squared;
 
 /// Why there are no silhouettes.

@@ -7,7 +7,8 @@ use common::{blobs, distance, numbers};
 use muster_numeric::margins::{MarginError, margins};
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::{
-    Method, SilhouetteError, SilhouetteOptions, estimate_silhouette, silhouette, silhouette_squared,
+    Method, SAMPLE, SilhouetteError, SilhouetteOptions, estimate_silhouette, scores, silhouette,
+    silhouette_squared,
 };
 use proptest::prelude::*;
 
@@ -73,6 +74,40 @@ fn methods_are_named() {
     // A sample of all points is no sample.
     let whole = SilhouetteOptions { sample: 60, ..some };
     assert_eq!(estimate_silhouette(&x, &labels, &whole).unwrap().method, Method::Exact);
+}
+
+#[test]
+fn scores_of_any_size_name_how_they_came_about() {
+    assert_eq!(Method::by_size(7, 7), Method::Exact);
+    assert_eq!(Method::by_size(8, 7), Method::Sampled);
+    let points = SAMPLE + 100;
+    let x = blobs(&[&[0.0, 0.0], &[1.0, 0.0]], points / 2, 1.0, 4);
+    let labels: Vec<usize> = (0..points).map(|i| 5 * (2 * i / points)).collect();
+    let (exact, squared) =
+        (silhouette(&x, &labels).unwrap(), silhouette_squared(&x, &labels).unwrap());
+
+    let found = scores(&x, &labels, Method::Exact, 1).unwrap();
+    assert_eq!((found.mean, found.standard_error), (exact.mean, 0.0));
+    assert_eq!((found.method, &found.details), (Method::Exact, &exact));
+    let found = scores(&x, &labels, Method::SquaredExact, 1).unwrap();
+    assert_eq!((found.mean, found.standard_error), (squared.mean, 0.0));
+    assert_eq!((found.method, &found.details), (Method::SquaredExact, &squared));
+
+    // An estimate of the mean, and every point by squared distances.
+    let found = scores(&x, &labels, Method::Sampled, 1).unwrap();
+    assert_eq!((found.method, &found.details), (Method::Sampled, &squared));
+    assert!(found.standard_error > 0.0 && found.standard_error < 0.01);
+    assert!((found.mean - exact.mean).abs() < 5.0 * found.standard_error);
+    assert_ne!(found.mean, exact.mean);
+    assert_eq!(scores(&x, &labels, Method::Sampled, 1), Ok(found), "by the seed alone");
+
+    // A sample of all is none.
+    let few = x.select_rows(&(0..SAMPLE).collect::<Vec<_>>());
+    let found = scores(&few, &labels[..SAMPLE], Method::Sampled, 1).unwrap();
+    assert_eq!(found.details, silhouette(&few, &labels[..SAMPLE]).unwrap());
+    assert_eq!((found.method, found.standard_error), (Method::Exact, 0.0));
+    let undefined = SilhouetteError::Undefined { clusters: 1 };
+    assert_eq!(scores(&x, &vec![3; points], Method::Sampled, 1), Err(undefined));
 }
 
 #[test]

@@ -8,7 +8,7 @@
 use std::time::Instant;
 
 use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
-use muster_solve::{Estimate, Solved, Step};
+use muster_solve::{Estimate, Options, Solved, Step};
 use serde_json::{Map, Value, json};
 
 /// The observations of a fleet of groups.
@@ -36,7 +36,7 @@ fn main() {
     for robots in std::env::args().skip(1) {
         let text = file(robots.parse().unwrap());
         let begin = Instant::now();
-        let estimate = Estimate::new(text.as_bytes(), false).unwrap();
+        let estimate = Estimate::new(text.as_bytes(), Options::default()).unwrap();
         let estimated = begin.elapsed();
         print!("{}", estimate.summary());
         let begin = Instant::now();
@@ -45,7 +45,7 @@ fn main() {
             Step::KMeans { done: 1.., .. } => {}
             step => steps.push((step, Instant::now())),
         };
-        let solved = Solved::watched(text.as_bytes(), false, &mut tell).unwrap();
+        let solved = Solved::watched(text.as_bytes(), Options::default(), &mut tell).unwrap();
         let ends = steps.iter().skip(1).map(|step| step.1).chain([Instant::now()]);
         for ((step, begin), end) in steps.iter().zip(ends) {
             println!("  took: {:30}{:>10.3} s", step.to_string(), (end - *begin).as_secs_f64());

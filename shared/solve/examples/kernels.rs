@@ -11,7 +11,7 @@
 use std::collections::BTreeMap;
 
 use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
-use muster_solve::Solved;
+use muster_solve::{Options, Solved};
 use serde_json::{Map, Value, json};
 
 /// Robots and teams of the fleets; the last are larger than what is related in all pairs.
@@ -107,7 +107,8 @@ fn main() {
                             let truth = fleet.truth(t);
                             for ((_, spatial), scores) in kernels.iter().zip(&mut scores) {
                                 let text = file(&fleet, teams, t, is_whole, spatial);
-                                let solved = Solved::new(text.as_bytes(), false).unwrap();
+                                let solved =
+                                    Solved::new(text.as_bytes(), Options::default()).unwrap();
                                 scores.push(adjusted_rand_index(solved.labels(), &truth));
                             }
                         }

@@ -15,6 +15,7 @@ use serde::de::{Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 
+use super::edges::Edges;
 use super::{SolveError, tidy};
 
 /// The file as it is written.
@@ -49,7 +50,7 @@ pub(super) struct ModalityEntry {
     pub(super) name: Modality,
     pub(super) weight: Option<f64>,
     pub(super) matrix: Option<Vec<Vec<f64>>>,
-    pub(super) edges: Option<Vec<(RobotId, RobotId, f64)>>,
+    pub(super) edges: Option<Edges>,
 }
 
 /// An object whose keys are names, each of them once.

@@ -1,16 +1,24 @@
 //! `muster solve`: the whole method once, offline, on one file.
 //!
 //! The input goes through [`file`], which reads it, and [`problem`], which checks it, with
-//! [`observations`] for raw observations; [`method`] computes and [`output`] writes. Nothing here
-//! knows the bus. [`estimate`] says beforehand what it will take, and [`line`] meanwhile what is being
-//! done.
+//! [`observations`] for raw observations; [`path`] decides how the similarity is decomposed; [`method`]
+//! computes, with [`decomposition`] and [`division`] for its two halves, and [`output`] writes. Nothing
+//! here knows the bus. [`estimate`] says beforehand what it will take, by the tables of [`cost`], [`memory`]
+//! refuses what does not fit, and [`line`] says meanwhile what is being done.
 
+mod cost;
+mod decomposition;
+mod division;
+mod edges;
 mod estimate;
 mod file;
 mod line;
+mod memory;
 mod method;
 mod observations;
+mod options;
 mod output;
+mod path;
 mod problem;
 mod speed;
 mod step;
@@ -23,9 +31,11 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 pub use estimate::Estimate;
+pub use options::{Options, PathChoice, SilhouetteChoice, TOLERANCES};
 pub use step::Step;
 
-/// Largest file that is read: the matrix of the largest fleet in short decimals fits.
+/// Largest file that is read: the matrix of the largest fleet that is decomposed whole in short decimals
+/// fits, and so do a dozen edges for each of a million robots.
 const MAX_FILE_BYTES: u64 = 1 << 30;
 
 /// Longest error message in characters; the rest of it is text of the file.
@@ -40,7 +50,7 @@ const AFTER_HELP: &str = r#"A minimal file (edges that are not given do not exis
 
 All keys, with what is taken where they are left out:
 
-  robots      names out of a-z 0-9 _ -, the order of all rows; at most 16384
+  robots      names out of a-z 0-9 _ -, the order of all rows; at most 1048576
   modalities  list of {"name", "weight", "matrix" or "edges"}; row i, column j of a matrix is the
               weight of the edge from robot i to robot j, 0 or more; weights sum to 1, equal if none
               is given
@@ -52,7 +62,8 @@ All keys, with what is taken where they are left out:
   teams       how many, or instead of it:
   labels      one whole number per robot: the division to judge
   init        "kmeans++" (default) or "random"; restarts (50); seed (0)
-  emit        any of "katz", "embedding", "diagnostics": added to the output of --json
+  emit        any of "katz", "embedding", "diagnostics": added to the output of --json; "katz" for at
+              most 16384 robots
 
 Instead of modalities, raw observations, which become graphs as in the live fleet:
 
@@ -67,7 +78,10 @@ The method as printed in the paper: "normalize": "none", "scale": "none", "rows"
 "init": "random", "restarts": 1.
 
 In the output, labels are numbered by first appearance (given ones stay as they are), and
-silhouette.per_team is ordered by label. Silhouettes are those in the embedding.
+silhouette.per_team is ordered by label. Silhouettes are those in the embedding; "method" says how their
+mean was computed, "detail_method" how those of teams and robots were. "decomposition" holds the path,
+the residual of the singular triplets, the gap behind them, and how far their space may be turned against
+the true one at most (angle_bound, the sine of an angle).
 
 A solve that takes longer than a second says on a terminal what it is doing, unless --json is given.
 Exit codes: 0 done, or --estimate and it fits; 1 the results cannot be written; 2 the file is wrong, or
@@ -76,6 +90,7 @@ what it asks for does not fit into the memory that is available.
 Examples:
   muster solve fleet.json
   muster solve fleet.json --estimate
+  muster solve fleet.json --path inverse-free --tolerance 1e-6
   muster solve fleet.json --json | jq .teams
   generate-fleet | muster solve - --json"#;
 
@@ -89,12 +104,11 @@ pub struct SolveArgs {
     /// Write one JSON object to standard output, numbers in full precision.
     #[arg(long)]
     json: bool,
-    /// Divide the weights of the modalities by their sum instead of refusing them.
-    #[arg(long)]
-    normalize_weights: bool,
     /// Only say how much memory and time it will take on this machine, and whether it fits.
     #[arg(long)]
     estimate: bool,
+    #[command(flatten)]
+    options: Options,
 }
 
 /// What is wrong with the input.
@@ -158,12 +172,11 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
     // With --json another program waits, which wants no line on the terminal that it shares.
     let line = line::Line::start(!args.json && std::io::stderr().is_terminal());
     let text = read(&args.file).with_context(|| name.clone())?;
-    let parse = if args.estimate { parse } else { parse_to_solve };
-    let problem = parse(&text, args.normalize_weights).with_context(|| name.clone())?;
+    let problem = parse(&text, args.options).with_context(|| name.clone())?;
     drop(text);
     if args.estimate {
         drop(line);
-        let estimate = estimate::estimate(&problem);
+        let estimate = estimate::estimate(&problem).with_context(|| name.clone())?;
         if args.json {
             estimate.write_json()?;
         } else {
@@ -192,13 +205,12 @@ pub struct Solved {
 }
 
 impl Solved {
-    /// Runs the method once on the text of a file. With `normalize_weights`, weights of any sum are
-    /// accepted and divided by it.
+    /// Runs the method once on the text of a file.
     ///
     /// # Errors
     /// Names the field that is wrong and the remedy.
-    pub fn new(text: &[u8], normalize_weights: bool) -> Result<Self, SolveError> {
-        Self::watched(text, normalize_weights, &mut |_| {})
+    pub fn new(text: &[u8], options: Options) -> Result<Self, SolveError> {
+        Self::watched(text, options, &mut |_| {})
     }
 
     /// The same, telling each step when it begins, and each restart of k-means when it is done.
@@ -207,10 +219,10 @@ impl Solved {
     /// As of [`Solved::new`].
     pub fn watched(
         text: &[u8],
-        normalize_weights: bool,
+        options: Options,
         progress: &mut dyn FnMut(Step),
     ) -> Result<Self, SolveError> {
-        let problem = parse_to_solve(text, normalize_weights)?;
+        let problem = parse(text, options)?;
         let solution = solve(&problem, progress)?;
         Ok(Self { problem, solution })
     }
@@ -218,7 +230,7 @@ impl Solved {
     /// The label of each robot, in the order of the file.
     #[must_use]
     pub fn labels(&self) -> &[usize] {
-        &self.solution.labels
+        &self.solution.divided.labels
     }
 
     /// The results as one JSON object, numbers in full precision.
@@ -241,18 +253,14 @@ fn solve(
     problem: &problem::Problem,
     progress: &mut dyn FnMut(Step),
 ) -> Result<method::Solution, SolveError> {
-    estimate::check(problem)?;
-    method::solve(problem, progress)
+    let path = path::Path::of(problem, problem.options.path)?;
+    path.admit(problem.robots.len(), &cost::Size::of(problem))?;
+    method::solve(problem, path, progress)
 }
 
 /// A text as a checked input.
-fn parse(text: &[u8], normalize_weights: bool) -> Result<problem::Problem, SolveError> {
-    problem::check(file::read(text)?, normalize_weights, |_| Ok(()))
-}
-
-/// A text as a checked input, unless its robots alone are too many for the memory of this machine.
-fn parse_to_solve(text: &[u8], normalize_weights: bool) -> Result<problem::Problem, SolveError> {
-    problem::check(file::read(text)?, normalize_weights, estimate::check_robots)
+fn parse(text: &[u8], options: Options) -> Result<problem::Problem, SolveError> {
+    problem::check(file::read(text)?, options)
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, SolveError> {

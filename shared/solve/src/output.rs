@@ -8,11 +8,13 @@ use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
 use muster_model::id::RobotId;
 use muster_model::settings::{Alpha, Dimension};
 use muster_numeric::matrix::DenseMatrix;
+use muster_numeric::silhouette::{Method, Scores};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
 use super::file::Emit;
 use super::method::Solution;
+use super::path::Path;
 use super::problem::{Division, Problem};
 
 /// Columns of the table; the standard output may be no terminal.
@@ -20,6 +22,9 @@ const WIDTH: u16 = 100;
 
 /// Singular values that the summary shows.
 const MOST_VALUES: usize = 8;
+
+/// Members of a team that the summary names.
+const MOST_MEMBERS: usize = 256;
 
 /// The results as JSON.
 #[derive(Serialize)]
@@ -30,6 +35,7 @@ struct Report<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     katz: Option<Matrix<'a>>,
     singular_values: &'a [f64],
+    decomposition: DecompositionReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     embedding: Option<Matrix<'a>>,
     labels: &'a [usize],
@@ -40,11 +46,29 @@ struct Report<'a> {
     diagnostics: Option<DiagnosticsReport<'a>>,
 }
 
+/// Which way the similarity was decomposed, and how exactly.
+#[derive(Serialize)]
+struct DecompositionReport {
+    path: Path,
+    residual: f64,
+    gap: f64,
+    angle_bound: f64,
+    ambiguous: bool,
+    converged: bool,
+}
+
+/// Silhouettes; how they were computed is left out where they are not defined.
 #[derive(Serialize)]
 struct SilhouetteReport<'a> {
     mean: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    standard_error: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    method: Option<&'static str>,
     per_team: Vec<f64>,
     per_robot: &'a [f64],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    detail_method: Option<&'static str>,
 }
 
 #[derive(Serialize)]
@@ -55,7 +79,7 @@ struct DiagnosticsReport<'a> {
     gap: f64,
     ambiguous: bool,
     residual: f64,
-    katz_residual: f64,
+    katz_residual: Option<f64>,
     unseen: Vec<&'a RobotId>,
 }
 
@@ -104,34 +128,61 @@ pub(super) fn write_summary(problem: &Problem, solution: &Solution) -> std::io::
 
 /// The results as they are serialised.
 fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
-    let silhouette = solution.silhouette.as_ref();
-    let per_cluster = silhouette.map(|s| s.per_cluster.as_slice()).unwrap_or_default();
     let unseen = problem.robots.iter().zip(&solution.unseen);
+    let found = &solution.decomposition;
+    let labels = &solution.divided.labels;
+    let wants = |emit| problem.emit.contains(&emit);
     Report {
         robots: &problem.robots,
         rho: solution.radius.value,
         alpha: solution.alpha,
-        katz: solution.katz.as_ref().map(Matrix),
-        singular_values: &solution.singular_values,
-        embedding: problem.emit.contains(&Emit::Embedding).then_some(Matrix(&solution.embedding)),
-        labels: &solution.labels,
-        teams: Teams(&problem.robots, &solution.labels),
-        inertia: solution.inertia,
-        silhouette: SilhouetteReport {
-            mean: silhouette.map(|s| s.mean),
-            per_team: per_cluster.iter().map(|cluster| cluster.1).collect(),
-            per_robot: silhouette.map(|s| s.per_point.as_slice()).unwrap_or_default(),
+        katz: found.katz.as_ref().map(Matrix),
+        singular_values: &found.svd.sigma,
+        decomposition: DecompositionReport {
+            path: found.path,
+            residual: found.residual,
+            gap: found.svd.gap(),
+            angle_bound: found.angle_bound(),
+            ambiguous: found.svd.ambiguous(),
+            converged: found.converged,
         },
-        diagnostics: solution.diagnostics.as_ref().map(|measured| DiagnosticsReport {
+        embedding: wants(Emit::Embedding).then_some(Matrix(&solution.embedding)),
+        labels,
+        teams: Teams(&problem.robots, labels),
+        inertia: solution.divided.inertia,
+        silhouette: silhouette_report(solution.divided.silhouette.as_ref()),
+        diagnostics: wants(Emit::Diagnostics).then(|| DiagnosticsReport {
             spectral_radius: [solution.radius.lower, solution.radius.upper],
             dimension: solution.embedding.cols(),
-            next_singular_value: solution.next_singular_value,
-            gap: solution.gap,
-            ambiguous: solution.ambiguous,
-            residual: measured.residual,
-            katz_residual: measured.katz_residual,
+            next_singular_value: found.svd.sigma_next,
+            gap: found.svd.gap(),
+            ambiguous: found.svd.ambiguous(),
+            residual: found.residual,
+            katz_residual: found.katz_residual,
             unseen: unseen.filter(|(_, unseen)| **unseen).map(|(robot, _)| robot).collect(),
         }),
+    }
+}
+
+fn silhouette_report(scores: Option<&Scores>) -> SilhouetteReport<'_> {
+    let details = scores.map(|scores| &scores.details);
+    let per_cluster = details.map(|details| details.per_cluster.as_slice()).unwrap_or_default();
+    SilhouetteReport {
+        mean: scores.map(|scores| scores.mean),
+        standard_error: scores.map(|scores| scores.standard_error),
+        method: scores.map(|scores| method_name(scores.method)),
+        per_team: per_cluster.iter().map(|cluster| cluster.1).collect(),
+        per_robot: details.map(|details| details.per_point.as_slice()).unwrap_or_default(),
+        detail_method: details.map(|details| method_name(details.method)),
+    }
+}
+
+/// The name of a method, as in the audits of a live fleet.
+fn method_name(method: Method) -> &'static str {
+    match method {
+        Method::Exact => "exact",
+        Method::SquaredExact => "squared-exact",
+        Method::Sampled => "sampled",
     }
 }
 
@@ -153,20 +204,23 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
         Dimension::Auto => " (chosen by the largest drop of the singular values)",
         Dimension::Fixed(_) => "",
     };
-    let values = solution.singular_values.iter().take(MOST_VALUES);
+    let found = &solution.decomposition;
+    let values = found.svd.sigma.iter().take(MOST_VALUES);
     let values: Vec<String> = values.map(|value| rounded(*value)).collect();
-    let more = match solution.singular_values.len().saturating_sub(MOST_VALUES) {
+    let more = match found.svd.rank().saturating_sub(MOST_VALUES) {
         0 => String::new(),
         more => format!(", {more} more"),
     };
-    let next = solution
-        .next_singular_value
+    let next = found
+        .svd
+        .sigma_next
         .map_or_else(|| "none is left".to_owned(), |next| format!("{} is next", rounded(next)));
-    let ambiguous = if solution.ambiguous { ", ambiguous" } else { "" };
+    let ambiguous = if found.svd.ambiguous() { ", ambiguous" } else { "" };
     let mean = solution
+        .divided
         .silhouette
         .as_ref()
-        .map_or_else(|| "undefined for one team".to_owned(), |s| rounded(s.mean));
+        .map_or_else(|| "undefined for one team".to_owned(), mean_silhouette);
     format!(
         "robots            {robots}\n\
          modalities        {modalities}\n\
@@ -175,6 +229,8 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
          dimension         {dimension}{chosen}\n\
          singular values σ {values}{more}; {next}\n\
          gap               {gap}{ambiguous}\n\
+         path              {path}\n\
+         residual          {residual:.1e}, space turned by a sine of at most {angle:.1e}\n\
          inertia           {inertia}\n\
          mean silhouette   {mean}\n\
          {table}\n",
@@ -184,21 +240,38 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
         decay = rounded(solution.alpha),
         dimension = solution.embedding.cols(),
         values = values.join(", "),
-        gap = rounded(solution.gap),
-        inertia = rounded(solution.inertia),
+        gap = rounded(found.svd.gap()),
+        path = found.path.description(),
+        residual = found.residual,
+        angle = found.angle_bound(),
+        inertia = rounded(solution.divided.inertia),
         table = table(problem, solution),
     )
 }
 
+/// The mean, and how it was come by where it is not the exact one.
+fn mean_silhouette(scores: &Scores) -> String {
+    let mean = rounded(scores.mean);
+    match scores.method {
+        Method::Exact => mean,
+        Method::SquaredExact => format!("{mean} (of squared distances)"),
+        Method::Sampled => format!(
+            "{mean} ± {} (sampled; those of the teams are of squared distances)",
+            rounded(scores.standard_error)
+        ),
+    }
+}
+
 fn table(problem: &Problem, solution: &Solution) -> Table {
     let mut teams: BTreeMap<usize, Vec<&str>> = BTreeMap::new();
-    for (robot, label) in problem.robots.iter().zip(&solution.labels) {
+    for (robot, label) in problem.robots.iter().zip(&solution.divided.labels) {
         teams.entry(*label).or_default().push(robot.as_str());
     }
     let silhouettes: BTreeMap<usize, f64> = solution
+        .divided
         .silhouette
         .iter()
-        .flat_map(|silhouette| silhouette.per_cluster.iter().copied())
+        .flat_map(|scores| scores.details.per_cluster.iter().copied())
         .collect();
     let label = match problem.division {
         Division::Wanted(_) => "team",
@@ -216,10 +289,19 @@ fn table(problem: &Problem, solution: &Solution) -> Table {
             right(label.to_string()),
             right(members.len().to_string()),
             right(silhouette),
-            Cell::new(members.join(" ")),
+            Cell::new(named(&members)),
         ]);
     }
     table
+}
+
+/// The first members, and how many more there are.
+fn named(members: &[&str]) -> String {
+    let (first, more) = members.split_at(members.len().min(MOST_MEMBERS));
+    match more.len() {
+        0 => first.join(" "),
+        more => format!("{} and {more} more", first.join(" ")),
+    }
 }
 
 /// Six significant digits, which is what a person reads.

@@ -9,14 +9,16 @@ use muster_model::settings::{
     Alpha, ClustererSettings, Dimension, EmbedderSettings, Normalization, RowScaling, Settings,
     SingularValueScaling, WEIGHT_SUM_TOLERANCE,
 };
-use muster_numeric::matrix::{MAX_DENSE_ENTRIES, MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
+use muster_numeric::matrix::{MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
 
+use super::edges::Edges;
 use super::file::{Emit, File, ModalityEntry};
 use super::observations::{Graphs, Observations};
+use super::options::Options;
 use super::{SolveError, refuse};
 
-/// Most robots: the square of it is the largest dense matrix.
-pub(super) const MAX_SOLVE_ROBOTS: usize = MAX_DENSE_ENTRIES.isqrt();
+/// Most robots: the largest file holds a dozen edges for each of so many, and hardly more.
+pub(super) const MAX_SOLVE_ROBOTS: usize = 1 << 20;
 
 /// A checked input.
 #[derive(Debug)]
@@ -32,6 +34,8 @@ pub(super) struct Problem {
     pub(super) rows: RowScaling,
     pub(super) division: Division,
     pub(super) emit: BTreeSet<Emit>,
+    /// What was chosen beside the file.
+    pub(super) options: Options,
 }
 
 /// The graph of one modality.
@@ -51,16 +55,10 @@ pub(super) enum Division {
     Given(Vec<u32>),
 }
 
-/// Checks a file. With `normalize_weights`, weights of any sum are accepted and divided by it. `admit` is
-/// asked for the number of robots before the graphs are made, which may be large.
-pub(super) fn check(
-    mut file: File,
-    normalize_weights: bool,
-    admit: fn(usize) -> Result<(), SolveError>,
-) -> Result<Problem, SolveError> {
+/// Checks a file.
+pub(super) fn check(mut file: File, options: Options) -> Result<Problem, SolveError> {
     let places = places(&file.robots)?;
-    admit(file.robots.len())?;
-    let graphs = graphs(&mut file, &places, normalize_weights)?;
+    let graphs = graphs(&mut file, &places, options.normalize_weights)?;
     let division = division(&mut file)?;
     let defaults = EmbedderSettings::default();
     let alpha = file.alpha.map_or(defaults.alpha, |decay| decay.0);
@@ -77,6 +75,7 @@ pub(super) fn check(
         rows: file.rows.unwrap_or(defaults.rows),
         division,
         emit: file.emit.unwrap_or_default().into_iter().collect(),
+        options,
     })
 }
 
@@ -158,10 +157,7 @@ fn places(robots: &[RobotId]) -> Result<HashMap<RobotId, usize>, SolveError> {
         let count = robots.len();
         return refuse(
             "robots",
-            format!(
-                "{count} are too many: this command works on dense matrices, of at most \
-                 {MAX_SOLVE_ROBOTS} robots"
-            ),
+            format!("{count} are too many: there may be {MAX_SOLVE_ROBOTS} at most"),
         );
     }
     let mut places = HashMap::with_capacity(robots.len());
@@ -249,26 +245,50 @@ fn matrix_triplets(
 }
 
 fn edge_triplets(
-    edges: &[(RobotId, RobotId, f64)],
+    edges: &Edges,
     places: &HashMap<RobotId, usize>,
     path: &str,
 ) -> Result<Vec<(usize, usize, f64)>, SolveError> {
-    let mut triplets = Vec::with_capacity(edges.len());
-    let mut seen = HashMap::with_capacity(edges.len());
-    for (index, (from, to, weight)) in edges.iter().enumerate() {
+    let named: Vec<Option<usize>> =
+        edges.names.iter().map(|name| places.get(name).copied()).collect();
+    let mut triplets = Vec::with_capacity(edges.list.len());
+    for (index, &(from, to, weight)) in edges.list.iter().enumerate() {
         let field = |part: &str| format!("{path}.edges[{index}]{part}");
-        let i = place(places, from, || field("[0]"))?;
-        let j = place(places, to, || field("[1]"))?;
-        check_edge(*weight, || field("[2]"))?;
-        if let Some(first) = seen.insert((i, j), index) {
-            return refuse(
-                field(""),
-                format!("the edge from {from} to {to} is given twice, first as edges[{first}]"),
-            );
-        }
-        triplets.push((i, j, *weight));
+        let place = |name: u32, part: &str| match named.get(name as usize) {
+            Some(Some(place)) => Ok(*place),
+            _ => {
+                let name = edges.names.get(name as usize).map_or("?", RobotId::as_str);
+                refuse(field(part), format!("{name} is not among \"robots\""))
+            }
+        };
+        let (i, j) = (place(from, "[0]")?, place(to, "[1]")?);
+        check_edge(weight, || field("[2]"))?;
+        triplets.push((i, j, weight));
+    }
+    if let Some((first, second)) = repeated(&triplets) {
+        let (from, to, _) = edges.list[second];
+        let name = |name: u32| &edges.names[name as usize];
+        return refuse(
+            format!("{path}.edges[{second}]"),
+            format!(
+                "the edge from {} to {} is given twice, first as edges[{first}]",
+                name(from),
+                name(to)
+            ),
+        );
     }
     Ok(triplets)
+}
+
+/// The first edge that is given again, by the place where it is, and the first one that it repeats.
+fn repeated(triplets: &[(usize, usize, f64)]) -> Option<(usize, usize)> {
+    let ends = |place: &u32| triplets.get(*place as usize).map(|edge| (edge.0, edge.1));
+    // Places take less memory than a table of all edges, and most files are in order.
+    let mut places: Vec<u32> = (0..).take(triplets.len()).collect();
+    places.sort_by_key(ends);
+    let runs = places.chunk_by(|left, right| ends(left) == ends(right));
+    let pairs = runs.filter_map(|run| Some((*run.first()? as usize, *run.get(1)? as usize)));
+    pairs.min_by_key(|(_, second)| *second)
 }
 
 fn check_edge(weight: f64, field: impl FnOnce() -> String) -> Result<(), SolveError> {

@@ -4,6 +4,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use muster_numeric::katz::katz_similarity;
+use muster_numeric::katz_svd::{KatzSvd, KatzSvdOptions};
 use muster_numeric::kmeans::{KMeansOptions, kmeans};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::silhouette::silhouette;
@@ -15,6 +16,22 @@ use muster_numeric::svd::full_svd;
 /// small enough that all of it takes some hundredths of a second.
 const SMALLER: (usize, usize) = (8, 12);
 const LARGER: (usize, usize) = (16, 18);
+
+/// Columns and rows of the grid of the search, which is for large fleets, and what is searched for.
+const SEARCHED: (usize, usize) = (32, 32);
+const SEARCH_RANK: usize = 5;
+const SEARCH_TOLERANCE: f64 = 1e-11;
+
+/// Vectors that are carried for it, and that its space holds at most.
+const SEARCH_CARRIED: f64 = 16.0;
+const SEARCH_WIDTH: f64 = 48.0;
+
+/// Products with the graph in each round of the search, for each vector: two, and those of the
+/// preconditioner, which take half as long.
+const GRAPH_PRODUCTS: f64 = 5.0;
+
+/// Products of each vector with those of the space, in each round.
+const SPACE_PRODUCTS: f64 = 6.0;
 
 /// Points of the small problem of k-means and silhouettes.
 const POINTS: usize = 256;
@@ -74,6 +91,8 @@ pub(super) struct Speed {
     pub(super) radius_per_product: f64,
     pub(super) katz: Cubic,
     pub(super) svd: Cubic,
+    /// Of the search for triplets, per product of two numbers, for all rounds together.
+    pub(super) search_per_product: f64,
     /// Of k-means, per robot, team, restart, iteration and dimension.
     pub(super) kmeans_per_product: f64,
     /// Of silhouettes, per squared robot and dimension.
@@ -83,7 +102,14 @@ pub(super) struct Speed {
 impl Speed {
     /// Measures all steps on small problems.
     pub(super) fn measure() -> Self {
-        Self::of_matrices().unwrap_or_default().with_points().unwrap_or_default()
+        let speed = Self::of_matrices().unwrap_or_default().with_search().unwrap_or_default();
+        speed.with_points().unwrap_or_default()
+    }
+
+    /// Seconds of the search for so many robots and edges, by the vectors that it carries along and those
+    /// that its space holds.
+    pub(super) fn search_seconds(&self, robots: f64, edges: f64, carried: f64, space: f64) -> f64 {
+        self.search_per_product * search_products(robots, edges, carried, space)
     }
 
     /// The steps from graphs to vectors. None for graphs that cannot be solved, which these can.
@@ -108,6 +134,22 @@ impl Speed {
         Some(speed)
     }
 
+    /// The search for triplets, added.
+    #[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
+    fn with_search(self) -> Option<Self> {
+        let (columns, rows) = SEARCHED;
+        let robots = columns * rows;
+        let graph = SparseMatrix::from_triplets(robots, grid(columns, rows)).ok()?;
+        let radius = spectral_radius(&graph, None);
+        let alpha = 0.5 / radius.upper;
+        let options = KatzSvdOptions { rank: SEARCH_RANK, tolerance: SEARCH_TOLERANCE, seed: 0 };
+        let (seconds, _) =
+            timed(|| KatzSvd::default().solve(&graph, alpha, &radius, options, None).ok());
+        let (robots, edges) = (robots as f64, graph.edges() as f64);
+        let products = search_products(robots, edges, SEARCH_CARRIED, SEARCH_WIDTH);
+        Some(Self { search_per_product: seconds / products, ..self })
+    }
+
     /// The steps from vectors to the verdict, added.
     #[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
     fn with_points(self) -> Option<Self> {
@@ -124,6 +166,11 @@ impl Speed {
             ..self
         })
     }
+}
+
+/// Products of two numbers in one round of the search.
+fn search_products(robots: f64, edges: f64, carried: f64, space: f64) -> f64 {
+    carried * (GRAPH_PRODUCTS * edges + SPACE_PRODUCTS * space * robots)
 }
 
 /// Robots on a grid, each related to those beside it, less or more.
@@ -186,6 +233,7 @@ mod tests {
             speed.radius_per_product,
             speed.katz.seconds(100.0),
             speed.svd.seconds(100.0),
+            speed.search_seconds(1e4, 1e5, 16.0, 48.0),
             speed.kmeans_per_product,
             speed.silhouettes_per_product,
         ];

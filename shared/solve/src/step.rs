@@ -11,9 +11,11 @@ pub enum Step {
     SpectralRadius,
     /// The Katz similarity is solved for.
     Katz,
-    /// The singular value decomposition of it, and the embedding.
+    /// The singular value decomposition of it.
     Svd,
-    /// k-means, of which so many restarts are done.
+    /// The leading singular triplets are searched for, without the similarity.
+    Search,
+    /// k-means, of which so many restarts are done; several at a time where it is shared out.
     KMeans {
         /// How many are done.
         done: usize,
@@ -31,6 +33,7 @@ impl fmt::Display for Step {
             Self::SpectralRadius => "spectral radius",
             Self::Katz => "Katz similarity",
             Self::Svd => "singular value decomposition",
+            Self::Search => "leading singular triplets",
             Self::KMeans { done: 0, .. } => "k-means",
             Self::KMeans { done, restarts } => {
                 return write!(formatter, "k-means, {done} of {restarts} restarts");

@@ -7,7 +7,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
+use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport, Space, Verdict};
 use muster_model::embedding::{Embedding, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::GraphDelta;
@@ -174,25 +174,36 @@ struct Silhouette(#[schemars(range(min = -1, max = 1))] f64);
 struct SilhouetteForm<'a> {
     /// In which space.
     space: Space,
-    /// Mean over all scored robots; null with fewer than two teams, where it is not defined.
+    /// Mean over all robots that have a place there; null with fewer than two teams, where it is not
+    /// defined.
     #[schemars(range(min = -1, max = 1))]
     mean: Option<f64>,
+    /// How the mean was computed.
+    method: SilhouetteMethod,
+    /// Standard error of the mean; 0 unless it is an estimate.
+    #[schemars(range(min = 0))]
+    standard_error: f64,
     /// Mean over the members of each team.
     #[serde(serialize_with = "as_object")]
     #[schemars(with = "BTreeMap<TeamId, Silhouette>")]
     per_team: &'a [(TeamId, f64)],
-    /// Each scored robot.
+    /// Each robot that has a place there.
     #[serde(serialize_with = "as_object")]
     #[schemars(with = "BTreeMap<RobotId, Silhouette>")]
     per_robot: &'a [(RobotId, f64)],
+    /// How those of teams and robots were computed.
+    detail_method: SilhouetteMethod,
 }
 
 fn silhouette_form(report: &SilhouetteReport) -> SilhouetteForm<'_> {
     SilhouetteForm {
         space: report.space,
         mean: report.mean,
+        method: report.method,
+        standard_error: report.standard_error,
         per_team: &report.per_team,
         per_robot: &report.per_robot,
+        detail_method: report.detail_method,
     }
 }
 

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
+use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport, Space, Verdict};
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
@@ -331,8 +331,11 @@ impl Author {
         let report = |space, draw: &mut Draw<'_>| SilhouetteReport {
             space,
             mean: draw.maybe(Draw::number),
+            method: SilhouetteMethod::Sampled,
+            standard_error: draw.number(),
             per_team: draw.some(2, |draw| (TeamId::numbered(draw.number64()), draw.number())),
             per_robot: draw.some(3, |draw| (draw.robot(), draw.number())),
+            detail_method: SilhouetteMethod::SquaredExact,
         };
         Audit {
             header: self.header(now, draw),

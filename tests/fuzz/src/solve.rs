@@ -1,6 +1,6 @@
 //! Files of `muster solve`.
 
-use muster_solve::Solved;
+use muster_solve::{Options, PathChoice, SilhouetteChoice, Solved};
 use serde_json::Value;
 
 use crate::{allocation, text};
@@ -21,9 +21,10 @@ const MAY_HOLD: usize = 8 << 20;
 /// How far a silhouette may be outside of -1 to 1, by rounding.
 const ROUNDING: f64 = 1e-12;
 
-/// Whether weights are normalised, in one byte, and the text of a file.
+/// The options, in one byte, and the text of a file.
 pub(crate) fn solve(data: &[u8]) {
-    let Some((normalize, text)) = data.split_first() else { return };
+    let Some((choices, text)) = data.split_first() else { return };
+    let options = options(*choices);
     if let Ok(file) = serde_json::from_slice::<Value>(text) {
         let robots = file.get("robots").and_then(Value::as_array).map_or(0, Vec::len);
         let restarts = file.get("restarts").and_then(Value::as_u64).unwrap_or_default();
@@ -31,7 +32,7 @@ pub(crate) fn solve(data: &[u8]) {
             return;
         }
     }
-    let solved = allocation::at_most(MAY_HOLD, "solving", || Solved::new(text, normalize & 1 == 1));
+    let solved = allocation::at_most(MAY_HOLD, "solving", || Solved::new(text, options));
     match solved {
         Err(error) => text::check(&error.to_string(), MAX_ERROR),
         Ok(solved) => {
@@ -40,6 +41,22 @@ pub(crate) fn solve(data: &[u8]) {
             check(&json);
         }
     }
+}
+
+/// One bit for the weights, and two for each choice.
+fn options(choices: u8) -> Options {
+    let path = match choices >> 1 & 3 {
+        0 => PathChoice::Dense,
+        1 => PathChoice::InverseFree,
+        _ => PathChoice::Auto,
+    };
+    let silhouette = match choices >> 3 & 3 {
+        0 => SilhouetteChoice::Exact,
+        1 => SilhouetteChoice::Squared,
+        2 => SilhouetteChoice::Sampled,
+        _ => SilhouetteChoice::Auto,
+    };
+    Options { normalize_weights: choices & 1 == 1, path, silhouette, ..Options::default() }
 }
 
 /// Checks that everything is a finite number and all rows are there.

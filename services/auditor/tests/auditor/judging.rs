@@ -1,5 +1,8 @@
 //! What is judged by what.
 
+use muster_auditor::EXACT_ROBOTS;
+use muster_model::audit::SilhouetteMethod;
+
 use super::*;
 
 #[test]
@@ -53,6 +56,62 @@ fn a_division_is_judged_in_both_spaces() {
         [[0.0, 0.0, 0.0], [0.0, 9.0, 2.0], [5.0, 5.0, 1.0], [7.0, 5.0, 1.0]].map(|p| p.to_vec());
     check_report(&audit.in_physical, &["a", "b", "d", "g"], &points, &[1, 2, 1, 10]);
     assert_eq!(audit.in_physical.space, Space::Physical);
+}
+
+#[test]
+fn a_large_fleet_is_judged_by_a_sample_and_each_robot_by_squared_distances() {
+    // Two heaps, one of them half as wide, and somebody of the first in the other's team.
+    let place = |robot: usize| {
+        let (heap, at) = (robot % 2, robot / 2);
+        [(at % 100) as f64 / (1 + heap) as f64 + 150.0 * heap as f64, (at / 100) as f64]
+    };
+    let team = |robot: usize| if robot == 1 { 0 } else { robot % 2 };
+    let names = |robots: usize| -> Vec<String> {
+        (0..robots).map(|robot| format!("r{robot:05}")).collect()
+    };
+    let audit = |robots: usize| {
+        let names = names(robots);
+        let rows: Vec<_> =
+            names.iter().enumerate().map(|(robot, name)| (name.as_str(), place(robot))).collect();
+        let of = |wanted: usize| {
+            let members = (0..robots).filter(|robot| team(*robot) == wanted);
+            members.map(|robot| names[robot].clone()).collect::<Vec<_>>().join(" ")
+        };
+        let (first, second) = (of(0), of(1));
+        let mut bench = Bench::begun(vec![]);
+        bench.hear(embedding(1, &rows));
+        bench.hear(teams(1, 1, &[("t1", &first), ("t2", &second)], ""));
+        bench.audit()
+    };
+    use SilhouetteMethod::{Exact, Sampled, SquaredExact};
+    let exact = audit(EXACT_ROBOTS).in_embedding.clone();
+    assert_eq!((exact.method, exact.standard_error, exact.detail_method), (Exact, 0.0, Exact));
+    let robots = EXACT_ROBOTS + 1000;
+    let sampled = audit(robots).in_embedding.clone();
+    assert_eq!((sampled.method, sampled.detail_method), (Sampled, SquaredExact));
+    assert!((1e-4..0.02).contains(&sampled.standard_error), "{}", sampled.standard_error);
+    // The fleet has hardly another shape for being a little larger.
+    let [mean, wanted] = [&sampled, &exact].map(|report| report.mean.unwrap());
+    assert!((mean - wanted).abs() < 0.02 + 5.0 * sampled.standard_error, "{mean} {wanted}");
+    // Every robot has a silhouette, and the sums of squared distances are those of the definition.
+    assert_eq!(sampled.per_robot.len(), robots);
+    for robot in [0, 1, 2, 777, robots - 1] {
+        let mean_to = |wanted: usize| {
+            let others = (0..robots).filter(|other| team(*other) == wanted && *other != robot);
+            let squares = others.map(|other| {
+                let ([a, b], [c, d]) = (place(robot), place(other));
+                (a - c).powi(2) + (b - d).powi(2)
+            });
+            let squares: Vec<f64> = squares.collect();
+            squares.iter().sum::<f64>() / squares.len() as f64
+        };
+        let (a, b) = (mean_to(team(robot)), mean_to(1 - team(robot)));
+        let (name, found) = &sampled.per_robot[robot];
+        assert_eq!(name.as_str(), names(robots)[robot]);
+        assert!((found - (b - a) / a.max(b)).abs() < 1e-9, "{name}");
+    }
+    assert!(sampled.per_robot[1].1 < 0.0, "it stands in the other heap");
+    assert_eq!(sampled.per_team.len(), 2);
 }
 
 #[test]

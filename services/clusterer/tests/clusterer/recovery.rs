@@ -113,15 +113,13 @@ fn the_embedding_of_the_division_is_kept_beside_the_newest() {
 fn the_last_audit_is_repeated_for_the_auditor() {
     use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
     let mut bench = Bench::begun(teams(2));
-    let report =
-        |space| SilhouetteReport { space, mean: None, per_team: vec![], per_robot: vec![] };
     for epoch in [2, 1] {
         bench.step(Event::Received(Message::Audit(Arc::new(Audit {
             header: header(7, epoch),
             teams: Revision::default(),
             embedding: Revision::default(),
-            in_embedding: report(Space::Embedding),
-            in_physical: report(Space::Physical),
+            in_embedding: SilhouetteReport::undefined(Space::Embedding),
+            in_physical: SilhouetteReport::undefined(Space::Physical),
             verdict: Verdict::Undefined,
         }))));
     }

@@ -2,7 +2,7 @@
 
 use std::io::Write as _;
 
-use muster_model::audit::{Audit, SilhouetteReport};
+use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport};
 use muster_model::time::Tick;
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
@@ -62,8 +62,8 @@ fn print(audit: &Audit, json: bool, now: Tick) -> anyhow::Result<()> {
         audit.header.fleet,
         audit.header.revision.epoch,
         audit.verdict,
-        score(audit.in_embedding.mean),
-        score(audit.in_physical.mean),
+        mean(&audit.in_embedding),
+        mean(&audit.in_physical),
     )?;
     let of = |report: &SilhouetteReport, team: &muster_model::id::TeamId| {
         report.per_team.iter().find(|(id, _)| id == team).map(|(_, value)| *value)
@@ -73,10 +73,23 @@ fn print(audit: &Audit, json: bool, now: Tick) -> anyhow::Result<()> {
         table.add_row([team.to_string(), score(Some(*value)), score(of(&audit.in_physical, team))]);
     }
     writeln!(out, "{table}")?;
+    if audit.in_embedding.detail_method == SilhouetteMethod::SquaredExact {
+        writeln!(out, "those of teams and robots are of squared distances")?;
+    }
     let mut worst: Vec<_> = audit.in_embedding.per_robot.iter().collect();
     worst.sort_by(|left, right| left.1.total_cmp(&right.1));
     worst.truncate(WORST);
     let worst = worst.iter().map(|(robot, value)| format!("{robot} {value:+.3}"));
     writeln!(out, "least at home: {}", names(worst))?;
     Ok(out.flush()?)
+}
+
+/// The mean, with its standard error where it is an estimate.
+fn mean(report: &SilhouetteReport) -> String {
+    match report.method {
+        SilhouetteMethod::Sampled => {
+            format!("{} ± {:.3} (sampled)", score(report.mean), report.standard_error)
+        }
+        SilhouetteMethod::Exact | SilhouetteMethod::SquaredExact => score(report.mean),
+    }
 }

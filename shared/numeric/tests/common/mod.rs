@@ -1,6 +1,9 @@
 //! Graphs with known spectra, and strategies for random ones.
 #![allow(dead_code, clippy::unwrap_used)]
 
+pub(crate) mod fleet;
+pub(crate) mod precise;
+
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use proptest::prelude::*;
 

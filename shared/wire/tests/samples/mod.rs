@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
+use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport, Space, Verdict};
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::{GraphDelta, GraphRow};
@@ -163,8 +163,11 @@ pub fn all() -> Vec<(&'static str, Message)> {
     let report = |space, mean| SilhouetteReport {
         space,
         mean,
+        method: SilhouetteMethod::Sampled,
+        standard_error: 0.0078125,
         per_team: vec![(team("t1"), 0.5)],
         per_robot: vec![(robot("r1"), 0.5)],
+        detail_method: SilhouetteMethod::SquaredExact,
     };
     let audit = Audit {
         header: header(45),

@@ -1,0 +1,231 @@
+//! What each step of each path holds in memory at its worst moment, and what its time grows with.
+
+use muster_model::settings::Dimension;
+use muster_numeric::dimension::least_rank;
+use muster_numeric::silhouette::{Method, SAMPLE};
+
+use super::division::{kmeans_threads, silhouette_method, wanted_teams};
+use super::file::Emit;
+use super::path::Path;
+use super::problem::{Division, Problem};
+use super::speed::Speed;
+use super::step::Step;
+
+/// Memory of the program itself and of everything else that does not grow with the robots, in MiB.
+const BASE_MIB: f64 = 16.0;
+
+/// Bytes of a robot throughout: its name, its label, its silhouette.
+const ROBOT_BYTES: f64 = 128.0;
+
+/// Bytes of an edge in a graph: a column and a weight.
+const EDGE_BYTES: f64 = 16.0;
+
+/// Lloyd iterations and exchanges of one start of k-means, most of which are over before.
+const KMEANS_ITERATIONS: f64 = 15.0;
+
+/// Largest component whose spectral radius is found by elimination, which fills a band of a matrix;
+/// larger ones are swept over.
+const ELIMINATED: f64 = 4096.0;
+
+/// Sweeps over the edges for a spectral radius, as of elimination, where fleets are too large for it.
+const SWEEPS: f64 = 4096.0;
+
+/// Vectors that the search carries beside those that are asked for, the vectors that fill a register, and
+/// how many times as many its space holds.
+const CARRIED_EXTRA: f64 = 8.0;
+const REGISTER: f64 = 8.0;
+const SPACE_BLOCKS: f64 = 3.0;
+
+/// What the time and the memory of a solve grow with.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Size {
+    pub(super) robots: f64,
+    /// Of all graphs together.
+    pub(super) edges: f64,
+    /// Length of the vectors, as large as it may be chosen.
+    pub(super) dimension: f64,
+    /// Singular triplets that are searched for on the inverse-free path.
+    pub(super) rank: f64,
+    pub(super) teams: f64,
+    /// Starts of k-means; 0 where a division is judged.
+    pub(super) restarts: f64,
+    /// Threads that k-means is shared out over.
+    pub(super) threads: f64,
+    /// How the silhouettes are computed.
+    pub(super) silhouettes: Method,
+    /// Whether the similarity is kept for the output.
+    pub(super) keeps_katz: bool,
+}
+
+/// A step of a path.
+pub(super) struct Cost {
+    pub(super) step: Step,
+    /// Bytes at the worst moment of the step, beside the graphs and the robots themselves.
+    bytes: fn(&Size) -> f64,
+    /// Seconds on a machine of this speed.
+    pub(super) seconds: fn(&Size, &Speed) -> f64,
+}
+
+/// The steps that both paths begin with.
+const FUSE: Cost = Cost {
+    // The norm of each graph is a spectral radius.
+    step: Step::Fuse,
+    bytes: Size::radius_bytes,
+    seconds: Size::radius_seconds,
+};
+const RADIUS: Cost =
+    Cost { step: Step::SpectralRadius, bytes: Size::radius_bytes, seconds: Size::radius_seconds };
+
+/// LU and singular value decomposition take N³ operations.
+const DENSE: [Cost; 4] = [
+    FUSE,
+    RADIUS,
+    Cost {
+        // Two pairs of sides, the factors, the solution and its copy.
+        step: Step::Katz,
+        bytes: |size| size.matrices(6.0) + EDGE_BYTES * size.edges,
+        seconds: |size, speed| speed.katz.seconds(size.robots),
+    },
+    Cost {
+        // The similarity, its scaled copy, both sides of vectors with their copies, and what the
+        // library works in.
+        step: Step::Svd,
+        bytes: |size| size.matrices(12.0) + EDGE_BYTES * size.edges,
+        seconds: |size, speed| speed.svd.seconds(size.robots),
+    },
+];
+
+/// The search makes some rounds, in each of which it multiplies vectors by the graph and by each other.
+const INVERSE_FREE: [Cost; 3] = [
+    FUSE,
+    RADIUS,
+    Cost { step: Step::Search, bytes: Size::search_bytes, seconds: Size::search_seconds },
+];
+
+/// k-means takes N distances for each team, restart and iteration, and exact silhouettes N².
+const DIVISION: [Cost; 2] = [
+    Cost {
+        step: Step::KMeans { done: 0, restarts: 0 },
+        bytes: Size::point_bytes,
+        seconds: |size, speed| {
+            let distances = size.robots * size.teams * size.restarts * KMEANS_ITERATIONS;
+            speed.kmeans_per_product * distances * size.dimension / size.threads
+        },
+    },
+    Cost {
+        step: Step::Silhouettes,
+        bytes: Size::point_bytes,
+        seconds: |size, speed| {
+            let pairs = match size.silhouettes {
+                Method::Exact => size.robots * size.robots,
+                Method::SquaredExact => size.robots * size.teams,
+                // Each pair of two that are compared with all counts twice.
+                Method::Sampled => size.robots * (size.teams + 2.0 * SAMPLE as f64),
+            };
+            speed.silhouettes_per_product * pairs * size.dimension
+        },
+    },
+];
+
+impl Path {
+    /// What is done in order.
+    pub(super) fn steps(self) -> impl Iterator<Item = &'static Cost> {
+        let decomposed = match self {
+            Self::Dense => &DENSE[..],
+            Self::InverseFree => &INVERSE_FREE,
+        };
+        decomposed.iter().chain(&DIVISION)
+    }
+}
+
+impl Size {
+    /// What a problem grows with.
+    #[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
+    pub(super) fn of(problem: &Problem) -> Self {
+        let robots = problem.robots.len();
+        let teams = wanted_teams(problem);
+        let (dimension, rank) = match problem.dimension {
+            Dimension::Fixed(dimension) => (dimension as usize, dimension as usize / 2 + 1),
+            Dimension::Auto => (2 * teams.clamp(2, robots.max(2)), least_rank(robots, teams)),
+        };
+        let (restarts, threads) = match &problem.division {
+            Division::Wanted(settings) => (settings.restarts, kmeans_threads(settings, robots)),
+            Division::Given(_) => (0, 1),
+        };
+        Self {
+            robots: robots as f64,
+            edges: problem.graphs.iter().map(|graph| graph.matrix.edges()).sum::<usize>() as f64,
+            dimension: dimension as f64,
+            rank: rank.min(robots) as f64,
+            teams: teams as f64,
+            restarts: f64::from(restarts),
+            threads: threads as f64,
+            silhouettes: silhouette_method(problem.options.silhouette, robots),
+            keeps_katz: problem.emit.contains(&Emit::Katz),
+        }
+    }
+
+    /// Memory at the worst moment of a step in MiB.
+    pub(super) fn mib(&self, cost: &Cost) -> f64 {
+        let all = ROBOT_BYTES * self.robots + EDGE_BYTES * self.edges + (cost.bytes)(self);
+        BASE_MIB + all / f64::from(1 << 20)
+    }
+
+    /// Memory at the worst moment of all in MiB.
+    pub(super) fn peak_mib(&self, path: Path) -> u64 {
+        let peak = path.steps().map(|cost| self.mib(cost)).fold(0.0, f64::max);
+        whole(peak)
+    }
+
+    /// How many directions the space of the search holds.
+    pub(super) fn search_width(&self) -> f64 {
+        (SPACE_BLOCKS * self.carried()).min(self.robots)
+    }
+
+    /// Vectors that the search carries along.
+    fn carried(&self) -> f64 {
+        let wanted = self.rank + CARRIED_EXTRA;
+        ((wanted / REGISTER).ceil() * REGISTER).min(self.robots)
+    }
+
+    /// Bytes of so many matrices of one double per pair of robots.
+    fn matrices(&self, count: f64) -> f64 {
+        8.0 * count * self.robots * self.robots
+    }
+
+    fn radius_bytes(&self) -> f64 {
+        let eliminated = if self.robots > ELIMINATED { 0.0 } else { self.robots };
+        8.0 * eliminated * eliminated + 80.0 * self.edges
+    }
+
+    fn radius_seconds(&self, speed: &Speed) -> f64 {
+        speed.radius_per_product * self.edges * self.robots.min(SWEEPS)
+    }
+
+    /// The space and its image, six blocks of vectors beside it, three in single precision, and the
+    /// samples that the preconditioner is fitted to; the graph in two directions and precisions.
+    fn search_bytes(&self) -> f64 {
+        let carried = self.carried();
+        let doubles = 2.0 * self.search_width() + 6.0 * carried + 40.0;
+        let singles = 3.0 * (carried / 16.0).ceil() * 16.0;
+        self.robots * (8.0 * doubles + 4.0 * singles) + 64.0 * self.edges
+    }
+
+    /// Rounds of products of the graph with vectors, and of vectors with each other.
+    fn search_seconds(&self, speed: &Speed) -> f64 {
+        speed.search_seconds(self.robots, self.edges, self.carried(), self.search_width())
+    }
+
+    /// The vectors in four forms, what each start holds for every robot, and the similarity if it is
+    /// wanted.
+    fn point_bytes(&self) -> f64 {
+        let kept = if self.keeps_katz { self.matrices(1.0) } else { 0.0 };
+        kept + self.robots * (32.0 * self.dimension + 128.0 * self.threads)
+    }
+}
+
+/// The next whole number.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "it is no less than 0")]
+pub(super) fn whole(value: f64) -> u64 {
+    value.ceil() as u64
+}

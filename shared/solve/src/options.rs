@@ -1,0 +1,120 @@
+//! What is chosen with the command and not in the file.
+
+use clap::ValueEnum;
+
+/// Residuals that may be asked for. Below the least one rounding has the last word; above the largest
+/// one singular values have no correct digits.
+pub const TOLERANCES: (f64, f64) = (1e-12, 1e-1);
+
+/// How a file is solved.
+#[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
+pub struct Options {
+    /// Divide the weights of the modalities by their sum instead of refusing them.
+    #[arg(long)]
+    pub normalize_weights: bool,
+    /// How the Katz similarity is decomposed.
+    #[arg(long, value_enum, default_value_t)]
+    pub path: PathChoice,
+    /// Residual ‖Mᵀ(Sᵀu − σv)‖ of the singular triplets, relative to σ₁, at which the search of the
+    /// inverse-free path ends (M = I − αA*).
+    #[arg(long, value_name = "RESIDUAL", value_parser = tolerance, default_value_t = Options::default().tolerance)]
+    pub tolerance: f64,
+    /// How the silhouettes are computed.
+    #[arg(long, value_enum, default_value_t)]
+    pub silhouette: SilhouetteChoice,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            normalize_weights: false,
+            path: PathChoice::Auto,
+            tolerance: 1e-10,
+            silhouette: SilhouetteChoice::Auto,
+        }
+    }
+}
+
+/// How the Katz similarity is to be decomposed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+pub enum PathChoice {
+    /// dense for up to 2000 robots and where the similarity is wanted in the output, if it fits; else
+    /// inverse-free
+    #[default]
+    Auto,
+    /// the similarity by LU, and its full decomposition: exact to rounding, in N³ operations
+    Dense,
+    /// its leading singular triplets by products with the graphs alone: for large fleets, with a residual
+    InverseFree,
+}
+
+/// How silhouettes are to be computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
+pub enum SilhouetteChoice {
+    /// exact for up to 20000 robots, sampled for more
+    #[default]
+    Auto,
+    /// from the distances between all pairs of robots
+    Exact,
+    /// from the squared distances between all pairs of robots, which is exact too and fast, and not the same
+    Squared,
+    /// the mean estimated from 2000 robots, with its standard error; those of robots and teams as by squared
+    Sampled,
+}
+
+/// A tolerance as it is written.
+fn tolerance(text: &str) -> Result<f64, String> {
+    let (least, most) = TOLERANCES;
+    match text.parse() {
+        Ok(value) if (least..=most).contains(&value) => Ok(value),
+        _ => Err(format!("must be a number from {least:e} to {most:e}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use muster_numeric::silhouette::{EXACT_POINTS, SAMPLE};
+
+    use super::*;
+    use crate::path::DENSE_ROBOTS;
+
+    #[derive(Debug, Parser)]
+    struct Command {
+        #[command(flatten)]
+        options: Options,
+    }
+
+    fn parsed(arguments: &[&str]) -> Result<Options, String> {
+        let parsed = Command::try_parse_from([&["solve"], arguments].concat());
+        parsed.map(|command| command.options).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn options_have_defaults_and_limits() {
+        assert_eq!(parsed(&[]), Ok(Options::default()));
+        let found = parsed(&["--path", "inverse-free", "--tolerance", "1e-6"]).unwrap();
+        assert_eq!((found.path, found.tolerance), (PathChoice::InverseFree, 1e-6));
+        for wrong in ["0", "1e-13", "1", "NaN", "inf", "-1e-6", "small"] {
+            let error = parsed(&[&format!("--tolerance={wrong}")]).unwrap_err();
+            assert!(
+                error.contains("--tolerance") && error.contains("from 1e-12 to 1e-1"),
+                "{error}"
+            );
+        }
+        assert!(parsed(&["--path", "sparse"]).unwrap_err().contains("inverse-free"));
+    }
+
+    #[test]
+    fn the_help_tells_the_numbers_that_hold() {
+        let help = |value: &dyn Fn() -> Option<clap::builder::PossibleValue>| {
+            value().unwrap().get_help().unwrap().to_string()
+        };
+        let path = help(&|| PathChoice::Auto.to_possible_value());
+        assert!(path.contains(&format!("up to {DENSE_ROBOTS} robots")), "{path}");
+        let silhouette = help(&|| SilhouetteChoice::Auto.to_possible_value());
+        assert!(silhouette.contains(&format!("up to {EXACT_POINTS} robots")), "{silhouette}");
+        let sampled = help(&|| SilhouetteChoice::Sampled.to_possible_value());
+        assert!(sampled.contains(&format!("from {SAMPLE} robots")), "{sampled}");
+    }
+}

@@ -1,0 +1,119 @@
+//! What is told of a solve, meanwhile and in the end.
+
+use serde_json::{Value, json};
+
+use super::*;
+use crate::Solved;
+use crate::options::PathChoice;
+use crate::output;
+use crate::step::Step;
+
+#[test]
+fn each_step_is_told_when_it_begins_and_each_restart_when_it_is_done() {
+    let steps = |file: &Value, options| {
+        let mut told = Vec::new();
+        Solved::watched(file.to_string().as_bytes(), options, &mut |step| told.push(step)).unwrap();
+        told
+    };
+    let file = with(plain(6, &cliques(&[3, 3]), 0.25), json!({"teams": 2, "restarts": 3}));
+    let kmeans = |done| Step::KMeans { done, restarts: 3 };
+    let before = [Step::Fuse, Step::SpectralRadius, Step::Katz, Step::Svd];
+    let after = [kmeans(0), kmeans(1), kmeans(2), kmeans(3), Step::Silhouettes];
+    let options = Options::default();
+    assert_eq!(steps(&file, options), [&before[..], &after].concat());
+    let judged = with(file, json!({"teams": null, "labels": [0, 0, 0, 1, 1, 1]}));
+    assert_eq!(steps(&judged, options), [&before[..], &[Step::Silhouettes]].concat());
+    let search = [Step::Fuse, Step::SpectralRadius, Step::Search, Step::Silhouettes];
+    let options = Options { path: PathChoice::InverseFree, ..options };
+    assert_eq!(steps(&with(judged, json!({"emit": []})), options), search);
+}
+
+#[test]
+fn the_json_has_its_keys_in_order_and_full_precision() {
+    let file = plain(3, &ring(3), 0.3);
+    let (problem, solution) = solve(&file.to_string()).unwrap();
+    let text = output::to_json(&problem, &solution).unwrap();
+    let keys = [
+        "robots",
+        "rho",
+        "alpha",
+        "katz",
+        "singular_values",
+        "decomposition",
+        "path",
+        "residual",
+        "gap",
+        "angle_bound",
+        "ambiguous",
+        "converged",
+        "embedding",
+        "labels",
+        "teams",
+        "inertia",
+        "silhouette",
+        "mean",
+        "per_team",
+        "per_robot",
+        "diagnostics",
+    ];
+    let places: Vec<_> =
+        keys.iter().map(|key| text.find(&format!("\"{key}\":")).unwrap()).collect();
+    assert!(places.is_sorted(), "{text}");
+    let read: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(read["silhouette"], json!({"mean": null, "per_team": [], "per_robot": []}));
+    assert_eq!(read["teams"], json!({"r0": 0, "r1": 0, "r2": 0}));
+    for (found, exact) in read["embedding"].as_array().unwrap().iter().zip(0..) {
+        let row: Vec<f64> = serde_json::from_value(found.clone()).unwrap();
+        assert_eq!(row, solution.embedding.row(exact), "bit by bit");
+    }
+
+    let bare = with(file, json!({"emit": []}));
+    let (problem, solution) = solve(&bare.to_string()).unwrap();
+    let read: Value = serde_json::from_str(&output::to_json(&problem, &solution).unwrap()).unwrap();
+    let expected = [
+        "alpha",
+        "decomposition",
+        "inertia",
+        "labels",
+        "rho",
+        "robots",
+        "silhouette",
+        "singular_values",
+        "teams",
+    ];
+    let found: Vec<_> = read.as_object().unwrap().keys().map(String::as_str).collect();
+    let mut sorted = found.clone();
+    sorted.sort_unstable();
+    assert_eq!(sorted, expected);
+}
+
+#[test]
+fn the_summary_names_what_matters() {
+    let file = with(
+        plain(6, &cliques(&[3, 3]), 0.25),
+        json!({"rows": "unit", "dimension": "auto", "teams": 2, "alpha": {"fraction": 0.5}}),
+    );
+    let (problem, solution) = solve(&file.to_string()).unwrap();
+    let text = output::summary(&problem, &solution);
+    for part in ["ρ 2\n", "0.25 (fraction 0.5 of 1/ρ)", "r0 r1 r2", "r3 r4 r5", "1.000", "gap"] {
+        assert!(text.contains(part), "{part:?} in\n{text}");
+    }
+}
+
+#[test]
+fn rounded_numbers_keep_six_digits() {
+    let pairs = [
+        (0.0, "0"),
+        (1.0, "1"),
+        (-2.5, "-2.5"),
+        (0.1 + 0.2, "0.3"),
+        (123_456.7, "123457"),
+        (100_000.0, "100000"),
+        (0.001_234_567_8, "0.00123457"),
+        (1e-9, "1.000e-9"),
+        (2.5e7, "2.500e7"),
+    ];
+    for (value, text) in pairs {
+        assert_eq!(output::rounded(value), text);
+    }
+}
