@@ -136,8 +136,7 @@ impl Cache {
         }
         let mut rank = wanted.cut.least_rank(n);
         let (choice, report) = loop {
-            let options =
-                KatzSvdOptions { rank, tolerance, seed: wanted.seed, threads: threads() };
+            let options = KatzSvdOptions { rank, tolerance, seed: wanted.seed, threads: threads() };
             let report = self.search(wanted, options)?;
             if !report.converged && n <= WHOLE_IN_NEED {
                 self.search.forget();

@@ -131,7 +131,8 @@ fn inverse_free(problem: &Problem, walks: Walks<'_>) -> Result<Decomposition, So
         Dimension::Auto => least_rank(n, wanted_teams(problem)),
     };
     let tolerance = problem.options.tolerance;
-    let options = KatzSvdOptions { rank: rank.clamp(1, n), tolerance, seed: SEED };
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let options = KatzSvdOptions { rank: rank.clamp(1, n), tolerance, seed: SEED, threads };
     let mut search = KatzSvd::default();
     let mut report = search.solve(fused, alpha, radius, options, None).or_else(of_search)?;
     // Where walks grow for long before they fade, the search takes more rounds than a frame is given.
