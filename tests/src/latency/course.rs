@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use muster_model::embedding::EmbeddingMode;
+use serde_json::Value;
 
 use super::drive::{self, Puts};
 use super::follow::{Division, Ways, follow, follow_changes};
@@ -345,13 +346,15 @@ async fn watch(
     }
 }
 
-/// Waits until a service holds its role.
-async fn serving(client: &Client, service: &str) -> anyhow::Result<()> {
+/// The status of a service, as soon as it answers that it holds its role.
+async fn serving(client: &Client, service: &str) -> anyhow::Result<Value> {
     let begin = Instant::now();
     loop {
         let status = client.get_one(&format!("service/{service}/status")).await;
-        if status.as_ref().is_ok_and(|status| status["standing"] == "holding") {
-            return Ok(());
+        if let Ok(status) = &status
+            && status["standing"] == "holding"
+        {
+            return Ok(status.clone());
         }
         anyhow::ensure!(begin.elapsed() < FORMED_WITHIN, "{service} does not serve: {status:?}");
         tokio::time::sleep(Duration::from_millis(50)).await;
@@ -364,7 +367,7 @@ async fn counters(
 ) -> anyhow::Result<BTreeMap<&'static str, BTreeMap<String, u64>>> {
     let mut counters = BTreeMap::new();
     for service in SERVICES {
-        let status = client.get_one(&format!("service/{service}/status")).await?;
+        let status = serving(client, service).await?;
         let of = status["counters"].as_object().context("a status without counters")?;
         let numbers = of.iter().filter_map(|(name, count)| Some((name.clone(), count.as_u64()?)));
         counters.insert(service, numbers.collect());

@@ -1,6 +1,8 @@
 //! A process of robots, which put poses at a rate, each with a phase of its own, and writes down when.
 //!
-//! The robots share one Zenoh session and put JSON, as `muster robot` does. A robot that also reports
+//! The robots share one Zenoh session and put JSON, as `muster robot` does, by declared publishers: a
+//! router searches all keys of the fleet for the receivers of each message on a key that nobody declared.
+//! Each robot has its token, and subscribes to what it is told of its team. A robot that also reports
 //! links or its rank does so just before a pose, so that the pose is the last that was heard of it: the
 //! roster then tells when `ingest` received it.
 
@@ -11,7 +13,6 @@ use anyhow::Context;
 use serde_json::json;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
-use zenoh::key_expr::KeyExpr;
 
 use super::squads::Squads;
 use super::{now_us, robot_name};
@@ -108,12 +109,17 @@ impl Puts {
     }
 }
 
-/// The keys of one robot.
-struct Keys {
-    pose: KeyExpr<'static>,
-    links: KeyExpr<'static>,
-    rank: KeyExpr<'static>,
+/// What a robot puts on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Stream {
+    Pose,
+    Links,
+    Rank,
 }
+
+/// All streams with their names, each at the place of its number.
+const STREAMS: [(Stream, &str); 3] =
+    [(Stream::Pose, "pose"), (Stream::Links, "links"), (Stream::Rank, "rank")];
 
 /// The payload of a pose: as long as those of robots in the field, with the number as heading.
 #[must_use]
@@ -136,32 +142,29 @@ pub fn pose_json(at: [f64; 2], number: u64, boot: &str, stamp_us: u64) -> String
 pub async fn run(drive: &Drive) -> anyhow::Result<()> {
     let client = Client::connect(&drive.endpoint, &drive.fleet).await?;
     let squads = Squads::new(drive.robots, drive.teams);
-    let (mut tokens, mut keys) = (Vec::new(), Vec::new());
-    let named = |tail: String| {
-        KeyExpr::try_from(client.key(&tail)).map_err(|error| anyhow::anyhow!("{tail}: {error}"))
-    };
+    let (mut tokens, mut publishers) = (Vec::new(), Vec::new());
     for robot in (0..drive.robots).map(robot_name) {
         tokens.push(client.token(&format!("robot/{robot}")).await?);
-        keys.push(Keys {
-            pose: named(format!("robot/{robot}/pose"))?,
-            links: named(format!("robot/{robot}/links"))?,
-            rank: named(format!("robot/{robot}/rank"))?,
-        });
+        // What it is told is measured by the listener, which also tells when; but robots listen.
+        client.listen(&format!("robot/{robot}/team"), |_, _| {}).await?;
+        for (_, stream) in STREAMS {
+            let publisher = client
+                .session()
+                .declare_publisher(client.key(&format!("robot/{robot}/{stream}")))
+                .encoding(Encoding::APPLICATION_JSON)
+                .await;
+            publishers.push(publisher.map_err(|error| anyhow::anyhow!("{robot}: {error}"))?);
+        }
     }
-    let (drive, session) = (drive.clone(), client.session().clone());
-    let folder = drive.folder.clone();
+    let (drive, folder) = (drive.clone(), drive.folder.clone());
     let driving = tokio::task::spawn_blocking(move || {
         let mut puts = Puts { poses: vec![Vec::new(); drive.robots], messages: 0 };
-        speak(
-            &drive,
-            &squads,
-            &keys,
-            |key, payload| {
-                let put = session.put(key, payload).encoding(Encoding::APPLICATION_JSON).wait();
-                put.map_err(|error| anyhow::anyhow!("{key}: {error}"))
-            },
-            &mut puts,
-        )?;
+        let put = |robot: usize, stream: Stream, payload: String| {
+            let publisher = &publishers[robot * STREAMS.len() + stream as usize];
+            let put = publisher.put(payload).wait();
+            put.map_err(|error| anyhow::anyhow!("{}: {error}", publisher.key_expr()))
+        };
+        speak(&drive, &squads, put, &mut puts)?;
         anyhow::Ok(puts)
     });
     driving.await??.write(&folder)?;
@@ -174,8 +177,7 @@ pub async fn run(drive: &Drive) -> anyhow::Result<()> {
 fn speak(
     drive: &Drive,
     squads: &Squads,
-    keys: &[Keys],
-    put: impl Fn(&KeyExpr<'static>, String) -> anyhow::Result<()>,
+    put: impl Fn(usize, Stream, String) -> anyhow::Result<()>,
     puts: &mut Puts,
 ) -> anyhow::Result<()> {
     let stop = drive.folder.join(STOP);
@@ -207,18 +209,18 @@ fn speak(
                     .map(|(peer, quality)| json!({"peer": robot_name(peer), "quality": quality}))
                     .collect();
                 let links = json!({"links": links, "boot": boot, "seq": round});
-                put(&keys[robot].links, links.to_string())?;
+                put(robot, Stream::Links, links.to_string())?;
                 puts.messages += 1;
             }
             if round == 0 || turn.is_multiple_of(RANK_EVERY) {
                 let superior = squads.superior(robot, t).map(robot_name);
                 let rank = json!({"superior": superior, "boot": boot, "seq": round});
-                put(&keys[robot].rank, rank.to_string())?;
+                put(robot, Stream::Rank, rank.to_string())?;
                 puts.messages += 1;
             }
             let pose = pose_json(squads.place(robot, t), round, &boot, stamp);
             puts.poses[robot].push(now_us());
-            put(&keys[robot].pose, pose)?;
+            put(robot, Stream::Pose, pose)?;
             puts.messages += 1;
         }
     }
@@ -251,21 +253,17 @@ mod tests {
             rate_hz: 50.0,
             folder: folder.path().to_owned(),
         };
-        let key = |tail: &str| KeyExpr::try_from(tail.to_owned()).unwrap();
-        let keys: Vec<_> = (0..20)
-            .map(|_| Keys { pose: key("pose"), links: key("links"), rank: key("rank") })
-            .collect();
         let mut puts = Puts { poses: vec![Vec::new(); 20], messages: 0 };
         let begin = Instant::now();
-        let put = |key: &KeyExpr<'static>, payload: String| {
+        let put = |_, stream: Stream, payload: String| {
             let value: serde_json::Value = serde_json::from_str(&payload)?;
-            assert_eq!(value["heading"].is_u64(), key.as_str() == "pose", "{payload}");
+            assert_eq!(value["heading"].is_u64(), stream == Stream::Pose, "{payload}");
             if begin.elapsed() > Duration::from_millis(500) {
                 stop(&drive.folder)?;
             }
             Ok(())
         };
-        speak(&drive, &Squads::new(20, 2), &keys, put, &mut puts).unwrap();
+        speak(&drive, &Squads::new(20, 2), put, &mut puts).unwrap();
         let rounds = puts.poses[0].len();
         assert!((20..100).contains(&rounds), "{rounds} rounds in half a second or a little more");
         // One in five also puts links, one in ten a rank, and all do at first.

@@ -128,10 +128,11 @@ pub fn page(
     writeln!(page, "- machine: {}", machine())?;
     writeln!(
         page,
-        "- versions: Muster {} at {revision}, Zenoh {}, {}; release build",
+        "- versions: Muster {} at {revision}, Zenoh {}, {}; {} build",
         env!("CARGO_PKG_VERSION"),
         locked("zenoh"),
-        said("rustc", &["--version"])
+        said("rustc", &["--version"]),
+        if cfg!(debug_assertions) { "debug" } else { "release" }
     )?;
     for measured in all {
         let course = &measured.course;
