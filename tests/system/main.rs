@@ -15,6 +15,7 @@ mod doctor;
 mod hostile;
 mod keys;
 mod languages;
+mod latency;
 mod notify;
 mod observe;
 mod partition;

@@ -323,6 +323,7 @@ impl Core for Ingest {
     }
 
     fn handle(&mut self, now: Tick, event: Event<()>, effects: &mut Effects<()>) {
+        self.frames.told(now);
         match self.role.attend(now, event, effects) {
             Turn::Events(events) => {
                 events.into_iter().for_each(|event| self.take_event(now, event, effects));
@@ -339,7 +340,8 @@ impl Core for Ingest {
         let (judging, following) = (self.is_judging(), self.is_following());
         let judgement = self.fleet.next_judgement().filter(|_| judging || following);
         let frame = self.next_frame().filter(|_| judging);
-        [judgement, frame, self.role.deadline()].into_iter().flatten().min()
+        let telling = self.frames.telling().filter(|_| judging);
+        [judgement, frame, telling, self.role.deadline()].into_iter().flatten().min()
     }
 
     fn standing(&self) -> Standing {

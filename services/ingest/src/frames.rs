@@ -23,6 +23,15 @@ use crate::roster::Fleet;
 /// Slower frames have slower heartbeats.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
+/// A frame is followed by a pause of at least three times as long as it took to make and tell: under more
+/// load than the host can bear the rate of frames falls, and what robots say is heard between them. Frames
+/// that nobody has the time to read would only keep the readers from the work.
+const MOST_PART: u32 = 4;
+
+/// No frame counts as having taken longer: a host that hung during one must not be without frames for
+/// longer than the slowest tick lets it be.
+const MOST_TAKEN: Duration = Duration::from_millis(250);
+
 /// One graph as it was last published.
 #[derive(Debug, Default)]
 struct Graph {
@@ -60,6 +69,10 @@ pub(crate) struct Frames {
     declared: Option<Vec<Modality>>,
     changed: Option<Tick>,
     attempted: Option<Tick>,
+    /// When a frame was begun whose end is not known yet.
+    making: Option<Tick>,
+    /// How long the last frame took.
+    took: Duration,
     published: Option<Tick>,
 }
 
@@ -98,11 +111,24 @@ impl Frames {
         self.touch_roster(now);
     }
 
+    /// A moment after the last frame was made and told: that of the next event, whatever it is.
+    pub(crate) fn told(&mut self, now: Tick) {
+        if let Some(begun) = self.making.take() {
+            self.took = now.since(begun).min(MOST_TAKEN);
+        }
+    }
+
+    /// When an event is wanted only to learn how long the last frame took.
+    pub(crate) fn telling(&self) -> Option<Tick> {
+        self.making
+    }
+
     /// When the next frame is due.
     pub(crate) fn due(&self, settings: &IngestSettings) -> Option<Tick> {
         let heartbeat = self.published.map(|published| published.after(HEARTBEAT));
         let wanted = self.changed.into_iter().chain(heartbeat).min()?;
-        let allowed = self.attempted.map(|last| last.after(period(settings)));
+        let pause = period(settings).max(self.took.saturating_mul(MOST_PART));
+        let allowed = self.attempted.map(|last| last.after(pause));
         Some(allowed.map_or(wanted, |allowed| allowed.max(wanted)))
     }
 
@@ -115,6 +141,7 @@ impl Frames {
         role: &mut Role<IngestSettings>,
     ) -> Vec<Message> {
         self.attempted = Some(now);
+        self.making = Some(now);
         self.changed = None;
         if let Some(declared) = self.declared.take() {
             self.step_declared(declared);

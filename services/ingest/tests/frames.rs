@@ -142,6 +142,42 @@ fn the_first_change_after_a_quiet_time_is_told_at_once_and_others_keep_the_rate(
 }
 
 #[test]
+fn frames_that_take_long_are_fewer_until_they_are_short_again() {
+    let mut bench = Bench::default();
+    bench.say(pose("r1", 0.0, 0.0));
+    bench.wait(0.5);
+    let from = bench.frame_times().len();
+    for step in 1..=200 {
+        let frames = bench.frame_times().len();
+        bench.say(pose("r1", f64::from(step), 0.0));
+        bench.step(Event::Timeout);
+        // The next event comes when the frame is made and told, and 60 ms are more than a quarter of a
+        // tick.
+        let made = bench.frame_times().len() > frames;
+        bench.now = bench.now.after(seconds(if made { 0.06 } else { 0.01 }));
+    }
+    let times = &bench.frame_times()[from..];
+    assert!(times.len() > 5, "{times:?}");
+    for pair in times.windows(2) {
+        assert_eq!(pair[1].since(pair[0]), seconds(0.24));
+    }
+
+    // A host that hangs during a frame makes the next one at once, and then has its tick again.
+    bench.wait(1.0);
+    bench.say(pose("r1", -1.0, 0.0));
+    bench.step(Event::Timeout);
+    bench.now = bench.now.after(seconds(1.5));
+    let from = bench.frame_times().len();
+    for step in 1..=50 {
+        bench.say(pose("r1", f64::from(step), 1.0));
+        bench.wait(0.01);
+    }
+    let times = &bench.frame_times()[from..];
+    assert!(times.len() >= 4, "{times:?}");
+    assert!(times[1..].windows(2).all(|pair| pair[1].since(pair[0]) == seconds(0.1)), "{times:?}");
+}
+
+#[test]
 fn an_early_timeout_makes_no_frame() {
     let mut bench = Bench::default();
     bench.say(pose("r1", 0.0, 0.0));

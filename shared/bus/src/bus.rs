@@ -1,12 +1,13 @@
 //! A session: puts, subscriptions, gets, liveliness tokens, and whether a router is linked.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Context;
 use muster_model::id::FleetId;
 use muster_wire::{Key, KeySpace, Outbound, Packet, Pattern, Source};
 use tokio::sync::mpsc::error::TrySendError;
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{OnceCell, mpsc, oneshot, watch};
 use zenoh::Wait;
 use zenoh::config::WhatAmI;
 use zenoh::key_expr::KeyExpr;
@@ -85,6 +86,10 @@ pub enum OpenError {
 #[derive(Debug, Clone)]
 pub struct Bus {
     session: zenoh::Session,
+    /// The session that knows the tokens of robots, if that is another one, once it is open.
+    tokens: Arc<OnceCell<zenoh::Session>>,
+    /// How that one is opened; none where there can be only one.
+    again: Option<zenoh::Config>,
     space: KeySpace,
     link: watch::Receiver<bool>,
 }
@@ -201,6 +206,7 @@ impl Bus {
             "no router answers at {routers}; start one with `muster router`, or name another with \
              --connect; `--log warn` tells what is wrong with a link"
         );
+        let again = is_repeatable(&zenoh).then(|| zenoh.clone());
         let mut opening = std::pin::pin!(open_session(zenoh));
         let at_once = match patience {
             Patience::Forever => TELL_WAITING_AFTER,
@@ -224,7 +230,8 @@ impl Bus {
             ))
         })?;
         let link = watch_link(&session).await.map_err(failed)?;
-        Ok(Self { session, space: KeySpace::new(config.fleet), link })
+        let space = KeySpace::new(config.fleet);
+        Ok(Self { session, tokens: Arc::default(), again, space, link })
     }
 
     /// The keys of the fleet.
@@ -359,15 +366,31 @@ impl Bus {
 
     /// Hands liveliness tokens to a function, those that are there already as well.
     ///
+    /// Those of robots are followed in a session of their own. Zenoh compares the key of a message that
+    /// nobody declared with all keys that its session knows beside it, one by one
+    /// (`Resource::get_matches` of 1.10.2): in the session that receives the poses of N robots, their N
+    /// tokens would make each pose cost N comparisons. With 5,000 robots at 10 Hz that was more than two
+    /// cores could do, and most poses were lost.
+    ///
     /// # Errors
-    /// If the session is closed.
+    /// If the session is closed, or cannot be opened.
     pub async fn subscribe_tokens(
         &self,
         pattern: &Pattern,
         take: impl Fn(Packet) + Send + Sync + 'static,
     ) -> anyhow::Result<()> {
         let text = self.space.pattern(pattern);
-        self.session
+        let session = match (&self.again, pattern) {
+            (Some(config), Pattern::RobotTokens) => {
+                let open = || async {
+                    let opened = open_session(config.clone()).await?;
+                    opened.map_err(|error| anyhow::anyhow!("a session for tokens: {error}"))
+                };
+                self.tokens.get_or_try_init(open).await?
+            }
+            _ => &self.session,
+        };
+        session
             .liveliness()
             .declare_subscriber(text.as_str())
             .history(true)
@@ -480,15 +503,25 @@ impl Bus {
         Ok(answers)
     }
 
-    /// Closes the session; gives up waiting after a moment.
+    /// Closes the session, both if there are two; gives up waiting after a moment.
     pub async fn close(&self) {
-        let session = self.session.clone();
-        let closing = tokio::task::spawn_blocking(move || session.close().wait());
+        let sessions = [Some(self.session.clone()), self.tokens.get().cloned()];
+        let closing = tokio::task::spawn_blocking(move || {
+            // The tokens first: that they are gone says nothing any more.
+            let closed = sessions.into_iter().flatten().rev().map(|session| session.close().wait());
+            closed.collect::<zenoh::Result<()>>()
+        });
         let closed = tokio::time::timeout(CLOSE_WITHIN, closing).await;
         if !matches!(closed, Ok(Ok(Ok(())))) {
             tracing::debug!("the session did not close in time");
         }
     }
+}
+
+/// Whether a second session may be opened by the same configuration: clients share no address that they
+/// listen at, and have an identity each unless they are given one.
+fn is_repeatable(config: &zenoh::Config) -> bool {
+    is_client(config) && config.get_json("id").is_ok_and(|id| id == "null")
 }
 
 /// Whether a message on a key says who holds a role.
@@ -626,6 +659,20 @@ async fn watch_link(session: &zenoh::Session) -> anyhow::Result<watch::Receiver<
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_a_client_without_a_given_identity_opens_a_second_session() {
+        let config = |settings: &[(&str, &str)]| {
+            let mut config = zenoh::Config::default();
+            for (key, value) in settings {
+                config.insert_json5(key, value).unwrap();
+            }
+            config
+        };
+        assert!(is_repeatable(&config(&[("mode", "\"client\"")])));
+        assert!(!is_repeatable(&config(&[("mode", "\"peer\"")])));
+        assert!(!is_repeatable(&config(&[("mode", "\"client\""), ("id", "\"a1\"")])));
+    }
 
     #[test]
     fn a_get_is_small_only_with_everything_that_waits_with_it() {

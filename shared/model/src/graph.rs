@@ -183,14 +183,20 @@ impl GraphReplica {
                 return wrong("a robot has two nodes");
             }
         }
-        let exists = |node: &Node| {
-            added.contains_key(node)
-                || (!from_nothing && self.nodes.contains_key(node) && !removed.contains(node))
-        };
-        let mut sources = std::collections::BTreeSet::new();
+        // Every edge of a large graph asks for its target many times a second: one array that is searched
+        // by halves is several times faster than trees.
+        let staying = self.nodes.keys().filter(|node| !from_nothing && !removed.contains(*node));
+        let mut nodes: Vec<Node> = staying.chain(added.keys()).copied().collect();
+        nodes.sort_unstable();
+        let exists = |node: &Node| nodes.binary_search(node).is_ok();
+        let mut sources: Vec<Node> = delta.rows.iter().map(|row| row.source).collect();
+        sources.sort_unstable();
+        if !sources.is_sorted_by(|left, right| left < right) {
+            return wrong("a row stands twice");
+        }
         for row in &delta.rows {
-            if !exists(&row.source) || !sources.insert(row.source) {
-                return wrong("a row starts at an unknown node, or stands twice");
+            if !exists(&row.source) {
+                return wrong("a row starts at an unknown node");
             }
             if !row.edges.is_sorted_by(|left, right| left.0 < right.0) {
                 return wrong("a row is not ordered by target");

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use muster_tests::client::{Client, division, now};
 use muster_tests::cluster::{Cluster, SERVICES};
+use muster_tests::looks::{Look, look, part, slope};
 use serde_json::Value;
 
 /// Growth of a process that counts as flat, in KiB a minute: at this rate a day costs less than 400 MiB,
@@ -31,9 +32,6 @@ const WARM_UP_AT_MOST: f64 = 300.0;
 /// How long the fleet may take to be whole.
 const FORMED_WITHIN: Duration = Duration::from_secs(60);
 
-/// The kernel's ticks a second in `/proc/PID/stat`, the same on every Linux.
-const TICKS_HZ: f64 = 100.0;
-
 /// Counters of what was lost because too much waited, which must not be where nothing fails.
 const LOST: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
 
@@ -47,17 +45,6 @@ struct Options {
     teams: usize,
     minutes: f64,
     plot: Option<String>,
-}
-
-/// One look at one process.
-#[derive(Debug, Clone, Copy)]
-struct Look {
-    /// Seconds since the fleet was whole.
-    at: f64,
-    /// Memory in KiB.
-    memory: f64,
-    /// Processor time so far, in seconds.
-    busy: f64,
 }
 
 fn options() -> anyhow::Result<Options> {
@@ -75,40 +62,6 @@ fn options() -> anyhow::Result<Options> {
         }
     }
     Ok(options)
-}
-
-fn look(process: u32, at: f64) -> anyhow::Result<Look> {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status"))?;
-    let memory = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmRSS:"))
-        .and_then(|rest| rest.split_whitespace().next())
-        .and_then(|number| number.parse().ok())
-        .context("a process has no memory; has it ended?")?;
-    let stat = std::fs::read_to_string(format!("/proc/{process}/stat"))?;
-    // The name of the program stands in brackets and may hold blanks.
-    let fields = stat.rsplit_once(") ").map_or("", |(_, rest)| rest).split(' ');
-    let ticks: f64 = fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum();
-    Ok(Look { at, memory, busy: ticks / TICKS_HZ })
-}
-
-/// The slope of the straight line that fits the memory best, in KiB a minute.
-fn growth(looks: &[Look]) -> f64 {
-    let count = looks.len() as f64;
-    let mean = |value: fn(&Look) -> f64| looks.iter().map(value).sum::<f64>() / count.max(1.0);
-    let (at, memory) = (mean(|look| look.at), mean(|look| look.memory));
-    let (mut both, mut square) = (0.0, 0.0);
-    for look in looks {
-        both += (look.at - at) * (look.memory - memory);
-        square += (look.at - at).powi(2);
-    }
-    if square > 0.0 { both / square * 60.0 } else { 0.0 }
-}
-
-/// The value below which a part of sorted values lies.
-fn part(sorted: &[f64], part: f64) -> f64 {
-    let place = (sorted.len() as f64 * part) as usize;
-    sorted.get(place.min(sorted.len().saturating_sub(1))).copied().unwrap_or(f64::NAN)
 }
 
 /// The memory of every process over time, as a picture.
@@ -240,7 +193,10 @@ async fn main() -> anyhow::Result<ExitCode> {
         let all = looks.get(name).map(Vec::as_slice).unwrap_or_default();
         let later = &all[all.partition_point(|look| look.at < warm)..];
         let (Some(first), Some(last)) = (later.first(), later.last()) else { continue };
-        let (growth, spent) = (growth(later), (last.busy - first.busy) / (last.at - first.at));
+        let points: Vec<_> = later.iter().map(|look| (look.at, look.memory)).collect();
+        // In KiB a minute.
+        let growth = slope(&points) * 60.0;
+        let spent = (last.busy - first.busy) / (last.at - first.at);
         writeln!(
             out,
             "| {name} | {:.1} | {:.1} | {growth:.1} | {:.1} |",

@@ -1,0 +1,130 @@
+//! Measures how long a pose takes until the team that rests on it is received, and what every process
+//! takes for it. `latency --help` has the flags; `tests/peers/latency` builds and runs it in release.
+//!
+//! It ends with 1 if a goal is missed.
+
+use std::io::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::Parser;
+use muster_tests::latency::course::{self, Course};
+use muster_tests::latency::{drive, echo, report};
+
+/// Most robots of a run: more than one process can put for at 10 Hz on two cores.
+const MOST_ROBOTS: u32 = 20_000;
+
+/// How long a fleet settles before it is measured.
+const SETTLES: Duration = Duration::from_secs(5);
+
+/// From a pose to its team, over a real router, with every service and the robots as processes.
+#[derive(Debug, Parser)]
+#[command(
+    after_help = "Examples:\n  tests/peers/latency                                all sizes, 60 s each\n  \
+tests/peers/latency --robots 500 --seconds 20\n  tests/peers/latency --set embedder.dimension=8"
+)]
+struct Options {
+    /// Sizes of the fleet, one run for each
+    #[arg(long, value_delimiter = ',', default_values_t = [50, 500, 5000],
+          value_parser = clap::value_parser!(u32).range(2..=i64::from(MOST_ROBOTS)))]
+    robots: Vec<u32>,
+    /// Teams that the robots march in and are divided into
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=64))]
+    teams: u32,
+    /// Poses per second of each robot
+    #[arg(long, default_value_t = 10.0)]
+    rate: f64,
+    /// Seconds that are measured in each run
+    #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..=600))]
+    seconds: u64,
+    /// Change a setting of a service, such as ingest.tick_hz=20
+    #[arg(long, value_name = "SERVICE.FIELD=VALUE")]
+    set: Vec<String>,
+    /// Where the page goes; standard output without it. Its picture goes beside it, as .svg
+    #[arg(long, value_name = "FILE.md")]
+    out: Option<PathBuf>,
+    /// What is written as the command
+    #[arg(long, hide = true, default_value = "latency")]
+    named: String,
+    /// The router of a run
+    #[arg(long, hide = true, default_value = "")]
+    router: String,
+    /// Be the echo of a run
+    #[arg(long, hide = true)]
+    echo: bool,
+    /// Be the robots of a run, with this folder
+    #[arg(long, hide = true, value_name = "FOLDER")]
+    drive: Option<PathBuf>,
+}
+
+fn courses(options: &Options) -> anyhow::Result<Vec<Course>> {
+    anyhow::ensure!(
+        (0.1..=100.0).contains(&options.rate),
+        "--rate: must be 0.1 to 100 per second, not {}",
+        options.rate
+    );
+    let parted = |set: &String| {
+        let (service, rest) = set
+            .split_once('.')
+            .with_context(|| format!("--set {set}: must be SERVICE.FIELD=VALUE"))?;
+        Ok((service.to_owned(), rest.to_owned()))
+    };
+    let settings = options.set.iter().map(parted).collect::<anyhow::Result<Vec<_>>>()?;
+    let course = |robots: &u32| Course {
+        robots: *robots as usize,
+        teams: options.teams as usize,
+        rate_hz: options.rate,
+        settles: SETTLES,
+        lasts: Duration::from_secs(options.seconds),
+        settings: settings.clone(),
+    };
+    Ok(options.robots.iter().map(course).collect())
+}
+
+#[tokio::main]
+async fn main() -> anyhow::Result<ExitCode> {
+    let options = Options::parse();
+    let courses = courses(&options)?;
+    if options.echo {
+        echo::run(&options.router, course::FLEET).await?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    if let (Some(folder), Some(course)) = (&options.drive, courses.first()) {
+        let drive = drive::Drive {
+            endpoint: options.router.clone(),
+            fleet: course::FLEET.to_owned(),
+            robots: course.robots,
+            teams: course.teams,
+            rate_hz: course.rate_hz,
+            folder: folder.clone(),
+        };
+        drive::run(&drive).await?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mut all = Vec::new();
+    for course in &courses {
+        let progress = |text: String| {
+            let _ = writeln!(std::io::stderr(), "{text}");
+        };
+        all.push(course::run(course, progress).await?);
+    }
+    let picture = options.out.as_ref().map(|out| out.with_extension("svg"));
+    let name = picture.as_ref().and_then(|picture| picture.file_name()?.to_str());
+    let page = report::page(&all, &options.named, name)?;
+    match &options.out {
+        Some(out) => {
+            std::fs::write(out, page).with_context(|| format!("--out {}", out.display()))?
+        }
+        None => write!(std::io::stdout(), "{page}")?,
+    }
+    if let Some(picture) = &picture {
+        std::fs::write(picture, report::plot(&all))?;
+    }
+    let missed: Vec<_> = all.iter().flat_map(report::goals).filter(|goal| !goal.reached).collect();
+    for goal in &missed {
+        writeln!(std::io::stderr(), "missed: {}: {}", goal.wanted, goal.measured)?;
+    }
+    Ok(if missed.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}

@@ -1,0 +1,390 @@
+//! One run with a number of robots: starts everything, waits until the fleet is divided, measures.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use muster_model::embedding::EmbeddingMode;
+use serde_json::Value;
+
+use super::drive::{self, Puts};
+use super::follow::{Division, Ways, follow, follow_changes};
+use super::listen::{Heard, Listener};
+use super::{echo, now_us};
+use crate::client::Client;
+use crate::cluster::{Cluster, SERVICES};
+use crate::looks::{Look, look, part, slope};
+use crate::process::Process;
+
+/// The fleet of a run.
+pub const FLEET: &str = "latency";
+
+/// How long services may take to be there, and a fleet to be divided as a whole.
+const FORMED_WITHIN: Duration = Duration::from_secs(180);
+
+/// How long the last poses may take to become a division. They are missing after that.
+const DRAINED_WITHIN: Duration = Duration::from_secs(20);
+
+/// What services count of messages that came to an end: accepted, refused, replaced in the inbox by a
+/// newer one of the same robot.
+const TAKEN: [&str; 3] = ["poses_accepted", "links_accepted", "ranks_accepted"];
+
+/// Counters of what was lost because too much waited, which must not be.
+const DROPPED: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
+
+/// What is to be run.
+#[derive(Debug, Clone)]
+pub struct Course {
+    /// How many robots.
+    pub robots: usize,
+    /// In how many teams.
+    pub teams: usize,
+    /// Poses per second of each.
+    pub rate_hz: f64,
+    /// How long the round trip is measured before there are robots, and how long the fleet is divided
+    /// before it is measured: searches get their history, allocators their memory.
+    pub settles: Duration,
+    /// How long is measured.
+    pub lasts: Duration,
+    /// Changes of settings, such as `("ingest", "tick_hz=20")`.
+    pub settings: Vec<(String, String)>,
+}
+
+/// Some percentiles.
+#[derive(Debug, Clone, Copy)]
+pub struct Spread {
+    /// The median.
+    pub p50: f64,
+    /// What 99 % are below.
+    pub p99: f64,
+    /// The greatest.
+    pub most: f64,
+}
+
+impl Spread {
+    /// Those of values in any order.
+    #[must_use]
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
+        let mut values: Vec<f64> = values.into_iter().collect();
+        values.sort_by(f64::total_cmp);
+        Self { p50: part(&values, 0.5), p99: part(&values, 0.99), most: part(&values, 1.0) }
+    }
+}
+
+/// What a process took.
+#[derive(Debug, Clone)]
+pub struct Taken {
+    /// The process.
+    pub name: &'static str,
+    /// Seconds of processor time per second.
+    pub processors: f64,
+    /// The greatest resident memory in MiB.
+    pub memory: f64,
+}
+
+/// What was measured. Durations are in milliseconds.
+#[derive(Debug)]
+pub struct Measured {
+    /// What was run.
+    pub course: Course,
+    /// How long was measured, in seconds.
+    pub seconds: f64,
+    /// Poses that were put.
+    pub poses: usize,
+    /// How they became divisions.
+    pub ways: Ways,
+    /// From a pose to the robot that it tells of another team.
+    pub changes: Vec<f64>,
+    /// Words to robots that arrived.
+    pub told: usize,
+    /// Divisions that arrived.
+    pub divisions: Vec<Division>,
+    /// Embeddings that arrived, by their mode.
+    pub modes: BTreeMap<String, usize>,
+    /// The lengths of vectors that embeddings had, least and greatest.
+    pub dimensions: (u32, u32),
+    /// The greatest residual.
+    pub residual: f64,
+    /// What the stages of an embedding that was computed took: fusing and the radius, the similarity,
+    /// the decomposition.
+    pub embedding: [Spread; 3],
+    /// The time from a division to its judgement, and that within `auditor`.
+    pub judged: [Spread; 2],
+    /// Judgements that arrived.
+    pub judgements: usize,
+    /// The round trip without robots, and beside them.
+    pub round_trip: [Spread; 2],
+    /// Pings beside the robots that did not come back.
+    pub pings_missing: usize,
+    /// Messages that were put and that `ingest` never saw.
+    pub lost_on_the_way: i64,
+    /// What services dropped or refused, where it is not nothing.
+    pub dropped: BTreeMap<String, u64>,
+    /// Messages that a newer one of the same key replaced in an inbox, by service.
+    pub replaced: BTreeMap<String, u64>,
+    /// What each process took.
+    pub taken: Vec<Taken>,
+}
+
+impl Measured {
+    /// Divisions per second.
+    #[must_use]
+    pub fn rate(&self) -> f64 {
+        self.divisions.len() as f64 / self.seconds
+    }
+
+    /// The age of the oldest pose behind each division as it was decided, with the moment in seconds
+    /// since the beginning.
+    #[must_use]
+    pub fn ages(&self) -> Vec<(f64, f64)> {
+        let begin = self.divisions.first().map_or(0, |division| division.stages[2].1);
+        let age = |division: &Division| {
+            let decided = division.stages[2].1;
+            let at = decided.saturating_sub(begin) as f64 / 1e6;
+            Some((at, decided.saturating_sub(division.oldest?) as f64 / 1e3))
+        };
+        self.divisions.iter().filter_map(age).collect()
+    }
+
+    /// By how many milliseconds the age grows in a minute, by the straight line that fits best.
+    #[must_use]
+    pub fn growth(&self) -> f64 {
+        slope(&self.ages()) * 60.0
+    }
+}
+
+/// Runs it. `progress` is told what happens.
+///
+/// # Errors
+/// If a process does not start or ends, or the fleet is not divided in time.
+pub async fn run(course: &Course, progress: impl Fn(String)) -> anyhow::Result<Measured> {
+    let robots = course.robots;
+    let teams = format!("teams={}", course.teams);
+    let mut settings = vec![("clusterer", teams.as_str())];
+    settings.extend(course.settings.iter().map(|(service, set)| (service.as_str(), set.as_str())));
+    progress(format!("{robots} robots: a router and four services start"));
+    let mut cluster = Cluster::start(FLEET, &settings)?;
+    let client = cluster.client().await?;
+    let ours = |arguments: &[&str]| {
+        Process::start(
+            "latency",
+            &[&["--router", &cluster.endpoint], arguments].concat(),
+            &[],
+            cluster.folder(),
+        )
+    };
+    let echo = ours(&["--echo"])?;
+    for service in SERVICES {
+        serving(&client, service).await?;
+    }
+    let size = drive::pose_json([100.0; 2], 100, "0123456789abc", now_us()).len();
+    let (idle, _) = echo::ping(&client, size, course.settles).await?;
+
+    let listener = Listener::start(&client, robots).await?;
+    let folder = cluster.folder().join("robots");
+    std::fs::create_dir(&folder)?;
+    let (many, groups, rate) =
+        (robots.to_string(), course.teams.to_string(), course.rate_hz.to_string());
+    let place = folder.to_string_lossy();
+    let mut fleet =
+        ours(&["--drive", &place, "--robots", &many, "--teams", &groups, "--rate", &rate])?;
+    progress(format!("{robots} robots: they join"));
+    let whole = || listener.newest().is_some_and(|newest| newest.robots == robots);
+    until(FORMED_WITHIN, "all robots in one division", || {
+        anyhow::ensure!(fleet.is_running()?, "the robots have ended:\n{}", fleet.output());
+        Ok(whole())
+    })
+    .await?;
+    progress(format!(
+        "{robots} robots: divided; measuring for {:.0} s",
+        course.lasts.as_secs_f64()
+    ));
+    tokio::time::sleep(course.settles).await;
+
+    let mut processes = vec![("router", cluster.router_id()), ("robots", fleet.id())];
+    for service in SERVICES {
+        processes.push((service, cluster.service(service)?.id()));
+    }
+    processes.push(("listener", std::process::id()));
+    let pinging = {
+        let (client, lasts) = (cluster.client().await?, course.lasts);
+        tokio::spawn(async move { echo::ping(&client, size, lasts).await })
+    };
+    listener.begin();
+    let window = now_us();
+    let looks = watch(&processes, course.lasts).await?;
+    let window = (window, now_us());
+    let (beside, pings_missing) = pinging.await??;
+
+    drive::stop(&folder)?;
+    let mut puts = None;
+    until(DRAINED_WITHIN, "the log of the robots", || {
+        puts = Puts::read(&folder)?;
+        Ok(puts.is_some())
+    })
+    .await?;
+    let puts = puts.context("the robots have written no log")?;
+    let last: Vec<_> = puts.poses.iter().map(|poses| (poses.len() as u64).checked_sub(1)).collect();
+    // If it does not come to that, what is missing is counted.
+    let drained = until(DRAINED_WITHIN, "the last poses", || Ok(listener.covered() == last)).await;
+    if let Err(error) = drained {
+        progress(format!("{robots} robots: {error}"));
+    }
+    let counters = counters(&client).await?;
+    drop((fleet, echo));
+    let heard = listener.take();
+    Ok(measured(
+        course,
+        window,
+        &puts,
+        heard,
+        Counted { looks, counters, idle, beside, pings_missing },
+    ))
+}
+
+/// What was counted beside the messages.
+struct Counted {
+    looks: Vec<(&'static str, Vec<Look>)>,
+    counters: BTreeMap<&'static str, BTreeMap<String, u64>>,
+    idle: Vec<f64>,
+    beside: Vec<f64>,
+    pings_missing: usize,
+}
+
+fn measured(
+    course: &Course,
+    window: (u64, u64),
+    puts: &Puts,
+    mut heard: Heard,
+    counted: Counted,
+) -> Measured {
+    let ways = follow(puts, window, &heard.frames, &heard.divisions);
+    let changes = follow_changes(puts, &heard.frames, &heard.told);
+    let within = |moment: u64| (window.0..window.1).contains(&moment);
+    let poses = puts.poses.iter().flatten().filter(|put| within(**put)).count();
+    heard.divisions.retain(|division| within(division.arrived));
+    heard.told.retain(|told| within(told.arrived));
+    let mut modes = BTreeMap::new();
+    for embedding in &heard.embeddings {
+        *modes.entry(format!("{:?}", embedding.mode)).or_default() += 1;
+    }
+    let computed = heard.embeddings.iter().filter(|e| e.mode != EmbeddingMode::Cached);
+    let lengths = heard.embeddings.iter().map(|embedding| embedding.dimension);
+    let judgements = heard.judgements.iter();
+    let took = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e3;
+
+    let ingest = counted.counters.get("ingest");
+    let count = |name: &str| ingest.and_then(|counters| counters.get(name)).copied().unwrap_or(0);
+    let refused = count("messages_refused");
+    let seen =
+        TAKEN.iter().map(|name| count(name)).sum::<u64>() + count("inbox_superseded") + refused;
+    let named = |names: &[&str]| -> BTreeMap<String, u64> {
+        let all = counted.counters.iter().flat_map(|(service, counters)| {
+            names.iter().filter_map(move |name| {
+                let count = *counters.get(*name)?;
+                Some((format!("{service} {name}"), count))
+            })
+        });
+        all.filter(|(_, count)| *count > 0).collect()
+    };
+    let mut dropped = named(&DROPPED);
+    dropped.extend(named(&["messages_refused", "jobs_failed"]));
+    if heard.lost > 0 {
+        dropped.insert("listener".to_owned(), heard.lost);
+    }
+    Measured {
+        course: course.clone(),
+        seconds: (window.1 - window.0) as f64 / 1e6,
+        poses,
+        ways,
+        changes,
+        told: heard.told.len(),
+        modes,
+        dimensions: (lengths.clone().min().unwrap_or(0), lengths.max().unwrap_or(0)),
+        residual: heard.embeddings.iter().map(|e| e.residual).fold(0.0, f64::max),
+        embedding: [0, 1, 2].map(|stage| Spread::of(computed.clone().map(|e| e.stage_ms[stage]))),
+        judged: [
+            Spread::of(judgements.clone().map(|judged| took(judged.divided, judged.stage.1))),
+            Spread::of(judgements.clone().map(|judged| took(judged.stage.0, judged.stage.1))),
+        ],
+        judgements: judgements.len(),
+        divisions: heard.divisions,
+        round_trip: [Spread::of(counted.idle), Spread::of(counted.beside)],
+        pings_missing: counted.pings_missing,
+        lost_on_the_way: puts.messages as i64 - seen as i64,
+        dropped,
+        replaced: named(&["inbox_superseded"]),
+        taken: counted.looks.iter().filter_map(|(name, looks)| taken(name, looks)).collect(),
+    }
+}
+
+fn taken(name: &'static str, looks: &[Look]) -> Option<Taken> {
+    let (first, last) = (looks.first()?, looks.last()?);
+    Some(Taken {
+        name,
+        processors: (last.busy - first.busy) / (last.at - first.at),
+        memory: looks.iter().map(|look| look.memory).fold(0.0, f64::max) / 1024.0,
+    })
+}
+
+/// Looks at processes every second for a time.
+async fn watch(
+    processes: &[(&'static str, u32)],
+    lasts: Duration,
+) -> anyhow::Result<Vec<(&'static str, Vec<Look>)>> {
+    let mut looks: Vec<_> = processes.iter().map(|(name, _)| (*name, Vec::new())).collect();
+    let (begin, mut every) = (Instant::now(), tokio::time::interval(Duration::from_secs(1)));
+    loop {
+        every.tick().await;
+        let at = begin.elapsed().as_secs_f64();
+        for ((name, process), (_, looks)) in processes.iter().zip(&mut looks) {
+            looks.push(look(*process, at).with_context(|| format!("{name} has ended"))?);
+        }
+        if begin.elapsed() >= lasts {
+            return Ok(looks);
+        }
+    }
+}
+
+/// The status of a service, as soon as it answers that it holds its role.
+async fn serving(client: &Client, service: &str) -> anyhow::Result<Value> {
+    let begin = Instant::now();
+    loop {
+        let status = client.get_one(&format!("service/{service}/status")).await;
+        if let Ok(status) = &status
+            && status["standing"] == "holding"
+        {
+            return Ok(status.clone());
+        }
+        anyhow::ensure!(begin.elapsed() < FORMED_WITHIN, "{service} does not serve: {status:?}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+/// What each service has counted.
+async fn counters(
+    client: &Client,
+) -> anyhow::Result<BTreeMap<&'static str, BTreeMap<String, u64>>> {
+    let mut counters = BTreeMap::new();
+    for service in SERVICES {
+        let status = serving(client, service).await?;
+        let of = status["counters"].as_object().context("a status without counters")?;
+        let numbers = of.iter().filter_map(|(name, count)| Some((name.clone(), count.as_u64()?)));
+        counters.insert(service, numbers.collect());
+    }
+    Ok(counters)
+}
+
+/// Waits until something is so.
+async fn until(
+    within: Duration,
+    what: &str,
+    mut is_so: impl FnMut() -> anyhow::Result<bool>,
+) -> anyhow::Result<()> {
+    let begin = Instant::now();
+    while !is_so()? {
+        anyhow::ensure!(begin.elapsed() < within, "not within {within:?}: {what}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    Ok(())
+}

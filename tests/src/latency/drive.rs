@@ -1,0 +1,276 @@
+//! A process of robots, which put poses at a rate, each with a phase of its own, and writes down when.
+//!
+//! The robots share one Zenoh session and put JSON, as `muster robot` does, by declared publishers: a
+//! router searches all keys of the fleet for the receivers of each message on a key that nobody declared.
+//! Each robot has its token, and subscribes to what it is told of its team. A robot that also reports
+//! links or its rank does so just before a pose, so that the pose is the last that was heard of it: the
+//! roster then tells when `ingest` received it.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use serde_json::json;
+use zenoh::Wait;
+use zenoh::bytes::Encoding;
+
+use super::squads::Squads;
+use super::{now_us, robot_name};
+use crate::client::Client;
+
+/// Every so many poses, and at the first, a robot reports its links.
+const LINKS_EVERY: u64 = 5;
+
+/// Every so many poses, and at the first, a robot repeats its rank.
+const RANK_EVERY: u64 = 10;
+
+/// Shortest sleep. Robots that are due within it put one after the other, a little late: their poses
+/// count from when they were really put.
+const LEAST_SLEEP: Duration = Duration::from_micros(500);
+
+/// How often it is looked whether to stop.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// Which robots are driven, and how.
+#[derive(Debug, Clone)]
+pub struct Drive {
+    /// The router.
+    pub endpoint: String,
+    /// The fleet.
+    pub fleet: String,
+    /// How many robots the fleet has.
+    pub robots: usize,
+    /// In how many teams they march.
+    pub teams: usize,
+    /// Poses per second of each robot.
+    pub rate_hz: f64,
+    /// Where the log is written; the robots fall silent once a file `stop` is there.
+    pub folder: PathBuf,
+}
+
+/// What was put.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Puts {
+    /// When each pose of each robot was put, in microseconds since 1970; the first has the number 0.
+    pub poses: Vec<Vec<u64>>,
+    /// Messages of any kind.
+    pub messages: u64,
+}
+
+/// The name of the log within its folder.
+const LOG: &str = "puts";
+
+/// The name of the file that ends it.
+const STOP: &str = "stop";
+
+/// Tells robots to fall silent.
+///
+/// # Errors
+/// If the folder cannot be written.
+pub fn stop(folder: &Path) -> anyhow::Result<()> {
+    std::fs::write(folder.join(STOP), "").with_context(|| format!("{}", folder.display()))
+}
+
+impl Puts {
+    /// The log of a drive that was told to stop, once it is written.
+    ///
+    /// # Errors
+    /// If it is none.
+    pub fn read(folder: &Path) -> anyhow::Result<Option<Self>> {
+        let path = folder.join(LOG);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let bytes = std::fs::read(&path)?;
+        let mut numbers = bytes.chunks_exact(8).map(|chunk| {
+            chunk.iter().rev().fold(0_u64, |number, byte| (number << 8) | u64::from(*byte))
+        });
+        let mut next = || numbers.next().context("the log of what was put is cut off");
+        let (messages, robots) = (next()?, next()?);
+        let mut poses = Vec::new();
+        for _ in 0..robots {
+            let count = next()?;
+            poses.push((0..count).map(|_| next()).collect::<anyhow::Result<_>>()?);
+        }
+        Ok(Some(Self { poses, messages }))
+    }
+
+    fn write(&self, folder: &Path) -> anyhow::Result<()> {
+        let robots = self.poses.iter();
+        let rows = robots
+            .flat_map(|times| std::iter::once(times.len() as u64).chain(times.iter().copied()));
+        let numbers = [self.messages, self.poses.len() as u64].into_iter().chain(rows);
+        let bytes: Vec<u8> = numbers.flat_map(u64::to_le_bytes).collect();
+        let (begun, done) = (folder.join("puts.begun"), folder.join(LOG));
+        std::fs::write(&begun, bytes)?;
+        // Who waits for it sees it whole or not at all.
+        std::fs::rename(begun, done)?;
+        Ok(())
+    }
+}
+
+/// What a robot puts on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Stream {
+    Pose,
+    Links,
+    Rank,
+}
+
+/// All streams with their names, each at the place of its number.
+const STREAMS: [(Stream, &str); 3] =
+    [(Stream::Pose, "pose"), (Stream::Links, "links"), (Stream::Rank, "rank")];
+
+/// The payload of a pose: as long as those of robots in the field, with the number as heading.
+#[must_use]
+pub fn pose_json(at: [f64; 2], number: u64, boot: &str, stamp_us: u64) -> String {
+    format!(
+        "{{\"x\":{:.4},\"y\":{:.4},\"heading\":{number},\"stamp\":{}.{:06},\"boot\":\"{boot}\",\
+         \"seq\":{number}}}",
+        at[0],
+        at[1],
+        stamp_us / 1_000_000,
+        stamp_us % 1_000_000
+    )
+}
+
+/// Drives robots until they are told to stop, writes the log, and waits to be killed, so that the robots
+/// stay members of the fleet.
+///
+/// # Errors
+/// If the router does not answer, or the log cannot be written.
+pub async fn run(drive: &Drive) -> anyhow::Result<()> {
+    let client = Client::connect(&drive.endpoint, &drive.fleet).await?;
+    let squads = Squads::new(drive.robots, drive.teams);
+    let (mut tokens, mut publishers) = (Vec::new(), Vec::new());
+    for robot in (0..drive.robots).map(robot_name) {
+        tokens.push(client.token(&format!("robot/{robot}")).await?);
+        // What it is told is measured by the listener, which also tells when; but robots listen.
+        client.listen(&format!("robot/{robot}/team"), |_, _| {}).await?;
+        for (_, stream) in STREAMS {
+            let publisher = client
+                .session()
+                .declare_publisher(client.key(&format!("robot/{robot}/{stream}")))
+                .encoding(Encoding::APPLICATION_JSON)
+                .await;
+            publishers.push(publisher.map_err(|error| anyhow::anyhow!("{robot}: {error}"))?);
+        }
+    }
+    let (drive, folder) = (drive.clone(), drive.folder.clone());
+    let driving = tokio::task::spawn_blocking(move || {
+        let mut puts = Puts { poses: vec![Vec::new(); drive.robots], messages: 0 };
+        let put = |robot: usize, stream: Stream, payload: String| {
+            let publisher = &publishers[robot * STREAMS.len() + stream as usize];
+            let put = publisher.put(payload).wait();
+            put.map_err(|error| anyhow::anyhow!("{}: {error}", publisher.key_expr()))
+        };
+        speak(&drive, &squads, put, &mut puts)?;
+        anyhow::Ok(puts)
+    });
+    driving.await??.write(&folder)?;
+    std::future::pending::<()>().await;
+    drop(tokens);
+    Ok(())
+}
+
+/// Puts what is due, again and again, until the stop.
+fn speak(
+    drive: &Drive,
+    squads: &Squads,
+    put: impl Fn(usize, Stream, String) -> anyhow::Result<()>,
+    puts: &mut Puts,
+) -> anyhow::Result<()> {
+    let stop = drive.folder.join(STOP);
+    let period = Duration::from_secs_f64(1.0 / drive.rate_hz);
+    let boot = format!("{:x}", now_us());
+    let (begin, mut looked) = (Instant::now(), Instant::now());
+    for round in 0_u64.. {
+        for robot in 0..drive.robots {
+            // Phases that are spread evenly over the period, in the order of the robots.
+            let phase = period.mul_f64(robot as f64 / drive.robots as f64);
+            let due = begin + period.mul_f64(round as f64) + phase;
+            let now = Instant::now();
+            if due > now + LEAST_SLEEP {
+                std::thread::sleep(due - now);
+            }
+            if looked.elapsed() > LOOK_EVERY {
+                looked = Instant::now();
+                if stop.exists() {
+                    return Ok(());
+                }
+            }
+            let t = begin.elapsed().as_secs_f64();
+            // Not all robots report links in the same round.
+            let turn = round + robot as u64;
+            let stamp = now_us();
+            if round == 0 || turn.is_multiple_of(LINKS_EVERY) {
+                let links = squads.links(robot, t).into_iter();
+                let links: Vec<_> = links
+                    .map(|(peer, quality)| json!({"peer": robot_name(peer), "quality": quality}))
+                    .collect();
+                let links = json!({"links": links, "boot": boot, "seq": round});
+                put(robot, Stream::Links, links.to_string())?;
+                puts.messages += 1;
+            }
+            if round == 0 || turn.is_multiple_of(RANK_EVERY) {
+                let superior = squads.superior(robot, t).map(robot_name);
+                let rank = json!({"superior": superior, "boot": boot, "seq": round});
+                put(robot, Stream::Rank, rank.to_string())?;
+                puts.messages += 1;
+            }
+            let pose = pose_json(squads.place(robot, t), round, &boot, stamp);
+            puts.poses[robot].push(now_us());
+            put(robot, Stream::Pose, pose)?;
+            puts.messages += 1;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_put_is_read_as_it_was_written() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(Puts::read(folder.path()).unwrap(), None);
+        let puts = Puts { poses: vec![vec![5, u64::MAX], vec![], vec![1 << 40]], messages: 9 };
+        puts.write(folder.path()).unwrap();
+        assert_eq!(Puts::read(folder.path()).unwrap(), Some(puts));
+        std::fs::write(folder.path().join(LOG), 7_u64.to_le_bytes()).unwrap();
+        assert!(Puts::read(folder.path()).is_err());
+    }
+
+    #[test]
+    fn robots_put_at_their_rate_each_in_its_turn_until_they_are_told_to_stop() {
+        let folder = tempfile::tempdir().unwrap();
+        let drive = Drive {
+            endpoint: String::new(),
+            fleet: String::new(),
+            robots: 20,
+            teams: 2,
+            rate_hz: 50.0,
+            folder: folder.path().to_owned(),
+        };
+        let mut puts = Puts { poses: vec![Vec::new(); 20], messages: 0 };
+        let begin = Instant::now();
+        let put = |_, stream: Stream, payload: String| {
+            let value: serde_json::Value = serde_json::from_str(&payload)?;
+            assert_eq!(value["heading"].is_u64(), stream == Stream::Pose, "{payload}");
+            if begin.elapsed() > Duration::from_millis(500) {
+                stop(&drive.folder)?;
+            }
+            Ok(())
+        };
+        speak(&drive, &Squads::new(20, 2), put, &mut puts).unwrap();
+        let rounds = puts.poses[0].len();
+        assert!((20..100).contains(&rounds), "{rounds} rounds in half a second or a little more");
+        // One in five also puts links, one in ten a rank, and all do at first.
+        let poses: usize = puts.poses.iter().map(Vec::len).sum();
+        let share = puts.messages as f64 / poses as f64;
+        assert!((1.3..1.45).contains(&share), "{share}");
+        let apart = puts.poses[10][5].abs_diff(puts.poses[0][5]);
+        assert!(apart > 5_000, "half a period is 10 ms, not {apart} µs");
+    }
+}

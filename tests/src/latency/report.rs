@@ -1,0 +1,362 @@
+//! What was measured, as a page with tables, and as a picture of the age of the data over time.
+
+use std::fmt::Write as _;
+use std::process::Command;
+
+use super::course::{Measured, Spread};
+
+/// `ingest`'s tick in milliseconds, by its default of 10 Hz: a pose waits for the next frame up to this
+/// long, half of it on average.
+const TICK_MS: f64 = 100.0;
+
+/// What is wanted of the 99th percentile beyond the tick, in milliseconds, by the number of robots.
+const GOALS_MS: [(usize, f64); 2] = [(50, 20.0), (500, 60.0)];
+
+/// From so many robots on, at least [`LEAST_RATE`] divisions per second are wanted instead.
+const LARGE: usize = 5000;
+
+/// Divisions per second.
+const LEAST_RATE: f64 = 2.0;
+
+/// Growth of the age that counts as none, in milliseconds per minute: in half an hour it would not be
+/// noticed, and a fit through some hundred divisions is not better than that.
+const MOST_GROWTH: f64 = 100.0;
+
+/// A goal, what was measured, and whether it is reached.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Goal {
+    /// What is wanted.
+    pub wanted: String,
+    /// What was measured.
+    pub measured: String,
+    /// Whether that is enough.
+    pub reached: bool,
+}
+
+/// The goals of a run.
+#[must_use]
+pub fn goals(measured: &Measured) -> Vec<Goal> {
+    let robots = measured.course.robots;
+    let mut goals = Vec::new();
+    for (_, most) in GOALS_MS.iter().filter(|(of, _)| *of == robots) {
+        let p99 = Spread::of(measured.ways.beyond.iter().copied()).p99;
+        goals.push(Goal {
+            wanted: format!("{robots} robots: p99 at most {most} ms beyond the tick"),
+            measured: format!("{p99:.1} ms"),
+            reached: p99 <= *most,
+        });
+    }
+    if robots >= LARGE {
+        goals.push(Goal {
+            wanted: format!("{robots} robots: at least {LEAST_RATE} divisions per second"),
+            measured: format!("{:.1}", measured.rate()),
+            reached: measured.rate() >= LEAST_RATE,
+        });
+    }
+    goals.push(Goal {
+        wanted: format!("{robots} robots: the age does not grow (at most {MOST_GROWTH} ms/min)"),
+        measured: format!("{:+.0} ms/min", measured.growth()),
+        reached: measured.growth() <= MOST_GROWTH,
+    });
+    let lost = measured.lost_on_the_way.max(0);
+    goals.push(Goal {
+        wanted: format!("{robots} robots: nothing lost but superseded poses"),
+        measured: format!(
+            "{} poses without a division, {lost} messages lost on the way, dropped or refused: {:?}",
+            measured.ways.missing, measured.dropped
+        ),
+        reached: measured.ways.missing == 0 && lost == 0 && measured.dropped.is_empty(),
+    });
+    goals
+}
+
+/// What a program says of itself in one line, or "unknown".
+fn said(program: &str, arguments: &[&str]) -> String {
+    let output =
+        Command::new(program).args(arguments).current_dir(env!("CARGO_MANIFEST_DIR")).output();
+    let text = output.ok().and_then(|output| String::from_utf8(output.stdout).ok());
+    text.and_then(|text| text.lines().next().map(str::to_owned)).unwrap_or_else(|| "unknown".into())
+}
+
+/// The version of a package by the lock file that this was built with.
+fn locked(package: &str) -> &'static str {
+    let lock = include_str!("../../../Cargo.lock");
+    let entry = format!("name = \"{package}\"\nversion = \"");
+    let rest = lock.split_once(&entry).map(|(_, rest)| rest);
+    rest.and_then(|rest| rest.split('"').next()).unwrap_or("unknown")
+}
+
+fn machine() -> String {
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let field = |name: &str| {
+        let line = info.lines().find(|line| line.starts_with(name))?;
+        Some(line.split_once(':')?.1.trim().to_owned())
+    };
+    let cores = std::thread::available_parallelism().map_or(0, std::num::NonZero::get);
+    let model = field("model name").unwrap_or_else(|| "an unknown processor".into());
+    let memory = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let kib: Option<f64> = memory.split_whitespace().nth(1).and_then(|kib| kib.parse().ok());
+    let gib = kib.unwrap_or(f64::NAN) / f64::from(1 << 20);
+    format!("{cores} cores of {model}, {gib:.0} GiB, Linux {}", said("uname", &["-r"]))
+}
+
+fn spread(spread: Spread) -> String {
+    format!("{:.1} | {:.1} | {:.1}", spread.p50, spread.p99, spread.most)
+}
+
+fn pair(spread: Spread) -> String {
+    format!("{:.1} / {:.1}", spread.p50, spread.p99)
+}
+
+/// The page. `command` is how it was asked for, `plot` the name of the picture beside it.
+///
+/// # Errors
+/// Never; the signature is that of writing.
+pub fn page(
+    all: &[Measured],
+    command: &str,
+    plot: Option<&str>,
+) -> Result<String, std::fmt::Error> {
+    let mut page = String::new();
+    let revision = said("git", &["describe", "--always", "--dirty", "--abbrev=10"]);
+    writeln!(page, "# From a pose to its team: latency, age, load\n")?;
+    writeln!(
+        page,
+        "Written by `{command}` on {}.\n",
+        said("date", &["-u", "+%Y-%m-%d %H:%M UTC"])
+    )?;
+    writeln!(page, "- machine: {}", machine())?;
+    writeln!(
+        page,
+        "- versions: Muster {} at {revision}, Zenoh {}, {}; {} build",
+        env!("CARGO_PKG_VERSION"),
+        locked("zenoh"),
+        said("rustc", &["--version"]),
+        if cfg!(debug_assertions) { "debug" } else { "release" }
+    )?;
+    for measured in all {
+        let course = &measured.course;
+        let settings = course.settings.iter().map(|(service, set)| format!(", {service} {set}"));
+        writeln!(
+            page,
+            "- {} robots: {} teams, {} poses per second each, {:.0} s{}",
+            course.robots,
+            course.teams,
+            course.rate_hz,
+            measured.seconds,
+            settings.collect::<String>()
+        )?;
+    }
+    writeln!(page, "\n{HOW}")?;
+    goals_table(&mut page, all)?;
+    ways_table(&mut page, all)?;
+    ages_table(&mut page, all)?;
+    if let Some(plot) = plot {
+        writeln!(page, "![age of the data over time]({plot})\n")?;
+    }
+    stages_table(&mut page, all)?;
+    poses_table(&mut page, all)?;
+    processes_table(&mut page, all)?;
+    Ok(page)
+}
+
+/// What the numbers are, for who reads the page alone.
+const HOW: &str = "\
+A router, the four services and all robots run as processes of one host, over TCP on loopback, with \
+default settings but for the number of teams. The robots march in squads and move with every pose; each \
+has a phase of its own. Beside poses they put links twice a second and ranks once. The heading of a pose \
+is its number; rosters repeat it, and the head of each division names the frame that it rests on: which \
+poses are in a division is known, not estimated.
+
+- **pose → division**: from the put of a pose to the arrival, at a client of the same router, of the first \
+message on `teams` that rests on it or, where the robot has put another meanwhile, on that one.
+- **beyond the tick**: the same for poses that a division rests on, without the time for which `ingest` \
+held the pose until it made the frame (10 frames a second by default).
+- **pose → robot told**: from the put of the pose to the arrival of `robot/*/team` with another team.
+- **age**: when a division was decided, how long ago `ingest` had received the oldest pose behind it.
+- **round trip**: of a message as long as a pose, through the same router and back, between two processes \
+that do nothing else; before there are robots, and beside them.
+
+All times are in milliseconds.
+";
+
+fn goals_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
+    writeln!(page, "## Goals\n\n| goal | measured | |\n| --- | --- | --- |")?;
+    for goal in all.iter().flat_map(goals) {
+        let verdict = if goal.reached { "reached" } else { "**missed**" };
+        writeln!(page, "| {} | {} | {verdict} |", goal.wanted, goal.measured)?;
+    }
+    writeln!(page)
+}
+
+fn ways_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
+    writeln!(page, "## From pose to division\n")?;
+    writeln!(
+        page,
+        "| robots | divisions/s | pose → division p50 | p99 | max | beyond the tick p50 | p99 | max | \
+         pose → robot told p50 / p99 (changes) | round trip idle p50 / p99 | beside p50 / p99 |"
+    )?;
+    writeln!(page, "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")?;
+    for measured in all {
+        writeln!(
+            page,
+            "| {} | {:.1} | {} | {} | {} ({}) | {:.2} / {:.2} | {:.2} / {:.2} |",
+            measured.course.robots,
+            measured.rate(),
+            spread(Spread::of(measured.ways.whole.iter().copied())),
+            spread(Spread::of(measured.ways.beyond.iter().copied())),
+            pair(Spread::of(measured.changes.iter().copied())),
+            measured.changes.len(),
+            measured.round_trip[0].p50,
+            measured.round_trip[0].p99,
+            measured.round_trip[1].p50,
+            measured.round_trip[1].p99,
+        )?;
+    }
+    writeln!(page, "\nOne tick is {TICK_MS} ms.\n")
+}
+
+fn ages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
+    writeln!(page, "## Age of the data at the decision\n")?;
+    writeln!(page, "| robots | p50 | p99 | max | growth, ms per minute |")?;
+    writeln!(page, "| --- | --- | --- | --- | --- |")?;
+    for measured in all {
+        let ages = Spread::of(measured.ages().into_iter().map(|(_, age)| age));
+        let growth = measured.growth();
+        writeln!(page, "| {} | {} | {growth:+.1} |", measured.course.robots, spread(ages))?;
+    }
+    writeln!(page)
+}
+
+fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
+    writeln!(page, "## Where the time goes, p50 / p99\n")?;
+    let mut row = |name: &str, of: &dyn Fn(&Measured) -> String| {
+        let cells: Vec<_> = all.iter().map(of).collect();
+        writeln!(page, "| {name} | {} |", cells.join(" | "))
+    };
+    row("robots", &|measured| measured.course.robots.to_string())?;
+    row("---", &|_| "---".to_owned())?;
+    row("robot → ingest", &|measured| pair(Spread::of(measured.ways.to_ingest.iter().copied())))?;
+    row("held by ingest until the frame", &|measured| {
+        pair(Spread::of(measured.ways.held.iter().copied()))
+    })?;
+    let between = |measured: &Measured, from: fn(&super::follow::Division) -> (u64, u64)| {
+        let took = measured.divisions.iter().map(from);
+        pair(Spread::of(took.map(|(begin, end)| end.saturating_sub(begin) as f64 / 1e3)))
+    };
+    row("ingest → embedder", &|m| between(m, |d| (d.stages[0].1, d.stages[1].0)))?;
+    row("embedder", &|m| between(m, |d| (d.stages[1].0, d.stages[1].1)))?;
+    row("of it: fusing, radius", &|m| pair(m.embedding[0]))?;
+    row("of it: similarity", &|m| pair(m.embedding[1]))?;
+    row("of it: decomposition", &|m| pair(m.embedding[2]))?;
+    row("embedder → clusterer", &|m| between(m, |d| (d.stages[1].1, d.stages[2].0)))?;
+    row("clusterer", &|m| between(m, |d| (d.stages[2].0, d.stages[2].1)))?;
+    row("clusterer → reader", &|m| between(m, |d| (d.stages[2].1, d.arrived)))?;
+    row("beside: division → judgement", &|m| pair(m.judged[0]))?;
+    row("of it: auditor", &|m| pair(m.judged[1]))?;
+    writeln!(
+        page,
+        "\nA stage counts from when it had received what it needed until it published, with the wait for \
+         the job before.\n"
+    )?;
+    for measured in all {
+        let robots = measured.course.robots;
+        let modes: Vec<_> =
+            measured.modes.iter().map(|(mode, count)| format!("{count} {mode}")).collect();
+        let (least, most) = measured.dimensions;
+        writeln!(
+            page,
+            "- {robots} robots: {:.1} embeddings/s ({}), vectors of length {least} to {most}, largest \
+             residual {:.1e}; {:.1} judgements/s",
+            measured.modes.values().sum::<usize>() as f64 / measured.seconds,
+            modes.join(", "),
+            measured.residual,
+            measured.judgements as f64 / measured.seconds
+        )?;
+    }
+    writeln!(page)
+}
+
+fn poses_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
+    writeln!(page, "## What became of the poses\n")?;
+    writeln!(
+        page,
+        "| robots | put | per second | in a division | superseded by a later one of the robot | in none | \
+         messages lost on the way | dropped, refused, failed | replaced in inboxes |"
+    )?;
+    writeln!(page, "| --- | --- | --- | --- | --- | --- | --- | --- | --- |")?;
+    let listed = |counts: &std::collections::BTreeMap<String, u64>| {
+        let counts: Vec<_> = counts.iter().map(|(name, count)| format!("{name} {count}")).collect();
+        if counts.is_empty() { "0".to_owned() } else { counts.join(", ") }
+    };
+    for measured in all {
+        writeln!(
+            page,
+            "| {} | {} | {:.0} | {} | {} | {} | {} | {} | {} |",
+            measured.course.robots,
+            measured.poses,
+            measured.poses as f64 / measured.seconds,
+            measured.ways.beyond.len(),
+            measured.ways.superseded,
+            measured.ways.missing,
+            measured.lost_on_the_way.max(0),
+            listed(&measured.dropped),
+            listed(&measured.replaced),
+        )?;
+    }
+    writeln!(page)
+}
+
+fn processes_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
+    writeln!(page, "## What each process takes: processor % of one core / MiB resident\n")?;
+    let Some(first) = all.first() else { return Ok(()) };
+    let names: Vec<_> = first.taken.iter().map(|taken| taken.name).collect();
+    writeln!(page, "| robots | {} |", names.join(" | "))?;
+    writeln!(page, "| --- |{}", " --- |".repeat(names.len()))?;
+    for measured in all {
+        let cells = measured
+            .taken
+            .iter()
+            .map(|taken| format!(" {:.1} / {:.0} |", taken.processors * 100.0, taken.memory));
+        writeln!(page, "| {} |{}", measured.course.robots, cells.collect::<String>())?;
+    }
+    writeln!(
+        page,
+        "\n*robots* is the process that plays all robots; *listener* the one that measures.\n"
+    )
+}
+
+/// The age of the data at each decision over time, one line for each run.
+#[must_use]
+pub fn plot(all: &[Measured]) -> String {
+    const WIDTH: f64 = 720.0;
+    const HEIGHT: f64 = 320.0;
+    const COLOURS: [&str; 6] = ["#1b6", "#26c", "#c33", "#c80", "#808", "#555"];
+    let lines: Vec<_> = all.iter().map(Measured::ages).collect();
+    let points = || lines.iter().flatten();
+    let last = points().map(|point| point.0).fold(1.0, f64::max);
+    let most = points().map(|point| point.1).fold(1.0, f64::max);
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\" font-family=\"sans-serif\" \
+         font-size=\"12\">\n<text x=\"4\" y=\"14\">age of the oldest pose at the decision, ms (top: \
+         {most:.0}) over {last:.0} s</text>\n",
+        WIDTH + 120.0,
+        HEIGHT + 24.0
+    );
+    for (number, (measured, line)) in all.iter().zip(&lines).enumerate() {
+        let colour = COLOURS[number % COLOURS.len()];
+        let places = line.iter().map(|(at, age)| {
+            format!("{:.1},{:.1}", at / last * WIDTH, HEIGHT + 22.0 - age / most * HEIGHT)
+        });
+        let places: Vec<_> = places.collect();
+        svg += &format!(
+            "<polyline fill=\"none\" stroke=\"{colour}\" points=\"{}\"/>\n<text x=\"{}\" y=\"{}\" \
+             fill=\"{colour}\">{} robots</text>\n",
+            places.join(" "),
+            WIDTH + 6.0,
+            40 + 18 * number,
+            measured.course.robots
+        );
+    }
+    svg + "</svg>\n"
+}

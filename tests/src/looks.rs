@@ -1,0 +1,87 @@
+//! What a process takes: its memory and its processor time, as Linux tells them.
+
+use anyhow::Context;
+
+/// The kernel's ticks a second in `/proc/PID/stat`, the same on every Linux.
+const TICKS_HZ: f64 = 100.0;
+
+/// One look at one process.
+#[derive(Debug, Clone, Copy)]
+pub struct Look {
+    /// When, in seconds since a beginning of the caller's.
+    pub at: f64,
+    /// Resident memory in KiB.
+    pub memory: f64,
+    /// Processor time so far, in seconds.
+    pub busy: f64,
+}
+
+/// Looks at a process.
+///
+/// # Errors
+/// If it has ended.
+pub fn look(process: u32, at: f64) -> anyhow::Result<Look> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status"))?;
+    let memory = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))
+        .and_then(|rest| rest.split_whitespace().next())
+        .and_then(|number| number.parse().ok())
+        .context("a process has no memory; has it ended?")?;
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat"))?;
+    // The name of the program stands in brackets and may hold blanks.
+    let fields = stat.rsplit_once(") ").map_or("", |(_, rest)| rest).split(' ');
+    let ticks: f64 = fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum();
+    Ok(Look { at, memory, busy: ticks / TICKS_HZ })
+}
+
+/// The value below which a part of sorted values lies; not a number if there is none.
+#[must_use]
+pub fn part(sorted: &[f64], part: f64) -> f64 {
+    let place = (sorted.len() as f64 * part) as usize;
+    sorted.get(place.min(sorted.len().saturating_sub(1))).copied().unwrap_or(f64::NAN)
+}
+
+/// The slope of the straight line that fits points (x, y) best; 0 where all x are the same.
+#[must_use]
+pub fn slope(points: &[(f64, f64)]) -> f64 {
+    let count = points.len() as f64;
+    let mean =
+        |value: fn(&(f64, f64)) -> f64| points.iter().map(value).sum::<f64>() / count.max(1.0);
+    let (x, y) = (mean(|point| point.0), mean(|point| point.1));
+    let both: f64 = points.iter().map(|point| (point.0 - x) * (point.1 - y)).sum();
+    let square: f64 = points.iter().map(|point| (point.0 - x).powi(2)).sum();
+    if square > 0.0 { both / square } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn this_process_takes_memory_and_time() {
+        let before = look(std::process::id(), 0.0).unwrap();
+        let held = vec![1_u8; 32 << 20];
+        let mut sum = 0_u64;
+        while look(std::process::id(), 0.0).unwrap().busy - before.busy < 0.05 {
+            sum = held.iter().fold(sum, |sum, byte| sum.wrapping_add(u64::from(*byte)));
+        }
+        assert!(sum > 0);
+        let after = look(std::process::id(), 0.0).unwrap();
+        assert!(after.memory > before.memory + 16.0 * 1024.0, "{before:?} {after:?}");
+        assert!(look(u32::MAX, 0.0).is_err());
+    }
+
+    #[test]
+    fn parts_and_slopes_are_those_of_the_numbers() {
+        let values: Vec<f64> = (0..100).map(f64::from).collect();
+        assert_eq!(
+            (part(&values, 0.5), part(&values, 0.99), part(&values, 1.0)),
+            (50.0, 99.0, 99.0)
+        );
+        assert!(part(&[], 0.5).is_nan());
+        let line: Vec<_> = (0..9).map(|x| (f64::from(x), 7.0 - 2.5 * f64::from(x))).collect();
+        assert!((slope(&line) + 2.5).abs() < 1e-12);
+        assert_eq!(slope(&[(1.0, 5.0)]), 0.0);
+    }
+}
