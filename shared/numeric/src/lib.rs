@@ -39,6 +39,7 @@ mod jacobi;
 pub mod katz;
 pub mod katz_svd;
 pub mod kmeans;
+mod lanczos;
 pub mod margins;
 pub mod matching;
 pub mod matrix;
