@@ -4,7 +4,7 @@ use muster_model::settings::Alpha;
 use muster_numeric::alpha_band::AlphaBand;
 use muster_numeric::katz::{self, KatzError};
 use muster_numeric::matrix::SparseMatrix;
-use muster_numeric::radius_bound::{LIVE_WIDTH, RadiusBound, RadiusTracker};
+use muster_numeric::radius_bound::{RadiusBound, RadiusTracker};
 use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};
 
 use crate::correspondence::Correspondence;
@@ -14,14 +14,8 @@ use crate::correspondence::Correspondence;
 const SMALL: usize = 64;
 
 /// Fleets up to this size have it whenever a decay is chosen. It takes tens of milliseconds then, and the
-/// same graphs have the same decay whatever was before.
+/// same graphs have the same decay whatever was before. For larger ones a few percent serve.
 const MEDIUM: usize = 4096;
-
-/// Relative width of the bounds by which the decay of larger fleets is chosen.
-const LARGE_WIDTH: f64 = 1e-3;
-
-/// Width of the bounds relative to the hysteresis: the rest of it is for α ρ to drift in.
-const BRACKET: f64 = 0.25;
 
 /// Largest relative error of a centrality.
 const CENTRALITY_TOLERANCE: f64 = 1e-9;
@@ -60,11 +54,10 @@ impl Decay {
         hysteresis: f64,
         settle: bool,
     ) -> Result<Chosen, KatzError> {
-        let width = LIVE_WIDTH.min(BRACKET * hysteresis);
-        let mut bounds = if fused.nodes() <= SMALL || width == 0.0 {
+        let mut bounds = if fused.nodes() <= SMALL || hysteresis == 0.0 {
             Bounds::exact(&mut self.tracker, fused)
         } else {
-            Bounds::near(&mut self.tracker, fused, width)
+            Bounds::near(&mut self.tracker, fused)
         };
         let alpha = match asked {
             Alpha::Value(alpha) => {
@@ -103,19 +96,16 @@ struct Bounds {
 }
 
 impl Bounds {
-    fn near(tracker: &mut RadiusTracker, fused: &SparseMatrix, width: f64) -> Self {
-        let bound = tracker.refine(fused, width);
+    fn near(tracker: &mut RadiusTracker, fused: &SparseMatrix) -> Self {
+        let bound = tracker.bound(fused);
         Self { radius: tracker.spectral_radius(&bound), exact: false }
     }
 
     fn exact(tracker: &mut RadiusTracker, fused: &SparseMatrix) -> Self {
-        let radius = if fused.nodes() <= MEDIUM {
-            spectral_radius(fused, None)
-        } else {
-            let bound = tracker.refine(fused, LARGE_WIDTH);
-            tracker.spectral_radius(&bound)
-        };
-        Self { radius, exact: true }
+        if fused.nodes() <= MEDIUM {
+            return Self { radius: spectral_radius(fused, None), exact: true };
+        }
+        Self { exact: true, ..Self::near(tracker, fused) }
     }
 
     fn bound(&self) -> RadiusBound {

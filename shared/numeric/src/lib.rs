@@ -41,6 +41,7 @@ pub mod katz;
 pub mod katz_column;
 pub mod katz_svd;
 pub mod kmeans;
+mod lanczos;
 pub mod margins;
 pub mod matching;
 pub mod matrix;

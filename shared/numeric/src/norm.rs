@@ -1,39 +1,32 @@
 //! Spectral norm of a non-negative matrix.
 
+use crate::lanczos::largest_singular_value;
 use crate::matrix::SparseMatrix;
 use crate::spectral_radius::spectral_radius;
 
-/// Nodes up to which AᵀA is formed explicitly.
+/// Nodes up to which AᵀA is formed explicitly, and its spectral radius enclosed.
 const MAX_GRAM: usize = 2048;
 
 /// Spectral norm ‖A‖₂ = σ₁(A), the largest singular value, in the unit of the weights; 0 for a
-/// zero matrix. Relative accuracy about 1e-13 (see [`spectral_radius`] for very large graphs).
+/// zero matrix. Relative accuracy about 1e-13.
 ///
 /// For symmetric A this is the spectral radius; otherwise σ₁² = ρ(AᵀA). Both are spectral radii
 /// of non-negative matrices, so that the certified enclosure of [`spectral_radius`] serves here
-/// too, without any assumption on gaps in the spectrum.
+/// too, without any assumption on gaps in the spectrum. It is too wide for large graphs, whose norm is
+/// found by [`crate::lanczos`].
 #[must_use]
 pub fn spectral_norm(a: &SparseMatrix) -> f64 {
     let top = a.max_weight();
     if top == 0.0 {
         return 0.0;
     }
+    if a.nodes() > MAX_GRAM {
+        return top * largest_singular_value(a, top);
+    }
     if a.is_symmetric() {
         return spectral_radius(a, None).value;
     }
-    if a.nodes() <= MAX_GRAM {
-        top * spectral_radius(&gram(a, top), None).value.sqrt()
-    } else {
-        // One row or column with many entries makes AᵀA or AAᵀ dense.
-        spectral_radius(&bipartite(a), None).value
-    }
-}
-
-/// \[0 A; Aᵀ 0\], 2n × 2n: its eigenvalues are ±σ_j, and it has only twice the edges.
-pub(crate) fn bipartite(a: &SparseMatrix) -> SparseMatrix {
-    let n = a.nodes();
-    let both = a.triplets().flat_map(|(i, j, w)| [(i, n + j, w), (n + j, i, w)]);
-    SparseMatrix::from_checked(2 * n, both.collect())
+    top * spectral_radius(&gram(a, top), None).value.sqrt()
 }
 
 /// AᵀA of the matrix divided by its largest weight `top`.

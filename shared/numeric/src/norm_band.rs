@@ -4,27 +4,35 @@
 //! do not matter. The norm of a fleet that moves changes a little in every frame, though, and with it
 //! every entry of the scaled graph: nothing that rests on entries that stay, such as an update of the
 //! Katz similarity by the rows that changed, would ever apply. So a norm stays for as long as the true
-//! one is certified to be near it.
+//! one is near it, of which a few steps of the power method on AᵀA tell, begun where the last ended.
+//! Nothing rests on their being exact: any scale is one.
 
 use crate::katz::KatzError;
 use crate::matrix::SparseMatrix;
-use crate::norm::{bipartite, spectral_norm};
-use crate::radius_bound::{LIVE_WIDTH, RadiusTracker};
+use crate::norm::spectral_norm;
 
-/// Width of the bracket of the norm relative to the hysteresis: what is left of the hysteresis is for the
-/// norm to drift in.
-const BRACKET: f64 = 0.25;
+/// Steps of the power method for each frame.
+const STEPS: usize = 4;
+
+/// Most steps after a norm was taken, for the estimate to come near it.
+const FIRST_STEPS: usize = 200;
+
+/// What part of each vector is spread evenly over all nodes, so that it sees a part of the graph that
+/// becomes the heaviest one.
+const SPREAD: f64 = 1e-3;
 
 /// Keeps the norm of a graph while ‖A‖₂ stays near it; by default, every graph has its own.
 #[derive(Debug, Default)]
 pub struct NormBand {
     hysteresis: f64,
-    tracker: RadiusTracker,
     kept: Option<f64>,
+    /// An estimate of the right singular vector, of length 1.
+    vector: Vec<f64>,
+    image: Vec<f64>,
 }
 
 impl NormBand {
-    /// Keeps a norm s while ‖A‖₂ is certified to be within s(1 − h) and s(1 + h) for the relative
+    /// Keeps a norm s while ‖A‖₂ is estimated to be within s(1 − h) and s(1 + h) for the relative
     /// `hysteresis` h. With h = 0 every frame has its own norm.
     ///
     /// # Errors
@@ -33,7 +41,7 @@ impl NormBand {
         if !(0.0..1.0).contains(&hysteresis) {
             return Err(KatzError::Fraction(hysteresis));
         }
-        Ok(Self { hysteresis, tracker: RadiusTracker::default(), kept: None })
+        Ok(Self { hysteresis, ..Self::default() })
     }
 
     /// Lets go of the norm: the next one is that of its graph.
@@ -43,31 +51,58 @@ impl NormBand {
 
     /// The norm for `a`, in the unit of its weights: the one that is kept, or [`spectral_norm`] of `a`.
     pub fn choose(&mut self, a: &SparseMatrix) -> f64 {
+        let h = self.hysteresis;
+        if h == 0.0 || a.is_zero() {
+            return spectral_norm(a);
+        }
         if let Some(kept) = self.kept
-            && self.hysteresis > 0.0
-            && !a.is_zero()
+            && (kept * (1.0 - h)..=kept * (1.0 + h)).contains(&self.estimate(
+                a,
+                STEPS,
+                f64::INFINITY,
+            ))
         {
-            let (lower, upper) = self.bracket(a);
-            let h = self.hysteresis;
-            if lower >= kept * (1.0 - h) && upper <= kept * (1.0 + h) {
-                return kept;
-            }
+            return kept;
         }
         let norm = spectral_norm(a);
-        self.kept = (norm > 0.0).then_some(norm);
+        self.kept = Some(norm);
+        self.estimate(a, FIRST_STEPS, norm * (1.0 - 0.25 * h));
         norm
     }
 
-    /// Certified bounds of ‖A‖₂: the spectral radius of A if it is symmetric, and that of the bipartite
-    /// graph \[0 A; Aᵀ 0\] otherwise.
-    fn bracket(&mut self, a: &SparseMatrix) -> (f64, f64) {
-        let width = LIVE_WIDTH.min(BRACKET * self.hysteresis);
-        let bound = if a.is_symmetric() {
-            self.tracker.refine(a, width)
-        } else {
-            self.tracker.refine(&bipartite(a), width)
-        };
-        (bound.lower, bound.upper)
+    /// ‖Av‖ for the vector v, of length 1, after so many steps or once it reaches `enough`: at most ‖A‖₂.
+    fn estimate(&mut self, a: &SparseMatrix, steps: usize, enough: f64) -> f64 {
+        let n = a.nodes();
+        let even = (n as f64).sqrt().recip();
+        if self.vector.len() != n {
+            self.vector.clear();
+            self.vector.resize(n, even);
+        }
+        let top = a.max_weight();
+        let mut norm = 0.0;
+        for _ in 0..steps {
+            self.image.clear();
+            self.image.resize(n, 0.0);
+            let mut squares = 0.0;
+            for i in 0..n {
+                let sum: f64 = a.row(i).map(|(j, w)| w / top * self.vector[j]).sum();
+                squares += sum * sum;
+                for (j, w) in a.row(i) {
+                    self.image[j] += w / top * sum;
+                }
+            }
+            norm = top * squares.sqrt();
+            let length = self.image.iter().map(|value| value * value).sum::<f64>().sqrt();
+            for (value, image) in self.vector.iter_mut().zip(&self.image) {
+                *value = image / length.max(f64::MIN_POSITIVE) + SPREAD * even;
+            }
+            let length = self.vector.iter().map(|value| value * value).sum::<f64>().sqrt();
+            self.vector.iter_mut().for_each(|value| *value /= length);
+            if norm >= enough {
+                break;
+            }
+        }
+        norm
     }
 }
 

@@ -152,7 +152,7 @@ impl Default for EmbedderSettings {
             dimension: Dimension::Auto,
             scale: SingularValueScaling::SqrtSigma,
             rows: RowScaling::Unit,
-            hysteresis: 0.05,
+            hysteresis: 0.1,
             residual_tolerance: 1e-6,
             idle_tolerance: 1e-10,
         }
