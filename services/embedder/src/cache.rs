@@ -27,6 +27,9 @@ const WHOLE: usize = 64;
 /// all: it takes seconds at most.
 const WHOLE_IN_NEED: usize = 2000;
 
+/// Threads of a search. The other services of the host run beside it, and none is to wait.
+const THREADS: usize = 1;
+
 /// The decomposition of the last frame.
 #[derive(Debug, Default)]
 pub(crate) struct Cache {
@@ -136,7 +139,7 @@ impl Cache {
         }
         let mut rank = wanted.cut.least_rank(n);
         let (choice, report) = loop {
-            let options = KatzSvdOptions { rank, tolerance, seed: wanted.seed, threads: threads() };
+            let options = KatzSvdOptions { rank, tolerance, seed: wanted.seed, threads: THREADS };
             let report = self.search(wanted, options)?;
             if !report.converged && n <= WHOLE_IN_NEED {
                 self.search.forget();
@@ -221,11 +224,6 @@ impl Cut<'_> {
 fn tolerance_of(wanted: &Wanted<'_>) -> f64 {
     const LEAST: f64 = 1e-10;
     wanted.tolerance.max(LEAST)
-}
-
-/// Threads that large fleets are shared out over: all that the host has. No result depends on it.
-fn threads() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// The decomposition of S as a whole: the kept one if S has not changed.

@@ -24,12 +24,14 @@ impl<T: Copy + Default> Aligned<T> {
         }
         let spare = LINE / size_of::<T>();
         if self.data.capacity() < len + spare {
-            // The old numbers are not kept, so that they need not be there at the same time.
+            // The old numbers are not kept, so that they need not be there at the same time. New
+            // memory comes as zeros, which nobody writes before they are used.
             self.data = Vec::new();
-            self.data.reserve_exact(len + spare);
+            self.data = vec![T::default(); len + spare];
+        } else {
+            self.data.clear();
+            self.data.resize(len + spare, T::default());
         }
-        self.data.clear();
-        self.data.resize(len + spare, T::default());
         // The address need not tell how far off the next line is; any start will do then.
         let off = self.data.as_ptr().align_offset(LINE);
         self.start = if off <= spare { off } else { 0 };

@@ -14,24 +14,23 @@
 //! every [`PROBE_EVERY`]th frame find those.
 
 mod certificate;
+mod request;
 
 use std::sync::OnceLock;
 
-use rayon::{ThreadPool, ThreadPoolBuilder};
-
-use thiserror::Error;
-
 use crate::aligned::Aligned;
 use crate::dimension::Spectrum;
-use crate::katz::KatzError;
 use crate::matrix::{DenseMatrix, SparseMatrix};
 use crate::operator::KatzOperator;
 use crate::partial::{NULL, Request, Triplets, Workspace, leading_triplets, width_for};
-use crate::share::{Parts, Strided};
+use crate::share::{Parts, Strided, Threads};
 use crate::spectral_radius::SpectralRadius;
 use crate::svd::{RankKSvd, SvdError, fix_signs};
 use crate::tall::{Block, product};
 use certificate::Certificate;
+use request::check;
+
+pub use request::{KatzSvdError, KatzSvdOptions, KatzSvdReport, MAX_EDGES};
 
 /// How often random directions are added to those of the frames before: with every so many searches.
 pub const PROBE_EVERY: u64 = 20;
@@ -42,13 +41,6 @@ pub const PROBE_CHANGES: u64 = 500;
 
 /// How many.
 pub const PROBES: usize = 8;
-
-/// Most threads that are started. More than any machine has cores help nobody, and each has a stack.
-const MAX_THREADS: usize = 1024;
-
-/// Most edges of a graph, so that places among them, with what is moved when rows change, can be told by
-/// 32 bits.
-pub const MAX_EDGES: usize = 1 << 30;
 
 /// Part of the rows up to which a change is followed row by row: 1 in so many. Beyond, a pass over
 /// everything, which needs no bookkeeping, takes as long.
@@ -69,70 +61,6 @@ const STALE: usize = 256;
 /// Frames after which the order of the nodes is looked for anew: the graph has moved on.
 const ORDER_FRAMES: u64 = 100;
 
-/// What is asked for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KatzSvdOptions {
-    /// How many triplets, from 1 to n.
-    pub rank: usize,
-    /// Largest residual ‖Mᵀ(Sᵀu − σv)‖/σ₁ with M = I − αA, above 0. ‖Sᵀu − σv‖ is at most 1 + σ₁ times
-    /// as large, and S v − σu is zero but for rounding.
-    pub tolerance: f64,
-    /// Seed of the random directions.
-    pub seed: u64,
-    /// Threads that the rows of large graphs are shared out over; 0 counts as 1. The result does not
-    /// depend on it, bit for bit. More than one are started by the first frame and kept.
-    pub threads: usize,
-}
-
-/// Why no triplets could be computed.
-#[derive(Debug, Clone, PartialEq, Error)]
-pub enum KatzSvdError {
-    /// The decay is no positive number, or α ρ is not certified to be below 1.
-    #[error(transparent)]
-    Katz(#[from] KatzError),
-    /// The rank is 0 or above the number of nodes.
-    #[error(transparent)]
-    Rank(#[from] SvdError),
-    /// The tolerance is not a positive number.
-    #[error("tolerance {0} is not a positive number")]
-    Tolerance(f64),
-    /// The correspondence with the frame before does not have one entry per node, or names a node
-    /// that the frame before did not have.
-    #[error("the correspondence with the frame before does not fit {nodes} nodes")]
-    Correspondence {
-        /// Nodes of the graph.
-        nodes: usize,
-    },
-    /// A row is said to have changed that the graph does not have.
-    #[error("row {row} is said to have changed in a graph of {nodes} nodes")]
-    Changed {
-        /// The row.
-        row: usize,
-        /// Nodes of the graph.
-        nodes: usize,
-    },
-    /// The graph has more than [`MAX_EDGES`] edges.
-    #[error(
-        "{edges} edges are more than the {} that can be decomposed: thin the graph out",
-        MAX_EDGES
-    )]
-    Edges {
-        /// Edges of the graph.
-        edges: usize,
-    },
-}
-
-/// How a solve went.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KatzSvdReport {
-    /// Rounds of the search; 0 when the triplets of the frame before could be brought up to date without.
-    pub rounds: usize,
-    /// The largest residual among the triplets that were asked for, as in [`KatzSvdOptions::tolerance`].
-    pub residual: f64,
-    /// Whether that is within the tolerance. If not, S is to be decomposed whole.
-    pub converged: bool,
-}
-
 /// The triplets of the last frame, with what the next one begins with.
 #[derive(Debug)]
 pub struct KatzSvd {
@@ -142,8 +70,7 @@ pub struct KatzSvd {
     /// W = V + UΣ of the last two frames in the order of the operator, the newest first, each n × its
     /// width.
     history: [(Aligned<f64>, usize); 2],
-    /// Threads of the pool, and the pool if there are more than one.
-    pool: (usize, Option<ThreadPool>),
+    threads: Threads,
     certificate: Certificate,
     /// Triplets in the range of the kept vectors, once they are asked for, when the certificate has turned
     /// them: V and S V, n × width.
@@ -171,7 +98,7 @@ impl Default for KatzSvd {
             work: Workspace::default(),
             triplets: Triplets::default(),
             history: Default::default(),
-            pool: (1, None),
+            threads: Threads::default(),
             certificate: Certificate::default(),
             turned: OnceLock::new(),
             graph: SparseMatrix::empty(),
@@ -208,7 +135,7 @@ impl KatzSvd {
         check(a, alpha, radius, options)?;
         let follows = previous.is_none() && self.follows(a, alpha, options);
         self.take_nodes(a.nodes(), previous)?;
-        self.start_threads(options.threads);
+        self.threads.start(options.threads);
         self.rank = options.rank;
         let mut current = false;
         if follows {
@@ -245,7 +172,7 @@ impl KatzSvd {
         }
         let follows = self.follows(a, alpha, options);
         self.take_nodes(a.nodes(), None)?;
-        self.start_threads(options.threads);
+        self.threads.start(options.threads);
         self.rank = options.rank;
         let mut current = false;
         if follows && changed.len() <= self.few() {
@@ -284,7 +211,7 @@ impl KatzSvd {
         // In order, so that sums do not depend on who found the rows.
         self.changed.sort_unstable();
         self.changed.dedup();
-        let Self { operator, work, triplets, history, pool, certificate, .. } = self;
+        let Self { operator, work, triplets, history, threads, certificate, .. } = self;
         certificate.replace_rows(operator, a, &self.changed);
         let changed = certificate.has_changes();
         self.moved |= changed;
@@ -294,6 +221,11 @@ impl KatzSvd {
             (false, true) => PROBE_CHANGES / PROBE_EVERY,
             (false, false) => 0,
         };
+        if operator.has_grown() {
+            // Random directions find what no old one leads to.
+            self.unprobed = PROBE_CHANGES;
+            return None;
+        }
         if changed {
             let (w, width) = &history[0];
             let worn = certificate.updates >= RENEWED || operator.scattered();
@@ -305,8 +237,8 @@ impl KatzSvd {
                 certificate.update(operator, w, triplets, vectors)
             } else {
                 debug_assert_eq!(*width, triplets.width);
-                let parts = Parts::new(self.nodes, pool.0);
-                within(pool, || certificate.renew(operator, parts, w, triplets, vectors))
+                let parts = Parts::new(self.nodes, threads.count());
+                threads.run(|| certificate.renew(operator, parts, w, triplets, vectors))
             };
             self.turned = OnceLock::new();
             self.keep_rows(a);
@@ -346,9 +278,11 @@ impl KatzSvd {
         let reordered = self.frames.is_multiple_of(ORDER_FRAMES);
         if !current || reordered {
             self.assign(a, alpha, previous);
+        } else {
+            self.graph.copy_from(a);
         }
+        self.operator.settle();
         self.alpha = alpha;
-        self.graph.copy_from(a);
         self.stale.clear();
         self.certificate.valid = false;
         self.turned = OnceLock::new();
@@ -358,15 +292,15 @@ impl KatzSvd {
             tolerance: options.tolerance * if current { RESERVE } else { 1.0 },
             probes: if probed { PROBES } else { 0 },
             seed: options.seed.wrapping_add(self.frames),
-            threads: self.pool.0,
+            threads: self.threads.count(),
         };
-        let Self { operator, work, triplets, history, pool, .. } = self;
+        let Self { operator, work, triplets, history, threads, .. } = self;
         let mut start = history.each_ref().map(|(block, width)| (&**block, *width));
         if current {
             // After few changes, what the frame before the last adds to the last is nothing new.
             start[1].1 = 0;
         }
-        within(pool, || leading_triplets(operator, request, start, work, triplets));
+        threads.run(|| leading_triplets(operator, request, start, work, triplets));
         self.unprobed = if probed { 0 } else { self.unprobed + PROBE_CHANGES / PROBE_EVERY };
         self.moved = !probed;
         self.remember();
@@ -462,27 +396,15 @@ impl KatzSvd {
         Ok(())
     }
 
-    /// Has as many threads ready; one if no more can be had.
-    fn start_threads(&mut self, threads: usize) {
-        let threads = threads.clamp(1, MAX_THREADS);
-        if threads == self.pool.1.as_ref().map_or(1, ThreadPool::current_num_threads) {
-            return;
-        }
-        let build = || ThreadPoolBuilder::new().num_threads(threads).build().ok();
-        let pool = if threads > 1 { build() } else { None };
-        self.pool = (if pool.is_some() { threads } else { 1 }, pool);
-    }
-
-    /// Brings the operator, and the history with it, to the nodes and the weights of a new frame.
+    /// Brings the operator, the history with it, and the kept graph to the nodes and the weights of a new
+    /// frame.
     fn assign(&mut self, a: &SparseMatrix, alpha: f64, previous: Option<&[Option<usize>]>) {
         let keep_order = previous.is_none() && !self.frames.is_multiple_of(ORDER_FRAMES);
-        if keep_order {
-            self.operator.assign(a, alpha, true);
-            return;
-        }
-        let before = self.operator.inner().to_vec();
-        self.operator.assign(a, alpha, false);
-        if previous.is_none() && before == self.operator.inner() {
+        let before = if keep_order { Vec::new() } else { self.operator.inner().to_vec() };
+        let (operator, graph) = (&mut self.operator, &mut self.graph);
+        let assign = || operator.assign(a, alpha, keep_order);
+        self.threads.both(assign, || graph.copy_from(a));
+        if keep_order || (previous.is_none() && before == self.operator.inner()) {
             return;
         }
         for (block, width) in &mut self.history {
@@ -511,8 +433,8 @@ impl KatzSvd {
         let (block, kept) = &mut self.history[0];
         *kept = *width;
         block.resize(self.nodes * width);
-        let parts = Parts::new(self.nodes, self.pool.0);
-        within(&self.pool, || {
+        let parts = Parts::new(self.nodes, self.threads.count());
+        self.threads.run(|| {
             parts.run(Strided(block, *width), |rows, block| {
                 let own = rows.start * width..rows.end * width;
                 let sums = right[own.clone()].iter().zip(&image[own]);
@@ -521,14 +443,6 @@ impl KatzSvd {
                 }
             });
         });
-    }
-}
-
-/// Runs in the pool if there is one.
-fn within<T: Send>(pool: &(usize, Option<ThreadPool>), run: impl FnOnce() -> T + Send) -> T {
-    match &pool.1 {
-        Some(pool) => pool.install(run),
-        None => run(),
     }
 }
 
@@ -555,29 +469,4 @@ impl Spectrum for KatzSvd {
         }
         image[at].powi(2) / sigma[j] + right[at].powi(2) * sigma[j]
     }
-}
-
-fn check(
-    a: &SparseMatrix,
-    alpha: f64,
-    radius: &SpectralRadius,
-    options: KatzSvdOptions,
-) -> Result<(), KatzSvdError> {
-    let n = a.nodes();
-    if a.edges() > MAX_EDGES {
-        return Err(KatzSvdError::Edges { edges: a.edges() });
-    }
-    if !(alpha.is_finite() && alpha > 0.0) {
-        return Err(KatzError::Alpha(alpha).into());
-    }
-    if alpha * radius.upper >= 1.0 {
-        return Err(KatzError::Diverges { alpha, radius: radius.upper }.into());
-    }
-    if options.rank == 0 || options.rank > n {
-        return Err(SvdError::Rank { rank: options.rank, nodes: n }.into());
-    }
-    if !(options.tolerance.is_finite() && options.tolerance > 0.0) {
-        return Err(KatzSvdError::Tolerance(options.tolerance));
-    }
-    Ok(())
 }

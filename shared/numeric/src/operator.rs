@@ -26,6 +26,9 @@ pub(crate) struct KatzOperator {
     backward: Rows,
     /// A row that is to replace another one.
     row: (Vec<u32>, Vec<f64>),
+    /// Largest sum of a row of αA when it was last looked at as a whole, and with the rows since.
+    heaviest: f64,
+    newest: f64,
 }
 
 /// Which of the two orientations a product takes.
@@ -50,6 +53,20 @@ impl KatzOperator {
         let order = (!self.natural).then_some((&self.outer[..], &self.inner[..]));
         self.forward.assign(a, alpha, order);
         self.backward.assign_transpose(&self.forward);
+        let sum = |i: usize| self.forward.row(i).1.iter().sum::<f64>();
+        self.heaviest = (0..n).map(sum).fold(0.0, f64::max);
+        self.newest = self.heaviest;
+    }
+
+    /// True when a row that was replaced is heavier than all rows were before: it may be the core of a
+    /// singular triplet that there was not.
+    pub(crate) fn has_grown(&self) -> bool {
+        self.newest > self.heaviest
+    }
+
+    /// Takes the weights that there are now for those that were before.
+    pub(crate) fn settle(&mut self) {
+        self.heaviest = self.newest;
     }
 
     fn find_order(&mut self, a: &SparseMatrix) {
@@ -86,13 +103,8 @@ impl KatzOperator {
 
     /// Whether a node, by its own number, has no edge at all.
     pub(crate) fn is_isolated(&self, inner: usize) -> bool {
-        let has_none = |orientation| self.row(orientation, inner).0.is_empty();
+        let has_none = |orientation| self.rows(orientation).row(inner).0.is_empty();
         has_none(Orientation::Forward) && has_none(Orientation::Backward)
-    }
-
-    /// Own numbers and weights of the entries of row `i`, an own number.
-    pub(crate) fn row(&self, orientation: Orientation, i: usize) -> (&[u32], &[f64]) {
-        self.rows(orientation).row(i)
     }
 
     fn rows(&self, orientation: Orientation) -> &Rows {
@@ -132,6 +144,7 @@ impl KatzOperator {
         if old == columns && old_weights == weights {
             return false;
         }
+        self.newest = self.newest.max(weights.iter().sum());
         // Both rows ascend, so that one walk along both finds what each column has become.
         let (mut k, mut l) = (0, 0);
         while k < old.len() || l < columns.len() {
@@ -197,7 +210,11 @@ mod tests {
         anew.assign(&a, alpha, true);
         for orientation in [Orientation::Forward, Orientation::Backward] {
             for i in 0..n {
-                assert_eq!(updated.row(orientation, i), anew.row(orientation, i));
+                let row = |of: &KatzOperator| {
+                    let (columns, weights) = of.rows(orientation).row(i);
+                    (columns.to_vec(), weights.to_vec())
+                };
+                assert_eq!(row(&updated), row(&anew));
                 let single = |of: &KatzOperator| of.rows(orientation).row_single(i).1.to_vec();
                 assert_eq!(single(&updated), single(&anew));
             }

@@ -118,8 +118,8 @@ pub(crate) fn leading_triplets(
     let n = operator.nodes();
     let width = width_for(request.rank);
     let parts = Parts::new(n, request.threads);
-    // The space of the Krylov method whose directions these approximate forgets nothing: a third
-    // of a block is what the tolerance leaves room for.
+    // What rounding leaves of the space in a direction grows with the inverse square of what is left of the
+    // direction; it is to stay below a millionth of the tolerance.
     let little = (2e-8 / request.tolerance).sqrt().clamp(0.003, 0.3);
     let mut search = Search { operator, request, n, width, parts, little, work };
     search.reserve(out);
@@ -304,7 +304,8 @@ impl Search<'_> {
         let tolerance = self.request.tolerance;
         let Workspace { single, open, .. } = &mut *self.work;
         let residuals = &out.residuals;
-        let count = residuals.len();
+        // Those that are carried along get directions only where registers are not filled without.
+        let count = residuals.len().min(self.request.rank.next_multiple_of(SINGLE_REGISTER));
         open.clear();
         open.extend((0..count).filter(|c| residuals[*c] > tolerance));
         // Registers hold so many columns, and what is left over costs as much as a whole one.

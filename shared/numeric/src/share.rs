@@ -5,6 +5,8 @@
 
 use std::ops::Range;
 
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
 /// Rows of a part at least: enough work to be worth handing over, few enough that ten thousand rows
 /// are divided evenly.
 const LEAST_PART: usize = 512;
@@ -15,6 +17,51 @@ const MOST_PARTS: usize = 512;
 /// Rows from which they are shared out: with fewer, threads would wait for one another longer than
 /// they work.
 const SHARED_ROWS: usize = 2048;
+
+/// Most threads that are started. More than any machine has cores help nobody, and each has a stack.
+const MAX_THREADS: usize = 1024;
+
+/// Threads that are kept from call to call.
+#[derive(Debug, Default)]
+pub(crate) struct Threads {
+    /// None for the calling thread alone.
+    pool: Option<ThreadPool>,
+}
+
+impl Threads {
+    /// Has as many ready; one if no more can be had.
+    pub(crate) fn start(&mut self, threads: usize) {
+        let threads = threads.clamp(1, MAX_THREADS);
+        if threads != self.count() {
+            let build = || ThreadPoolBuilder::new().num_threads(threads).build().ok();
+            self.pool = if threads > 1 { build() } else { None };
+        }
+    }
+
+    /// How many there are.
+    pub(crate) fn count(&self) -> usize {
+        self.pool.as_ref().map_or(1, ThreadPool::current_num_threads)
+    }
+
+    /// Runs where [`Parts`] may be shared out over them.
+    pub(crate) fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        match &self.pool {
+            Some(pool) => pool.install(work),
+            None => work(),
+        }
+    }
+
+    /// Runs two things, side by side if there is more than one thread.
+    pub(crate) fn both(&self, one: impl FnOnce() + Send, other: impl FnOnce() + Send) {
+        match &self.pool {
+            Some(pool) => drop(pool.join(one, other)),
+            None => {
+                one();
+                other();
+            }
+        }
+    }
+}
 
 /// What is written row by row, so that it can be divided between two rows.
 pub(crate) trait Split: Send + Sized {
@@ -148,7 +195,7 @@ mod tests {
     fn sums_are_the_same_bit_for_bit_for_any_number_of_threads() {
         for rows in [0, 1, 511, 513, 40_001] {
             let run = |threads| {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
                 let mut written = vec![0_usize; 2 * rows];
                 let mut sums = Vec::new();
                 pool.install(|| {

@@ -154,10 +154,10 @@ impl Gram<'_, '_> {
                 }
             }
         }
-        for k in 0..P {
+        for (k, sums) in sums.iter().enumerate() {
             let row = &mut self.out[(p + k) * self.out_stride + at * lanes..][..C * lanes];
-            for (to, sum) in S::as_mut_simd_f64s(row).0.iter_mut().zip(sums[k]) {
-                *to = simd.add_f64s(*to, sum);
+            for (to, sum) in S::as_mut_simd_f64s(row).0.iter_mut().zip(sums) {
+                *to = simd.add_f64s(*to, *sum);
             }
         }
     }
@@ -215,8 +215,9 @@ impl Product<'_, '_> {
         let inner = self.a.columns;
         let rows: [&[f64]; R] = core::array::from_fn(|r| &self.a.row(i + r)[..inner]);
         let mut sums = [[simd.splat_f64s(0.0); C]; R];
-        for p in 0..inner {
-            let t = S::as_simd_f64s(&self.t.row(p)[at * lanes..(at + C) * lanes]).0;
+        let start = self.t.first + at * lanes;
+        for (p, t) in self.t.data.chunks(self.t.stride).take(inner).enumerate() {
+            let t = S::as_simd_f64s(&t[start..start + C * lanes]).0;
             let mut own = [simd.splat_f64s(0.0); C];
             own.copy_from_slice(t);
             for r in 0..R {
@@ -226,10 +227,10 @@ impl Product<'_, '_> {
                 }
             }
         }
-        for r in 0..R {
+        for (r, sums) in sums.iter().enumerate() {
             let start = (i + r) * self.out_stride + self.first + at * lanes;
             let row = &mut self.out[start..start + C * lanes];
-            S::as_mut_simd_f64s(row).0.copy_from_slice(&sums[r]);
+            S::as_mut_simd_f64s(row).0.copy_from_slice(sums);
         }
     }
 }

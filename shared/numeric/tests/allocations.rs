@@ -70,11 +70,13 @@ fn changes_of_few_rows_allocate_nothing() {
     let mut without = 0;
     for frame in 0..40 {
         let a = swaying(n, frame, Some(9));
+        let mut rounds = 0;
         let counted = measure(|| {
-            let report = solver.solve(&a, alpha, &radius, options, None).unwrap();
-            without += usize::from(frame >= 3 && report.rounds == 0);
+            rounds = solver.solve(&a, alpha, &radius, options, None).unwrap().rounds;
         });
-        assert!(frame < 3 || counted.count_total == 0, "frame {frame}: {counted:?}");
+        // Sums are made by the first change that needs no search, and brought up to date by the second.
+        assert!(without < 2 || counted.count_total == 0, "frame {frame}: {counted:?}");
+        without += usize::from(rounds == 0);
     }
     assert!(without >= 10, "{without}");
 }

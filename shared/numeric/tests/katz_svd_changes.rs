@@ -177,6 +177,29 @@ fn the_comparison_and_the_callers_word_lead_to_the_same_bit_for_bit() {
 }
 
 #[test]
+fn a_pair_that_becomes_closer_than_any_before_is_found_at_once() {
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    let a = Fleet::new(300, &mut rng).graph();
+    let radius = roomy(&a);
+    let heavy = 0.9 * radius.upper;
+    let docked = a.triplets().chain([(7, 290, heavy), (290, 7, heavy)]);
+    let docked = SparseMatrix::from_triplets(300, docked).unwrap();
+    let radius = SpectralRadius { upper: 2.0 * radius.upper, ..radius };
+    let alpha = 0.9 / radius.upper;
+    for calm in 0..3 {
+        let mut solver = KatzSvd::default();
+        for _ in 0..=calm {
+            solver.solve(&a, alpha, &radius, options(1e-4), None).unwrap();
+        }
+        let mut anew = KatzSvd::default();
+        solver.solve_changed(&docked, alpha, &radius, options(1e-4), &[7, 290]).unwrap();
+        anew.solve(&docked, alpha, &radius, options(1e-8), None).unwrap();
+        let (found, wanted) = (solver.all_singular_values()[0], anew.all_singular_values()[0]);
+        assert!((found - wanted).abs() < 1e-4 * wanted, "{found} {wanted}");
+    }
+}
+
+#[test]
 fn rows_that_change_back_and_forth_are_not_forgotten() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let a = Fleet::new(300, &mut rng).graph();

@@ -14,6 +14,7 @@ pub(crate) struct Symmetric {
     memory: Option<(usize, MemBuffer)>,
     values: Vec<f64>,
     vectors: Vec<f64>,
+    columns: Vec<f64>,
 }
 
 impl std::fmt::Debug for Symmetric {
@@ -57,9 +58,13 @@ impl Symmetric {
         values.resize(n, 0.0);
         vectors.clear();
         vectors.resize(n * n, 0.0);
+        // The library turns pairs of columns by the thousand, which it does well where columns are
+        // contiguous.
+        let mut columns = std::mem::take(&mut self.columns);
+        columns.clear();
+        columns.resize(n * n, 0.0);
+        let u = MatMut::from_column_major_slice_mut(&mut columns, n, n);
         let stack = self.memory(n);
-        // Columns in reverse order, as the library sorts ascending.
-        let u = MatMut::from_row_major_slice_mut(&mut vectors, n, n).reverse_cols_mut();
         let done = self_adjoint_evd(
             MatRef::from_row_major_slice(g, n, n),
             DiagMut::from_slice_mut(&mut values),
@@ -68,8 +73,14 @@ impl Symmetric {
             stack,
             Default::default(),
         );
+        // It sorts ascending.
         values.reverse();
-        (self.values, self.vectors) = (values, vectors);
+        for (i, row) in vectors.chunks_exact_mut(n).enumerate() {
+            for (value, column) in row.iter_mut().zip(columns.chunks_exact(n).rev()) {
+                *value = column[i];
+            }
+        }
+        (self.values, self.vectors, self.columns) = (values, vectors, columns);
         let finite = self.values.iter().all(|value| value.is_finite());
         (done.is_ok() && finite).then_some((&self.values, &self.vectors))
     }

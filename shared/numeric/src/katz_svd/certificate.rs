@@ -41,8 +41,6 @@ pub(super) struct Certificate {
     residual: Vec<f64>,
     /// Largest traces of EᵀE and DᵀD so far.
     traces: [f64; 2],
-    /// Largest sum of a row of αA that the sums were made for.
-    heaviest: f64,
     /// Coefficients of the Ritz vectors in the columns of V, width × width.
     pub(super) rotation: Vec<f64>,
     sums: Vec<f64>,
@@ -118,7 +116,6 @@ impl Certificate {
         });
         self.residual.clear();
         self.residual.extend_from_slice(&self.sums[..double * double]);
-        self.heaviest = (0..n).map(|i| row_sum(operator, i)).fold(0.0, f64::max);
         self.scratch.stamps.clear();
         self.scratch.stamps.resize(n, 0);
         self.scratch.stamp = 0;
@@ -151,8 +148,8 @@ impl Certificate {
         !self.scratch.changed.is_empty()
     }
 
-    /// Brings the sums, and the triplets with them, up to date with the rows that were replaced. False when a
-    /// pass over everything or a search is needed: the sums are lost then.
+    /// Brings the sums, and the triplets with them, up to date with the rows that were replaced. False when V
+    /// is no basis any more: the sums are lost then.
     pub(super) fn update(
         &mut self,
         operator: &KatzOperator,
@@ -166,11 +163,6 @@ impl Certificate {
         scratch.stamp += 1;
         let (stamps, stamp) = (&mut scratch.stamps, scratch.stamp);
         scratch.touched.retain(|i| std::mem::replace(&mut stamps[*i as usize], stamp) != stamp);
-        if scratch.changed.iter().any(|i| row_sum(operator, *i as usize) > self.heaviest) {
-            // What is heavier than anything before may be the core of a triplet that there was not.
-            self.valid = false;
-            return false;
-        }
         self.updates += 1;
         let double = 2 * width;
         let (changed, touched) = (&scratch.changed, &scratch.touched);
@@ -296,10 +288,6 @@ fn fill_residuals(
             *e += *d * value;
         }
     }
-}
-
-fn row_sum(operator: &KatzOperator, i: usize) -> f64 {
-    operator.row(Orientation::Forward, i).1.iter().sum()
 }
 
 /// Adds `sign` times the Gram matrix of some rows of `block` to `gram`, width × width.

@@ -92,11 +92,11 @@ impl Polynomial {
         // Normal equations for the columns Bᵏ b − Bᵏ⁺¹ b.
         let mut system = [[0.0; DEGREE + 1]; DEGREE + 1];
         let mut right = [0.0; DEGREE + 1];
-        for i in 0..=DEGREE {
-            for j in 0..=DEGREE {
-                system[i][j] = p(i, j) - p(i + 1, j) - p(i, j + 1) + p(i + 1, j + 1);
+        for (i, (row, right)) in system.iter_mut().zip(&mut right).enumerate() {
+            for (j, entry) in row.iter_mut().enumerate() {
+                *entry = p(i, j) - p(i + 1, j) - p(i, j + 1) + p(i + 1, j + 1);
             }
-            right[i] = p(i, 0) - p(i + 1, 0);
+            *right = p(i, 0) - p(i + 1, 0);
         }
         self.coefficients = solve_small(system, right);
     }
@@ -173,8 +173,9 @@ fn solve_small<const N: usize>(mut system: [[f64; N]; N], mut right: [f64; N]) -
         }
         for i in k + 1..N {
             let factor = system[i][k] / pivot;
-            for j in k..N {
-                system[i][j] -= factor * system[k][j];
+            let upper = system[k];
+            for (value, upper) in system[i].iter_mut().zip(upper).skip(k) {
+                *value -= factor * upper;
             }
             right[i] -= factor * right[k];
         }
