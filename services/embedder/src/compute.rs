@@ -85,7 +85,7 @@ pub struct Done {
 /// What a job has led to.
 #[derive(Debug)]
 pub(crate) enum Outcome {
-    Embedded { frame: Arc<Frame>, basis: Basis, result: Result<Computed, ComputeError> },
+    Embedded { frame: Arc<Frame>, basis: Box<Basis>, result: Result<Box<Computed>, ComputeError> },
     Compared(Vec<Result<Compared, String>>),
 }
 
@@ -166,7 +166,7 @@ pub(crate) fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {
     let result = match task {
         Task::Embed { frame, basis, previous } => {
             let result = compute(&frame, &basis, previous.as_deref(), &mut memory, stopwatch);
-            Outcome::Embedded { frame, basis, result }
+            Outcome::Embedded { frame, basis: Box::new(basis), result: result.map(Box::new) }
         }
         Task::Compare(pairs) => Outcome::Compared(memory.compare(&pairs)),
     };

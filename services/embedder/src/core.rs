@@ -402,7 +402,7 @@ impl Embedder {
     fn done(&mut self, now: Tick, done: Done, effects: &mut Effects<Job>) {
         self.memory = Some(done.memory);
         let (frame, basis, result) = match done.result {
-            Outcome::Embedded { frame, basis, result } => (frame, basis, result),
+            Outcome::Embedded { frame, basis, result } => (frame, *basis, result),
             Outcome::Compared(answers) => {
                 self.gate.ended_aside();
                 self.questions.answered(answers, effects);
@@ -415,9 +415,16 @@ impl Embedder {
                 self.fail(now, told, effects);
             }
             Ok(computed) => {
+                let computed = *computed;
                 self.role.count("jobs_done");
                 self.gate.succeeded();
                 self.made = Some((basis.clone(), now));
+                let frame = if basis.settled { self.newest_of(now, &basis, frame) } else { frame };
+                let told = self.embedding.as_ref().map(|told| told.roster);
+                if basis.settled && told > Some(frame.roster.header.revision) {
+                    // It was told again for a later frame meanwhile, and there is a newer one to come.
+                    return;
+                }
                 if basis.settled && self.is_told(&computed) {
                     // Nobody needs to hear the same digits again.
                     self.role.count("embeddings_confirmed");
@@ -440,6 +447,13 @@ impl Embedder {
                 self.publish(embedding, effects);
             }
         }
+    }
+
+    /// The newest frame if it rests on the same as the one that a job was begun with: while the job ran,
+    /// the embedding may have been told again with the head of a later roster.
+    fn newest_of(&mut self, now: Tick, basis: &Basis, frame: Arc<Frame>) -> Arc<Frame> {
+        let newest = self.follow.frame().cloned();
+        newest.filter(|newest| self.basis(now, newest).is_of(basis)).unwrap_or(frame)
     }
 
     /// Whether what was computed for a fleet at rest is what was published, as exactly as is promised.

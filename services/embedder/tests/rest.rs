@@ -44,6 +44,38 @@ fn a_fleet_at_rest_gets_more_digits_once() {
 }
 
 #[test]
+fn a_thorough_embedding_takes_the_head_of_what_was_told_while_it_was_made() {
+    let mut bench = Bench::fresh();
+    let mut ingest = fleet(90);
+    bench.frame(&mut ingest);
+    bench.hold_jobs = true;
+    bench.pass(1.2);
+    assert_eq!(bench.jobs.len(), 1, "the thorough one");
+    // Rosters go on while it is made, and the last embedding is told again with their heads.
+    for _ in 0..15 {
+        bench.frame(&mut ingest);
+    }
+    let again = bench.last().roster;
+    bench.run_job();
+    assert!(bench.last().quality.residual <= 1e-10);
+    assert!(bench.last().roster >= again);
+    // Neither does one that comes too late for its graphs take anybody back.
+    ingest.edge("links", "r0000", "r0001", 0.51);
+    bench.frame(&mut ingest);
+    bench.run_job();
+    bench.pass(1.2);
+    assert_eq!(bench.jobs.len(), 1, "the thorough one");
+    for _ in 0..12 {
+        bench.frame(&mut ingest);
+    }
+    let again = bench.last().roster;
+    ingest.edge("links", "r0000", "r0001", 0.52);
+    bench.frame(&mut ingest);
+    bench.run_job();
+    assert!(bench.last().roster >= again);
+}
+
+#[test]
 fn the_same_digits_are_not_told_again() {
     let mut bench = Bench::fresh();
     let mut ingest = fleet(10);
