@@ -36,10 +36,10 @@ async fn the_console_shows_the_live_fleet() {
     }
     assert!(show(&["graph", "hierarchy"]).contains("weight"));
     assert_eq!(json(&["graph", "spatial", "--json"])["modality"], "spatial");
-    let katz = show(&["graph", "--katz", "r1", "r2"]);
+    let katz = show(&["graph", "--katz", "c1-r1", "c1-r2"]);
     assert!(katz.contains("similarity") && katz.contains("spatial"), "{katz}");
-    let pair = json(&["graph", "--katz", "r1", "r2", "--json"]);
-    assert_eq!((&pair["from"], &pair["to"]), (&"r1".into(), &"r2".into()));
+    let pair = json(&["graph", "--katz", "c1-r1", "c1-r2", "--json"]);
+    assert_eq!((&pair["from"], &pair["to"]), (&"c1-r1".into(), &"c1-r2".into()));
     let shares: f64 =
         pair["shares"].as_object().unwrap().values().map(|share| share.as_f64().unwrap()).sum();
     let similarity = pair["similarity"].as_f64().unwrap();
