@@ -48,6 +48,8 @@ pub struct Embedder {
     gate: JobGate<Basis>,
     /// Gets of the similarity of two robots.
     questions: Questions,
+    /// Whether the last job answered some of them: an embedding that is wanted comes next.
+    compared: bool,
     /// The last good embedding, the one of the holder before at first.
     embedding: Option<Arc<Embedding>>,
     /// What the embedding rests on, and when it was last published; none for one that was learned.
@@ -143,6 +145,7 @@ impl Embedder {
             memory: None,
             gate,
             questions: Questions::default(),
+            compared: false,
             embedding: None,
             published: None,
             made: None,
@@ -182,7 +185,7 @@ impl Embedder {
             Event::Fetched { fetch, messages } => self.fetched(now, fetch, messages, effects),
             Event::Done(_) | Event::JobFailed(_) if self.gate.was_abandoned() => {}
             Event::Done(done) => self.done(now, done, effects),
-            Event::JobFailed(_) if self.gate.ended_aside() => {
+            Event::JobFailed(_) if self.gate.failed_aside(now) => {
                 self.role.count("comparisons_failed");
                 self.questions.refuse("the comparison has failed", effects);
             }
@@ -331,16 +334,18 @@ impl Embedder {
             let patterns = vec![Pattern::One(Key::Settings(ServiceName::Clusterer))];
             effects.push(Effect::Fetch { fetch: SETTINGS_FETCH, patterns });
         }
-        // Questions take turns with embeddings, however many are asked: each job answers all that wait.
-        if self.questions.wait() && !self.gate.is_running() {
-            self.compare(effects);
-        }
         (self.heartbeat, self.rest) = (None, None);
-        let Some(frame) = self.wanted().cloned() else { return };
-        let basis = self.basis(now, &frame);
-        self.beat(now, &frame, &basis, effects);
-        if self.gate.wants(now, &basis) {
-            self.start(frame, basis, effects);
+        let next = self.wanted().cloned().map(|frame| (self.basis(now, &frame), frame));
+        if let Some((basis, frame)) = &next {
+            self.beat(now, frame, basis, effects);
+        }
+        let next = next.filter(|(basis, _)| self.gate.wants(now, basis));
+        // Questions take turns with embeddings, however many are asked.
+        let asked = self.questions.wait() && !self.gate.is_running();
+        match next {
+            Some((basis, frame)) if self.compared || !asked => self.start(frame, basis, effects),
+            _ if asked => self.compare(effects),
+            _ => {}
         }
     }
 
@@ -352,6 +357,7 @@ impl Embedder {
         };
         let task = Task::Compare(self.questions.ask(embedding.header.clone()));
         self.role.count("comparisons_started");
+        self.compared = true;
         self.gate.started_aside();
         effects.push(Effect::Start(Job { task, memory }));
     }
@@ -392,6 +398,7 @@ impl Embedder {
 
     fn start(&mut self, frame: Arc<Frame>, basis: Basis, effects: &mut Effects<Job>) {
         self.role.count("jobs_started");
+        self.compared = false;
         self.gate.started(basis.clone());
         let previous = self.embedding.clone();
         let memory = self.memory.take().unwrap_or_default();

@@ -20,6 +20,10 @@ use crate::similarity::Similarity;
 /// is served, and no flood of gets takes memory.
 const MAX_WAITING: usize = 256;
 
+/// Most gets that one job answers: in a large fleet each may take a second, and embeddings wait
+/// meanwhile.
+const AT_ONCE: usize = 16;
+
 /// Fleets up to this size keep the similarity of all pairs for further questions: 8 MiB, and well below a
 /// tenth of a second for the first one.
 const MAX_KEPT: usize = 1024;
@@ -163,10 +167,11 @@ impl Questions {
         }
     }
 
-    /// The pairs that a job is to compare, by the embedding with the head.
+    /// The pairs that the next job is to compare, by the embedding with the head; those that asked first.
     pub(crate) fn ask(&mut self, head: Header) -> Vec<[RobotId; 2]> {
         self.head = Some(head);
-        self.asked = std::mem::take(&mut self.waiting);
+        let count = self.waiting.len().min(AT_ONCE);
+        self.asked = self.waiting.drain(..count).collect();
         self.asked.iter().map(|question| question.pair.clone()).collect()
     }
 

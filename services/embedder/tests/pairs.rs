@@ -113,12 +113,17 @@ fn questions_take_turns_with_embeddings_and_each_is_answered_once() {
     let published = bench.published.len();
     bench.run_job();
     assert_eq!((bench.jobs.len(), bench.replies.len()), (1, 0), "the questions");
+    // More questions meanwhile do not hold the frame up that waits.
+    bench.wonder(4, &[(1, 2)]);
     bench.run_job();
     assert_eq!(bench.replies.len(), 3);
     assert!(bench.replies.iter().map(|reply| reply.0.0).eq(1..=3));
     assert_eq!(bench.replies.iter().filter(|reply| reply.1.is_ok()).count(), 2);
     bench.run_job();
     assert_eq!(bench.published.len(), published + 2, "the frame that waited as well");
+    assert_eq!(bench.replies.len(), 3);
+    bench.run_job();
+    assert_eq!(bench.replies.len(), 4);
 }
 
 #[test]
@@ -132,7 +137,10 @@ fn a_comparison_that_panics_is_answered_and_harms_nobody() {
     bench.step(Event::JobFailed("ouch".to_owned()));
     assert!(bench.replies.pop().unwrap().1.is_err());
     assert_eq!(bench.failures(), 0);
+    // Nothing needs to change in the fleet for the next question to be answered.
     bench.hold_jobs = false;
+    bench.pass(1.5);
+    assert!(bench.pair(0, 1).is_ok());
     ingest.edge("links", "r0003", "r0007", 0.7);
     bench.frame(&mut ingest);
     assert!(bench.pair(0, 1).is_ok());

@@ -64,9 +64,19 @@ impl<Task: PartialEq> JobGate<Task> {
         self.aside = true;
     }
 
-    /// Such a job has ended, well or not, if one ran; whether one did.
+    /// Such a job has ended, if one ran; whether one did.
     pub fn ended_aside(&mut self) -> bool {
         std::mem::take(&mut self.aside)
+    }
+
+    /// Such a job has panicked, if one ran; whether one did. What it held is lost, so that the last task
+    /// is done again after a while.
+    pub fn failed_aside(&mut self, now: Tick) -> bool {
+        let failed = self.ended_aside();
+        if failed {
+            self.retry = Some(now.after(RETRY_AFTER));
+        }
+        failed
     }
 
     /// Whether a job runs.
