@@ -93,6 +93,19 @@ impl Client {
         Self::open(client_of(endpoint, "10000")?, fleet).await
     }
 
+    /// Connects to a router for many robots at once. What they say together waits longer for a busy link than
+    /// Zenoh lets the words of one wait, as long as `muster-client` does.
+    ///
+    /// # Errors
+    /// If the router does not answer.
+    pub async fn connect_for_many(endpoint: &str, fleet: &str) -> anyhow::Result<Self> {
+        let mut config = client_of(endpoint, "10000")?;
+        let drop = "transport/link/tx/queue/congestion_control/drop";
+        let waits = "{wait_before_drop: 100000, max_wait_before_drop_fragments: 1000000}";
+        config.insert_json5(drop, waits).map_err(fail)?;
+        Self::open(config, fleet).await
+    }
+
     /// Connects to a router whenever it answers, and tries a lost one twice a second.
     ///
     /// # Errors

@@ -229,3 +229,21 @@ fn every_command_has_examples() {
     assert_eq!(code, Some(2));
     assert!(err.contains("muster demo"), "{err}");
 }
+
+#[test]
+fn a_fleet_may_stand_in_a_file() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/experiments/formations");
+    let of = |file: &str, more: &[&str]| {
+        run("muster", &[&["robot", "--file", file, "--list"], more].concat(), SOON).unwrap()
+    };
+    let (code, out, err) = of(&format!("{folder}/squad-line.json"), &[]);
+    assert_eq!((code, out.lines().count()), (Some(0), 9), "{err}");
+    assert!(out.starts_with("a1 0\n") && out.ends_with("leader 2\n"), "{out}");
+    let (code, _, err) = of(&format!("{folder}/none.json"), &[]);
+    assert_eq!(code, Some(2), "{err}");
+    assert!(err.contains("--file") && err.contains("none.json"), "{err}");
+    let (code, _, err) = of(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml"), &[]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("(file)"), "{err}");
+    assert_eq!(of(&format!("{folder}/squad-line.json"), &["--robots", "5"]).0, Some(2));
+}

@@ -1,6 +1,7 @@
 //! `muster robot`: one or many simulated robots as a process.
 
-use std::io::Write as _;
+use std::io::{Read as _, Write as _};
+use std::path::{Path, PathBuf};
 
 use muster_model::id::RobotId;
 use muster_runtime::bus::{Bus, Patience};
@@ -9,7 +10,7 @@ use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
-use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
+use muster_scenario::{Fleet, FleetOptions, Layout, MAX_FILE_BYTES, ScenarioKind};
 use muster_wire::Format;
 
 use crate::fleet::{FleetOnBus, Speech};
@@ -24,15 +25,19 @@ const MAX_SECONDS: f64 = 1e9;
 /// Arguments of `muster robot`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Robots of one scenario and seed belong together, however many processes they are \
+    after_help = "Robots of one scenario or file and seed belong together, however many processes they are \
 spread over with --only.\n\nExamples:\n  muster robot                                  18 robots that march\n  \
 muster robot --scenario clusters --teams 3 --robots 30\n  muster robot --scenario clusters --list\n  \
-muster robot --scenario clusters --only r3,r4   two of them; others in other processes"
+muster robot --scenario clusters --only r3,r4   two of them; others in other processes\n  \
+muster robot --file tests/experiments/formations/platoon-wedge.json"
 )]
 pub(crate) struct RobotArgs {
     /// What the robots do: crossing (march, split, rejoin), clusters (stand in groups), random
     #[arg(long, default_value_t = ScenarioKind::Crossing)]
     scenario: ScenarioKind,
+    /// A fleet in a file instead: robots with places and superiors, and the teams that they truly form
+    #[arg(long, value_name = "FILE.json", conflicts_with_all = ["scenario", "robots", "teams"])]
+    file: Option<PathBuf>,
     /// How many robots the scenario has
     #[arg(long, default_value_t = 18)]
     robots: usize,
@@ -67,6 +72,23 @@ pub(crate) fn simulate(kind: ScenarioKind, options: &FleetOptions) -> anyhow::Re
     Fleet::new(kind, options.clone()).map_err(|error| ExitError::usage(error.to_string()).into())
 }
 
+/// The fleet of a user's file.
+///
+/// # Errors
+/// Names the file, and what in it makes no fleet.
+pub(crate) fn of_file(path: &Path, options: &FleetOptions) -> anyhow::Result<Fleet> {
+    let wrong =
+        |problem: String| ExitError::usage(format!("--file: {}: {problem}", path.display()));
+    let mut text = String::new();
+    // One byte more than is allowed tells a file that is too long from one that just fits.
+    let file = std::fs::File::open(path).map_err(|error| wrong(error.to_string()))?;
+    let read = file.take(MAX_FILE_BYTES as u64 + 1).read_to_string(&mut text);
+    read.map_err(|error| wrong(error.to_string()))?;
+    let layout = Layout::read(&text).map_err(|error| wrong(error.to_string()))?;
+    let fleet = Fleet::of_layout(&layout, options.clone());
+    fleet.map_err(|error| ExitError::usage(error.to_string()).into())
+}
+
 /// Checks a duration of a user.
 ///
 /// # Errors
@@ -95,7 +117,10 @@ pub(crate) async fn run(
         teams: args.teams,
         ..FleetOptions::default()
     };
-    let fleet = simulate(args.scenario, &options)?;
+    let fleet = match &args.file {
+        Some(path) => of_file(path, &options)?,
+        None => simulate(args.scenario, &options)?,
+    };
     let seconds = check_seconds(args.seconds)?;
     if !RATES_HZ.contains(&args.rate) {
         let (least, most) = (RATES_HZ.start(), RATES_HZ.end());

@@ -2,8 +2,8 @@
 //!
 //! The full decomposition of S costs O(n³) however little of it is wanted. [`KatzSvd`] finds the leading
 //! triplets from a few products with the sparse graph (see `partial`), and begins where the frames before
-//! ended: while the graph moves smoothly, the next triplets lie close to what the last two frames span,
-//! with an error of second order in the motion. Scratch space is kept between frames.
+//! ended: while the graph moves little, the next triplets lie close to the last ones. Scratch space is kept
+//! between frames.
 //!
 //! When only few rows of the graph have changed, which is found by comparing it with the one before or told
 //! by the caller, the triplets and their residuals are brought up to date from those rows alone (see
@@ -30,6 +30,7 @@ use crate::tall::{Block, product};
 use certificate::Certificate;
 use request::check;
 
+pub use crate::partial::{SearchColumns, SearchRound, search_columns};
 pub use request::{KatzSvdError, KatzSvdOptions, KatzSvdReport, MAX_EDGES};
 
 /// How often random directions are added to those of the frames before: with every so many searches.
@@ -61,15 +62,28 @@ const STALE: usize = 256;
 /// Frames after which the order of the nodes is looked for anew: the graph has moved on.
 const ORDER_FRAMES: u64 = 100;
 
+/// Who is told of the rounds of a search.
+type Watch<'a> = dyn FnMut(SearchRound) + Send + 'a;
+
+/// What a search is for.
+#[derive(Debug, Clone, Copy)]
+struct Wanted<'a> {
+    graph: &'a SparseMatrix,
+    alpha: f64,
+    options: KatzSvdOptions,
+    previous: Option<&'a [Option<usize>]>,
+}
+
 /// The triplets of the last frame, with what the next one begins with.
 #[derive(Debug)]
 pub struct KatzSvd {
     operator: KatzOperator,
     work: Workspace,
     triplets: Triplets,
-    /// W = V + UΣ of the last two frames in the order of the operator, the newest first, each n × its
-    /// width.
-    history: [(Aligned<f64>, usize); 2],
+    /// W = V + UΣ of the last frame in the order of the operator, n × its width, which is 0 when the next
+    /// one is to begin cold. That of the frame before it would spare one round in four of a smooth motion,
+    /// and make each of them dearer by more.
+    history: (Aligned<f64>, usize),
     threads: Threads,
     certificate: Certificate,
     /// Triplets in the range of the kept vectors, once they are asked for, when the certificate has turned
@@ -132,6 +146,22 @@ impl KatzSvd {
         options: KatzSvdOptions,
         previous: Option<&[Option<usize>]>,
     ) -> Result<KatzSvdReport, KatzSvdError> {
+        self.solve_watched(a, alpha, radius, options, previous, &mut |_| {})
+    }
+
+    /// [`KatzSvd::solve`], with word of each round of the search for whoever waits.
+    ///
+    /// # Errors
+    /// As [`KatzSvd::solve`].
+    pub fn solve_watched(
+        &mut self,
+        a: &SparseMatrix,
+        alpha: f64,
+        radius: &SpectralRadius,
+        options: KatzSvdOptions,
+        previous: Option<&[Option<usize>]>,
+        watch: &mut Watch<'_>,
+    ) -> Result<KatzSvdReport, KatzSvdError> {
         check(a, alpha, radius, options)?;
         let follows = previous.is_none() && self.follows(a, alpha, options);
         self.take_nodes(a.nodes(), previous)?;
@@ -150,7 +180,8 @@ impl KatzSvd {
                 current = true;
             }
         }
-        Ok(self.search(a, alpha, options, previous, current))
+        let wanted = Wanted { graph: a, alpha, options, previous };
+        Ok(self.search(wanted, current, watch))
     }
 
     /// [`KatzSvd::solve`] for a graph with the same nodes as the one before, for callers who know which of
@@ -183,7 +214,8 @@ impl KatzSvd {
             }
             current = true;
         }
-        Ok(self.search(a, alpha, options, None, current))
+        let wanted = Wanted { graph: a, alpha, options, previous: None };
+        Ok(self.search(wanted, current, &mut |_| {}))
     }
 
     /// Whether triplets and graph of the frame before are of use for bringing up to date.
@@ -192,7 +224,7 @@ impl KatzSvd {
             && self.graph.nodes() == a.nodes()
             && self.alpha.to_bits() == alpha.to_bits()
             && self.triplets.finite
-            && self.history[0].1 == width_for(options.rank)
+            && self.history.1 == width_for(options.rank)
             && self.unprobed < PROBE_CHANGES
     }
 
@@ -227,10 +259,10 @@ impl KatzSvd {
             return None;
         }
         if changed {
-            let (w, width) = &history[0];
+            let (w, width) = &*history;
             let worn = certificate.updates >= RENEWED || operator.scattered();
             if operator.scattered() {
-                operator.assign(a, self.alpha, true);
+                operator.assign(a, self.alpha, true, 1);
             }
             let vectors = work.spare();
             let sums_hold = if certificate.valid && !worn {
@@ -269,17 +301,30 @@ impl KatzSvd {
     /// is up to date.
     fn search(
         &mut self,
-        a: &SparseMatrix,
-        alpha: f64,
-        options: KatzSvdOptions,
-        previous: Option<&[Option<usize>]>,
+        wanted: Wanted<'_>,
         current: bool,
+        watch: &mut Watch<'_>,
     ) -> KatzSvdReport {
+        // All of it within the threads: going in and out takes them as long as a small graph does.
+        let threads = std::mem::take(&mut self.threads);
+        let report = threads.run(|| self.search_within(wanted, current, threads.count(), watch));
+        self.threads = threads;
+        report
+    }
+
+    fn search_within(
+        &mut self,
+        wanted: Wanted<'_>,
+        current: bool,
+        threads: usize,
+        watch: &mut Watch<'_>,
+    ) -> KatzSvdReport {
+        let Wanted { graph, alpha, options, .. } = wanted;
         let reordered = self.frames.is_multiple_of(ORDER_FRAMES);
         if !current || reordered {
-            self.assign(a, alpha, previous);
+            self.assign(wanted, threads);
         } else {
-            self.graph.copy_from(a);
+            self.graph.copy_from(graph);
         }
         self.operator.settle();
         self.alpha = alpha;
@@ -292,18 +337,14 @@ impl KatzSvd {
             tolerance: options.tolerance * if current { RESERVE } else { 1.0 },
             probes: if probed { PROBES } else { 0 },
             seed: options.seed.wrapping_add(self.frames),
-            threads: self.threads.count(),
+            threads,
         };
-        let Self { operator, work, triplets, history, threads, .. } = self;
-        let mut start = history.each_ref().map(|(block, width)| (&**block, *width));
-        if current {
-            // After few changes, what the frame before the last adds to the last is nothing new.
-            start[1].1 = 0;
-        }
-        threads.run(|| leading_triplets(operator, request, start, work, triplets));
+        let Self { operator, work, triplets, history, .. } = self;
+        let start = (&*history.0, history.1);
+        leading_triplets(operator, request, start, work, triplets, watch);
         self.unprobed = if probed { 0 } else { self.unprobed + PROBE_CHANGES / PROBE_EVERY };
         self.moved = !probed;
-        self.remember();
+        self.remember(threads);
         self.report(options, self.triplets.rounds)
     }
 
@@ -369,9 +410,7 @@ impl KatzSvd {
 
     /// Forgets the frames before: the next solve begins cold.
     pub fn forget(&mut self) {
-        for (_, width) in &mut self.history {
-            *width = 0;
-        }
+        self.history.1 = 0;
         self.frames = 0;
         self.unprobed = PROBE_CHANGES;
     }
@@ -398,50 +437,47 @@ impl KatzSvd {
 
     /// Brings the operator, the history with it, and the kept graph to the nodes and the weights of a new
     /// frame.
-    fn assign(&mut self, a: &SparseMatrix, alpha: f64, previous: Option<&[Option<usize>]>) {
+    fn assign(&mut self, wanted: Wanted<'_>, threads: usize) {
+        let Wanted { graph: a, alpha, previous, .. } = wanted;
         let keep_order = previous.is_none() && !self.frames.is_multiple_of(ORDER_FRAMES);
         let before = if keep_order { Vec::new() } else { self.operator.inner().to_vec() };
         let (operator, graph) = (&mut self.operator, &mut self.graph);
-        let assign = || operator.assign(a, alpha, keep_order);
-        self.threads.both(assign, || graph.copy_from(a));
+        operator.assign(a, alpha, keep_order, threads);
+        graph.copy_from(a);
         if keep_order || (previous.is_none() && before == self.operator.inner()) {
             return;
         }
-        for (block, width) in &mut self.history {
-            let (stride, mut moved) = (*width, Aligned::default());
-            moved.resize(self.nodes * stride);
-            let rows = moved.chunks_exact_mut(stride.max(1));
-            for (to, &outer) in rows.zip(self.operator.outer()) {
-                let old = previous.map_or(Some(outer as usize), |old| old[outer as usize]);
-                if let Some(inner) = old.map(|old| before[old] as usize) {
-                    to.copy_from_slice(&block[inner * stride..(inner + 1) * stride]);
-                }
+        let (block, stride) = (&mut self.history.0, self.history.1);
+        let mut moved = Aligned::default();
+        moved.resize(self.nodes * stride);
+        let rows = moved.chunks_exact_mut(stride.max(1));
+        for (to, &outer) in rows.zip(self.operator.outer()) {
+            let old = previous.map_or(Some(outer as usize), |old| old[outer as usize]);
+            if let Some(inner) = old.map(|old| before[old] as usize) {
+                to.copy_from_slice(&block[inner * stride..(inner + 1) * stride]);
             }
-            *block = moved;
         }
+        *block = moved;
     }
 
     /// Keeps W = V + UΣ for the next frame.
-    fn remember(&mut self) {
+    fn remember(&mut self, threads: usize) {
         self.frames += 1;
         if !self.triplets.finite {
             self.forget();
             return;
         }
-        self.history.swap(0, 1);
         let Triplets { width, right, image, .. } = &self.triplets;
-        let (block, kept) = &mut self.history[0];
+        let (block, kept) = &mut self.history;
         *kept = *width;
         block.resize(self.nodes * width);
-        let parts = Parts::new(self.nodes, self.threads.count());
-        self.threads.run(|| {
-            parts.run(Strided(block, *width), |rows, block| {
-                let own = rows.start * width..rows.end * width;
-                let sums = right[own.clone()].iter().zip(&image[own]);
-                for (to, (right, image)) in block.0.iter_mut().zip(sums) {
-                    *to = right + image;
-                }
-            });
+        let parts = Parts::new(self.nodes, threads);
+        parts.run(Strided(block, *width), |rows, block| {
+            let own = rows.start * width..rows.end * width;
+            let sums = right[own.clone()].iter().zip(&image[own]);
+            for (to, (right, image)) in block.0.iter_mut().zip(sums) {
+                *to = right + image;
+            }
         });
     }
 }

@@ -42,8 +42,15 @@ pub(crate) enum Orientation {
 
 impl KatzOperator {
     /// Builds αA anew in the buffers that are there. The order of the nodes is kept if `keep_order`
-    /// and the number of nodes is the same.
-    pub(crate) fn assign(&mut self, a: &SparseMatrix, alpha: f64, keep_order: bool) {
+    /// and the number of nodes is the same. More than one of `threads` threads are used only within a pool
+    /// of the caller.
+    pub(crate) fn assign(
+        &mut self,
+        a: &SparseMatrix,
+        alpha: f64,
+        keep_order: bool,
+        threads: usize,
+    ) {
         let n = a.nodes();
         if !(keep_order && self.nodes == n && self.outer.len() == n) {
             self.find_order(a);
@@ -51,10 +58,8 @@ impl KatzOperator {
         self.nodes = n;
         self.alpha = alpha;
         let order = (!self.natural).then_some((&self.outer[..], &self.inner[..]));
-        self.forward.assign(a, alpha, order);
-        self.backward.assign_transpose(&self.forward);
-        let sum = |i: usize| self.forward.row(i).1.iter().sum::<f64>();
-        self.heaviest = (0..n).map(sum).fold(0.0, f64::max);
+        self.heaviest = self.forward.assign(a, alpha, order, threads);
+        self.backward.assign_transpose(&self.forward, threads);
         self.newest = self.heaviest;
     }
 
@@ -184,7 +189,7 @@ mod tests {
         let (n, alpha) = (5000, 0.3);
         let mut a = random(n, 1);
         let mut updated = KatzOperator::default();
-        updated.assign(&a, alpha, false);
+        updated.assign(&a, alpha, false, 1);
         assert!(!updated.natural);
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for _ in 0..50 {
@@ -207,7 +212,7 @@ mod tests {
             inner: updated.inner.clone(),
             ..KatzOperator::default()
         };
-        anew.assign(&a, alpha, true);
+        anew.assign(&a, alpha, true, 1);
         for orientation in [Orientation::Forward, Orientation::Backward] {
             for i in 0..n {
                 let row = |of: &KatzOperator| {

@@ -25,8 +25,16 @@ use polynomial::{FIT_COLUMNS, Polynomial, SINGLE_REGISTER, to_double};
 /// on the gap to the first that is not carried.
 const EXTRA: usize = 8;
 
-/// How many blocks of vectors the search space holds before it is restarted with the best.
-const BLOCKS: usize = 3;
+/// New directions that the search space has room for before it is restarted with the best vectors, in
+/// rounds. More save rounds, and make each of them dearer: by products of the length of the graph, and by
+/// the small eigenproblem, which is what counts for graphs of up to [`SMALL`] nodes.
+const ROUNDS: usize = 2;
+
+/// The same for small graphs.
+const SMALL_ROUNDS: usize = 1;
+
+/// Nodes of a small graph.
+const SMALL: usize = 2048;
 
 /// Rounds after which the search gives up.
 const MAX_ROUNDS: usize = 300;
@@ -51,6 +59,17 @@ pub(crate) struct Request {
     pub(crate) seed: u64,
     /// Threads of the pool that the search runs in, 1 without one.
     pub(crate) threads: usize,
+}
+
+/// Where a search stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SearchRound {
+    /// Number of the round that has ended, the first being 1.
+    pub round: usize,
+    /// Triplets that are not within the tolerance yet.
+    pub open: usize,
+    /// Triplets that are searched for.
+    pub rank: usize,
 }
 
 /// Triplets in the own order of the operator, in rows of `width` values.
@@ -99,6 +118,23 @@ impl Workspace {
     }
 }
 
+/// Columns of the blocks of a search, each of one double for every node: for estimates of memory and time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SearchColumns {
+    /// Vectors that are carried from round to round: those that are asked for and some more.
+    pub carried: usize,
+    /// Directions that the space has room for, and as many images.
+    pub space: usize,
+}
+
+/// What a search for `rank` triplets of a graph of `nodes` nodes holds.
+#[must_use]
+pub fn search_columns(nodes: usize, rank: usize) -> SearchColumns {
+    let carried = width_for(rank);
+    let rounds = if nodes <= SMALL { SMALL_ROUNDS } else { ROUNDS };
+    SearchColumns { carried, space: carried + rounds * rank.next_multiple_of(SINGLE_REGISTER) }
+}
+
 /// Values in a row of the triplets for so many that are asked for.
 pub(crate) fn width_for(rank: usize) -> usize {
     (rank + EXTRA).next_multiple_of(REGISTER)
@@ -106,14 +142,15 @@ pub(crate) fn width_for(rank: usize) -> usize {
 
 /// Leading triplets of the Katz similarity behind `operator`.
 ///
-/// `start` holds blocks of directions W to begin with, each n × p in rows, p a multiple of [`REGISTER`], in
-/// the own order of the operator: V + UΣ of similar graphs, for example. Random ones fill what is missing.
+/// `start` holds directions W to begin with, n × p in rows, p a multiple of [`REGISTER`], in the own order
+/// of the operator: V + UΣ of a similar graph, for example. Random ones fill what is missing.
 pub(crate) fn leading_triplets(
     operator: &KatzOperator,
     request: Request,
-    start: [(&[f64], usize); 2],
+    start: (&[f64], usize),
     work: &mut Workspace,
     out: &mut Triplets,
+    watch: &mut (dyn FnMut(SearchRound) + Send),
 ) {
     let n = operator.nodes();
     let width = width_for(request.rank);
@@ -124,7 +161,7 @@ pub(crate) fn leading_triplets(
     let mut search = Search { operator, request, n, width, parts, little, work };
     search.reserve(out);
     search.begin(start);
-    search.run(out);
+    search.run(out, watch);
 }
 
 struct Search<'a> {
@@ -144,7 +181,8 @@ impl Search<'_> {
     fn reserve(&mut self, out: &mut Triplets) {
         let (n, width) = (self.n, self.width);
         let work = &mut *self.work;
-        work.basis.prepare(n, (BLOCKS * width).max(FIT_COLUMNS));
+        let capacity = search_columns(n, self.request.rank).space;
+        work.basis.prepare(n, capacity, FIT_COLUMNS.max(2 * width));
         for buffer in [&mut work.block, &mut out.right, &mut out.image] {
             buffer.resize(n * width);
         }
@@ -156,12 +194,10 @@ impl Search<'_> {
         polynomial.fit(self.operator, self.parts, self.request.seed, &mut basis.space, sums);
     }
 
-    fn begin(&mut self, start: [(&[f64], usize); 2]) {
-        for (block, stride) in start {
-            let columns = stride.min(self.width);
-            if columns > 0 && self.room() >= columns {
-                self.expand(block, stride, columns);
-            }
+    fn begin(&mut self, (block, stride): (&[f64], usize)) {
+        let columns = stride.min(self.width);
+        if columns > 0 {
+            self.expand(block, stride, columns);
         }
         let missing = self.width.saturating_sub(self.work.basis.size).max(self.request.probes);
         let columns = missing.next_multiple_of(REGISTER).min(self.width).min(self.room());
@@ -180,7 +216,7 @@ impl Search<'_> {
         (basis.stride - basis.size) / REGISTER * REGISTER
     }
 
-    fn run(&mut self, out: &mut Triplets) {
+    fn run(&mut self, out: &mut Triplets, watch: &mut (dyn FnMut(SearchRound) + Send)) {
         out.rounds = 0;
         let mut plain = false;
         loop {
@@ -192,7 +228,11 @@ impl Search<'_> {
             self.residuals(out);
             let rank = self.request.rank.min(out.sigma.len());
             let tolerance = self.request.tolerance;
-            out.converged = out.residuals[..rank].iter().all(|residual| *residual <= tolerance);
+            // Written so that a residual that is no number is open.
+            let within = out.residuals[..rank].iter().filter(|residual| **residual <= tolerance);
+            let open = rank - within.count();
+            out.converged = open == 0;
+            watch(SearchRound { round: out.rounds, open, rank });
             let whole = self.work.basis.size >= self.n;
             if out.converged || out.rounds >= MAX_ROUNDS || whole {
                 return;
@@ -265,7 +305,7 @@ impl Search<'_> {
         let (stride, size) = (basis.stride, basis.size);
         let coefficients = Block::new(&basis.coefficients, width, width);
         let vectors = (Strided(&mut out.right, width), Strided(&mut out.image, width));
-        let (space, image) = (&basis.space, &basis.image);
+        let (space, image) = basis.vectors();
         let blocks = (vectors.0, vectors.1, Strided(block, width));
         self.parts.run(blocks, |rows, (right, own_image, block)| {
             let own = rows.start * stride..rows.end * stride;
@@ -394,15 +434,16 @@ mod tests {
                 let alpha = fraction / radius.upper;
                 let full = full_svd(&katz_similarity(&a, alpha, &radius).unwrap()).unwrap();
                 let mut operator = KatzOperator::default();
-                operator.assign(&a, alpha, false);
+                operator.assign(&a, alpha, false, 1);
                 let request = Request { rank: 8, tolerance: 1e-9, probes: 0, seed: 5, threads: 1 };
                 let mut out = Triplets::default();
                 leading_triplets(
                     &operator,
                     request,
-                    [(&[], 0); 2],
+                    (&[], 0),
                     &mut Workspace::default(),
                     &mut out,
+                    &mut |_| {},
                 );
                 assert!(out.converged, "n {n}: {:?}", out.residuals);
                 for j in 0..8 {

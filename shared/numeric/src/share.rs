@@ -50,17 +50,6 @@ impl Threads {
             None => work(),
         }
     }
-
-    /// Runs two things, side by side if there is more than one thread.
-    pub(crate) fn both(&self, one: impl FnOnce() + Send, other: impl FnOnce() + Send) {
-        match &self.pool {
-            Some(pool) => drop(pool.join(one, other)),
-            None => {
-                one();
-                other();
-            }
-        }
-    }
 }
 
 /// What is written row by row, so that it can be divided between two rows.
@@ -127,6 +116,13 @@ impl Parts {
     pub(crate) fn new(rows: usize, threads: usize) -> Self {
         let size = rows.div_ceil(MOST_PARTS).max(LEAST_PART).next_multiple_of(8);
         Self { rows, size, shared: threads > 1 && rows >= SHARED_ROWS }
+    }
+
+    /// One part for each thread: for work whose result does not depend on how it is divided.
+    pub(crate) fn one_each(rows: usize, threads: usize) -> Self {
+        let shared = threads > 1 && rows >= SHARED_ROWS;
+        let parts = if shared { threads } else { 1 };
+        Self { rows, size: rows.div_ceil(parts).max(1), shared }
     }
 
     /// How many parts there are, at least 1.

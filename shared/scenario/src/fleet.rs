@@ -7,6 +7,7 @@ use muster_model::observation::{Link, Links, Pose, Rank};
 
 use crate::clusters::Clusters;
 use crate::crossing::Crossing;
+use crate::file::{Layout, March};
 use crate::formation::{Formation, Place};
 use crate::noise::{Purpose, chance, normal_pair};
 use crate::options::{FleetOptions, ScenarioError, ScenarioKind};
@@ -54,9 +55,24 @@ impl Fleet {
             ScenarioKind::Clusters => Arc::new(Clusters::new(&options)?),
             ScenarioKind::Random => Arc::new(Random::new(&options)?),
         };
+        Ok(Self::of(formation, options))
+    }
+
+    /// Makes the fleet of a file. The options say how noisy it is, how far its radios reach, and what chance
+    /// follows from; robots and teams are those of the file.
+    ///
+    /// # Errors
+    /// Names the first option that is wrong, and what it may be.
+    pub fn of_layout(layout: &Layout, options: FleetOptions) -> Result<Self, ScenarioError> {
+        options.check_senses()?;
+        let formation: Arc<dyn Formation> = Arc::new(March::new(layout));
+        Ok(Self::of(formation, FleetOptions { robots: layout.robots.len(), ..options }))
+    }
+
+    fn of(formation: Arc<dyn Formation>, options: FleetOptions) -> Self {
         let robots = formation.members().iter().map(|member| member.id.clone()).collect();
         let radio = Arc::new(Radio::new(options.robots, options.radio_range_m, options.seed));
-        Ok(Self { options, robots, formation, radio })
+        Self { options, robots, formation, radio }
     }
 
     /// The robots; their number is that of the options.
@@ -109,7 +125,7 @@ impl Fleet {
             commands.into_iter().zip(self.formation.members()).map(|(command, member)| Rank {
                 superior: command.superior.and_then(|superior| self.robots.get(superior).cloned()),
                 weight: Some(1.0),
-                role: Some(member.role.to_owned()),
+                role: Some(member.role.clone().into_owned()),
                 stamp: None,
                 boot: None,
                 seq: None,

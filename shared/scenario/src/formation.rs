@@ -1,5 +1,6 @@
 //! What every scenario says about its robots.
 
+use std::borrow::Cow;
 use std::fmt;
 use std::ops::Range;
 
@@ -12,12 +13,12 @@ pub(crate) type Point = [f64; 2];
 #[derive(Debug, Clone)]
 pub(crate) struct Member {
     pub(crate) id: RobotId,
-    pub(crate) role: &'static str,
+    pub(crate) role: Cow<'static, str>,
 }
 
 impl Member {
     pub(crate) fn new(id: impl AsRef<str>, role: &'static str) -> Result<Self, IdError> {
-        Ok(Self { id: RobotId::new(id)?, role })
+        Ok(Self { id: RobotId::new(id)?, role: Cow::Borrowed(role) })
     }
 }
 

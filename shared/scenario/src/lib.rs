@@ -1,5 +1,5 @@
 //! Seeded fleets for demonstrations and tests: where robots are, whom they hear and whom they answer
-//! to, at any moment, and the teams that they truly form.
+//! to, at any moment, and the teams that they truly form. Fleets may also stand in files ([`Layout`]).
 //!
 //! There is no clock and no input or output here. Everything follows from the options and the moment
 //! that is asked for, so that the same seed tells the same story again, from any moment on, and in
@@ -7,6 +7,7 @@
 
 mod clusters;
 mod crossing;
+mod file;
 mod fleet;
 mod formation;
 mod noise;
@@ -14,5 +15,6 @@ mod options;
 mod radio;
 mod random;
 
+pub use file::{FileError, FileRobot, Layout, MAX_FILE_BYTES, ScenarioFile};
 pub use fleet::{Fleet, RobotObservation};
 pub use options::{FleetOptions, ScenarioError, ScenarioKind};

@@ -125,7 +125,7 @@ impl FleetOptions {
     /// # Errors
     /// Names the first option that is wrong, and what it may be.
     pub fn check(&self, kind: ScenarioKind) -> Result<(), ScenarioError> {
-        let &Self { robots, teams, noise_m, radio_range_m, .. } = self;
+        let &Self { robots, teams, .. } = self;
         let least_teams = match kind {
             // One platoon cannot part.
             ScenarioKind::Crossing => 2,
@@ -142,6 +142,12 @@ impl FleetOptions {
         if !(least..=MAX_ROBOTS).contains(&robots) {
             return Err(ScenarioError::Robots { kind, teams, robots, least });
         }
+        self.check_senses()
+    }
+
+    /// Checks what does not depend on the kind.
+    pub(crate) fn check_senses(&self) -> Result<(), ScenarioError> {
+        let &Self { noise_m, radio_range_m, .. } = self;
         if !(0.0..=MAX_NOISE_M).contains(&noise_m) {
             return Err(ScenarioError::Noise(noise_m));
         }

@@ -2,6 +2,7 @@
 
 use muster_model::settings::Dimension;
 use muster_numeric::dimension::least_rank;
+use muster_numeric::katz_svd::{SearchColumns, search_columns};
 use muster_numeric::silhouette::{Method, SAMPLE};
 
 use super::division::{kmeans_threads, silhouette_method, wanted_teams};
@@ -29,12 +30,6 @@ const ELIMINATED: f64 = 4096.0;
 
 /// Sweeps over the edges for a spectral radius, as of elimination, where fleets are too large for it.
 const SWEEPS: f64 = 4096.0;
-
-/// Vectors that the search carries beside those that are asked for, the vectors that fill a register, and
-/// how many times as many its space holds.
-const CARRIED_EXTRA: f64 = 8.0;
-const REGISTER: f64 = 8.0;
-const SPACE_BLOCKS: f64 = 3.0;
 
 /// What the time and the memory of a solve grow with.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,7 +94,7 @@ const DENSE: [Cost; 4] = [
 const INVERSE_FREE: [Cost; 3] = [
     FUSE,
     RADIUS,
-    Cost { step: Step::Search, bytes: Size::search_bytes, seconds: Size::search_seconds },
+    Cost { step: Step::SEARCH, bytes: Size::search_bytes, seconds: Size::search_seconds },
 ];
 
 /// k-means takes N distances for each team, restart and iteration, and exact silhouettes N².
@@ -179,13 +174,17 @@ impl Size {
 
     /// How many directions the space of the search holds.
     pub(super) fn search_width(&self) -> f64 {
-        (SPACE_BLOCKS * self.carried()).min(self.robots)
+        (self.columns().space as f64).min(self.robots)
     }
 
     /// Vectors that the search carries along.
     fn carried(&self) -> f64 {
-        let wanted = self.rank + CARRIED_EXTRA;
-        ((wanted / REGISTER).ceil() * REGISTER).min(self.robots)
+        (self.columns().carried as f64).min(self.robots)
+    }
+
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "both are counts")]
+    fn columns(&self) -> SearchColumns {
+        search_columns(self.robots as usize, self.rank as usize)
     }
 
     /// Bytes of so many matrices of one double per pair of robots.

@@ -3,7 +3,7 @@
 use muster_model::settings::Dimension;
 use muster_numeric::dimension::{choose_dimension, choose_known_dimension, least_rank};
 use muster_numeric::katz::{KatzError, katz_probe, katz_similarity};
-use muster_numeric::katz_svd::{KatzSvd, KatzSvdError, KatzSvdOptions};
+use muster_numeric::katz_svd::{KatzSvd, KatzSvdError, KatzSvdOptions, SearchRound};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::SpectralRadius;
 use muster_numeric::svd::{RankKSvd, SvdError, full_svd};
@@ -14,7 +14,7 @@ use super::file::Emit;
 use super::options::PathChoice;
 use super::path::Path;
 use super::problem::Problem;
-use super::step::Step;
+use super::step::{Progress, Step};
 use super::{SolveError, refuse};
 
 /// Seed of the probe that checks the Katz similarity, and of the vectors that the search begins with.
@@ -56,13 +56,13 @@ impl Decomposition {
         problem: &Problem,
         walks: Walks<'_>,
         path: Path,
-        progress: &mut dyn FnMut(Step),
+        progress: &mut Progress<'_>,
     ) -> Result<Self, SolveError> {
         if path == Path::Dense {
             return dense(problem, walks, progress);
         }
-        progress(Step::Search);
-        let found = inverse_free(problem, walks)?;
+        progress(Step::SEARCH);
+        let found = inverse_free(problem, walks, progress)?;
         let robots = problem.robots.len();
         let may_change = problem.options.path == PathChoice::Auto && robots <= DENSE_IN_NEED;
         if !found.converged && may_change && Path::Dense.admit(robots, &Size::of(problem)).is_ok() {
@@ -95,7 +95,7 @@ impl Decomposition {
 fn dense(
     problem: &Problem,
     walks: Walks<'_>,
-    progress: &mut dyn FnMut(Step),
+    progress: &mut Progress<'_>,
 ) -> Result<Decomposition, SolveError> {
     let Walks { fused, alpha, radius } = walks;
     progress(Step::Katz);
@@ -123,7 +123,11 @@ fn dense(
 /// The leading triplets without S.
 ///
 /// The search is for a small ‖Mᵀ(Sᵀu − σv)‖; ‖M⁻ᵀ‖ = ‖I + S‖ ≤ 1 + σ₁ bounds ‖Sᵀu − σv‖ itself.
-fn inverse_free(problem: &Problem, walks: Walks<'_>) -> Result<Decomposition, SolveError> {
+fn inverse_free(
+    problem: &Problem,
+    walks: Walks<'_>,
+    progress: &mut Progress<'_>,
+) -> Result<Decomposition, SolveError> {
     let Walks { fused, alpha, radius } = walks;
     let n = fused.nodes();
     let rank = match problem.dimension {
@@ -134,11 +138,21 @@ fn inverse_free(problem: &Problem, walks: Walks<'_>) -> Result<Decomposition, So
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let options = KatzSvdOptions { rank: rank.clamp(1, n), tolerance, seed: SEED, threads };
     let mut search = KatzSvd::default();
-    let mut report = search.solve(fused, alpha, radius, options, None).or_else(of_search)?;
+    // Rounds of all searches together.
+    let mut rounds = 0;
+    let mut solve = |search: &mut KatzSvd| {
+        let before = rounds;
+        let mut watch = |told: SearchRound| {
+            rounds = before + told.round;
+            progress(Step::Search { round: rounds, open: told.open, rank: told.rank });
+        };
+        search.solve_watched(fused, alpha, radius, options, None, &mut watch).or_else(of_search)
+    };
+    let mut report = solve(&mut search)?;
     // Where walks grow for long before they fade, the search takes more rounds than a frame is given.
     while !report.converged {
         let last = report.residual;
-        report = search.solve(fused, alpha, radius, options, None).or_else(of_search)?;
+        report = solve(&mut search)?;
         // Infinite ones, of which none is smaller, end it too.
         if report.residual >= PROGRESS * last {
             break;

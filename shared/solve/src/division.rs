@@ -11,7 +11,7 @@ use muster_numeric::silhouette::{EXACT_POINTS, Method, Scores, scores};
 
 use super::options::SilhouetteChoice;
 use super::problem::{Division, Problem};
-use super::step::Step;
+use super::step::{Progress, Step};
 use super::{SolveError, refuse};
 
 /// Robots over all teams and restarts from which k-means is shared out over all cores: it takes some
@@ -37,7 +37,7 @@ pub(super) fn divide(
     problem: &Problem,
     x: &DenseMatrix,
     warnings: &mut Vec<String>,
-    progress: &mut dyn FnMut(Step),
+    progress: &mut Progress<'_>,
 ) -> Result<Divided, SolveError> {
     let (labels, inertia) = match &problem.division {
         Division::Wanted(settings) => cluster(x, settings, warnings, progress)?,
@@ -89,7 +89,7 @@ fn cluster(
     x: &DenseMatrix,
     settings: &ClustererSettings,
     warnings: &mut Vec<String>,
-    progress: &mut dyn FnMut(Step),
+    progress: &mut Progress<'_>,
 ) -> Result<(Vec<usize>, f64), SolveError> {
     let wanted = settings.teams as usize;
     let restarts = settings.restarts as usize;

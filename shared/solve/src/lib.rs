@@ -32,7 +32,7 @@ use anyhow::Context;
 
 pub use estimate::Estimate;
 pub use options::{Options, PathChoice, SilhouetteChoice, TOLERANCES};
-pub use step::Step;
+pub use step::{Progress, Step};
 
 /// Largest file that is read: the matrix of the largest fleet that is decomposed whole in short decimals
 /// fits, and so do a dozen edges for each of a million robots.
@@ -213,14 +213,15 @@ impl Solved {
         Self::watched(text, options, &mut |_| {})
     }
 
-    /// The same, telling each step when it begins, and each restart of k-means when it is done.
+    /// The same, telling each step when it begins, and each round of a search and each restart of k-means when
+    /// it is done.
     ///
     /// # Errors
     /// As of [`Solved::new`].
     pub fn watched(
         text: &[u8],
         options: Options,
-        progress: &mut dyn FnMut(Step),
+        progress: &mut Progress<'_>,
     ) -> Result<Self, SolveError> {
         let problem = parse(text, options)?;
         let solution = solve(&problem, progress)?;
@@ -251,7 +252,7 @@ impl Solved {
 /// Applies the method where it fits into the memory of this machine.
 fn solve(
     problem: &problem::Problem,
-    progress: &mut dyn FnMut(Step),
+    progress: &mut Progress<'_>,
 ) -> Result<method::Solution, SolveError> {
     let path = path::Path::of(problem, problem.options.path)?;
     path.admit(problem.robots.len(), &cost::Size::of(problem))?;

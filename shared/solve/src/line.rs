@@ -101,6 +101,11 @@ mod tests {
         let steps = [
             (Step::Fuse, "fuse the graphs (61 s)"),
             (Step::Svd, "singular value decomposition (61 s)"),
+            (Step::SEARCH, "leading singular triplets (61 s)"),
+            (
+                Step::Search { round: 12, open: 7, rank: 17 },
+                "leading singular triplets, round 12, 10 of 17 found (61 s)",
+            ),
             (Step::KMeans { done: 0, restarts: 50 }, "k-means (61 s)"),
             (Step::KMeans { done: 12, restarts: 50 }, "k-means, 12 of 50 restarts (61 s)"),
         ];

@@ -11,7 +11,7 @@ use super::decomposition::{Decomposition, Walks, of_katz};
 use super::division::{Divided, divide};
 use super::path::Path;
 use super::problem::Problem;
-use super::step::Step;
+use super::step::{Progress, Step};
 use super::{SolveError, refuse};
 
 /// How many robots a warning names.
@@ -34,7 +34,7 @@ pub(super) struct Solution {
 pub(super) fn solve(
     problem: &Problem,
     path: Path,
-    progress: &mut dyn FnMut(Step),
+    progress: &mut Progress<'_>,
 ) -> Result<Solution, SolveError> {
     progress(Step::Fuse);
     let fused = fused(problem)?;

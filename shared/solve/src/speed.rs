@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use muster_numeric::katz::katz_similarity;
-use muster_numeric::katz_svd::{KatzSvd, KatzSvdOptions};
+use muster_numeric::katz_svd::{KatzSvd, KatzSvdOptions, search_columns};
 use muster_numeric::kmeans::{KMeansOptions, kmeans};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::silhouette::silhouette;
@@ -21,10 +21,6 @@ const LARGER: (usize, usize) = (16, 18);
 const SEARCHED: (usize, usize) = (32, 32);
 const SEARCH_RANK: usize = 5;
 const SEARCH_TOLERANCE: f64 = 1e-11;
-
-/// Vectors that are carried for it, and that its space holds at most.
-const SEARCH_CARRIED: f64 = 16.0;
-const SEARCH_WIDTH: f64 = 48.0;
 
 /// Products with the graph in each round of the search, for each vector: two, and those of the
 /// preconditioner, which take half as long.
@@ -147,7 +143,8 @@ impl Speed {
         let (seconds, _) =
             timed(|| KatzSvd::default().solve(&graph, alpha, &radius, options, None).ok());
         let (robots, edges) = (robots as f64, graph.edges() as f64);
-        let products = search_products(robots, edges, SEARCH_CARRIED, SEARCH_WIDTH);
+        let columns = search_columns(graph.nodes(), SEARCH_RANK);
+        let products = search_products(robots, edges, columns.carried as f64, columns.space as f64);
         Some(Self { search_per_product: seconds / products, ..self })
     }
 

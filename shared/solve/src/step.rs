@@ -2,6 +2,9 @@
 
 use std::fmt;
 
+/// Who is told of the steps. A search tells its rounds from a thread of its own.
+pub type Progress<'a> = dyn FnMut(Step) + Send + 'a;
+
 /// A step of the method, told when it begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
@@ -14,7 +17,14 @@ pub enum Step {
     /// The singular value decomposition of it.
     Svd,
     /// The leading singular triplets are searched for, without the similarity.
-    Search,
+    Search {
+        /// How many rounds are done.
+        round: usize,
+        /// How many triplets are not found yet.
+        open: usize,
+        /// How many are searched for.
+        rank: usize,
+    },
     /// k-means, of which so many restarts are done; several at a time where it is shared out.
     KMeans {
         /// How many are done.
@@ -26,6 +36,11 @@ pub enum Step {
     Silhouettes,
 }
 
+impl Step {
+    /// The search for leading triplets as it begins.
+    pub(super) const SEARCH: Self = Self::Search { round: 0, open: 0, rank: 0 };
+}
+
 impl fmt::Display for Step {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = match self {
@@ -33,7 +48,14 @@ impl fmt::Display for Step {
             Self::SpectralRadius => "spectral radius",
             Self::Katz => "Katz similarity",
             Self::Svd => "singular value decomposition",
-            Self::Search => "leading singular triplets",
+            Self::Search { round: 0, .. } => "leading singular triplets",
+            Self::Search { round, open, rank } => {
+                return write!(
+                    formatter,
+                    "leading singular triplets, round {round}, {} of {rank} found",
+                    rank - open
+                );
+            }
             Self::KMeans { done: 0, .. } => "k-means",
             Self::KMeans { done, restarts } => {
                 return write!(formatter, "k-means, {done} of {restarts} restarts");

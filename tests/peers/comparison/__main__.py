@@ -68,6 +68,7 @@ def run(asked, folder):
     results = {"machine": machine.describe(MANIFEST, command), "old versions": {}}
     with Worker(program) as ours:
         results["limits"] = machine.limits(ours)
+        results["sharing"] = machine.sharing(ours)
         if "decomposition" in asked.only:
             results["decomposition"] = list(decompositions(ours, folder, asked, problems))
         if "pipeline" in asked.only:

@@ -87,3 +87,11 @@ def limits(ours):
     best = min(timed(lambda: a @ a)[0]["cpu"] for _ in range(TRIES))
     found["gemm BLAS"] = 2.0 * SIDE**3 / best
     return found
+
+
+def sharing(ours):
+    """How many times as much two threads do as one, and how long one waits for the other."""
+    sizes = caches()
+    arrays = {"triad L2": sizes[2] // 2, "triad DRAM": max(BEYOND * sizes[max(sizes)], LEAST), "gemm": None}
+    found = {name: ours.ask("two_threads", bytes=size)["value"] for name, size in arrays.items()}
+    return {"gains": found, "hand over": ours.ask("hand_over")["value"]}

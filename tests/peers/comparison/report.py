@@ -82,6 +82,12 @@ def machine_table(results):
                 for name, value in limits.items()
             ),
         ),
+        (
+            "limits, two threads against one",
+            ", ".join(f"{name} {gain:.2f}×" for name, gain in results["sharing"]["gains"].items())
+            + f"; to hand work over to a thread that sleeps, and back: "
+            f"{1e6 * results['sharing']['hand over']:.0f} µs",
+        ),
     ]
     return table(("", ""), rows)
 
@@ -152,7 +158,7 @@ def work_rows(results):
 def pipeline_table(cases):
     head = (
         *("robots", "graph", "faer ms", "LAPACK ms"),
-        *("Muster ms", "ratio", "without all pairs", "ratio"),
+        *("Muster ms", "ratio", "without all pairs", "ratio", "all pairs: GB/s"),
     )
     return table(
         head,
@@ -166,8 +172,11 @@ def pipeline_table(cases):
                 times(case["ratios"]["all"]),
                 milliseconds(case["times"]["triplets"]),
                 times(case["ratios"]["triplets"]),
+                # The similarity is read and written once.
+                f"{16 * case['robots'] ** 2 / pairs / 1e9:.0f}" if pairs > 0 else "–",
             )
             for case in cases
+            for pairs in [case["times"]["all"] - case["times"]["triplets"]]
         ),
     )
 
@@ -216,8 +225,16 @@ def kmeans_table(cases):
     )
 
 
+def pair_rates(case, form):
+    """Operations and square roots per second, where every pair is looked at once."""
+    if form != "exact":
+        return "–", "–"
+    per_second = case["points"] * (case["points"] - 1) / 2 / case["times"][form]
+    return f"{2 * case['dims'] * per_second / 1e9:.1f}", f"{per_second:.1e}"
+
+
 def silhouette_table(cases):
-    head = ("points", "form", "Muster ms", "scikit-learn ms", "ratio", "value")
+    head = ("points", "form", "Muster ms", "GF/s", "roots/s", "scikit-learn ms", "ratio", "value")
     peers = {"exact": "sklearn", "squared": "sklearn squared", "sampled": "sklearn"}
     return table(
         head,
@@ -226,6 +243,7 @@ def silhouette_table(cases):
                 f"{case['points']:,} × {case['dims']}",
                 form,
                 milliseconds(case["times"][form]),
+                *pair_rates(case, form),
                 milliseconds(case["times"][peer]),
                 times(case["ratios"][form]),
                 f"{case['values'][form]:.4f}"
@@ -320,7 +338,7 @@ def decomposition_parts(results):
         "The 16 leading triplets of the Katz similarity with αρ = c. *knn*: 8 nearest neighbours, radio "
         "links and an 8-ary tree; *smooth*: a kernel that falls to zero at its radius, and the tree. "
         f"*All moved*: every robot goes {decomposition.TICK} mean spacings ahead and turns by up to 6°, "
-        "and Muster begins with the frames before. *One moved*: any robot goes as far, *one jumped*: "
+        "and Muster begins with the frame before. *One moved*: any robot goes as far, *one jumped*: "
         f"{decomposition.JUMP} mean spacings; Muster is told which rows of the graph differ, and its "
         "time is until singular values and a certified residual are there, as U and V are made for "
         "those who ask. scipy is "

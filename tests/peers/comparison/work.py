@@ -1,22 +1,28 @@
 """How much a search for singular triplets computes and moves, to be held against the machine's limits.
 
-An estimate from above: it takes every direction as open until the last round, while those that are
-found are searched for no more. Names are those of shared/numeric/src/partial.rs.
+An estimate, rather from above: it takes every direction as open until the last round, while those that
+are found are searched for no more. Names are those of shared/numeric/src/partial.rs.
 """
 
 # Vectors that are carried along beside those asked for, to a multiple of a register.
 EXTRA = 8
 REGISTER = 8
-# Products of the preconditioner in a round: its degree, with the matrix and with its transpose.
+# Products of the preconditioner in a round: its degree, which is 2 to 4, with the matrix and with its
+# transpose.
 SINGLE_PRODUCTS = 2 * 3
-# Vectors of the search space on average, in blocks, of three at most.
-SPACE = 2
+# New directions that the space has room for, in rounds, and what they are a multiple of.
+ROUNDS = 2
+SMALL_ROUNDS = 1
+SMALL = 2048
+SINGLE_REGISTER = 16
 
 
 def search(robots, edges, rank, rounds):
     """Operations and bytes of `rounds` rounds."""
     block = -(-(rank + EXTRA) // REGISTER) * REGISTER
-    space = SPACE * block
+    directions = -(-rank // SINGLE_REGISTER) * SINGLE_REGISTER
+    # On average: it grows from the carried vectors until it is full.
+    space = block + (SMALL_ROUNDS if robots <= SMALL else ROUNDS) * directions / 2
     # Two products in double precision, of rows of `block` numbers: read and written once each.
     products = 2 * (12 * edges + 16 * robots * block)
     products += SINGLE_PRODUCTS * (8 * edges + 12 * robots * block)

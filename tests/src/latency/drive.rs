@@ -24,6 +24,10 @@ const LINKS_EVERY: u64 = 5;
 /// Every so many poses, and at the first, a robot repeats its rank.
 const RANK_EVERY: u64 = 10;
 
+/// Robots that join in a second: an operator switches a fleet on squad by squad. What all robots of a large
+/// fleet say at once overflows the queues of a transport, which drop it, as poses are made to be dropped.
+const JOIN_HZ: f64 = 1000.0;
+
 /// Shortest sleep. Robots that are due within it put one after the other, a little late: their poses
 /// count from when they were really put.
 const LEAST_SLEEP: Duration = Duration::from_micros(500);
@@ -140,7 +144,7 @@ pub fn pose_json(at: [f64; 2], number: u64, boot: &str, stamp_us: u64) -> String
 /// # Errors
 /// If the router does not answer, or the log cannot be written.
 pub async fn run(drive: &Drive) -> anyhow::Result<()> {
-    let client = Client::connect(&drive.endpoint, &drive.fleet).await?;
+    let client = Client::connect_for_many(&drive.endpoint, &drive.fleet).await?;
     let squads = Squads::new(drive.robots, drive.teams);
     let (mut tokens, mut publishers) = (Vec::new(), Vec::new());
     for robot in (0..drive.robots).map(robot_name) {
@@ -200,25 +204,29 @@ fn speak(
                 }
             }
             let t = begin.elapsed().as_secs_f64();
+            if robot as f64 > t * JOIN_HZ {
+                break;
+            }
+            let number = puts.poses[robot].len() as u64;
             // Not all robots report links in the same round.
-            let turn = round + robot as u64;
+            let turn = number + robot as u64;
             let stamp = now_us();
-            if round == 0 || turn.is_multiple_of(LINKS_EVERY) {
+            if number == 0 || turn.is_multiple_of(LINKS_EVERY) {
                 let links = squads.links(robot, t).into_iter();
                 let links: Vec<_> = links
                     .map(|(peer, quality)| json!({"peer": robot_name(peer), "quality": quality}))
                     .collect();
-                let links = json!({"links": links, "boot": boot, "seq": round});
+                let links = json!({"links": links, "boot": boot, "seq": number});
                 put(robot, Stream::Links, links.to_string())?;
                 puts.messages += 1;
             }
-            if round == 0 || turn.is_multiple_of(RANK_EVERY) {
+            if number == 0 || turn.is_multiple_of(RANK_EVERY) {
                 let superior = squads.superior(robot, t).map(robot_name);
-                let rank = json!({"superior": superior, "boot": boot, "seq": round});
+                let rank = json!({"superior": superior, "boot": boot, "seq": number});
                 put(robot, Stream::Rank, rank.to_string())?;
                 puts.messages += 1;
             }
-            let pose = pose_json(squads.place(robot, t), round, &boot, stamp);
+            let pose = pose_json(squads.place(robot, t), number, &boot, stamp);
             puts.poses[robot].push(now_us());
             put(robot, Stream::Pose, pose)?;
             puts.messages += 1;

@@ -164,7 +164,7 @@ pub fn page(
 const HOW: &str = "\
 A router, the four services and all robots run as processes of one host, over TCP on loopback, with \
 default settings but for the number of teams. The robots march in squads and move with every pose; each \
-has a phase of its own. Beside poses they put links twice a second and ranks once. The heading of a pose \
+has a phase of its own. They join 1,000 a second. Beside poses they put links twice a second and ranks once. The heading of a pose \
 is its number; rosters repeat it, and the head of each division names the frame that it rests on: which \
 poses are in a division is known, not estimated.
 

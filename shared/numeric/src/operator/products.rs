@@ -327,7 +327,7 @@ mod tests {
         let (n, alpha) = (57, 0.3);
         let a = random(n, 3);
         let mut operator = KatzOperator::default();
-        operator.assign(&a, alpha, false);
+        operator.assign(&a, alpha, false, 1);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let weight = |orientation, i, j| match orientation {
             Orientation::Forward => alpha * a.weight(i, j),
@@ -389,7 +389,7 @@ mod tests {
         let (n, alpha, width) = (41, 0.2, 48);
         let a = random(n, 5);
         let mut operator = KatzOperator::default();
-        operator.assign(&a, alpha, false);
+        operator.assign(&a, alpha, false, 1);
         let r: Vec<f32> = (0..n * width).map(|at| (at % 13) as f32).collect();
         let z: Vec<f32> = (0..n * width).map(|at| (at % 7) as f32).collect();
         let mut next = vec![0.0; 20 * width];

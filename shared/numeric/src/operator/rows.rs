@@ -1,6 +1,7 @@
 //! A sparse square matrix by rows that can be replaced one by one.
 
 use crate::matrix::SparseMatrix;
+use crate::share::{Parts, PerPart, Split};
 
 /// Room for that many more entries in a row that had to be moved because it grew.
 const SPARE: usize = 4;
@@ -22,6 +23,47 @@ pub(super) struct Rows {
     single: Vec<f32>,
     /// Entries that belong to a row.
     live: usize,
+    /// How many entries each row of a transpose gets.
+    lengths: Vec<u32>,
+    /// Largest sum of a row of each part.
+    heaviest: Vec<f64>,
+}
+
+/// Rows that follow one another, of which the first one's entries begin at `start`.
+struct Entries<'a> {
+    start: u32,
+    spans: &'a mut [Span],
+    columns: &'a mut [u32],
+    weights: &'a mut [f64],
+    single: &'a mut [f32],
+}
+
+impl Split for Entries<'_> {
+    fn split(self, rows: usize, _parts: usize) -> (Self, Self) {
+        let start =
+            self.spans.get(rows).map_or(self.start + self.columns.len() as u32, |s| s.start);
+        let place = (start - self.start) as usize;
+        let (spans, other_spans) = self.spans.split_at_mut(rows);
+        let (columns, other_columns) = self.columns.split_at_mut(place);
+        let (weights, other_weights) = self.weights.split_at_mut(place);
+        let (single, other_single) = self.single.split_at_mut(place);
+        let first = Self { start: self.start, spans, columns, weights, single };
+        let second = Self {
+            start,
+            spans: other_spans,
+            columns: other_columns,
+            weights: other_weights,
+            single: other_single,
+        };
+        (first, second)
+    }
+}
+
+/// Makes a buffer hold so many values; all of them are written afterwards.
+fn resize<T: Copy + Default>(buffer: &mut Vec<T>, len: usize) {
+    buffer.truncate(len);
+    buffer.reserve_exact(len - buffer.len());
+    buffer.resize(len, T::default());
 }
 
 impl Rows {
@@ -46,81 +88,99 @@ impl Rows {
     }
 
     /// αA with its nodes renumbered, in the memory that is there: row k is row `outer[k]` of `a`, and
-    /// column j becomes `inner[j]`. Without an order the numbers stay.
-    pub(super) fn assign(&mut self, a: &SparseMatrix, alpha: f64, order: Option<(&[u32], &[u32])>) {
-        self.clear(a.nodes(), a.edges());
-        for k in 0..a.nodes() {
-            let start = self.columns.len();
-            match order {
-                None => {
-                    for (j, w) in a.row(k) {
-                        self.push(j as u32, alpha * w);
-                    }
+    /// column j becomes `inner[j]`. Without an order the numbers stay. Answers the largest sum of a row.
+    pub(super) fn assign(
+        &mut self,
+        a: &SparseMatrix,
+        alpha: f64,
+        order: Option<(&[u32], &[u32])>,
+        threads: usize,
+    ) -> f64 {
+        let outer = |k: usize| order.map_or(k, |(outer, _)| outer[k] as usize);
+        self.lay_out((0..a.nodes()).map(|k| a.row(outer(k)).len()));
+        let parts = Parts::one_each(a.nodes(), threads);
+        let mut heaviest = std::mem::take(&mut self.heaviest);
+        heaviest.clear();
+        heaviest.resize(parts.count(), 0.0);
+        parts.run((self.entries(), PerPart(&mut heaviest, 1)), |rows, (entries, heaviest)| {
+            for (k, span) in rows.zip(entries.spans) {
+                let place = (span.start - entries.start) as usize;
+                let place = place..place + span.room as usize;
+                span.len = span.room;
+                let columns = &mut entries.columns[place.clone()];
+                let weights = &mut entries.weights[place.clone()];
+                for ((column, weight), (j, w)) in
+                    columns.iter_mut().zip(&mut *weights).zip(a.row(outer(k)))
+                {
+                    *column = order.map_or(j as u32, |(_, inner)| inner[j]);
+                    *weight = alpha * w;
                 }
-                Some((outer, inner)) => {
-                    for (j, w) in a.row(outer[k] as usize) {
-                        self.push(inner[j], alpha * w);
-                    }
-                    sort_row(&mut self.columns[start..], &mut self.weights[start..]);
-                    for (single, weight) in
-                        self.single[start..].iter_mut().zip(&self.weights[start..])
-                    {
-                        *single = *weight as f32;
-                    }
+                if order.is_some() {
+                    sort_row(columns, weights);
                 }
+                for (single, weight) in entries.single[place].iter_mut().zip(&*weights) {
+                    *single = *weight as f32;
+                }
+                heaviest.0[0] = heaviest.0[0].max(weights.iter().sum());
             }
-            let len = (self.columns.len() - start) as u32;
-            self.spans.push(Span { start: start as u32, len, room: len });
-        }
-    }
-
-    fn clear(&mut self, nodes: usize, entries: usize) {
-        self.spans.clear();
-        self.spans.reserve_exact(nodes);
-        self.columns.clear();
-        self.columns.reserve_exact(entries);
-        self.weights.clear();
-        self.weights.reserve_exact(entries);
-        self.single.clear();
-        self.single.reserve_exact(entries);
-        self.live = entries;
-    }
-
-    fn push(&mut self, column: u32, weight: f64) {
-        self.columns.push(column);
-        self.weights.push(weight);
-        self.single.push(weight as f32);
+        });
+        self.heaviest = heaviest;
+        self.heaviest.iter().copied().fold(0.0, f64::max)
     }
 
     /// The transpose of `rows`, in the memory that is there.
-    pub(super) fn assign_transpose(&mut self, rows: &Self) {
+    pub(super) fn assign_transpose(&mut self, rows: &Self, threads: usize) {
         let n = rows.spans.len();
-        self.clear(n, rows.live);
-        self.columns.resize(rows.live, 0);
-        self.weights.resize(rows.live, 0.0);
-        self.single.resize(rows.live, 0.0);
-        self.spans.resize(n, Span::default());
+        let mut lengths = std::mem::take(&mut self.lengths);
+        lengths.clear();
+        lengths.resize(n, 0);
         for i in 0..n {
             for j in rows.row(i).0 {
-                self.spans[*j as usize].room += 1;
+                lengths[*j as usize] += 1;
             }
         }
+        self.lay_out(lengths.iter().map(|length| *length as usize));
+        self.lengths = lengths;
+        // Each thread looks at all entries and takes those of its own columns.
+        let parts = Parts::one_each(n, threads);
+        parts.run(self.entries(), |own, entries| {
+            let all = own.len() == n;
+            let (first, count) = (own.start as u32, own.len() as u32);
+            for i in 0..n {
+                let (columns, weights) = rows.row(i);
+                for (&j, &weight) in columns.iter().zip(weights) {
+                    let column = j.wrapping_sub(first);
+                    if all || column < count {
+                        let span = &mut entries.spans[column as usize];
+                        let place = (span.start - entries.start + span.len) as usize;
+                        span.len += 1;
+                        entries.columns[place] = i as u32;
+                        entries.weights[place] = weight;
+                        entries.single[place] = weight as f32;
+                    }
+                }
+            }
+        });
+    }
+
+    /// Room for rows of such lengths, one after the other, which are empty yet.
+    fn lay_out(&mut self, lengths: impl ExactSizeIterator<Item = usize>) {
+        self.spans.clear();
+        self.spans.reserve_exact(lengths.len());
         let mut start = 0;
-        for span in &mut self.spans {
-            span.start = start;
-            start += span.room;
+        for room in lengths {
+            self.spans.push(Span { start: start as u32, len: 0, room: room as u32 });
+            start += room;
         }
-        for i in 0..n {
-            let (columns, weights) = rows.row(i);
-            for (&j, &weight) in columns.iter().zip(weights) {
-                let span = &mut self.spans[j as usize];
-                let place = (span.start + span.len) as usize;
-                span.len += 1;
-                self.columns[place] = i as u32;
-                self.weights[place] = weight;
-                self.single[place] = weight as f32;
-            }
-        }
+        self.live = start;
+        resize(&mut self.columns, start);
+        resize(&mut self.weights, start);
+        resize(&mut self.single, start);
+    }
+
+    fn entries(&mut self) -> Entries<'_> {
+        let Self { spans, columns, weights, single, .. } = self;
+        Entries { start: 0, spans, columns, weights, single }
     }
 
     /// True when so much room is lost to rows that were moved that the matrix is better built anew.

@@ -22,9 +22,11 @@ const ATTEMPTS: usize = 3;
 /// Directions V, n × [`Basis::size`], and S V.
 #[derive(Debug, Default)]
 pub(super) struct Basis {
-    /// V and S V in rows of `stride` values.
+    nodes: usize,
+    /// V in rows of `stride` values, with what more room there is to be.
     pub(super) space: Aligned<f64>,
-    pub(super) image: Aligned<f64>,
+    /// S V likewise.
+    image: Aligned<f64>,
     pub(super) stride: usize,
     /// Directions that are in use.
     pub(super) size: usize,
@@ -63,14 +65,22 @@ fn zeros(matrix: &mut Vec<f64>, len: usize) -> &mut [f64] {
 }
 
 impl Basis {
-    /// Makes room for `capacity` directions of length `n`, and forgets those that there were.
-    pub(super) fn prepare(&mut self, n: usize, capacity: usize) {
+    /// Makes room for `capacity` directions of length `n`, and forgets those that there were. In `space`
+    /// there is room for `least` vectors at least.
+    pub(super) fn prepare(&mut self, n: usize, capacity: usize, least: usize) {
+        self.nodes = n;
         self.stride = capacity;
         self.size = 0;
-        self.space.resize(n * capacity);
+        self.space.resize(n * capacity.max(least));
         self.image.resize(n * capacity);
         self.change.resize(capacity * capacity);
         self.energy.resize(capacity * capacity);
+    }
+
+    /// V and S V, in rows of `stride` values.
+    pub(super) fn vectors(&self) -> (&[f64], &[f64]) {
+        let length = self.nodes * self.stride;
+        (&self.space[..length], &self.image[..length])
     }
 
     /// Adds the first `columns` of the `width` directions that `fill` writes, a multiple of the
@@ -121,7 +131,8 @@ impl Basis {
         let (stride, first) = (self.stride, self.size);
         let all = first + width;
         let length = 2 * all * width;
-        let blocks = (Strided(&mut self.space, stride), Strided(&mut self.image, stride));
+        let space = &mut self.space[..self.nodes * stride];
+        let blocks = (Strided(space, stride), Strided(&mut self.image, stride));
         let scratch = transform_scratch(all);
         parts.sum(&mut self.sums, length + scratch, blocks, |rows, (space, image), sums| {
             let (sums, scratch) = sums.split_at_mut(length);

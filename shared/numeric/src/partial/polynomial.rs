@@ -9,14 +9,21 @@ use crate::panels::dispatch;
 use crate::share::{Parts, Strided};
 use crate::tall::{CHUNK, REGISTER};
 
-/// Degree of the polynomial: with a lower one, rounds get more, with a higher one, dearer.
-const DEGREE: usize = 3;
+/// Most that the degree of the polynomial may be.
+const MAX_DEGREE: usize = 4;
+
+/// Least degree that is tried.
+const LEAST_DEGREE: usize = 2;
+
+/// What a polynomial may leave of random vectors, relative to their length: with more, rounds get more
+/// than a higher degree costs. With less they hardly get fewer, as what directions there are limits them then.
+const ENOUGH: f64 = 0.005;
 
 /// Random vectors that it is fitted to: a register of them.
 const SAMPLES: usize = REGISTER;
 
 /// Powers of αA times the samples that the fit needs.
-const POWERS: usize = DEGREE + 2;
+const POWERS: usize = MAX_DEGREE + 2;
 
 /// Vectors that the fit needs room for.
 pub(super) const FIT_COLUMNS: usize = POWERS * SAMPLES;
@@ -35,7 +42,8 @@ pub(super) const SINGLE_REGISTER: usize = 2 * REGISTER;
 #[derive(Debug, Default)]
 pub(super) struct Polynomial {
     /// From the constant on.
-    coefficients: [f64; DEGREE + 1],
+    coefficients: [f64; MAX_DEGREE + 1],
+    degree: usize,
     nodes: usize,
     alpha: f64,
     /// Searches that it is still to serve.
@@ -90,15 +98,24 @@ impl Polynomial {
         });
         let p = |i: usize, j: usize| sums[i.max(j) * POWERS + i.min(j)];
         // Normal equations for the columns Bᵏ b − Bᵏ⁺¹ b.
-        let mut system = [[0.0; DEGREE + 1]; DEGREE + 1];
-        let mut right = [0.0; DEGREE + 1];
+        let mut system = [[0.0; MAX_DEGREE + 1]; MAX_DEGREE + 1];
+        let mut right = [0.0; MAX_DEGREE + 1];
         for (i, (row, right)) in system.iter_mut().zip(&mut right).enumerate() {
             for (j, entry) in row.iter_mut().enumerate() {
                 *entry = p(i, j) - p(i + 1, j) - p(i, j + 1) + p(i + 1, j + 1);
             }
             *right = p(i, 0) - p(i + 1, 0);
         }
-        self.coefficients = solve_small(system, right);
+        for degree in LEAST_DEGREE..=MAX_DEGREE {
+            self.degree = degree;
+            self.coefficients = solve_small(system, right, degree + 1);
+            // The squared length of b less that of what the columns make of it.
+            let fitted: f64 =
+                self.coefficients.iter().zip(&right).map(|(c, right)| c * right).sum();
+            if p(0, 0) - fitted <= ENOUGH * ENOUGH * p(0, 0) {
+                break;
+            }
+        }
     }
 
     /// Writes to `block`, n × `width`, about (M Mᵀ)⁻¹ r for the residuals r in the first of `single`,
@@ -118,12 +135,12 @@ impl Polynomial {
             (&mut r[..n * stride], &mut z[..n * stride], &mut next[..n * stride]);
         let c = self.coefficients.map(|coefficient| coefficient as f32);
         for orientation in [Orientation::Backward, Orientation::Forward] {
-            for k in (0..DEGREE).rev() {
+            for k in (0..self.degree).rev() {
                 // The first step begins with the last coefficient times r.
-                let first = k == DEGREE - 1;
+                let first = k + 1 == self.degree;
                 let last = k == 0 && orientation == Orientation::Forward;
                 let (from, to) = if first { (&*r, &mut *z) } else { (&*z, &mut *next) };
-                let scales = (c[k], if first { c[DEGREE] } else { 1.0 });
+                let scales = (c[k], if first { c[self.degree] } else { 1.0 });
                 let out = (Strided(to, stride), Strided(&mut *block, width));
                 parts.run(out, |rows, (to, block)| {
                     let chunks = to.0.chunks_mut(CHUNK * stride);
@@ -156,22 +173,26 @@ pub(super) fn to_double(from: &[f32], stride: usize, to: &mut [f64], width: usiz
     });
 }
 
-/// Solves a small symmetric positive semidefinite system by elimination; directions that are lost in
-/// rounding get nothing.
-fn solve_small<const N: usize>(mut system: [[f64; N]; N], mut right: [f64; N]) -> [f64; N] {
-    let top = (0..N).map(|i| system[i][i]).fold(0.0, f64::max);
-    for k in 0..N {
+/// Solves the first `n` equations, for as many unknowns, of a small symmetric positive semidefinite system by
+/// elimination. The other unknowns are zero; directions that are lost in rounding get nothing.
+fn solve_small<const N: usize>(
+    mut system: [[f64; N]; N],
+    mut right: [f64; N],
+    n: usize,
+) -> [f64; N] {
+    let top = (0..n).map(|i| system[i][i]).fold(0.0, f64::max);
+    for k in 0..n {
         let pivot = system[k][k];
         // Written so that a pivot that is no number counts as lost too.
         if !matches!(pivot, p if p > 1e-14 * top) {
-            for i in k..N {
+            for i in k..n {
                 right[i] = 0.0;
                 system[i] = [0.0; N];
                 system[i][i] = 1.0;
             }
             break;
         }
-        for i in k + 1..N {
+        for i in k + 1..n {
             let factor = system[i][k] / pivot;
             let upper = system[k];
             for (value, upper) in system[i].iter_mut().zip(upper).skip(k) {
@@ -181,8 +202,8 @@ fn solve_small<const N: usize>(mut system: [[f64; N]; N], mut right: [f64; N]) -
         }
     }
     let mut solution = [0.0; N];
-    for i in (0..N).rev() {
-        let known: f64 = (i + 1..N).map(|j| system[i][j] * solution[j]).sum();
+    for i in (0..n).rev() {
+        let known: f64 = (i + 1..n).map(|j| system[i][j] * solution[j]).sum();
         solution[i] = (right[i] - known) / system[i][i];
     }
     solution

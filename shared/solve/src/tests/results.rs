@@ -9,7 +9,7 @@ use crate::output;
 use crate::step::Step;
 
 #[test]
-fn each_step_is_told_when_it_begins_and_each_restart_when_it_is_done() {
+fn each_step_is_told_when_it_begins_and_each_round_and_restart_when_it_is_done() {
     let steps = |file: &Value, options| {
         let mut told = Vec::new();
         Solved::watched(file.to_string().as_bytes(), options, &mut |step| told.push(step)).unwrap();
@@ -23,9 +23,17 @@ fn each_step_is_told_when_it_begins_and_each_restart_when_it_is_done() {
     assert_eq!(steps(&file, options), [&before[..], &after].concat());
     let judged = with(file, json!({"teams": null, "labels": [0, 0, 0, 1, 1, 1]}));
     assert_eq!(steps(&judged, options), [&before[..], &[Step::Silhouettes]].concat());
-    let search = [Step::Fuse, Step::SpectralRadius, Step::Search, Step::Silhouettes];
     let options = Options { path: PathChoice::InverseFree, ..options };
-    assert_eq!(steps(&with(judged, json!({"emit": []})), options), search);
+    let told = steps(&with(judged, json!({"emit": []})), options);
+    assert_eq!(told[..3], [Step::Fuse, Step::SpectralRadius, Step::SEARCH]);
+    assert_eq!(told.last(), Some(&Step::Silhouettes));
+    let rounds = &told[3..told.len() - 1];
+    assert!(!rounds.is_empty());
+    for (done, step) in rounds.iter().enumerate() {
+        let Step::Search { round, open, rank } = *step else { panic!("{step}") };
+        assert_eq!(round, done + 1);
+        assert!(open <= rank && (open == 0) == (round == rounds.len()), "{step}");
+    }
 }
 
 #[test]

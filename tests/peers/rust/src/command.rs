@@ -73,6 +73,12 @@ pub(crate) enum Command {
     },
     /// Operations per second of products of dense matrices.
     Gemm,
+    /// How many times as much of either two threads do as one.
+    TwoThreads {
+        bytes: Option<usize>,
+    },
+    /// Seconds that handing work over to a thread that sleeps takes, there and back.
+    HandOver,
     /// Forgets the peak of memory.
     ForgetPeak,
     /// Most resident bytes since then.

@@ -115,6 +115,10 @@ impl Session {
             }
             Command::Triad { bytes } => json!({"value": limits::triad(bytes)}),
             Command::Gemm => json!({"value": limits::gemm()}),
+            Command::TwoThreads { bytes } => json!({"value": limits::two_threads(|| {
+                bytes.map_or_else(limits::gemm, limits::triad)
+            })}),
+            Command::HandOver => json!({"value": limits::hand_over()}),
             Command::ForgetPeak => {
                 memory::forget_peak()?;
                 json!({})

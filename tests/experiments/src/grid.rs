@@ -1,0 +1,276 @@
+//! How well a recipe divides what the truth is known of: what defaults are chosen by.
+
+use muster_model::settings::{IngestSettings, SpatialKernel, SpatialSettings};
+use muster_numeric::embedding::Rows;
+use muster_numeric::fuse::Normalization;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+
+use crate::formations::{Formation, Radio};
+use crate::methods::embedding::{Form, Rank};
+use crate::methods::{DivisionError, Method, Recipe};
+use crate::random_systems::planted;
+use crate::score::{Correct, correct};
+use crate::system::{MODALITIES, Nearness};
+
+/// Teams of planted fleets.
+pub const PLANTED_TEAMS: std::ops::RangeInclusive<usize> = 2..=6;
+
+/// Share of every distance by which measurements are wrong where noise is looked at.
+pub const NOISE: f64 = 0.5;
+
+/// Shares of robots in the right team, one for each seed.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Scores {
+    /// Squads and platoons, for each radio.
+    pub squads: [Vec<f64>; 2],
+    /// See [`Scores::squads`].
+    pub platoons: [Vec<f64>; 2],
+    /// All formations together, for each radio.
+    pub formations: [Vec<f64>; 2],
+    /// All formations with distances that are wrong by up to [`NOISE`], for each radio.
+    pub noisy: [Vec<f64>; 2],
+    /// Planted fleets of all numbers of teams.
+    pub planted: Vec<f64>,
+}
+
+impl Scores {
+    /// What a recipe is worth: the mean over both radios of formations as they are and with noise, and of
+    /// planted fleets, each counting alike.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "there are a few parts")]
+    pub fn worth(&self) -> f64 {
+        let mean = |shares: &Vec<f64>| shares.iter().sum::<f64>() / shares.len() as f64;
+        let [range, net] = &self.formations;
+        let [noisy_range, noisy_net] = &self.noisy;
+        let parts = [range, net, noisy_range, noisy_net, &self.planted];
+        parts.iter().map(|part| mean(part)).sum::<f64>() / parts.len() as f64
+    }
+}
+
+/// Scores of a recipe on seeds.
+///
+/// # Errors
+/// If the method fails.
+pub fn scores(
+    formations: &[Formation],
+    recipe: &Recipe,
+    seeds: &[u64],
+) -> Result<Scores, DivisionError> {
+    let method = Method::Multimodal("", Box::new(recipe.clone()));
+    let of_seed = |seed: &u64| score(formations, &method, *seed);
+    let all: Vec<Scores> = seeds.par_iter().map(of_seed).collect::<Result<_, _>>()?;
+    let mut together = Scores::default();
+    for one in all {
+        for radio in 0..2 {
+            together.squads[radio].extend(&one.squads[radio]);
+            together.platoons[radio].extend(&one.platoons[radio]);
+            together.formations[radio].extend(&one.formations[radio]);
+            together.noisy[radio].extend(&one.noisy[radio]);
+        }
+        together.planted.extend(&one.planted);
+    }
+    Ok(together)
+}
+
+fn score(formations: &[Formation], method: &Method, seed: u64) -> Result<Scores, DivisionError> {
+    let mut scores = Scores::default();
+    for (at, radio) in Radio::ALL.into_iter().enumerate() {
+        let (mut squads, mut platoons, mut noisy) =
+            (Correct::default(), Correct::default(), Correct::default());
+        for formation in formations {
+            let system = formation.marching(radio, seed);
+            let measured = system.with_noise(NOISE, seed);
+            for (division, truth) in formation.layout.divisions.iter().enumerate() {
+                let teams = formation.layout.teams(division);
+                let found = method.divide(&system, teams, seed)?.labels;
+                let found = correct(&found, truth).unwrap_or_default();
+                if formation.is_platoon() {
+                    platoons += found
+                } else {
+                    squads += found
+                }
+                let found = method.divide(&measured, teams, seed)?.labels;
+                noisy += correct(&found, truth).unwrap_or_default();
+            }
+        }
+        scores.squads[at].push(squads.share());
+        scores.platoons[at].push(platoons.share());
+        let mut all = squads;
+        all += platoons;
+        scores.formations[at].push(all.share());
+        scores.noisy[at].push(noisy.share());
+    }
+    let mut sum = Correct::default();
+    for teams in PLANTED_TEAMS {
+        let (system, truth) = planted(teams, seed);
+        let found = method.divide(&system, teams, seed)?.labels;
+        sum += correct(&found, &truth).unwrap_or_default();
+    }
+    scores.planted.push(sum.share());
+    Ok(scores)
+}
+
+/// A recipe with what is changed in it, for tables.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Variation {
+    /// What is other than in the recipe at the beginning.
+    pub name: String,
+    /// The whole recipe.
+    pub recipe: Recipe,
+}
+
+/// All recipes that differ from `base` in one choice, and `base` itself.
+#[must_use]
+pub fn variations(base: &Recipe) -> Vec<Variation> {
+    let mut all = vec![Variation { name: "as it is".to_owned(), recipe: base.clone() }];
+    let mut add = |name: String, change: &dyn Fn(&mut Recipe)| {
+        let mut recipe = base.clone();
+        change(&mut recipe);
+        if recipe != *base {
+            all.push(Variation { name, recipe });
+        }
+    };
+    let spatial = IngestSettings::default().spatial;
+    add("1/d".to_owned(), &|recipe| recipe.nearness = Nearness::Inverse);
+    for kernel in [SpatialKernel::Gaussian, SpatialKernel::Exponential] {
+        for width in [0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0] {
+            let settings = SpatialSettings { kernel, width, ..spatial.clone() };
+            add(format!("{kernel:?} {width}"), &|recipe| {
+                recipe.nearness = Nearness::Kernel(settings.clone());
+            });
+        }
+    }
+    for cutoff in [2.0, 3.0, 5.0, 9.0] {
+        let kernel = SpatialKernel::WendlandC2;
+        let settings = SpatialSettings { kernel, cutoff, ..spatial.clone() };
+        add(format!("Wendland {cutoff}"), &|recipe| {
+            recipe.nearness = Nearness::Kernel(settings.clone());
+        });
+    }
+    for normalization in [Normalization::None, Normalization::Spectral] {
+        add(format!("normalization {normalization:?}"), &|recipe| {
+            recipe.form.normalization = normalization;
+        });
+    }
+    for fraction in [0.1, 0.25, 0.5, 0.75, 0.9, 0.99] {
+        add(format!("fraction {fraction}"), &|recipe| recipe.form.fraction = fraction);
+    }
+    for rank in
+        [Rank::Ratio, Rank::Teams, Rank::Fixed(2), Rank::Fixed(3), Rank::Fixed(4), Rank::Fixed(6)]
+    {
+        add(format!("rank {rank:?}"), &|recipe| recipe.form.rank = rank);
+    }
+    for power in [0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0] {
+        add(format!("power {power}"), &|recipe| recipe.form.power = power);
+    }
+    for upward in [0.0, 0.25, 0.5, 0.75, 1.0, 1.5] {
+        add(format!("upward {upward}"), &|recipe| recipe.upward = upward);
+    }
+    for siblings in [0.1, 0.3, 0.5, 1.0] {
+        add(format!("siblings {siblings}"), &|recipe| recipe.siblings = siblings);
+    }
+    for (place, factor) in [
+        (1, 0.7),
+        (1, 1.0),
+        (1, 1.4),
+        (2, 0.5),
+        (2, 0.6),
+        (2, 0.7),
+        (2, 0.8),
+        (2, 0.9),
+        (2, 1.0),
+        (3, 0.6),
+        (3, 0.5),
+        (3, 0.7),
+        (3, 1.0),
+        (4, 1.0),
+    ] {
+        add(format!("local {place} {factor}"), &|recipe| {
+            recipe.nearness = Nearness::Local(place, factor)
+        });
+    }
+    for more in [1, 2, 4, 8] {
+        add(format!("rank teams + {more}"), &|recipe| recipe.form.rank = Rank::More(more));
+    }
+    for rows in [Rows::None, Rows::Unit] {
+        add(format!("rows {rows:?}"), &|recipe| recipe.form.rows = rows);
+    }
+    for (modality, name) in MODALITIES.iter().enumerate() {
+        for weight in [0.0, 0.2, 0.5, 0.6] {
+            add(format!("weight of {name} {weight}"), &|recipe| {
+                recipe.weights = [0.5 * (1.0 - weight); 3];
+                recipe.weights[modality] = weight;
+            });
+        }
+    }
+    add("equal weights".to_owned(), &|recipe| recipe.weights = [1.0 / 3.0; 3]);
+    add("equal weights, as live from graphs on".to_owned(), &|recipe| {
+        recipe.weights = [1.0 / 3.0; 3];
+        recipe.form = Recipe::live().form;
+    });
+    for starts in [1, 10, 200] {
+        add(format!("{starts} starts"), &|recipe| recipe.clustering.starts = starts);
+    }
+    all
+}
+
+/// Recipes that chance puts together from all that can be chosen.
+#[must_use]
+pub fn random(count: usize, seed: u64) -> Vec<Variation> {
+    let mut chance = ChaCha8Rng::seed_from_u64(seed);
+    let recipes = (0..count).map(|_| {
+        let mut recipe = Recipe::live();
+        recipe.nearness = any_nearness(&mut chance);
+        recipe.form.fraction = one_of(&mut chance, &[0.25, 0.5, 0.65, 0.75, 0.85]);
+        recipe.form.power = one_of(&mut chance, &[0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0]);
+        let ranks = [Rank::Ratio, Rank::Teams, Rank::More(1), Rank::More(2), Rank::Fixed(4)];
+        recipe.form.rank = one_of(&mut chance, &ranks);
+        recipe.form.rows = one_of(&mut chance, &[Rows::None, Rows::Unit]);
+        recipe.upward = one_of(&mut chance, &[0.0, 0.25, 0.5, 1.0]);
+        recipe.siblings = one_of(&mut chance, &[0.0, 0.2, 0.5, 1.0]);
+        let parts = recipe.weights.map(|_| f64::from(chance.random_range(1..=5)));
+        recipe.weights = parts.map(|part| part / parts.iter().sum::<f64>());
+        Variation { name: described(&recipe), recipe }
+    });
+    recipes.collect()
+}
+
+fn one_of<T: Copy>(chance: &mut ChaCha8Rng, all: &[T]) -> T {
+    all[chance.random_range(0..all.len())]
+}
+
+fn any_nearness(chance: &mut ChaCha8Rng) -> Nearness {
+    let spatial = IngestSettings::default().spatial;
+    let width = one_of(chance, &[0.7, 1.0, 1.2, 1.4, 1.7, 2.0]);
+    let kernels = [SpatialKernel::Gaussian, SpatialKernel::Exponential, SpatialKernel::WendlandC2];
+    match chance.random_range(0..=kernels.len()) {
+        place if place < kernels.len() => Nearness::Kernel(SpatialSettings {
+            kernel: kernels[place],
+            width,
+            // Where the Gaussian of that width has fallen to little.
+            cutoff: 3.5 * width,
+            ..spatial
+        }),
+        _ => Nearness::Local(chance.random_range(2..=4), one_of(chance, &[0.5, 0.7, 1.0, 1.4])),
+    }
+}
+
+/// A recipe in one line.
+fn described(recipe: &Recipe) -> String {
+    let nearness = match &recipe.nearness {
+        Nearness::Kernel(settings) if settings.kernel == SpatialKernel::WendlandC2 => {
+            format!("Wendland {:.1}", settings.cutoff)
+        }
+        Nearness::Kernel(settings) => format!("{:?} {:.1}", settings.kernel, settings.width),
+        Nearness::Local(place, factor) => format!("local {place} {factor}"),
+        Nearness::Inverse => "1/d".to_owned(),
+    };
+    let Form { fraction, power, rank, rows, .. } = recipe.form;
+    let weights = recipe.weights.map(|weight| format!("{weight:.2}")).join(" ");
+    let ties = format!("upward {}, siblings {}", recipe.upward, recipe.siblings);
+    format!(
+        "{nearness}, αρ {fraction}, σ^{power}, {rank:?}, rows {rows:?}, {ties}, weights {weights}"
+    )
+}

@@ -1,0 +1,278 @@
+//! All methods that are compared, by the names of the paper's tables.
+//!
+//! The paper leaves open how long vectors are and how graphs are weighted. Baselines and the paper's own
+//! method take what brings its tables nearest: [`PAPER_RANK`] triplets, α of half of what is admissible,
+//! equal weights.
+
+pub mod embedding;
+pub mod girvan_newman;
+pub mod lle;
+
+use muster_model::settings::{
+    Alpha, CentroidStart, ClustererSettings, Dimension, EmbedderSettings, IngestSettings,
+    Normalization as Normalize, RowScaling, SingularValueScaling,
+};
+use muster_numeric::embedding::Rows;
+use muster_numeric::fuse::Normalization;
+use muster_numeric::kmeans::Init;
+use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
+
+use crate::system::{Nearness, System, SystemError};
+use embedding::{Clustering, Form, MethodError, Rank, concatenated};
+use girvan_newman::girvan_newman;
+use lle::{LleError, locally_linear_embedding};
+
+/// K of the paper's method and of HOPE.
+pub const PAPER_RANK: usize = 3;
+
+/// α of both as a share of what is admissible.
+pub const PAPER_FRACTION: f64 = 0.5;
+
+/// Neighbours and coordinates of locally linear embedding: scikit-learn's defaults.
+pub const LLE_NEIGHBOURS: usize = 5;
+/// See [`LLE_NEIGHBOURS`].
+pub const LLE_DIMENSION: usize = 2;
+
+/// Starts of k-means for the baselines: scikit-learn's number in its years.
+pub const BASELINE_STARTS: usize = 10;
+
+/// One of the three modalities, by its place in [`crate::system::MODALITIES`].
+pub type Modality = usize;
+
+/// Our method with everything that can be chosen.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recipe {
+    /// How distances become weights.
+    pub nearness: Nearness,
+    /// By which share reports up the chain of command count beside orders down.
+    pub upward: f64,
+    /// By which share those who answer to the same superior are tied to each other.
+    pub siblings: f64,
+    /// The weight of each modality.
+    pub weights: [f64; 3],
+    /// From graphs to vectors.
+    pub form: Form,
+    /// From vectors to teams.
+    pub clustering: Clustering,
+}
+
+impl Recipe {
+    /// The paper's method: 1/d, graphs as they are, singular vectors as they come, k-means from one random
+    /// start.
+    #[must_use]
+    pub fn plain() -> Self {
+        Self {
+            nearness: Nearness::Inverse,
+            upward: 0.0,
+            siblings: 0.0,
+            weights: [1.0 / 3.0; 3],
+            form: Form {
+                normalization: Normalization::None,
+                fraction: PAPER_FRACTION,
+                rank: Rank::Fixed(PAPER_RANK),
+                power: 0.0,
+                rows: Rows::None,
+            },
+            clustering: Clustering { init: Init::Random, starts: 1 },
+        }
+    }
+
+    /// What training seeds have chosen (`grid --around chosen`): distances are measured by those of the robots
+    /// concerned, reports count half as much as orders, and who commands whom counts most. The live system does
+    /// not do so yet.
+    #[must_use]
+    pub fn chosen() -> Self {
+        let live = Self::live();
+        Self {
+            nearness: Nearness::Local(2, 0.7),
+            upward: 0.5,
+            siblings: 0.0,
+            weights: [0.35, 0.1, 0.55],
+            form: Form {
+                fraction: 0.5,
+                power: 0.0,
+                rank: Rank::Ratio,
+                rows: Rows::Unit,
+                ..live.form
+            },
+            ..live
+        }
+    }
+
+    /// What the live system does unless it is told otherwise: the defaults of its services.
+    #[must_use]
+    pub fn live() -> Self {
+        let (ingest, embedder) = (IngestSettings::default(), EmbedderSettings::default());
+        let clusterer = ClustererSettings::default();
+        let weight = |modality: &str| match embedder.weights.len() {
+            0 => 1.0 / 3.0,
+            _ => embedder
+                .weights
+                .iter()
+                .find(|(name, _)| name.as_str() == modality)
+                .map_or(0.0, |(_, weight)| *weight),
+        };
+        Self {
+            nearness: Nearness::Kernel(ingest.spatial),
+            upward: 0.0,
+            siblings: 0.0,
+            weights: crate::system::MODALITIES.map(weight),
+            form: Form {
+                normalization: match embedder.normalize {
+                    Normalize::None => Normalization::None,
+                    Normalize::Spectral => Normalization::Spectral,
+                },
+                fraction: match embedder.alpha {
+                    Alpha::Fraction { fraction } => fraction,
+                    // A decay that fits one graph fits no other.
+                    Alpha::Value(_) => PAPER_FRACTION,
+                },
+                rank: match embedder.dimension {
+                    Dimension::Auto => Rank::Ratio,
+                    Dimension::Fixed(dimension) => Rank::Fixed(dimension as usize / 2),
+                },
+                power: match embedder.scale {
+                    SingularValueScaling::None => 0.0,
+                    SingularValueScaling::SqrtSigma => 0.5,
+                },
+                rows: match embedder.rows {
+                    RowScaling::None => Rows::None,
+                    RowScaling::Unit => Rows::Unit,
+                },
+            },
+            clustering: Clustering {
+                init: match clusterer.init {
+                    CentroidStart::PlusPlus => Init::PlusPlus,
+                    CentroidStart::Random => Init::Random,
+                },
+                starts: clusterer.restarts as usize,
+            },
+        }
+    }
+}
+
+/// A method.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Method {
+    /// Division by edge betweenness of one modality.
+    GirvanNewman(Modality),
+    /// Locally linear embedding of the rows of one graph, and k-means.
+    Lle(Modality),
+    /// The Katz similarity of one modality (Ou et al., KDD 2016), and k-means.
+    Hope(Modality),
+    /// HOPE of each modality, one vector behind the other, and k-means.
+    HopeConcatenated,
+    /// One modality with the scaling, rows and weights of our recipe: the strongest form of a baseline.
+    Single(Modality, Box<Recipe>),
+    /// All modalities fused.
+    Multimodal(&'static str, Box<Recipe>),
+}
+
+/// Why a method has no division.
+#[derive(Debug, thiserror::Error)]
+pub enum DivisionError {
+    /// The system has no graphs.
+    #[error(transparent)]
+    System(#[from] SystemError),
+    /// The method fails.
+    #[error(transparent)]
+    Method(#[from] MethodError),
+    /// Locally linear embedding fails.
+    #[error(transparent)]
+    Lle(#[from] LleError),
+}
+
+/// A division, with the vectors that it rests on where there are some.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Division {
+    /// The team of each robot.
+    pub labels: Vec<usize>,
+    /// What k-means has seen.
+    pub vectors: Option<DenseMatrix>,
+}
+
+impl Method {
+    /// The methods of the paper's tables, in their order, and ours.
+    #[must_use]
+    pub fn all() -> Vec<Self> {
+        let each = |method: fn(Modality) -> Self| (0..3).map(method);
+        let live = || Box::new(Recipe::live());
+        let mut all: Vec<Self> = each(Self::GirvanNewman).chain(each(Self::Lle)).collect();
+        all.extend(each(Self::Hope));
+        all.push(Self::HopeConcatenated);
+        all.extend((0..3).map(|modality| Self::Single(modality, live())));
+        all.push(Self::Multimodal("multimodal, plain", Box::new(Recipe::plain())));
+        all.push(Self::Multimodal("muster", live()));
+        all.push(Self::Multimodal("chosen", Box::new(Recipe::chosen())));
+        all
+    }
+
+    /// What it is called in tables.
+    #[must_use]
+    pub fn name(&self) -> String {
+        let of = |name: &str, modality: &Modality| {
+            format!("{name} ({})", crate::system::MODALITIES[*modality])
+        };
+        match self {
+            Self::GirvanNewman(modality) => of("GN", modality),
+            Self::Lle(modality) => of("LLE", modality),
+            Self::Hope(modality) => of("HOPE", modality),
+            Self::HopeConcatenated => "HOPE (concatenated)".to_owned(),
+            Self::Single(modality, _) => of("muster", modality),
+            Self::Multimodal(name, _) => (*name).to_owned(),
+        }
+    }
+
+    /// Divides a system into `teams`.
+    ///
+    /// # Errors
+    /// [`DivisionError`]
+    pub fn divide(
+        &self,
+        system: &System,
+        teams: usize,
+        seed: u64,
+    ) -> Result<Division, DivisionError> {
+        let kmeans = Clustering { init: Init::PlusPlus, starts: BASELINE_STARTS };
+        let (vectors, kmeans) = match self {
+            Self::GirvanNewman(modality) => {
+                let graph = &system.graphs(&Nearness::Inverse)?[*modality];
+                let edges: Vec<_> = graph.triplets().map(|(i, j, _)| (i, j)).collect();
+                let labels = girvan_newman(graph.nodes(), &edges, teams);
+                return Ok(Division { labels, vectors: None });
+            }
+            Self::Lle(modality) => {
+                let graph = &system.graphs(&Nearness::Inverse)?[*modality];
+                let rows = graph.to_dense().map_err(SystemError::from)?;
+                (locally_linear_embedding(&rows, LLE_NEIGHBOURS, LLE_DIMENSION)?, kmeans)
+            }
+            Self::Hope(modality) => {
+                (hope(&system.graphs(&Nearness::Inverse)?[*modality], teams)?, kmeans)
+            }
+            Self::HopeConcatenated => {
+                let graphs = system.graphs(&Nearness::Inverse)?;
+                let parts = graphs.iter().map(|graph| hope(graph, teams));
+                (concatenated(&parts.collect::<Result<Vec<_>, _>>()?)?, kmeans)
+            }
+            Self::Single(modality, recipe) => {
+                let graph = &system.graphs(&recipe.nearness)?[*modality];
+                (recipe.form.vectors(&[(graph, 1.0)], teams)?, recipe.clustering)
+            }
+            Self::Multimodal(_, recipe) => {
+                let mut graphs = system.graphs(&recipe.nearness)?;
+                graphs[2] = system.command(recipe.upward, recipe.siblings)?;
+                let weighted: Vec<(&SparseMatrix, f64)> =
+                    graphs.iter().zip(recipe.weights).collect();
+                (recipe.form.vectors(&weighted, teams)?, recipe.clustering)
+            }
+        };
+        Ok(Division { labels: kmeans.divide(&vectors, teams, seed)?, vectors: Some(vectors) })
+    }
+}
+
+/// High-order proximity preserved embedding: singular vectors of the Katz similarity of one graph, scaled by
+/// the roots of their values.
+fn hope(graph: &SparseMatrix, teams: usize) -> Result<DenseMatrix, MethodError> {
+    let form = Form { power: 0.5, ..Recipe::plain().form };
+    form.vectors(&[(graph, 1.0)], teams)
+}

@@ -1,0 +1,71 @@
+//! The numbers of the paper's tables.
+
+use std::collections::BTreeMap;
+
+/// Accuracy in percent and mean silhouette of each method in Scenario I.
+const ACCURACY: &str = include_str!("../paper/scenario1_accuracy.csv");
+
+/// Silhouettes of Scenario II, by robots and teams.
+const SYSTEMS: &str = include_str!("../paper/scenario2_silhouette.csv");
+
+/// The name of a method of ours in the paper's table of Scenario I; none for those that it does not have.
+fn in_scenario_one(method: &str) -> Option<String> {
+    let named = |start: &str, theirs: &str| {
+        method
+            .strip_prefix(start)?
+            .strip_suffix(')')
+            .map(|modality| format!("{theirs} ({modality})"))
+    };
+    match method {
+        "multimodal, plain" => Some("our approach".to_owned()),
+        _ => named("GN (", "gn")
+            .or_else(|| named("LLE (", "lle"))
+            .or_else(|| named("HOPE (", "hope")),
+    }
+}
+
+/// Accuracy, from 0 to 1, and mean silhouette that the paper prints for a method in Scenario I.
+#[must_use]
+pub fn scenario_one(method: &str) -> Option<(f64, f64)> {
+    let wanted = in_scenario_one(method)?;
+    ACCURACY.lines().skip(1).find_map(|line| {
+        let mut cells = line.split(',');
+        let words: Vec<&str> = cells.next()?.split_whitespace().collect();
+        let (accuracy, silhouette) = (cells.next()?.parse::<f64>(), cells.next()?.parse().ok()?);
+        (words.join(" ").to_lowercase() == wanted).then_some((accuracy.ok()? / 100.0, silhouette))
+    })
+}
+
+/// The mean silhouette that the paper prints for a method in Scenario II.
+#[must_use]
+pub fn scenario_two(robots: usize, teams: usize, method: &str) -> Option<f64> {
+    let columns: BTreeMap<&str, usize> =
+        SYSTEMS.lines().next()?.split(',').enumerate().map(|(at, name)| (name, at)).collect();
+    let column = match method {
+        "multimodal, plain" => "multimodal".to_owned(),
+        _ => method.to_lowercase().replace(" (", "_").replace(')', ""),
+    };
+    let column = *columns.get(column.as_str())?;
+    SYSTEMS.lines().skip(1).find_map(|line| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let is_asked = cells.first()?.parse() == Ok(robots) && cells.get(1)?.parse() == Ok(teams);
+        is_asked.then(|| cells.get(column)?.parse().ok()).flatten()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tables_are_found_by_our_names() {
+        assert_eq!(scenario_one("GN (spatial)"), Some((0.3922, -0.012)));
+        assert_eq!(scenario_one("HOPE (concatenated)"), Some((0.9314, 0.518)));
+        assert_eq!(scenario_one("multimodal, plain"), Some((0.9673, 0.680)));
+        assert_eq!(scenario_one("muster"), None);
+        assert_eq!(scenario_two(10, 5, "LLE (hierarchy)"), Some(0.03));
+        assert_eq!(scenario_two(50, 4, "multimodal, plain"), Some(0.71));
+        assert_eq!(scenario_two(50, 4, "GN (spatial)"), None);
+        assert_eq!(scenario_two(60, 4, "LLE (hierarchy)"), None);
+    }
+}

@@ -1,0 +1,95 @@
+//! How good a division is.
+
+use muster_numeric::matching::{MatchError, match_by_overlap, overlap_table};
+
+/// Robots that are in the right team, and how many count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Correct {
+    /// Robots in the right team.
+    pub right: u64,
+    /// Robots that count.
+    pub counted: u64,
+}
+
+impl Correct {
+    /// The share of those that are right; 1 where none counts.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
+    pub fn share(self) -> f64 {
+        if self.counted == 0 { 1.0 } else { self.right as f64 / self.counted as f64 }
+    }
+}
+
+impl std::ops::AddAssign for Correct {
+    fn add_assign(&mut self, other: Self) {
+        self.right += other.right;
+        self.counted += other.counted;
+    }
+}
+
+/// Robots in the right team when the teams that were found are matched with the true ones so that the most
+/// are (Kuhn 1955, Munkres 1957). `truth` has no team for robots that do not count.
+///
+/// # Errors
+/// If both are not of the same robots.
+pub fn correct(found: &[usize], truth: &[Option<usize>]) -> Result<Correct, MatchError> {
+    let table = table(found, truth)?;
+    let matched = match_by_overlap(&table)?;
+    let right =
+        table.iter().zip(matched).filter_map(|(row, team)| team.map(|team| row[team])).sum();
+    Ok(Correct { right, counted: truth.iter().flatten().count() as u64 })
+}
+
+/// The Rand index adjusted for chance (Hubert and Arabie, Journal of Classification 2, 1985): 1 for the
+/// same division, about 0 for an arbitrary one. Robots without a true team do not count.
+///
+/// # Errors
+/// If both are not of the same robots.
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
+pub fn adjusted_rand_index(found: &[usize], truth: &[Option<usize>]) -> Result<f64, MatchError> {
+    let table = table(found, truth)?;
+    let pairs = |count: u64| (count * count.saturating_sub(1)) as f64 / 2.0;
+    let columns = table.first().map_or(0, Vec::len);
+    let both: f64 = table.iter().flatten().map(|count| pairs(*count)).sum();
+    let rows: f64 = table.iter().map(|row| pairs(row.iter().sum())).sum();
+    let columns: f64 = (0..columns).map(|j| pairs(table.iter().map(|row| row[j]).sum())).sum();
+    let all = pairs(truth.iter().flatten().count() as u64);
+    let by_chance = if all > 0.0 { rows * columns / all } else { 0.0 };
+    let most = 0.5 * (rows + columns);
+    // One team, or only single robots, on both sides: they are the same.
+    Ok(if most == by_chance { 1.0 } else { (both - by_chance) / (most - by_chance) })
+}
+
+/// Robots by the team that was found (rows) and the true one.
+fn table(found: &[usize], truth: &[Option<usize>]) -> Result<Vec<Vec<u64>>, MatchError> {
+    let teams = found.iter().max().map_or(0, |team| team + 1);
+    let true_teams = truth.iter().flatten().max().map_or(0, |team| team + 1);
+    overlap_table(found, teams, truth, true_teams)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_teams_do_not_matter_and_the_best_matching_counts() {
+        let truth = [Some(0), Some(0), Some(1), Some(1), None];
+        let score = |found: [usize; 5]| correct(&found, &truth).unwrap();
+        assert_eq!(score([1, 1, 0, 0, 0]), Correct { right: 4, counted: 4 });
+        assert_eq!(score([0, 1, 1, 1, 2]), Correct { right: 3, counted: 4 });
+        assert_eq!(score([0, 0, 0, 0, 0]), Correct { right: 2, counted: 4 });
+        assert!(correct(&[0], &truth).is_err());
+        assert_eq!(Correct::default().share(), 1.0);
+    }
+
+    #[test]
+    fn the_rand_index_is_that_of_the_literature() {
+        // The example of scikit-learn's documentation: 4/7 of the way from chance.
+        let truth = [0, 0, 1, 1].map(Some);
+        let index = |found: [usize; 4]| adjusted_rand_index(&found, &truth).unwrap();
+        assert_eq!(index([1, 1, 0, 0]), 1.0);
+        assert!((index([0, 0, 1, 2]) - 4.0 / 7.0).abs() < 1e-15);
+        assert!(index([0, 1, 0, 1]) < 0.0);
+        assert_eq!(index([0; 4]), 0.0);
+    }
+}
