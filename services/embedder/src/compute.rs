@@ -11,7 +11,7 @@ use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::{
-    Dimension, EmbedderSettings, MAX_DIMENSION, RowScaling, SingularValueScaling,
+    Dimension, EmbedderSettings, MAX_DIMENSION, RowScaling, SingularValueScaling, default_weight,
 };
 use muster_numeric::alignment::align;
 use muster_numeric::embedding::{Rows, Scale, embed};
@@ -197,6 +197,7 @@ impl Memory {
         self.robots = Arc::clone(&frame.robots);
         let recipe = Recipe {
             weights: &weights_of(basis)?,
+            reciprocity: &settings.reciprocity,
             normalize: settings.normalize,
             hysteresis: settings.hysteresis,
             settle: basis.settled,
@@ -325,8 +326,9 @@ fn weights<'a>(
     fleet: impl ExactSizeIterator<Item = &'a Modality> + Clone,
 ) -> Result<Vec<f64>, ComputeError> {
     if set.is_empty() {
-        #[expect(clippy::cast_precision_loss, reason = "there are a few modalities")]
-        return Ok(vec![1.0 / fleet.len() as f64; fleet.len()]);
+        let weights: Vec<f64> = fleet.map(default_weight).collect();
+        let sum: f64 = weights.iter().sum();
+        return Ok(weights.into_iter().map(|weight| weight / sum).collect());
     }
     let weights: Vec<f64> =
         fleet.clone().map(|name| set.get(name).copied().unwrap_or(0.0)).collect();
@@ -379,9 +381,15 @@ mod tests {
     }
 
     #[test]
-    fn weights_are_equal_unless_set() {
+    fn weights_are_those_of_the_evidence_unless_set() {
         assert_eq!(weighed(&[], &["a", "b"]), Ok(vec![0.5, 0.5]));
         assert_eq!(weighed(&[], &[]), Ok(vec![]));
+        let three = weighed(&[], &["connectivity", "hierarchy", "spatial"]).unwrap();
+        for (found, wanted) in three.iter().zip([0.1, 0.55, 0.35]) {
+            assert!((found - wanted).abs() < 1e-15, "{three:?}");
+        }
+        let more = weighed(&[], &["connectivity", "hierarchy", "leash", "spatial"]).unwrap();
+        assert!((more[2] - 0.25).abs() < 1e-15, "{more:?}");
         assert_eq!(weighed(&[("a", 0.3), ("b", 0.7)], &["a", "b", "c"]), Ok(vec![0.3, 0.7, 0.0]));
     }
 

@@ -1,4 +1,4 @@
-//! From the graphs of a frame to the fused one, A* = Σ w_m A_m / s_m.
+//! From the graphs of a frame to the fused one, A* = Σ w_m (A_m + r_m A_mᵀ) / s_m.
 //!
 //! Graphs that are those of the frame before keep their matrices, and scales s_m stay while the norms of
 //! the graphs stay near them: where one robot moves, few rows of A* change.
@@ -21,6 +21,8 @@ use crate::follow::Frame;
 pub(crate) struct Recipe<'a> {
     /// The weight of each graph of the frame.
     pub(crate) weights: &'a [f64],
+    /// By which share the edges of a modality also lead back.
+    pub(crate) reciprocity: &'a BTreeMap<Modality, f64>,
     pub(crate) normalize: Normalization,
     /// How far norms may drift from the scales.
     pub(crate) hysteresis: f64,
@@ -39,6 +41,7 @@ pub(crate) struct Fusion {
 #[derive(Debug)]
 struct Scaled {
     graph: Arc<GraphReplica>,
+    reciprocity: f64,
     matrix: SparseMatrix,
     weight: f64,
     /// None without scaling; with the hysteresis that it has.
@@ -59,7 +62,9 @@ impl Fusion {
         for ((name, graph), weight) in frame.graphs.iter().zip(recipe.weights) {
             if *weight > 0.0 {
                 let before = known.remove(name);
-                let scaled = Scaled::next(before, graph, &frame.robots, *weight, recipe)?;
+                let share = recipe.reciprocity.get(name).copied().unwrap_or(0.0);
+                let kept = before.filter(|before| before.reciprocity.to_bits() == share.to_bits());
+                let scaled = Scaled::next(kept, graph, &frame.robots, (*weight, share), recipe)?;
                 self.graphs.insert(name.clone(), scaled);
             }
         }
@@ -87,15 +92,15 @@ impl Scaled {
         before: Option<Self>,
         graph: &Arc<GraphReplica>,
         robots: &[RobotId],
-        weight: f64,
+        (weight, reciprocity): (f64, f64),
         recipe: Recipe<'_>,
     ) -> Result<Self, MatrixError> {
         let (matrix, band, scale) = match before {
             Some(before) if Arc::ptr_eq(&before.graph, graph) => {
                 (before.matrix, before.band, Some(before.scale))
             }
-            Some(before) => (adjacency(graph, robots)?, before.band, None),
-            None => (adjacency(graph, robots)?, None, None),
+            Some(before) => (adjacency(graph, robots, reciprocity)?, before.band, None),
+            None => (adjacency(graph, robots, reciprocity)?, None, None),
         };
         let hysteresis = recipe.hysteresis;
         let (band, scale) = match recipe.normalize {
@@ -119,13 +124,17 @@ impl Scaled {
                 }
             }
         };
-        Ok(Self { graph: Arc::clone(graph), matrix, weight, band, scale })
+        Ok(Self { graph: Arc::clone(graph), reciprocity, matrix, weight, band, scale })
     }
 }
 
-/// The matrix of a graph over robots that are ordered by name. Edges of other robots are left out;
-/// a consistent frame has none.
-fn adjacency(graph: &GraphReplica, robots: &[RobotId]) -> Result<SparseMatrix, MatrixError> {
+/// The matrix of a graph over robots that are ordered by name, with what leads back. Edges of other
+/// robots are left out; a consistent frame has none.
+fn adjacency(
+    graph: &GraphReplica,
+    robots: &[RobotId],
+    reciprocity: f64,
+) -> Result<SparseMatrix, MatrixError> {
     let place = |(node, robot): (&Node, &RobotId)| Some((*node, robots.binary_search(robot).ok()?));
     let places: BTreeMap<_, _> = graph.nodes().iter().filter_map(place).collect();
     let edges = graph.rows().iter().filter_map(|(source, edges)| {
@@ -137,5 +146,6 @@ fn adjacency(graph: &GraphReplica, robots: &[RobotId]) -> Result<SparseMatrix, M
                 .filter_map(move |(target, weight)| Some((row, *places.get(target)?, *weight))),
         )
     });
-    SparseMatrix::from_triplets(robots.len(), edges.flatten())
+    let reported = SparseMatrix::from_triplets(robots.len(), edges.flatten())?;
+    if reciprocity > 0.0 { reported.with_reverse(reciprocity) } else { Ok(reported) }
 }

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::sync::LazyLock;
 use std::time::Instant;
 
-use muster_model::settings::{IngestSettings, SpatialKernel, SpatialSettings};
+use muster_model::settings::{IngestSettings, SpatialKernel, SpatialScale, SpatialSettings};
 use muster_relation::{Edge, median_nearest_neighbour_distance, spatial_edges};
 use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
 
@@ -55,7 +55,11 @@ fn main() {
         ..default.clone()
     };
     let kinds = [
-        ("gaussian, 16 nearest", default.clone()),
+        ("gaussian by robots, 16 nearest", default.clone()),
+        (
+            "gaussian by fleet, 16 nearest",
+            SpatialSettings { scale: SpatialScale::Fleet, width: 2.0, ..default.clone() },
+        ),
         ("wendland-c2, cutoff 5", compact(5.0)),
         ("wendland-c2, cutoff 9", compact(9.0)),
         ("the same, 8 neighbours", SpatialSettings { neighbours: 8, ..compact(9.0) }),

@@ -7,20 +7,47 @@
 //! function of the positions. What follows the graph from frame to frame then has little to do after
 //! little motion.
 
-use muster_model::settings::{SpatialKernel, SpatialSettings};
+use muster_model::settings::{SpatialKernel, SpatialScale, SpatialSettings};
 
 use crate::compact::rows_within;
 use crate::edge::Edge;
 use crate::kernel::Kernel;
 pub use crate::kernel::MIN_WEIGHT;
-use crate::neighbours::{Point, distance, k_nearest, length_scale, nearest_distances, placed};
+use crate::neighbours::{
+    Neighbour, Point, distance, k_nearest, length_scale, nearest_distances, placed,
+};
+
+/// The least and the largest number of the nearest robot that a fleet is measured by unless it is set. By
+/// its nearest alone, a robot beside another one would be measured by chance; the 8th is where the 16
+/// nearest, to which those of a large fleet are related, do not end with a jump.
+const SCALE_NEIGHBOURS: (f64, f64) = (2.0, 8.0);
+
+/// The root of the number of robots is divided by this. Teams of large fleets are large: measured by
+/// their second nearest they fall apart, while squads of nine and platoons of 29 want just that one
+/// (`cargo run -p muster-solve --example kernels` and the experiments of the formations).
+const ROOT_PER_NEIGHBOUR: f64 = 2.2;
+
+/// No robot is measured by more than so many times the distance to its nearest. One that has a single
+/// companion, as in teams of two, would be measured by the next team, which then seems as near as its own.
+/// Any number from 3 to 5 serves (`cargo run -p muster-experiments -- grid`, the fleets plain to see).
+const LONGEST_SCALE: f64 = 3.0;
+
+/// No robot is measured by less than this share of the median distance to the nearest neighbour: of
+/// robots that stand on each other, as in a dock, the nearest are no measure of who else is near.
+const SHORTEST_SCALE: f64 = 0.1;
 
 /// The spatial edges of robots whose positions are given in metres east, north and up in one frame.
 ///
 /// The weight is within 0 to 1, and 1 for robots on one spot. It is the settings' kernel of the
-/// distance d in units of a length: `width` or, for Wendland's, `cutoff` times the median distance to
-/// the nearest neighbour. Where most robots stand on each other, so that the median is 0, the median
-/// over their distinct positions takes its place.
+/// distance d in units of a length. For Wendland's, that is `cutoff` times the median distance to the
+/// nearest neighbour. For Gaussian and exponential it is `width` times the same median or, where the
+/// scale is that of the robots, times √(sᵢ sⱼ) with the distance s of each robot to its
+/// nearest of number [`scale_neighbour`] (or farthest, if there are fewer others): local scaling by L.
+/// Zelnik-Manor and P. Perona, "Self-tuning spectral clustering", NIPS 2004. A team that keeps close and
+/// one that is spread out are then equally tied together, and robots halfway between the two belong to
+/// neither more than their distances say. Where most robots stand on each other, so that the median is
+/// 0, the median over their distinct positions takes its place, and no s is below [`SHORTEST_SCALE`]
+/// times it, nor above [`LONGEST_SCALE`] times the distance to the robot's own nearest.
 ///
 /// Gaussian and exponential: fleets of more than `all_pairs_up_to` robots relate those of which one is
 /// among the `neighbours` nearest of the other. Edges longer than `radius_m` or weaker than
@@ -75,25 +102,93 @@ pub fn spatial_edges(positions: &[[f64; 3]], settings: &SpatialSettings) -> Vec<
         .collect()
 }
 
+/// What distances are measured by.
+struct Measure {
+    /// The kernel of the fleet's length.
+    kernel: Kernel,
+    /// The root of each robot's own width in metres; empty where all have the kernel's.
+    roots: Vec<f64>,
+}
+
+impl Measure {
+    /// `nearest` holds at least [`Measure::looks_at`] others of each robot, as far as there are so many.
+    fn new(points: &[Point], nearest: &[Vec<Neighbour>], settings: &SpatialSettings) -> Self {
+        let metres = |row: &[Neighbour], at: usize| row.get(at).map(|&(_, metres)| metres);
+        let closest = nearest.iter().filter_map(|row| metres(row, 0)).collect();
+        let kernel = Kernel::new(settings, length_scale(points, closest));
+        let Some(place) = own_scale(settings, points.len()) else {
+            return Self { kernel, roots: Vec::new() };
+        };
+        let root = |row: &Vec<Neighbour>| {
+            let last = row.len().min(place).checked_sub(1);
+            let own = last.and_then(|last| metres(row, last)).unwrap_or(0.0) * settings.width;
+            let nearest = metres(row, 0).unwrap_or(0.0) * settings.width;
+            let own = own.min(LONGEST_SCALE * nearest);
+            own.max(SHORTEST_SCALE * kernel.length_m()).sqrt()
+        };
+        Self { kernel, roots: nearest.iter().map(root).collect() }
+    }
+
+    /// How many of its nearest others each robot is measured by.
+    fn looks_at(settings: &SpatialSettings, robots: usize) -> usize {
+        own_scale(settings, robots).unwrap_or(1)
+    }
+
+    /// The weight of two robots that are so many metres apart; none if that is no edge.
+    fn weight(&self, robot: u32, other: u32, metres: f64) -> Option<f64> {
+        let root = |robot: u32| self.roots.get(robot as usize);
+        match root(robot).zip(root(other)) {
+            Some((own, theirs)) => self.kernel.with_length(own * theirs).weight(metres),
+            None => self.kernel.weight(metres),
+        }
+    }
+}
+
+/// By which of its neighbours a robot is measured, if not by the fleet.
+fn own_scale(settings: &SpatialSettings, robots: usize) -> Option<usize> {
+    let ends = settings.kernel == SpatialKernel::WendlandC2;
+    let by_robots = settings.scale == SpatialScale::Robots && !ends;
+    by_robots.then(|| scale_neighbour(settings, robots))
+}
+
+/// The number, from 1, of the nearest robot by which each of so many is measured: the settings', or the
+/// root of their number divided by 2.2, from 2 to 8.
+#[must_use]
+pub fn scale_neighbour(settings: &SpatialSettings, robots: usize) -> usize {
+    let (least, most) = SCALE_NEIGHBOURS;
+    #[expect(
+        clippy::cast_precision_loss,
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a number from 2 to 8"
+    )]
+    let by_size =
+        || ((robots as f64).sqrt() / ROOT_PER_NEIGHBOUR).round().clamp(least, most) as usize;
+    settings.scale_neighbour.map_or_else(by_size, |set| set.max(1) as usize)
+}
+
 fn rows_of_all_pairs(points: &[Point], settings: &SpatialSettings) -> Vec<Vec<(u32, f64)>> {
-    let kernel = Kernel::new(settings, length_scale(points, nearest_distances(points)));
+    let nearest = k_nearest(points, Measure::looks_at(settings, points.len()));
+    let measure = Measure::new(points, &nearest, settings);
     let row = |(robot, point): (u32, &Point)| {
         let others = (0..).zip(points).filter(|(other, _)| *other != robot);
         others
-            .filter_map(|(other, place)| Some((other, kernel.weight(distance(point, place))?)))
+            .filter_map(|(other, place)| {
+                Some((other, measure.weight(robot, other, distance(point, place))?))
+            })
             .collect()
     };
     (0..).zip(points).map(row).collect()
 }
 
 fn rows_of_neighbours(points: &[Point], settings: &SpatialSettings) -> Vec<Vec<(u32, f64)>> {
-    let nearest = k_nearest(points, settings.neighbours.max(1) as usize);
-    let closest = nearest.iter().filter_map(|row| row.first()).map(|&(_, metres)| metres).collect();
-    let kernel = Kernel::new(settings, length_scale(points, closest));
+    let related = settings.neighbours.max(1) as usize;
+    let nearest = k_nearest(points, related.max(Measure::looks_at(settings, points.len())));
+    let measure = Measure::new(points, &nearest, settings);
     let mut rows = vec![Vec::new(); points.len()];
     for (robot, neighbours) in (0..).zip(&nearest) {
-        for &(other, metres) in neighbours {
-            let Some(weight) = kernel.weight(metres) else { continue };
+        for &(other, metres) in neighbours.iter().take(related) {
+            let Some(weight) = measure.weight(robot, other, metres) else { continue };
             for (source, target) in [(robot, other), (other, robot)] {
                 if let Some(row) = rows.get_mut(source as usize) {
                     row.push((target, weight));

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use muster_model::settings::{IngestSettings, SpatialKernel, SpatialSettings};
+use muster_model::settings::{IngestSettings, SpatialKernel, SpatialScale, SpatialSettings};
 use muster_relation::kernel::{MIN_WEIGHT, WENDLAND_C2_SLOPE, wendland_c2};
 use muster_relation::{Edge, median_nearest_neighbour_distance, spatial_edges};
 use proptest::prelude::*;
@@ -177,7 +177,12 @@ fn where_the_nearest_neighbours_jump_it_does_not() {
         vec![[0.0; 3], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 2.0 + off, 0.0], [0.0, 3.0, 0.0]]
     };
     let smooth = settings(20.0, 0, 1);
-    let nearest = SpatialSettings { kernel: SpatialKernel::Gaussian, ..smooth.clone() };
+    let nearest = SpatialSettings {
+        kernel: SpatialKernel::Gaussian,
+        scale: SpatialScale::Fleet,
+        width: 2.0,
+        ..smooth.clone()
+    };
     assert!(jump(tied, &nearest) > 0.5, "{}", jump(tied, &nearest));
     assert!(jump(tied, &smooth) < 1e-7, "{}", jump(tied, &smooth));
 }

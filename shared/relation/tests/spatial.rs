@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use muster_model::settings::{IngestSettings, SpatialKernel, SpatialSettings};
-use muster_relation::spatial::MIN_WEIGHT;
+use muster_model::settings::{IngestSettings, SpatialKernel, SpatialScale, SpatialSettings};
+use muster_relation::spatial::{MIN_WEIGHT, scale_neighbour};
 use muster_relation::{Edge, median_nearest_neighbour_distance, spatial_edges};
 use proptest::prelude::*;
 
@@ -11,6 +11,11 @@ type Point = [f64; 3];
 
 fn settings() -> SpatialSettings {
     IngestSettings::default().spatial
+}
+
+/// Settings by which all robots are measured alike.
+fn by_fleet() -> SpatialSettings {
+    SpatialSettings { scale: SpatialScale::Fleet, width: 2.0, ..settings() }
 }
 
 /// Settings that relate only the nearest, whatever the size of the fleet.
@@ -46,10 +51,8 @@ fn no_edges_without_a_pair() {
 fn the_kernels_are_those_of_the_settings() {
     let line = [[0.0; 3], [3.0, 0.0, 0.0], [0.0, 0.0, 6.0]];
     assert_eq!(median_nearest_neighbour_distance(&line), Some(3.0));
-    let weight = |kernel| {
-        weights(&spatial_edges(&line, &SpatialSettings { kernel, width: 2.0, ..settings() }))
-            [&(0, 2)]
-    };
+    let weight =
+        |kernel| weights(&spatial_edges(&line, &SpatialSettings { kernel, ..by_fleet() }))[&(0, 2)];
     assert!((weight(SpatialKernel::Gaussian) - (-0.5f64).exp()).abs() < 1e-15);
     assert!((weight(SpatialKernel::Exponential) - (-1.0f64).exp()).abs() < 1e-15);
     let kernel = SpatialKernel::WendlandC2;
@@ -60,13 +63,55 @@ fn the_kernels_are_those_of_the_settings() {
 }
 
 #[test]
+fn robots_are_measured_by_their_own_distances() {
+    // A close team, and the same one spread out ten times as far.
+    let team = [0.0, 1.0, 3.0, 4.0];
+    let line: Vec<Point> = team.iter().map(|x| [*x, 0.0, 0.0]).collect();
+    let mut both = line.clone();
+    both.extend(team.iter().map(|x| [1000.0 + 10.0 * x, 0.0, 0.0]));
+    let weights = weights(&spatial_edges(&both, &settings()));
+    for (&(i, j), weight) in weights.range((0, 0)..(4, 0)) {
+        assert!(i < 4 && (weights[&(i + 4, j + 4)] - weight).abs() < 1e-12, "{i} {j} {weight}");
+    }
+    // The second nearest of the first robot is 3 m away, that of the second one 2 m.
+    let expected = (-0.5f64 / (0.7 * 0.7 * 3.0 * 2.0)).exp();
+    assert!((weights[&(0, 1)] - expected).abs() < 1e-12, "{}", weights[&(0, 1)]);
+}
+
+#[test]
+fn the_neighbour_that_robots_are_measured_by_grows_with_the_fleet() {
+    let of = |robots| scale_neighbour(&settings(), robots);
+    assert_eq!([0, 2, 9, 29, 54, 120, 300, 100_000].map(of), [2, 2, 2, 2, 3, 5, 8, 8]);
+    let set = SpatialSettings { scale_neighbour: Some(4), ..settings() };
+    assert_eq!(scale_neighbour(&set, 300), 4);
+}
+
+#[test]
+fn a_pair_is_measured_by_itself_and_not_by_the_next_pair() {
+    let pairs = [[0.0; 3], [3.0, 0.0, 0.0], [90.0, 0.0, 0.0], [93.0, 0.0, 0.0]];
+    let weights = weights(&spatial_edges(&pairs, &settings()));
+    assert!(weights[&(0, 1)] > 0.8 && weights.get(&(0, 2)).is_none(), "{weights:?}");
+}
+
+#[test]
+fn robots_in_a_dock_do_not_lose_those_around_it() {
+    let mut positions = vec![[0.0; 3]; 5];
+    positions.extend((1..=6).map(|place| [f64::from(place), 0.0, 0.0]));
+    let weights = weights(&spatial_edges(&positions, &settings()));
+    assert_eq!(weights[&(0, 4)], 1.0);
+    // A tenth of the fleet's metre is the least that they are measured by.
+    let expected = (-0.5f64 / (0.7 * 0.7 * 0.1 * 1.0)).exp();
+    assert!((weights[&(0, 5)] - expected).abs() < 1e-12, "{}", weights[&(0, 5)]);
+}
+
+#[test]
 fn robots_on_one_spot_are_fully_related() {
     let edges = spatial_edges(&[[5.0; 3]; 3], &settings());
     assert_eq!(edges.len(), 6);
     assert!(edges.iter().all(|&(_, _, weight)| weight == 1.0));
     // Two stacks: measured by the distance between them.
     let stacks = [[0.0; 3], [0.0; 3], [4.0, 0.0, 0.0], [4.0, 0.0, 0.0]];
-    let weights = weights(&spatial_edges(&stacks, &settings()));
+    let weights = weights(&spatial_edges(&stacks, &by_fleet()));
     assert_eq!((weights[&(0, 1)], weights[&(0, 2)]), (1.0, (-0.125f64).exp()));
 }
 
@@ -89,7 +134,8 @@ fn broken_and_far_positions_do_no_harm() {
             [[f64::NAN; 3], [0.0; 3], [f64::INFINITY, 0.0, 0.0], [1.0, 0.0, 0.0], [1e300; 3]];
         let edges = spatial_edges(&positions, &settings);
         assert_eq!(weights(&edges).into_keys().collect::<Vec<_>>(), [(1, 3), (3, 1)]);
-        let edges = spatial_edges(&[[-4e7; 3], [4e7; 3]], &settings);
+        let by_fleet = SpatialSettings { all_pairs_up_to, ..by_fleet() };
+        let edges = spatial_edges(&[[-4e7; 3], [4e7; 3]], &by_fleet);
         assert_eq!(edges.len(), 2);
         assert!(edges.iter().all(|edge| edge.2 == (-0.125f64).exp()));
         let tiny = spatial_edges(&[[0.0; 3], [1e-300, 0.0, 0.0]], &settings);
@@ -120,16 +166,22 @@ fn any_settings() -> impl Strategy<Value = SpatialSettings> {
         Just(SpatialKernel::WendlandC2)
     ];
     let pairs = prop_oneof![Just(0u32), Just(200)];
-    (kernel, 0.1..10.0f64, 1.0..10.0f64, pairs, 1..20u32).prop_map(
-        |(kernel, width, cutoff, all_pairs_up_to, neighbours)| SpatialSettings {
-            kernel,
-            width,
-            cutoff,
-            all_pairs_up_to,
-            neighbours,
-            radius_m: None,
-        },
-    )
+    let scale = prop_oneof![Just(SpatialScale::Fleet), Just(SpatialScale::Robots)];
+    (kernel, (scale, prop::option::of(1..6u32)), 0.1..10.0f64, 1.0..10.0f64, pairs, 1..20u32)
+        .prop_map(
+            |(kernel, (scale, scale_neighbour), width, cutoff, all_pairs_up_to, neighbours)| {
+                SpatialSettings {
+                    kernel,
+                    scale,
+                    scale_neighbour,
+                    width,
+                    cutoff,
+                    all_pairs_up_to,
+                    neighbours,
+                    radius_m: None,
+                }
+            },
+        )
 }
 
 /// Turns by two angles in radians, scales and moves.

@@ -27,8 +27,12 @@ const MOMENTS_S: [f64; 2] = [5.0, 30.0];
 /// Names and settings of the kernels; the first is the default.
 fn kernels() -> Vec<(String, Value)> {
     let mut kernels = vec![
-        ("gaussian 2".to_owned(), json!({})),
-        ("exponential 2".to_owned(), json!({"kernel": "exponential"})),
+        ("gaussian 0.7 by robots".to_owned(), json!({})),
+        ("gaussian 2 by fleet".to_owned(), json!({"scale": "fleet", "width": 2.0})),
+        (
+            "exponential 2 by fleet".to_owned(),
+            json!({"kernel": "exponential", "scale": "fleet", "width": 2.0}),
+        ),
     ];
     for cutoff in [3.0, 5.0, 7.0, 9.0, 12.0] {
         let settings = json!({"kernel": "wendland-c2", "cutoff": cutoff});

@@ -30,6 +30,7 @@ pub(super) struct File {
     pub(super) weights: Option<Named<Modality, f64>>,
     pub(super) spatial: Option<Map<String, Value>>,
     pub(super) connectivity: Option<Map<String, Value>>,
+    pub(super) reciprocity: Option<Named<Modality, f64>>,
     pub(super) normalize: Option<Normalization>,
     pub(super) alpha: Option<Decay>,
     pub(super) dimension: Option<Dimension>,

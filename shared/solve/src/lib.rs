@@ -54,10 +54,12 @@ All keys, with what is taken where they are left out:
   modalities  list of {"name", "weight", "matrix" or "edges"}; row i, column j of a matrix is the
               weight of the edge from robot i to robot j, 0 or more; weights sum to 1, equal if none
               is given
+  reciprocity by modality, such as {"hierarchy": 0.5}: the share by which its edges also lead back,
+              0 to 1; none for modalities that are given
   normalize   "spectral" (default): each matrix is divided by its largest singular value; "none"
   alpha       a number below 1/ρ, or {"fraction": 0.5} of 1/ρ (default)
   dimension   even, from 2 to twice the number of robots, or "auto" (default)
-  scale       "sqrt-sigma" (default) or "none"
+  scale       "none" (default) or "sqrt-sigma"
   rows        "unit" (default) or "none"
   teams       how many, or instead of it:
   labels      one whole number per robot: the division to judge
@@ -72,9 +74,12 @@ Instead of modalities, raw observations, which become graphs as in the live flee
    "links": {"r1": [{"peer": "r2", "quality": 0.9}]},
    "ranks": {"r2": {"superior": "r1"}},
    "weights": {"spatial": 0.5, "connectivity": 0.25, "hierarchy": 0.25},
-   "spatial": {"width": 2.0}, "connectivity": {"unit": "quality"}}
+   "spatial": {"width": 0.7}, "connectivity": {"unit": "quality"}}
 
-The method as printed in the paper: "normalize": "none", "scale": "none", "rows": "none",
+"weights" and "reciprocity" are those of the live fleet then unless they are given; "spatial" and
+"connectivity" are settings of ingest.
+
+The method as printed in the paper: "normalize": "none", "rows": "none",
 "init": "random", "restarts": 1.
 
 In the output, labels are numbered by first appearance (given ones stay as they are), and

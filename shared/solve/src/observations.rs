@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use muster_model::id::{Modality, RobotId};
 use muster_model::object::Object;
 use muster_model::observation::{Link, Observation, Pose, Rank};
-use muster_model::settings::{ConnectivitySettings, IngestSettings, Settings, SpatialSettings};
+use muster_model::settings::{ConnectivitySettings, IngestSettings, Settings, default_weight};
 use muster_numeric::matrix::SparseMatrix;
 use muster_relation::{Edge, connectivity_edges, hierarchy_edges, link_weight, spatial_edges};
 use serde_json::{Map, Value};
@@ -43,13 +43,14 @@ impl Observations {
         if self.connectivity.is_some() && self.links.is_none() {
             return refuse("connectivity", without("links"));
         }
-        let (spatial, connectivity) = settings(self.spatial, self.connectivity)?;
+        let settings = settings([("spatial", self.spatial), ("connectivity", self.connectivity)])?;
         let mut streams = Vec::new();
         if let Some(poses) = &self.poses {
-            streams.push((Modality::spatial(), of_poses(poses, places, &spatial)?));
+            streams.push((Modality::spatial(), of_poses(poses, places, &settings)?));
         }
         if let Some(links) = &self.links {
-            streams.push((Modality::connectivity(), of_links(links, places, &connectivity)?));
+            streams
+                .push((Modality::connectivity(), of_links(links, places, &settings.connectivity)?));
         }
         if let Some(ranks) = &self.ranks {
             streams.push((Modality::hierarchy(), of_ranks(ranks, places)?));
@@ -64,9 +65,14 @@ impl Observations {
                 format!("is no modality of the streams in this file: {}", given.join(", ")),
             );
         }
+        let sum: f64 = streams.iter().map(|(name, _)| default_weight(name)).sum();
         let graph = |(name, edges): (Modality, Vec<Edge>)| {
-            // As in the live fleet, a modality that is not named among the weights has none.
-            let weight = weights.as_ref().map(|named| named.0.get(&name).copied().unwrap_or(0.0));
+            // As in the live fleet, a modality that is not named among the weights has none, and
+            // without weights each has its default.
+            let weight = Some(match &weights {
+                Some(Named(weights)) => weights.get(&name).copied().unwrap_or(0.0),
+                None => default_weight(&name) / sum,
+            });
             let path = format!("weights.{name}");
             let edges = edges.into_iter().map(|(i, j, w)| (i as usize, j as usize, w));
             match SparseMatrix::from_triplets(places.len(), edges) {
@@ -79,24 +85,19 @@ impl Observations {
 }
 
 /// The live defaults with the fields of the file changed.
-fn settings(
-    spatial: Option<Map<String, Value>>,
-    connectivity: Option<Map<String, Value>>,
-) -> Result<(SpatialSettings, ConnectivitySettings), SolveError> {
-    let tables = [("spatial", spatial), ("connectivity", connectivity)];
+fn settings(tables: [(&str, Option<Map<String, Value>>); 2]) -> Result<IngestSettings, SolveError> {
     let given = tables
         .into_iter()
         .filter_map(|(name, table)| Some((name.to_owned(), Value::Object(table?))));
-    let settings = IngestSettings::default()
+    IngestSettings::default()
         .patched(&Value::Object(given.collect()))
-        .or_else(|error| refuse(error.field, error.problem))?;
-    Ok((settings.spatial, settings.connectivity))
+        .or_else(|error| refuse(error.field, error.problem))
 }
 
 fn of_poses(
     poses: &Named<RobotId, Object<Pose>>,
     places: &Places,
-    settings: &SpatialSettings,
+    settings: &IngestSettings,
 ) -> Result<Vec<Edge>, SolveError> {
     // Robots without a pose are not placed, which is what a position that is no number means.
     let mut positions = vec![[f64::NAN; 3]; places.len()];
@@ -118,7 +119,7 @@ fn of_poses(
             *position = [pose.x, pose.y, pose.z.unwrap_or(0.0)];
         }
     }
-    Ok(spatial_edges(&positions, settings))
+    Ok(spatial_edges(&positions, &settings.spatial))
 }
 
 fn of_links(

@@ -1,18 +1,18 @@
 //! The checks on an input, and what passes them.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_WEIGHT;
 use muster_model::object::Object;
 use muster_model::settings::{
     Alpha, ClustererSettings, Dimension, EmbedderSettings, Normalization, RowScaling, Settings,
-    SingularValueScaling, WEIGHT_SUM_TOLERANCE,
+    SingularValueScaling, WEIGHT_SUM_TOLERANCE, check_reciprocity,
 };
 use muster_numeric::matrix::{MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
 
 use super::edges::Edges;
-use super::file::{Emit, File, ModalityEntry};
+use super::file::{Emit, File, ModalityEntry, Named};
 use super::observations::{Graphs, Observations};
 use super::options::Options;
 use super::{SolveError, refuse};
@@ -79,8 +79,42 @@ pub(super) fn check(mut file: File, options: Options) -> Result<Problem, SolveEr
     })
 }
 
-/// The graphs of a file, which gives either them or observations.
+/// The graphs of a file, with what leads back in them.
 fn graphs(
+    file: &mut File,
+    places: &HashMap<RobotId, usize>,
+    normalize_weights: bool,
+) -> Result<Vec<Graph>, SolveError> {
+    // Graphs that are given are taken as they are, observations as in the live fleet.
+    let reciprocity = match file.reciprocity.take() {
+        Some(Named(shares)) => shares,
+        None if file.modalities.is_some() => BTreeMap::new(),
+        None => EmbedderSettings::default().reciprocity,
+    };
+    let is_own = file.modalities.is_none();
+    check_reciprocity(&reciprocity).or_else(|error| refuse(error.field, error.problem))?;
+    let mut graphs = reported(file, places, normalize_weights)?;
+    let stranger = reciprocity.keys().find(|name| {
+        !(is_own && name.is_built_in()) && graphs.iter().all(|graph| graph.name != **name)
+    });
+    if let Some(name) = stranger {
+        let known: Vec<_> = graphs.iter().map(|graph| graph.name.as_str()).collect();
+        let problem = format!("is no modality of this file: {}", known.join(", "));
+        return refuse(format!("reciprocity.{name}"), problem);
+    }
+    for graph in &mut graphs {
+        let share = reciprocity.get(&graph.name).copied().unwrap_or(0.0);
+        if share > 0.0 {
+            let both = graph.matrix.with_reverse(share);
+            let field = || format!("reciprocity.{}", graph.name);
+            graph.matrix = both.or_else(|error| refuse(field(), error.to_string()))?;
+        }
+    }
+    Ok(graphs)
+}
+
+/// The graphs of a file, which gives either them or observations.
+fn reported(
     file: &mut File,
     places: &HashMap<RobotId, usize>,
     normalize_weights: bool,

@@ -1,6 +1,6 @@
 //! How well a recipe divides what the truth is known of: what defaults are chosen by.
 
-use muster_model::settings::{IngestSettings, SpatialKernel, SpatialSettings};
+use muster_model::settings::{IngestSettings, SpatialKernel, SpatialScale, SpatialSettings};
 use muster_numeric::embedding::Rows;
 use muster_numeric::fuse::Normalization;
 use rand::{RngExt, SeedableRng};
@@ -10,12 +10,16 @@ use rayon::prelude::*;
 use crate::formations::{Formation, Radio};
 use crate::methods::embedding::{Form, Rank};
 use crate::methods::{DivisionError, Method, Recipe};
-use crate::random_systems::planted;
+use crate::random_systems::{Known, plain_to_see, planted};
 use crate::score::{Correct, correct};
 use crate::system::{MODALITIES, Nearness};
 
 /// Teams of planted fleets.
 pub const PLANTED_TEAMS: std::ops::RangeInclusive<usize> = 2..=6;
+
+/// Teams, and robots of each, of fleets that are plain to see.
+pub const PLAIN: [(usize, usize); 9] =
+    [(2, 2), (3, 2), (5, 2), (2, 3), (4, 3), (2, 4), (3, 5), (2, 8), (5, 8)];
 
 /// Share of every distance by which measurements are wrong where noise is looked at.
 pub const NOISE: f64 = 0.5;
@@ -33,6 +37,8 @@ pub struct Scores {
     pub noisy: [Vec<f64>; 2],
     /// Planted fleets of all numbers of teams.
     pub planted: Vec<f64>,
+    /// Small fleets that are plain to see, by each choice of relations.
+    pub plain: Vec<f64>,
 }
 
 impl Scores {
@@ -44,7 +50,7 @@ impl Scores {
         let mean = |shares: &Vec<f64>| shares.iter().sum::<f64>() / shares.len() as f64;
         let [range, net] = &self.formations;
         let [noisy_range, noisy_net] = &self.noisy;
-        let parts = [range, net, noisy_range, noisy_net, &self.planted];
+        let parts = [range, net, noisy_range, noisy_net, &self.planted, &self.plain];
         parts.iter().map(|part| mean(part)).sum::<f64>() / parts.len() as f64
     }
 }
@@ -70,6 +76,7 @@ pub fn scores(
             together.noisy[radio].extend(&one.noisy[radio]);
         }
         together.planted.extend(&one.planted);
+        together.plain.extend(&one.plain);
     }
     Ok(together)
 }
@@ -109,6 +116,15 @@ fn score(formations: &[Formation], method: &Method, seed: u64) -> Result<Scores,
         sum += correct(&found, &truth).unwrap_or_default();
     }
     scores.planted.push(sum.share());
+    let mut sum = Correct::default();
+    for (teams, size) in PLAIN {
+        for known in Known::all() {
+            let (system, truth) = plain_to_see(teams, size, known, seed);
+            let found = method.divide(&system, teams, seed)?.labels;
+            sum += correct(&found, &truth).unwrap_or_default();
+        }
+    }
+    scores.plain.push(sum.share());
     Ok(scores)
 }
 
@@ -132,7 +148,8 @@ pub fn variations(base: &Recipe) -> Vec<Variation> {
             all.push(Variation { name, recipe });
         }
     };
-    let spatial = IngestSettings::default().spatial;
+    let spatial =
+        SpatialSettings { scale: SpatialScale::Fleet, ..IngestSettings::default().spatial };
     add("1/d".to_owned(), &|recipe| recipe.nearness = Nearness::Inverse);
     for kernel in [SpatialKernel::Gaussian, SpatialKernel::Exponential] {
         for width in [0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0] {
@@ -187,9 +204,7 @@ pub fn variations(base: &Recipe) -> Vec<Variation> {
         (3, 1.0),
         (4, 1.0),
     ] {
-        add(format!("local {place} {factor}"), &|recipe| {
-            recipe.nearness = Nearness::Local(place, factor)
-        });
+        add(format!("local {place} {factor}"), &|recipe| recipe.nearness = local(place, factor));
     }
     for more in [1, 2, 4, 8] {
         add(format!("rank teams + {more}"), &|recipe| recipe.form.rank = Rank::More(more));
@@ -206,14 +221,23 @@ pub fn variations(base: &Recipe) -> Vec<Variation> {
         }
     }
     add("equal weights".to_owned(), &|recipe| recipe.weights = [1.0 / 3.0; 3]);
-    add("equal weights, as live from graphs on".to_owned(), &|recipe| {
-        recipe.weights = [1.0 / 3.0; 3];
-        recipe.form = Recipe::live().form;
-    });
     for starts in [1, 10, 200] {
         add(format!("{starts} starts"), &|recipe| recipe.clustering.starts = starts);
     }
     all
+}
+
+/// The live system's Gaussian, by which each robot is measured by its `place`-th nearest.
+fn local(place: u32, width: f64) -> Nearness {
+    let (kernel, scale) = (SpatialKernel::Gaussian, SpatialScale::Robots);
+    let spatial = IngestSettings::default().spatial;
+    Nearness::Kernel(SpatialSettings {
+        kernel,
+        scale,
+        scale_neighbour: Some(place),
+        width,
+        ..spatial
+    })
 }
 
 /// Recipes that chance puts together from all that can be chosen.
@@ -242,7 +266,8 @@ fn one_of<T: Copy>(chance: &mut ChaCha8Rng, all: &[T]) -> T {
 }
 
 fn any_nearness(chance: &mut ChaCha8Rng) -> Nearness {
-    let spatial = IngestSettings::default().spatial;
+    let spatial =
+        SpatialSettings { scale: SpatialScale::Fleet, ..IngestSettings::default().spatial };
     let width = one_of(chance, &[0.7, 1.0, 1.2, 1.4, 1.7, 2.0]);
     let kernels = [SpatialKernel::Gaussian, SpatialKernel::Exponential, SpatialKernel::WendlandC2];
     match chance.random_range(0..=kernels.len()) {
@@ -253,7 +278,7 @@ fn any_nearness(chance: &mut ChaCha8Rng) -> Nearness {
             cutoff: 3.5 * width,
             ..spatial
         }),
-        _ => Nearness::Local(chance.random_range(2..=4), one_of(chance, &[0.5, 0.7, 1.0, 1.4])),
+        _ => local(chance.random_range(2..=4), one_of(chance, &[0.5, 0.7, 1.0, 1.4])),
     }
 }
 
@@ -263,8 +288,10 @@ fn described(recipe: &Recipe) -> String {
         Nearness::Kernel(settings) if settings.kernel == SpatialKernel::WendlandC2 => {
             format!("Wendland {:.1}", settings.cutoff)
         }
+        Nearness::Kernel(settings) if settings.scale == SpatialScale::Robots => {
+            format!("local {:?} {:.1}", settings.scale_neighbour, settings.width)
+        }
         Nearness::Kernel(settings) => format!("{:?} {:.1}", settings.kernel, settings.width),
-        Nearness::Local(place, factor) => format!("local {place} {factor}"),
         Nearness::Inverse => "1/d".to_owned(),
     };
     let Form { fraction, power, rank, rows, .. } = recipe.form;

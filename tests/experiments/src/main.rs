@@ -18,7 +18,7 @@ use muster_experiments::statistics::Estimate;
 #[command(
     version,
     after_help = "Examples:\n  muster-experiments all --out results\n  muster-experiments formations --quick\n  \
-                  muster-experiments grid --around chosen"
+                  muster-experiments grid --random 200"
 )]
 struct Arguments {
     #[command(subcommand)]
@@ -49,19 +49,7 @@ enum What {
         /// So many recipes made by chance, instead of all that differ from one in one choice
         #[arg(long, value_name = "RECIPES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
         random: Option<u32>,
-        /// The recipe that they differ from
-        #[arg(long, value_enum, default_value_t = Around::Live)]
-        around: Around,
     },
-}
-
-/// A recipe to begin with.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Around {
-    /// The live system's
-    Live,
-    /// What training seeds have chosen
-    Chosen,
 }
 
 /// Seed of the recipes that chance makes.
@@ -104,8 +92,8 @@ fn main() -> anyhow::Result<()> {
     if is("planted") {
         page.append(experiments::planted_fleets(&methods, &seeds, &progress)?);
     }
-    if let What::Grid { random, around } = arguments.what {
-        page.text = grid(count, random, around)?;
+    if let What::Grid { random } = arguments.what {
+        page.text = grid(count, random)?;
     }
     progress("");
     match arguments.out {
@@ -118,16 +106,13 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn grid(seeds: usize, recipes: Option<u32>, around: Around) -> anyhow::Result<String> {
+fn grid(seeds: usize, recipes: Option<u32>) -> anyhow::Result<String> {
     let formations = Formation::all()?;
     let seeds: Vec<u64> = TRAINING.take(seeds).collect();
     let mut rows = Vec::new();
     let all = match recipes {
         Some(count) => random(count as usize, RECIPE_SEED),
-        None => variations(&match around {
-            Around::Live => Recipe::live(),
-            Around::Chosen => Recipe::chosen(),
-        }),
+        None => variations(&Recipe::live()),
     };
     for (done, variation) in all.iter().enumerate() {
         progress(&format!("{} ({} of {})", variation.name, done + 1, all.len()));
@@ -139,9 +124,9 @@ fn grid(seeds: usize, recipes: Option<u32>, around: Around) -> anyhow::Result<St
     writeln!(page, "Robots in the right team in percent, over {} training seeds.\n", seeds.len())?;
     writeln!(
         page,
-        "| choice | worth | squads, range | platoons | noisy | squads, net | platoons | noisy | planted |"
+        "| choice | worth | squads, range | platoons | noisy | squads, net | platoons | noisy | planted | plain |"
     )?;
-    writeln!(page, "| --- | --- | --- | --- | --- | --- | --- | --- | --- |")?;
+    writeln!(page, "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")?;
     for (variation, scores) in rows {
         let cell = |shares: &[f64]| format!("{:.2}", 100.0 * Estimate::of(shares).mean);
         let of_radio = |at: usize| {
@@ -151,12 +136,13 @@ fn grid(seeds: usize, recipes: Option<u32>, around: Around) -> anyhow::Result<St
         };
         writeln!(
             page,
-            "| {} | {:.2} | {} | {} | {} |",
+            "| {} | {:.2} | {} | {} | {} | {} |",
             variation.name,
             100.0 * scores.worth(),
             of_radio(0),
             of_radio(1),
-            cell(&scores.planted)
+            cell(&scores.planted),
+            cell(&scores.plain)
         )?;
     }
     Ok(page)

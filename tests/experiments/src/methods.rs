@@ -8,9 +8,10 @@ pub mod embedding;
 pub mod girvan_newman;
 pub mod lle;
 
+use muster_model::id::Modality;
 use muster_model::settings::{
     Alpha, CentroidStart, ClustererSettings, Dimension, EmbedderSettings, IngestSettings,
-    Normalization as Normalize, RowScaling, SingularValueScaling,
+    Normalization as Normalize, RowScaling, SingularValueScaling, default_weight,
 };
 use muster_numeric::embedding::Rows;
 use muster_numeric::fuse::Normalization;
@@ -37,7 +38,7 @@ pub const LLE_DIMENSION: usize = 2;
 pub const BASELINE_STARTS: usize = 10;
 
 /// One of the three modalities, by its place in [`crate::system::MODALITIES`].
-pub type Modality = usize;
+pub type ModalityIndex = usize;
 
 /// Our method with everything that can be chosen.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,44 +78,22 @@ impl Recipe {
         }
     }
 
-    /// What training seeds have chosen (`grid --around chosen`): distances are measured by those of the robots
-    /// concerned, reports count half as much as orders, and who commands whom counts most. The live system does
-    /// not do so yet.
-    #[must_use]
-    pub fn chosen() -> Self {
-        let live = Self::live();
-        Self {
-            nearness: Nearness::Local(2, 0.7),
-            upward: 0.5,
-            siblings: 0.0,
-            weights: [0.35, 0.1, 0.55],
-            form: Form {
-                fraction: 0.5,
-                power: 0.0,
-                rank: Rank::Ratio,
-                rows: Rows::Unit,
-                ..live.form
-            },
-            ..live
-        }
-    }
-
     /// What the live system does unless it is told otherwise: the defaults of its services.
     #[must_use]
     pub fn live() -> Self {
         let (ingest, embedder) = (IngestSettings::default(), EmbedderSettings::default());
         let clusterer = ClustererSettings::default();
-        let weight = |modality: &str| match embedder.weights.len() {
-            0 => 1.0 / 3.0,
-            _ => embedder
-                .weights
-                .iter()
-                .find(|(name, _)| name.as_str() == modality)
-                .map_or(0.0, |(_, weight)| *weight),
+        let weight = |name: &str| -> f64 {
+            let modality = Modality::new(name).ok();
+            let set = |modality: &Modality| match embedder.weights.len() {
+                0 => default_weight(modality),
+                _ => embedder.weights.get(modality).copied().unwrap_or(0.0),
+            };
+            modality.as_ref().map_or(0.0, set)
         };
         Self {
             nearness: Nearness::Kernel(ingest.spatial),
-            upward: 0.0,
+            upward: embedder.reciprocity.get(&Modality::hierarchy()).copied().unwrap_or(0.0),
             siblings: 0.0,
             weights: crate::system::MODALITIES.map(weight),
             form: Form {
@@ -155,15 +134,15 @@ impl Recipe {
 #[derive(Debug, Clone, PartialEq)]
 pub enum Method {
     /// Division by edge betweenness of one modality.
-    GirvanNewman(Modality),
+    GirvanNewman(ModalityIndex),
     /// Locally linear embedding of the rows of one graph, and k-means.
-    Lle(Modality),
+    Lle(ModalityIndex),
     /// The Katz similarity of one modality (Ou et al., KDD 2016), and k-means.
-    Hope(Modality),
+    Hope(ModalityIndex),
     /// HOPE of each modality, one vector behind the other, and k-means.
     HopeConcatenated,
     /// One modality with the scaling, rows and weights of our recipe: the strongest form of a baseline.
-    Single(Modality, Box<Recipe>),
+    Single(ModalityIndex, Box<Recipe>),
     /// All modalities fused.
     Multimodal(&'static str, Box<Recipe>),
 }
@@ -195,7 +174,7 @@ impl Method {
     /// The methods of the paper's tables, in their order, and ours.
     #[must_use]
     pub fn all() -> Vec<Self> {
-        let each = |method: fn(Modality) -> Self| (0..3).map(method);
+        let each = |method: fn(ModalityIndex) -> Self| (0..3).map(method);
         let live = || Box::new(Recipe::live());
         let mut all: Vec<Self> = each(Self::GirvanNewman).chain(each(Self::Lle)).collect();
         all.extend(each(Self::Hope));
@@ -203,14 +182,13 @@ impl Method {
         all.extend((0..3).map(|modality| Self::Single(modality, live())));
         all.push(Self::Multimodal("multimodal, plain", Box::new(Recipe::plain())));
         all.push(Self::Multimodal("muster", live()));
-        all.push(Self::Multimodal("chosen", Box::new(Recipe::chosen())));
         all
     }
 
     /// What it is called in tables.
     #[must_use]
     pub fn name(&self) -> String {
-        let of = |name: &str, modality: &Modality| {
+        let of = |name: &str, modality: &ModalityIndex| {
             format!("{name} ({})", crate::system::MODALITIES[*modality])
         };
         match self {
@@ -255,7 +233,9 @@ impl Method {
                 (concatenated(&parts.collect::<Result<Vec<_>, _>>()?)?, kmeans)
             }
             Self::Single(modality, recipe) => {
-                let graph = &system.graphs(&recipe.nearness)?[*modality];
+                let mut graphs = system.graphs(&recipe.nearness)?;
+                graphs[2] = system.command(recipe.upward, recipe.siblings)?;
+                let graph = &graphs[*modality];
                 (recipe.form.vectors(&[(graph, 1.0)], teams)?, recipe.clustering)
             }
             Self::Multimodal(_, recipe) => {

@@ -125,6 +125,9 @@ fn heard(
     (0..).zip(positions).map(hears).collect()
 }
 
+/// How far teams of [`plain_to_see`] stand apart, in metres.
+const FAR_M: f64 = 90.0;
+
 /// A planted fleet and the team of each robot: teams that stand about their middles, whose members answer to a
 /// leader each and whose leaders answer to the first one's.
 #[must_use]
@@ -159,6 +162,60 @@ pub fn planted(teams: usize, seed: u64) -> (System, Vec<Option<usize>>) {
         }
     }
     system.heard = heard(&system.positions, HEARD_M, |_, _| true);
+    (system, truth)
+}
+
+/// Which of a fleet's relations are known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Known {
+    /// Where robots are.
+    pub positions: bool,
+    /// Whom they hear.
+    pub links: bool,
+    /// Whom they answer to.
+    pub ranks: bool,
+}
+
+impl Known {
+    /// Every choice of some of them.
+    #[must_use]
+    pub fn all() -> Vec<Self> {
+        let bit = |bits: u8, at: u8| bits >> at & 1 == 1;
+        (1..8)
+            .map(|bits| Self { positions: bit(bits, 0), links: bit(bits, 1), ranks: bit(bits, 2) })
+            .collect()
+    }
+}
+
+/// A fleet that nobody would divide otherwise, and the team of each robot: teams of `size` that stand a few
+/// metres apart from each other and [`FAR_M`] from the next, hear those of their team alone, and answer to
+/// the first of it. Robots whose places are not known stand nowhere.
+#[must_use]
+pub fn plain_to_see(
+    teams: usize,
+    size: usize,
+    known: Known,
+    seed: u64,
+) -> (System, Vec<Option<usize>>) {
+    let mut chance = ChaCha8Rng::seed_from_u64(seed);
+    let (mut system, mut truth) = (System::default(), Vec::new());
+    for team in 0..teams {
+        let first = (team * size) as u32;
+        let members = first..first + size as u32;
+        for robot in members.clone() {
+            let jitter = [(); 2].map(|()| chance.random_range(-1.0..1.0));
+            let place =
+                [f64::from(robot - first) * 3.0 + jitter[0], team as f64 * FAR_M + jitter[1]];
+            system.positions.push(if known.positions { place } else { [f64::NAN; 2] });
+            let heard = members.clone().filter(|peer| *peer != robot);
+            let mut links: Vec<_> =
+                heard.map(|peer| (peer, chance.random_range(0.5..1.0))).collect();
+            links.retain(|_| known.links);
+            system.heard.push(links);
+            system.superiors.push((known.ranks && robot != first).then_some(first));
+            truth.push(Some(team));
+        }
+    }
     (system, truth)
 }
 

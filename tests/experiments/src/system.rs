@@ -1,8 +1,9 @@
 //! What is to be divided: robots with what relates them.
 
-use muster_model::settings::{SpatialKernel, SpatialSettings};
+use muster_model::settings::{SpatialKernel, SpatialScale, SpatialSettings};
 use muster_numeric::matrix::{MatrixError, SparseMatrix};
 use muster_relation::kernel::{MIN_WEIGHT, wendland_c2};
+use muster_relation::spatial::scale_neighbour;
 use muster_relation::{EdgeError, connectivity_edges, hierarchy_edges, spatial_edges};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -42,10 +43,14 @@ pub enum Nearness {
     Inverse,
     /// The live system's kernels.
     Kernel(SpatialSettings),
-    /// exp(−d²/(2 f² sᵢ sⱼ)) with the distance s of each robot to its m-th nearest (local scaling: Zelnik-Manor
-    /// and Perona, NIPS 2004): `(m, f)`.
-    Local(usize, f64),
 }
+
+/// As the live system's kernel: no robot is measured by less than this share of the fleet's median distance
+/// to the nearest …
+const SHORTEST_SCALE: f64 = 0.1;
+
+/// … nor by more than so many times the distance to its own nearest.
+const LONGEST_SCALE: f64 = 3.0;
 
 /// Distances below this one count as this one, in metres: the size of a robot.
 pub const CLOSEST_M: f64 = 0.1;
@@ -72,16 +77,9 @@ impl System {
     pub fn spatial(&self, nearness: &Nearness) -> Result<SparseMatrix, SystemError> {
         let edges = match nearness {
             Nearness::Inverse => self.all_pairs(|_, _, metres| 1.0 / metres.max(CLOSEST_M)),
-            Nearness::Local(place, factor) => {
-                let scales = self.local_scales(*place);
-                self.all_pairs(|i, j, metres| {
-                    let square = factor * factor * scales[i] * scales[j];
-                    (-0.5 * metres * metres / square.max(CLOSEST_M * CLOSEST_M)).exp()
-                })
-            }
             Nearness::Kernel(settings) if self.measured.is_some() => {
-                let scale_m = self.median_nearest();
-                self.all_pairs(|_, _, metres| weight(settings, metres, scale_m))
+                let scales = self.scales(settings);
+                self.all_pairs(|i, j, metres| weight(settings, metres, scales[i] * scales[j]))
             }
             Nearness::Kernel(settings) => {
                 let positions: Vec<_> = self.positions.iter().map(|[x, y]| [*x, *y, 0.0]).collect();
@@ -110,14 +108,21 @@ impl System {
         edges.filter(|(_, _, weight)| *weight >= MIN_WEIGHT).collect()
     }
 
-    /// The distance of each robot to its `place`-th nearest, or to the farthest if there are fewer.
-    fn local_scales(&self, place: usize) -> Vec<f64> {
+    /// The root of what each robot is measured by, as `muster_relation::spatial_edges` does with positions.
+    fn scales(&self, settings: &SpatialSettings) -> Vec<f64> {
         let n = self.robots();
+        let fleet = self.median_nearest();
+        if settings.scale == SpatialScale::Fleet || settings.kernel == SpatialKernel::WendlandC2 {
+            return vec![fleet.sqrt(); n];
+        }
         let scale = |i: usize| {
             let others = (0..n).filter(|j| *j != i);
             let mut all: Vec<f64> = others.map(|j| self.distance(i, j)).collect();
             all.sort_by(f64::total_cmp);
-            all.get(place.saturating_sub(1)).or(all.last()).copied().unwrap_or(CLOSEST_M)
+            let place = scale_neighbour(settings, n) - 1;
+            let own = all.get(place).or(all.last()).copied().unwrap_or(fleet);
+            let own = own.min(LONGEST_SCALE * all.first().copied().unwrap_or(fleet));
+            own.max(SHORTEST_SCALE * fleet).sqrt()
         };
         (0..n).map(scale).collect()
     }
@@ -168,8 +173,7 @@ impl System {
     /// # Errors
     /// [`SystemError::Edge`] for a robot that answers to itself.
     pub fn hierarchy(&self) -> Result<SparseMatrix, SystemError> {
-        let ranks = (0..).zip(&self.superiors).map(|(robot, superior)| (robot, *superior, None));
-        self.matrix(hierarchy_edges(ranks)?)
+        self.command(0.0, 0.0)
     }
 
     /// The graph of command with `upward` times its reverse, and ties of `siblings` between those who answer to
@@ -178,11 +182,9 @@ impl System {
     /// # Errors
     /// As [`System::hierarchy`].
     pub fn command(&self, upward: f64, siblings: f64) -> Result<SparseMatrix, SystemError> {
-        let down = self.hierarchy()?;
-        let mut edges: Vec<(usize, usize, f64)> = down.triplets().collect();
-        if upward > 0.0 {
-            edges.extend(down.triplets().map(|(i, j, w)| (j, i, upward * w)));
-        }
+        let ranks = (0..).zip(&self.superiors).map(|(robot, superior)| (robot, *superior, None));
+        let down = self.matrix(hierarchy_edges(ranks)?)?;
+        let mut edges: Vec<_> = down.with_reverse(upward)?.triplets().collect();
         if siblings > 0.0 {
             let n = self.robots();
             let pairs = (0..n).flat_map(|i| (0..n).map(move |j| (i, j)));
@@ -200,7 +202,7 @@ impl System {
     }
 }
 
-/// What a distance is worth, where the median distance to the nearest neighbour is `scale_m`.
+/// What a distance is worth, where the two robots are measured by `scale_m`.
 fn weight(settings: &SpatialSettings, metres: f64, scale_m: f64) -> f64 {
     let longest = settings.radius_m.unwrap_or(f64::INFINITY);
     if metres > longest {
@@ -226,15 +228,17 @@ mod tests {
         for kernel in
             [SpatialKernel::Gaussian, SpatialKernel::Exponential, SpatialKernel::WendlandC2]
         {
-            let nearness =
-                Nearness::Kernel(SpatialSettings { kernel, ..IngestSettings::default().spatial });
-            let (of_positions, measured) = (
-                system.spatial(&nearness).unwrap(),
-                system.with_noise(0.0, 1).spatial(&nearness).unwrap(),
-            );
-            assert_eq!(of_positions.edges(), measured.edges());
-            for (i, j, weight) in of_positions.triplets() {
-                assert!((measured.weight(i, j) - weight).abs() < 1e-12);
+            for scale in [SpatialScale::Fleet, SpatialScale::Robots] {
+                let spatial = IngestSettings::default().spatial;
+                let nearness = Nearness::Kernel(SpatialSettings { kernel, scale, ..spatial });
+                let (of_positions, measured) = (
+                    system.spatial(&nearness).unwrap(),
+                    system.with_noise(0.0, 1).spatial(&nearness).unwrap(),
+                );
+                assert_eq!(of_positions.edges(), measured.edges());
+                for (i, j, weight) in of_positions.triplets() {
+                    assert!((measured.weight(i, j) - weight).abs() < 1e-12);
+                }
             }
         }
     }

@@ -36,7 +36,12 @@ pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Resu
     let clock = Clock::start();
     let bus = ask::open(config).await?;
     loop {
-        let look = look(&bus).await?;
+        let mut look = look(&bus).await?;
+        if !look.silent.is_empty() {
+            // A get may be lost where links or roles are about to change; nobody is told of as silent
+            // who was asked but once.
+            look = self::look(&bus).await?;
+        }
         print(&look, config, args.json, &clock)?;
         if !args.watch {
             if look.services.is_empty() && look.tokens == 0 {

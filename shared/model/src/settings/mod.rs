@@ -17,10 +17,11 @@ pub use auditor::AuditorSettings;
 pub use clusterer::{CentroidStart, ClustererSettings};
 pub use embedder::{
     Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
-    SingularValueScaling, WEIGHT_SUM_TOLERANCE, check_weights,
+    SingularValueScaling, WEIGHT_SUM_TOLERANCE, check_reciprocity, check_weights, default_weight,
 };
 pub use ingest::{
-    ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialSettings,
+    ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialScale,
+    SpatialSettings,
 };
 
 /// Longest field in an error, in characters: the path of any setting, and of a mistaken one its
@@ -106,7 +107,7 @@ fn to_object<T: Serialize>(settings: &T) -> Result<Map<String, Value>, SettingsE
 }
 
 /// Tables that the defaults have as tables are merged field by field; everything else, such as the
-/// map of weights, whose keys are the fleet's own, is replaced as a whole.
+/// maps of weights and reciprocities, whose keys are the fleet's own, is replaced as a whole.
 fn merge(
     current: &mut Map<String, Value>,
     patch: &Map<String, Value>,

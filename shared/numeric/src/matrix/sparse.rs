@@ -241,6 +241,17 @@ impl SparseMatrix {
         Self::from_checked(self.nodes, entries)
     }
 
+    /// A + `share` · Aᵀ: every edge also leads back, by a share of its weight (0 or more; the reciprocity
+    /// of the graph).
+    ///
+    /// # Errors
+    /// [`MatrixError::Entry`] for a sum beyond [`MAX_ENTRY`], or a share that is not finite;
+    /// [`MatrixError::Negative`] for one below 0.
+    pub fn with_reverse(&self, share: f64) -> Result<Self, MatrixError> {
+        let back = self.triplets().map(|(row, col, weight)| (col, row, share * weight));
+        Self::from_triplets(self.nodes(), self.triplets().chain(back))
+    }
+
     /// True when the matrix equals its transpose exactly.
     #[must_use]
     pub fn is_symmetric(&self) -> bool {

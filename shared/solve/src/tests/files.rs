@@ -59,21 +59,29 @@ fn observations_become_the_live_graphs() {
     let parsed = parse(file.to_string().as_bytes(), Options::default()).unwrap();
     let edges: Vec<Vec<_>> =
         parsed.graphs.iter().map(|graph| graph.matrix.triplets().collect()).collect();
-    // One nearest-neighbour distance is half a width.
-    let near = (-0.125_f64).exp();
-    assert_eq!(edges[0], [(0, 1, near), (1, 0, near)]);
+    // Each is the other's only neighbour, and a width is 0.7 of their distance.
+    let near = (-0.5 / (0.7_f64 * 0.7)).exp();
+    assert_eq!(edges[0].iter().map(|(i, j, _)| (*i, *j)).collect::<Vec<_>>(), [(0, 1), (1, 0)]);
+    edges[0].iter().for_each(|(_, _, weight)| assert_near(*weight, near, "near"));
     assert_eq!(edges[1], [(1, 0, 0.5)], "from the one who is heard");
-    assert_eq!(edges[2], [(0, 1, 2.0)], "from the superior");
+    assert_eq!(edges[2], [(0, 1, 2.0), (1, 0, 1.0)], "from the superior, and half as much back");
 
     let changed = with(
         file.clone(),
         json!({"spatial": {"kernel": "exponential", "width": 1.0},
-        "connectivity": {"unit": "rssi_dbm"},
+        "connectivity": {"unit": "rssi_dbm"}, "reciprocity": {},
         "links": {"a": [{"peer": "b", "quality": -65.0}]}}),
     );
     let parsed = parse(changed.to_string().as_bytes(), Options::default()).unwrap();
     assert_near(parsed.graphs[0].matrix.weight(0, 1), (-1.0_f64).exp(), "kernel");
     assert_near(parsed.graphs[1].matrix.weight(1, 0), 0.5, "dBm");
+    assert_eq!(parsed.graphs[2].matrix.triplets().collect::<Vec<_>>(), [(0, 1, 2.0)], "down only");
+    let mut unweighted = file.clone();
+    unweighted.as_object_mut().unwrap().remove("weights");
+    let parsed = parse(unweighted.to_string().as_bytes(), Options::default()).unwrap();
+    for (graph, weight) in parsed.graphs.iter().zip([0.35, 0.1, 0.55]) {
+        assert_near(graph.weight, weight, "as in the live fleet");
+    }
 
     let refusals = [
         (json!({"weights": {"spatial": 1.0, "radio": 0.0}}), "weights.radio: "),
@@ -101,6 +109,8 @@ fn observations_become_the_live_graphs() {
         (json!({"spatial": {"width": 0}}), "spatial.width: "),
         (json!({"spatial": {"wide": 1}}), "spatial.wide: "),
         (json!({"connectivity": {"unit": "miles"}}), "connectivity.unit: "),
+        (json!({"reciprocity": {"hierarchy": 2}}), "reciprocity.hierarchy: "),
+        (json!({"reciprocity": {"radio": 0.5}}), "reciprocity.radio: is no modality"),
         (json!({"poses": null, "weights": null, "spatial": {}}), "spatial: needs \"poses\""),
         (json!({"modalities": []}), "poses: must not stand beside \"modalities\""),
     ];

@@ -1,6 +1,6 @@
 //! The method itself, in all forms that are compared: from graphs to vectors, from vectors to teams.
 
-use muster_numeric::dimension::choose_dimension;
+use muster_numeric::dimension::choose_seeing_dimension;
 use muster_numeric::embedding::{Rows, Scale, embed};
 use muster_numeric::fuse::{FuseError, Normalization, fuse};
 use muster_numeric::katz::{Alpha, KatzError, katz_similarity};
@@ -15,7 +15,7 @@ pub enum Rank {
     /// This one, or the number of robots if that is less.
     Fixed(usize),
     /// The live system's rule: the largest ratio of neighbouring singular values from 2 to the number of
-    /// teams.
+    /// teams, and more where a robot with relations would not be seen otherwise.
     Ratio,
     /// The number of teams.
     Teams,
@@ -85,7 +85,11 @@ impl Form {
             Rank::Fixed(rank) => rank,
             Rank::Teams => teams,
             Rank::More(more) => teams + more,
-            Rank::Ratio => choose_dimension(full.singular_values(), teams),
+            Rank::Ratio => {
+                let mut related = vec![false; fused.nodes()];
+                fused.triplets().for_each(|(i, j, _)| (related[i], related[j]) = (true, true));
+                choose_seeing_dimension(&full, &related, teams, None).dimension
+            }
         };
         let svd = full.truncate(rank.clamp(1, fused.nodes()))?;
         Ok(self.rows_of(&svd)?)
