@@ -23,7 +23,7 @@ use muster_experiments::statistics::Estimate;
 struct Arguments {
     #[command(subcommand)]
     what: What,
-    /// Where RESULTS.md and results.csv go, a folder that is made if need be; without it the page goes to standard
+    /// Where RESULTS.md, results.csv and plots go, a folder that is made if need be; without it the page goes to standard
     /// output
     #[arg(long, global = true, value_name = "FOLDER")]
     out: Option<PathBuf>,
