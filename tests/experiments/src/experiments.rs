@@ -14,7 +14,7 @@ use crate::random_systems::{campus, planted};
 use crate::results::{Page, Record};
 use crate::scenario_one::{cases, run, run_noisy, total};
 use crate::score::correct;
-use crate::spaces::Silhouettes;
+use crate::spaces::{Silhouettes, in_vectors};
 use crate::statistics::Estimate;
 
 /// Who is told what is being done.
@@ -29,7 +29,13 @@ pub const TEAMS: [usize; 3] = [3, 4, 5];
 pub const NOISES: [f64; 6] = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5];
 
 /// The three measures of silhouettes by their names in records.
-const SPACES: [&str; 3] = ["silhouette own", "silhouette physical", "silhouette common"];
+pub(crate) const SPACES: [&str; 3] = ["silhouette own", "silhouette physical", "silhouette common"];
+
+/// The silhouette of any division in the vectors of the paper's method, where the paper may have scored all.
+pub(crate) const FUSED: &str = "silhouette fused";
+
+/// The paper's method by its name in records.
+pub(crate) const PLAIN: &str = "multimodal, plain";
 
 fn texts<T: Display>(cells: &[T]) -> Vec<String> {
     cells.iter().map(ToString::to_string).collect()
@@ -270,8 +276,12 @@ pub fn systems(methods: &[Method], seeds: &[u64], progress: &Progress<'_>) -> an
             let of_seed = |seed: &u64| -> Result<Vec<Record>, DivisionError> {
                 let system = campus(robots, *seed);
                 let mut records = Vec::new();
+                let plain = methods.iter().find(|method| method.name() == PLAIN);
+                let plain = plain.map(|m| m.divide(&system, teams, *seed)).transpose()?;
+                let fused = plain.and_then(|division| division.vectors);
                 for method in methods {
                     let found = method.divide(&system, teams, *seed)?;
+                    let in_fused = fused.as_ref().and_then(|x| in_vectors(&found.labels, x));
                     let scores = Silhouettes::of(&system, &found.labels, found.vectors.as_ref());
                     let record = |(measure, value): (&'static str, Option<f64>)| {
                         value.map(|value| Record {
@@ -286,6 +296,7 @@ pub fn systems(methods: &[Method], seeds: &[u64], progress: &Progress<'_>) -> an
                         })
                     };
                     records.extend(of_silhouettes(scores).into_iter().filter_map(record));
+                    records.extend(record((FUSED, in_fused)));
                 }
                 Ok(records)
             };

@@ -6,7 +6,9 @@
 //!
 //! `cargo run --release -p muster-experiments -- --help` tells what can be run.
 
+pub mod collapse;
 pub mod experiments;
+pub mod explained;
 pub mod figures;
 pub mod formations;
 pub mod grid;

@@ -5,7 +5,9 @@ use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
 use clap::{Parser, Subcommand};
+use muster_experiments::collapse::collapse;
 use muster_experiments::experiments;
+use muster_experiments::explained::papers_numbers;
 use muster_experiments::formations::Formation;
 use muster_experiments::grid::{random, scores, variations};
 use muster_experiments::methods::{Method, Recipe};
@@ -103,6 +105,11 @@ fn main() -> anyhow::Result<()> {
     }
     if is("planted") {
         page.append(experiments::planted_fleets(&methods, &seeds, &progress)?);
+    }
+    if matches!(arguments.what, What::All) {
+        page.append(collapse(&formations, &seeds, &progress)?);
+        let explained = papers_numbers(&page);
+        page.append(explained);
     }
     if let What::Grid { random, around } = arguments.what {
         page.text = grid(count, random, around)?;

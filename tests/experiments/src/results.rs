@@ -21,7 +21,7 @@ pub struct Record {
     /// Seed of the system and of all choices of the method.
     pub seed: u64,
     /// What is told: `accuracy`, or robots that are `right` among those `counted`; `silhouette own`, `silhouette
-    /// physical`, `silhouette common`.
+    /// physical`, `silhouette common`, and `silhouette fused` in the vectors of the paper's method.
     pub measure: &'static str,
     /// The number.
     pub value: f64,
