@@ -91,7 +91,8 @@ fn counts(run: &Page, page: &mut Page) {
             "On the complete spatial graph, the division by edge betweenness does not look at distances: what it \
              finds depends on the formations, on what counts and on how teams are matched, and on nothing else. \
              Here it has {found} right in all of {runs} runs, {share:.2} %; the paper prints {printed:.2} %. So the \
-             formations, their divisions and the matching are the paper's, as far as this can tell.\n\nThe paper's own numbers agree: {whole} \
+             formations, their divisions and the matching are the paper's, as far as this can \
+             tell.\n\nThe paper's own numbers agree: {whole} \
              of its {all} accuracies are whole numbers of {robots} robots, so that its table is a single run and \
              not a mean. Its text has HOPE on the spatial graph at {squads:.2} % of squads and {platoons:.2} % of \
              platoons, which are {in_squads} of {of_squads} and {in_platoons} of {of_platoons} robots, as many as \
@@ -294,7 +295,8 @@ fn yardstick(run: &Page, page: &mut Page) {
              vectors, a method is better the more of its robots it puts into one place, whether they belong together \
              or not: what is rewarded is collapse. The paper's own method shows it, which only has to drop \
              coordinates: robots in the right team in Scenario I, and silhouettes in own vectors in Scenario II, \
-             are {}. Different methods show it as well, in Scenario I: {example}. The paper finds that silhouettes rise with accuracy (its printed numbers are correlated by {printed:.2}) and concludes that \
+             are {}. Different methods show it as well, in Scenario I: {example}. The paper finds that silhouettes \
+             rise with accuracy (its printed numbers are correlated by {printed:.2}) and concludes that \
              they may stand for it where no truth is known. Over the methods of this run, accuracy is correlated by \
              {own:.2} with silhouettes in own vectors, by {physical:.2} with those of positions, and by {common:.2} \
              with those of the common space.\n\nThe *common space* is therefore what this page compares methods in \

@@ -15,6 +15,7 @@ pub mod grid;
 pub mod methods;
 pub mod paper;
 pub mod plots;
+pub mod progress;
 pub mod random_systems;
 pub mod results;
 pub mod scenario_one;

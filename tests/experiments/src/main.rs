@@ -1,16 +1,16 @@
 //! Runs the experiments and writes their results.
 
 use std::fmt::Write as _;
-use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
 use clap::{Parser, Subcommand};
-use muster_experiments::collapse::collapse;
+use muster_experiments::collapse::{RANKS, collapse};
 use muster_experiments::experiments;
 use muster_experiments::explained::papers_numbers;
-use muster_experiments::formations::Formation;
+use muster_experiments::formations::{Formation, Radio};
 use muster_experiments::grid::{random, scores, variations};
 use muster_experiments::methods::{Method, Recipe};
+use muster_experiments::progress::Bar;
 use muster_experiments::results::Page;
 use muster_experiments::seeds::{HELD_OUT, TRAINING, judging};
 use muster_experiments::statistics::Estimate;
@@ -25,8 +25,8 @@ use muster_experiments::statistics::Estimate;
 struct Arguments {
     #[command(subcommand)]
     what: What,
-    /// Where RESULTS.md, results.csv and plots go, a folder that is made if need be; without it the page goes to standard
-    /// output
+    /// Where RESULTS.md, results.csv and plots go, a folder that is made if need be; without it the page goes to
+    /// standard output
     #[arg(long, global = true, value_name = "FOLDER")]
     out: Option<PathBuf>,
     /// Few seeds: shows that everything works, and measures nothing well
@@ -85,6 +85,8 @@ fn main() -> anyhow::Result<()> {
         })
         .cloned()
         .collect();
+    let bar = Bar::of(steps(arguments.what, methods.len(), noisy.len()));
+    let told = |what: &str| bar.step(what);
     let mut page = Page { text: "# Experiments\n\n".to_owned(), ..Page::default() };
     let is = |what: &str| match arguments.what {
         What::All => true,
@@ -95,26 +97,26 @@ fn main() -> anyhow::Result<()> {
         What::Grid { .. } => false,
     };
     if is("formations") {
-        page.append(experiments::formations(&formations, &methods, &seeds, &progress)?);
+        page.append(experiments::formations(&formations, &methods, &seeds, &told)?);
     }
     if is("noise") {
-        page.append(experiments::noise(&formations, &noisy, &seeds, &progress)?);
+        page.append(experiments::noise(&formations, &noisy, &seeds, &told)?);
     }
     if is("systems") {
-        page.append(experiments::systems(&methods, &seeds, &progress)?);
+        page.append(experiments::systems(&methods, &seeds, &told)?);
     }
     if is("planted") {
-        page.append(experiments::planted_fleets(&methods, &seeds, &progress)?);
+        page.append(experiments::planted_fleets(&methods, &seeds, &told)?);
     }
     if matches!(arguments.what, What::All) {
-        page.append(collapse(&formations, &seeds, &progress)?);
+        page.append(collapse(&formations, &seeds, &told)?);
         let explained = papers_numbers(&page);
         page.append(explained);
     }
     if let What::Grid { random, around } = arguments.what {
-        page.text = grid(count, random, around)?;
+        page.text = grid(count, random, around, &bar)?;
     }
-    progress("");
+    bar.end();
     match arguments.out {
         None => print!("{}", page.text),
         Some(folder) => {
@@ -125,7 +127,7 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn grid(seeds: usize, recipes: Option<u32>, around: Around) -> anyhow::Result<String> {
+fn grid(seeds: usize, recipes: Option<u32>, around: Around, bar: &Bar) -> anyhow::Result<String> {
     let formations = Formation::all()?;
     let seeds: Vec<u64> = TRAINING.take(seeds).collect();
     let mut rows = Vec::new();
@@ -136,11 +138,11 @@ fn grid(seeds: usize, recipes: Option<u32>, around: Around) -> anyhow::Result<St
             Around::Chosen => Recipe::chosen(),
         }),
     };
-    for (done, variation) in all.iter().enumerate() {
-        progress(&format!("{} ({} of {})", variation.name, done + 1, all.len()));
+    bar.count(all.len());
+    for variation in &all {
+        bar.step(&variation.name);
         rows.push((variation, scores(&formations, &variation.recipe, &seeds)?));
     }
-    progress("");
     rows.sort_by(|left, right| right.1.worth().total_cmp(&left.1.worth()));
     let mut page = String::from("# What each choice is worth\n\n");
     writeln!(page, "Robots in the right team in percent, over {} training seeds.\n", seeds.len())?;
@@ -169,9 +171,17 @@ fn grid(seeds: usize, recipes: Option<u32>, around: Around) -> anyhow::Result<St
     Ok(page)
 }
 
-/// One line on a terminal; nothing where standard error is none.
-fn progress(what: &str) {
-    if std::io::stderr().is_terminal() {
-        eprint!("\r\x1b[K{what}");
+/// Of how many steps each experiment is, those of its loops.
+fn steps(what: What, methods: usize, noisy: usize) -> usize {
+    let formations = methods * Radio::ALL.len();
+    let noise = noisy * Radio::ALL.len() * 2;
+    let systems = experiments::ROBOTS.len() * experiments::TEAMS.len();
+    match what {
+        What::All => formations + noise + systems + methods + RANKS.len(),
+        What::Formations => formations,
+        What::Noise => noise,
+        What::Systems => systems,
+        What::Planted => methods,
+        What::Grid { .. } => 0,
     }
 }
