@@ -1,8 +1,9 @@
 //! Runs the experiments and writes their results.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use clap::{Parser, Subcommand};
 use muster_experiments::collapse::{RANKS, collapse};
 use muster_experiments::experiments;
@@ -10,6 +11,7 @@ use muster_experiments::explained::papers_numbers;
 use muster_experiments::formations::{Formation, Radio};
 use muster_experiments::grid::{random, scores, variations};
 use muster_experiments::methods::{Method, Recipe};
+use muster_experiments::physical::Case;
 use muster_experiments::progress::Bar;
 use muster_experiments::results::Page;
 use muster_experiments::seeds::{HELD_OUT, TRAINING, judging};
@@ -46,6 +48,11 @@ enum What {
     Systems,
     /// Planted fleets, whose division is known
     Planted,
+    /// Ten robots in four layouts, recorded, through the real services; takes ten seconds each
+    #[cfg(feature = "bus")]
+    Physical,
+    /// Make the recordings of the physical case anew from their seeds, in the folder --out
+    Record,
     /// What each choice of the method is worth, on training seeds
     Grid {
         /// So many recipes made by chance, instead of all that differ from one in one choice
@@ -74,6 +81,9 @@ const FEW: usize = 5;
 
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
+    if matches!(arguments.what, What::Record) {
+        return record(arguments.out.as_deref());
+    }
     let count = if arguments.quick { FEW } else { HELD_OUT.count() };
     let seeds: Vec<u64> = judging(count).collect();
     let (formations, methods) = (Formation::all()?, Method::all());
@@ -94,7 +104,9 @@ fn main() -> anyhow::Result<()> {
         What::Noise => what == "noise",
         What::Systems => what == "systems",
         What::Planted => what == "planted",
-        What::Grid { .. } => false,
+        #[cfg(feature = "bus")]
+        What::Physical => what == "physical",
+        What::Record | What::Grid { .. } => false,
     };
     if is("formations") {
         page.append(experiments::formations(&formations, &methods, &seeds, &told)?);
@@ -107,6 +119,13 @@ fn main() -> anyhow::Result<()> {
     }
     if is("planted") {
         page.append(experiments::planted_fleets(&methods, &seeds, &told)?);
+    }
+    #[cfg(feature = "bus")]
+    if is("physical") {
+        // The first seconds tell most: later pictures show the same robots again.
+        let seconds = if arguments.quick { 3.0 } else { 10.0 };
+        bar.count(Case::all()?.len());
+        page.append(muster_experiments::case_study::physical(seconds, &told)?);
     }
     if matches!(arguments.what, What::All) {
         page.append(collapse(&formations, &seeds, &told)?);
@@ -182,6 +201,20 @@ fn steps(what: What, methods: usize, noisy: usize) -> usize {
         What::Noise => noise,
         What::Systems => systems,
         What::Planted => methods,
-        What::Grid { .. } => 0,
+        #[cfg(feature = "bus")]
+        What::Physical => 0,
+        What::Record | What::Grid { .. } => 0,
     }
+}
+
+/// Writes the recordings of the physical case.
+fn record(folder: Option<&Path>) -> anyhow::Result<()> {
+    let folder = folder.context("record: --out says where the recordings go")?;
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    for case in Case::all()? {
+        let file = folder.join(format!("{}.jsonl", case.layout.name));
+        std::fs::write(&file, case.record()?.text()?)
+            .with_context(|| file.display().to_string())?;
+    }
+    Ok(())
 }
