@@ -96,7 +96,7 @@ fn main() -> anyhow::Result<()> {
         .cloned()
         .collect();
     let bar = Bar::of(steps(arguments.what, methods.len(), noisy.len()));
-    let told = |what: &str| bar.step(what);
+    let progress = |what: &str| bar.step(what);
     let mut page = Page { text: "# Experiments\n\n".to_owned(), ..Page::default() };
     let is = |what: &str| match arguments.what {
         What::All => true,
@@ -109,26 +109,26 @@ fn main() -> anyhow::Result<()> {
         What::Record | What::Grid { .. } => false,
     };
     if is("formations") {
-        page.append(experiments::formations(&formations, &methods, &seeds, &told)?);
+        page.append(experiments::formations(&formations, &methods, &seeds, &progress)?);
     }
     if is("noise") {
-        page.append(experiments::noise(&formations, &noisy, &seeds, &told)?);
+        page.append(experiments::noise(&formations, &noisy, &seeds, &progress)?);
     }
     if is("systems") {
-        page.append(experiments::systems(&methods, &seeds, &told)?);
+        page.append(experiments::systems(&methods, &seeds, &progress)?);
     }
     if is("planted") {
-        page.append(experiments::planted_fleets(&methods, &seeds, &told)?);
+        page.append(experiments::planted_fleets(&methods, &seeds, &progress)?);
     }
     #[cfg(feature = "bus")]
     if is("physical") {
         // The first seconds tell most: later pictures show the same robots again.
         let seconds = if arguments.quick { 3.0 } else { 10.0 };
         bar.count(Case::all()?.len());
-        page.append(muster_experiments::case_study::physical(seconds, &told)?);
+        page.append(muster_experiments::case_study::physical(seconds, &progress)?);
     }
     if matches!(arguments.what, What::All) {
-        page.append(collapse(&formations, &seeds, &told)?);
+        page.append(collapse(&formations, &seeds, &progress)?);
         let explained = papers_numbers(&page);
         page.append(explained);
     }
