@@ -5,15 +5,16 @@ use std::fmt::Display;
 
 use rayon::prelude::*;
 
+use crate::figures;
 use crate::formations::{Formation, Radio};
 use crate::grid::PLANTED_TEAMS;
 use crate::methods::{DivisionError, Method};
 use crate::paper;
 use crate::random_systems::{campus, planted};
 use crate::results::{Page, Record};
-use crate::scenario_one::{cases, run, run_noisy};
+use crate::scenario_one::{cases, run, run_noisy, total};
 use crate::score::correct;
-use crate::spaces::Silhouettes;
+use crate::spaces::{Silhouettes, in_vectors};
 use crate::statistics::Estimate;
 
 /// Who is told what is being done.
@@ -28,7 +29,13 @@ pub const TEAMS: [usize; 3] = [3, 4, 5];
 pub const NOISES: [f64; 6] = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5];
 
 /// The three measures of silhouettes by their names in records.
-const SPACES: [&str; 3] = ["silhouette own", "silhouette physical", "silhouette common"];
+pub(crate) const SPACES: [&str; 3] = ["silhouette own", "silhouette physical", "silhouette common"];
+
+/// The silhouette of any division in the vectors of the paper's method, where the paper may have scored all.
+pub(crate) const FUSED: &str = "silhouette fused";
+
+/// The paper's method by its name in records.
+pub(crate) const PLAIN: &str = "multimodal, plain";
 
 fn texts<T: Display>(cells: &[T]) -> Vec<String> {
     cells.iter().map(ToString::to_string).collect()
@@ -39,7 +46,7 @@ fn of_silhouettes(found: Silhouettes) -> [(&'static str, Option<f64>); 3] {
 }
 
 /// The mean over seeds of the mean of each seed's values that are asked for.
-fn over_seeds(page: &Page, is_asked: impl Fn(&Record) -> bool) -> Estimate {
+pub(crate) fn over_seeds(page: &Page, is_asked: impl Fn(&Record) -> bool) -> Estimate {
     let mut sums: BTreeMap<u64, (f64, f64)> = BTreeMap::new();
     for record in page.records.iter().filter(|record| is_asked(record)) {
         let (sum, count) = sums.entry(record.seed).or_default();
@@ -50,7 +57,7 @@ fn over_seeds(page: &Page, is_asked: impl Fn(&Record) -> bool) -> Estimate {
 }
 
 /// The mean over seeds of the share of robots that are right among all that count.
-fn share(page: &Page, is_asked: impl Fn(&Record) -> bool) -> Estimate {
+pub(crate) fn share(page: &Page, is_asked: impl Fn(&Record) -> bool) -> Estimate {
     let mut sums: BTreeMap<u64, (f64, f64)> = BTreeMap::new();
     for record in page.records.iter().filter(|record| is_asked(record)) {
         let (right, counted) = sums.entry(record.seed).or_default();
@@ -66,13 +73,13 @@ fn share(page: &Page, is_asked: impl Fn(&Record) -> bool) -> Estimate {
 /// Scenario I: formations on the march, by all methods and both radios.
 ///
 /// # Errors
-/// If a method fails.
+/// If a method fails, or a drawing.
 pub fn formations(
     formations: &[Formation],
     methods: &[Method],
     seeds: &[u64],
     progress: &Progress<'_>,
-) -> Result<Page, DivisionError> {
+) -> anyhow::Result<Page> {
     let mut page = Page::default();
     for method in methods {
         for radio in Radio::ALL {
@@ -112,6 +119,11 @@ pub fn formations(
              one radio net are. The paper tells neither distances nor radios.",
             seeds.len()
         ),
+    );
+    page.plot(
+        "accuracy",
+        "Robots in the right team by method, with both radios, and what the paper prints",
+        figures::accuracy(&page)?,
     );
     let mut rows = Vec::new();
     for method in methods {
@@ -169,19 +181,26 @@ pub fn formations(
     }
     let head = [texts(&["formation", "k", "radio"]), names].concat();
     page.table(&head, &rows);
+    if let Some(muster) = methods.iter().find(|method| method.name() == "muster") {
+        page.plot(
+            "formations",
+            "The six formations, each robot in the colour of the team that Muster finds",
+            figures::formations(formations, muster)?,
+        );
+    }
     Ok(page)
 }
 
 /// Scenario I with distances that are wrong by up to half of them.
 ///
 /// # Errors
-/// If a method fails.
+/// If a method fails, or a drawing.
 pub fn noise(
     formations: &[Formation],
     methods: &[Method],
     seeds: &[u64],
     progress: &Progress<'_>,
-) -> Result<Page, DivisionError> {
+) -> anyhow::Result<Page> {
     let mut page = Page::default();
     let mut rows = Vec::new();
     for method in methods {
@@ -193,23 +212,32 @@ pub fn noise(
                     formations.iter().filter(|f| f.is_platoon() == platoons).cloned().collect();
                 let mut row = texts(&[method.name(), radio.to_string(), kind.to_owned()]);
                 for noise in NOISES {
-                    let found: Vec<f64> = seeds
+                    let found: Vec<Vec<_>> = seeds
                         .par_iter()
-                        .map(|seed| run_noisy(&own, method, radio, noise, *seed).map(|c| c.share()))
+                        .map(|seed| run_noisy(&own, method, radio, noise, *seed))
                         .collect::<Result<_, _>>()?;
-                    for (seed, value) in seeds.iter().zip(&found) {
-                        page.records.push(Record {
+                    let mut shares = Vec::new();
+                    for (seed, outcomes) in seeds.iter().zip(&found) {
+                        let record = |measure, value| Record {
                             experiment: "noise",
                             case: kind.to_owned(),
                             teams: 0,
                             condition: format!("{radio}, {noise}"),
                             method: method.name(),
                             seed: *seed,
-                            measure: "accuracy",
-                            value: *value,
-                        });
+                            measure,
+                            value,
+                        };
+                        let share = total(outcomes).share();
+                        shares.push(share);
+                        page.records.push(record("accuracy", share));
+                        for outcome in outcomes {
+                            for (measure, value) in of_silhouettes(outcome.silhouettes) {
+                                page.records.extend(value.map(|value| record(measure, value)));
+                            }
+                        }
                     }
-                    row.push(Estimate::of(&found).percent());
+                    row.push(Estimate::of(&shares).percent());
                 }
                 rows.push(row);
             }
@@ -221,6 +249,16 @@ pub fn noise(
          Robots in the right team in percent. In the paper, HOPE on the spatial graph falls from 76.47 to 61.77 on \
          squads and from 88.24 to 72.95 on platoons; the multimodal method stays at 100 on platoons.",
     );
+    page.plot(
+        "noise-accuracy",
+        "Robots in the right team against the error of distances, squads and platoons, with both radios",
+        figures::accuracy_under_noise(&page)?,
+    );
+    page.plot(
+        "noise-silhouettes",
+        "Silhouettes in the common space against the error of distances",
+        figures::silhouettes_under_noise(&page)?,
+    );
     let noises = NOISES.map(|noise| format!("{:.0} %", 100.0 * noise));
     page.table(&[texts(&["method", "radio", "formations"]), noises.to_vec()].concat(), &rows);
     Ok(page)
@@ -229,12 +267,8 @@ pub fn noise(
 /// Scenario II: random systems, of which nobody knows the right division.
 ///
 /// # Errors
-/// If a method fails.
-pub fn systems(
-    methods: &[Method],
-    seeds: &[u64],
-    progress: &Progress<'_>,
-) -> Result<Page, DivisionError> {
+/// If a method fails, or a drawing.
+pub fn systems(methods: &[Method], seeds: &[u64], progress: &Progress<'_>) -> anyhow::Result<Page> {
     let mut page = Page::default();
     for robots in ROBOTS {
         for teams in TEAMS {
@@ -242,8 +276,12 @@ pub fn systems(
             let of_seed = |seed: &u64| -> Result<Vec<Record>, DivisionError> {
                 let system = campus(robots, *seed);
                 let mut records = Vec::new();
+                let plain = methods.iter().find(|method| method.name() == PLAIN);
+                let plain = plain.map(|m| m.divide(&system, teams, *seed)).transpose()?;
+                let fused = plain.and_then(|division| division.vectors);
                 for method in methods {
                     let found = method.divide(&system, teams, *seed)?;
+                    let in_fused = fused.as_ref().and_then(|x| in_vectors(&found.labels, x));
                     let scores = Silhouettes::of(&system, &found.labels, found.vectors.as_ref());
                     let record = |(measure, value): (&'static str, Option<f64>)| {
                         value.map(|value| Record {
@@ -258,6 +296,7 @@ pub fn systems(
                         })
                     };
                     records.extend(of_silhouettes(scores).into_iter().filter_map(record));
+                    records.extend(record((FUSED, in_fused)));
                 }
                 Ok(records)
             };
@@ -274,6 +313,11 @@ pub fn systems(
              brackets that in the method's own vectors, and what the paper prints.",
             seeds.len()
         ),
+    );
+    page.plot(
+        "systems",
+        "Silhouettes in the common space by number of robots, for three, four and five teams",
+        figures::systems(&page)?,
     );
     let mut rows = Vec::new();
     for robots in ROBOTS {
@@ -313,7 +357,7 @@ pub fn planted_fleets(
     methods: &[Method],
     seeds: &[u64],
     progress: &Progress<'_>,
-) -> Result<Page, DivisionError> {
+) -> anyhow::Result<Page> {
     let mut page = Page::default();
     let mut rows = Vec::new();
     for method in methods {

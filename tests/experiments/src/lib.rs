@@ -1,15 +1,28 @@
-//! The paper's experiments and ours ([`experiments`]): what is divided ([`formations`], [`random_systems`],
-//! [`system`]), by which methods
-//! ([`methods`]), how it is scored ([`score`], [`spaces`],
-//! [`statistics`]), and on which seeds ([`seeds`]).
+//! The paper's experiments and ours ([`experiments`], [`collapse`]): what is divided ([`formations`],
+//! [`random_systems`], [`physical`], [`system`]), by which methods ([`methods`]), how it is scored ([`score`],
+//! [`spaces`], [`statistics`]), on which seeds ([`seeds`]), and how it is shown ([`results`], [`figures`],
+//! [`plots`], [`explained`]).
+//!
+//! With the feature `bus`, the physical case runs through the real services (`live`, `case_study`); all else
+//! knows neither bus nor services.
 //!
 //! `cargo run --release -p muster-experiments -- --help` tells what can be run.
 
+#[cfg(feature = "bus")]
+pub mod case_study;
+pub mod collapse;
 pub mod experiments;
+pub mod explained;
+pub mod figures;
 pub mod formations;
 pub mod grid;
+#[cfg(feature = "bus")]
+pub mod live;
 pub mod methods;
 pub mod paper;
+pub mod physical;
+pub mod plots;
+pub mod progress;
 pub mod random_systems;
 pub mod results;
 pub mod scenario_one;

@@ -1,14 +1,18 @@
 //! Runs the experiments and writes their results.
 
 use std::fmt::Write as _;
-use std::io::IsTerminal as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use clap::{Parser, Subcommand};
+use muster_experiments::collapse::{RANKS, collapse};
 use muster_experiments::experiments;
-use muster_experiments::formations::Formation;
+use muster_experiments::explained::papers_numbers;
+use muster_experiments::formations::{Formation, Radio};
 use muster_experiments::grid::{random, scores, variations};
 use muster_experiments::methods::{Method, Recipe};
+use muster_experiments::physical::Case;
+use muster_experiments::progress::Bar;
 use muster_experiments::results::Page;
 use muster_experiments::seeds::{HELD_OUT, TRAINING, judging};
 use muster_experiments::statistics::Estimate;
@@ -23,8 +27,8 @@ use muster_experiments::statistics::Estimate;
 struct Arguments {
     #[command(subcommand)]
     what: What,
-    /// Where RESULTS.md and results.csv go, a folder that is made if need be; without it the page goes to standard
-    /// output
+    /// Where RESULTS.md, results.csv and plots go, a folder that is made if need be; without it the page goes to
+    /// standard output
     #[arg(long, global = true, value_name = "FOLDER")]
     out: Option<PathBuf>,
     /// Few seeds: shows that everything works, and measures nothing well
@@ -44,6 +48,11 @@ enum What {
     Systems,
     /// Planted fleets, whose division is known
     Planted,
+    /// Ten robots in four layouts, recorded, through the real services; takes ten seconds each
+    #[cfg(feature = "bus")]
+    Physical,
+    /// Make the recordings of the physical case anew from their seeds, in the folder --out
+    Record,
     /// What each choice of the method is worth, on training seeds
     Grid {
         /// So many recipes made by chance, instead of all that differ from one in one choice
@@ -60,6 +69,9 @@ const FEW: usize = 5;
 
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
+    if matches!(arguments.what, What::Record) {
+        return record(arguments.out.as_deref());
+    }
     let count = if arguments.quick { FEW } else { HELD_OUT.count() };
     let seeds: Vec<u64> = judging(count).collect();
     let (formations, methods) = (Formation::all()?, Method::all());
@@ -71,6 +83,8 @@ fn main() -> anyhow::Result<()> {
         })
         .cloned()
         .collect();
+    let bar = Bar::of(steps(arguments.what, methods.len(), noisy.len()));
+    let progress = |what: &str| bar.step(what);
     let mut page = Page { text: "# Experiments\n\n".to_owned(), ..Page::default() };
     let is = |what: &str| match arguments.what {
         What::All => true,
@@ -78,7 +92,9 @@ fn main() -> anyhow::Result<()> {
         What::Noise => what == "noise",
         What::Systems => what == "systems",
         What::Planted => what == "planted",
-        What::Grid { .. } => false,
+        #[cfg(feature = "bus")]
+        What::Physical => what == "physical",
+        What::Record | What::Grid { .. } => false,
     };
     if is("formations") {
         page.append(experiments::formations(&formations, &methods, &seeds, &progress)?);
@@ -92,10 +108,22 @@ fn main() -> anyhow::Result<()> {
     if is("planted") {
         page.append(experiments::planted_fleets(&methods, &seeds, &progress)?);
     }
-    if let What::Grid { random } = arguments.what {
-        page.text = grid(count, random)?;
+    #[cfg(feature = "bus")]
+    if is("physical") {
+        // The first seconds tell most: later pictures show the same robots again.
+        let seconds = if arguments.quick { 3.0 } else { 10.0 };
+        bar.count(Case::all()?.len());
+        page.append(muster_experiments::case_study::physical(seconds, &progress)?);
     }
-    progress("");
+    if matches!(arguments.what, What::All) {
+        page.append(collapse(&formations, &seeds, &progress)?);
+        let explained = papers_numbers(&page);
+        page.append(explained);
+    }
+    if let What::Grid { random } = arguments.what {
+        page.text = grid(count, random, &bar)?;
+    }
+    bar.end();
     match arguments.out {
         None => print!("{}", page.text),
         Some(folder) => {
@@ -106,7 +134,7 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-fn grid(seeds: usize, recipes: Option<u32>) -> anyhow::Result<String> {
+fn grid(seeds: usize, recipes: Option<u32>, bar: &Bar) -> anyhow::Result<String> {
     let formations = Formation::all()?;
     let seeds: Vec<u64> = TRAINING.take(seeds).collect();
     let mut rows = Vec::new();
@@ -114,11 +142,11 @@ fn grid(seeds: usize, recipes: Option<u32>) -> anyhow::Result<String> {
         Some(count) => random(count as usize, RECIPE_SEED),
         None => variations(&Recipe::live()),
     };
-    for (done, variation) in all.iter().enumerate() {
-        progress(&format!("{} ({} of {})", variation.name, done + 1, all.len()));
+    bar.count(all.len());
+    for variation in &all {
+        bar.step(&variation.name);
         rows.push((variation, scores(&formations, &variation.recipe, &seeds)?));
     }
-    progress("");
     rows.sort_by(|left, right| right.1.worth().total_cmp(&left.1.worth()));
     let mut page = String::from("# What each choice is worth\n\n");
     writeln!(page, "Robots in the right team in percent, over {} training seeds.\n", seeds.len())?;
@@ -148,9 +176,31 @@ fn grid(seeds: usize, recipes: Option<u32>) -> anyhow::Result<String> {
     Ok(page)
 }
 
-/// One line on a terminal; nothing where standard error is none.
-fn progress(what: &str) {
-    if std::io::stderr().is_terminal() {
-        eprint!("\r\x1b[K{what}");
+/// Of how many steps each experiment is, those of its loops.
+fn steps(what: What, methods: usize, noisy: usize) -> usize {
+    let formations = methods * Radio::ALL.len();
+    let noise = noisy * Radio::ALL.len() * 2;
+    let systems = experiments::ROBOTS.len() * experiments::TEAMS.len();
+    match what {
+        What::All => formations + noise + systems + methods + RANKS.len(),
+        What::Formations => formations,
+        What::Noise => noise,
+        What::Systems => systems,
+        What::Planted => methods,
+        #[cfg(feature = "bus")]
+        What::Physical => 0,
+        What::Record | What::Grid { .. } => 0,
     }
+}
+
+/// Writes the recordings of the physical case.
+fn record(folder: Option<&Path>) -> anyhow::Result<()> {
+    let folder = folder.context("record: --out says where the recordings go")?;
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    for case in Case::all()? {
+        let file = folder.join(format!("{}.jsonl", case.layout.name));
+        std::fs::write(&file, case.record()?.text()?)
+            .with_context(|| file.display().to_string())?;
+    }
+    Ok(())
 }

@@ -21,7 +21,7 @@ pub struct Record {
     /// Seed of the system and of all choices of the method.
     pub seed: u64,
     /// What is told: `accuracy`, or robots that are `right` among those `counted`; `silhouette own`, `silhouette
-    /// physical`, `silhouette common`.
+    /// physical`, `silhouette common`, and `silhouette fused` in the vectors of the paper's method.
     pub measure: &'static str,
     /// The number.
     pub value: f64,
@@ -34,7 +34,12 @@ pub struct Page {
     pub text: String,
     /// In the order in which they were measured.
     pub records: Vec<Record>,
+    /// Pictures that the text refers to, by the names of their files in [`PLOTS`], as SVG.
+    pub plots: Vec<(String, String)>,
 }
+
+/// The folder of pictures beside the page.
+pub const PLOTS: &str = "plots";
 
 impl Page {
     /// Adds a heading and a paragraph.
@@ -52,6 +57,13 @@ impl Page {
         self.text.push('\n');
     }
 
+    /// Adds a picture by the name of its file, without ending, with words for those who do not see it.
+    pub fn plot(&mut self, name: &str, words: &str, svg: String) {
+        let file = format!("{name}.svg");
+        let _ = write!(self.text, "![{words}]({PLOTS}/{file})\n\n");
+        self.plots.push((file, svg));
+    }
+
     /// The values of the records that a question is about, by seed and in order.
     pub fn values<'a>(&'a self, is_asked: impl Fn(&Record) -> bool + 'a) -> Vec<f64> {
         self.records.iter().filter(|record| is_asked(record)).map(|record| record.value).collect()
@@ -61,9 +73,10 @@ impl Page {
     pub fn append(&mut self, other: Self) {
         self.text += &other.text;
         self.records.extend(other.records);
+        self.plots.extend(other.plots);
     }
 
-    /// Writes RESULTS.md and results.csv into a folder, which is made if need be.
+    /// Writes RESULTS.md, results.csv and all pictures into a folder, which is made if need be.
     ///
     /// # Errors
     /// Names the file that cannot be written.
@@ -92,7 +105,16 @@ impl Page {
                 &value,
             ])?;
         }
-        out.flush().with_context(|| named(&file))
+        out.flush().with_context(|| named(&file))?;
+        let plots = folder.join(PLOTS);
+        if !self.plots.is_empty() {
+            std::fs::create_dir_all(&plots).with_context(|| named(&plots))?;
+        }
+        for (name, svg) in &self.plots {
+            let file = plots.join(name);
+            std::fs::write(&file, svg).with_context(|| named(&file))?;
+        }
+        Ok(())
     }
 }
 
@@ -118,11 +140,15 @@ mod tests {
             value: 0.5,
         };
         page.records.push(record);
+        page.plot("noise", "Accuracy against noise", "<svg/>".to_owned());
+        assert!(page.text.ends_with("![Accuracy against noise](plots/noise.svg)\n\n"));
         assert_eq!(page.values(|record| record.seed == 7), [0.5]);
         let folder = tempfile::tempdir().unwrap();
         page.write(&folder.path().join("new")).unwrap();
         let csv = std::fs::read_to_string(folder.path().join("new/results.csv")).unwrap();
         let line = "formations,\"squad, in line\",2,net,muster,7,accuracy,0.5\n";
         assert!(csv.ends_with(line), "{csv}");
+        let svg = std::fs::read_to_string(folder.path().join("new/plots/noise.svg")).unwrap();
+        assert_eq!(svg, "<svg/>");
     }
 }

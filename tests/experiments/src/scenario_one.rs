@@ -8,6 +8,7 @@ use crate::formations::{Formation, Radio};
 use crate::methods::{DivisionError, Method};
 use crate::score::{Correct, correct};
 use crate::spaces::Silhouettes;
+use crate::system::System;
 
 /// One division of one formation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -55,21 +56,13 @@ pub fn run(
             Some(seed) => formation.marching(radio, seed),
             None => formation.drawn(radio),
         };
-        let teams = formation.layout.teams(case.division);
-        let division = method.divide(&system, teams, seed.unwrap_or(0))?;
-        let truth = &formation.layout.divisions[case.division];
-        found.push(Outcome {
-            case,
-            // Both name the robots of the formation.
-            correct: correct(&division.labels, truth).unwrap_or_default(),
-            silhouettes: Silhouettes::of(&system, &division.labels, division.vectors.as_ref()),
-        });
+        found.push(divided(formation, case, method, &system, seed.unwrap_or(0))?);
     }
     Ok(found)
 }
 
-/// Robots in the right team, over all cases, where every distance is measured with an error of up to `noise` of
-/// it.
+/// Divides all formations, case by case, where every distance is measured with an error of up to `noise` of it.
+/// Silhouettes are those of the true places.
 ///
 /// # Errors
 /// If the method fails.
@@ -79,16 +72,32 @@ pub fn run_noisy(
     radio: Radio,
     noise: f64,
     seed: u64,
-) -> Result<Correct, DivisionError> {
-    let mut total = Correct::default();
+) -> Result<Vec<Outcome>, DivisionError> {
+    let mut outcomes = Vec::new();
     for case in cases(formations) {
         let formation = &formations[case.formation];
         let system = formation.marching(radio, seed).with_noise(noise, seed);
-        let found = method.divide(&system, formation.layout.teams(case.division), seed)?;
-        let truth = &formation.layout.divisions[case.division];
-        total += correct(&found.labels, truth).unwrap_or_default();
+        outcomes.push(divided(formation, case, method, &system, seed)?);
     }
-    Ok(total)
+    Ok(outcomes)
+}
+
+/// What becomes of one case.
+fn divided(
+    formation: &Formation,
+    case: Case,
+    method: &Method,
+    system: &System,
+    seed: u64,
+) -> Result<Outcome, DivisionError> {
+    let found = method.divide(system, formation.layout.teams(case.division), seed)?;
+    let truth = &formation.layout.divisions[case.division];
+    Ok(Outcome {
+        case,
+        // Both name the robots of the formation.
+        correct: correct(&found.labels, truth).unwrap_or_default(),
+        silhouettes: Silhouettes::of(system, &found.labels, found.vectors.as_ref()),
+    })
 }
 
 /// All robots together.

@@ -144,13 +144,19 @@ pub struct Silhouettes {
     pub common: Option<f64>,
 }
 
+/// The mean silhouette of a division in vectors, be they of another method; none for fewer than two teams.
+#[must_use]
+pub fn in_vectors(labels: &[usize], vectors: &DenseMatrix) -> Option<f64> {
+    silhouette(vectors, labels).ok().map(|found| found.mean)
+}
+
 impl Silhouettes {
     /// Of a division of all robots of a system.
     #[must_use]
     pub fn of(system: &System, labels: &[usize], vectors: Option<&DenseMatrix>) -> Self {
         let all: Vec<Option<usize>> = labels.iter().map(|label| Some(*label)).collect();
         Self {
-            own: vectors.and_then(|x| silhouette(x, labels).ok()).map(|found| found.mean),
+            own: vectors.and_then(|vectors| in_vectors(labels, vectors)),
             physical: Distances::physical(system).silhouette(&all),
             common: Distances::common(system).silhouette(&all),
         }

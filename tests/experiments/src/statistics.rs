@@ -51,9 +51,30 @@ impl Estimate {
     }
 }
 
+/// Pearson's correlation of pairs; NaN where one side does not vary.
+#[must_use]
+pub fn correlation(pairs: &[(f64, f64)]) -> f64 {
+    let side = |pick: fn(&(f64, f64)) -> f64| {
+        let values: Vec<f64> = pairs.iter().map(pick).collect();
+        let mean = Estimate::of(&values).mean;
+        values.into_iter().map(|value| value - mean).collect::<Vec<f64>>()
+    };
+    let (left, right) = (side(|pair| pair.0), side(|pair| pair.1));
+    let dot = |l: &[f64], r: &[f64]| l.iter().zip(r).map(|(l, r)| l * r).sum::<f64>();
+    dot(&left, &right) / (dot(&left, &left) * dot(&right, &right)).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn correlation_is_that_of_lines_and_of_the_literature() {
+        assert!((correlation(&[(0.0, 1.0), (1.0, 3.0), (2.0, 5.0)]) - 1.0).abs() < 1e-15);
+        assert!((correlation(&[(0.0, 1.0), (1.0, 0.0)]) + 1.0).abs() < 1e-15);
+        assert_eq!(correlation(&[(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]), 0.0);
+        assert!(correlation(&[(1.0, 1.0), (1.0, 2.0)]).is_nan());
+    }
 
     #[test]
     fn the_interval_is_students() {

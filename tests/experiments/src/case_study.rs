@@ -1,0 +1,168 @@
+//! The page of the physical case.
+
+use crate::experiments::Progress;
+use crate::figures::{command, leaders, team_names};
+use crate::live::{Told, play};
+use crate::physical::{Case, DROPPED, HEARD_M, JITTER_M, MISSED, RATE_HZ};
+use crate::plots::map::{Map, maps};
+use crate::results::{Page, Record};
+use crate::score::{Correct, correct};
+
+/// Teams that are asked for, as in the paper.
+const TEAMS: usize = 3;
+
+/// Plays all recordings for so many seconds each through the real services.
+///
+/// # Errors
+/// If a file is none, the bus or a service fails, or a drawing.
+pub fn physical(seconds: f64, progress: &Progress<'_>) -> anyhow::Result<Page> {
+    let mut page = Page::default();
+    let (mut rows, mut pictures) = (Vec::new(), Vec::new());
+    for case in Case::all()? {
+        progress(&format!("physical: {}", case.layout.name));
+        let told = play(&case, &case.recording()?, TEAMS, seconds)?;
+        let right = right(&told, &case);
+        page.records.extend(records(&case, &told, right));
+        let whole = told.whole_s.map_or("never".to_owned(), |whole| format!("{whole:.2}"));
+        let [newest, oldest] = [&told.newest_ms, &told.oldest_ms].map(|ms| {
+            let [half, most] = [0.5, 0.95].map(|share| quantile(ms, share));
+            format!("{half:.1} / {most:.1}")
+        });
+        rows.push(vec![
+            case.layout.name.clone(),
+            format!("{} of {}", right.right, right.counted),
+            whole,
+            told.moves.to_string(),
+            format!("{:.2}", told.settled_s),
+            told.newest_ms.len().to_string(),
+            newest,
+            oldest,
+        ]);
+        pictures.push(picture(&case, &told, right)?);
+    }
+    page.say(
+        "## The physical case, recorded",
+        &format!(
+            "Ten robots in four layouts, as in the paper's study with ten TurtleBots, and three teams asked for. \
+             There are no robots here: what a camera would see of them was made by chance, {RATE_HZ} pictures a \
+             second with places off by {:.0} mm (standard deviation along each axis), {:.0} % of the marks not \
+             recognised and {:.0} % of the pictures lost. Everything else is real: a router, the four services with \
+             their defaults and ten robots with a session each speak to each other over sockets, for {seconds} s, \
+             from the moment in which the services were started. Robots hear each other up to about {HEARD_M} m, and \
+             those nearer to the middle command the others of their team.\n\nThe table has the robots that were \
+             told the right team in the end; after how many seconds all knew a team, how often one was told another \
+             one after that, and when the last change was; how many divisions a console received, and how many \
+             milliseconds (median / 95 %) after `ingest` had received the newest and the oldest pose behind them. \
+             The paper shows pictures of its four layouts and no numbers, so that there is nothing to compare.",
+            1e3 * JITTER_M,
+            100.0 * MISSED,
+            100.0 * DROPPED
+        ),
+    );
+    let note = "rings: those who command others; dark lines: who answers to whom; pale lines: who hears whom";
+    page.plot(
+        "physical",
+        "Four layouts of ten robots, each in the colour of the team that it was told",
+        maps(&pictures, 2, &team_names(TEAMS), note)?,
+    );
+    let head = [
+        "layout",
+        "right",
+        "all know, s",
+        "moves after",
+        "last change, s",
+        "divisions",
+        "newest pose, ms",
+        "oldest pose, ms",
+    ];
+    page.table(&head.map(str::to_owned), &rows);
+    Ok(page)
+}
+
+/// Robots that were told the right team; those that were told none are wrong.
+fn right(told: &Told, case: &Case) -> Correct {
+    let truth = &case.layout.divisions[0];
+    // Without those who have none, so that they are no team of their own.
+    let known = told.teams.iter().zip(truth).filter_map(|(team, truth)| Some(((*team)?, *truth)));
+    let (found, wanted): (Vec<usize>, Vec<Option<usize>>) = known.unzip();
+    // Both have been made of the same robots.
+    let right = correct(&found, &wanted).unwrap_or_default().right;
+    Correct { right, counted: truth.iter().flatten().count() as u64 }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
+fn records(case: &Case, told: &Told, right: Correct) -> Vec<Record> {
+    let record = |measure: &'static str, value: f64| Record {
+        experiment: "physical",
+        case: case.layout.name.clone(),
+        teams: TEAMS,
+        condition: String::new(),
+        method: "live services".to_owned(),
+        seed: case.seed,
+        measure,
+        value,
+    };
+    let once = [
+        ("right", right.right as f64),
+        ("counted", right.counted as f64),
+        ("moves", told.moves as f64),
+        ("settled s", told.settled_s),
+    ];
+    let mut records: Vec<Record> =
+        once.into_iter().map(|(measure, value)| record(measure, value)).collect();
+    records.extend(told.whole_s.map(|whole| record("whole s", whole)));
+    records.extend(told.newest_ms.iter().map(|ms| record("newest pose ms", *ms)));
+    records.extend(told.oldest_ms.iter().map(|ms| record("oldest pose ms", *ms)));
+    records
+}
+
+/// The least value that so large a share of all does not exceed; NaN for none.
+#[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
+fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let place = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(place.saturating_sub(1)).copied().unwrap_or(f64::NAN)
+}
+
+fn picture(case: &Case, told: &Told, right: Correct) -> anyhow::Result<Map> {
+    let layout = &case.layout;
+    let number = |robot: &str| layout.robots.iter().position(|other| other.as_str() == robot);
+    let links = case.links()?.into_iter().enumerate().flat_map(|(hearer, links)| {
+        let heard = links.links.into_iter().filter_map(|link| number(link.peer.as_str()));
+        heard.map(move |peer| (hearer, peer)).collect::<Vec<_>>()
+    });
+    Ok(Map {
+        title: format!("{}: {} of {} right", layout.name, right.right, right.counted),
+        places: layout.places.clone(),
+        teams: told.teams.clone(),
+        leaders: leaders(&layout.superiors),
+        command: command(&layout.superiors),
+        links: links.collect(),
+        boxes: true,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn robots_without_a_team_are_wrong() {
+        let case = &Case::all().unwrap()[0];
+        let mut told = Told { teams: case.layout.divisions[0].clone(), ..Told::default() };
+        assert_eq!(right(&told, case), Correct { right: 10, counted: 10 });
+        told.teams[0] = None;
+        assert_eq!(right(&told, case), Correct { right: 9, counted: 10 });
+        told.teams.fill(None);
+        assert_eq!(right(&told, case), Correct { right: 0, counted: 10 });
+        assert_eq!(picture(case, &told, right(&told, case)).unwrap().places.len(), 10);
+    }
+
+    #[test]
+    fn quantiles_are_values() {
+        let values = [4.0, 1.0, 3.0, 2.0];
+        assert_eq!([0.25, 0.5, 0.95].map(|share| quantile(&values, share)), [1.0, 2.0, 4.0]);
+        assert!(quantile(&[], 0.5).is_nan());
+    }
+}
