@@ -9,6 +9,7 @@ use muster_experiments::experiments;
 use muster_experiments::formations::Formation;
 use muster_experiments::grid::{random, scores, variations};
 use muster_experiments::methods::{Method, Recipe};
+use muster_experiments::moving::page::moving;
 use muster_experiments::results::Page;
 use muster_experiments::seeds::{HELD_OUT, TRAINING, judging};
 use muster_experiments::statistics::Estimate;
@@ -44,6 +45,8 @@ enum What {
     Systems,
     /// Planted fleets, whose division is known
     Planted,
+    /// Fleets that move, whose division is known at any moment, through the cores of all services
+    Moving,
     /// What each choice of the method is worth, on training seeds
     Grid {
         /// So many recipes made by chance, instead of all that differ from one in one choice
@@ -90,6 +93,7 @@ fn main() -> anyhow::Result<()> {
         What::Noise => what == "noise",
         What::Systems => what == "systems",
         What::Planted => what == "planted",
+        What::Moving => what == "moving",
         What::Grid { .. } => false,
     };
     if is("formations") {
@@ -103,6 +107,9 @@ fn main() -> anyhow::Result<()> {
     }
     if is("planted") {
         page.append(experiments::planted_fleets(&methods, &seeds, &progress)?);
+    }
+    if is("moving") {
+        page.append(moving(arguments.quick, &seeds, &progress)?.page);
     }
     if let What::Grid { random, around } = arguments.what {
         page.text = grid(count, random, around)?;
