@@ -6,6 +6,8 @@
 //! With the feature `bus`, the physical case runs through the real services (`live`, `case_study`); all else
 //! knows neither bus nor services.
 //!
+//! Fleets that move ([`moving`]) go through the cores of all services, with their truth at any moment.
+//!
 //! `cargo run --release -p muster-experiments -- --help` tells what can be run.
 
 #[cfg(feature = "bus")]
@@ -19,6 +21,7 @@ pub mod grid;
 #[cfg(feature = "bus")]
 pub mod live;
 pub mod methods;
+pub mod moving;
 pub mod paper;
 pub mod physical;
 pub mod plots;

@@ -11,6 +11,7 @@ use muster_experiments::explained::papers_numbers;
 use muster_experiments::formations::{Formation, Radio};
 use muster_experiments::grid::{random, scores, variations};
 use muster_experiments::methods::{Method, Recipe};
+use muster_experiments::moving::page::moving;
 use muster_experiments::physical::Case;
 use muster_experiments::progress::Bar;
 use muster_experiments::results::Page;
@@ -48,6 +49,8 @@ enum What {
     Systems,
     /// Planted fleets, whose division is known
     Planted,
+    /// Fleets that move, whose division is known at any moment, through the cores of all services
+    Moving,
     /// Ten robots in four layouts, recorded, through the real services; takes ten seconds each
     #[cfg(feature = "bus")]
     Physical,
@@ -92,6 +95,7 @@ fn main() -> anyhow::Result<()> {
         What::Noise => what == "noise",
         What::Systems => what == "systems",
         What::Planted => what == "planted",
+        What::Moving => what == "moving",
         #[cfg(feature = "bus")]
         What::Physical => what == "physical",
         What::Record | What::Grid { .. } => false,
@@ -107,6 +111,9 @@ fn main() -> anyhow::Result<()> {
     }
     if is("planted") {
         page.append(experiments::planted_fleets(&methods, &seeds, &progress)?);
+    }
+    if is("moving") {
+        page.append(moving(arguments.quick, &seeds, &progress)?.page);
     }
     #[cfg(feature = "bus")]
     if is("physical") {
@@ -189,7 +196,7 @@ fn steps(what: What, methods: usize, noisy: usize) -> usize {
         What::Planted => methods,
         #[cfg(feature = "bus")]
         What::Physical => 0,
-        What::Record | What::Grid { .. } => 0,
+        What::Moving | What::Record | What::Grid { .. } => 0,
     }
 }
 

@@ -1,0 +1,281 @@
+//! The cores of all services in one thread and in virtual time.
+//!
+//! Messages are handed on at once and as they are: what the bus adds is tested elsewhere. Fetches find nothing,
+//! as on a bus on which nothing is lost and nobody was before. A job takes as long as it is told to.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+use muster_auditor::Auditor;
+use muster_clusterer::Clusterer;
+use muster_embedder::Embedder;
+use muster_ingest::Ingest;
+use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stopwatch, Stored};
+use muster_model::audit::Audit;
+use muster_model::id::{FleetId, IdError, InstanceId, ServiceName};
+use muster_model::settings::{
+    AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings,
+};
+use muster_model::teams::Teams;
+use muster_model::time::Tick;
+use muster_wire::{Key, KeySpace, Message, Request};
+
+/// Shortest time between two timeouts, as in the shell.
+const BETWEEN_TIMEOUTS: Duration = Duration::from_millis(1);
+
+/// The settings of all services.
+#[derive(Debug, Clone, Default)]
+pub struct AllSettings {
+    /// Of `ingest`.
+    pub ingest: IngestSettings,
+    /// Of `embedder`.
+    pub embedder: EmbedderSettings,
+    /// Of `clusterer`.
+    pub clusterer: ClustererSettings,
+    /// Of `auditor`.
+    pub auditor: AuditorSettings,
+    /// How long a job takes.
+    pub job_takes: Duration,
+}
+
+/// Why there is no pipeline, or it does not do what it was told.
+#[derive(Debug, thiserror::Error)]
+pub enum PipelineError {
+    /// A name is none.
+    #[error(transparent)]
+    Name(#[from] IdError),
+    /// A service refuses an order.
+    #[error("an order is refused: {0}")]
+    Refused(String),
+}
+
+/// One service.
+struct Stage<C: Core> {
+    driver: Driver<C>,
+    /// What a job has led to, and when that is known.
+    done: Option<(Tick, C::Done)>,
+    job_takes: Duration,
+    not_before: Tick,
+    refusal: Option<String>,
+}
+
+impl<C: Core> Stage<C> {
+    fn new(
+        now: Tick,
+        fleet: &FleetId,
+        settings: C::Settings,
+        job_takes: Duration,
+    ) -> Result<Self, IdError> {
+        let start = Start {
+            fleet: fleet.clone(),
+            instance: InstanceId::new(C::SERVICE.as_str())?,
+            now,
+            settings,
+            stored: Stored::default(),
+        };
+        Ok(Self {
+            driver: Driver::new(start),
+            done: None,
+            job_takes,
+            not_before: now,
+            refusal: None,
+        })
+    }
+
+    fn due(&self) -> Option<Tick> {
+        let woken = self.driver.deadline().map(|at| at.max(self.not_before));
+        woken.into_iter().chain(self.done.as_ref().map(|(at, _)| *at)).min()
+    }
+
+    /// Does what is due.
+    fn wake(&mut self, now: Tick, out: &mut VecDeque<Message>) {
+        match self.done.take() {
+            Some((at, done)) if at <= now => self.step(now, Event::Done(done), out),
+            done => {
+                self.done = done;
+                self.not_before = now.after(BETWEEN_TIMEOUTS);
+                self.step(now, Event::Timeout, out);
+            }
+        }
+    }
+
+    fn step(&mut self, now: Tick, event: Event<C::Done>, out: &mut VecDeque<Message>) {
+        let mut events = VecDeque::from([event]);
+        while let Some(event) = events.pop_front() {
+            for command in self.driver.step(now, event) {
+                match command {
+                    Command::Publish(message) => out.push_back(message),
+                    Command::Run(job) => {
+                        let done = C::run(job, &mut Stopwatch::still());
+                        self.done = Some((now.after(self.job_takes), done));
+                    }
+                    Command::Fetch { fetch, .. } => {
+                        events.push_back(Event::Fetched { fetch, messages: Vec::new() });
+                    }
+                    Command::Reply { answer, .. } => self.refusal = answer.err(),
+                    Command::Store(_) => {}
+                }
+            }
+        }
+    }
+}
+
+/// All services of a fleet.
+pub struct Pipeline {
+    now: Tick,
+    space: KeySpace,
+    ingest: Stage<Ingest>,
+    embedder: Stage<Embedder>,
+    clusterer: Stage<Clusterer>,
+    auditor: Stage<Auditor>,
+    queue: VecDeque<Message>,
+    queries: u64,
+    /// The last division.
+    pub teams: Option<Arc<Teams>>,
+    /// The last judgement of it.
+    pub audit: Option<Arc<Audit>>,
+    /// Columns of the last embedding.
+    pub dimension: u32,
+}
+
+impl Pipeline {
+    /// Services that have just begun.
+    ///
+    /// # Errors
+    /// If a name is none, which is not so.
+    pub fn new(now: Tick, settings: AllSettings) -> Result<Self, PipelineError> {
+        let fleet = FleetId::new("moving")?;
+        let AllSettings { ingest, embedder, clusterer, auditor, job_takes } = settings;
+        let mut pipeline = Self {
+            now,
+            ingest: Stage::new(now, &fleet, ingest, job_takes)?,
+            embedder: Stage::new(now, &fleet, embedder, job_takes)?,
+            clusterer: Stage::new(now, &fleet, clusterer, job_takes)?,
+            auditor: Stage::new(now, &fleet, auditor, job_takes)?,
+            space: KeySpace::new(fleet),
+            queue: VecDeque::new(),
+            queries: 0,
+            teams: None,
+            audit: None,
+            dimension: 0,
+        };
+        pipeline.embedder.step(now, Event::Started, &mut pipeline.queue);
+        pipeline.clusterer.step(now, Event::Started, &mut pipeline.queue);
+        pipeline.auditor.step(now, Event::Started, &mut pipeline.queue);
+        pipeline.ingest.step(now, Event::Started, &mut pipeline.queue);
+        pipeline.deliver();
+        Ok(pipeline)
+    }
+
+    /// A robot says something now.
+    pub fn hear(&mut self, message: Message) {
+        self.ingest.step(self.now, Event::Received(message), &mut self.queue);
+        self.deliver();
+    }
+
+    /// The operator asks for so many teams now.
+    ///
+    /// # Errors
+    /// If `clusterer` refuses.
+    pub fn order_teams(&mut self, teams: usize) -> Result<(), PipelineError> {
+        let key = self.space.format(&Key::Settings(ServiceName::Clusterer));
+        let patch = format!("{{\"teams\": {teams}}}").into_bytes();
+        let request = Request::new(key, "", Some(patch)).map_err(PipelineError::Refused)?;
+        self.queries += 1;
+        let query = QueryId(self.queries);
+        self.clusterer.step(self.now, Event::Query { query, request }, &mut self.queue);
+        self.deliver();
+        self.clusterer.refusal.take().map_or(Ok(()), |reason| Err(PipelineError::Refused(reason)))
+    }
+
+    /// Time goes on to a moment, and everything happens that is due until then.
+    pub fn advance(&mut self, until: Tick) {
+        loop {
+            let dues =
+                [self.ingest.due(), self.embedder.due(), self.clusterer.due(), self.auditor.due()];
+            let next = (0..dues.len()).filter_map(|at| Some((dues[at]?, at))).min();
+            let Some((due, at)) = next.filter(|(due, _)| *due <= until) else { break };
+            self.now = self.now.max(due);
+            let (now, queue) = (self.now, &mut self.queue);
+            match at {
+                0 => self.ingest.wake(now, queue),
+                1 => self.embedder.wake(now, queue),
+                2 => self.clusterer.wake(now, queue),
+                _ => self.auditor.wake(now, queue),
+            }
+            self.deliver();
+        }
+        self.now = self.now.max(until);
+    }
+
+    /// Hands on what was published, each to those who have subscribed to it.
+    fn deliver(&mut self) {
+        let now = self.now;
+        while let Some(message) = self.queue.pop_front() {
+            let received = |message: &Message| Event::Received(message.clone());
+            let out = &mut self.queue;
+            match &message {
+                Message::Graph(_) => self.embedder.step(now, Event::Received(message), out),
+                Message::Roster(_) => {
+                    self.embedder.step(now, Event::Received(message.clone()), out);
+                    self.clusterer.step(now, Event::Received(message.clone()), out);
+                    self.auditor.step(now, Event::Received(message), out);
+                }
+                Message::Settings(told) if told.service == ServiceName::Clusterer => {
+                    self.embedder.step(now, Event::Received(message), out);
+                }
+                Message::Embedding(embedding) => {
+                    self.dimension = embedding.dimension;
+                    self.clusterer.step(now, received(&message), out);
+                    self.auditor.step(now, Event::Received(message), out);
+                }
+                Message::Teams { teams, .. } => {
+                    self.teams = Some(Arc::clone(teams));
+                    self.auditor.step(now, Event::Received(message), out);
+                }
+                Message::Audit(audit) => {
+                    self.audit = Some(Arc::clone(audit));
+                    self.clusterer.step(now, Event::Received(message), out);
+                }
+                _ => {}
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+mod tests {
+    use muster_model::id::RobotId;
+    use muster_model::observation::Pose;
+
+    use super::*;
+
+    #[test]
+    fn groups_become_as_many_teams_as_are_asked_for() {
+        let mut pipeline = Pipeline::new(Tick(0), AllSettings::default()).unwrap();
+        for step in 0..40_u64 {
+            for robot in 0..12_u32 {
+                let name = RobotId::new(format!("r{robot:02}")).unwrap();
+                let x = f64::from(robot / 4) * 100.0 + f64::from(robot % 4);
+                pipeline.hear(Message::Pose(name, Pose::at(x, 0.1 * step as f64)));
+            }
+            pipeline.advance(Tick((step + 1) * 100_000));
+            if step == 25 {
+                let teams = pipeline.teams.clone().unwrap();
+                assert_eq!((teams.teams.len(), teams.requested), (2, 2));
+                pipeline.order_teams(3).unwrap();
+            }
+        }
+        let teams = pipeline.teams.unwrap();
+        assert_eq!((teams.teams.len(), teams.requested), (3, 3));
+        assert!(pipeline.audit.is_some() && pipeline.dimension >= 2);
+    }
+
+    #[test]
+    fn an_order_that_makes_no_sense_is_refused() {
+        let mut pipeline = Pipeline::new(Tick(0), AllSettings::default()).unwrap();
+        assert!(matches!(pipeline.order_teams(0), Err(PipelineError::Refused(_))));
+    }
+}

@@ -1,0 +1,188 @@
+//! What the robots of a mission say, each at its own moments.
+
+use muster_model::observation::{Link, Links, Pose, Rank};
+use muster_wire::Message;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::faults::{Fault, LATE_S, Mask, Sense};
+use super::mission::Mission;
+use super::radio::Air;
+use crate::formations::Radio;
+
+/// Steps of time in a second.
+pub const STEPS_HZ: u64 = 50;
+
+/// Steps from one pose of a robot to the next: 10 times a second.
+pub const POSE_STEPS: u64 = 5;
+
+/// Steps from one report of links to the next: twice a second.
+const LINK_STEPS: u64 = 25;
+
+/// Steps from one report of a rank to the next, if it has not changed: once a second.
+const RANK_STEPS: u64 = 50;
+
+/// The robots of a mission as they speak.
+#[derive(Debug)]
+pub struct Reports<'a> {
+    mission: &'a Mission,
+    radio: Radio,
+    fault: Option<(Sense, Fault)>,
+    mask: Mask,
+    chance: ChaCha8Rng,
+    /// Whom each robot has last said that it answers to.
+    said: Vec<Option<Option<usize>>>,
+    /// Who has fallen silent, so that its token is gone.
+    gone: Vec<bool>,
+}
+
+impl<'a> Reports<'a> {
+    /// Nobody has spoken yet. Noise follows from the seed.
+    #[must_use]
+    pub fn new(
+        mission: &'a Mission,
+        radio: Radio,
+        fault: Option<(Sense, Fault)>,
+        seed: u64,
+    ) -> Self {
+        let mut chance = ChaCha8Rng::seed_from_u64(seed);
+        chance.set_stream(1);
+        let robots = mission.fleet.robots.len();
+        let mask = match fault {
+            Some((_, Fault::Wrong)) => Mask::shuffled(robots, &mut chance),
+            _ => Mask::none(robots),
+        };
+        let (said, gone) = (vec![None; robots], vec![false; robots]);
+        Self { mission, radio, fault, mask, chance, said, gone }
+    }
+
+    /// The tokens with which everybody joins.
+    pub fn joining(&self) -> impl Iterator<Item = Message> + '_ {
+        let robots = self.mission.fleet.robots.iter();
+        robots.map(|robot| Message::RobotToken { robot: robot.name.clone(), alive: true })
+    }
+
+    /// What is said in a step, counted from the beginning.
+    pub fn step(&mut self, step: u64) -> Vec<Message> {
+        let t = step as f64 / STEPS_HZ as f64;
+        let late = |sense| match self.fault {
+            Some((delayed, Fault::Delayed)) if delayed == sense => (t - LATE_S).max(0.0),
+            _ => t,
+        };
+        let [spatial_t, links_t, ranks_t] = Sense::ALL.map(late);
+        let places = self.mission.places(spatial_t);
+        let heard_at = if links_t == spatial_t { None } else { Some(self.mission.places(links_t)) };
+        let heard_at = heard_at.as_deref().unwrap_or(&places);
+        let air = Air::new(self.mission, self.radio, links_t, heard_at);
+        let mut said = Vec::new();
+        for robot in 0..places.len() {
+            let name = || self.mission.fleet.robots[robot].name.clone();
+            if self.mission.is_silent(robot, t) {
+                if !std::mem::replace(&mut self.gone[robot], true) {
+                    said.push(Message::RobotToken { robot: name(), alive: false });
+                }
+                continue;
+            }
+            let turn = |every: u64| (step + robot as u64).is_multiple_of(every);
+            if !turn(POSE_STEPS) {
+                continue;
+            }
+            if let Some(of) = self.subject(Sense::Spatial, robot) {
+                let error = normal_pair(&mut self.chance).map(|error| error * self.mission.noise_m);
+                let at = [0, 1].map(|axis| places[of][axis] + error[axis]);
+                said.push(Message::Pose(name(), Pose::at(at[0], at[1])));
+            }
+            if turn(LINK_STEPS)
+                && let Some(of) = self.subject(Sense::Connectivity, robot)
+            {
+                let heard = air.heard(of, &mut self.chance);
+                let link = |(peer, quality)| Link {
+                    peer: self.mission.fleet.robots[self.named(Sense::Connectivity, peer)]
+                        .name
+                        .clone(),
+                    quality,
+                };
+                let links = heard.into_iter().map(link).collect();
+                said.push(Message::Links(
+                    name(),
+                    Links { links, stamp: None, boot: None, seq: None },
+                ));
+            }
+            if let Some(of) = self.subject(Sense::Hierarchy, robot) {
+                let superior = self.mission.superior(of, ranks_t);
+                let superior = superior.map(|superior| self.named(Sense::Hierarchy, superior));
+                if turn(RANK_STEPS) || self.said[robot] != Some(superior) {
+                    self.said[robot] = Some(superior);
+                    let superior =
+                        superior.map(|superior| self.mission.fleet.robots[superior].name.clone());
+                    said.push(Message::Rank(name(), Rank::under(superior)));
+                }
+            }
+        }
+        said
+    }
+
+    /// Whose state a robot reports; none if nobody reports it.
+    fn subject(&self, sense: Sense, robot: usize) -> Option<usize> {
+        match self.fault {
+            Some((lost, Fault::Lost)) if lost == sense => None,
+            Some((wrong, Fault::Wrong)) if wrong == sense => Some(self.mask.of[robot]),
+            _ => Some(robot),
+        }
+    }
+
+    /// Who is named where a robot is meant.
+    fn named(&self, sense: Sense, meant: usize) -> usize {
+        match self.fault {
+            Some((wrong, Fault::Wrong)) if wrong == sense => self.mask.named[meant],
+            _ => meant,
+        }
+    }
+}
+
+/// Two independent numbers of the standard normal distribution (Box and Muller 1958).
+fn normal_pair(chance: &mut ChaCha8Rng) -> [f64; 2] {
+    // Within (0, 1], so that the logarithm is finite.
+    let radius = (-2.0 * (1.0 - chance.random::<f64>()).ln()).sqrt();
+    let (sin, cos) = (std::f64::consts::TAU * chance.random::<f64>()).sin_cos();
+    [radius * cos, radius * sin]
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+mod tests {
+    use super::*;
+    use crate::moving::fleet::Fleet;
+    use crate::moving::mission::Case;
+
+    fn counts(fault: Option<(Sense, Fault)>, seconds: u64) -> [usize; 4] {
+        let mission = Mission::new(Fleet::new(48, 4).unwrap(), Case::Losses, 1);
+        let mut reports = Reports::new(&mission, Radio::Range, fault, 1);
+        let mut counts = [0; 4];
+        for message in (0..seconds * STEPS_HZ).flat_map(|step| reports.step(step)) {
+            let kind = match message {
+                Message::Pose(..) => 0,
+                Message::Links(..) => 1,
+                Message::Rank(..) => 2,
+                _ => 3,
+            };
+            counts[kind] += 1;
+        }
+        counts
+    }
+
+    #[test]
+    fn each_robot_speaks_as_often_as_it_should() {
+        let [poses, links, ranks, tokens] = counts(None, 2);
+        assert_eq!((poses, links, tokens), (48 * 20, 48 * 4, 0));
+        // Twice in two seconds, and once more where the first turn is not the first of all.
+        assert!((48 * 2..=48 * 3).contains(&ranks), "{ranks}");
+    }
+
+    #[test]
+    fn what_is_lost_is_not_reported_and_who_falls_silent_loses_its_token() {
+        assert_eq!(counts(Some((Sense::Spatial, Fault::Lost)), 1)[0], 0);
+        assert_eq!(counts(Some((Sense::Hierarchy, Fault::Lost)), 1)[2], 0);
+        assert!(counts(None, 20)[3] > 0);
+    }
+}

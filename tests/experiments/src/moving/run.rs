@@ -1,0 +1,81 @@
+//! One mission through all services.
+
+use muster_model::id::IdError;
+use muster_model::time::Tick;
+use muster_numeric::matching::MatchError;
+
+use super::faults::{Fault, Sense};
+use super::fleet::Fleet;
+use super::measures::{Judge, Outcome};
+use super::mission::{Case, Mission};
+use super::pipeline::{AllSettings, Pipeline, PipelineError};
+use super::reports::{POSE_STEPS, Reports, STEPS_HZ};
+use crate::formations::Radio;
+
+/// When everything begins: any moment, as long as nobody takes it for a clock that was not set.
+const BEGINNING: Tick = Tick(1_700_000_000_000_000);
+
+/// Microseconds of a step.
+const STEP_US: u64 = 1_000_000 / STEPS_HZ;
+
+/// What is run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Setup {
+    /// Robots of the fleet.
+    pub robots: usize,
+    /// Teams of the fleet.
+    pub teams: usize,
+    /// What it lives through.
+    pub case: Case,
+    /// Who hears whom.
+    pub radio: Radio,
+    /// What is wrong with the reports.
+    pub fault: Option<(Sense, Fault)>,
+}
+
+/// Why a run has no outcome.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// A robot's name is none.
+    #[error(transparent)]
+    Name(#[from] IdError),
+    /// The services do not do what they are told.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+    /// A division cannot be compared.
+    #[error(transparent)]
+    Match(#[from] MatchError),
+}
+
+/// Runs a mission; the same seed and settings have the same outcome. Settings of teams are those of the setup.
+///
+/// # Errors
+/// [`RunError`] if the services refuse an order, or there are too many teams.
+pub fn run(setup: &Setup, mut settings: AllSettings, seed: u64) -> Result<Outcome, RunError> {
+    let mission = Mission::new(Fleet::new(setup.robots, setup.teams)?, setup.case, seed);
+    let mut reports = Reports::new(&mission, setup.radio, setup.fault, seed);
+    settings.clusterer.teams = u32::try_from(setup.teams).unwrap_or(u32::MAX);
+    let mut pipeline = Pipeline::new(BEGINNING, settings)?;
+    let mut judge = Judge::new(&mission);
+    for token in reports.joining() {
+        pipeline.hear(token);
+    }
+    let mut asked = setup.teams;
+    for step in 0..(setup.case.lasts_s() * STEPS_HZ as f64) as u64 {
+        let t = step as f64 / STEPS_HZ as f64;
+        pipeline.advance(Tick(BEGINNING.0 + step * STEP_US));
+        // What the services know of a moment is compared before they hear of it.
+        if step % POSE_STEPS == 0 {
+            let silhouette = pipeline.audit.as_ref().and_then(|audit| audit.in_embedding.mean);
+            judge.compare(t, pipeline.teams.as_ref(), silhouette, pipeline.dimension)?;
+        }
+        if mission.teams_asked(t) != asked {
+            asked = mission.teams_asked(t);
+            pipeline.order_teams(asked)?;
+        }
+        for message in reports.step(step) {
+            pipeline.hear(message);
+        }
+    }
+    Ok(judge.outcome())
+}

@@ -1,0 +1,45 @@
+//! What must hold of fleets that move, even of a few seeds.
+
+#![allow(clippy::unwrap_used, reason = "a helper of tests that fails has found a fault")]
+
+use muster_experiments::formations::Radio;
+use muster_experiments::moving::faults::{Fault, Sense};
+use muster_experiments::moving::measures::Outcome;
+use muster_experiments::moving::mission::Case;
+use muster_experiments::moving::pipeline::AllSettings;
+use muster_experiments::moving::run::{Setup, run};
+use muster_experiments::seeds::judging;
+
+/// Few: whoever breaks a goal breaks it on most seeds.
+const SEEDS: usize = 2;
+
+fn outcomes(case: Case, fault: Option<(Sense, Fault)>) -> Vec<Outcome> {
+    let setup = Setup { robots: 50, teams: 4, case, radio: Radio::Net, fault };
+    judging(SEEDS).map(|seed| run(&setup, AllSettings::default(), seed).unwrap()).collect()
+}
+
+fn accuracy(outcome: &Outcome) -> f64 {
+    outcome.mean(true, |sample| sample.accuracy)
+}
+
+#[test]
+fn nobody_changes_his_team_in_a_fleet_at_rest() {
+    for outcome in outcomes(Case::Rest, None) {
+        assert_eq!(outcome.needless, 0);
+        assert!(accuracy(&outcome) >= 0.95, "{}", accuracy(&outcome));
+    }
+}
+
+#[test]
+fn who_marches_together_stays_together_without_one_modality() {
+    for outcome in outcomes(Case::March, Some((Sense::Connectivity, Fault::Lost))) {
+        assert!(accuracy(&outcome) >= 0.95, "{}", accuracy(&outcome));
+    }
+}
+
+#[test]
+fn the_same_seed_has_the_same_outcome() {
+    let [first, again] = [(); 2].map(|()| outcomes(Case::Split, None));
+    assert_eq!(first, again);
+    assert_eq!(first[0].followings.len(), 2);
+}
