@@ -296,7 +296,7 @@ fn where_two_dimensions_are_as_good_that_of_the_frame_before_is_kept() {
         }
         bench.published.iter().map(|embedding| embedding.dimension).collect()
     };
-    let weights: Vec<f64> = (1..90).map(|step| f64::from(step) / 100.0).collect();
+    let weights: Vec<f64> = (1..180).map(|step| f64::from(step) / 200.0).collect();
     let turn = weights.windows(2).find(|pair| settled(&pair[..1]) != settled(&pair[1..]));
     let &[below, above] = turn.unwrap() else { panic!() };
     let (low, high) = (settled(&[below])[0], settled(&[above])[0]);
@@ -529,12 +529,37 @@ fn refused_packets_are_told_of() {
 }
 
 #[test]
+fn reciprocity_is_a_setting_that_holds_at_once() {
+    let mut bench = Bench::started(EmbedderSettings::default(), Vec::new());
+    let mut ingest = Ingest::new(&["hierarchy"]);
+    for robot in ["a", "b", "c"] {
+        ingest.join(robot);
+    }
+    ingest.edge("hierarchy", "a", "b", 1.0);
+    ingest.edge("hierarchy", "a", "c", 1.0);
+    bench.frame(&mut ingest);
+    let radius = |bench: &Bench| bench.last().quality.spectral_radius.1;
+    // Of [0 1 1; r 0 0; r 0 0] that is √(2r), divided by its norm of √2.
+    assert!((radius(&bench) - 0.5_f64.sqrt()).abs() < 1e-9, "{}", radius(&bench));
+    bench.set(r#"{"reciprocity": {"hierarchy": 1.0}}"#);
+    assert!((radius(&bench) - 1.0).abs() < 1e-9, "{}", radius(&bench));
+    bench.set(r#"{"reciprocity": {}}"#);
+    assert!(radius(&bench) < 1e-6, "orders that lead down have no circle: {}", radius(&bench));
+    assert!(
+        bench
+            .ask("service/embedder/settings", Some(r#"{"reciprocity": {"hierarchy": 2}}"#))
+            .is_err()
+    );
+}
+
+#[test]
 fn the_paper_as_it_stands_is_a_matter_of_settings() {
     let mut settings = EmbedderSettings { dimension: Dimension::Fixed(4), ..Default::default() };
     settings.alpha = Alpha::Value(0.05);
     settings.normalize = muster_model::settings::Normalization::None;
     settings.scale = muster_model::settings::SingularValueScaling::None;
     settings.rows = muster_model::settings::RowScaling::None;
+    settings.reciprocity.clear();
     let mut bench = Bench::started(settings, Vec::new());
     bench.frame(&mut fleet());
     let embedding = bench.last();

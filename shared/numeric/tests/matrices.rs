@@ -62,6 +62,16 @@ fn fusion_weights_and_scales() {
 }
 
 #[test]
+fn edges_lead_back_by_a_share_of_their_weight() {
+    let reported = SparseMatrix::from_triplets(3, [(0, 1, 2.0), (1, 0, 4.0), (1, 2, 1.0)]).unwrap();
+    let both = reported.with_reverse(0.5).unwrap();
+    let edges: Vec<_> = both.triplets().collect();
+    assert_eq!(edges, [(0, 1, 4.0), (1, 0, 5.0), (1, 2, 1.0), (2, 1, 0.5)]);
+    assert_eq!(reported.with_reverse(0.0).unwrap(), reported);
+    assert!(reported.with_reverse(-1.0).is_err() && reported.with_reverse(f64::NAN).is_err());
+}
+
+#[test]
 fn fusion_refuses_nonsense() {
     let (a, b) = (star(5), star(4));
     assert_eq!(fuse(&[], Normalization::None), Err(FuseError::Empty));
