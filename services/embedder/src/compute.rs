@@ -3,15 +3,17 @@
 //! A job owns or shares everything that it needs, and its result depends on nothing else but the
 //! times that its stopwatch tells ([`EmbeddingQuality::stage_us`]).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
 use muster_machine::Stopwatch;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
+use muster_model::graph::GraphReplica;
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::{
-    Dimension, EmbedderSettings, MAX_DIMENSION, RowScaling, SingularValueScaling, default_weight,
+    Dimension, EmbedderSettings, MAX_DIMENSION, RowScaling, SingularValueScaling, WHOLE_FROM,
+    default_weight,
 };
 use muster_numeric::alignment::align;
 use muster_numeric::embedding::{Rows, Scale, embed};
@@ -196,7 +198,7 @@ impl Memory {
         }
         self.robots = Arc::clone(&frame.robots);
         let recipe = Recipe {
-            weights: &weights_of(basis)?,
+            weights: &weights_of(frame, basis)?,
             reciprocity: &settings.reciprocity,
             normalize: settings.normalize,
             hysteresis: settings.hysteresis,
@@ -213,9 +215,10 @@ impl Memory {
     }
 }
 
-fn weights_of(basis: &Basis) -> Result<Vec<f64>, ComputeError> {
-    let names = basis.graphs.iter().map(|(name, _)| name);
-    match weights(&basis.settings.weights, names) {
+fn weights_of(frame: &Frame, basis: &Basis) -> Result<Vec<f64>, ComputeError> {
+    let robots = frame.robots.len();
+    let fleet = frame.graphs.iter().map(|(name, graph)| (name, || related_share(graph, robots)));
+    match weights(&basis.settings.weights, fleet) {
         // Whatever the weights, nobody is left to be divided, and that must be told.
         Err(_) if basis.robots.is_empty() => Ok(vec![0.0; basis.graphs.len()]),
         weights => weights,
@@ -234,7 +237,7 @@ fn compute(
     let centrality = chosen.centrality.clone();
     let fused_us = stopwatch.lap();
 
-    let named = basis.graphs.iter().zip(weights_of(basis)?);
+    let named = basis.graphs.iter().zip(weights_of(frame, basis)?);
     let graphs = named.map(|((name, at), weight)| (name.clone(), *at, weight)).collect();
     let robots = basis.robots.len();
     let bounds = (chosen.radius.lower, chosen.radius.upper);
@@ -319,22 +322,41 @@ fn compute(
     })
 }
 
-/// The weight of each modality of the fleet. Weights of modalities that the fleet does not have are
+/// The share of so many robots that have an edge of a graph, as far as it matters to
+/// [`default_weight`]: counting ends where the graph has its whole weight.
+#[expect(clippy::cast_precision_loss, reason = "there are fewer robots than 2⁵³")]
+fn related_share(graph: &GraphReplica, robots: usize) -> f64 {
+    let enough = robots as f64 * WHOLE_FROM;
+    let mut related = HashSet::new();
+    for (source, edges) in graph.rows() {
+        if !edges.is_empty() {
+            related.insert(*source);
+            related.extend(edges.iter().map(|(target, _)| *target));
+        }
+        if related.len() as f64 >= enough {
+            break;
+        }
+    }
+    related.len() as f64 / robots.max(1) as f64
+}
+
+/// The weight of each modality of the fleet, which comes with the share of robots that it relates. Weights of modalities that the fleet does not have are
 /// shared out among those that it has, in proportion.
 fn weights<'a>(
     set: &BTreeMap<Modality, f64>,
-    fleet: impl ExactSizeIterator<Item = &'a Modality> + Clone,
+    fleet: impl ExactSizeIterator<Item = (&'a Modality, impl Fn() -> f64)> + Clone,
 ) -> Result<Vec<f64>, ComputeError> {
     if set.is_empty() {
-        let weights: Vec<f64> = fleet.map(default_weight).collect();
+        let weights: Vec<f64> =
+            fleet.map(|(name, related)| default_weight(name, related())).collect();
         let sum: f64 = weights.iter().sum();
         return Ok(weights.into_iter().map(|weight| weight / sum).collect());
     }
     let weights: Vec<f64> =
-        fleet.clone().map(|name| set.get(name).copied().unwrap_or(0.0)).collect();
+        fleet.clone().map(|(name, _)| set.get(name).copied().unwrap_or(0.0)).collect();
     let present: f64 = weights.iter().sum();
     if present <= 0.0 && !weights.is_empty() {
-        let names: Vec<_> = fleet.map(Modality::as_str).collect();
+        let names: Vec<_> = fleet.map(|(name, _)| name.as_str()).collect();
         return Err(ComputeError::Weightless(names.join(", ")));
     }
     // Where nothing is missing, the weights stay as the operator wrote them.
@@ -377,7 +399,18 @@ mod tests {
         let name = |text: &str| Modality::new(text).unwrap();
         let set = set.iter().map(|(text, weight)| (name(text), *weight)).collect();
         let fleet: Vec<_> = fleet.iter().map(|text| name(text)).collect();
-        weights(&set, fleet.iter())
+        weights(&set, fleet.iter().map(|name| (name, || 1.0)))
+    }
+
+    #[test]
+    fn modalities_that_relate_few_weigh_little() {
+        let fleet = [(Modality::hierarchy(), 0.1), (Modality::spatial(), 1.0)];
+        let found =
+            weights(&BTreeMap::new(), fleet.iter().map(|(name, share)| (name, || *share))).unwrap();
+        let sum = 0.55 * 0.2 + 0.35;
+        assert!(
+            (found[0] - 0.55 * 0.2 / sum).abs() < 1e-15 && (found[1] - 0.35 / sum).abs() < 1e-15
+        );
     }
 
     #[test]

@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn the_dimension_before_is_kept_where_the_choice_is_close() {
-        let close = [8.0, 4.0, 2.0, 1.02, 0.5];
+        let close = [8.0, 4.0, 2.0, 1.01, 0.5];
         assert_eq!(seeing(&close, 2, 4, None), 4);
         for (previous, kept) in [(1, 4), (2, 2), (3, 3), (4, 4), (5, 4), (6, 4)] {
             assert_eq!(seeing(&close, 2, 4, Some(previous)), kept);

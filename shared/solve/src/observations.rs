@@ -65,14 +65,9 @@ impl Observations {
                 format!("is no modality of the streams in this file: {}", given.join(", ")),
             );
         }
-        let sum: f64 = streams.iter().map(|(name, _)| default_weight(name)).sum();
         let graph = |(name, edges): (Modality, Vec<Edge>)| {
-            // As in the live fleet, a modality that is not named among the weights has none, and
-            // without weights each has its default.
-            let weight = Some(match &weights {
-                Some(Named(weights)) => weights.get(&name).copied().unwrap_or(0.0),
-                None => default_weight(&name) / sum,
-            });
+            // As in the live fleet, a modality that is not named among the weights has none.
+            let weight = weights.as_ref().map(|named| named.0.get(&name).copied().unwrap_or(0.0));
             let path = format!("weights.{name}");
             let edges = edges.into_iter().map(|(i, j, w)| (i as usize, j as usize, w));
             match SparseMatrix::from_triplets(places.len(), edges) {
@@ -80,7 +75,16 @@ impl Observations {
                 Err(error) => refuse(name.as_str(), error.to_string()),
             }
         };
-        streams.into_iter().map(graph).collect()
+        let mut graphs: Graphs = streams.into_iter().map(graph).collect::<Result<_, _>>()?;
+        if weights.is_none() {
+            let default = |(_, name, _, matrix): &(_, Modality, _, SparseMatrix)| {
+                default_weight(name, matrix.related_share())
+            };
+            let all: Vec<f64> = graphs.iter().map(default).collect();
+            let sum: f64 = all.iter().sum();
+            graphs.iter_mut().zip(all).for_each(|(graph, weight)| graph.2 = Some(weight / sum));
+        }
+        Ok(graphs)
     }
 }
 

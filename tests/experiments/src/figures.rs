@@ -17,7 +17,6 @@ use crate::statistics::Estimate;
 pub fn look(method: &str) -> Look {
     let colour = match method {
         "muster" => 0,
-        "chosen" => 1,
         "HOPE (concatenated)" => 2,
         "multimodal, plain" => 3,
         _ if method.starts_with("LLE") => 4,
@@ -26,7 +25,6 @@ pub fn look(method: &str) -> Look {
         _ => 7,
     };
     let shape = match method {
-        "chosen" => Shape::Square,
         "multimodal, plain" => Shape::Diamond,
         "HOPE (concatenated)" => Shape::Wedge,
         _ if method.ends_with("(connectivity)") => Shape::Triangle,

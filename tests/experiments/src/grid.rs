@@ -12,6 +12,7 @@ use crate::methods::embedding::{Form, Rank};
 use crate::methods::{DivisionError, Method, Recipe};
 use crate::random_systems::{Known, plain_to_see, planted};
 use crate::score::{Correct, correct};
+use crate::statistics::Estimate;
 use crate::system::{MODALITIES, Nearness};
 
 /// Teams of planted fleets.
@@ -42,16 +43,19 @@ pub struct Scores {
 }
 
 impl Scores {
-    /// What a recipe is worth: the mean over both radios of formations as they are and with noise, and of
-    /// planted fleets, each counting alike.
+    /// What a recipe is worth: the mean over both radios of formations as they are and with noise, of planted
+    /// fleets and of those plain to see, each counting alike.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "there are a few parts")]
-    pub fn worth(&self) -> f64 {
-        let mean = |shares: &Vec<f64>| shares.iter().sum::<f64>() / shares.len() as f64;
+    pub fn worth(&self) -> Estimate {
         let [range, net] = &self.formations;
         let [noisy_range, noisy_net] = &self.noisy;
         let parts = [range, net, noisy_range, noisy_net, &self.planted, &self.plain];
-        parts.iter().map(|part| mean(part)).sum::<f64>() / parts.len() as f64
+        let of_seed = |at: usize| {
+            let shares = parts.iter().filter_map(|part| part.get(at));
+            shares.sum::<f64>() / parts.len() as f64
+        };
+        Estimate::of(&(0..range.len()).map(of_seed).collect::<Vec<_>>())
     }
 }
 
@@ -283,21 +287,27 @@ fn any_nearness(chance: &mut ChaCha8Rng) -> Nearness {
 }
 
 /// A recipe in one line.
-fn described(recipe: &Recipe) -> String {
+#[must_use]
+pub fn described(recipe: &Recipe) -> String {
     let nearness = match &recipe.nearness {
         Nearness::Kernel(settings) if settings.kernel == SpatialKernel::WendlandC2 => {
             format!("Wendland {:.1}", settings.cutoff)
         }
         Nearness::Kernel(settings) if settings.scale == SpatialScale::Robots => {
-            format!("local {:?} {:.1}", settings.scale_neighbour, settings.width)
+            let by = settings
+                .scale_neighbour
+                .map_or("2nd to 8th".to_owned(), |neighbour| format!("{neighbour}."));
+            format!("{:?} {} by the {by} nearest", settings.kernel, settings.width)
         }
-        Nearness::Kernel(settings) => format!("{:?} {:.1}", settings.kernel, settings.width),
+        Nearness::Kernel(settings) => {
+            format!("{:?} {} by the fleet", settings.kernel, settings.width)
+        }
         Nearness::Inverse => "1/d".to_owned(),
     };
     let Form { fraction, power, rank, rows, .. } = recipe.form;
     let weights = recipe.weights.map(|weight| format!("{weight:.2}")).join(" ");
-    let ties = format!("upward {}, siblings {}", recipe.upward, recipe.siblings);
+    let ties = format!("orders lead back by {}, siblings {}", recipe.upward, recipe.siblings);
     format!(
-        "{nearness}, αρ {fraction}, σ^{power}, {rank:?}, rows {rows:?}, {ties}, weights {weights}"
+        "{nearness}, {ties}, weights {weights}, αρ {fraction}, K by {rank:?}, σ^{power}, rows {rows:?}"
     )
 }

@@ -17,6 +17,7 @@ pub mod experiments;
 pub mod explained;
 pub mod figures;
 pub mod formations;
+pub mod goals;
 pub mod grid;
 #[cfg(feature = "bus")]
 pub mod live;

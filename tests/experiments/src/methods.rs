@@ -11,7 +11,7 @@ pub mod lle;
 use muster_model::id::Modality;
 use muster_model::settings::{
     Alpha, CentroidStart, ClustererSettings, Dimension, EmbedderSettings, IngestSettings,
-    Normalization as Normalize, RowScaling, SingularValueScaling, default_weight,
+    Normalization as Normalize, RowScaling, SingularValueScaling, WHOLE_FROM, default_weight,
 };
 use muster_numeric::embedding::Rows;
 use muster_numeric::fuse::Normalization;
@@ -51,6 +51,8 @@ pub struct Recipe {
     pub siblings: f64,
     /// The weight of each modality.
     pub weights: [f64; 3],
+    /// Whether a modality that relates less than half of the robots counts less.
+    pub by_coverage: bool,
     /// From graphs to vectors.
     pub form: Form,
     /// From vectors to teams.
@@ -67,6 +69,7 @@ impl Recipe {
             upward: 0.0,
             siblings: 0.0,
             weights: [1.0 / 3.0; 3],
+            by_coverage: false,
             form: Form {
                 normalization: Normalization::None,
                 fraction: PAPER_FRACTION,
@@ -78,6 +81,12 @@ impl Recipe {
         }
     }
 
+    /// By which share of its weight a graph counts: that of the live system's default weights.
+    fn trust(&self, graph: &SparseMatrix) -> f64 {
+        let related = graph.related_share();
+        if self.by_coverage && related > 0.0 { (related / WHOLE_FROM).min(1.0) } else { 1.0 }
+    }
+
     /// What the live system does unless it is told otherwise: the defaults of its services.
     #[must_use]
     pub fn live() -> Self {
@@ -86,7 +95,7 @@ impl Recipe {
         let weight = |name: &str| -> f64 {
             let modality = Modality::new(name).ok();
             let set = |modality: &Modality| match embedder.weights.len() {
-                0 => default_weight(modality),
+                0 => default_weight(modality, 1.0),
                 _ => embedder.weights.get(modality).copied().unwrap_or(0.0),
             };
             modality.as_ref().map_or(0.0, set)
@@ -96,6 +105,7 @@ impl Recipe {
             upward: embedder.reciprocity.get(&Modality::hierarchy()).copied().unwrap_or(0.0),
             siblings: 0.0,
             weights: crate::system::MODALITIES.map(weight),
+            by_coverage: embedder.weights.is_empty(),
             form: Form {
                 normalization: match embedder.normalize {
                     Normalize::None => Normalization::None,
@@ -241,8 +251,11 @@ impl Method {
             Self::Multimodal(_, recipe) => {
                 let mut graphs = system.graphs(&recipe.nearness)?;
                 graphs[2] = system.command(recipe.upward, recipe.siblings)?;
-                let weighted: Vec<(&SparseMatrix, f64)> =
-                    graphs.iter().zip(recipe.weights).collect();
+                let weighted: Vec<(&SparseMatrix, f64)> = graphs
+                    .iter()
+                    .zip(recipe.weights)
+                    .map(|(graph, weight)| (graph, weight * recipe.trust(graph)))
+                    .collect();
                 (recipe.form.vectors(&weighted, teams)?, recipe.clustering)
             }
         };

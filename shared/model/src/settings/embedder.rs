@@ -118,8 +118,8 @@ pub enum RowScaling {
 #[serde(deny_unknown_fields)]
 pub struct EmbedderSettings {
     /// Weight of each modality; they sum to 1, and one that is not named has none. Empty: spatial 0.35,
-    /// connectivity 0.1, hierarchy 0.55, and each declared modality 1/3, divided by the sum of those that
-    /// the fleet has.
+    /// connectivity 0.1, hierarchy 0.55, and each declared modality 1/3, less where a modality relates
+    /// less than half of the robots, divided by the sum of those that the fleet has.
     #[schemars(with = "BTreeMap<Modality, Share>")]
     pub weights: BTreeMap<Modality, f64>,
     /// By which share of its weight, from 0 to 1, each edge of a modality also leads back: A + r Aᵀ. A
@@ -168,19 +168,29 @@ impl Default for EmbedderSettings {
     }
 }
 
+/// A modality that relates this share of the robots has its whole default weight: half, so that it stays as
+/// it is while robots of a fleet that tells all come and go.
+pub const WHOLE_FROM: f64 = 0.5;
+
 /// What a modality counts where no weights are set, before all are divided by their sum: who commands
 /// whom counts most, and who hears whom least, since robots hear others than those of their team. That
 /// is what training seeds of formations, noisy ones among them, and of planted fleets have chosen; of a
 /// declared modality nothing is known, and it counts as the three do on average.
+///
+/// `related` is the share of the robots that have an edge of it, from 0 to 1. A modality that relates
+/// fewer than half counts less in proportion: graphs are scaled by their norm, so that the first two
+/// robots that tell of a superior would outweigh where all others are. One without an edge has its whole
+/// weight, which weighs nothing.
 #[must_use]
-pub fn default_weight(modality: &Modality) -> f64 {
+pub fn default_weight(modality: &Modality, related: f64) -> f64 {
     let built_in = [
         (Modality::spatial(), 0.35),
         (Modality::connectivity(), 0.1),
         (Modality::hierarchy(), 0.55),
     ];
     let known = built_in.iter().find(|(name, _)| name == modality);
-    known.map_or(1.0 / 3.0, |(_, weight)| *weight)
+    let weight = known.map_or(1.0 / 3.0, |(_, weight)| *weight);
+    if related > 0.0 { weight * (related / WHOLE_FROM).min(1.0) } else { weight }
 }
 
 /// Checks that reciprocities are shares.

@@ -17,7 +17,8 @@ pub use auditor::AuditorSettings;
 pub use clusterer::{CentroidStart, ClustererSettings};
 pub use embedder::{
     Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
-    SingularValueScaling, WEIGHT_SUM_TOLERANCE, check_reciprocity, check_weights, default_weight,
+    SingularValueScaling, WEIGHT_SUM_TOLERANCE, WHOLE_FROM, check_reciprocity, check_weights,
+    default_weight,
 };
 pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialScale,

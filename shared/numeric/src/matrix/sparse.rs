@@ -241,6 +241,18 @@ impl SparseMatrix {
         Self::from_checked(self.nodes, entries)
     }
 
+    /// The share of the nodes that have an edge, from them or to them; 0 without nodes.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "there are fewer nodes than 2⁵³")]
+    pub fn related_share(&self) -> f64 {
+        let mut related = vec![false; self.nodes()];
+        for (row, col, _) in self.triplets() {
+            (related[row], related[col]) = (true, true);
+        }
+        let count = related.iter().filter(|related| **related).count();
+        count as f64 / self.nodes().max(1) as f64
+    }
+
     /// A + `share` · Aᵀ: every edge also leads back, by a share of its weight (0 or more; the reciprocity
     /// of the graph).
     ///
