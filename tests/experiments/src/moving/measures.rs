@@ -143,9 +143,9 @@ impl<'a> Judge<'a> {
         self.take(t, teams);
         let robots = self.now.len();
         let truth: Vec<_> = (0..robots).map(|robot| self.mission.team(robot, t)).collect();
-        // Robots without a team are in none of the true ones: each has a team of its own.
-        let found: Vec<usize> =
-            self.now.iter().enumerate().map(|(at, id)| id.unwrap_or(self.ids.len() + at)).collect();
+        // Robots without a team are together in one that is none of the true ones.
+        let none = self.ids.len();
+        let found: Vec<usize> = self.now.iter().map(|id| id.unwrap_or(none)).collect();
         let rand = adjusted_rand_index(&compact(&found), &truth)?;
         let right = self.right(&truth)?;
         let share = |counts: &dyn Fn(usize) -> bool| {
