@@ -28,6 +28,9 @@ use crate::physical::{Case, Recording};
 /// How long anything may take to find the router.
 const PATIENCE: Duration = Duration::from_secs(10);
 
+/// Most words of robots that are kept: each is told its team once a second and with every change, for seconds.
+const MOST_WORDS: usize = 16_384;
+
 /// Where the router listens: the system chooses a free port.
 const LISTEN: &str = "tcp/127.0.0.1:0";
 
@@ -92,7 +95,7 @@ async fn play_on_bus(
     let delays = follow_divisions(&console, teams).await?;
     let client = Config { routers: endpoints, patience: Some(PATIENCE), ..Config::default() };
     let robots = join(case, &client).await?;
-    let (words, mut told) = mpsc::unbounded_channel();
+    let (words, mut told) = mpsc::channel(MOST_WORDS);
     for (robot, joined) in robots.iter().enumerate() {
         listen(robot, joined, words.clone());
     }
@@ -164,13 +167,13 @@ async fn join(case: &Case, config: &Config) -> anyhow::Result<Vec<Robot>> {
     Ok(robots.into_iter().map(|(_, robot)| robot).collect())
 }
 
-/// Hands on what a robot is told, until nobody listens or nothing is told any more.
-fn listen(robot: usize, joined: &Robot, words: mpsc::UnboundedSender<Word>) {
+/// Hands on what a robot is told, until nobody listens, there is no room, or nothing is told any more.
+fn listen(robot: usize, joined: &Robot, words: mpsc::Sender<Word>) {
     let mut team = joined.team();
     tokio::spawn(async move {
         while let Ok(latest) = team.changed().await {
             let word = Word { at: Instant::now(), robot, team: latest.value.team.clone() };
-            if words.send(word).is_err() {
+            if words.try_send(word).is_err() {
                 break;
             }
         }

@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a helper of tests that fails has found a fault")]
 
+use std::process::Command;
+
 use muster_experiments::formations::{Formation, Radio};
 use muster_experiments::methods::{Method, Recipe};
 use muster_experiments::scenario_one::{run, total};
@@ -30,4 +32,36 @@ fn the_live_defaults_divide_better_than_every_baseline() {
         let other = accuracy(&formations, baseline);
         assert!(best > other, "{}: {other}, muster: {best}", baseline.name());
     }
+}
+
+/// What the program writes into a folder when it is asked for few seeds.
+fn written(what: &str) -> (String, tempfile::TempDir) {
+    let folder = tempfile::tempdir().unwrap();
+    let program = env!("CARGO_BIN_EXE_muster-experiments");
+    let out = folder.path().to_str().unwrap();
+    let run = Command::new(program).args([what, "--quick", "--out", out]).output().unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    (std::fs::read_to_string(folder.path().join("RESULTS.md")).unwrap(), folder)
+}
+
+#[test]
+fn the_program_finds_the_papers_number_and_draws() {
+    let (page, folder) = written("formations");
+    assert!(page.contains("| GN (spatial) | 39.22 | 39.22 ± 0.00 | 39.22 ± 0.00 |"), "{page}");
+    let plot = std::fs::read_to_string(folder.path().join("plots/accuracy.svg")).unwrap();
+    assert!(plot.starts_with("<svg") && plot.contains("HOPE (concatenated)"));
+    let numbers = std::fs::read_to_string(folder.path().join("results.csv")).unwrap();
+    assert!(numbers.lines().count() > 1000, "every number of every seed");
+}
+
+#[test]
+fn the_program_follows_fleets_that_move() {
+    let (page, _) = written("moving");
+    assert!(
+        page.contains(
+            "| nobody's team changes at rest | 50 robots, rest, range | 0 changes | reached |"
+        ),
+        "{page}"
+    );
+    assert!(!page.contains("with a modality lost | 50 robots, march, range, spatial lost | NaN"));
 }
