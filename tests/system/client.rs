@@ -185,8 +185,14 @@ async fn the_examples_run_as_they_are_shown() {
     let places = [["a1", "0"], ["a2", "5"], ["b1", "90"], ["b2", "95"]];
     let mut robots: Vec<_> =
         places.iter().map(|[name, x]| start("examples/robot", &[*name, *x, "0"])).collect();
-    let console = start("examples/console", &[]);
+    // The console asks for the settings once, and says so where nobody holds the role yet.
+    let outside = cluster.client().await.unwrap();
     let began = Instant::now();
+    while outside.get_one("service/clusterer/settings").await.is_err() {
+        assert!(began.elapsed() < FORMED_WITHIN, "nobody answers for the settings");
+        sleep(Duration::from_millis(50)).await;
+    }
+    let console = start("examples/console", &[]);
     let shown = |process: &Process, words: &[&str]| {
         let output = process.output();
         words.iter().all(|word| output.contains(word))
