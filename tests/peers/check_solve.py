@@ -197,6 +197,32 @@ def inertia_of(x, labels):
 # --- Cases. ---
 
 
+def near(case, rng, far):
+    """The spatial weights of distances, by the fleet or by the robots' own."""
+    n = len(far)
+    if n < 2:
+        return np.zeros((n, n))
+    others = np.sort(far + np.diag([np.inf] * n), axis=1)[:, : n - 1]
+    fleet = np.median(others[:, 0])
+    if rng.random() < 0.3:
+        case["spatial"] = {"scale": "fleet", "width": 2.0}
+        return np.exp(-0.5 * (far / (2.0 * fleet)) ** 2)
+    place = int(min(max(np.floor(np.sqrt(n) / 2.2 + 0.5), 2), 8))
+    own = others[:, min(place, n - 1) - 1]
+    own = np.maximum(np.minimum(own, 3.0 * others[:, 0]), 0.1 * fleet)
+    return np.exp(-0.5 * far**2 / (0.49 * np.outer(own, own)))
+
+
+def default_weights(names, graphs):
+    """Less for what relates less than half of the robots."""
+    weights = []
+    for name, a in zip(names, graphs):
+        related = np.mean((a > 0).any(axis=0) | (a > 0).any(axis=1))
+        base = {"spatial": 0.35, "connectivity": 0.1, "hierarchy": 0.55}[name]
+        weights.append(base * (min(1.0, 2.0 * related) if related > 0 else 1.0))
+    return np.array(weights) / sum(weights)
+
+
 def observations(rng, robots):
     """Raw observations, and the graphs that they stand for."""
     n = len(robots)
@@ -204,9 +230,7 @@ def observations(rng, robots):
     if rng.random() < 0.8:
         at = rng.normal(0.0, 1.0, (n, 3)) + 6.0 * rng.integers(0, 3, (n, 1))
         case["poses"] = {r: dict(zip("xyz", map(float, p))) for r, p in zip(robots, at)}
-        far = cdist(at, at)
-        width = 2.0 * np.median((far + np.diag([np.inf] * n)).min(axis=1)) if n > 1 else 1.0
-        a = np.exp(-0.5 * (far / width) ** 2)
+        a = near(case, rng, cdist(at, at))
         np.fill_diagonal(a, 0.0)
         graphs.append(a * (a >= 1e-12))
         names.append("spatial")
@@ -229,10 +253,15 @@ def observations(rng, robots):
             )  # fmt: skip
         graphs.append(a)
         names.append("hierarchy")
-    weights = np.full(len(graphs), 1.0 / len(graphs))
+    weights = default_weights(names, graphs)
     if rng.random() < 0.5:
         weights = rng.dirichlet(np.ones(len(graphs)))
         case["weights"] = dict(zip(names, map(float, weights)))
+    back = {"hierarchy": 0.5}
+    if rng.random() < 0.5:
+        back = {name: float(rng.uniform(0.0, 1.0)) for name in names if rng.random() < 0.5}
+        case["reciprocity"] = back
+    graphs = [a + back.get(name, 0.0) * a.T for name, a in zip(names, graphs)]
     return case, graphs, weights
 
 
