@@ -73,13 +73,8 @@ async fn told_anew(watch: &Watch, service: &str, since: f64) -> Duration {
 }
 
 /// How much later than the signal that stops it, in seconds, a process may have made something: the clocks
-/// of processes on one machine are one, but their readings are rounded.
-const ROUNDING: f64 = 0.002;
-
-/// How long, in seconds, a holder that goes on may speak in its old term, which readers drop: its question who
-/// holds the role may be lost with the link that the router has given up meanwhile, and then it goes by the
-/// claims of the other, twice a second, once it is linked again.
-const HEARS_WITHIN: f64 = 2.0;
+/// of processes on one machine are one, but a busy machine hands signals over when it finds time.
+const SIGNAL_S: f64 = 0.05;
 
 /// A stream that must neither pause nor go back, whoever holds the role.
 struct Stream {
@@ -107,7 +102,7 @@ impl Stream {
             if place.0 < self.last_place.0 {
                 let made = stage(&value, self.service);
                 let after = made - silenced;
-                assert!(after <= ROUNDING, "{when}: {place:?} made {after} s after the signal");
+                assert!(after <= SIGNAL_S, "{when}: {place:?} made {after} s after the signal");
                 continue;
             }
             longest = longest.max(at - self.last_arrival);
@@ -186,11 +181,11 @@ async fn a_holder_that_hangs_is_replaced_and_stands_by_when_it_goes_on() {
         let (holder, other) = settled(&mut cluster, &client, service).await;
         let since = now();
         cluster.service(&holder).unwrap().signal("STOP").unwrap();
+        let mut silenced = now();
         let gap = told_anew(followed.shows(service), service, since).await;
         eprintln!("{service} stopped: fresh data after {gap:?}");
         tokio::time::sleep(Duration::from_secs(1)).await;
         cluster.service(&holder).unwrap().signal("CONT").unwrap();
-        let mut silenced = now() + HEARS_WITHIN;
         tokio::time::sleep(Duration::from_secs(1)).await;
         let (now_holds, _) = settled(&mut cluster, &client, service).await;
         if now_holds != other {

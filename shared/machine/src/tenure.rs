@@ -26,6 +26,12 @@ pub const HOLDER_SILENT: Duration = Duration::from_secs(2);
 /// that the doubt comes first.
 const DOUBT_AFTER: Duration = Duration::from_millis(1500);
 
+/// How long silence may say nothing about a link: a process that goes on after a pause takes one for sound
+/// that the other end has given up, and a link that has just come carries no question for a moment.
+/// What is asked meanwhile is answered by nobody. By then the loss is noticed, or a claim was heard of
+/// whoever took over.
+const LINK_PROVEN: Duration = CLAIM_EVERY.saturating_add(Duration::from_millis(200));
+
 /// How much longer each further instance waits, so that one takes over and the others hear of it.
 const STAGGER: Duration = Duration::from_millis(300);
 
@@ -51,12 +57,18 @@ pub(crate) struct Tenure {
     standing: Standing,
     /// The other instances whose tokens are there.
     peers: BTreeSet<InstanceId>,
+    /// Whether there ever was another instance.
+    accompanied: bool,
     /// Whether there ever were more tokens than are told apart.
     crowded: bool,
     holder: Option<Holder>,
     /// The highest term that anybody claimed.
     highest: u64,
     linked: bool,
+    /// From when on silence of the bus means that there is nobody.
+    proven: Tick,
+    /// Whether the bus was asked who holds, and nobody has answered.
+    unopposed: bool,
     /// When this instance last did anything.
     attended: Tick,
     /// When an instance that stands by takes over, unless the holder is heard before.
@@ -93,10 +105,13 @@ impl Tenure {
             instance,
             standing: Standing::Starting,
             peers: BTreeSet::new(),
+            accompanied: false,
             crowded: false,
             holder: None,
             highest: 0,
             linked: true,
+            proven: now,
+            unopposed: false,
             attended: now,
             take_over: now,
             claim: now,
@@ -128,6 +143,7 @@ impl Tenure {
         self.attended = now;
         if slept {
             self.spare_holder(now);
+            self.distrust_silence(now);
         }
         slept && self.standing == Standing::Holding
     }
@@ -141,17 +157,25 @@ impl Tenure {
 
     /// The holder cannot know whether it still is one.
     pub(crate) fn doubt(&mut self) {
+        self.unopposed = false;
         if self.standing == Standing::Holding {
             self.standing = Standing::Doubtful;
         }
     }
 
-    /// Nobody has taken over.
-    pub(crate) fn confirmed(&mut self, now: Tick) {
-        if self.standing == Standing::Doubtful {
+    /// The bus was asked who holds, and nobody has answered.
+    pub(crate) fn unopposed(&mut self) {
+        self.unopposed = self.linked && self.standing == Standing::Doubtful;
+    }
+
+    /// Whether the doubt is over: nobody has taken over.
+    pub(crate) fn confirms(&mut self, now: Tick) -> bool {
+        let due = self.standing == Standing::Doubtful && self.unopposed && self.proven <= now;
+        if due {
             self.standing = Standing::Holding;
             self.claim = now;
         }
+        due
     }
 
     /// The role is another one's, or may be: everything begins with asking the bus.
@@ -171,7 +195,13 @@ impl Tenure {
 
     pub(crate) fn link_restored(&mut self, now: Tick) {
         self.linked = true;
+        self.distrust_silence(now);
         self.spare_holder(now);
+    }
+
+    /// An instance that never had company need not wait for anybody to speak.
+    fn distrust_silence(&mut self, now: Tick) {
+        self.proven = if self.accompanied { now.after(LINK_PROVEN) } else { now };
     }
 
     pub(crate) fn is_linked(&self) -> bool {
@@ -197,6 +227,7 @@ impl Tenure {
         if instance == self.instance {
             return;
         }
+        self.accompanied |= alive;
         if alive {
             if self.peers.len() < MAX_PEERS {
                 self.peers.insert(instance);
@@ -223,6 +254,7 @@ impl Tenure {
         if !answered && !self.crowded && !self.peers.contains(&claim.instance) {
             return Heard::Noted;
         }
+        self.accompanied = true;
         self.highest = self.highest.max(revision.term);
         match self.standing {
             Standing::Holding | Standing::Doubtful if revision.term < term => Heard::Noted,
@@ -300,7 +332,8 @@ impl Tenure {
 
     pub(crate) fn deadline(&self) -> Option<Tick> {
         match self.standing {
-            Standing::Starting | Standing::Doubtful => None,
+            Standing::Starting => None,
+            Standing::Doubtful => self.unopposed.then_some(self.proven),
             Standing::Holding => Some(self.claim),
             // It looks around as often as a holder claims, so that it knows when it did not run itself.
             Standing::Standby if self.linked => {
@@ -445,10 +478,42 @@ mod tests {
         tenure.doubt();
         assert_eq!(tenure.standing(), Standing::Doubtful);
         assert!(!tenure.claims(at(3.0)));
-        tenure.confirmed(at(3.1));
-        assert!(tenure.claims(at(3.1)));
+        assert!(!tenure.confirms(at(4.0)), "nobody was asked");
+        tenure.unopposed();
+        assert!(!tenure.confirms(at(3.1)), "the link may be given up at its other end");
+        assert_eq!(tenure.deadline(), Some(at(3.0).after(LINK_PROVEN)));
+        assert!(tenure.confirms(at(3.0).after(LINK_PROVEN)));
+        assert!(tenure.claims(at(3.7)));
         tenure.link_lost();
         assert_eq!(tenure.standing(), Standing::Doubtful);
+    }
+
+    #[test]
+    fn silence_on_a_link_that_turns_out_to_be_lost_says_nothing() {
+        let mut tenure = holding();
+        assert!(tenure.attend(at(3.0)));
+        tenure.doubt();
+        tenure.unopposed();
+        tenure.link_lost();
+        assert!(!tenure.confirms(at(9.0)));
+        assert_eq!(tenure.deadline(), None);
+        tenure.unopposed();
+        assert!(!tenure.confirms(at(9.0)), "it was asked on the lost link");
+        // Whoever has taken over is heard on a new one.
+        tenure.link_restored(at(9.0));
+        tenure.unopposed();
+        assert!(!tenure.confirms(at(9.1)), "it may be too new to carry a question");
+        assert!(tenure.confirms(at(9.0).after(LINK_PROVEN)));
+    }
+
+    #[test]
+    fn who_never_had_company_waits_for_nobody() {
+        let mut tenure = Tenure::new(name("b"), START);
+        tenure.begun(START);
+        assert!(tenure.attend(at(3.0)));
+        tenure.doubt();
+        tenure.unopposed();
+        assert!(tenure.confirms(at(3.0)));
     }
 
     #[test]

@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use muster_machine::{
-    Answered, Effect, Effects, Event, QueryId, Role, START_FETCH, Start, Stored, Turn,
+    Answered, Effect, Effects, Event, QueryId, Role, START_FETCH, Start, Stored, TERM_FETCH, Turn,
 };
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, InstanceId, ServiceName};
@@ -61,13 +61,19 @@ impl Bench {
         bench
     }
 
+    /// What is left of an event for the core.
+    fn events(&mut self, event: Event<()>) -> Vec<Event<()>> {
+        match self.role.attend(self.now, event, &mut self.effects) {
+            Turn::Events(events) => events,
+            Turn::StandDown => Vec::new(),
+        }
+    }
+
     /// Does what every core does with an event.
     fn attend(&mut self, event: Event<()>) {
-        if let Turn::Events(events) = self.role.attend(self.now, event, &mut self.effects) {
-            for event in events {
-                if matches!(event, Event::LinkRestored) {
-                    self.role.link_restored(self.now);
-                }
+        for event in self.events(event) {
+            if matches!(event, Event::LinkRestored) {
+                self.role.link_restored(self.now);
             }
         }
         self.role.advance(self.now, OWN, &mut self.effects);
@@ -207,6 +213,46 @@ fn who_starts_tells_its_settings_and_nobody_takes_them_over() {
     let mut other = Bench::answered(vec![settings(0, 0, 9)]);
     assert_eq!(other.role.settings().teams, ClustererSettings::default().teams);
     assert_eq!(other.hear_settings(0, 0, 9), ClustererSettings::default().teams);
+}
+
+/// What is asked on a link that the other end has given up is answered by nobody.
+#[test]
+fn a_holder_that_goes_on_is_silent_until_its_link_has_proved_sound() {
+    let goes_on = || {
+        let mut bench = Bench::holding();
+        let (service, instance) = (ServiceName::Clusterer, InstanceId::of_process("a", 1, 1));
+        bench.attend(Event::Received(Message::ServiceToken { service, instance, alive: true }));
+        bench.now = bench.now.after(Duration::from_secs(3));
+        bench.attend(Event::Timeout);
+        let fetch = bench.wanted().doubts[0];
+        bench.attend(Event::Fetched { fetch, messages: Vec::new() });
+        assert_eq!(bench.role.standing(), Standing::Doubtful);
+        bench
+    };
+    let mut linked = goes_on();
+    linked.wait(1.0);
+    assert_eq!(linked.role.standing(), Standing::Holding);
+
+    let mut cut_off = goes_on();
+    cut_off.attend(Event::LinkLost);
+    cut_off.wait(60.0);
+    assert_eq!(cut_off.role.standing(), Standing::Doubtful);
+    cut_off.attend(Event::LinkRestored);
+    let fetch = cut_off.wanted().doubts[0];
+    cut_off.attend(Event::Fetched { fetch, messages: vec![claim("a", 2, 1)] });
+    assert_eq!(cut_off.role.standing(), Standing::Starting);
+}
+
+/// Both have begun the same term while they could not hear each other.
+#[test]
+fn who_raises_its_term_in_doubt_has_its_link_back() {
+    let mut bench = Bench::holding();
+    let (service, instance) = (ServiceName::Clusterer, InstanceId::of_process("c", 1, 1));
+    bench.attend(Event::LinkLost);
+    bench.attend(Event::LinkRestored);
+    bench.attend(Event::Received(Message::ServiceToken { service, instance, alive: true }));
+    let events = bench.events(Event::Received(claim("c", 1, 0)));
+    assert!(matches!(events[..], [Event::LinkRestored, Event::Fetched { fetch: TERM_FETCH, .. }]));
 }
 
 #[test]

@@ -61,6 +61,10 @@ impl<S: Settings> Role<S> {
                     Heard::StandDown => return self.stand_down(),
                     Heard::Raise(revision) => {
                         self.raise = Some(revision);
+                        if self.standing() == Standing::Doubtful {
+                            // The new term ends the doubt, and its first outputs need the link.
+                            events.push(Event::LinkRestored);
+                        }
                         events.push(Event::Fetched { fetch: TERM_FETCH, messages: Vec::new() });
                     }
                 }
@@ -77,12 +81,8 @@ impl<S: Settings> Role<S> {
                     return self.stand_down();
                 }
                 // One that was asked before the doubt says nothing of it.
-                if self.doubts == 0
-                    && self.tenure.is_linked()
-                    && self.standing() == Standing::Doubtful
-                {
-                    self.tenure.confirmed(now);
-                    events.push(Event::LinkRestored);
+                if self.doubts == 0 {
+                    self.tenure.unopposed();
                 }
             }
             Event::Fetched { fetch: START_FETCH | TAKE_OVER_FETCH, messages }
@@ -124,6 +124,10 @@ impl<S: Settings> Role<S> {
                 }
             }
             event => events.push(event),
+        }
+        if self.tenure.confirms(now) {
+            // First of all: what the core makes of anything else is heard from now on.
+            events.insert(0, Event::LinkRestored);
         }
         if self.tenure.takes_over(now) {
             self.waited = true;
