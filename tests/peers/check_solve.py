@@ -162,8 +162,12 @@ def scaled(graphs, weights, normalize):
     return total
 
 
+# What counts as a large drop of the singular values, as a share of the largest, in logarithms.
+LARGE_DROP = 0.75
+
+
 def automatic(sigma, teams):
-    """K by the largest ratio of neighbouring singular values; None where rounding decides."""
+    """K by the last large ratio of neighbouring singular values; None where rounding decides."""
     n = len(sigma)
     if n <= 2:
         return n
@@ -174,17 +178,19 @@ def automatic(sigma, teams):
     rank = int((sigma > noise).sum())
     if rank <= limit:
         return max(rank, 2)
-    ratios = sigma[1:limit] / sigma[2 : limit + 1]
-    best = int(ratios.argmax())
-    if np.sum(ratios > ratios[best] * (1.0 - 1e-6)) > 1:
+    drops = np.log(sigma[1:limit] / sigma[2 : limit + 1])
+    if drops.max() < 1e-6 or np.any(np.abs(drops / drops.max() - LARGE_DROP) < 1e-6):
         return None
-    return best + 2
+    return int(np.flatnonzero(drops >= LARGE_DROP * drops.max())[-1]) + 2
+
+
+# By which power of its singular value each vector is scaled.
+POWERS = {"none": 0.0, "sqrt-sigma": 0.5, "inverse-sqrt-sigma": -0.5}
 
 
 def rows_of(u, sigma, v, scale):
-    roots = np.sqrt(sigma)
-    x = np.hstack([u * roots, v * roots])
-    return x if scale == "sqrt-sigma" else np.hstack([u, v])
+    factors = sigma ** POWERS[scale]
+    return np.hstack([u * factors, v * factors])
 
 
 def inertia_of(x, labels):
@@ -294,7 +300,7 @@ def make_case(seed, number):
     case["robots"] = robots
     plain = rng.random() < 0.3
     case["normalize"] = "none" if plain else str(rng.choice(["none", "spectral"]))
-    case["scale"] = "none" if plain else str(rng.choice(["none", "sqrt-sigma"]))
+    case["scale"] = "none" if plain else str(rng.choice(list(POWERS)))
     case["rows"] = "none" if plain else str(rng.choice(["none", "unit"]))
     fused = scaled(graphs, weights, case["normalize"])
     radius = spectral_radius(fused)
@@ -426,9 +432,9 @@ def check_case(binary, seed, number, tally):
     if rank > 0 and (sigma[rank - 1] - following) / top >= GAP:
         v = vt.T
         if case["rows"] == "none":
-            roots = np.sqrt(values[:rank]) if case["scale"] == "sqrt-sigma" else 1.0
+            factors = values[:rank] ** POWERS[case["scale"]]
             for own, reference in ((x[:, :k], u), (x[:, k:], v)):
-                part = own[:, :rank] / roots
+                part = own[:, :rank] / factors
                 projector = reference[:, :rank] @ reference[:, :rank].T
                 off = max(apart(part @ part.T, projector), np.abs(own[:, rank:]).max(initial=0.0))
                 tally.check("projectors", number, off)

@@ -290,6 +290,7 @@ fn compute(
     let scale = match settings.scale {
         SingularValueScaling::None => Scale::None,
         SingularValueScaling::SqrtSigma => Scale::SqrtSigma,
+        SingularValueScaling::InverseSqrtSigma => Scale::InverseSqrtSigma,
     };
     let rows = match settings.rows {
         RowScaling::None => Rows::None,

@@ -1,8 +1,10 @@
 //! Choice of the number K of singular triplets that make up the representation.
 //!
 //! The paper takes K as given (half of the dimension D). It is the most sensitive number of the
-//! method, so this module offers a rule: cut where the singular values drop the most, in ratio,
-//! among the first few values that a division into that many teams can need.
+//! method, so this module offers a rule: cut at the last of the large drops of the singular values, in
+//! ratio, among the first few values that a division into that many teams can need. The drop behind
+//! the groups of a fleet is large; that behind a group which is about to leave its team comes after it
+//! and is smaller, and what is behind it counts as soon as it is seen.
 //!
 //! The rule alone, [`choose_dimension`], is for single problems. It looks at the values and not at
 //! the nodes: a graph of more separated groups than teams has groups that no leading vector sees,
@@ -28,20 +30,28 @@ pub trait Spectrum {
     fn squared_share(&self, i: usize, j: usize) -> f64;
 }
 
-/// Ratios within this relative distance count as equal; the smaller K wins.
-pub const RATIO_TIE: f64 = 1e-9;
+/// A drop is large from this share of the largest one, in logarithms. On training seeds of formations and
+/// planted fleets 0.65 to 1 are worth the same to 0.03 %; with 1, fleets of 500 robots take 2 s to follow
+/// a split instead of 1 (`muster-experiments moving`), and below 0.65 noise looks like a group.
+pub const LARGE_DROP: f64 = 0.75;
+
+/// Ratios up to this one are none: values that are equal but for rounding.
+pub const FLAT: f64 = 1.0 + 1e-9;
 
 /// Largest K to which [`choose_seeing_dimension`] goes in order to see every node. Each further
 /// group adds two columns, and k-means drowns in noise beyond a few hundred of them.
 pub const MAX_SEEING: usize = 128;
 
-/// The K of the frame before is kept while what speaks for it is within this fraction of what
-/// speaks for the new one: noise of a few percent in the weights must not change the dimension. With
-/// 0.05, fleets of 500 robots take 3 s to follow a split instead of 2 (`muster-experiments moving`);
-/// with 0 the dimension flaps.
-pub const KEEP: f64 = 0.02;
+/// The K of the frame before is kept while its drop is large but for this share of the largest one:
+/// noise of a few percent in the weights must not change the dimension.
+pub const KEEP: f64 = 0.1;
 
-/// K = argmax of σ_K / σ_{K+1} over K from 2 to max(`teams`, 2).
+/// The K of the frame before that was raised is kept while the last value there is within this fraction of
+/// the one that is needed.
+const SWAP: f64 = 0.02;
+
+/// The largest K from 2 to max(`teams`, 2) of which ln(σ_K / σ_{K+1}) is at least [`LARGE_DROP`] times
+/// the largest there is in that range; K = 2 where no value drops.
 ///
 /// `sigma` holds all n singular values of the n × n similarity, descending; `teams` is the number
 /// of teams wanted. Two nodes or fewer give K = n. K = n is never a candidate otherwise, as there
@@ -73,10 +83,9 @@ fn ruled(sigma: &[f64], n: usize, noise: f64, teams: usize) -> usize {
     }
     // sigma[k − 1] is σ_k, and positive up to the rank.
     let ratio = |k: usize| sigma[k - 1] / sigma[k];
-    let better = |best: usize, k: usize| {
-        if ratio(k) > ratio(best) * (1.0 + RATIO_TIE) { k } else { best }
-    };
-    (2..=limit).fold(2, better)
+    let most = (2..=limit).map(ratio).fold(FLAT, f64::max).ln();
+    let is_large = |k: &usize| ratio(*k) > FLAT && ratio(*k).ln() >= LARGE_DROP * most;
+    (2..=limit).rev().find(is_large).unwrap_or(2)
 }
 
 /// The K that was chosen.
@@ -101,9 +110,9 @@ pub fn least_rank(n: usize, teams: usize) -> usize {
 /// and [`MAX_SEEING`].
 ///
 /// `svd` must know [`least_rank`] triplets or all. `previous` is the K of the frame before. It is kept
-/// if it sees as many, and either is within the range of the rule with a ratio within [`KEEP`] of the
-/// best, or is above the K that was raised with a value σ within [`KEEP`] of the one there, so that the
-/// last groups may change places.
+/// if it sees as many, and either is within the range of the rule, not below its K, with a drop that is
+/// large but for [`KEEP`], or is above the K that was raised with a value σ within 2 % of the one there,
+/// so that the last groups may change places.
 #[must_use]
 pub fn choose_seeing_dimension(
     svd: &impl Spectrum,
@@ -138,10 +147,12 @@ pub fn choose_seeing_dimension(
         _ if sigma.len() == n => f64::INFINITY,
         _ => 1.0,
     };
-    let as_good = previous <= limit && ratio(previous) >= (1.0 - KEEP) * ratio(ruled);
+    let largest = (2..=limit).map(ratio).fold(1.0, f64::max).ln();
+    let as_good = (ruled..=limit).contains(&previous)
+        && ratio(previous).ln() >= (LARGE_DROP - KEEP) * largest;
     let swapped = previous > raised
         && raised > ruled
-        && sigma[previous - 1] >= (1.0 - KEEP) * sigma[raised - 1];
+        && sigma[previous - 1] >= (1.0 - SWAP) * sigma[raised - 1];
     Choice { dimension: if as_good || swapped { previous } else { raised }, short }
 }
 
@@ -200,14 +211,17 @@ mod tests {
 
     #[test]
     fn the_dimension_before_is_kept_where_the_choice_is_close() {
-        let close = [8.0, 4.0, 2.0, 1.01, 0.5];
-        assert_eq!(seeing(&close, 2, 4, None), 4);
-        for (previous, kept) in [(1, 4), (2, 2), (3, 3), (4, 4), (5, 4), (6, 4)] {
+        // Drops in logarithms: 1, 0.7, 0.2 times that of the first two.
+        let close = [4.0, 4.0, 2.0, 0.5_f64.powf(0.7) * 2.0, 0.5_f64.powf(0.9) * 2.0];
+        assert_eq!(seeing(&close, 2, 4, None), 2);
+        for (previous, kept) in [(1, 2), (2, 2), (3, 3), (4, 2), (5, 2), (6, 2)] {
             assert_eq!(seeing(&close, 2, 4, Some(previous)), kept);
         }
-        assert_eq!(seeing(&close, 3, 4, Some(2)), 4, "it does not see everybody");
-        assert_eq!(seeing(&[8.0, 4.0, 2.0, 0.9, 0.5], 2, 4, Some(2)), 3, "another is much better");
-        assert_eq!(seeing(&close, 2, 3, Some(4)), 2, "it is outside of the range");
+        assert_eq!(seeing(&close, 3, 4, Some(2)), 3, "it does not see everybody");
+        assert_eq!(seeing(&close, 2, 2, Some(3)), 2, "it is outside of the range");
+        // A group that is about to be told apart is followed at once.
+        let more = [4.0, 4.0, 2.0, 0.5_f64.powf(0.8) * 2.0, 0.5_f64.powf(0.9) * 2.0];
+        assert_eq!(seeing(&more, 2, 4, Some(2)), 3);
     }
 
     #[test]
@@ -219,7 +233,10 @@ mod tests {
     }
 
     #[test]
-    fn largest_drop_within_the_range() {
+    fn last_large_drop_within_the_range() {
+        // The logarithms are 0.96 and 0.76 of the largest.
+        assert_eq!(choose_dimension(&[9.0, 8.0, 4.0, 2.08, 1.25, 1.2], 5), 3);
+        assert_eq!(choose_dimension(&[9.0, 8.0, 4.0, 2.08, 1.22, 1.2], 5), 4);
         assert_eq!(choose_dimension(&[9.0, 8.0, 7.0, 1.0, 0.9], 4), 3);
         assert_eq!(choose_dimension(&[9.0, 8.0, 7.0, 1.0, 0.9], 2), 2);
         // The drop behind the first value is outside of the range.
@@ -227,9 +244,10 @@ mod tests {
     }
 
     #[test]
-    fn ties_prefer_the_smaller() {
-        assert_eq!(choose_dimension(&[8.0, 4.0, 2.0, 1.0, 0.5], 4), 2);
-        assert_eq!(choose_dimension(&[8.0, 4.0, 2.0, 1.0 - 1e-13, 0.5], 4), 2);
+    fn equal_drops_are_all_large_and_equal_values_have_none() {
+        assert_eq!(choose_dimension(&[8.0, 4.0, 2.0, 1.0, 0.5], 4), 4);
+        assert_eq!(choose_dimension(&[8.0, 4.0, 2.0, 1.0 - 1e-13, 0.5], 4), 4);
+        assert_eq!(choose_dimension(&[1.0, 1.0, 1.0 - 1e-13, 1.0 - 1e-12, 1.0 - 1e-12], 4), 2);
     }
 
     #[test]

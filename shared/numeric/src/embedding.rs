@@ -15,6 +15,9 @@ pub enum Scale {
     /// Graph Embedding* (KDD 2016): products of rows of the two halves approximate S.
     #[default]
     SqrtSigma,
+    /// Column j divided by √σ_j, and 0 where σ_j is: the directions of small groups, such as a leader
+    /// alone, have the smaller values, and count more so.
+    InverseSqrtSigma,
 }
 
 /// Scaling of the rows.
@@ -53,6 +56,10 @@ pub fn embed(svd: &RankKSvd, scale: Scale, rows: Rows) -> Embedding {
     let mut x = match scale {
         Scale::None => DenseMatrix::from_fn(n, 2 * k, side),
         Scale::SqrtSigma => scaled,
+        Scale::InverseSqrtSigma => {
+            let inverse = |root: f64| if root > 0.0 { root.recip() } else { 0.0 };
+            DenseMatrix::from_fn(n, 2 * k, |i, j| side(i, j) * inverse(roots[j % k]))
+        }
     };
     if rows == Rows::Unit {
         for (i, &weak) in weak.iter().enumerate() {

@@ -67,6 +67,20 @@ fn plain_representation_is_u_and_v() {
     }
     let scaled = embed(&svd, Scale::SqrtSigma, Rows::None).x;
     assert_close(scaled.get(0, 1).unwrap(), x.get(0, 1).unwrap() * svd.sigma[1].sqrt(), 1e-15);
+    let inverse = embed(&svd, Scale::InverseSqrtSigma, Rows::None).x;
+    assert_close(inverse.get(0, 1).unwrap(), x.get(0, 1).unwrap() / svd.sigma[1].sqrt(), 1e-15);
+}
+
+#[test]
+fn what_vanishes_is_not_made_longer() {
+    let nothing = decompose(&graph(3, &[]), 2);
+    let x = embed(&nothing, Scale::InverseSqrtSigma, Rows::None).x;
+    assert!(x.data().iter().all(|value| *value == 0.0));
+    // One edge has one triplet, and three are asked for.
+    let edge = decompose(&graph(4, &[(0, 1, 1.0)]), 3);
+    let x = embed(&edge, Scale::InverseSqrtSigma, Rows::Unit).x;
+    assert!(x.data().iter().all(|value| value.is_finite()));
+    assert_eq!(x.row(2), [0.0; 6]);
 }
 
 #[test]

@@ -52,6 +52,7 @@ pub(super) fn solve(
     let scale = match problem.scale {
         SingularValueScaling::None => Scale::None,
         SingularValueScaling::SqrtSigma => Scale::SqrtSigma,
+        SingularValueScaling::InverseSqrtSigma => Scale::InverseSqrtSigma,
     };
     let rows = match problem.rows {
         RowScaling::None => Rows::None,

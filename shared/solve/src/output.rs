@@ -201,7 +201,7 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
         Alpha::Fraction { fraction } => format!(" (fraction {fraction}; ρ is 0 without cycles)"),
     };
     let chosen = match problem.dimension {
-        Dimension::Auto => " (chosen by the largest drop of the singular values)",
+        Dimension::Auto => " (chosen by the last large drop of the singular values)",
         Dimension::Fixed(_) => "",
     };
     let found = &solution.decomposition;

@@ -9,7 +9,8 @@ use rayon::prelude::*;
 
 use crate::formations::{Formation, Radio};
 use crate::methods::embedding::{Form, Rank};
-use crate::methods::{DivisionError, Method, Recipe};
+use crate::methods::{Consensus, DivisionError, Method, Recipe};
+use crate::moving::faults::Sense;
 use crate::random_systems::{Known, plain_to_see, planted};
 use crate::score::{Correct, correct};
 use crate::statistics::Estimate;
@@ -40,6 +41,9 @@ pub struct Scores {
     pub planted: Vec<f64>,
     /// Small fleets that are plain to see, by each choice of relations.
     pub plain: Vec<f64>,
+    /// Planted fleets of all numbers of teams, where everybody reports of one modality what is true of
+    /// another robot, by modality. No part of what a recipe is worth.
+    pub mistaken: [Vec<f64>; 3],
 }
 
 impl Scores {
@@ -81,6 +85,9 @@ pub fn scores(
         }
         together.planted.extend(&one.planted);
         together.plain.extend(&one.plain);
+        for (all, one) in together.mistaken.iter_mut().zip(&one.mistaken) {
+            all.extend(one);
+        }
     }
     Ok(together)
 }
@@ -114,12 +121,20 @@ fn score(formations: &[Formation], method: &Method, seed: u64) -> Result<Scores,
         scores.noisy[at].push(noisy.share());
     }
     let mut sum = Correct::default();
+    let mut sums = [Correct::default(); 3];
     for teams in PLANTED_TEAMS {
         let (system, truth) = planted(teams, seed);
         let found = method.divide(&system, teams, seed)?.labels;
         sum += correct(&found, &truth).unwrap_or_default();
+        for (sense, sum) in Sense::ALL.into_iter().zip(&mut sums) {
+            let found = method.divide(&system.mistaken(sense, seed), teams, seed)?.labels;
+            *sum += correct(&found, &truth).unwrap_or_default();
+        }
     }
     scores.planted.push(sum.share());
+    for (shares, sum) in scores.mistaken.iter_mut().zip(sums) {
+        shares.push(sum.share());
+    }
     let mut sum = Correct::default();
     for (teams, size) in PLAIN {
         for known in Known::all() {
@@ -183,7 +198,7 @@ pub fn variations(base: &Recipe) -> Vec<Variation> {
     {
         add(format!("rank {rank:?}"), &|recipe| recipe.form.rank = rank);
     }
-    for power in [0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0] {
+    for power in [-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0] {
         add(format!("power {power}"), &|recipe| recipe.form.power = power);
     }
     for upward in [0.0, 0.25, 0.5, 0.75, 1.0, 1.5] {
@@ -228,6 +243,13 @@ pub fn variations(base: &Recipe) -> Vec<Variation> {
     for starts in [1, 10, 200] {
         add(format!("{starts} starts"), &|recipe| recipe.clustering.starts = starts);
     }
+    add("robust fusion".to_owned(), &|recipe| recipe.by_agreement = true);
+    for starts in [10, 100] {
+        add(format!("consensus of {starts} starts"), &|recipe| {
+            recipe.consensus = Consensus::Starts(starts);
+        });
+    }
+    add("consensus of K".to_owned(), &|recipe| recipe.consensus = Consensus::Ranks);
     all
 }
 
@@ -252,7 +274,7 @@ pub fn random(count: usize, seed: u64) -> Vec<Variation> {
         let mut recipe = Recipe::live();
         recipe.nearness = any_nearness(&mut chance);
         recipe.form.fraction = one_of(&mut chance, &[0.25, 0.5, 0.65, 0.75, 0.85]);
-        recipe.form.power = one_of(&mut chance, &[0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0]);
+        recipe.form.power = one_of(&mut chance, &[-1.0, -0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0]);
         let ranks = [Rank::Ratio, Rank::Teams, Rank::More(1), Rank::More(2), Rank::Fixed(4)];
         recipe.form.rank = one_of(&mut chance, &ranks);
         recipe.form.rows = one_of(&mut chance, &[Rows::None, Rows::Unit]);

@@ -166,15 +166,17 @@ fn grid(seeds: usize, recipes: Option<u32>, bar: &Bar) -> anyhow::Result<String>
         page,
         "Robots in the right team in percent, over {} training seeds. *Worth* is the mean of formations with both \
          radios, of the same with distances wrong by up to half of them, of planted fleets, and of small fleets \
-         that are plain to see, with its 95 % interval. *As it is*: {}.\n",
+         that are plain to see, with its 95 % interval. *Mistaken* are planted fleets in which everybody reports \
+         the position, the links or the superior of another robot. *As it is*: {}.\n",
         seeds.len(),
         described(&Recipe::live())
     )?;
     writeln!(
         page,
-        "| choice | worth | squads, range | platoons | noisy | squads, net | platoons | noisy | planted | plain |"
+        "| choice | worth | squads, range | platoons | noisy | squads, net | platoons | noisy | planted | plain | \
+         mistaken: spatial | connectivity | hierarchy |"
     )?;
-    writeln!(page, "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")?;
+    writeln!(page, "|{}", " --- |".repeat(13))?;
     for (variation, scores) in rows {
         let cell = |shares: &[f64]| format!("{:.2}", 100.0 * Estimate::of(shares).mean);
         let of_radio = |at: usize| {
@@ -184,13 +186,14 @@ fn grid(seeds: usize, recipes: Option<u32>, bar: &Bar) -> anyhow::Result<String>
         };
         writeln!(
             page,
-            "| {} | {} | {} | {} | {} | {} |",
+            "| {} | {} | {} | {} | {} | {} | {} |",
             variation.name,
             scores.worth().percent(),
             of_radio(0),
             of_radio(1),
             cell(&scores.planted),
-            cell(&scores.plain)
+            cell(&scores.plain),
+            scores.mistaken.each_ref().map(|shares| cell(shares)).join(" | ")
         )?;
     }
     Ok(page)

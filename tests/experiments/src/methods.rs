@@ -4,6 +4,8 @@
 //! method take what brings its tables nearest: [`PAPER_RANK`] triplets, α of half of what is admissible,
 //! equal weights.
 
+pub mod agreement;
+pub mod consensus;
 pub mod embedding;
 pub mod girvan_newman;
 pub mod lle;
@@ -19,6 +21,8 @@ use muster_numeric::kmeans::Init;
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 
 use crate::system::{Nearness, System, SystemError};
+use agreement::trusted;
+use consensus::together;
 use embedding::{Clustering, Form, MethodError, Rank, concatenated};
 use girvan_newman::girvan_newman;
 use lle::{LleError, locally_linear_embedding};
@@ -53,10 +57,25 @@ pub struct Recipe {
     pub weights: [f64; 3],
     /// Whether a modality that relates less than half of the robots counts less.
     pub by_coverage: bool,
+    /// Whether a modality that contradicts all others does not count: see [`agreement::trusted`].
+    pub by_agreement: bool,
     /// From graphs to vectors.
     pub form: Form,
     /// From vectors to teams.
     pub clustering: Clustering,
+    /// Which divisions are brought together into one.
+    pub consensus: Consensus,
+}
+
+/// Which divisions are brought together into one, each from one start of k-means: see [`consensus::together`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Consensus {
+    /// None: the best division of all starts is it.
+    Best,
+    /// Those of so many starts.
+    Starts(usize),
+    /// The best ones of every K from 2 to the number of teams.
+    Ranks,
 }
 
 impl Recipe {
@@ -70,6 +89,7 @@ impl Recipe {
             siblings: 0.0,
             weights: [1.0 / 3.0; 3],
             by_coverage: false,
+            by_agreement: false,
             form: Form {
                 normalization: Normalization::None,
                 fraction: PAPER_FRACTION,
@@ -78,6 +98,7 @@ impl Recipe {
                 rows: Rows::None,
             },
             clustering: Clustering { init: Init::Random, starts: 1 },
+            consensus: Consensus::Best,
         }
     }
 
@@ -106,6 +127,7 @@ impl Recipe {
             siblings: 0.0,
             weights: crate::system::MODALITIES.map(weight),
             by_coverage: embedder.weights.is_empty(),
+            by_agreement: false,
             form: Form {
                 normalization: match embedder.normalize {
                     Normalize::None => Normalization::None,
@@ -123,6 +145,7 @@ impl Recipe {
                 power: match embedder.scale {
                     SingularValueScaling::None => 0.0,
                     SingularValueScaling::SqrtSigma => 0.5,
+                    SingularValueScaling::InverseSqrtSigma => -0.5,
                 },
                 rows: match embedder.rows {
                     RowScaling::None => Rows::None,
@@ -136,7 +159,42 @@ impl Recipe {
                 },
                 starts: clusterer.restarts as usize,
             },
+            consensus: Consensus::Best,
         }
+    }
+
+    /// What k-means sees of graphs in the order of [`crate::system::MODALITIES`].
+    fn vectors(
+        &self,
+        graphs: &[SparseMatrix; 3],
+        teams: usize,
+        seed: u64,
+    ) -> Result<DenseMatrix, MethodError> {
+        let mut weights: Vec<f64> =
+            graphs.iter().zip(self.weights).map(|(graph, w)| w * self.trust(graph)).collect();
+        if self.by_agreement {
+            weights = trusted(graphs, &weights)?;
+        }
+        let weighted: Vec<(&SparseMatrix, f64)> = graphs.iter().zip(weights).collect();
+        let divisions = match self.consensus {
+            Consensus::Best => return self.form.vectors(&weighted, teams),
+            Consensus::Starts(count) => {
+                let vectors = self.form.vectors(&weighted, teams)?;
+                let once = Clustering { starts: 1, ..self.clustering };
+                let seeds = (0..count as u64).map(|start| seed.wrapping_add(start << 32));
+                seeds
+                    .map(|seed| once.divide(&vectors, teams, seed))
+                    .collect::<Result<Vec<_>, _>>()?
+            }
+            Consensus::Ranks => {
+                let of_rank = |rank: usize| {
+                    let form = Form { rank: Rank::Fixed(rank), ..self.form };
+                    self.clustering.divide(&form.vectors(&weighted, teams)?, teams, seed)
+                };
+                (2..=teams.max(2)).map(of_rank).collect::<Result<Vec<_>, _>>()?
+            }
+        };
+        Ok(together(&divisions)?)
     }
 }
 
@@ -251,12 +309,7 @@ impl Method {
             Self::Multimodal(_, recipe) => {
                 let mut graphs = system.graphs(&recipe.nearness)?;
                 graphs[2] = system.command(recipe.upward, recipe.siblings)?;
-                let weighted: Vec<(&SparseMatrix, f64)> = graphs
-                    .iter()
-                    .zip(recipe.weights)
-                    .map(|(graph, weight)| (graph, weight * recipe.trust(graph)))
-                    .collect();
-                (recipe.form.vectors(&weighted, teams)?, recipe.clustering)
+                (recipe.vectors(&graphs, teams, seed)?, recipe.clustering)
             }
         };
         Ok(Division { labels: kmeans.divide(&vectors, teams, seed)?, vectors: Some(vectors) })

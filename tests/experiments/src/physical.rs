@@ -232,8 +232,9 @@ mod tests {
         let mut bytes = 0;
         for case in Case::all().unwrap() {
             let recording = case.record().unwrap();
-            assert_eq!(case.recording().unwrap(), recording, "{}", case.layout.name);
-            assert_eq!(case.recording, recording.text().unwrap());
+            let name = &case.layout.name;
+            assert!(case.recording().unwrap() == recording, "{name}: make it anew by `record`");
+            assert!(case.recording == recording.text().unwrap(), "{name} reads back otherwise");
             assert_eq!(recording.head.layout, case.layout.name);
             bytes += case.recording.len();
         }

@@ -8,8 +8,9 @@ use std::ops::Range;
 pub const TRAINING: Range<u64> = 0..100;
 
 /// Seeds on which they are judged, and which nothing was chosen on. Whoever has seen their numbers and chooses
-/// anew takes others: those from 10,000 on have been looked at.
-pub const HELD_OUT: Range<u64> = 20_000..20_100;
+/// anew takes others: those from 10,000 and
+/// 20,000 on have been looked at.
+pub const HELD_OUT: Range<u64> = 30_000..30_100;
 
 /// So many held-out seeds, all of them at most.
 pub fn judging(count: usize) -> impl Iterator<Item = u64> + Clone {

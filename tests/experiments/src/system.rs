@@ -8,6 +8,8 @@ use muster_relation::{EdgeError, connectivity_edges, hierarchy_edges, spatial_ed
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::moving::faults::{Mask, Sense};
+
 /// Robots at one moment. Lists have one entry per robot.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct System {
@@ -157,6 +159,26 @@ impl System {
             }
         }
         Self { measured: Some(metres), ..self.clone() }
+    }
+
+    /// The same system, in which everybody reports of one kind what is true of another robot.
+    #[must_use]
+    #[expect(clippy::cast_possible_truncation, reason = "robots are numbered by 32 bits")]
+    pub fn mistaken(&self, sense: Sense, seed: u64) -> Self {
+        let mask = Mask::shuffled(self.robots(), &mut ChaCha8Rng::seed_from_u64(seed));
+        let named = |robot: u32| mask.named[robot as usize] as u32;
+        let mut system = self.clone();
+        for (robot, of) in mask.of.iter().copied().enumerate() {
+            match sense {
+                Sense::Spatial => system.positions[robot] = self.positions[of],
+                Sense::Connectivity => {
+                    let heard = self.heard[of].iter();
+                    system.heard[robot] = heard.map(|(peer, q)| (named(*peer), *q)).collect();
+                }
+                Sense::Hierarchy => system.superiors[robot] = self.superiors[of].map(named),
+            }
+        }
+        system
     }
 
     /// The graph of links, from those who are heard to those who hear.

@@ -35,7 +35,7 @@ pub enum Alpha {
 /// Length D = 2K of the vectors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Dimension {
-    /// K by the largest ratio of neighbouring singular values, from 2 to the number of teams; more
+    /// K by the last large ratio of neighbouring singular values, from 2 to the number of teams; more
     /// where a robot with relations would not be seen otherwise.
     Auto,
     /// D itself: even, at least 2.
@@ -101,6 +101,8 @@ pub enum SingularValueScaling {
     None,
     /// By the square root of their singular values.
     SqrtSigma,
+    /// Divided by the square root of their singular values: small groups, such as a leader alone, count more.
+    InverseSqrtSigma,
 }
 
 /// How the rows are scaled.
@@ -159,7 +161,7 @@ impl Default for EmbedderSettings {
             normalize: Normalization::Spectral,
             alpha: Alpha::Fraction { fraction: 0.5 },
             dimension: Dimension::Auto,
-            scale: SingularValueScaling::None,
+            scale: SingularValueScaling::InverseSqrtSigma,
             rows: RowScaling::Unit,
             hysteresis: 0.1,
             residual_tolerance: 1e-6,

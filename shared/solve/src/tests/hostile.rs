@@ -81,7 +81,7 @@ impl Dice {
         let mut file = json!({
             "robots": names(robots),
             "normalize": self.one_of(&["none", "spectral"]),
-            "scale": self.one_of(&["none", "sqrt-sigma"]),
+            "scale": self.one_of(&["none", "sqrt-sigma", "inverse-sqrt-sigma"]),
             "rows": self.one_of(&["none", "unit"]),
             "alpha": self.one_of(&[json!(0.2), json!({"fraction": 0.5}), json!({"fraction": 1e-9}),
                                    json!({"fraction": 0.999_999}), json!(1e-90), json!(1e90)]),

@@ -14,7 +14,7 @@ use muster_numeric::svd::{RankKSvd, SvdError, full_svd};
 pub enum Rank {
     /// This one, or the number of robots if that is less.
     Fixed(usize),
-    /// The live system's rule: the largest ratio of neighbouring singular values from 2 to the number of
+    /// The live system's rule: the last large ratio of neighbouring singular values from 2 to the number of
     /// teams, and more where a robot with relations would not be seen otherwise.
     Ratio,
     /// The number of teams.
@@ -32,7 +32,8 @@ pub struct Form {
     pub fraction: f64,
     /// How K is chosen.
     pub rank: Rank,
-    /// Power of the singular values by which their vectors are scaled: 0 in the paper, 1/2 in HOPE.
+    /// Power of the singular values by which their vectors are scaled: 0 in the paper, 1/2 in HOPE, −1/2 in the
+    /// live system.
     pub power: f64,
     /// How the vectors of robots are.
     pub rows: Rows,
@@ -100,7 +101,9 @@ impl Form {
     /// [`embed`] for any power of the singular values.
     fn rows_of(&self, svd: &RankKSvd) -> Result<DenseMatrix, MatrixError> {
         let weak = embed(svd, Scale::SqrtSigma, Rows::None).weak;
-        let scales: Vec<f64> = svd.sigma.iter().map(|sigma| sigma.powf(self.power)).collect();
+        // What vanishes has no direction that could be made longer.
+        let scale = |sigma: f64| if sigma > 0.0 { sigma.powf(self.power) } else { 0.0 };
+        let scales: Vec<f64> = svd.sigma.iter().map(|sigma| scale(*sigma)).collect();
         let row = |(i, weak): (usize, &bool)| -> Vec<f64> {
             let sides = svd.u.row(i).iter().zip(&scales).chain(svd.v.row(i).iter().zip(&scales));
             let mut row: Vec<f64> = sides.map(|(value, scale)| value * scale).collect();
