@@ -3,6 +3,9 @@
 use crate::experiments::{NOISES, ROBOTS, TEAMS, over_seeds, share};
 use crate::formations::{Formation, Radio};
 use crate::methods::{DivisionError, Method};
+use crate::moving::mission::Case;
+use crate::moving::plan::Curve;
+use crate::moving::run::Setup;
 use crate::paper;
 use crate::plots::dots::{Row, dots};
 use crate::plots::lines::{Panel, Point, Series, lines};
@@ -132,6 +135,43 @@ pub fn accuracy_under_noise(page: &Page) -> Result<String, PlotError> {
 pub fn silhouettes_under_noise(page: &Page) -> Result<String, PlotError> {
     let panels = noise_panels(page, "silhouette common", 1.0);
     lines(&panels, 2, &noise_axis(), &tenths("silhouette, common space", &panels))
+}
+
+/// Of so many comparisons of a mission one is drawn: two in a second.
+const DRAWN: usize = 5;
+
+/// Scenario III: robots of the teams concerned that are in the right team, over time, where teams change and all
+/// reports are right, with radios by range.
+///
+/// # Errors
+/// If the drawing fails.
+pub fn missions(curves: &[Curve]) -> Result<String, PlotError> {
+    let panel = |case: Case| {
+        let of_case = |curve: &&Curve| {
+            let Setup { case: of, radio, fault, .. } = curve.setup;
+            (of, radio, fault) == (case, Radio::Range, None)
+        };
+        let shapes = [Shape::Disc, Shape::Square, Shape::Triangle, Shape::Diamond, Shape::Wedge];
+        let series = |(at, curve): (usize, &Curve)| {
+            let drawn = curve.points.iter().step_by(DRAWN);
+            Series {
+                name: format!("{} robots", curve.setup.robots),
+                look: Look {
+                    colour: COLOURS[at % COLOURS.len()],
+                    shape: shapes[at % shapes.len()],
+                },
+                points: drawn
+                    .map(|point| Point { x: point.t, y: 100.0 * point.involved, half: 0.0 })
+                    .collect(),
+            }
+        };
+        let series = curves.iter().filter(of_case).enumerate().map(series).collect();
+        Panel { title: case.to_string(), series }
+    };
+    let panels = [Case::Split, Case::Regroup].map(panel);
+    let lasts = Case::Split.lasts_s().max(Case::Regroup.lasts_s());
+    let seconds = axis("seconds", (0.0, lasts), 0);
+    lines(&panels, 2, &seconds, &axis("involved robots in the right team, %", (0.0, 100.0), 0))
 }
 
 /// Scenario II: silhouettes in the common space by number of robots, for the methods of the paper's table and

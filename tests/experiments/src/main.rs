@@ -117,7 +117,7 @@ fn main() -> anyhow::Result<()> {
         page.append(experiments::planted_fleets(&methods, &seeds, &progress)?);
     }
     if is("moving") {
-        page.append(moving(arguments.quick, &seeds, &progress)?.page);
+        page.append(moving(arguments.quick, &seeds, &progress)?);
     }
     #[cfg(feature = "bus")]
     if is("physical") {

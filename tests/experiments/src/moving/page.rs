@@ -3,20 +3,11 @@
 use super::faults::{Fault, Sense};
 use super::measures::{Outcome, Sample};
 use super::mission::Case;
-use super::plan::{Curve, FAULTY, Tried, condition, planned, tried};
-use super::run::RunError;
+use super::plan::{FAULTY, Tried, condition, planned, tried};
 use crate::experiments::Progress;
+use crate::figures;
 use crate::results::{Page, Record};
 use crate::statistics::Estimate;
-
-/// A page with what plots need.
-#[derive(Debug, Clone, Default)]
-pub struct Moving {
-    /// The page with its numbers.
-    pub page: Page,
-    /// Accuracy over time of every setup.
-    pub curves: Vec<Curve>,
-}
 
 /// What is measured and how.
 const DEFINITIONS: &str = "\
@@ -43,20 +34,26 @@ of a robot's team id beyond the number of times that the truth moves it, per rob
 ///
 /// # Errors
 /// If a mission has no outcome.
-pub fn moving(quick: bool, seeds: &[u64], progress: &Progress<'_>) -> Result<Moving, RunError> {
+pub fn moving(quick: bool, seeds: &[u64], progress: &Progress<'_>) -> anyhow::Result<Page> {
     let mut all = Vec::new();
     for planned in planned(quick) {
         all.push(tried(&planned, seeds, progress)?);
     }
     let mut page = Page::default();
     page.say("## Scenario III: fleets that move", DEFINITIONS);
+    let curves: Vec<_> = all.iter().map(Tried::curve).collect();
+    page.plot(
+        "missions",
+        "Robots of the teams that a mission changes that are in the right team, over time, by size of the fleet",
+        figures::missions(&curves)?,
+    );
     whole(&mut page, &all);
     faulty(&mut page, &all);
     goals(&mut page, &all);
     for tried in &all {
         record(&mut page, tried);
     }
-    Ok(Moving { page, curves: all.iter().map(Tried::curve).collect() })
+    Ok(page)
 }
 
 fn settled(outcome: &Outcome) -> f64 {
@@ -171,7 +168,7 @@ fn goals(page: &mut Page, all: &[Tried]) {
                 let needless: usize = tried.outcomes.iter().map(|(_, o)| o.needless).sum();
                 ("nobody's team changes at rest", format!("{needless} changes"), needless == 0)
             }
-            (Case::March, Some((_, Fault::Lost))) => {
+            (_, Some((_, Fault::Lost))) => {
                 let share = Estimate::of(&tried.each(settled));
                 ("accuracy of 95 % with a modality lost", share.percent(), share.mean >= 0.95)
             }
