@@ -67,12 +67,12 @@ pub struct Recipe {
     pub consensus: Consensus,
 }
 
-/// Which divisions are brought together into one, each from one start of k-means: see [`consensus::together`].
+/// Which divisions are brought together into one: see [`consensus::together`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Consensus {
     /// None: the best division of all starts is it.
     Best,
-    /// Those of so many starts.
+    /// Those of so many single starts of k-means.
     Starts(usize),
     /// The best ones of every K from 2 to the number of teams.
     Ranks,
