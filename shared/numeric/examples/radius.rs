@@ -103,7 +103,7 @@ fn measure(name: &str, n: usize, a: &SparseMatrix, moved: &SparseMatrix) {
         .iter()
         .map(|width| {
             let t = Instant::now();
-            let bound = tracker.refine(a, *width);
+            let bound = tracker.refine(a, *width).unwrap();
             format!("{:.1e} {} sweeps {:.2} ms", bound.relative_width(), bound.sweeps, ms(t))
         })
         .collect();

@@ -48,7 +48,7 @@ fn main() {
         katz_similarity(&a, alpha, &tracker.spectral_radius(&bound)).unwrap();
         let scratch = t.elapsed().as_secs_f64() * 1e3;
         let mut kept = CachedKatz::default();
-        kept.set_rank_share(1.0);
+        kept.set_rank_share(1.0).unwrap();
         let t = Instant::now();
         kept.update(&a, alpha, &tracker.spectral_radius(&bound), None).unwrap();
         println!("n {n}: scratch {scratch:.2} ms, first {:.2} ms", t.elapsed().as_secs_f64() * 1e3);

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::matrix::{MatrixError, SparseMatrix};
+use crate::linalg::matrix::{MatrixError, SparseMatrix};
 use crate::norm::spectral_norm;
 
 /// How each graph is scaled before it is weighted.
@@ -15,6 +15,38 @@ pub enum Normalization {
     /// itself cannot serve, since it is 0 for every acyclic graph, such as a command tree.
     #[default]
     Spectral,
+}
+
+/// A graph A_m and its weight w_m ≥ 0.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WeightedGraph<'a> {
+    /// A_m.
+    pub graph: &'a SparseMatrix,
+    /// w_m.
+    pub weight: f64,
+}
+
+impl<'a> From<(&'a SparseMatrix, f64)> for WeightedGraph<'a> {
+    fn from((graph, weight): (&'a SparseMatrix, f64)) -> Self {
+        Self { graph, weight }
+    }
+}
+
+/// A graph A_m, its weight w_m ≥ 0, and the scale s_m > 0 that it is divided by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScaledGraph<'a> {
+    /// A_m.
+    pub graph: &'a SparseMatrix,
+    /// w_m.
+    pub weight: f64,
+    /// s_m, in the unit of the weights of A_m.
+    pub scale: f64,
+}
+
+impl<'a> From<(&'a SparseMatrix, f64, f64)> for ScaledGraph<'a> {
+    fn from((graph, weight, scale): (&'a SparseMatrix, f64, f64)) -> Self {
+        Self { graph, weight, scale }
+    }
 }
 
 /// Why graphs could not be fused.
@@ -48,33 +80,38 @@ pub enum FuseError {
 
 /// Fused graph A* = Σ w_m A_m (equation 3 of the paper), each A_m scaled as `normalization` says.
 ///
-/// Takes pairs (A_m, w_m) of n × n matrices and non-negative weights. The paper asks for
-/// Σ w_m = 1, which is left to the caller: a common factor of all weights scales A* and nothing
-/// else. A graph without edges stays as it is.
+/// The graphs are n × n, the weights not negative. The paper asks for Σ w_m = 1, which is left to
+/// the caller: a common factor of all weights scales A* and nothing else. A graph without edges
+/// stays as it is.
 ///
 /// # Errors
 /// [`FuseError`]: no graphs, different sizes, an unusable weight, or entries out of range.
-pub fn fuse(
-    graphs: &[(&SparseMatrix, f64)],
+pub fn fuse<'a>(
+    graphs: &[impl Into<WeightedGraph<'a>> + Copy],
     normalization: Normalization,
 ) -> Result<SparseMatrix, FuseError> {
-    let norm = |&(graph, weight): &(&SparseMatrix, f64)| match normalization {
-        Normalization::Spectral if weight > 0.0 => spectral_norm(graph),
-        _ => 1.0,
-    };
-    let scaled: Vec<_> = graphs.iter().map(|pair| (pair.0, pair.1, norm(pair))).collect();
-    fuse_scaled(&scaled)
+    let scaled = graphs.iter().map(|graph| {
+        let WeightedGraph { graph, weight } = (*graph).into();
+        let scale = match normalization {
+            Normalization::Spectral if weight > 0.0 => spectral_norm(graph),
+            _ => 1.0,
+        };
+        ScaledGraph { graph, weight, scale }
+    });
+    fuse_scaled(&scaled.collect::<Vec<_>>())
 }
 
-/// Σ w_m A_m / s_m from (A_m, w_m, s_m): [`fuse`] with the scales s_m > 0 of the caller, such as those
-/// of [`crate::norm_band`].
+/// Σ w_m A_m / s_m: [`fuse`] with scales of the caller, such as those of [`crate::norm_band`].
 ///
 /// # Errors
 /// As [`fuse`].
-pub fn fuse_scaled(graphs: &[(&SparseMatrix, f64, f64)]) -> Result<SparseMatrix, FuseError> {
-    let expected = graphs.first().ok_or(FuseError::Empty)?.0.nodes();
+pub fn fuse_scaled<'a>(
+    graphs: &[impl Into<ScaledGraph<'a>> + Copy],
+) -> Result<SparseMatrix, FuseError> {
+    let expected = (*graphs.first().ok_or(FuseError::Empty)?).into().graph.nodes();
     let mut entries = Vec::new();
-    for (index, &(graph, weight, scale)) in graphs.iter().enumerate() {
+    for (index, graph) in graphs.iter().enumerate() {
+        let ScaledGraph { graph, weight, scale } = (*graph).into();
         if graph.nodes() != expected {
             let found = graph.nodes();
             return Err(FuseError::Nodes { index, expected, found });

@@ -27,35 +27,18 @@
 //! Every entry of a [`matrix::DenseMatrix`] or [`matrix::SparseMatrix`] is finite and bounded by
 //! [`matrix::MAX_ENTRY`], which is checked on construction; functions that take them rely on it.
 
-mod aligned;
-pub mod alignment;
-pub mod alpha_band;
-mod backend;
-pub mod cached_katz;
-mod components;
-pub mod dimension;
-pub mod embedding;
+mod cluster;
 pub mod fuse;
-mod jacobi;
+mod graph;
 pub mod katz;
-pub mod katz_column;
-pub mod katz_svd;
-pub mod kmeans;
-mod lanczos;
-pub mod margins;
-pub mod matching;
-pub mod matrix;
-mod noda;
+mod linalg;
 pub mod norm;
-pub mod norm_band;
-mod operator;
-mod order;
-mod panels;
-mod partial;
-pub mod radius_bound;
-mod scaling;
-mod share;
-pub mod silhouette;
-pub mod spectral_radius;
+mod radius;
 pub mod svd;
-mod tall;
+
+pub use cluster::{kmeans, margins, matching, silhouette};
+pub use katz::{alpha_band, cached as cached_katz, column as katz_column};
+pub use linalg::matrix;
+pub use norm::band as norm_band;
+pub use radius::{exact as spectral_radius, tracker as radius_bound};
+pub use svd::{alignment, dimension, embedding, katz_svd};

@@ -42,7 +42,7 @@ fn closed_forms_after_updates() {
     // A ring is closed, a star loses a ray, a clique and a path become others.
     let alpha = 0.4;
     let (mut kept, ..) = cached(&directed_path(6, 1.0), Alpha::Value(alpha));
-    kept.set_rank_share(1.0);
+    kept.set_rank_share(1.0).unwrap();
     let ring = ring(6, 1.0);
     let found = kept.update(&ring, alpha, &spectral_radius(&ring, None), None).unwrap();
     assert_eq!((found.method, found.rank), (Method::Updated, 1));
@@ -53,7 +53,7 @@ fn closed_forms_after_updates() {
     }
 
     let (mut kept, ..) = cached(&star(6), Alpha::Value(0.3));
-    kept.set_rank_share(1.0);
+    kept.set_rank_share(1.0).unwrap();
     let smaller = star(5);
     let map: Vec<Option<usize>> = (0..6).map(|i| (i < 5).then_some(i)).collect();
     let found = kept.update(&smaller, 0.3, &spectral_radius(&smaller, None), Some(&map)).unwrap();
@@ -66,7 +66,7 @@ fn closed_forms_after_updates() {
     assert_eq!(kept.pair(5, 0), None);
 
     let (mut kept, ..) = cached(&cliques(&[4, 5]), Alpha::Value(0.1));
-    kept.set_rank_share(1.0);
+    kept.set_rank_share(1.0).unwrap();
     let joined = cliques(&[5, 5]);
     let map: Vec<Option<usize>> = (0..9).map(|i| Some(if i < 4 { i } else { i + 1 })).collect();
     let found = kept.update(&joined, 0.1, &spectral_radius(&joined, None), Some(&map)).unwrap();
@@ -78,7 +78,7 @@ fn closed_forms_after_updates() {
     assert!(kept.pair(0, 7).unwrap() < 1e-16);
 
     let (mut kept, ..) = cached(&directed_path(8, 1.0), Alpha::Value(0.3));
-    kept.set_rank_share(1.0);
+    kept.set_rank_share(1.0).unwrap();
     let turned: Vec<Option<usize>> = (0..8).map(|i| Some(7 - i)).collect();
     let back = directed_path(8, 1.0).transpose();
     let found = kept.update(&back, 0.3, &spectral_radius(&back, None), Some(&turned)).unwrap();
@@ -232,7 +232,7 @@ proptest! {
         let order = permutation(n.max(m), seed);
         let map: Vec<Option<usize>> = (0..n).map(|i| Some(order[i]).filter(|k| *k < m)).collect();
         let mut kept = CachedKatz::default();
-        kept.set_rank_share(f64::INFINITY);
+        kept.set_rank_share(f64::INFINITY).unwrap();
         kept.update(&a, alpha, &ra, None).unwrap();
         let found = kept.update(&b, alpha, &rb, Some(&map)).unwrap();
         prop_assert!(found.probe <= MAX_PROBE);

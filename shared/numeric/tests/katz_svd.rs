@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use muster_numeric::katz::{KatzError, katz_similarity};
-use muster_numeric::katz_svd::{KatzSvd, KatzSvdError, KatzSvdOptions};
+use muster_numeric::katz_svd::{KatzSvd, KatzSvdError, KatzSvdOptions, KatzSvdOptionsError};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::spectral_radius;
 use muster_numeric::svd::{RankKSvd, full_svd};
@@ -209,10 +209,14 @@ fn what_cannot_be_asked_for_is_refused_by_name() {
     assert!(matches!(ask(-1.0, 3, 1e-6), KatzSvdError::Katz(KatzError::Alpha(_))));
     let limit = 1.0 / radius.upper;
     assert!(matches!(ask(limit, 3, 1e-6), KatzSvdError::Katz(KatzError::Diverges { .. })));
-    assert!(matches!(ask(0.1 * limit, 0, 1e-6), KatzSvdError::Rank(_)));
+    assert!(matches!(ask(0.1 * limit, 0, 1e-6), KatzSvdError::Options(KatzSvdOptionsError::Rank)));
     assert!(matches!(ask(0.1 * limit, 71, 1e-6), KatzSvdError::Rank(_)));
-    assert!(matches!(ask(0.1 * limit, 3, 0.0), KatzSvdError::Tolerance(_)));
-    assert!(matches!(ask(0.1 * limit, 3, f64::NAN), KatzSvdError::Tolerance(_)));
+    for tolerance in [0.0, f64::NAN] {
+        let refused = ask(0.1 * limit, 3, tolerance);
+        assert!(matches!(refused, KatzSvdError::Options(KatzSvdOptionsError::Tolerance(_))));
+    }
+    let none = KatzSvdOptions { threads: 0, ..options(3, 1e-6) };
+    assert_eq!(none.check(), Err(KatzSvdOptionsError::Threads));
 }
 
 proptest! {

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{blobs, distance, numbers};
-use muster_numeric::kmeans::{Init, KMeansError, KMeansOptions, kmeans, lloyd};
+use muster_numeric::kmeans::{Init, KMeansError, KMeansOptions, KMeansOptionsError, kmeans, lloyd};
 use muster_numeric::matrix::DenseMatrix;
 use proptest::prelude::*;
 
@@ -88,10 +88,10 @@ fn fewer_distinct_points_than_clusters() {
 fn extreme_counts() {
     let x = blobs(&[&[0.0, 0.0]], 6, 1.0, 1);
     assert_eq!(kmeans(&x, &KMeansOptions::new(1)).unwrap().labels, [0; 6]);
-    let all = kmeans(&x, &KMeansOptions { restarts: 0, ..KMeansOptions::new(6) }).unwrap();
+    let all = kmeans(&x, &KMeansOptions { restarts: 1, ..KMeansOptions::new(6) }).unwrap();
     assert_eq!(all.labels, [0, 1, 2, 3, 4, 5]);
     assert!(all.inertia < 1e-30);
-    let cut = kmeans(&x, &KMeansOptions { max_iterations: 0, ..KMeansOptions::new(2) }).unwrap();
+    let cut = kmeans(&x, &KMeansOptions { max_iterations: 1, ..KMeansOptions::new(2) }).unwrap();
     assert_eq!(cut.centroids.rows(), 2);
     let single = DenseMatrix::new(1, 1, vec![5.0]).unwrap();
     assert_eq!(kmeans(&single, &KMeansOptions::new(1)).unwrap().inertia, 0.0);
@@ -170,7 +170,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
     let warm: Vec<Option<usize>> = (0..large.rows()).map(|i| Some(i % 4)).collect();
     let kept = KMeansOptions { restarts: 1, warm_labels: Some(&warm), ..few };
     let first = large.select_rows(&[0, 1, 2, 3, 4, 5, 6]);
-    for threads in [0, 2, 3, 7] {
+    for threads in [2, 3, 7] {
         let with = |options| KMeansOptions { threads, ..options };
         assert_eq!(kmeans(&small, &options), kmeans(&small, &with(options)));
         assert_eq!(kmeans(&large, &few), kmeans(&large, &with(few)));
@@ -206,7 +206,7 @@ fn impossible_requests_are_refused() {
     let x = blobs(&[&[0.0]], 3, 1.0, 1);
     let none = DenseMatrix::zeros(0, 2).unwrap();
     assert_eq!(kmeans(&none, &KMeansOptions::new(1)), Err(KMeansError::NoPoints));
-    for clusters in [0, 4, usize::MAX] {
+    for clusters in [4, usize::MAX] {
         let found = kmeans(&x, &KMeansOptions::new(clusters));
         assert!(matches!(found, Err(KMeansError::Clusters { .. })));
     }
@@ -214,8 +214,22 @@ fn impossible_requests_are_refused() {
     assert!(matches!(kmeans(&x, &short), Err(KMeansError::WarmLabels { .. })));
     for hysteresis in [-0.1, 1.0, f64::NAN, f64::INFINITY] {
         let options = KMeansOptions { hysteresis, ..KMeansOptions::new(2) };
-        assert!(matches!(kmeans(&x, &options), Err(KMeansError::Hysteresis(_))));
+        let found = kmeans(&x, &options);
+        assert!(matches!(found, Err(KMeansError::Options(KMeansOptionsError::Hysteresis(_)))));
     }
+    let valid = KMeansOptions::new(2);
+    for (options, error) in [
+        (KMeansOptions::new(0), KMeansOptionsError::Clusters),
+        (KMeansOptions { restarts: 0, ..valid }, KMeansOptionsError::Restarts),
+        (KMeansOptions { max_iterations: 0, ..valid }, KMeansOptionsError::MaxIterations),
+        (KMeansOptions { threads: 0, ..valid }, KMeansOptionsError::Threads),
+    ] {
+        assert_eq!(options.check(), Err(error));
+        assert_eq!(kmeans(&x, &options), Err(KMeansError::Options(error)));
+    }
+    assert_eq!(valid.check().unwrap().get(), &valid);
+    let threads = KMeansError::Options(KMeansOptionsError::Threads);
+    assert_eq!(lloyd(&x, &x, 5, 0), Err(threads));
 }
 
 #[test]

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{directed_graphs, graph, path, star};
-use muster_numeric::fuse::{FuseError, Normalization, fuse};
+use muster_numeric::fuse::{FuseError, Normalization, WeightedGraph, fuse};
 use muster_numeric::matrix::{DenseMatrix, MAX_ENTRY, MatrixError, SparseMatrix};
 use muster_numeric::norm::spectral_norm;
 use proptest::prelude::*;
@@ -74,7 +74,8 @@ fn edges_lead_back_by_a_share_of_their_weight() {
 #[test]
 fn fusion_refuses_nonsense() {
     let (a, b) = (star(5), star(4));
-    assert_eq!(fuse(&[], Normalization::None), Err(FuseError::Empty));
+    let none: [WeightedGraph<'_>; 0] = [];
+    assert_eq!(fuse(&none, Normalization::None), Err(FuseError::Empty));
     let sizes = fuse(&[(&a, 1.0), (&b, 1.0)], Normalization::None);
     assert!(matches!(sizes, Err(FuseError::Nodes { index: 1, .. })));
     for weight in [-1.0, f64::NAN, f64::INFINITY] {

@@ -48,7 +48,7 @@ fn deviation(found: &DenseMatrix, wanted: &DenseMatrix) -> f64 {
 fn cached(a: &SparseMatrix, from: &SparseMatrix, alpha: f64) -> DenseMatrix {
     let n = a.nodes();
     let mut kept = CachedKatz::default();
-    kept.set_rank_share(f64::INFINITY);
+    kept.set_rank_share(f64::INFINITY).unwrap();
     let radius = spectral_radius(from, None);
     kept.update(from, alpha, &radius, None).unwrap();
     kept.update(a, alpha, &spectral_radius(a, None), None).unwrap();

@@ -7,7 +7,7 @@ use common::*;
 use muster_numeric::alpha_band::AlphaBand;
 use muster_numeric::katz::{Alpha, KatzError, katz_centrality, katz_similarity};
 use muster_numeric::matrix::SparseMatrix;
-use muster_numeric::radius_bound::{LIVE_WIDTH, RadiusBound, RadiusTracker};
+use muster_numeric::radius_bound::{LIVE_WIDTH, RadiusBound, RadiusTracker, WidthError};
 use proptest::prelude::*;
 use std::f64::consts::PI;
 
@@ -16,7 +16,7 @@ fn check(a: &SparseMatrix, expected: f64) {
         let mut tracker = RadiusTracker::default();
         // Cold, and started from its own end.
         for _ in 0..2 {
-            let found = tracker.refine(a, width);
+            let found = tracker.refine(a, width).unwrap();
             enclosed(&found, expected, 1e-14);
             assert!(found.relative_width() <= width.max(3e-13), "{width}: {found:?} {expected}");
             assert!(!found.acyclic && tracker.vector().iter().all(|x| *x > 0.0));
@@ -75,7 +75,7 @@ fn acyclic_graphs_have_radius_zero() {
     let tree: Vec<_> = (1..200).map(|i| ((i - 1) / 3, i, 1e3)).collect();
     for a in [graph(200, &tree), directed_path(300, 5.0), graph(0, &[]), graph(4, &[])] {
         let mut tracker = RadiusTracker::default();
-        for found in [tracker.bound(&a), tracker.refine(&a, 1e-9)] {
+        for found in [tracker.bound(&a), tracker.refine(&a, 1e-9).unwrap()] {
             assert_eq!((found.lower, found.upper, found.acyclic), (0.0, 0.0, true));
             assert_eq!(tracker.vector(), vec![1.0; a.nodes()]);
         }
@@ -107,7 +107,7 @@ fn graded_and_periodic_rings() {
     // Dominant eigenvalues on a circle but for a chord.
     let mut edges: Vec<_> = (0..60).map(|i| (i, (i + 1) % 60, 1.0)).collect();
     edges.push((0, 30, 1e-3));
-    let found = RadiusTracker::default().refine(&graph(60, &edges), 1e-10);
+    let found = RadiusTracker::default().refine(&graph(60, &edges), 1e-10).unwrap();
     assert!(found.relative_width() <= 1e-10 && found.lower > 1.0);
 }
 
@@ -119,9 +119,17 @@ fn large_components_keep_honest_bounds() {
     let found = tracker.bound(&path(n));
     enclosed(&found, expected, 1e-15);
     assert!(found.relative_width() <= LIVE_WIDTH);
-    let found = tracker.refine(&path(n), 1e-3);
+    let found = tracker.refine(&path(n), 1e-3).unwrap();
     enclosed(&found, expected, 1e-15);
     assert!(found.relative_width() <= 1e-3, "{found:?}");
+}
+
+#[test]
+fn widths_that_are_no_widths_are_refused() {
+    for width in [f64::NAN, -1e-3] {
+        let found = RadiusTracker::default().refine(&star(4), width);
+        assert!(matches!(found, Err(WidthError(_))));
+    }
 }
 
 #[test]
@@ -208,21 +216,21 @@ proptest! {
         let mut tracker = RadiusTracker::default();
         for a in [&a, &b, &a] {
             let expected = radius_by_squaring(a);
-            for found in [tracker.bound(a), tracker.refine(a, width)] {
+            for found in [tracker.bound(a), tracker.refine(a, width).unwrap()] {
                 prop_assert_eq!(found.acyclic, expected == 0.0);
                 prop_assert!(found.lower <= expected * (1.0 + 1e-13), "{:?} {}", found, expected);
                 prop_assert!(found.upper >= expected * (1.0 - 1e-13), "{:?} {}", found, expected);
             }
             prop_assert!(tracker.bound(a).relative_width() <= LIVE_WIDTH);
-            prop_assert!(tracker.refine(a, width).relative_width() <= width);
+            prop_assert!(tracker.refine(a, width).unwrap().relative_width() <= width);
         }
     }
 
     #[test]
     fn bounds_do_not_depend_on_the_numbering(a in directed_graphs(25), seed: u64) {
         let order = permutation(a.nodes(), seed);
-        let found = RadiusTracker::default().refine(&a, 1e-9);
-        let other = RadiusTracker::default().refine(&permuted(&a, &order), 1e-9);
+        let found = RadiusTracker::default().refine(&a, 1e-9).unwrap();
+        let other = RadiusTracker::default().refine(&permuted(&a, &order), 1e-9).unwrap();
         prop_assert!(found.lower <= other.upper && other.lower <= found.upper);
     }
 

@@ -7,8 +7,8 @@ use common::{blobs, distance, numbers};
 use muster_numeric::margins::{MarginError, margins};
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::{
-    Method, SAMPLE, SilhouetteError, SilhouetteOptions, estimate_silhouette, scores, silhouette,
-    silhouette_squared,
+    Method, SAMPLE, SilhouetteError, SilhouetteOptions, SilhouetteOptionsError,
+    estimate_silhouette, scores, silhouette, silhouette_squared,
 };
 use proptest::prelude::*;
 
@@ -72,6 +72,10 @@ fn methods_are_named() {
     let found = estimate_silhouette(&x, &labels, &some).unwrap();
     assert_eq!((found.method, found.per_point.len()), (Method::Sampled, 20));
     // A sample of all points is no sample.
+    for sample in [0, 1] {
+        let refused = SilhouetteOptions { sample, ..some }.check();
+        assert_eq!(refused, Err(SilhouetteOptionsError::Sample(sample)));
+    }
     let whole = SilhouetteOptions { sample: 60, ..some };
     assert_eq!(estimate_silhouette(&x, &labels, &whole).unwrap().method, Method::Exact);
 }

@@ -79,7 +79,7 @@ impl Site {
         let fleet = Fleet::new(robots, seed);
         let graph = graph(&fleet, kind)?;
         let mut bounds = RadiusTracker::default();
-        let bound = bounds.refine(&graph, WIDTH);
+        let bound = bounds.refine(&graph, WIDTH)?;
         let mut band = AlphaBand::new(fraction, HYSTERESIS)?;
         let alpha = band.choose(&graph, &bound).alpha;
         Ok(Self {
@@ -112,7 +112,7 @@ impl Site {
             before.differing_rows(&self.graph, self.graph.nodes(), &mut rows);
             rows
         });
-        let bound = self.bounds.refine(&self.graph, WIDTH);
+        let bound = self.bounds.refine(&self.graph, WIDTH)?;
         self.alpha = self.band.choose(&self.graph, &bound).alpha;
         self.radius = self.bounds.spectral_radius(&bound);
         Ok(())

@@ -1,0 +1,285 @@
+//! Sparse square non-negative matrix in compressed rows: the adjacency matrix of a graph.
+
+use super::dense::DenseMatrix;
+use super::error::{MAX_ENTRY, MAX_NODES, MIN_WEIGHT, MatrixError};
+
+/// Rows that are compared at once, in one sweep that looks at all of them.
+const COMPARED: usize = 64;
+
+/// True when all items pass. Looks at all of them, so that it can look at several at a time.
+#[inline(always)]
+fn all<T>(items: impl Iterator<Item = T>, test: impl Fn(T) -> bool) -> bool {
+    items.fold(true, |all, item| all & test(item))
+}
+
+/// Adjacency matrix of a weighted directed graph, n × n, in compressed sparse rows.
+///
+/// Entry (i, j) is the weight of the edge from node i to node j: finite, positive, between
+/// [`MIN_WEIGHT`] and [`MAX_ENTRY`]; everything else is zero. Columns ascend within a row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SparseMatrix {
+    nodes: usize,
+    starts: Vec<usize>,
+    /// 32 bits hold every number below [`MAX_NODES`].
+    columns: Vec<u32>,
+    weights: Vec<f64>,
+}
+
+impl SparseMatrix {
+    /// Matrix of `nodes` nodes from triplets (row, column, weight) in any order. Triplets at the
+    /// same position are summed; weights below [`MIN_WEIGHT`] are dropped.
+    ///
+    /// # Errors
+    /// [`MatrixError::OutOfBounds`] for a position beyond `nodes`, [`MatrixError::Entry`] for a
+    /// weight (or sum of weights) that is not finite or above [`MAX_ENTRY`],
+    /// [`MatrixError::Negative`], and [`MatrixError::TooLarge`] beyond [`MAX_NODES`] nodes.
+    pub fn from_triplets(
+        nodes: usize,
+        triplets: impl IntoIterator<Item = (usize, usize, f64)>,
+    ) -> Result<Self, MatrixError> {
+        if nodes > MAX_NODES {
+            return Err(MatrixError::TooLarge { rows: nodes, cols: nodes });
+        }
+        let mut entries: Vec<(usize, usize, f64)> = Vec::new();
+        for (row, col, value) in triplets {
+            if row >= nodes || col >= nodes {
+                return Err(MatrixError::OutOfBounds { row, col, nodes });
+            }
+            if !value.is_finite() {
+                return Err(MatrixError::Entry { row, col, value });
+            }
+            if value < 0.0 {
+                return Err(MatrixError::Negative { row, col, value });
+            }
+            entries.push((row, col, value));
+        }
+        // Stable, so that duplicates are summed in the order in which they were given.
+        entries.sort_by_key(|&(row, col, _)| (row, col));
+        entries.dedup_by(|next, kept| {
+            let same = (next.0, next.1) == (kept.0, kept.1);
+            if same {
+                kept.2 += next.2;
+            }
+            same
+        });
+        entries.retain(|&(_, _, value)| value >= MIN_WEIGHT);
+        if let Some(&(row, col, value)) = entries.iter().find(|e| e.2 > MAX_ENTRY) {
+            return Err(MatrixError::Entry { row, col, value });
+        }
+        Ok(Self::from_sorted(nodes, &entries))
+    }
+
+    /// Compresses checked entries that are sorted by (row, column) and free of duplicates.
+    fn from_sorted(nodes: usize, entries: &[(usize, usize, f64)]) -> Self {
+        let mut starts = vec![0; nodes + 1];
+        for &(row, _, _) in entries {
+            starts[row + 1] += 1;
+        }
+        for i in 0..nodes {
+            starts[i + 1] += starts[i];
+        }
+        Self {
+            nodes,
+            starts,
+            columns: entries.iter().map(|e| e.1 as u32).collect(),
+            weights: entries.iter().map(|e| e.2).collect(),
+        }
+    }
+
+    /// Matrix from entries that come from checked matrices and are free of duplicates.
+    pub(crate) fn from_checked(nodes: usize, mut entries: Vec<(usize, usize, f64)>) -> Self {
+        entries.sort_by_key(|e| (e.0, e.1));
+        Self::from_sorted(nodes, &entries)
+    }
+
+    /// Matrix from a dense square one; negative entries are refused.
+    ///
+    /// # Errors
+    /// [`MatrixError::Shape`] when `dense` is not square, otherwise as
+    /// [`SparseMatrix::from_triplets`].
+    pub fn from_dense(dense: &DenseMatrix) -> Result<Self, MatrixError> {
+        if dense.rows() != dense.cols() {
+            return Err(MatrixError::Shape {
+                rows: dense.rows(),
+                cols: dense.rows(),
+                len: dense.data().len(),
+            });
+        }
+        let n = dense.cols();
+        let entries = dense.data().iter().enumerate().filter(|e| *e.1 != 0.0);
+        Self::from_triplets(n, entries.map(|(at, &value)| (at / n, at % n, value)))
+    }
+
+    /// Number of nodes n.
+    #[must_use]
+    pub fn nodes(&self) -> usize {
+        self.nodes
+    }
+
+    /// Number of stored edges.
+    #[must_use]
+    pub fn edges(&self) -> usize {
+        self.weights.len()
+    }
+
+    /// True when no edge is stored.
+    #[must_use]
+    pub fn is_zero(&self) -> bool {
+        self.weights.is_empty()
+    }
+
+    /// Edges that leave node `i` as (column, weight), columns ascending; none beyond the matrix.
+    pub fn row(&self, i: usize) -> impl ExactSizeIterator<Item = (usize, f64)> {
+        let range = if i < self.nodes { self.starts[i]..self.starts[i + 1] } else { 0..0 };
+        let columns = self.columns[range.clone()].iter();
+        columns.zip(&self.weights[range]).map(|(&j, &w)| (j as usize, w))
+    }
+
+    /// All edges as (row, column, weight), sorted by row and column.
+    pub fn triplets(&self) -> impl Iterator<Item = (usize, usize, f64)> {
+        (0..self.nodes).flat_map(move |i| self.row(i).map(move |(j, w)| (i, j, w)))
+    }
+
+    /// Weight of the edge from `i` to `j`, 0 when there is none.
+    #[must_use]
+    pub fn weight(&self, i: usize, j: usize) -> f64 {
+        self.row(i).find(|e| e.0 == j).map_or(0.0, |e| e.1)
+    }
+
+    /// Largest weight, 0 without edges.
+    #[must_use]
+    pub fn max_weight(&self) -> f64 {
+        self.weights.iter().fold(0.0, |m, &w| w.max(m))
+    }
+
+    /// The compressed rows: where each row starts (and, last, where the last one ends), columns and
+    /// weights. For inner loops, which a bounds check per row would slow down.
+    pub(crate) fn parts(&self) -> (&[usize], &[u32], &[f64]) {
+        (&self.starts, &self.columns, &self.weights)
+    }
+
+    /// A matrix of no nodes.
+    pub(crate) fn empty() -> Self {
+        Self::from_sorted(0, &[])
+    }
+
+    /// Makes this matrix equal to `other` in the memory that is there.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.nodes = other.nodes;
+        self.starts.clone_from(&other.starts);
+        self.columns.clone_from(&other.columns);
+        self.weights.clone_from(&other.weights);
+    }
+
+    /// Adds to `rows`, ascending, the numbers of the rows that are not the same bit for bit in
+    /// `other`, which has as many nodes. Stops once there are more than `most`. O(edges), as fast as
+    /// memory is read.
+    pub fn differing_rows(&self, other: &Self, most: usize, rows: &mut Vec<usize>) {
+        let nodes = self.nodes.min(other.nodes);
+        let before = rows.len();
+        for first in (0..nodes).step_by(COMPARED) {
+            let last = (first + COMPARED).min(nodes);
+            if self.same_rows(other, first, last) {
+                continue;
+            }
+            rows.extend((first..last).filter(|&i| !self.same_rows(other, i, i + 1)));
+            if rows.len() - before > most {
+                return;
+            }
+        }
+    }
+
+    /// Copies row `i` of `other`, which has as many nodes, if it has as many entries as the one here.
+    pub(crate) fn copy_row(&mut self, other: &Self, i: usize) -> bool {
+        let (own, from) =
+            (self.starts[i]..self.starts[i + 1], other.starts[i]..other.starts[i + 1]);
+        let fits = own.len() == from.len();
+        if fits {
+            self.columns[own.clone()].copy_from_slice(&other.columns[from.clone()]);
+            self.weights[own].copy_from_slice(&other.weights[from]);
+        }
+        fits
+    }
+
+    /// True when the rows from `first` to before `last` are the same in `other` bit for bit.
+    fn same_rows(&self, other: &Self, first: usize, last: usize) -> bool {
+        let (from, to) = (self.starts[first], self.starts[last]);
+        let (start, end) = (other.starts[first], other.starts[last]);
+        let lengths = self.starts[first..last].iter().zip(&other.starts[first..last]);
+        if to - from != end - start || !all(lengths, |(a, b)| a - from == b - start) {
+            return false;
+        }
+        let weights = self.weights[from..to].iter().zip(&other.weights[start..end]);
+        self.columns[from..to] == other.columns[start..end]
+            && all(weights, |(a, b)| a.to_bits() == b.to_bits())
+    }
+
+    /// Most edges that leave one node.
+    pub(crate) fn max_degree(&self) -> usize {
+        let degrees = self.starts.windows(2).map(|w| w[1] - w[0]);
+        degrees.max().unwrap_or(0)
+    }
+
+    /// Dense copy, n × n.
+    ///
+    /// # Errors
+    /// [`MatrixError::TooLarge`] when n² exceeds [`MAX_DENSE_ENTRIES`](super::MAX_DENSE_ENTRIES).
+    pub fn to_dense(&self) -> Result<DenseMatrix, MatrixError> {
+        let mut dense = DenseMatrix::zeros(self.nodes, self.nodes)?;
+        for i in 0..self.nodes {
+            let out = dense.row_mut(i);
+            for (j, w) in self.row(i) {
+                out[j] = w;
+            }
+        }
+        Ok(dense)
+    }
+
+    /// Transposed copy: every edge reversed.
+    #[must_use]
+    pub fn transpose(&self) -> Self {
+        let entries = self.triplets().map(|(i, j, w)| (j, i, w)).collect();
+        Self::from_checked(self.nodes, entries)
+    }
+
+    /// The share of the nodes that have an edge, from them or to them; 0 without nodes.
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "there are fewer nodes than 2⁵³")]
+    pub fn related_share(&self) -> f64 {
+        let mut related = vec![false; self.nodes()];
+        for (row, col, _) in self.triplets() {
+            (related[row], related[col]) = (true, true);
+        }
+        let count = related.iter().filter(|related| **related).count();
+        count as f64 / self.nodes().max(1) as f64
+    }
+
+    /// A + `share` · Aᵀ: every edge also leads back, by a share of its weight (0 or more; the reciprocity
+    /// of the graph).
+    ///
+    /// # Errors
+    /// [`MatrixError::Entry`] for a sum beyond [`MAX_ENTRY`], or a share that is not finite;
+    /// [`MatrixError::Negative`] for one below 0.
+    pub fn with_reverse(&self, share: f64) -> Result<Self, MatrixError> {
+        let back = self.triplets().map(|(row, col, weight)| (col, row, share * weight));
+        Self::from_triplets(self.nodes(), self.triplets().chain(back))
+    }
+
+    /// True when the matrix equals its transpose exactly.
+    #[must_use]
+    pub fn is_symmetric(&self) -> bool {
+        *self == self.transpose()
+    }
+
+    /// Product A x.
+    ///
+    /// # Errors
+    /// [`MatrixError::Vector`] when `x` does not have one entry per node.
+    pub fn mat_vec(&self, x: &[f64]) -> Result<Vec<f64>, MatrixError> {
+        if x.len() != self.nodes {
+            return Err(MatrixError::Vector { cols: self.nodes, len: x.len() });
+        }
+        let product = |i| self.row(i).map(|(j, w)| w * x[j]).sum();
+        Ok((0..self.nodes).map(product).collect())
+    }
+}

@@ -1,0 +1,175 @@
+//! The largest singular value of a large sparse matrix by products with it.
+//!
+//! Golub–Kahan bidiagonalisation (SIAM J. Numer. Anal. 2, 1965): AᵀA is a tridiagonal matrix T on the
+//! vectors vⱼ, but for the last one, and the largest eigenvalue of T grows towards σ₁² while more vectors
+//! come in. The vectors lose their being orthogonal by rounding, which brings copies of eigenvalues that
+//! are there already and spoils none (Paige, 1980), so that three vectors are all the memory it takes.
+
+use crate::linalg::matrix::SparseMatrix;
+
+/// Vectors at most. Values that lie as close together as those of long chains need some hundreds.
+const MAX_VECTORS: usize = 4000;
+
+/// Vectors between two looks at how far it has come.
+const LOOK_EVERY: usize = 8;
+
+/// The largest eigenvalue of T is one of AᵀA up to this part of it.
+const TOLERANCE: f64 = 1e-14;
+
+/// Halvings of the interval in which the largest eigenvalue of T lies, down to rounding.
+const HALVINGS: usize = 64;
+
+/// The largest singular value of `a`, divided by its largest weight `top`, which is above 0.
+///
+/// It is never above the true one but for rounding, and a singular value up to a relative error of 1e-14;
+/// that it is the largest follows from the start with a positive vector, which holds a part of every
+/// direction that non-negative matrices can stretch the most.
+pub(crate) fn largest_singular_value(a: &SparseMatrix, top: f64) -> f64 {
+    let n = a.nodes();
+    let transposed = a.transpose();
+    let mut v = vec![1.0 / (n as f64).sqrt(); n];
+    let mut u = vec![0.0; n];
+    let mut tridiagonal = Tridiagonal::default();
+    let mut beta = 0.0;
+    for count in 1..=MAX_VECTORS {
+        // u ← A v − β u, v ← Aᵀ u − α v, each scaled to length 1.
+        let alpha = step(a, top, &v, beta, &mut u);
+        tridiagonal.diagonal.push(alpha * alpha + beta * beta);
+        beta = step(&transposed, top, &u, alpha, &mut v);
+        let coupling = alpha * beta;
+        let is_last = coupling == 0.0 || count == MAX_VECTORS;
+        if is_last || count % LOOK_EVERY == 0 {
+            let value = tridiagonal.largest_eigenvalue();
+            if is_last || coupling * tridiagonal.last_component(value) <= TOLERANCE * value {
+                return value.sqrt();
+            }
+        }
+        tridiagonal.beside.push(coupling);
+    }
+    tridiagonal.largest_eigenvalue().sqrt()
+}
+
+/// y ← (A x/`top` − `factor` y), scaled to length 1; the length that it had.
+fn step(a: &SparseMatrix, top: f64, x: &[f64], factor: f64, y: &mut [f64]) -> f64 {
+    let mut square = 0.0;
+    for (i, y) in y.iter_mut().enumerate() {
+        let sum: f64 = a.row(i).map(|(j, weight)| weight / top * x[j]).sum();
+        *y = sum - factor * *y;
+        square += *y * *y;
+    }
+    let length = square.sqrt();
+    if length > 0.0 {
+        for y in y {
+            *y /= length;
+        }
+    }
+    length
+}
+
+/// A symmetric matrix of entries on the diagonal and beside it.
+#[derive(Debug, Default)]
+struct Tridiagonal {
+    diagonal: Vec<f64>,
+    /// One fewer, above 0.
+    beside: Vec<f64>,
+}
+
+impl Tridiagonal {
+    fn largest_eigenvalue(&self) -> f64 {
+        // Gershgorin's discs.
+        let beside = |j: usize| self.beside.get(j).copied().unwrap_or(0.0);
+        let upper =
+            |j: usize| self.diagonal[j] + beside(j) + if j > 0 { beside(j - 1) } else { 0.0 };
+        let mut high = (0..self.diagonal.len()).map(upper).fold(0.0, f64::max);
+        let mut low = self.diagonal.iter().fold(0.0_f64, |top, value| top.max(*value));
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (low + high);
+            if self.is_below(middle) {
+                high = middle;
+            } else {
+                low = middle;
+            }
+        }
+        0.5 * (low + high)
+    }
+
+    /// Whether all eigenvalues are below `value`: whether the pivots of T − `value` I are all negative.
+    fn is_below(&self, value: f64) -> bool {
+        let mut pivot = self.diagonal[0] - value;
+        for (diagonal, beside) in self.diagonal[1..].iter().zip(&self.beside) {
+            if pivot >= 0.0 {
+                return false;
+            }
+            pivot = diagonal - value - beside * beside / pivot;
+        }
+        pivot < 0.0
+    }
+
+    /// Modulus of the last component of the eigenvector of length 1 to an eigenvalue, from the last to the
+    /// first, which is the direction in which they grow. It is 0 if it vanishes beside the others.
+    fn last_component(&self, value: f64) -> f64 {
+        const VANISHING: f64 = 1e100;
+        let (mut last, mut next) = (1.0, 0.0);
+        let mut square = 1.0;
+        for j in (1..self.diagonal.len()).rev() {
+            let behind = self.beside.get(j).copied().unwrap_or(0.0);
+            let before = ((value - self.diagonal[j]) * last - behind * next) / self.beside[j - 1];
+            (last, next) = (before, last);
+            square += last * last;
+            if square > VANISHING {
+                return 0.0;
+            }
+        }
+        1.0 / square.sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::norm::spectral_norm;
+
+    fn check(a: &SparseMatrix, expected: f64) {
+        let top = a.max_weight();
+        let found = top * largest_singular_value(a, top);
+        assert!((found - expected).abs() <= 1e-13 * expected, "{found} {expected}");
+    }
+
+    #[test]
+    fn values_in_closed_form() {
+        let chain = |n: usize| SparseMatrix::from_triplets(n, (1..n).map(|i| (i - 1, i, 3.0)));
+        check(&chain(50).unwrap(), 3.0);
+        let star = SparseMatrix::from_triplets(10, (1..10).map(|i| (0, i, 0.5)));
+        check(&star.unwrap(), 1.5);
+        let path = |n: usize| {
+            let edges = (1..n).flat_map(|i| [(i - 1, i, 1.0), (i, i - 1, 1.0)]);
+            SparseMatrix::from_triplets(n, edges).unwrap()
+        };
+        for n in [2, 3, 40, 300, 3000] {
+            check(&path(n), 2.0 * (std::f64::consts::PI / (n as f64 + 1.0)).cos());
+        }
+        // The larger of two parts, however small it is.
+        let edges = (0..500).map(|i| (i, (i + 1) % 500, 1.0)).chain([(500, 501, 1.25)]);
+        check(&SparseMatrix::from_triplets(502, edges).unwrap(), 1.25);
+        check(&SparseMatrix::from_triplets(1, [(0, 0, 1e90)]).unwrap(), 1e90);
+    }
+
+    #[test]
+    fn values_of_random_graphs_are_those_that_are_enclosed() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for n in [2, 5, 20, 100, 400] {
+            for spread in [0.5, 6.0] {
+                let edge = |rng: &mut ChaCha8Rng| {
+                    let weight = 10_f64.powf(spread * rng.random::<f64>());
+                    (rng.random_range(0..n), rng.random_range(0..n), weight)
+                };
+                let edges: Vec<_> = (0..4 * n).map(|_| edge(&mut rng)).collect();
+                let a = SparseMatrix::from_triplets(n, edges).unwrap();
+                check(&a, spectral_norm(&a));
+            }
+        }
+    }
+}

@@ -1,0 +1,10 @@
+//! Certified bounds of the spectral radius ρ(A) of a non-negative matrix.
+
+pub mod exact;
+mod patch;
+mod perron;
+mod search;
+mod sweep;
+pub mod tracker;
+
+pub(crate) use sweep::Chebyshev;

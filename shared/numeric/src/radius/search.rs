@@ -1,0 +1,175 @@
+//! The search for a bracket of the spectral radius by sweeps over the edges.
+
+use super::patch::Patches;
+use super::sweep::{Chebyshev, Sweep, averaged_power, multiply};
+use crate::linalg::matrix::SparseMatrix;
+
+/// Nodes of the first patch; later ones are twice as large each time.
+const FIRST_PATCH: usize = 48;
+
+/// Nodes of the largest patch. Its m × m means are multiplied several times.
+const LARGEST_PATCH: usize = 384;
+
+/// Sweeps before the second patch; the pause doubles each time, as long searches gain from long
+/// undisturbed sequences of Chebyshev steps.
+const PATCH_PAUSE: usize = 6;
+
+/// Where the system is solved: at σ = (1 + this part of the width) × lower bound.
+const SHIFT: f64 = 0.75;
+
+/// Part of the width by which a round on a patch has to raise its bound to be followed by another.
+const PATCH_PROGRESS: f64 = 1.0 / 64.0;
+
+/// Sweeps without a better upper bound after which Chebyshev steps are given up: the spectrum is
+/// far from real, or the lower bound is far too low.
+const PATIENCE: usize = 32;
+
+/// How many sweeps one counts for whose bracket is more than twice as wide as the best one; near
+/// ρ the quotients of a good iterate stay close to the best for long before they improve.
+const BAD: usize = 4;
+
+/// Sweeps without a better upper bound after which the power method is given up too.
+const POWER_PATIENCE: usize = 64;
+
+/// Entries of an iterate from which it is of no use: the weights spread over too many orders of
+/// magnitude for sweeps.
+const HUGE: f64 = 1e150;
+
+/// When a search ends.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// Relative width of the bracket that is asked for.
+    pub(crate) width: f64,
+    /// Sweeps at most.
+    pub(crate) sweeps: usize,
+}
+
+/// A bracket, but for the rounding of the sums that it comes from.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Found {
+    pub(crate) lower: f64,
+    pub(crate) upper: f64,
+    pub(crate) sweeps: usize,
+}
+
+impl Found {
+    /// True when the bracket is as narrow as asked for.
+    pub(crate) fn tight(&self, width: f64) -> bool {
+        self.upper <= self.lower * (1.0 + width)
+    }
+
+    fn take(&mut self, sweep: Sweep) -> bool {
+        let better =
+            sweep.upper < self.upper * (1.0 - 1e-3 * (self.upper - self.lower) / self.upper);
+        self.upper = self.upper.min(sweep.upper);
+        self.lower = self.lower.max(sweep.lower);
+        self.sweeps += 1;
+        better
+    }
+}
+
+/// Vectors of n entries that a search works in.
+#[derive(Debug, Default)]
+pub(crate) struct Vectors {
+    /// The iterate: positive, and near a solution of (σI − A) x = σ1 in the end.
+    pub(crate) x: Vec<f64>,
+    next: Vec<f64>,
+    pub(crate) patches: Patches,
+    /// Nodes of the patch that sufficed the last time, where the next search begins.
+    size: usize,
+}
+
+impl Vectors {
+    /// Starts from ones unless a vector of the right length is there.
+    pub(crate) fn prepare(&mut self, nodes: usize) {
+        if self.x.len() != nodes {
+            self.x.clear();
+            self.x.resize(nodes, 1.0);
+            self.size = 0;
+        }
+        self.next.resize(nodes, 0.0);
+    }
+
+    /// Brackets ρ(A) or, where that is larger, the lower bound `floor`, starting from the positive
+    /// vector x, until the limits are reached or no progress is made any more.
+    ///
+    /// The solution of (σI − A) x = σ1 for σ > ρ(A) has (Ax)_i/x_i = σ(1 − 1/x_i) < σ, and with a
+    /// residual r it is σ(1 − (1 − r_i)/x_i): even a very rough solution certifies ρ(A) < σ. Each
+    /// step of the semi-iteration evaluates the quotients of its iterate anyway. Were σ below
+    /// ρ(A), the same steps would amplify the Perron vector, which shows where to look for a
+    /// better lower bound.
+    pub(crate) fn search(&mut self, a: &SparseMatrix, floor: f64, limits: Limits) -> Found {
+        let n = a.nodes();
+        self.prepare(n);
+        let Self { x, next, patches, size: sufficed } = self;
+        let width = limits.width;
+        let mut found = Found { lower: floor, upper: f64::INFINITY, sweeps: 0 };
+        let first = multiply(a, x, next);
+        found.take(first);
+        // A round on a patch of √edges nodes costs as much as a sweep.
+        let mut size = FIRST_PATCH.max((*sufficed).min(a.edges().isqrt())).min(n);
+        if !found.tight(width) && first.top > 0.0 {
+            let own = patches.lower_bound(a, next, first.peak, size, width * PATCH_PROGRESS);
+            found.lower = found.lower.max(own);
+        }
+        if found.tight(width) || found.lower <= 0.0 {
+            return found;
+        }
+        let (mut sigma, mut chebyshev) = shift(found.lower, width);
+        for y in next.iter_mut() {
+            *y = 1.0 + *y / sigma;
+        }
+        chebyshev.advance();
+        std::mem::swap(x, next);
+
+        let mut pause = PATCH_PAUSE;
+        let mut next_patch = found.sweeps + pause;
+        let mut stalled = 0;
+        let mut power = false;
+        while !found.tight(width) && found.sweeps < limits.sweeps {
+            let sweep = match power {
+                false => chebyshev.step(a, x, next),
+                true => averaged_power(a, x, next, sigma),
+            };
+            std::mem::swap(x, next);
+            let better = found.take(sweep);
+            let bad = sweep.upper - found.lower > 2.0 * (found.upper - found.lower);
+            stalled = match (better, bad) {
+                (true, _) => 0,
+                (_, true) => stalled + BAD,
+                _ => stalled + 1,
+            };
+            if sweep.top.is_nan() || sweep.top > HUGE {
+                x.fill(1.0);
+                break;
+            }
+            if found.tight(width) || (power && stalled > POWER_PATIENCE) {
+                break;
+            }
+            let stuck = !power && stalled > PATIENCE;
+            if found.sweeps >= next_patch || stuck {
+                // Without progress above, the bracket may still be wide from below.
+                size = (size * if stuck { 4 } else { 2 }).min(LARGEST_PATCH).min(n);
+                pause *= 2;
+                next_patch = found.sweeps + pause;
+                let own = patches.lower_bound(a, x, sweep.peak, size, width * PATCH_PROGRESS);
+                found.lower = found.lower.max(own);
+            }
+            let risen = found.lower * (1.0 + SHIFT * width) > sigma * (1.0 + 0.25 * width);
+            if risen && !power {
+                (sigma, chebyshev) = shift(found.lower, width);
+                stalled = 0;
+            } else if stuck {
+                (power, stalled) = (true, 0);
+            }
+        }
+        *sufficed = size;
+        found
+    }
+}
+
+/// The shift σ for a lower bound, and the first step of the semi-iteration for decay 1/σ.
+fn shift(lower: f64, width: f64) -> (f64, Chebyshev) {
+    let sigma = lower * (1.0 + SHIFT * width);
+    (sigma, Chebyshev::new(1.0 / sigma, lower / sigma))
+}

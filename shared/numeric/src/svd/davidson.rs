@@ -1,0 +1,457 @@
+//! The leading singular triplets of the Katz similarity S, without S and without any inverse.
+//!
+//! Write V = M W with M = I − αA. Since S = αA M⁻¹ = M⁻¹ αA, S V = αA W and W = V + S V: one product
+//! with a sparse matrix is all that Rayleigh and Ritz need on the range of V, and it is exact. The
+//! residual of a right vector costs one more, Mᵀ(Sᵀu − σv) = αAᵀ(u + σv) − σv. The best next direction,
+//! (M Mᵀ)⁻¹ times that residual, is approximated by a polynomial in single precision; how well decides
+//! the number of rounds, not the accuracy. This is a block Davidson method (Davidson, J. Comput. Phys.
+//! 17, 1975) for SᵀS that exploits how the Katz similarity is made.
+
+mod basis;
+mod polynomial;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::linalg::Aligned;
+use crate::linalg::block_vectors::{Block, CHUNK, REGISTER, product};
+use crate::linalg::parallel::{Parts, Strided};
+use crate::linalg::simd::dispatch;
+use crate::svd::operator::KatzOperator;
+use basis::Basis;
+use polynomial::{FIT_COLUMNS, Polynomial, SINGLE_REGISTER, to_double};
+
+/// More vectors than asked for that are carried along: how fast the last one wanted converges depends
+/// on the gap to the first that is not carried.
+const EXTRA: usize = 8;
+
+/// New directions that the search space has room for before it is restarted with the best vectors, in
+/// rounds. More save rounds, and make each of them dearer: by products of the length of the graph, and by
+/// the small eigenproblem, which is what counts for graphs of up to [`SMALL`] nodes.
+const ROUNDS: usize = 2;
+
+/// The same for small graphs.
+const SMALL_ROUNDS: usize = 1;
+
+/// Nodes of a small graph.
+const SMALL: usize = 2048;
+
+/// Rounds after which the search gives up.
+const MAX_ROUNDS: usize = 300;
+
+/// Values up to this fraction of the largest count as zero, and their vectors are not looked at: squares
+/// of them are lost beside the square of the largest.
+pub(crate) const NULL_VALUE_RATIO: f64 = 1e-7;
+
+/// Residual below which there is no direction left in a column.
+const SPENT: f64 = 1e-14;
+
+/// What is asked for.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Request {
+    /// How many triplets.
+    pub(crate) rank: usize,
+    /// Largest residual ‖Mᵀ(Sᵀu − σv)‖ relative to σ₁.
+    pub(crate) tolerance: f64,
+    /// Random directions beside those to begin with, which find what those do not hold at all.
+    pub(crate) probes: usize,
+    /// Seed of the random directions.
+    pub(crate) seed: u64,
+    /// Threads of the pool that the search runs in, 1 without one.
+    pub(crate) threads: usize,
+}
+
+/// Where a search stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SearchRound {
+    /// Number of the round that has ended, the first being 1.
+    pub round: usize,
+    /// Triplets that are not within the tolerance yet.
+    pub open: usize,
+    /// Triplets that are searched for.
+    pub rank: usize,
+}
+
+/// Triplets in the own order of the operator, in rows of `width` values.
+#[derive(Debug, Default)]
+pub(crate) struct Triplets {
+    /// Values in a row, a multiple of [`REGISTER`]; those beyond the rank asked for are less exact, and
+    /// those beyond the number of values are zero.
+    pub(crate) width: usize,
+    /// Right vectors V, n × width.
+    pub(crate) right: Aligned<f64>,
+    /// S V = U Σ, n × width.
+    pub(crate) image: Aligned<f64>,
+    /// Singular values, descending.
+    pub(crate) sigma: Vec<f64>,
+    /// ‖Mᵀ(Sᵀu − σv)‖ of each, relative to σ₁.
+    pub(crate) residuals: Vec<f64>,
+    /// Rounds that it took.
+    pub(crate) rounds: usize,
+    /// Whether all that were asked for are within the tolerance.
+    pub(crate) converged: bool,
+    /// Whether all vectors are finite.
+    pub(crate) finite: bool,
+}
+
+/// Scratch space, reused from frame to frame.
+#[derive(Debug, Default)]
+pub(crate) struct Workspace {
+    basis: Basis,
+    polynomial: Polynomial,
+    /// U + V Σ, and then new directions, n × carried.
+    block: Aligned<f64>,
+    /// Residuals and what becomes of them.
+    single: [Aligned<f32>; 3],
+    sums: Vec<f64>,
+    /// σ and 1/σ of all columns.
+    sigma: Vec<f64>,
+    inverse: Vec<f64>,
+    /// Columns that need directions.
+    open: Vec<usize>,
+}
+
+impl Workspace {
+    /// Scratch space for two blocks of as many vectors as the last triplets have. The next search
+    /// overwrites it.
+    pub(crate) fn scratch(&mut self) -> &mut [f64] {
+        &mut self.basis.space
+    }
+}
+
+/// Columns of the blocks of a search, each of one double for every node: for estimates of memory and time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SearchColumns {
+    /// Vectors that are carried from round to round: those that are asked for and some more.
+    pub carried: usize,
+    /// Directions that the space has room for, and as many images.
+    pub space: usize,
+}
+
+/// What a search for `rank` triplets of a graph of `nodes` nodes holds.
+#[must_use]
+pub fn search_columns(nodes: usize, rank: usize) -> SearchColumns {
+    let carried = width_for(rank);
+    let rounds = if nodes <= SMALL { SMALL_ROUNDS } else { ROUNDS };
+    SearchColumns { carried, space: carried + rounds * rank.next_multiple_of(SINGLE_REGISTER) }
+}
+
+/// Values in a row of the triplets for so many that are asked for.
+pub(crate) fn width_for(rank: usize) -> usize {
+    (rank + EXTRA).next_multiple_of(REGISTER)
+}
+
+/// Leading triplets of the Katz similarity behind `operator`.
+///
+/// `start` holds directions W to begin with, n × p in rows, p a multiple of [`REGISTER`], in the own order
+/// of the operator: V + UΣ of a similar graph, for example. Random ones fill what is missing.
+pub(crate) fn leading_triplets(
+    operator: &KatzOperator,
+    request: Request,
+    start: (&[f64], usize),
+    work: &mut Workspace,
+    out: &mut Triplets,
+    watch: &mut (dyn FnMut(SearchRound) + Send),
+) {
+    let n = operator.nodes();
+    let width = width_for(request.rank);
+    let parts = Parts::new(n, request.threads);
+    // What rounding leaves of the space in a direction grows with the inverse square of what is left of the
+    // direction; it is to stay below a millionth of the tolerance.
+    let little = (2e-8 / request.tolerance).sqrt().clamp(0.003, 0.3);
+    let mut search = Search { operator, request, n, width, parts, little, work };
+    search.reserve(out);
+    search.begin(start);
+    search.run(out, watch);
+}
+
+struct Search<'a> {
+    operator: &'a KatzOperator,
+    request: Request,
+    n: usize,
+    /// Vectors that a restart keeps, in rows of so many values.
+    width: usize,
+    parts: Parts,
+    /// Length that must be left of every new direction of length 1, beside the space and the other ones,
+    /// for rounding not to spoil its being orthogonal.
+    little: f64,
+    work: &'a mut Workspace,
+}
+
+impl Search<'_> {
+    fn reserve(&mut self, out: &mut Triplets) {
+        let (n, width) = (self.n, self.width);
+        let work = &mut *self.work;
+        let capacity = search_columns(n, self.request.rank).space;
+        work.basis.prepare(n, capacity, FIT_COLUMNS.max(2 * width));
+        for buffer in [&mut work.block, &mut out.right, &mut out.image] {
+            buffer.resize(n * width);
+        }
+        for buffer in &mut work.single {
+            buffer.resize(n * width.next_multiple_of(SINGLE_REGISTER));
+        }
+        out.width = width;
+        let Workspace { basis, polynomial, sums, .. } = work;
+        polynomial.fit(self.operator, self.parts, self.request.seed, &mut basis.space, sums);
+    }
+
+    fn begin(&mut self, (block, stride): (&[f64], usize)) {
+        let columns = stride.min(self.width);
+        if columns > 0 {
+            self.expand(block, stride, columns);
+        }
+        let missing = self.width.saturating_sub(self.work.basis.size).max(self.request.probes);
+        let columns = missing.next_multiple_of(REGISTER).min(self.width).min(self.room());
+        if columns > 0 {
+            let mut block = std::mem::take(&mut self.work.block);
+            let mut rng = ChaCha8Rng::seed_from_u64(self.request.seed);
+            block[..self.n * columns].fill_with(|| rng.random::<f64>() - 0.5);
+            self.expand(&block, columns, columns);
+            self.work.block = block;
+        }
+    }
+
+    /// Columns that the space has room for, a multiple of [`REGISTER`].
+    fn room(&self) -> usize {
+        let basis = &self.work.basis;
+        (basis.stride - basis.size) / REGISTER * REGISTER
+    }
+
+    fn run(&mut self, out: &mut Triplets, watch: &mut (dyn FnMut(SearchRound) + Send)) {
+        out.rounds = 0;
+        let mut plain = false;
+        loop {
+            out.rounds += 1;
+            if !self.ritz(out) {
+                out.converged = false;
+                return;
+            }
+            self.residuals(out);
+            let rank = self.request.rank.min(out.sigma.len());
+            let tolerance = self.request.tolerance;
+            // Written so that a residual that is no number is open.
+            let within = out.residuals[..rank].iter().filter(|residual| **residual <= tolerance);
+            let open = rank - within.count();
+            out.converged = open == 0;
+            watch(SearchRound { round: out.rounds, open, rank });
+            let whole = self.work.basis.size >= self.n;
+            if out.converged || out.rounds >= MAX_ROUNDS || whole {
+                return;
+            }
+            let wanted = self.choose(out);
+            if wanted.next_multiple_of(REGISTER) > self.room() {
+                self.restart(out);
+            }
+            let columns = wanted.min(self.room());
+            let width = columns.next_multiple_of(REGISTER);
+            if columns == 0 {
+                return;
+            }
+            let mut block = std::mem::take(&mut self.work.block);
+            let directions = &mut block[..self.n * width];
+            if plain {
+                let stride = width.next_multiple_of(SINGLE_REGISTER);
+                to_double(&self.work.single[0][..self.n * stride], stride, directions, width);
+            } else {
+                let Workspace { polynomial, single, .. } = &mut *self.work;
+                polynomial.apply(self.operator, self.parts, single, directions, width);
+            }
+            let kept = self.expand(directions, width, columns);
+            self.work.block = block;
+            if kept == 0 {
+                // Weights may span more magnitudes than single numbers do; the residuals serve as they
+                // are then.
+                if plain {
+                    return;
+                }
+                plain = true;
+            }
+        }
+    }
+
+    /// Takes the first `columns` of the directions W, rows of `stride` values, into the space. How many
+    /// of them were independent.
+    fn expand(&mut self, w: &[f64], stride: usize, columns: usize) -> usize {
+        let operator = self.operator;
+        let width = columns.next_multiple_of(REGISTER);
+        let fill = |rows, space: &mut [f64], image: &mut [f64], to_stride, first| {
+            operator.take_in(rows, w, stride, width, space, image, to_stride, first);
+        };
+        self.work.basis.add(self.parts, columns, width, self.little, fill)
+    }
+
+    /// The best triplets of the space, and U + VΣ into the block. False when there are none in floating
+    /// point.
+    fn ritz(&mut self, out: &mut Triplets) -> bool {
+        let width = self.width;
+        let Workspace { basis, block, sigma, inverse, .. } = &mut *self.work;
+        let count = width.min(basis.size);
+        out.sigma.clear();
+        sigma.clear();
+        sigma.resize(width, 0.0);
+        if count == 0 || !basis.ritz(count, width) {
+            out.sigma.resize(width.min(self.n), 0.0);
+            out.residuals.clear();
+            out.residuals.resize(out.sigma.len(), f64::INFINITY);
+            out.finite = false;
+            return false;
+        }
+        for (sigma, value) in sigma.iter_mut().zip(&basis.values) {
+            *sigma = value.max(0.0).sqrt();
+        }
+        out.sigma.extend_from_slice(&sigma[..width.min(self.n)]);
+        let null = NULL_VALUE_RATIO * sigma[0];
+        inverse.clear();
+        inverse.extend(sigma.iter().map(|s| if *s > null { 1.0 / s } else { 0.0 }));
+        let (stride, size) = (basis.stride, basis.size);
+        let coefficients = Block::new(&basis.coefficients, width, width);
+        let vectors = (Strided(&mut out.right, width), Strided(&mut out.image, width));
+        let (space, image) = basis.vectors();
+        let blocks = (vectors.0, vectors.1, Strided(block, width));
+        self.parts.run(blocks, |rows, (right, own_image, block)| {
+            let own = rows.start * stride..rows.end * stride;
+            product(Block::new(&space[own.clone()], stride, size), coefficients, right.0, width, 0);
+            product(Block::new(&image[own], stride, size), coefficients, own_image.0, width, 0);
+            combine(right.0, own_image.0, sigma, inverse, block.0);
+        });
+        true
+    }
+
+    /// Residuals of all triplets, in single precision, with their lengths.
+    fn residuals(&mut self, out: &mut Triplets) {
+        let width = self.width;
+        let operator = self.operator;
+        let Workspace { block, single, sums, sigma, .. } = &mut *self.work;
+        let stride = width.next_multiple_of(SINGLE_REGISTER);
+        let top = sigma[0];
+        let scale = if top > 0.0 { 1.0 / top } else { 0.0 };
+        let (block, right, sigma) = (&*block, &*out.right, &*sigma);
+        let residual = Strided(&mut single[0][..self.n * stride], stride);
+        self.parts.sum(sums, width, residual, |rows, residual, sums| {
+            operator.residual(rows, block, right, sigma, scale, residual.0, stride, sums);
+        });
+        // What is not finite in V or S V is so in a residual too.
+        out.finite = sums[..width].iter().all(|sum| sum.is_finite());
+        let null = NULL_VALUE_RATIO * top;
+        out.residuals.clear();
+        let relative = |(square, sigma): (&f64, &f64)| {
+            if *sigma > null { square.sqrt() * scale } else { 0.0 }
+        };
+        out.residuals.extend(sums.iter().zip(&out.sigma).map(relative));
+    }
+
+    /// Brings the residuals that need directions to the front, in rows for as many. How many there are.
+    fn choose(&mut self, out: &Triplets) -> usize {
+        let tolerance = self.request.tolerance;
+        let Workspace { single, open, .. } = &mut *self.work;
+        let residuals = &out.residuals;
+        // Those that are carried along get directions only where registers are not filled without.
+        let count = residuals.len().min(self.request.rank.next_multiple_of(SINGLE_REGISTER));
+        open.clear();
+        open.extend((0..count).filter(|c| residuals[*c] > tolerance));
+        // Registers hold so many columns, and what is left over costs as much as a whole one.
+        let missing = open.len().next_multiple_of(REGISTER) - open.len();
+        let rest = (0..count).filter(|c| (SPENT..=tolerance).contains(&residuals[*c]));
+        open.extend(rest.take(missing));
+        let width = open.len().next_multiple_of(REGISTER);
+        let (from, to) =
+            (self.width.next_multiple_of(SINGLE_REGISTER), width.next_multiple_of(SINGLE_REGISTER));
+        if open.iter().enumerate().all(|(place, c)| place == *c) && from == to {
+            return open.len();
+        }
+        let (all, rest) = single.split_at_mut(1);
+        let out = Strided(&mut rest[0][..self.n * to], to);
+        let (all, open) = (&all[0], &*open);
+        self.parts.run(out, |rows, out| {
+            let rows = all[rows.start * from..rows.end * from].chunks_exact(from);
+            for (to, from) in out.0.chunks_exact_mut(to).zip(rows) {
+                let (chosen, padding) = to.split_at_mut(open.len());
+                for (to, c) in chosen.iter_mut().zip(open) {
+                    *to = from[*c];
+                }
+                padding.fill(0.0);
+            }
+        });
+        single.swap(0, 1);
+        open.len()
+    }
+
+    /// Begins the space anew with the best triplets.
+    fn restart(&mut self, out: &Triplets) {
+        let width = self.width;
+        let basis = &mut self.work.basis;
+        let columns = width.min(basis.size);
+        basis.size = 0;
+        basis.add(self.parts, columns, width, self.little, |rows, space, image, stride, first| {
+            let own = rows.start * width..rows.end * width;
+            for (to, from) in [(space, &out.right[own.clone()]), (image, &out.image[own])] {
+                for (to, from) in to.chunks_mut(stride).zip(from.chunks_exact(width)) {
+                    to[first..first + width].copy_from_slice(from);
+                }
+            }
+        });
+    }
+}
+
+/// U + VΣ from V and UΣ, rows of as many values as there are in `sigma`.
+fn combine(right: &[f64], image: &[f64], sigma: &[f64], inverse: &[f64], out: &mut [f64]) {
+    let width = sigma.len();
+    dispatch(|| {
+        let rows = right.chunks_exact(width).zip(image.chunks_exact(width));
+        for (out, (right, image)) in out.chunks_exact_mut(width).zip(rows) {
+            let scales = sigma.iter().zip(inverse);
+            for ((out, (right, image)), (sigma, inverse)) in
+                out.iter_mut().zip(right.iter().zip(image)).zip(scales)
+            {
+                *out = image * inverse + right * sigma;
+            }
+        }
+    });
+}
+
+const _: () = assert!(CHUNK.is_multiple_of(REGISTER));
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::katz::katz_similarity;
+    use crate::linalg::matrix::SparseMatrix;
+    use crate::radius::exact::spectral_radius;
+    use crate::svd::full_svd;
+
+    fn random(n: usize, degree: usize, seed: u64) -> SparseMatrix {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let edges: Vec<_> = (0..degree * n)
+            .map(|_| (rng.random_range(0..n), rng.random_range(0..n), rng.random::<f64>()))
+            .collect();
+        SparseMatrix::from_triplets(n, edges).unwrap()
+    }
+
+    #[test]
+    fn triplets_equal_those_of_the_full_decomposition() {
+        for (n, seed) in [(40, 1), (97, 2), (150, 3), (300, 4)] {
+            for fraction in [0.5, 0.9] {
+                let a = random(n, 4, seed);
+                let radius = spectral_radius(&a, None);
+                let alpha = fraction / radius.upper;
+                let full = full_svd(&katz_similarity(&a, alpha, &radius).unwrap()).unwrap();
+                let mut operator = KatzOperator::default();
+                operator.assign(&a, alpha, false, 1);
+                let request = Request { rank: 8, tolerance: 1e-9, probes: 0, seed: 5, threads: 1 };
+                let mut out = Triplets::default();
+                leading_triplets(
+                    &operator,
+                    request,
+                    (&[], 0),
+                    &mut Workspace::default(),
+                    &mut out,
+                    &mut |_| {},
+                );
+                assert!(out.converged, "n {n}: {:?}", out.residuals);
+                for j in 0..8 {
+                    let wanted = full.singular_values()[j];
+                    assert!((out.sigma[j] - wanted).abs() < 1e-11 * wanted, "n {n} σ{j}");
+                }
+            }
+        }
+    }
+}

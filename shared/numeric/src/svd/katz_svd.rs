@@ -1,0 +1,26 @@
+//! Leading singular triplets of the Katz similarity from frame to frame, without the similarity.
+//!
+//! The full decomposition of S costs O(n³) however few triplets are needed. [`KatzSvd`] finds the
+//! leading ones from a few products with the sparse graph (see `davidson`), and starts from the
+//! triplets of the previous frame: while the graph changes little, they are close to the next ones.
+//! Scratch space is kept between frames.
+//!
+//! When only few rows of the graph have changed, the triplets and their residuals are updated from
+//! those rows alone (see `certificate`), and no search runs while the residuals are within the
+//! tolerance. The changed rows are found by comparison with the previous graph, or given by the
+//! caller.
+//!
+//! The residual of each triplet is measured, so every result comes with its own error bound. A
+//! residual cannot reveal a triplet that is missing altogether: random directions, added to every
+//! [`PROBE_EVERY`]th search, find those.
+
+mod certificate;
+mod error;
+mod options;
+mod solver;
+mod triplets;
+
+pub use super::davidson::{SearchColumns, SearchRound, search_columns};
+pub use error::{KatzSvdError, MAX_EDGES};
+pub use options::{KatzSvdOptions, KatzSvdOptionsError, ValidKatzSvdOptions};
+pub use solver::{KatzSvd, KatzSvdReport, PROBE_CHANGES, PROBE_EVERY, PROBES};

@@ -1,0 +1,62 @@
+//! Parameters of the search for leading triplets: unchecked, checked, and what may be wrong.
+
+use thiserror::Error;
+
+/// Unchecked parameters of a search; [`KatzSvdOptions::check`] makes them valid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KatzSvdOptions {
+    /// Number of triplets, from 1 to n.
+    pub rank: usize,
+    /// Largest residual ‖Mᵀ(Sᵀu − σv)‖/σ₁ with M = I − αA, above 0. ‖Sᵀu − σv‖ is at most 1 + σ₁ times
+    /// as large, and S v − σu is zero but for rounding.
+    pub tolerance: f64,
+    /// Seed of the random directions.
+    pub seed: u64,
+    /// Number of threads, at least 1, that share the rows of large graphs. The result does not depend
+    /// on it, bit for bit. More than one are started by the first frame and kept; at most 1024 are
+    /// started.
+    pub threads: usize,
+}
+
+/// The parameter of [`KatzSvdOptions`] that is out of its range.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+pub enum KatzSvdOptionsError {
+    /// No triplet is asked for.
+    #[error("the rank must be at least 1")]
+    Rank,
+    /// The tolerance is not a positive number.
+    #[error("tolerance {0} is not a positive number")]
+    Tolerance(f64),
+    /// No thread is asked for.
+    #[error("the number of threads must be at least 1")]
+    Threads,
+}
+
+impl KatzSvdOptions {
+    /// The parameters with the guarantee that each is in its range.
+    ///
+    /// # Errors
+    /// The first parameter that is not, as [`KatzSvdOptionsError`].
+    pub fn check(self) -> Result<ValidKatzSvdOptions, KatzSvdOptionsError> {
+        match self {
+            Self { rank: 0, .. } => Err(KatzSvdOptionsError::Rank),
+            Self { threads: 0, .. } => Err(KatzSvdOptionsError::Threads),
+            Self { tolerance, .. } if !(tolerance.is_finite() && tolerance > 0.0) => {
+                Err(KatzSvdOptionsError::Tolerance(tolerance))
+            }
+            valid => Ok(ValidKatzSvdOptions(valid)),
+        }
+    }
+}
+
+/// Parameters of a search that [`KatzSvdOptions::check`] found in their ranges.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ValidKatzSvdOptions(KatzSvdOptions);
+
+impl ValidKatzSvdOptions {
+    /// The values.
+    #[must_use]
+    pub fn get(&self) -> &KatzSvdOptions {
+        &self.0
+    }
+}

@@ -1,0 +1,415 @@
+//! The search for leading triplets, and their update after changes of few rows.
+
+use std::sync::OnceLock;
+
+use super::certificate::Certificate;
+use super::error::{KatzSvdError, check};
+use super::options::KatzSvdOptions;
+use crate::linalg::Aligned;
+use crate::linalg::matrix::SparseMatrix;
+use crate::linalg::parallel::{Parts, Strided, Threads};
+use crate::radius::exact::SpectralRadius;
+use crate::svd::davidson::{
+    Request, SearchRound, Triplets, Workspace, leading_triplets, width_for,
+};
+use crate::svd::operator::KatzOperator;
+
+/// Searches between two that add random directions to those of the previous frame.
+pub const PROBE_EVERY: u64 = 20;
+
+/// Updates after which random directions are due as well, by a search if necessary: a few changed
+/// rows bring a new triplet to the front more rarely than a change of all of them.
+pub const PROBE_CHANGES: u64 = 500;
+
+/// Random directions that are added.
+pub const PROBES: usize = 8;
+
+/// One row in this many may change for an update row by row. Beyond that, a pass over all rows,
+/// which needs no bookkeeping, takes as long.
+const CHANGED_ROW_SHARE: usize = 8;
+
+/// Updates after which all incremental sums are recomputed; accumulated rounding is still far
+/// below every tolerance.
+const MAX_SUM_UPDATES: u32 = 1000;
+
+/// Factor of the tolerance of a search when only few rows changed, so that the next changes need
+/// no search.
+const UPDATE_TOLERANCE_FACTOR: f64 = 0.2;
+
+/// Rows that were replaced by longer or shorter ones and are out of date in the kept graph. They
+/// are compared one by one in each frame, until copying the graph is cheaper.
+const MAX_STALE_ROWS: usize = 256;
+
+/// Searches after which the nodes are ordered again, as the graph has changed.
+const REORDER_SEARCHES: u64 = 100;
+
+/// How a solve went.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KatzSvdReport {
+    /// Rounds of the search; 0 when the triplets of the previous frame were updated instead.
+    pub rounds: usize,
+    /// Largest residual of the triplets that were asked for, as in [`KatzSvdOptions::tolerance`].
+    /// [`crate::svd::RankKSvd::angle_bound`] turns it into a bound for the subspaces.
+    pub residual: f64,
+    /// True when the residual is within the tolerance. If not, decompose the whole of S.
+    pub converged: bool,
+}
+
+/// Receives each finished round of a search.
+type Progress<'a> = dyn FnMut(SearchRound) + Send + 'a;
+
+/// Input of one solve.
+#[derive(Debug, Clone, Copy)]
+struct Input<'a> {
+    graph: &'a SparseMatrix,
+    alpha: f64,
+    options: KatzSvdOptions,
+    previous: Option<&'a [Option<usize>]>,
+}
+
+/// The triplets of the last frame, and the start of the next search.
+#[derive(Debug)]
+pub struct KatzSvd {
+    pub(super) operator: KatzOperator,
+    work: Workspace,
+    pub(super) triplets: Triplets,
+    start: Start,
+    threads: Threads,
+    pub(super) certificate: Certificate,
+    /// V and S V, n × width, rotated by the certificate; computed on demand.
+    pub(super) rotated: OnceLock<[Vec<f64>; 2]>,
+    /// The graph of the last frame, except for the rows `stale`, which only the operator has, and
+    /// the rows `changed`.
+    graph: SparseMatrix,
+    stale: Vec<usize>,
+    changed: Vec<usize>,
+    alpha: f64,
+    pub(super) nodes: usize,
+    /// Number of triplets that were last asked for.
+    pub(super) rank: usize,
+    /// Searches so far.
+    searches: u64,
+    /// Random directions are due when this reaches [`PROBE_CHANGES`].
+    unprobed: u64,
+    /// True when the graph has changed since the last random directions.
+    changed_since_probe: bool,
+}
+
+/// W = V + UΣ of the last frame in the order of the operator, n × `width`. The W of the frame
+/// before it would save one round in four of a smooth motion, and add more to each of them.
+#[derive(Debug, Default)]
+struct Start {
+    directions: Aligned<f64>,
+    /// 0 for a cold start.
+    width: usize,
+}
+
+impl Default for KatzSvd {
+    fn default() -> Self {
+        Self {
+            operator: KatzOperator::default(),
+            work: Workspace::default(),
+            triplets: Triplets::default(),
+            start: Start::default(),
+            threads: Threads::default(),
+            certificate: Certificate::default(),
+            rotated: OnceLock::new(),
+            graph: SparseMatrix::empty(),
+            stale: Vec::new(),
+            changed: Vec::new(),
+            alpha: 0.0,
+            nodes: 0,
+            rank: 0,
+            searches: 0,
+            unprobed: PROBE_CHANGES,
+            changed_since_probe: true,
+        }
+    }
+}
+
+impl KatzSvd {
+    /// Computes the leading triplets for the graph `a`, its spectral radius `radius`, and the decay
+    /// `alpha`.
+    ///
+    /// `previous` holds for each node its index in the previous frame, `None` for a new one;
+    /// without it the nodes are the same. While nodes, rank and number of threads stay, nothing is
+    /// allocated, except for a new order of the nodes every hundred searches, for more edges than
+    /// ever before, and for the distribution of work when there is more than one thread.
+    ///
+    /// # Errors
+    /// [`KatzSvdError`]; the state of the previous frame stays.
+    pub fn solve(
+        &mut self,
+        a: &SparseMatrix,
+        alpha: f64,
+        radius: &SpectralRadius,
+        options: KatzSvdOptions,
+        previous: Option<&[Option<usize>]>,
+    ) -> Result<KatzSvdReport, KatzSvdError> {
+        self.solve_watched(a, alpha, radius, options, previous, &mut |_| {})
+    }
+
+    /// [`KatzSvd::solve`] that reports each round of the search.
+    ///
+    /// # Errors
+    /// As [`KatzSvd::solve`].
+    pub fn solve_watched(
+        &mut self,
+        a: &SparseMatrix,
+        alpha: f64,
+        radius: &SpectralRadius,
+        options: KatzSvdOptions,
+        previous: Option<&[Option<usize>]>,
+        progress: &mut (dyn FnMut(SearchRound) + Send),
+    ) -> Result<KatzSvdReport, KatzSvdError> {
+        let options = *check(a, alpha, radius, options)?.get();
+        let mut follows = previous.is_none() && self.follows(a, alpha, options);
+        self.accept_nodes(a.nodes(), previous)?;
+        if follows {
+            let most = self.most_changed_rows();
+            self.changed.clear();
+            self.graph.differing_rows(a, most, &mut self.changed);
+            follows = self.changed.len() <= most;
+            self.changed.extend_from_slice(&self.stale);
+        }
+        let input = Input { graph: a, alpha, options, previous };
+        Ok(self.update_or_search(input, follows, progress))
+    }
+
+    /// [`KatzSvd::solve`] for a graph with the nodes of the previous frame, whose rows are bit for
+    /// bit the same except for some of those in `changed`. Does not compare the others.
+    ///
+    /// # Errors
+    /// As [`KatzSvd::solve`], and [`KatzSvdError::Changed`] for a row beyond the graph.
+    pub fn solve_changed(
+        &mut self,
+        a: &SparseMatrix,
+        alpha: f64,
+        radius: &SpectralRadius,
+        options: KatzSvdOptions,
+        changed: &[usize],
+    ) -> Result<KatzSvdReport, KatzSvdError> {
+        let options = *check(a, alpha, radius, options)?.get();
+        if let Some(&row) = changed.iter().find(|row| **row >= a.nodes()) {
+            return Err(KatzSvdError::Changed { row, nodes: a.nodes() });
+        }
+        let follows = self.follows(a, alpha, options) && changed.len() <= self.most_changed_rows();
+        self.accept_nodes(a.nodes(), None)?;
+        self.changed.clear();
+        self.changed.extend_from_slice(changed);
+        let input = Input { graph: a, alpha, options, previous: None };
+        Ok(self.update_or_search(input, follows, &mut |_| {}))
+    }
+
+    /// True when triplets and graph of the previous frame can be updated.
+    fn follows(&self, a: &SparseMatrix, alpha: f64, options: KatzSvdOptions) -> bool {
+        self.nodes == a.nodes()
+            && self.graph.nodes() == a.nodes()
+            && self.alpha.to_bits() == alpha.to_bits()
+            && self.triplets.finite
+            && self.start.width == width_for(options.rank)
+            && self.unprobed < PROBE_CHANGES
+    }
+
+    /// Changed rows up to which an update row by row pays.
+    fn most_changed_rows(&self) -> usize {
+        self.nodes / CHANGED_ROW_SHARE
+    }
+
+    /// Updates the triplets if the input `follows` the previous frame except for the rows
+    /// `changed`, and searches where that is not enough.
+    fn update_or_search(
+        &mut self,
+        input: Input<'_>,
+        follows: bool,
+        progress: &mut Progress<'_>,
+    ) -> KatzSvdReport {
+        self.threads.start(input.options.threads);
+        self.rank = input.options.rank;
+        if follows && let Some(report) = self.update(input.graph, input.options) {
+            return report;
+        }
+        // Going into the threads and out of them takes as long as a small search, so do it once.
+        let threads = std::mem::take(&mut self.threads);
+        let report = threads.run(|| self.search(input, follows, threads.count(), progress));
+        self.threads = threads;
+        report
+    }
+
+    /// The triplets after a change of the rows `changed`, without a search. `None` when their
+    /// residuals are too large; the operator is up to date in any case.
+    fn update(&mut self, a: &SparseMatrix, options: KatzSvdOptions) -> Option<KatzSvdReport> {
+        // Sorted, so that sums do not depend on who found the rows.
+        self.changed.sort_unstable();
+        self.changed.dedup();
+        let Self { operator, work, triplets, start, threads, certificate, .. } = self;
+        certificate.replace_rows(operator, a, &self.changed);
+        let changed = certificate.has_changes();
+        self.changed_since_probe |= changed;
+        self.unprobed += match (changed, self.changed_since_probe) {
+            (true, _) => 1,
+            // A frame without changes leaves time for random directions.
+            (false, true) => PROBE_CHANGES / PROBE_EVERY,
+            (false, false) => 0,
+        };
+        if operator.has_grown() {
+            // Only random directions find a triplet that none of the previous ones leads to.
+            self.unprobed = PROBE_CHANGES;
+            return None;
+        }
+        if changed {
+            let recompute = !certificate.valid
+                || certificate.updates >= MAX_SUM_UPDATES
+                || operator.scattered();
+            if operator.scattered() {
+                operator.assign(a, self.alpha, true, 1);
+            }
+            let (w, vectors) = (&*start.directions, work.scratch());
+            let sums_hold = if recompute {
+                debug_assert_eq!(start.width, triplets.width);
+                let parts = Parts::new(self.nodes, threads.count());
+                threads.run(|| certificate.recompute(operator, parts, w, triplets, vectors))
+            } else {
+                certificate.update(operator, w, triplets, vectors)
+            };
+            self.rotated = OnceLock::new();
+            self.keep_rows(a);
+            if !sums_hold {
+                return None;
+            }
+        }
+        let report = self.report(options, 0);
+        report.converged.then_some(report)
+    }
+
+    /// Copies the changed rows into the kept graph where that is cheap.
+    fn keep_rows(&mut self, a: &SparseMatrix) {
+        for &row in &self.changed {
+            if !self.graph.copy_row(a, row) {
+                self.stale.push(row);
+            }
+        }
+        self.stale.sort_unstable();
+        self.stale.dedup();
+        if self.stale.len() > MAX_STALE_ROWS {
+            self.graph.copy_from(a);
+            self.stale.clear();
+        }
+    }
+
+    /// Searches for the triplets, starting from those of the previous frame. `is_current` when the
+    /// operator is up to date.
+    fn search(
+        &mut self,
+        input: Input<'_>,
+        is_current: bool,
+        threads: usize,
+        progress: &mut Progress<'_>,
+    ) -> KatzSvdReport {
+        let Input { graph, alpha, options, .. } = input;
+        if !is_current || self.searches.is_multiple_of(REORDER_SEARCHES) {
+            self.assign(input, threads);
+        } else {
+            self.graph.copy_from(graph);
+        }
+        self.operator.accept_weights();
+        self.alpha = alpha;
+        self.stale.clear();
+        self.certificate.valid = false;
+        self.rotated = OnceLock::new();
+        let probed = self.unprobed + PROBE_CHANGES / PROBE_EVERY > PROBE_CHANGES;
+        let request = Request {
+            rank: options.rank,
+            tolerance: options.tolerance * if is_current { UPDATE_TOLERANCE_FACTOR } else { 1.0 },
+            probes: if probed { PROBES } else { 0 },
+            seed: options.seed.wrapping_add(self.searches),
+            threads,
+        };
+        let Self { operator, work, triplets, start, .. } = self;
+        let first = (&*start.directions, start.width);
+        leading_triplets(operator, request, first, work, triplets, progress);
+        self.unprobed = if probed { 0 } else { self.unprobed + PROBE_CHANGES / PROBE_EVERY };
+        self.changed_since_probe = !probed;
+        self.keep_start(threads);
+        self.report(options, self.triplets.rounds)
+    }
+
+    fn report(&self, options: KatzSvdOptions, rounds: usize) -> KatzSvdReport {
+        let residuals = self.triplets.residuals.iter().take(options.rank);
+        let residual = residuals.fold(0.0, |top: f64, residual| residual.max(top));
+        KatzSvdReport { rounds, residual, converged: residual <= options.tolerance }
+    }
+
+    /// Discards the previous frames: the next solve starts cold.
+    pub fn forget(&mut self) {
+        self.start.width = 0;
+        self.searches = 0;
+        self.unprobed = PROBE_CHANGES;
+    }
+
+    /// Refuses a correspondence that does not fit, and discards frames of other nodes.
+    fn accept_nodes(
+        &mut self,
+        n: usize,
+        previous: Option<&[Option<usize>]>,
+    ) -> Result<(), KatzSvdError> {
+        match previous {
+            None if n != self.nodes => self.forget(),
+            None => {}
+            Some(previous) => {
+                let fits = |old: &Option<usize>| old.is_none_or(|old| old < self.nodes);
+                if previous.len() != n || !previous.iter().all(fits) {
+                    return Err(KatzSvdError::Correspondence { nodes: n });
+                }
+            }
+        }
+        self.nodes = n;
+        Ok(())
+    }
+
+    /// Brings the operator, the start with it, and the kept graph to the nodes and the weights of
+    /// a new frame.
+    fn assign(&mut self, input: Input<'_>, threads: usize) {
+        let Input { graph: a, alpha, previous, .. } = input;
+        let keep_order = previous.is_none() && !self.searches.is_multiple_of(REORDER_SEARCHES);
+        let before = if keep_order { Vec::new() } else { self.operator.inner().to_vec() };
+        self.operator.assign(a, alpha, keep_order, threads);
+        self.graph.copy_from(a);
+        if keep_order || (previous.is_none() && before == self.operator.inner()) {
+            return;
+        }
+        let Start { directions, width } = &mut self.start;
+        let width = *width;
+        let mut moved = Aligned::default();
+        moved.resize(self.nodes * width);
+        let rows = moved.chunks_exact_mut(width.max(1));
+        for (to, &outer) in rows.zip(self.operator.outer()) {
+            let old = previous.map_or(Some(outer as usize), |old| old[outer as usize]);
+            if let Some(inner) = old.map(|old| before[old] as usize) {
+                to.copy_from_slice(&directions[inner * width..(inner + 1) * width]);
+            }
+        }
+        *directions = moved;
+    }
+
+    /// Keeps W = V + UΣ for the next frame.
+    fn keep_start(&mut self, threads: usize) {
+        self.searches += 1;
+        if !self.triplets.finite {
+            self.forget();
+            return;
+        }
+        let Triplets { width, right, image, .. } = &self.triplets;
+        let directions = &mut self.start.directions;
+        self.start.width = *width;
+        directions.resize(self.nodes * width);
+        let parts = Parts::new(self.nodes, threads);
+        parts.run(Strided(directions, *width), |rows, block| {
+            let own = rows.start * width..rows.end * width;
+            let sums = right[own.clone()].iter().zip(&image[own]);
+            for (to, (right, image)) in block.0.iter_mut().zip(sums) {
+                *to = right + image;
+            }
+        });
+    }
+}

@@ -1,0 +1,228 @@
+//! αA* in the two orientations and precisions that the products of the partial decomposition need.
+//!
+//! A product reads the rows of all neighbours of a node, which should be in the cache already. Where
+//! the caller's numbers leave neighbours far apart, nodes are renumbered so that they come close
+//! together (see [`crate::graph::ordering`]). Everything outside of this module and of [`super::davidson`] knows
+//! the numbering of the caller only.
+
+mod products;
+mod rows;
+
+use crate::graph::ordering::proximity_order;
+use crate::linalg::matrix::SparseMatrix;
+use rows::{Rows, sort_row};
+
+/// αA and αAᵀ of an n × n adjacency matrix, renumbered.
+#[derive(Debug, Default)]
+pub(crate) struct KatzOperator {
+    nodes: usize,
+    alpha: f64,
+    /// The caller's number of each node in the own order, and the reverse.
+    outer: Vec<u32>,
+    inner: Vec<u32>,
+    /// True when both are 0, 1, 2 …
+    natural: bool,
+    forward: Rows,
+    backward: Rows,
+    /// A row that is to replace another one.
+    row: (Vec<u32>, Vec<f64>),
+    /// Largest sum of a row of αA when it was last looked at as a whole, and with the rows since.
+    heaviest: f64,
+    newest: f64,
+}
+
+/// Which of the two orientations a product takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Orientation {
+    /// αA.
+    Forward,
+    /// αAᵀ.
+    Backward,
+}
+
+impl KatzOperator {
+    /// Builds αA anew in the buffers that are there. The order of the nodes is kept if `keep_order`
+    /// and the number of nodes is the same. More than one of `threads` threads are used only within a pool
+    /// of the caller.
+    pub(crate) fn assign(
+        &mut self,
+        a: &SparseMatrix,
+        alpha: f64,
+        keep_order: bool,
+        threads: usize,
+    ) {
+        let n = a.nodes();
+        if !(keep_order && self.nodes == n && self.outer.len() == n) {
+            self.find_order(a);
+        }
+        self.nodes = n;
+        self.alpha = alpha;
+        let order = (!self.natural).then_some((&self.outer[..], &self.inner[..]));
+        self.heaviest = self.forward.assign(a, alpha, order, threads);
+        self.backward.assign_transpose(&self.forward, threads);
+        self.newest = self.heaviest;
+    }
+
+    /// True when a row that was replaced is heavier than all rows were before: it may be the core of a
+    /// singular triplet that there was not.
+    pub(crate) fn has_grown(&self) -> bool {
+        self.newest > self.heaviest
+    }
+
+    /// Makes the present weights the ones that later rows are compared with.
+    pub(crate) fn accept_weights(&mut self) {
+        self.heaviest = self.newest;
+    }
+
+    fn find_order(&mut self, a: &SparseMatrix) {
+        let n = a.nodes();
+        let order = proximity_order(a);
+        self.natural = order.is_none();
+        self.outer = order.unwrap_or_else(|| (0..n as u32).collect());
+        self.inner.clear();
+        self.inner.resize(n, 0);
+        for (inner, &outer) in self.outer.iter().enumerate() {
+            self.inner[outer as usize] = inner as u32;
+        }
+    }
+
+    /// Number of nodes n.
+    pub(crate) fn nodes(&self) -> usize {
+        self.nodes
+    }
+
+    /// The decay α.
+    pub(crate) fn alpha(&self) -> f64 {
+        self.alpha
+    }
+
+    /// The own number of each node of the caller.
+    pub(crate) fn inner(&self) -> &[u32] {
+        &self.inner
+    }
+
+    /// The caller's number of each own one.
+    pub(crate) fn outer(&self) -> &[u32] {
+        &self.outer
+    }
+
+    /// Whether a node, by its own number, has no edge at all.
+    pub(crate) fn is_isolated(&self, inner: usize) -> bool {
+        let has_none = |orientation| self.rows(orientation).row(inner).0.is_empty();
+        has_none(Orientation::Forward) && has_none(Orientation::Backward)
+    }
+
+    fn rows(&self, orientation: Orientation) -> &Rows {
+        match orientation {
+            Orientation::Forward => &self.forward,
+            Orientation::Backward => &self.backward,
+        }
+    }
+
+    /// True when [`KatzOperator::replace_row`] has left so many gaps that the operator is better
+    /// assigned anew.
+    pub(crate) fn scattered(&self) -> bool {
+        self.forward.scattered() || self.backward.scattered()
+    }
+
+    /// Brings row `outer`, a number of the caller, up to date with `a`. False when it already was;
+    /// otherwise `touched` gets the own numbers of the columns in which the row has entries now or
+    /// had some before.
+    pub(crate) fn replace_row(
+        &mut self,
+        a: &SparseMatrix,
+        outer: usize,
+        touched: &mut Vec<u32>,
+    ) -> bool {
+        let i = self.inner[outer] as usize;
+        let (columns, weights) = (&mut self.row.0, &mut self.row.1);
+        columns.clear();
+        weights.clear();
+        for (j, w) in a.row(outer) {
+            columns.push(self.inner[j]);
+            weights.push(self.alpha * w);
+        }
+        if !self.natural {
+            sort_row(columns, weights);
+        }
+        let (old, old_weights) = self.forward.row(i);
+        if old == columns && old_weights == weights {
+            return false;
+        }
+        self.newest = self.newest.max(weights.iter().sum());
+        // Both rows ascend, so that one walk along both finds what each column has become.
+        let (mut k, mut l) = (0, 0);
+        while k < old.len() || l < columns.len() {
+            let before = old.get(k).copied().unwrap_or(u32::MAX);
+            let now = columns.get(l).copied().unwrap_or(u32::MAX);
+            let column = before.min(now);
+            let weight = if now == column { weights[l] } else { 0.0 };
+            if before != column || old_weights[k].to_bits() != weight.to_bits() {
+                self.backward.set(column as usize, i as u32, weight);
+            }
+            touched.push(column);
+            k += usize::from(before == column);
+            l += usize::from(now == column);
+        }
+        self.forward.replace(i, columns, weights);
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    pub(super) fn random(n: usize, seed: u64) -> SparseMatrix {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let edges: Vec<_> = (0..4 * n)
+            .map(|_| (rng.random_range(0..n), rng.random_range(0..n), rng.random::<f64>()))
+            .collect();
+        SparseMatrix::from_triplets(n, edges).unwrap()
+    }
+
+    #[test]
+    fn replaced_rows_leave_the_operator_as_one_that_is_built_anew() {
+        let (n, alpha) = (5000, 0.3);
+        let mut a = random(n, 1);
+        let mut updated = KatzOperator::default();
+        updated.assign(&a, alpha, false, 1);
+        assert!(!updated.natural);
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        for _ in 0..50 {
+            let (changed, degree) = (rng.random_range(0..n), rng.random_range(0..9));
+            let row: Vec<_> =
+                (0..degree).map(|_| (changed, rng.random_range(0..n), rng.random())).collect();
+            let rest = a.triplets().filter(|edge| edge.0 != changed);
+            let next = SparseMatrix::from_triplets(n, rest.chain(row)).unwrap();
+            let mut touched = Vec::new();
+            assert!(updated.replace_row(&next, changed, &mut touched));
+            assert!(!updated.replace_row(&next, changed, &mut touched));
+            for j in a.row(changed).chain(next.row(changed)) {
+                assert!(touched.contains(&updated.inner[j.0]));
+            }
+            a = next;
+        }
+        let mut anew = KatzOperator {
+            nodes: n,
+            outer: updated.outer.clone(),
+            inner: updated.inner.clone(),
+            ..KatzOperator::default()
+        };
+        anew.assign(&a, alpha, true, 1);
+        for orientation in [Orientation::Forward, Orientation::Backward] {
+            for i in 0..n {
+                let row = |of: &KatzOperator| {
+                    let (columns, weights) = of.rows(orientation).row(i);
+                    (columns.to_vec(), weights.to_vec())
+                };
+                assert_eq!(row(&updated), row(&anew));
+                let single = |of: &KatzOperator| of.rows(orientation).row_single(i).1.to_vec();
+                assert_eq!(single(&updated), single(&anew));
+            }
+        }
+    }
+}
