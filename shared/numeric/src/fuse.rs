@@ -8,11 +8,11 @@ use crate::norm::spectral_norm;
 /// How each graph is scaled before it is weighted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Normalization {
-    /// As in the paper: weights act on the graphs as they are, in whatever units they come.
+    /// As in the paper: weights apply to the graphs as they are, whatever their units.
     None,
-    /// Each graph is divided by its spectral norm σ₁(A_m), so that weights mean the same thing
-    /// for every modality. The norm of a symmetric graph equals its spectral radius; the radius
-    /// itself cannot serve, since it is 0 for every acyclic graph, such as a command tree.
+    /// Each graph is divided by its spectral norm σ₁(A_m), so that a weight means the same for
+    /// every modality. For a symmetric graph the norm equals the spectral radius, which cannot
+    /// serve itself: it is 0 for every acyclic graph, such as a command tree.
     #[default]
     Spectral,
 }
@@ -122,7 +122,7 @@ pub fn fuse_scaled<'a>(
         if weight == 0.0 || graph.is_zero() {
             continue;
         }
-        // Dividing each weight rather than multiplying by a quotient keeps symmetric graphs
+        // Dividing each weight instead of multiplying by a quotient keeps symmetric graphs
         // symmetric and a lone graph of norm 1 unchanged.
         entries.extend(graph.triplets().map(|(i, j, w)| (i, j, weight * (w / scale))));
     }

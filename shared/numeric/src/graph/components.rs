@@ -8,9 +8,9 @@ use crate::linalg::matrix::SparseMatrix;
 /// Tarjan's algorithm (SIAM J. Comput. 1, 1972) with an explicit stack: a command chain of
 /// thousands of nodes would overflow the call stack of a recursive one.
 pub(crate) fn strongly_connected(a: &SparseMatrix) -> Vec<Vec<usize>> {
-    const UNSEEN: usize = usize::MAX;
+    const UNVISITED: usize = usize::MAX;
     let n = a.nodes();
-    let mut index = vec![UNSEEN; n];
+    let mut index = vec![UNVISITED; n];
     let mut low = vec![0; n];
     let mut on_stack = vec![false; n];
     let mut stack = Vec::new();
@@ -18,7 +18,7 @@ pub(crate) fn strongly_connected(a: &SparseMatrix) -> Vec<Vec<usize>> {
     let mut next_index = 0;
 
     for root in 0..n {
-        if index[root] != UNSEEN {
+        if index[root] != UNVISITED {
             continue;
         }
         let mut calls = vec![(root, a.row(root))];
@@ -31,7 +31,7 @@ pub(crate) fn strongly_connected(a: &SparseMatrix) -> Vec<Vec<usize>> {
         while let Some((node, edges)) = calls.last_mut() {
             let node = *node;
             if let Some((to, _)) = edges.next() {
-                if index[to] == UNSEEN {
+                if index[to] == UNVISITED {
                     index[to] = next_index;
                     low[to] = next_index;
                     next_index += 1;
@@ -64,8 +64,8 @@ pub(crate) fn strongly_connected(a: &SparseMatrix) -> Vec<Vec<usize>> {
     components
 }
 
-/// True when the graph has no cycle, by taking away nodes that no edge enters until none is left
-/// (Kahn, Commun. ACM 5, 1962). O(nodes + edges), a fraction of [`strongly_connected`].
+/// True when the graph has no cycle: removes nodes that no edge enters until none is left (Kahn,
+/// Commun. ACM 5, 1962). O(nodes + edges), a fraction of [`strongly_connected`].
 pub(crate) fn is_acyclic(a: &SparseMatrix) -> bool {
     let n = a.nodes();
     let mut entering = vec![0_u32; n];

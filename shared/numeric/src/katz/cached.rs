@@ -40,7 +40,7 @@ pub const MIN_CONDITION: f64 = 1e-8;
 pub const MAX_PROBE: f64 = 1e-10;
 
 /// Slots beyond those in use that are added when there are too few, relative to their number.
-const SPARE: usize = 16;
+const SPARE_SLOT_SHARE: usize = 16;
 
 /// How an update was done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -195,13 +195,13 @@ impl CachedKatz {
         if n > MAX_CACHED {
             return Err(MatrixError::TooLarge { rows: n, cols: n }.into());
         }
-        self.take_radius(radius);
+        self.copy_radius(radius);
         self.stale |= alpha.to_bits() != self.alpha.to_bits();
         self.alpha = alpha;
         match map {
             None if n == self.place.len() => {}
             Some(map) if fits(map, self.place.len(), n) => self.rearrange(map, n),
-            _ => self.begin_anew(n),
+            _ => self.reset_slots(n),
         }
         for i in 0..n {
             let slot = self.place[i] as usize;
@@ -220,7 +220,7 @@ impl CachedKatz {
     }
 
     /// Copies the bounds into the vector that is there.
-    fn take_radius(&mut self, radius: &SpectralRadius) {
+    fn copy_radius(&mut self, radius: &SpectralRadius) {
         let mut vector = std::mem::take(&mut self.radius.vector);
         vector.clone_from(&radius.vector);
         let SpectralRadius { lower, upper, value, acyclic, .. } = *radius;
@@ -228,7 +228,7 @@ impl CachedKatz {
     }
 
     /// Gives every node a slot of its number, without a similarity.
-    fn begin_anew(&mut self, n: usize) {
+    fn reset_slots(&mut self, n: usize) {
         self.place.clear();
         self.place.extend(0..n as u32);
         self.free.clear();
@@ -279,7 +279,7 @@ impl CachedKatz {
     /// Adds at least `count` slots.
     fn grow(&mut self, count: usize) {
         let old = self.slots;
-        let new = old + count + old / SPARE;
+        let new = old + count + old / SPARE_SLOT_SHARE;
         if self.s.len() == old * old {
             self.s.resize(new * new, 0.0);
             // From the last row on, so that no row is overwritten before it has moved.
@@ -336,7 +336,7 @@ impl CachedKatz {
         } else {
             multiply(&mut self.s, m, &self.sign, &mut self.image);
         }
-        self.settle();
+        self.accept_latest();
         let probe = self.finish_probe();
         // Written so that NaN fails the comparison too.
         if !matches!(probe, p if p <= MAX_PROBE) {
@@ -360,7 +360,7 @@ impl CachedKatz {
     }
 
     /// Makes the last graph the one that S belongs to, and frees the slots of nodes that left.
-    fn settle(&mut self) {
+    fn accept_latest(&mut self) {
         let m = self.slots;
         for slot in 0..m {
             if std::mem::take(&mut self.is_dirty[slot]) {
@@ -395,7 +395,7 @@ impl CachedKatz {
             entries.extend(row.iter().map(|&(j, w)| (i, node[j as usize], w)));
         }
         let a = SparseMatrix::from_checked(n, entries);
-        self.begin_anew(n);
+        self.reset_slots(n);
         for i in 0..n {
             self.latest[i].extend(a.row(i).map(|(j, w)| (j as u32, w)));
         }
@@ -404,7 +404,7 @@ impl CachedKatz {
         self.s = katz_similarity(&a, self.alpha, &self.radius)?.into_data();
         self.stale = false;
         self.draw_signs();
-        self.settle();
+        self.accept_latest();
         let probe = self.probe();
         Ok(Update { method, rank, condition, probe })
     }

@@ -10,11 +10,11 @@ use crate::radius::tracker::{RadiusBound, RadiusTracker};
 const CENTRALITY_SWEEPS: usize = 2000;
 
 /// Growth of the residual beyond its best value that shows a spectrum far from real.
-const DIVERGING: f64 = 4.0;
+const DIVERGENCE_RATIO: f64 = 4.0;
 
 /// Sweeps after which Chebyshev steps must have done better than as many of the Neumann series,
 /// which they do for real spectra.
-const TRIAL: i32 = 32;
+const TRIAL_SWEEPS: i32 = 32;
 
 /// Katz centrality of every node: row sums of S + I, that is the solution x of (I − αA) x = 1.
 ///
@@ -76,13 +76,13 @@ impl RadiusTracker {
             if reached || sweeps == CENTRALITY_SWEEPS || n == 0 {
                 return Ok(Centrality { residual: sweep.residual, sweeps });
             }
-            let checked = sweeps % TRIAL as usize == 0;
-            if sweep.residual > DIVERGING * best || (checked && sweep.residual > wanted) {
+            let checked = sweeps % TRIAL_SWEEPS as usize == 0;
+            if sweep.residual > DIVERGENCE_RATIO * best || (checked && sweep.residual > wanted) {
                 chebyshev = Chebyshev::new(alpha, 0.0);
             }
             best = best.min(sweep.residual);
             if checked {
-                wanted = sweep.residual * half_width.powi(TRIAL);
+                wanted = sweep.residual * half_width.powi(TRIAL_SWEEPS);
             }
             std::mem::swap(x, next);
         }

@@ -12,7 +12,7 @@ use crate::linalg::matrix::SparseMatrix;
 const MAX_WORK: usize = 2_000_000_000;
 
 /// Size of a term, relative to the sum, from which on terms are lost in the rounding of the sum.
-const NEGLIGIBLE: f64 = 1e-17;
+const NEGLIGIBLE_RATIO: f64 = 1e-17;
 
 /// A column of S.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,7 +62,7 @@ pub fn katz_column(
             let sum: f64 = a.row(i).map(|(j, w)| w * term[j]).sum();
             *next = alpha * sum;
             largest = largest.max(*next);
-            counts |= *next > NEGLIGIBLE * values[i];
+            counts |= *next > NEGLIGIBLE_RATIO * values[i];
         }
         if !largest.is_finite() {
             return Err(KatzError::Overflow { alpha });

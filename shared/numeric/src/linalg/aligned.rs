@@ -1,14 +1,14 @@
-//! Buffers of numbers that begin where a cache line begins.
+//! Buffers that start at a cache line.
 //!
-//! A register of 64 bytes that lies across two lines costs two accesses, and so does every register
-//! of a block whose rows are whole lines but which begins within one.
+//! A register of 64 bytes that crosses two lines costs two accesses. So does every register of a
+//! block whose rows are whole lines but which starts within a line.
 
 use std::ops::{Deref, DerefMut};
 
 /// Bytes of a cache line.
-const LINE: usize = 64;
+const LINE_BYTES: usize = 64;
 
-/// Numbers from the start of a cache line on, kept for reuse.
+/// Numbers from the start of a cache line on. The memory is reused.
 #[derive(Debug, Default)]
 pub(crate) struct Aligned<T> {
     data: Vec<T>,
@@ -17,24 +17,24 @@ pub(crate) struct Aligned<T> {
 }
 
 impl<T: Copy + Default> Aligned<T> {
-    /// Makes room for `len` numbers. They are zero where the length changes, and stay otherwise.
+    /// Sets the length. Where it changes, all numbers become zero; otherwise they stay.
     pub(crate) fn resize(&mut self, len: usize) {
         if self.len == len {
             return;
         }
-        let spare = LINE / size_of::<T>();
-        if self.data.capacity() < len + spare {
-            // The old numbers are not kept, so that they need not be there at the same time. New
-            // memory comes as zeros, which nobody writes before they are used.
+        let padding = LINE_BYTES / size_of::<T>();
+        if self.data.capacity() < len + padding {
+            // Free the old memory first, so that both never exist at once. The system zeroes new
+            // memory lazily.
             self.data = Vec::new();
-            self.data = vec![T::default(); len + spare];
+            self.data = vec![T::default(); len + padding];
         } else {
             self.data.clear();
-            self.data.resize(len + spare, T::default());
+            self.data.resize(len + padding, T::default());
         }
-        // The address need not tell how far off the next line is; any start will do then.
-        let off = self.data.as_ptr().align_offset(LINE);
-        self.start = if off <= spare { off } else { 0 };
+        // `align_offset` may give up; any start is correct then.
+        let off = self.data.as_ptr().align_offset(LINE_BYTES);
+        self.start = if off <= padding { off } else { 0 };
         self.len = len;
     }
 }

@@ -1,34 +1,34 @@
-//! Products of blocks of vectors: n rows of a few values each, and small matrices beside them.
+//! Products of blocks of vectors: n rows of a few values each, with small matrices.
 //!
-//! The library's products pack their factors into other layouts first, which for such shapes takes
-//! longer than the arithmetic. Here rows stay where they are; tiles of the result stay in registers.
-//! Everything is in rows, in memory of the caller. Numbers of columns that are written are multiples
-//! of [`REGISTER`], which every width of register divides, so that there are no remainders.
+//! The products of the library repack their factors first, which for these shapes takes longer than
+//! the arithmetic. Here rows stay in place, and tiles of the result stay in registers. All matrices
+//! are row-major, in memory of the caller. The number of columns that are written is a multiple of
+//! [`COLUMN_MULTIPLE`], so that there are no remainders.
 
 use pulp::{Simd, WithSimd};
 
 use super::simd::dispatch;
 
-/// Columns of a block are a multiple of this: the doubles in the largest registers.
-pub(crate) const REGISTER: usize = 8;
+/// Columns of a block are a multiple of this: the doubles of the widest registers.
+pub(crate) const COLUMN_MULTIPLE: usize = 8;
 
-/// Rows of a block that are worked on while they are in the nearest cache.
-pub(crate) const CHUNK: usize = 64;
+/// Rows of a block that are processed together, as many as fit the first-level cache.
+pub(crate) const CHUNK_ROWS: usize = 64;
 
 /// Rows of a tile of the result. With three registers of columns its sums fill the 32 registers of
-/// the instruction sets with the widest ones.
-const TILE: usize = 8;
+/// the widest instruction sets.
+const TILE_ROWS: usize = 8;
 
-/// A block of vectors in rows that start `stride` values apart, from column `first` on.
+/// A view of some columns of a block of vectors whose rows start `stride` values apart.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Block<'a> {
+pub(crate) struct BlockView<'a> {
     pub(crate) data: &'a [f64],
     pub(crate) stride: usize,
     pub(crate) first: usize,
     pub(crate) columns: usize,
 }
 
-impl<'a> Block<'a> {
+impl<'a> BlockView<'a> {
     /// The first `columns` values of rows of `stride` values.
     pub(crate) fn new(data: &'a [f64], stride: usize, columns: usize) -> Self {
         Self { data, stride, first: 0, columns }
@@ -50,16 +50,16 @@ impl<'a> Block<'a> {
 }
 
 /// Adds Aᵀ B to `out`, which has a row of `out_stride` values for each column of A. The columns of B
-/// are a multiple of [`REGISTER`].
-pub(crate) fn add_gram(a: Block<'_>, b: Block<'_>, out: &mut [f64], out_stride: usize) {
+/// are a multiple of [`COLUMN_MULTIPLE`].
+pub(crate) fn add_gram(a: BlockView<'_>, b: BlockView<'_>, out: &mut [f64], out_stride: usize) {
     dispatch(Gram { a, b, out, out_stride });
 }
 
 /// Writes A T to the columns of `out` from `first` on, rows of `out_stride` values. T has a row for
-/// each column of A; its columns are a multiple of [`REGISTER`].
+/// each column of A; its columns are a multiple of [`COLUMN_MULTIPLE`].
 pub(crate) fn product(
-    a: Block<'_>,
-    t: Block<'_>,
+    a: BlockView<'_>,
+    t: BlockView<'_>,
     out: &mut [f64],
     out_stride: usize,
     first: usize,
@@ -67,34 +67,35 @@ pub(crate) fn product(
     dispatch(Product { a, t, out, out_stride, first });
 }
 
-/// Replaces the columns of `rows` from `first` on by those of `rows` T, where T has a row for each of
-/// the columns that are read and as many columns, a multiple of [`REGISTER`], as are written.
+/// Replaces the columns of `rows` from `first` on by those of `rows` T. T has one row per column
+/// that is read, and one column, a multiple of [`COLUMN_MULTIPLE`] in all, per column that is
+/// written.
 pub(crate) fn transform(
     rows: &mut [f64],
     stride: usize,
-    t: Block<'_>,
+    t: BlockView<'_>,
     first: usize,
     scratch: &mut [f64],
 ) {
     let read = t.rows();
-    let scratch = &mut scratch[..TILE * read];
-    for rows in rows.chunks_mut(TILE * stride) {
+    let scratch = &mut scratch[..TILE_ROWS * read];
+    for rows in rows.chunks_mut(TILE_ROWS * stride) {
         let count = rows.len() / stride;
         for (to, from) in scratch.chunks_exact_mut(read).zip(rows.chunks_exact(stride)) {
             to.copy_from_slice(&from[..read]);
         }
-        product(Block::new(&scratch[..count * read], read, read), t, rows, stride, first);
+        product(BlockView::new(&scratch[..count * read], read, read), t, rows, stride, first);
     }
 }
 
-/// Values of scratch space that [`transform`] needs to read so many columns.
+/// Length of the scratch space of [`transform`] for `read` columns that are read.
 pub(crate) fn transform_scratch(read: usize) -> usize {
-    TILE * read
+    TILE_ROWS * read
 }
 
 struct Gram<'a, 'b> {
-    a: Block<'a>,
-    b: Block<'a>,
+    a: BlockView<'a>,
+    b: BlockView<'a>,
     out: &'b mut [f64],
     out_stride: usize,
 }
@@ -121,15 +122,15 @@ impl Gram<'_, '_> {
     #[inline(always)]
     fn columns<S: Simd, const C: usize>(&mut self, simd: S, at: usize) -> usize {
         let mut p = 0;
-        while p + TILE <= self.a.columns {
-            // Narrow registers are few, too.
+        while p + TILE_ROWS <= self.a.columns {
+            // Instruction sets with narrow registers have fewer of them.
             if S::F64_LANES >= 8 {
-                self.tile::<S, TILE, C>(simd, p, at);
+                self.tile::<S, TILE_ROWS, C>(simd, p, at);
             } else {
                 self.tile::<S, 4, C>(simd, p, at);
                 self.tile::<S, 4, C>(simd, p + 4, at);
             }
-            p += TILE;
+            p += TILE_ROWS;
         }
         while p < self.a.columns {
             self.tile::<S, 1, C>(simd, p, at);
@@ -164,8 +165,8 @@ impl Gram<'_, '_> {
 }
 
 struct Product<'a, 'b> {
-    a: Block<'a>,
-    t: Block<'a>,
+    a: BlockView<'a>,
+    t: BlockView<'a>,
     out: &'b mut [f64],
     out_stride: usize,
     first: usize,
@@ -193,14 +194,14 @@ impl Product<'_, '_> {
     #[inline(always)]
     fn columns<S: Simd, const C: usize>(&mut self, simd: S, at: usize, rows: usize) -> usize {
         let mut i = 0;
-        while i + TILE <= rows {
+        while i + TILE_ROWS <= rows {
             if S::F64_LANES >= 8 {
-                self.tile::<S, TILE, C>(simd, i, at);
+                self.tile::<S, TILE_ROWS, C>(simd, i, at);
             } else {
                 self.tile::<S, 4, C>(simd, i, at);
                 self.tile::<S, 4, C>(simd, i + 4, at);
             }
-            i += TILE;
+            i += TILE_ROWS;
         }
         while i < rows {
             self.tile::<S, 1, C>(simd, i, at);
@@ -254,11 +255,11 @@ mod tests {
         {
             let (stride, other) = (inner + 3, width + 5);
             let (a, b, t) = (random(rows * stride), random(rows * other), random(inner * width));
-            let left = Block::new(&a, stride, inner);
+            let left = BlockView::new(&a, stride, inner);
             let mut gram = vec![1.0; inner * width];
-            add_gram(left, Block::new(&b, other, width), &mut gram, width);
+            add_gram(left, BlockView::new(&b, other, width), &mut gram, width);
             let mut out = random(rows * other);
-            product(left, Block::new(&t, width, width), &mut out, other, 5);
+            product(left, BlockView::new(&t, width, width), &mut out, other, 5);
             for q in 0..width {
                 for p in 0..inner {
                     let term = |i: usize| a[i * stride + p] * b[i * other + q];
@@ -278,10 +279,10 @@ mod tests {
     fn columns_are_transformed_where_they_stand() {
         let (rows, stride, read, width) = (21, 24, 19, 16);
         let (before, t) = (random(rows * stride), random(read * width));
-        let t = Block::new(&t, width, width);
+        let t = BlockView::new(&t, width, width);
         let (mut after, mut wanted) = (before.clone(), vec![0.0; rows * width]);
         transform(&mut after, stride, t, 8, &mut vec![0.0; transform_scratch(read)]);
-        product(Block::new(&before, stride, read), t, &mut wanted, width, 0);
+        product(BlockView::new(&before, stride, read), t, &mut wanted, width, 0);
         for (after, (before, wanted)) in
             after.chunks(stride).zip(before.chunks(stride).zip(wanted.chunks(width)))
         {

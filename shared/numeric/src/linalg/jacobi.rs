@@ -7,11 +7,11 @@ use super::backend::dense::Factors;
 use super::matrix::DenseMatrix;
 use super::vector::dot;
 
-/// Sweeps after which the columns are taken as they are; about ten suffice in practice.
+/// Most sweeps; about ten suffice in practice.
 const MAX_SWEEPS: usize = 60;
 
 /// Cosine between two columns below which they count as orthogonal.
-const ORTHOGONAL: f64 = 1e-15;
+const ORTHOGONAL_COSINE: f64 = 1e-15;
 
 /// Singular value decomposition A = U diag(σ) Vᵀ of a square n × n matrix, σ descending.
 ///
@@ -48,7 +48,7 @@ fn orthogonalise(w: &mut DenseMatrix, v: &mut DenseMatrix, p: usize, q: usize) -
     let alpha = dot(w.row(p), w.row(p));
     let beta = dot(w.row(q), w.row(q));
     let gamma = dot(w.row(p), w.row(q));
-    if gamma == 0.0 || gamma.abs() <= ORTHOGONAL * alpha.sqrt() * beta.sqrt() {
+    if gamma == 0.0 || gamma.abs() <= ORTHOGONAL_COSINE * alpha.sqrt() * beta.sqrt() {
         return false;
     }
     let zeta = (beta - alpha) / (2.0 * gamma);

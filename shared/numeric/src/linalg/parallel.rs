@@ -1,42 +1,44 @@
-//! Rows of large blocks, shared out over threads with the same result for any number of them.
+//! Parallel loops over the rows of large blocks, with the same result for any number of threads.
 //!
-//! Rows are worked on in parts whose bounds depend on the number of rows alone, and sums are made
-//! per part and then over the parts in order. Which thread takes which part decides nothing.
+//! Rows are divided into parts whose bounds depend on the number of rows alone. Sums are taken per
+//! part and then over the parts in order, so the assignment of parts to threads does not matter.
 
 use std::ops::Range;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// Rows of a part at least: enough work to be worth handing over, few enough that ten thousand rows
-/// are divided evenly.
-const LEAST_PART: usize = 512;
+/// Least rows of a part: enough work to be worth a task, few enough that ten thousand rows divide
+/// evenly.
+const MIN_PART_ROWS: usize = 512;
 
-/// Parts at most; each has sums of its own.
-const MOST_PARTS: usize = 512;
+/// Most parts; each has its own sums.
+const MAX_PARTS: usize = 512;
 
-/// Rows from which they are shared out: with fewer, threads would wait for one another longer than
-/// they work.
-const SHARED_ROWS: usize = 2048;
+/// Rows from which threads are used: with fewer, they would wait for one another longer than they
+/// work.
+const MIN_PARALLEL_ROWS: usize = 2048;
 
-/// Most threads that are started. More than any machine has cores help nobody, and each has a stack.
+/// Most threads that are started: more than any machine has cores, as each has a stack.
 const MAX_THREADS: usize = 1024;
 
-/// Threads that are kept from call to call.
+/// A thread pool that is kept from call to call.
 #[derive(Debug, Default)]
 pub(crate) struct Threads {
-    /// None for the calling thread alone.
+    /// `None` for the calling thread alone.
     pool: Option<ThreadPool>,
 }
 
 impl Threads {
-    /// As many threads, at most [`MAX_THREADS`]; the calling one if no more are available.
+    /// A pool of `threads` threads, at most [`MAX_THREADS`]; the calling thread alone if no pool
+    /// can be started.
     pub(crate) fn new(threads: usize) -> Self {
         let mut started = Self::default();
         started.start(threads);
         started
     }
 
-    /// Makes as many ready, at most [`MAX_THREADS`]; the calling one if no more are available.
+    /// Changes the number of threads, at most [`MAX_THREADS`]; the calling thread alone if no pool
+    /// can be started.
     pub(crate) fn start(&mut self, threads: usize) {
         let threads = threads.clamp(1, MAX_THREADS);
         if threads != self.count() {
@@ -45,12 +47,12 @@ impl Threads {
         }
     }
 
-    /// How many there are.
+    /// Number of threads.
     pub(crate) fn count(&self) -> usize {
         self.pool.as_ref().map_or(1, ThreadPool::current_num_threads)
     }
 
-    /// Runs where [`Parts`] may be shared out over them.
+    /// Runs `work` inside the pool, where [`Parts`] can use its threads.
     pub(crate) fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         match &self.pool {
             Some(pool) => pool.install(work),
@@ -59,7 +61,7 @@ impl Threads {
     }
 }
 
-/// What is written row by row, so that it can be divided between two rows.
+/// Output that can be split between two rows.
 pub(crate) trait Split: Send + Sized {
     /// The first `rows` rows, which are `parts` parts, and the others.
     fn split(self, rows: usize, parts: usize) -> (Self, Self);
@@ -69,7 +71,7 @@ pub(crate) trait Split: Send + Sized {
 #[derive(Debug)]
 pub(crate) struct Strided<'a, T>(pub(crate) &'a mut [T], pub(crate) usize);
 
-/// So many values for each part.
+/// The given number of values per part.
 #[derive(Debug)]
 pub(crate) struct PerPart<'a>(pub(crate) &'a mut [f64], pub(crate) usize);
 
@@ -87,7 +89,7 @@ impl Split for PerPart<'_> {
     }
 }
 
-/// Nothing is written.
+/// No output.
 impl Split for () {
     fn split(self, _rows: usize, _parts: usize) -> (Self, Self) {
         ((), ())
@@ -109,35 +111,35 @@ impl<A: Split, B: Split, C: Split> Split for (A, B, C) {
     }
 }
 
-/// So many rows in parts.
+/// Rows divided into parts.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Parts {
     rows: usize,
     size: usize,
-    shared: bool,
+    parallel: bool,
 }
 
 impl Parts {
-    /// Parts of `rows` rows. More than one of `threads` threads are used only within a pool of the
-    /// caller, and only for many rows.
+    /// Parts of `rows` rows. More than one of `threads` threads are used only inside the caller's
+    /// pool, and only for many rows.
     pub(crate) fn new(rows: usize, threads: usize) -> Self {
-        let size = rows.div_ceil(MOST_PARTS).max(LEAST_PART).next_multiple_of(8);
-        Self { rows, size, shared: threads > 1 && rows >= SHARED_ROWS }
+        let size = rows.div_ceil(MAX_PARTS).max(MIN_PART_ROWS).next_multiple_of(8);
+        Self { rows, size, parallel: threads > 1 && rows >= MIN_PARALLEL_ROWS }
     }
 
-    /// One part for each thread: for work whose result does not depend on how it is divided.
+    /// One part per thread: for work whose result does not depend on the division.
     pub(crate) fn one_each(rows: usize, threads: usize) -> Self {
-        let shared = threads > 1 && rows >= SHARED_ROWS;
-        let parts = if shared { threads } else { 1 };
-        Self { rows, size: rows.div_ceil(parts).max(1), shared }
+        let parallel = threads > 1 && rows >= MIN_PARALLEL_ROWS;
+        let parts = if parallel { threads } else { 1 };
+        Self { rows, size: rows.div_ceil(parts).max(1), parallel }
     }
 
-    /// How many parts there are, at least 1.
+    /// Number of parts, at least 1.
     pub(crate) fn count(&self) -> usize {
         self.rows.div_ceil(self.size).max(1)
     }
 
-    /// Calls `work` with the rows of each part and what of `out` belongs to it.
+    /// Calls `work` with the rows of each part and its share of `out`.
     pub(crate) fn run<O: Split>(&self, out: O, work: impl Fn(Range<usize>, O) + Sync) {
         self.descend(0..self.count(), out, &work);
     }
@@ -157,7 +159,7 @@ impl Parts {
         let (left, right) = out.split(half * self.size, half);
         let left = || self.descend(parts.start..middle, left, work);
         let right = || self.descend(middle..parts.end, right, work);
-        if self.shared {
+        if self.parallel {
             rayon::join(left, right);
         } else {
             left();
@@ -165,9 +167,8 @@ impl Parts {
         }
     }
 
-    /// Calls `work`, which sums up over the rows of a part, with those rows, what of `out` belongs
-    /// to them and zeros to add to; the sums over all parts are left in the first `length` values
-    /// of `sums`.
+    /// Calls `work` with the rows of each part, its share of `out`, and `length` zeros to add to.
+    /// Leaves the sums over all parts in the first `length` values of `sums`.
     pub(crate) fn sum<O: Split>(
         &self,
         sums: &mut Vec<f64>,

@@ -13,14 +13,14 @@ use thiserror::Error;
 use super::spectral::spectral_norm;
 
 /// Steps of the power method for each frame.
-const STEPS: usize = 4;
+const FRAME_STEPS: usize = 4;
 
 /// Most steps after a norm was taken, for the estimate to come near it.
 const FIRST_STEPS: usize = 200;
 
 /// What part of each vector is spread evenly over all nodes, so that it sees a part of the graph that
 /// becomes the heaviest one.
-const SPREAD: f64 = 1e-3;
+const EVEN_PART: f64 = 1e-3;
 
 /// The hysteresis of a [`NormBand`] is not a number from 0 to below 1.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
@@ -64,7 +64,7 @@ impl NormBand {
         if let Some(kept) = self.kept
             && (kept * (1.0 - h)..=kept * (1.0 + h)).contains(&self.estimate(
                 a,
-                STEPS,
+                FRAME_STEPS,
                 f64::INFINITY,
             ))
         {
@@ -100,7 +100,7 @@ impl NormBand {
             norm = top * squares.sqrt();
             let length = self.image.iter().map(|value| value * value).sum::<f64>().sqrt();
             for (value, image) in self.vector.iter_mut().zip(&self.image) {
-                *value = image / length.max(f64::MIN_POSITIVE) + SPREAD * even;
+                *value = image / length.max(f64::MIN_POSITIVE) + EVEN_PART * even;
             }
             let length = self.vector.iter().map(|value| value * value).sum::<f64>().sqrt();
             self.vector.iter_mut().for_each(|value| *value /= length);

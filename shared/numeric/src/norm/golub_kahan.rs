@@ -11,13 +11,13 @@ use crate::linalg::matrix::SparseMatrix;
 const MAX_VECTORS: usize = 4000;
 
 /// Vectors between two looks at how far it has come.
-const LOOK_EVERY: usize = 8;
+const CHECK_VECTORS: usize = 8;
 
 /// The largest eigenvalue of T is one of AᵀA up to this part of it.
 const TOLERANCE: f64 = 1e-14;
 
 /// Halvings of the interval in which the largest eigenvalue of T lies, down to rounding.
-const HALVINGS: usize = 64;
+const BISECTIONS: usize = 64;
 
 /// The largest singular value of `a`, divided by its largest weight `top`, which is above 0.
 ///
@@ -38,13 +38,13 @@ pub(crate) fn largest_singular_value(a: &SparseMatrix, top: f64) -> f64 {
         beta = step(&transposed, top, &u, alpha, &mut v);
         let coupling = alpha * beta;
         let is_last = coupling == 0.0 || count == MAX_VECTORS;
-        if is_last || count % LOOK_EVERY == 0 {
+        if is_last || count % CHECK_VECTORS == 0 {
             let value = tridiagonal.largest_eigenvalue();
             if is_last || coupling * tridiagonal.last_component(value) <= TOLERANCE * value {
                 return value.sqrt();
             }
         }
-        tridiagonal.beside.push(coupling);
+        tridiagonal.off_diagonal.push(coupling);
     }
     tridiagonal.largest_eigenvalue().sqrt()
 }
@@ -66,23 +66,24 @@ fn step(a: &SparseMatrix, top: f64, x: &[f64], factor: f64, y: &mut [f64]) -> f6
     length
 }
 
-/// A symmetric matrix of entries on the diagonal and beside it.
+/// A symmetric matrix of entries on the diagonal and off_diagonal it.
 #[derive(Debug, Default)]
 struct Tridiagonal {
     diagonal: Vec<f64>,
     /// One fewer, above 0.
-    beside: Vec<f64>,
+    off_diagonal: Vec<f64>,
 }
 
 impl Tridiagonal {
     fn largest_eigenvalue(&self) -> f64 {
         // Gershgorin's discs.
-        let beside = |j: usize| self.beside.get(j).copied().unwrap_or(0.0);
-        let upper =
-            |j: usize| self.diagonal[j] + beside(j) + if j > 0 { beside(j - 1) } else { 0.0 };
+        let off_diagonal = |j: usize| self.off_diagonal.get(j).copied().unwrap_or(0.0);
+        let upper = |j: usize| {
+            self.diagonal[j] + off_diagonal(j) + if j > 0 { off_diagonal(j - 1) } else { 0.0 }
+        };
         let mut high = (0..self.diagonal.len()).map(upper).fold(0.0, f64::max);
         let mut low = self.diagonal.iter().fold(0.0_f64, |top, value| top.max(*value));
-        for _ in 0..HALVINGS {
+        for _ in 0..BISECTIONS {
             let middle = 0.5 * (low + high);
             if self.is_below(middle) {
                 high = middle;
@@ -96,24 +97,25 @@ impl Tridiagonal {
     /// Whether all eigenvalues are below `value`: whether the pivots of T − `value` I are all negative.
     fn is_below(&self, value: f64) -> bool {
         let mut pivot = self.diagonal[0] - value;
-        for (diagonal, beside) in self.diagonal[1..].iter().zip(&self.beside) {
+        for (diagonal, off_diagonal) in self.diagonal[1..].iter().zip(&self.off_diagonal) {
             if pivot >= 0.0 {
                 return false;
             }
-            pivot = diagonal - value - beside * beside / pivot;
+            pivot = diagonal - value - off_diagonal * off_diagonal / pivot;
         }
         pivot < 0.0
     }
 
     /// Modulus of the last component of the eigenvector of length 1 to an eigenvalue, from the last to the
-    /// first, which is the direction in which they grow. It is 0 if it vanishes beside the others.
+    /// first, which is the direction in which they grow. It is 0 if it vanishes off_diagonal the others.
     fn last_component(&self, value: f64) -> f64 {
         const VANISHING: f64 = 1e100;
         let (mut last, mut next) = (1.0, 0.0);
         let mut square = 1.0;
         for j in (1..self.diagonal.len()).rev() {
-            let behind = self.beside.get(j).copied().unwrap_or(0.0);
-            let before = ((value - self.diagonal[j]) * last - behind * next) / self.beside[j - 1];
+            let behind = self.off_diagonal.get(j).copied().unwrap_or(0.0);
+            let before =
+                ((value - self.diagonal[j]) * last - behind * next) / self.off_diagonal[j - 1];
             (last, next) = (before, last);
             square += last * last;
             if square > VANISHING {

@@ -12,16 +12,16 @@ use crate::linalg::matrix::SparseMatrix;
 
 /// Relative width to which every component is swept at first, which tells those apart that could
 /// have the largest radius. It is enough of a start for Noda's iteration.
-const COARSE: Limits = Limits { width: 1e-2, sweeps: 100 };
+const COARSE_LIMITS: Limits = Limits { width: 1e-2, sweeps: 100 };
 
 /// Multiply-adds of a factorisation in the time of one of a sweep: it runs along rows.
 const FACTORISATION_SPEED: usize = 8;
 
 /// Sweeps that a factorisation must be worth to try sweeps in its place.
-const WORTH: usize = 1000;
+const MIN_FACTORISATION_SWEEPS: usize = 1000;
 
 /// Sweeps over a component at most, where they are tried in place of a factorisation.
-const SWEEPS: usize = 200;
+const MAX_BLOCK_SWEEPS: usize = 200;
 
 /// Multiply-adds spent on sweeps over a component that is too large to factorise.
 const SWEEP_WORK: usize = 400_000_000;
@@ -78,7 +78,7 @@ pub fn spectral_radius(a: &SparseMatrix, warm: Option<&[f64]>) -> SpectralRadius
         let block = induced_subgraph(a, &nodes, &mut place);
         let mut vectors = Vectors::default();
         vectors.x = start_vector(&nodes, warm);
-        let found = vectors.search(&block, result.lower, COARSE);
+        let found = vectors.search(&block, result.lower, COARSE_LIMITS);
         result.lower = result.lower.max(found.lower);
         write(&mut result.vector, &nodes, &vectors.x);
         open.push((nodes, block, found.upper));
@@ -118,8 +118,8 @@ fn bracket(block: &SparseMatrix, start: Vec<f64>, upper: f64) -> Perron {
         (SWEEP_WORK / edges).clamp(least, most)
     } else {
         match factorisation_work(block) / (FACTORISATION_SPEED * edges) {
-            ..WORTH => 0,
-            _ => SWEEPS,
+            ..MIN_FACTORISATION_SWEEPS => 0,
+            _ => MAX_BLOCK_SWEEPS,
         }
     };
     if sweeps > 0 {

@@ -18,10 +18,10 @@ const MAX_ROUNDS: usize = 200;
 const MIN_ROUNDS: usize = 8;
 
 /// Sweeps over the whole graph that a patch may cost; its products are dense, but much faster.
-const WORTH: usize = 4;
+const MAX_PATCH_SWEEPS: usize = 4;
 
 /// Rounds before the first look at the progress.
-const SETTLING: usize = 4;
+const SETTLING_ROUNDS: usize = 4;
 
 /// Scratch space for patches of one graph after the other.
 #[derive(Debug, Default)]
@@ -62,7 +62,7 @@ impl Patches {
             *v /= top;
         }
         let mut best = 0.0_f64;
-        let rounds = (WORTH * a.edges() / (m * m)).clamp(MIN_ROUNDS, MAX_ROUNDS);
+        let rounds = (MAX_PATCH_SWEEPS * a.edges() / (m * m)).clamp(MIN_ROUNDS, MAX_ROUNDS);
         for round in 0..rounds {
             let (norm, quotient) = self.multiply(m);
             if norm.is_nan() || norm <= 0.0 || quotient <= 0.0 {
@@ -70,7 +70,7 @@ impl Patches {
             }
             let gained = quotient > best * (1.0 + progress);
             best = best.max(quotient);
-            if !gained && round >= SETTLING {
+            if !gained && round >= SETTLING_ROUNDS {
                 break;
             }
             // A shift by half the quotient makes patches with eigenvalues ±λ converge too.
@@ -139,11 +139,11 @@ impl Patches {
 
 /// Scales to largest entry 1; what is too small to count becomes 0.
 fn rescale(vector: &mut [f64]) {
-    const LEAST: f64 = 1e-150;
+    const MIN_ITERATE: f64 = 1e-150;
     let top = vector.iter().fold(0.0_f64, |top, v| v.max(top));
     for v in vector {
         *v /= top;
-        if *v < LEAST {
+        if *v < MIN_ITERATE {
             *v = 0.0;
         }
     }

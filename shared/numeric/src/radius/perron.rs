@@ -25,20 +25,20 @@ pub(crate) const TOLERANCE: f64 = 1e-13;
 const MAX_POWER_STEPS: usize = 1000;
 
 /// Quotient of the bounds from which they are far apart.
-const FAR: f64 = 4.0;
+const FAR_RATIO: f64 = 4.0;
 
 /// Largest block that is factorised; larger ones keep the bounds that they come with.
 pub(crate) const MAX_FACTORISED: usize = 4096;
 
 /// Factorisations; about five suffice from a good start.
-const MAX_ITERATIONS: usize = 200;
+const MAX_FACTORISATIONS: usize = 200;
 
 /// Factorisations without visible progress after which rounding has the last word. Entries many
 /// orders of magnitude below the largest need a few iterations before the bounds see them.
-const PATIENCE: usize = 10;
+const MAX_STALLED_FACTORISATIONS: usize = 10;
 
 /// Smallest entry of an iterate relative to its largest: keeps quotients finite.
-const FLOOR: f64 = 1e-150;
+const MIN_ITERATE: f64 = 1e-150;
 
 /// Result for one block: bounds of ρ, and a positive vector with largest entry 1.
 pub(crate) struct Perron {
@@ -61,7 +61,7 @@ pub(crate) fn perron(
     let steps = if factorised { MAX_POWER_STEPS } else { 0 };
     for _ in 0..steps {
         let product = state.tighten(a);
-        if state.tight() || state.upper <= FAR * state.lower {
+        if state.tight() || state.upper <= FAR_RATIO * state.lower {
             break;
         }
         // The mean of x and Ax makes periodic graphs (rings, two-cycles) converge too. It is the
@@ -88,10 +88,10 @@ pub(crate) fn widened(a: &SparseMatrix, (lower, upper): (f64, f64), vector: Vec<
 fn iterate(a: &SparseMatrix, state: &mut Bracket) {
     let order = bandwidth_order(a);
     let mut stalled = 0;
-    for _ in 0..MAX_ITERATIONS {
+    for _ in 0..MAX_FACTORISATIONS {
         let width = state.width();
         let product = state.tighten(a);
-        if state.tight() || stalled > PATIENCE {
+        if state.tight() || stalled > MAX_STALLED_FACTORISATIONS {
             return;
         }
         stalled = if state.width() < 0.99 * width { 0 } else { stalled + 1 };
@@ -117,12 +117,13 @@ impl Bracket {
 
     /// Improves the bounds by the quotients of the current iterate and returns A x.
     ///
-    /// Entries at [`FLOOR`] stand for smaller ones and would spoil the lower bound. A principal
+    /// Entries at [`MIN_ITERATE`] stand for smaller ones and would spoil the lower bound. A principal
     /// submatrix has no larger Perron root, so that the lower bound may leave them out.
     fn tighten(&mut self, a: &SparseMatrix) -> Vec<f64> {
         let product = multiply(a, &self.x);
         self.upper = self.upper.min(largest_quotient(&self.x, &product));
-        let kept: Vec<f64> = self.x.iter().map(|&v| if v > FLOOR { v } else { 0.0 }).collect();
+        let kept: Vec<f64> =
+            self.x.iter().map(|&v| if v > MIN_ITERATE { v } else { 0.0 }).collect();
         let inner = if kept == self.x { product.clone() } else { multiply(a, &kept) };
         let quotients = kept.iter().zip(&inner).filter(|e| *e.0 > 0.0).map(|(x, y)| y / x);
         self.lower = self.lower.max(quotients.fold(f64::INFINITY, f64::min));
@@ -152,7 +153,7 @@ fn largest_quotient(x: &[f64], product: &[f64]) -> f64 {
 fn normalised(mut x: Vec<f64>) -> Vec<f64> {
     let top = x.iter().fold(0.0_f64, |m, &v| m.max(v));
     for v in &mut x {
-        *v = (*v / top).max(FLOOR);
+        *v = (*v / top).max(MIN_ITERATE);
     }
     x
 }

@@ -5,35 +5,35 @@ use super::sweep::{Chebyshev, Sweep, averaged_power, multiply};
 use crate::linalg::matrix::SparseMatrix;
 
 /// Nodes of the first patch; later ones are twice as large each time.
-const FIRST_PATCH: usize = 48;
+const FIRST_PATCH_NODES: usize = 48;
 
 /// Nodes of the largest patch. Its m × m means are multiplied several times.
-const LARGEST_PATCH: usize = 384;
+const MAX_PATCH_NODES: usize = 384;
 
 /// Sweeps before the second patch; the pause doubles each time, as long searches gain from long
 /// undisturbed sequences of Chebyshev steps.
-const PATCH_PAUSE: usize = 6;
+const PATCH_PAUSE_SWEEPS: usize = 6;
 
 /// Where the system is solved: at σ = (1 + this part of the width) × lower bound.
-const SHIFT: f64 = 0.75;
+const SHIFT_WIDTHS: f64 = 0.75;
 
 /// Part of the width by which a round on a patch has to raise its bound to be followed by another.
-const PATCH_PROGRESS: f64 = 1.0 / 64.0;
+const PATCH_PROGRESS_WIDTHS: f64 = 1.0 / 64.0;
 
 /// Sweeps without a better upper bound after which Chebyshev steps are given up: the spectrum is
 /// far from real, or the lower bound is far too low.
-const PATIENCE: usize = 32;
+const MAX_STALLED_SWEEPS: usize = 32;
 
 /// How many sweeps one counts for whose bracket is more than twice as wide as the best one; near
 /// ρ the quotients of a good iterate stay close to the best for long before they improve.
-const BAD: usize = 4;
+const WIDE_BRACKET_SWEEPS: usize = 4;
 
 /// Sweeps without a better upper bound after which the power method is given up too.
-const POWER_PATIENCE: usize = 64;
+const MAX_STALLED_POWER_STEPS: usize = 64;
 
 /// Entries of an iterate from which it is of no use: the weights spread over too many orders of
 /// magnitude for sweeps.
-const HUGE: f64 = 1e150;
+const MAX_ITERATE: f64 = 1e150;
 
 /// When a search ends.
 #[derive(Debug, Clone, Copy)]
@@ -107,9 +107,9 @@ impl Vectors {
         let first = multiply(a, x, next);
         found.take(first);
         // A round on a patch of √edges nodes costs as much as a sweep.
-        let mut size = FIRST_PATCH.max((*sufficed).min(a.edges().isqrt())).min(n);
+        let mut size = FIRST_PATCH_NODES.max((*sufficed).min(a.edges().isqrt())).min(n);
         if !found.tight(width) && first.top > 0.0 {
-            let own = patches.lower_bound(a, next, first.peak, size, width * PATCH_PROGRESS);
+            let own = patches.lower_bound(a, next, first.peak, size, width * PATCH_PROGRESS_WIDTHS);
             found.lower = found.lower.max(own);
         }
         if found.tight(width) || found.lower <= 0.0 {
@@ -122,7 +122,7 @@ impl Vectors {
         chebyshev.advance();
         std::mem::swap(x, next);
 
-        let mut pause = PATCH_PAUSE;
+        let mut pause = PATCH_PAUSE_SWEEPS;
         let mut next_patch = found.sweeps + pause;
         let mut stalled = 0;
         let mut power = false;
@@ -136,26 +136,27 @@ impl Vectors {
             let bad = sweep.upper - found.lower > 2.0 * (found.upper - found.lower);
             stalled = match (better, bad) {
                 (true, _) => 0,
-                (_, true) => stalled + BAD,
+                (_, true) => stalled + WIDE_BRACKET_SWEEPS,
                 _ => stalled + 1,
             };
-            if sweep.top.is_nan() || sweep.top > HUGE {
+            if sweep.top.is_nan() || sweep.top > MAX_ITERATE {
                 x.fill(1.0);
                 break;
             }
-            if found.tight(width) || (power && stalled > POWER_PATIENCE) {
+            if found.tight(width) || (power && stalled > MAX_STALLED_POWER_STEPS) {
                 break;
             }
-            let stuck = !power && stalled > PATIENCE;
+            let stuck = !power && stalled > MAX_STALLED_SWEEPS;
             if found.sweeps >= next_patch || stuck {
                 // Without progress above, the bracket may still be wide from below.
-                size = (size * if stuck { 4 } else { 2 }).min(LARGEST_PATCH).min(n);
+                size = (size * if stuck { 4 } else { 2 }).min(MAX_PATCH_NODES).min(n);
                 pause *= 2;
                 next_patch = found.sweeps + pause;
-                let own = patches.lower_bound(a, x, sweep.peak, size, width * PATCH_PROGRESS);
+                let own =
+                    patches.lower_bound(a, x, sweep.peak, size, width * PATCH_PROGRESS_WIDTHS);
                 found.lower = found.lower.max(own);
             }
-            let risen = found.lower * (1.0 + SHIFT * width) > sigma * (1.0 + 0.25 * width);
+            let risen = found.lower * (1.0 + SHIFT_WIDTHS * width) > sigma * (1.0 + 0.25 * width);
             if risen && !power {
                 (sigma, chebyshev) = shift(found.lower, width);
                 stalled = 0;
@@ -170,6 +171,6 @@ impl Vectors {
 
 /// The shift σ for a lower bound, and the first step of the semi-iteration for decay 1/σ.
 fn shift(lower: f64, width: f64) -> (f64, Chebyshev) {
-    let sigma = lower * (1.0 + SHIFT * width);
+    let sigma = lower * (1.0 + SHIFT_WIDTHS * width);
     (sigma, Chebyshev::new(1.0 / sigma, lower / sigma))
 }

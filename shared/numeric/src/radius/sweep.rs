@@ -70,11 +70,11 @@ pub(crate) fn multiply(a: &SparseMatrix, x: &[f64], product: &mut [f64]) -> Swee
 /// converges for periodic graphs too (see [`crate::noda`]).
 pub(crate) fn averaged_power(a: &SparseMatrix, x: &[f64], next: &mut [f64], sigma: f64) -> Sweep {
     let scale = 1.0 / sigma;
-    sweep(a, x, next, |x, product, _| (x * (scale * product)).sqrt().max(LEAST))
+    sweep(a, x, next, |x, product, _| (x * (scale * product)).sqrt().max(MIN_ITERATE))
 }
 
 /// Smallest entry of an iterate of the power method, which keeps quotients finite.
-const LEAST: f64 = 1e-150;
+const MIN_ITERATE: f64 = 1e-150;
 
 #[inline(always)]
 fn sweep(

@@ -14,27 +14,27 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::linalg::Aligned;
-use crate::linalg::block_vectors::{Block, CHUNK, REGISTER, product};
+use crate::linalg::block_vectors::{BlockView, CHUNK_ROWS, COLUMN_MULTIPLE, product};
 use crate::linalg::parallel::{Parts, Strided};
 use crate::linalg::simd::dispatch;
 use crate::svd::operator::KatzOperator;
 use basis::Basis;
-use polynomial::{FIT_COLUMNS, Polynomial, SINGLE_REGISTER, to_double};
+use polynomial::{FIT_COLUMNS, Polynomial, SINGLE_COLUMN_MULTIPLE, to_double};
 
 /// More vectors than asked for that are carried along: how fast the last one wanted converges depends
 /// on the gap to the first that is not carried.
-const EXTRA: usize = 8;
+const EXTRA_VECTORS: usize = 8;
 
 /// New directions that the search space has room for before it is restarted with the best vectors, in
 /// rounds. More save rounds, and make each of them dearer: by products of the length of the graph, and by
-/// the small eigenproblem, which is what counts for graphs of up to [`SMALL`] nodes.
-const ROUNDS: usize = 2;
+/// the small eigenproblem, which is what counts for graphs of up to [`SMALL_NODES`] nodes.
+const SPACE_ROUNDS: usize = 2;
 
 /// The same for small graphs.
-const SMALL_ROUNDS: usize = 1;
+const SMALL_SPACE_ROUNDS: usize = 1;
 
 /// Nodes of a small graph.
-const SMALL: usize = 2048;
+const SMALL_NODES: usize = 2048;
 
 /// Rounds after which the search gives up.
 const MAX_ROUNDS: usize = 300;
@@ -44,7 +44,7 @@ const MAX_ROUNDS: usize = 300;
 pub(crate) const NULL_VALUE_RATIO: f64 = 1e-7;
 
 /// Residual below which there is no direction left in a column.
-const SPENT: f64 = 1e-14;
+const SPENT_RESIDUAL: f64 = 1e-14;
 
 /// What is asked for.
 #[derive(Debug, Clone, Copy)]
@@ -75,7 +75,7 @@ pub struct SearchRound {
 /// Triplets in the own order of the operator, in rows of `width` values.
 #[derive(Debug, Default)]
 pub(crate) struct Triplets {
-    /// Values in a row, a multiple of [`REGISTER`]; those beyond the rank asked for are less exact, and
+    /// Values in a row, a multiple of [`COLUMN_MULTIPLE`]; those beyond the rank asked for are less exact, and
     /// those beyond the number of values are zero.
     pub(crate) width: usize,
     /// Right vectors V, n × width.
@@ -132,18 +132,21 @@ pub struct SearchColumns {
 #[must_use]
 pub fn search_columns(nodes: usize, rank: usize) -> SearchColumns {
     let carried = width_for(rank);
-    let rounds = if nodes <= SMALL { SMALL_ROUNDS } else { ROUNDS };
-    SearchColumns { carried, space: carried + rounds * rank.next_multiple_of(SINGLE_REGISTER) }
+    let rounds = if nodes <= SMALL_NODES { SMALL_SPACE_ROUNDS } else { SPACE_ROUNDS };
+    SearchColumns {
+        carried,
+        space: carried + rounds * rank.next_multiple_of(SINGLE_COLUMN_MULTIPLE),
+    }
 }
 
 /// Values in a row of the triplets for so many that are asked for.
 pub(crate) fn width_for(rank: usize) -> usize {
-    (rank + EXTRA).next_multiple_of(REGISTER)
+    (rank + EXTRA_VECTORS).next_multiple_of(COLUMN_MULTIPLE)
 }
 
 /// Leading triplets of the Katz similarity behind `operator`.
 ///
-/// `start` holds directions W to begin with, n × p in rows, p a multiple of [`REGISTER`], in the own order
+/// `start` holds directions W to begin with, n × p in rows, p a multiple of [`COLUMN_MULTIPLE`], in the own order
 /// of the operator: V + UΣ of a similar graph, for example. Random ones fill what is missing.
 pub(crate) fn leading_triplets(
     operator: &KatzOperator,
@@ -151,18 +154,18 @@ pub(crate) fn leading_triplets(
     start: (&[f64], usize),
     work: &mut Workspace,
     out: &mut Triplets,
-    watch: &mut (dyn FnMut(SearchRound) + Send),
+    progress: &mut (dyn FnMut(SearchRound) + Send),
 ) {
     let n = operator.nodes();
     let width = width_for(request.rank);
     let parts = Parts::new(n, request.threads);
     // What rounding leaves of the space in a direction grows with the inverse square of what is left of the
     // direction; it is to stay below a millionth of the tolerance.
-    let little = (2e-8 / request.tolerance).sqrt().clamp(0.003, 0.3);
-    let mut search = Search { operator, request, n, width, parts, little, work };
+    let least_length = (2e-8 / request.tolerance).sqrt().clamp(0.003, 0.3);
+    let mut search = Search { operator, request, n, width, parts, least_length, work };
     search.reserve(out);
     search.begin(start);
-    search.run(out, watch);
+    search.run(out, progress);
 }
 
 struct Search<'a> {
@@ -174,7 +177,7 @@ struct Search<'a> {
     parts: Parts,
     /// Length that must be left of every new direction of length 1, beside the space and the other ones,
     /// for rounding not to spoil its being orthogonal.
-    little: f64,
+    least_length: f64,
     work: &'a mut Workspace,
 }
 
@@ -188,7 +191,7 @@ impl Search<'_> {
             buffer.resize(n * width);
         }
         for buffer in &mut work.single {
-            buffer.resize(n * width.next_multiple_of(SINGLE_REGISTER));
+            buffer.resize(n * width.next_multiple_of(SINGLE_COLUMN_MULTIPLE));
         }
         out.width = width;
         let Workspace { basis, polynomial, sums, .. } = work;
@@ -201,7 +204,7 @@ impl Search<'_> {
             self.expand(block, stride, columns);
         }
         let missing = self.width.saturating_sub(self.work.basis.size).max(self.request.probes);
-        let columns = missing.next_multiple_of(REGISTER).min(self.width).min(self.room());
+        let columns = missing.next_multiple_of(COLUMN_MULTIPLE).min(self.width).min(self.room());
         if columns > 0 {
             let mut block = std::mem::take(&mut self.work.block);
             let mut rng = ChaCha8Rng::seed_from_u64(self.request.seed);
@@ -211,13 +214,13 @@ impl Search<'_> {
         }
     }
 
-    /// Columns that the space has room for, a multiple of [`REGISTER`].
+    /// Columns that the space has room for, a multiple of [`COLUMN_MULTIPLE`].
     fn room(&self) -> usize {
         let basis = &self.work.basis;
-        (basis.stride - basis.size) / REGISTER * REGISTER
+        (basis.stride - basis.size) / COLUMN_MULTIPLE * COLUMN_MULTIPLE
     }
 
-    fn run(&mut self, out: &mut Triplets, watch: &mut (dyn FnMut(SearchRound) + Send)) {
+    fn run(&mut self, out: &mut Triplets, progress: &mut (dyn FnMut(SearchRound) + Send)) {
         out.rounds = 0;
         let mut plain = false;
         loop {
@@ -233,24 +236,24 @@ impl Search<'_> {
             let within = out.residuals[..rank].iter().filter(|residual| **residual <= tolerance);
             let open = rank - within.count();
             out.converged = open == 0;
-            watch(SearchRound { round: out.rounds, open, rank });
+            progress(SearchRound { round: out.rounds, open, rank });
             let whole = self.work.basis.size >= self.n;
             if out.converged || out.rounds >= MAX_ROUNDS || whole {
                 return;
             }
             let wanted = self.choose(out);
-            if wanted.next_multiple_of(REGISTER) > self.room() {
+            if wanted.next_multiple_of(COLUMN_MULTIPLE) > self.room() {
                 self.restart(out);
             }
             let columns = wanted.min(self.room());
-            let width = columns.next_multiple_of(REGISTER);
+            let width = columns.next_multiple_of(COLUMN_MULTIPLE);
             if columns == 0 {
                 return;
             }
             let mut block = std::mem::take(&mut self.work.block);
             let directions = &mut block[..self.n * width];
             if plain {
-                let stride = width.next_multiple_of(SINGLE_REGISTER);
+                let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
                 to_double(&self.work.single[0][..self.n * stride], stride, directions, width);
             } else {
                 let Workspace { polynomial, single, .. } = &mut *self.work;
@@ -273,11 +276,11 @@ impl Search<'_> {
     /// of them were independent.
     fn expand(&mut self, w: &[f64], stride: usize, columns: usize) -> usize {
         let operator = self.operator;
-        let width = columns.next_multiple_of(REGISTER);
+        let width = columns.next_multiple_of(COLUMN_MULTIPLE);
         let fill = |rows, space: &mut [f64], image: &mut [f64], to_stride, first| {
-            operator.take_in(rows, w, stride, width, space, image, to_stride, first);
+            operator.map_directions(rows, w, stride, width, space, image, to_stride, first);
         };
-        self.work.basis.add(self.parts, columns, width, self.little, fill)
+        self.work.basis.add(self.parts, columns, width, self.least_length, fill)
     }
 
     /// The best triplets of the space, and U + VΣ into the block. False when there are none in floating
@@ -304,14 +307,20 @@ impl Search<'_> {
         inverse.clear();
         inverse.extend(sigma.iter().map(|s| if *s > null { 1.0 / s } else { 0.0 }));
         let (stride, size) = (basis.stride, basis.size);
-        let coefficients = Block::new(&basis.coefficients, width, width);
+        let coefficients = BlockView::new(&basis.coefficients, width, width);
         let vectors = (Strided(&mut out.right, width), Strided(&mut out.image, width));
         let (space, image) = basis.vectors();
         let blocks = (vectors.0, vectors.1, Strided(block, width));
         self.parts.run(blocks, |rows, (right, own_image, block)| {
             let own = rows.start * stride..rows.end * stride;
-            product(Block::new(&space[own.clone()], stride, size), coefficients, right.0, width, 0);
-            product(Block::new(&image[own], stride, size), coefficients, own_image.0, width, 0);
+            product(
+                BlockView::new(&space[own.clone()], stride, size),
+                coefficients,
+                right.0,
+                width,
+                0,
+            );
+            product(BlockView::new(&image[own], stride, size), coefficients, own_image.0, width, 0);
             combine(right.0, own_image.0, sigma, inverse, block.0);
         });
         true
@@ -322,7 +331,7 @@ impl Search<'_> {
         let width = self.width;
         let operator = self.operator;
         let Workspace { block, single, sums, sigma, .. } = &mut *self.work;
-        let stride = width.next_multiple_of(SINGLE_REGISTER);
+        let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
         let top = sigma[0];
         let scale = if top > 0.0 { 1.0 / top } else { 0.0 };
         let (block, right, sigma) = (&*block, &*out.right, &*sigma);
@@ -346,16 +355,18 @@ impl Search<'_> {
         let Workspace { single, open, .. } = &mut *self.work;
         let residuals = &out.residuals;
         // Those that are carried along get directions only where registers are not filled without.
-        let count = residuals.len().min(self.request.rank.next_multiple_of(SINGLE_REGISTER));
+        let count = residuals.len().min(self.request.rank.next_multiple_of(SINGLE_COLUMN_MULTIPLE));
         open.clear();
         open.extend((0..count).filter(|c| residuals[*c] > tolerance));
         // Registers hold so many columns, and what is left over costs as much as a whole one.
-        let missing = open.len().next_multiple_of(REGISTER) - open.len();
-        let rest = (0..count).filter(|c| (SPENT..=tolerance).contains(&residuals[*c]));
+        let missing = open.len().next_multiple_of(COLUMN_MULTIPLE) - open.len();
+        let rest = (0..count).filter(|c| (SPENT_RESIDUAL..=tolerance).contains(&residuals[*c]));
         open.extend(rest.take(missing));
-        let width = open.len().next_multiple_of(REGISTER);
-        let (from, to) =
-            (self.width.next_multiple_of(SINGLE_REGISTER), width.next_multiple_of(SINGLE_REGISTER));
+        let width = open.len().next_multiple_of(COLUMN_MULTIPLE);
+        let (from, to) = (
+            self.width.next_multiple_of(SINGLE_COLUMN_MULTIPLE),
+            width.next_multiple_of(SINGLE_COLUMN_MULTIPLE),
+        );
         if open.iter().enumerate().all(|(place, c)| place == *c) && from == to {
             return open.len();
         }
@@ -382,14 +393,20 @@ impl Search<'_> {
         let basis = &mut self.work.basis;
         let columns = width.min(basis.size);
         basis.size = 0;
-        basis.add(self.parts, columns, width, self.little, |rows, space, image, stride, first| {
-            let own = rows.start * width..rows.end * width;
-            for (to, from) in [(space, &out.right[own.clone()]), (image, &out.image[own])] {
-                for (to, from) in to.chunks_mut(stride).zip(from.chunks_exact(width)) {
-                    to[first..first + width].copy_from_slice(from);
+        basis.add(
+            self.parts,
+            columns,
+            width,
+            self.least_length,
+            |rows, space, image, stride, first| {
+                let own = rows.start * width..rows.end * width;
+                for (to, from) in [(space, &out.right[own.clone()]), (image, &out.image[own])] {
+                    for (to, from) in to.chunks_mut(stride).zip(from.chunks_exact(width)) {
+                        to[first..first + width].copy_from_slice(from);
+                    }
                 }
-            }
-        });
+            },
+        );
     }
 }
 
@@ -409,7 +426,7 @@ fn combine(right: &[f64], image: &[f64], sigma: &[f64], inverse: &[f64], out: &m
     });
 }
 
-const _: () = assert!(CHUNK.is_multiple_of(REGISTER));
+const _: () = assert!(CHUNK_ROWS.is_multiple_of(COLUMN_MULTIPLE));
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -34,7 +34,7 @@ pub const KEEP: f64 = 0.1;
 
 /// The K of the frame before that was raised is kept while the last value there is within this fraction of
 /// the one that is needed.
-const SWAP: f64 = 0.02;
+const SWAP_RATIO: f64 = 0.02;
 
 /// The largest K from 2 to max(`teams`, 2) of which ln(σ_K / σ_{K+1}) is at least [`LARGE_DROP`] times
 /// the largest there is in that range; K = 2 where no value drops.
@@ -138,7 +138,7 @@ pub fn choose_seeing_dimension(
         && ratio(previous).ln() >= (LARGE_DROP - KEEP) * largest;
     let swapped = previous > raised
         && raised > ruled
-        && sigma[previous - 1] >= (1.0 - SWAP) * sigma[raised - 1];
+        && sigma[previous - 1] >= (1.0 - SWAP_RATIO) * sigma[raised - 1];
     Choice { dimension: if as_good || swapped { previous } else { raised }, short }
 }
 

@@ -7,11 +7,13 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::points::{CHUNK, Points};
+use super::points::{CHUNK_POINTS, Points};
 use super::sums::Move;
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::dispatch;
-use crate::linalg::simd_pack::{AHEAD, Block, GROUP, Panels, REGISTERS, over_group, products};
+use crate::linalg::simd_pack::{
+    BLOCK_REGISTERS, GROUP_POINTS, GroupKernel, PREFETCH_BLOCKS, SimdPack, over_group, products,
+};
 use crate::linalg::vector::squared_distance;
 
 /// Mark of a point whose two nearest centroids cannot be told apart by the shortened distance.
@@ -21,7 +23,7 @@ const UNDECIDED: u64 = u64::MAX;
 pub(super) struct Packed {
     clusters: usize,
     /// −c, centred as the points are.
-    negative: Panels,
+    negative: SimdPack,
     /// ½‖c‖²; infinite for places without a centroid, which nothing is near to.
     halves: Vec<f64>,
 }
@@ -30,7 +32,7 @@ impl Packed {
     /// Packs the rows of `centroids`.
     pub(super) fn new(points: &Points<'_>, centroids: &DenseMatrix) -> Self {
         let clusters = centroids.rows();
-        let negative = Panels::zeros(clusters, centroids.cols());
+        let negative = SimdPack::zeros(clusters, centroids.cols());
         let halves = vec![f64::INFINITY; negative.places()];
         let mut packed = Self { clusters, negative, halves };
         for (c, row) in centroids.iter_rows().enumerate() {
@@ -48,9 +50,13 @@ impl Packed {
 
     /// Runs `block` over all centroids.
     #[inline(always)]
-    pub(super) fn over<S: Simd, const R: usize>(&self, simd: S, block: &mut impl Block<S, R>) {
+    pub(super) fn over<S: Simd, const R: usize>(
+        &self,
+        simd: S,
+        block: &mut impl GroupKernel<S, R>,
+    ) {
         for group in 0..self.negative.groups() {
-            over_group(simd, block, group, self.clusters - group * GROUP);
+            over_group(simd, block, group, self.clusters - group * GROUP_POINTS);
         }
     }
 
@@ -63,8 +69,8 @@ impl Packed {
         place: usize,
         group: usize,
     ) -> [[S::f64s; R]; C] {
-        let (panels, others) = (&points.panels, &self.negative);
-        products::<S, R, C, F, AHEAD>(simd, panels, place, others, group, &self.halves)
+        let (pack, others) = (&points.pack, &self.negative);
+        products::<S, R, C, F, PREFETCH_BLOCKS>(simd, pack, place, others, group, &self.halves)
     }
 }
 
@@ -101,7 +107,7 @@ pub(super) fn assign_chunk(
     labels: &mut [u32],
 ) -> Changes {
     let changes = Changes { count: 0, list: Vec::new() };
-    let first = chunk * CHUNK;
+    let first = chunk * CHUNK_POINTS;
     dispatch(Assign { points, centroids, packed, first, labels, changes })
 }
 
@@ -119,11 +125,11 @@ impl WithSimd for Assign<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) -> Changes {
-        let end = self.first + self.labels.len().next_multiple_of(GROUP);
+        let end = self.first + self.labels.len().next_multiple_of(GROUP_POINTS);
         let mut at = self.first;
-        while at + REGISTERS * S::F64_LANES <= end {
-            self.block::<S, REGISTERS>(simd, at);
-            at += REGISTERS * S::F64_LANES;
+        while at + BLOCK_REGISTERS * S::F64_LANES <= end {
+            self.block::<S, BLOCK_REGISTERS>(simd, at);
+            at += BLOCK_REGISTERS * S::F64_LANES;
         }
         while at < end {
             self.block::<S, 1>(simd, at);
@@ -146,10 +152,10 @@ impl Assign<'_> {
             index: [simd.splat_u64s(0); R],
         };
         self.packed.over(simd, &mut nearest);
-        let mut found = [0; GROUP * REGISTERS];
+        let mut found = [0; GROUP_POINTS * BLOCK_REGISTERS];
         let (registers, _) = S::as_mut_simd_u64s(&mut found);
         let (squares, _) = S::as_simd_f64s(&self.points.squares[place..]);
-        let slack = simd.splat_f64s(slack(self.points.panels.dims()));
+        let slack = simd.splat_f64s(slack(self.points.pack.dims()));
         let smallest = simd.splat_f64s(f64::MIN_POSITIVE);
         for r in 0..R {
             let scale = simd.add_f64s(squares[r], simd.abs_f64s(nearest.best[r]));
@@ -166,13 +172,13 @@ impl Assign<'_> {
             differ |= u64::from(*label) != *found;
         }
         if differ {
-            self.settle(start, &found[..count]);
+            self.write_labels(start, &found[..count]);
         }
     }
 
     /// Writes down the labels of some points from the `start`-th of the chunk on.
     #[inline(never)]
-    fn settle(&mut self, start: usize, found: &[u64]) {
+    fn write_labels(&mut self, start: usize, found: &[u64]) {
         let many = self.labels.len() / 2;
         for (i, &found) in found.iter().enumerate() {
             let point = self.first + start + i;
@@ -203,13 +209,13 @@ struct Nearest<'a, S: Simd, const R: usize> {
     index: [S::u64s; R],
 }
 
-impl<S: Simd, const R: usize> Block<S, R> for Nearest<'_, S, R> {
+impl<S: Simd, const R: usize> GroupKernel<S, R> for Nearest<'_, S, R> {
     #[allow(clippy::needless_range_loop, reason = "registers of several arrays belong together")]
     #[inline(always)]
     fn run<const C: usize, const F: usize>(&mut self, simd: S, group: usize) {
         let values = self.packed.shortened::<S, R, C, F>(simd, self.points, self.place, group);
         for c in 0..C {
-            let number = simd.splat_u64s((group * GROUP + F + c) as u64);
+            let number = simd.splat_u64s((group * GROUP_POINTS + F + c) as u64);
             for r in 0..R {
                 let value = values[c][r];
                 let less = simd.less_than_f64s(value, self.best[r]);

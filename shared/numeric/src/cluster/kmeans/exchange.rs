@@ -11,7 +11,7 @@ use super::assign::{Packed, slack};
 use super::partition::Partition;
 use super::points::Points;
 use crate::linalg::simd::dispatch;
-use crate::linalg::simd_pack::{Block, GROUP, REGISTERS};
+use crate::linalg::simd_pack::{BLOCK_REGISTERS, GROUP_POINTS, GroupKernel};
 use crate::linalg::vector::squared_distance;
 
 /// Relative gain below which a single point is not moved; rounding could make it move for ever.
@@ -19,7 +19,7 @@ const MIN_GAIN: f64 = 1e-10;
 
 /// Factor by which the margin exceeds that of an assignment. A point is compared with centroids up
 /// to twice as far away as its own here, and both distances count at most twice.
-const MARGIN: f64 = 8.0;
+const MARGIN_FACTOR: f64 = 8.0;
 
 impl Partition {
     /// Moves single points to other clusters while that lowers the inertia; returns the passes
@@ -103,7 +103,7 @@ impl Screen {
     fn new(points: &Points<'_>, partition: &Partition, keep: f64) -> Self {
         let packed = Packed::new(points, &partition.centroids);
         let clusters = partition.sizes.len();
-        let costs = vec![1.0; clusters.next_multiple_of(GROUP)];
+        let costs = vec![1.0; clusters.next_multiple_of(GROUP_POINTS)];
         let mut screen = Self { packed, keep, costs, savings: vec![0.0; clusters] };
         for c in 0..clusters {
             screen.weigh(partition, c);
@@ -140,13 +140,13 @@ impl WithSimd for Next<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Option<usize> {
-        let end = self.labels.len().next_multiple_of(GROUP);
-        let mut at = self.from / GROUP * GROUP;
-        while at + REGISTERS * S::F64_LANES <= end {
-            if let Some(found) = self.block::<S, REGISTERS>(simd, at) {
+        let end = self.labels.len().next_multiple_of(GROUP_POINTS);
+        let mut at = self.from / GROUP_POINTS * GROUP_POINTS;
+        while at + BLOCK_REGISTERS * S::F64_LANES <= end {
+            if let Some(found) = self.block::<S, BLOCK_REGISTERS>(simd, at) {
                 return Some(found);
             }
-            at += REGISTERS * S::F64_LANES;
+            at += BLOCK_REGISTERS * S::F64_LANES;
         }
         while at < end {
             if let Some(found) = self.block::<S, 1>(simd, at) {
@@ -165,8 +165,8 @@ impl Next<'_> {
         let labels = &self.labels[place.min(self.labels.len())..];
         let count = (R * S::F64_LANES).min(labels.len());
         let labels = &labels[..count];
-        let mut own_label = [0_u64; GROUP * REGISTERS];
-        let mut saving = [0.0; GROUP * REGISTERS];
+        let mut own_label = [0_u64; GROUP_POINTS * BLOCK_REGISTERS];
+        let mut saving = [0.0; GROUP_POINTS * BLOCK_REGISTERS];
         for ((own, saving), &label) in own_label.iter_mut().zip(&mut saving).zip(labels) {
             *own = u64::from(label);
             *saving = self.screen.savings[label as usize];
@@ -187,9 +187,9 @@ impl Next<'_> {
         gains.squares.copy_from_slice(&squares[..R]);
         self.screen.packed.over(simd, &mut gains);
 
-        let slack = simd.splat_f64s(MARGIN * slack(self.points.panels.dims()));
+        let slack = simd.splat_f64s(MARGIN_FACTOR * slack(self.points.pack.dims()));
         let smallest = simd.splat_f64s(f64::MIN_POSITIVE);
-        let mut suspects = [0_u64; GROUP * REGISTERS];
+        let mut suspects = [0_u64; GROUP_POINTS * BLOCK_REGISTERS];
         let (registers, _) = S::as_mut_simd_u64s(&mut suspects);
         for r in 0..R {
             let scale = simd.add_f64s(squares[r], simd.abs_f64s(gains.own[r]));
@@ -223,16 +223,16 @@ struct Gains<'a, S: Simd, const R: usize> {
     cheapest: [S::f64s; R],
 }
 
-impl<S: Simd, const R: usize> Block<S, R> for Gains<'_, S, R> {
+impl<S: Simd, const R: usize> GroupKernel<S, R> for Gains<'_, S, R> {
     #[allow(clippy::needless_range_loop, reason = "registers of several arrays belong together")]
     #[inline(always)]
     fn run<const C: usize, const F: usize>(&mut self, simd: S, group: usize) {
         let packed = &self.screen.packed;
         let values = packed.shortened::<S, R, C, F>(simd, self.points, self.place, group);
-        let costs = &self.screen.costs[group * GROUP..(group + 1) * GROUP];
+        let costs = &self.screen.costs[group * GROUP_POINTS..(group + 1) * GROUP_POINTS];
         let (two, never) = (simd.splat_f64s(2.0), simd.splat_f64s(f64::INFINITY));
         for c in 0..C {
-            let number = simd.splat_u64s((group * GROUP + F + c) as u64);
+            let number = simd.splat_u64s((group * GROUP_POINTS + F + c) as u64);
             let cost = simd.splat_f64s(costs[F + c]);
             for r in 0..R {
                 let square = simd.mul_add_e_f64s(two, values[c][r], self.squares[r]);

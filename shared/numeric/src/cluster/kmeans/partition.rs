@@ -1,14 +1,14 @@
 //! A partition of points into clusters, and Lloyd's iteration.
 
 use super::assign::{Packed, assign_chunk};
-use super::points::{CHUNK, Points, spread};
+use super::points::{CHUNK_POINTS, Points, spread};
 use super::sums::{Move, Sums};
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::vector::squared_distance;
 
 /// Share of the points that may change their cluster before all sums are made anew. To move a point
 /// costs two additions at places that are in no cache, to add it costs one.
-const FEW: usize = 3;
+const MOVED_POINT_SHARE: usize = 3;
 
 /// Points per cluster in each part of a sum, so that the partial sums never take more than half of
 /// the memory of the points.
@@ -74,7 +74,7 @@ impl Partition {
     /// Means of all clusters; those of empty clusters are zero.
     fn set_means(&mut self, points: &Points<'_>) {
         let (clusters, dims) = (self.sizes.len(), self.centroids.cols());
-        let part = (POINTS_PER_SUM * clusters).next_multiple_of(CHUNK);
+        let part = (POINTS_PER_SUM * clusters).next_multiple_of(CHUNK_POINTS);
         let sums = points.over_chunks(&self.labels, part, |number, labels| {
             let mut sums = Sums::zeros(clusters, dims);
             sums.add_rows(points.x, number * part, labels);
@@ -138,12 +138,12 @@ impl Partition {
     fn assign(&mut self, points: &Points<'_>) -> (usize, Option<Vec<Move>>) {
         let packed = Packed::new(points, &self.centroids);
         let centroids = &self.centroids;
-        let changes = points.for_chunks(&mut self.labels, CHUNK, |chunk, labels| {
+        let changes = points.for_chunks(&mut self.labels, CHUNK_POINTS, |chunk, labels| {
             assign_chunk(points, centroids, &packed, chunk, labels)
         });
         let count = changes.iter().map(|part| part.count).sum();
         let complete = changes.iter().all(|part| part.list.len() == part.count);
-        let few = complete && count <= points.len() / FEW;
+        let few = complete && count <= points.len() / MOVED_POINT_SHARE;
         (count, few.then(|| changes.into_iter().flat_map(|part| part.list).collect()))
     }
 
@@ -185,8 +185,8 @@ impl Partition {
 
     /// Sum of squared distances to the centroids.
     pub(super) fn inertia(&self, points: &Points<'_>) -> f64 {
-        let parts = points.over_chunks(&self.labels, CHUNK, |number, labels| {
-            spread(points.x, number * CHUNK, labels, &self.centroids)
+        let parts = points.over_chunks(&self.labels, CHUNK_POINTS, |number, labels| {
+            spread(points.x, number * CHUNK_POINTS, labels, &self.centroids)
         });
         parts.into_iter().sum()
     }

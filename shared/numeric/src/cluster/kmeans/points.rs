@@ -5,12 +5,12 @@ use rayon::prelude::*;
 
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::dispatch;
-use crate::linalg::simd_pack::{GROUP, Panels, REGISTERS};
+use crate::linalg::simd_pack::{BLOCK_REGISTERS, GROUP_POINTS, SimdPack};
 
 /// Points that are worked on together, by one thread: a multiple of what a kernel takes at a time.
 /// The bounds of the chunks depend on nothing else, so that sums over chunks are the same for any
 /// number of threads.
-pub(super) const CHUNK: usize = 256 * GROUP * REGISTERS;
+pub(super) const CHUNK_POINTS: usize = 256 * GROUP_POINTS * BLOCK_REGISTERS;
 
 /// Fewest points whose chunks are shared out over threads; for fewer the threads would spend their
 /// time on waiting for each other.
@@ -19,7 +19,7 @@ const PARALLEL_POINTS: usize = 100_000;
 /// The points, as they were given, and packed and centred.
 pub(super) struct Points<'a> {
     pub(super) x: &'a DenseMatrix,
-    pub(super) panels: Panels,
+    pub(super) pack: SimdPack,
     /// What the packed points are centred by.
     pub(super) centre: Vec<f64>,
     /// Squared length of every packed point.
@@ -31,10 +31,10 @@ impl<'a> Points<'a> {
     /// Packs the rows of `x`, at least one. Chunks are shared out over the threads of the pool that
     /// this runs in if `threads` is above 1 and there are enough of them.
     pub(super) fn new(x: &'a DenseMatrix, threads: usize) -> Self {
-        let (panels, centre) = Panels::centred(x);
-        let squares = panels.squares();
+        let (pack, centre) = SimdPack::centred(x);
+        let squares = pack.squares();
         let parallel = threads > 1 && x.rows() >= PARALLEL_POINTS;
-        Self { x, panels, centre, squares, parallel }
+        Self { x, pack, centre, squares, parallel }
     }
 
     /// Number of points.

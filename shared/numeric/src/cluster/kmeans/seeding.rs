@@ -4,10 +4,12 @@ use pulp::{Simd, WithSimd};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::points::{CHUNK, Points, longest_square};
+use super::points::{CHUNK_POINTS, Points, longest_square};
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::dispatch;
-use crate::linalg::simd_pack::{Block, GROUP, Panels, REGISTERS, over_group, squared_distances};
+use crate::linalg::simd_pack::{
+    BLOCK_REGISTERS, GROUP_POINTS, GroupKernel, SimdPack, over_group, squared_distances,
+};
 use crate::linalg::vector::squared_distance;
 
 /// Points nearer to each other than this fraction of the longest row count as equal: nodes that
@@ -72,7 +74,7 @@ struct NearestChosen {
 impl NearestChosen {
     /// Distances from no point: infinite.
     fn new(points: &Points<'_>) -> Self {
-        let mut squares = vec![f64::INFINITY; points.panels.places()];
+        let mut squares = vec![f64::INFINITY; points.pack.places()];
         squares[points.len()..].fill(0.0);
         Self { points: points.len(), squares, sums: Vec::new() }
     }
@@ -80,19 +82,19 @@ impl NearestChosen {
     /// Takes one more point into account.
     fn add(&mut self, points: &Points<'_>, point: usize) {
         let others = packed(points, &[point]);
-        self.sums = points.for_chunks(&mut self.squares, CHUNK, |number, squares| {
-            dispatch(Lower { points, others: &others, first: number * CHUNK, squares })
+        self.sums = points.for_chunks(&mut self.squares, CHUNK_POINTS, |number, squares| {
+            dispatch(Lower { points, others: &others, first: number * CHUNK_POINTS, squares })
         });
     }
 
     /// For each of the given points the sum of squared distances if it were added.
     fn potentials(&self, points: &Points<'_>, others: &[usize]) -> Vec<f64> {
         let mut totals = Vec::with_capacity(others.len());
-        for others in others.chunks(GROUP) {
+        for others in others.chunks(GROUP_POINTS) {
             let count = others.len();
             let others = packed(points, others);
-            let parts = points.over_chunks(&self.squares, CHUNK, |number, squares| {
-                let first = number * CHUNK;
+            let parts = points.over_chunks(&self.squares, CHUNK_POINTS, |number, squares| {
+                let first = number * CHUNK_POINTS;
                 dispatch(Potentials { points, others: &others, count, first, squares })
             });
             let total = |c: usize| parts.iter().map(|part| part[c]).sum::<f64>();
@@ -118,8 +120,8 @@ impl NearestChosen {
             }
             left -= sum;
         }
-        let start = chunk * CHUNK;
-        let end = (start + CHUNK).min(self.points);
+        let start = chunk * CHUNK_POINTS;
+        let end = (start + CHUNK_POINTS).min(self.points);
         let mut last = start;
         for (i, &weight) in self.squares[start..end].iter().enumerate() {
             if weight > 0.0 {
@@ -135,17 +137,17 @@ impl NearestChosen {
 }
 
 /// Some of the points as one group.
-fn packed(points: &Points<'_>, chosen: &[usize]) -> Panels {
-    let mut panels = Panels::zeros(GROUP, points.x.cols());
+fn packed(points: &Points<'_>, chosen: &[usize]) -> SimdPack {
+    let mut pack = SimdPack::zeros(GROUP_POINTS, points.x.cols());
     for (place, &point) in chosen.iter().enumerate() {
-        panels.copy_point(place, &points.panels, point);
+        pack.copy_point(place, &points.pack, point);
     }
-    panels
+    pack
 }
 
 struct Lower<'a> {
     points: &'a Points<'a>,
-    others: &'a Panels,
+    others: &'a SimdPack,
     first: usize,
     squares: &'a mut [f64],
 }
@@ -157,20 +159,20 @@ impl WithSimd for Lower<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let mut total = simd.splat_f64s(0.0);
         let (squares, _) = S::as_mut_simd_f64s(self.squares);
-        let panels = &self.points.panels;
-        let mut blocks = squares.chunks_exact_mut(REGISTERS);
+        let pack = &self.points.pack;
+        let mut blocks = squares.chunks_exact_mut(BLOCK_REGISTERS);
         let mut place = self.first;
         for block in &mut blocks {
             let [found, _] =
-                squared_distances::<S, REGISTERS, 2, 0>(simd, panels, place, self.others, 0);
-            for r in 0..REGISTERS {
+                squared_distances::<S, BLOCK_REGISTERS, 2, 0>(simd, pack, place, self.others, 0);
+            for r in 0..BLOCK_REGISTERS {
                 block[r] = simd.min_f64s(block[r], found[r]);
                 total = simd.add_f64s(total, block[r]);
             }
-            place += REGISTERS * S::F64_LANES;
+            place += BLOCK_REGISTERS * S::F64_LANES;
         }
         for square in blocks.into_remainder() {
-            let [[found], _] = squared_distances::<S, 1, 2, 0>(simd, panels, place, self.others, 0);
+            let [[found], _] = squared_distances::<S, 1, 2, 0>(simd, pack, place, self.others, 0);
             *square = simd.min_f64s(*square, found);
             total = simd.add_f64s(total, *square);
             place += S::F64_LANES;
@@ -181,32 +183,32 @@ impl WithSimd for Lower<'_> {
 
 struct Potentials<'a> {
     points: &'a Points<'a>,
-    others: &'a Panels,
+    others: &'a SimdPack,
     count: usize,
     first: usize,
     squares: &'a [f64],
 }
 
 impl WithSimd for Potentials<'_> {
-    type Output = [f64; GROUP];
+    type Output = [f64; GROUP_POINTS];
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> [f64; GROUP] {
-        let mut sums = [simd.splat_f64s(0.0); GROUP];
+    fn with_simd<S: Simd>(self, simd: S) -> [f64; GROUP_POINTS] {
+        let mut sums = [simd.splat_f64s(0.0); GROUP_POINTS];
         let (squares, _) = S::as_simd_f64s(self.squares);
-        let (blocks, rest) = squares.as_chunks::<REGISTERS>();
+        let (blocks, rest) = squares.as_chunks::<BLOCK_REGISTERS>();
         let mut place = self.first;
         for squares in blocks {
             let mut sum = Sum { work: &self, place, squares: *squares, sums: &mut sums };
             over_group(simd, &mut sum, 0, self.count);
-            place += REGISTERS * S::F64_LANES;
+            place += BLOCK_REGISTERS * S::F64_LANES;
         }
         for square in rest {
             let mut sum = Sum { work: &self, place, squares: [*square], sums: &mut sums };
             over_group(simd, &mut sum, 0, self.count);
             place += S::F64_LANES;
         }
-        let mut totals = [0.0; GROUP];
+        let mut totals = [0.0; GROUP_POINTS];
         for (total, sum) in totals.iter_mut().zip(sums) {
             *total = simd.reduce_sum_f64s(sum);
         }
@@ -219,16 +221,16 @@ struct Sum<'a, S: Simd, const R: usize> {
     work: &'a Potentials<'a>,
     place: usize,
     squares: [S::f64s; R],
-    sums: &'a mut [S::f64s; GROUP],
+    sums: &'a mut [S::f64s; GROUP_POINTS],
 }
 
-impl<S: Simd, const R: usize> Block<S, R> for Sum<'_, S, R> {
+impl<S: Simd, const R: usize> GroupKernel<S, R> for Sum<'_, S, R> {
     #[allow(clippy::needless_range_loop, reason = "registers of several arrays belong together")]
     #[inline(always)]
     fn run<const C: usize, const F: usize>(&mut self, simd: S, group: usize) {
-        let panels = &self.work.points.panels;
+        let pack = &self.work.points.pack;
         let others = self.work.others;
-        let found = squared_distances::<S, R, C, F>(simd, panels, self.place, others, group);
+        let found = squared_distances::<S, R, C, F>(simd, pack, self.place, others, group);
         for c in 0..C {
             for r in 0..R {
                 let square = simd.min_f64s(found[c][r], self.squares[r]);

@@ -8,11 +8,11 @@ use pulp::{Simd, WithSimd};
 
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::{dispatch, prefetch};
-use crate::linalg::simd_pack::GROUP;
+use crate::linalg::simd_pack::GROUP_POINTS;
 
 /// Moves between the one that is made and the one whose row is fetched into the cache meanwhile.
 /// The rows lie anywhere, so that the processor does not foresee which comes next.
-const AHEAD: usize = 8;
+const PREFETCH_MOVES: usize = 8;
 
 /// A point that goes from one cluster to another.
 #[derive(Debug, Clone, Copy)]
@@ -155,8 +155,8 @@ impl WithSimd for Transfer<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let dims = self.sums.dims;
         for (i, &Move { point, from, to }) in self.moves.iter().enumerate() {
-            if let Some(later) = self.moves.get(i + AHEAD) {
-                for line in self.x.row(later.point as usize).chunks(GROUP) {
+            if let Some(later) = self.moves.get(i + PREFETCH_MOVES) {
+                for line in self.x.row(later.point as usize).chunks(GROUP_POINTS) {
                     prefetch(&line[0], 0);
                 }
             }

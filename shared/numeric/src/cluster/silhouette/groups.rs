@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::types::{Method, Silhouette, SilhouetteError};
 use crate::linalg::matrix::DenseMatrix;
-use crate::linalg::simd_pack::{GROUP, Panels};
+use crate::linalg::simd_pack::{GROUP_POINTS, SimdPack};
 
 /// At least two clusters, numbered by ascending label.
 pub(super) struct Groups {
@@ -40,7 +40,7 @@ impl Groups {
 
 /// The points of each cluster packed next to one another, every cluster from a new group on.
 pub(super) struct Ordered {
-    pub(super) panels: Panels,
+    pub(super) pack: SimdPack,
     /// First place of each cluster, and behind the last one.
     pub(super) starts: Vec<usize>,
     /// Place of each point.
@@ -58,23 +58,23 @@ impl Ordered {
         let mut starts = vec![0];
         let mut end = 0;
         for size in &groups.sizes {
-            end += size.next_multiple_of(GROUP);
+            end += size.next_multiple_of(GROUP_POINTS);
             starts.push(end);
         }
         let mut next = starts.clone();
-        let mut panels = Panels::zeros(end, x.cols());
+        let mut pack = SimdPack::zeros(end, x.cols());
         let mut used = vec![0.0; end];
         let mut place = Vec::with_capacity(x.rows());
         for (row, &c) in x.iter_rows().zip(&groups.member) {
             let at = &mut next[c as usize];
-            panels.set(*at, row.iter().zip(centre).map(|(v, c)| v - c));
+            pack.set(*at, row.iter().zip(centre).map(|(v, c)| v - c));
             used[*at] = 1.0;
             place.push(*at as u32);
             *at += 1;
         }
-        let squares = panels.squares();
+        let squares = pack.squares();
         let minus_halves = squares.iter().map(|square| -0.5 * square).collect();
-        Self { panels, starts, place, squares, minus_halves, used }
+        Self { pack, starts, place, squares, minus_halves, used }
     }
 }
 

@@ -3,7 +3,7 @@
 //! ‖x − y‖² = ‖x‖² + ‖y‖² − 2x·y takes one multiplication per coordinate instead of two operations,
 //! and loses digits where points are much nearer to each other than to the centre. There the
 //! differences themselves are squared instead, so that every distance is right to rounding; see
-//! [`NEAR`].
+//! [`NEAR_SHARE`].
 
 use std::ops::Range;
 
@@ -14,12 +14,12 @@ use super::types::{Method, Silhouette, SilhouetteError};
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::dispatch;
 use crate::linalg::simd_pack::{
-    Block, GROUP, Panels, centre, over_halves, products, squared_distances,
+    GROUP_POINTS, GroupKernel, SimdPack, centre, over_halves, products, squared_distances,
 };
 
 /// Points of one cluster that all points of another are compared with before the next ones are:
 /// they and what is summed for them stay in the fastest cache.
-const TILE: usize = 32 * GROUP;
+const TILE_POINTS: usize = 32 * GROUP_POINTS;
 
 /// Share of ‖x‖² below which ‖x − y‖² is computed from the differences.
 ///
@@ -27,11 +27,11 @@ const TILE: usize = 32 * GROUP;
 /// (D + 4)u(‖x‖ + ‖y‖)² (Higham, Accuracy and Stability of Numerical Algorithms, section 3.1), and
 /// ‖y‖ ≤ ‖x‖ + ‖x − y‖: the relative error of a distance is below 150(D + 4)u, and hardly ever above
 /// u for points that do not lie close together.
-const NEAR: f64 = 1.0 / 64.0;
+const NEAR_SHARE: f64 = 1.0 / 64.0;
 
 /// Coordinates up to which differences are squared throughout. That is hardly slower there, and
 /// among points of few coordinates many lie close together.
-const FEW_DIMS: usize = 6;
+const MAX_DIRECT_DIMS: usize = 6;
 
 /// Silhouette (b − a) / max(a, b) of every row of `x`, where a is the mean distance to the other
 /// members of its cluster and b the smallest mean distance to the members of another cluster.
@@ -54,20 +54,20 @@ pub(super) fn all_pairs(x: &DenseMatrix, groups: &Groups) -> Vec<f64> {
     let centre = centre(x);
     let ordered = Ordered::new(x, &centre, groups);
     let (starts, sizes) = (&ordered.starts, &groups.sizes);
-    let mut scores = Scores::new(ordered.panels.places());
-    let mut rows = vec![0.0; sizes.iter().max().map_or(0, |n| n.next_multiple_of(GROUP))];
-    let mut columns = vec![0.0; TILE * GROUP];
+    let mut scores = Scores::new(ordered.pack.places());
+    let mut rows = vec![0.0; sizes.iter().max().map_or(0, |n| n.next_multiple_of(GROUP_POINTS))];
+    let mut columns = vec![0.0; TILE_POINTS * GROUP_POINTS];
     for a in 0..sizes.len() {
         let places = starts[a]..starts[a + 1];
         for b in a..sizes.len() {
             let rows = &mut rows[..places.len()];
             rows.fill(0.0);
-            for first in (starts[b]..starts[b + 1]).step_by(TILE) {
-                let tile = first..(first + TILE).min(starts[b + 1]);
-                let columns = &mut columns[..tile.len() * GROUP];
+            for first in (starts[b]..starts[b + 1]).step_by(TILE_POINTS) {
+                let tile = first..(first + TILE_POINTS).min(starts[b + 1]);
+                let columns = &mut columns[..tile.len() * GROUP_POINTS];
                 columns.fill(0.0);
                 dispatch(Sweep {
-                    points: &ordered.panels,
+                    points: &ordered.pack,
                     squares: &ordered.squares,
                     weights: &ordered.used,
                     places: places.clone(),
@@ -78,7 +78,7 @@ pub(super) fn all_pairs(x: &DenseMatrix, groups: &Groups) -> Vec<f64> {
                     rows,
                     columns,
                 });
-                for (place, lanes) in tile.zip(columns.chunks_exact(GROUP)) {
+                for (place, lanes) in tile.zip(columns.chunks_exact(GROUP_POINTS)) {
                     scores.add(place, lanes.iter().sum(), sizes[a], a == b);
                 }
             }
@@ -96,23 +96,23 @@ pub(super) fn all_pairs(x: &DenseMatrix, groups: &Groups) -> Vec<f64> {
 pub(super) fn some_points(x: &DenseMatrix, groups: &Groups, chosen: &[usize]) -> Vec<f64> {
     let centre = centre(x);
     let ordered = Ordered::new(x, &centre, groups);
-    let mut panels = Panels::zeros(chosen.len(), x.cols());
+    let mut pack = SimdPack::zeros(chosen.len(), x.cols());
     for (place, &point) in chosen.iter().enumerate() {
-        panels.set(place, x.row(point).iter().zip(&centre).map(|(v, c)| v - c));
+        pack.set(place, x.row(point).iter().zip(&centre).map(|(v, c)| v - c));
     }
-    let squares = panels.squares();
-    let places = 0..panels.places();
-    let weights = vec![0.0; panels.places()];
+    let squares = pack.squares();
+    let places = 0..pack.places();
+    let weights = vec![0.0; pack.places()];
     let mut scores = Scores::new(chosen.len());
     let mut rows = vec![0.0; places.len()];
-    let mut columns = vec![0.0; TILE * GROUP];
+    let mut columns = vec![0.0; TILE_POINTS * GROUP_POINTS];
     for (c, &size) in groups.sizes.iter().enumerate() {
         rows.fill(0.0);
-        for first in (ordered.starts[c]..ordered.starts[c + 1]).step_by(TILE) {
-            let tile = first..(first + TILE).min(ordered.starts[c + 1]);
-            let columns = &mut columns[..tile.len() * GROUP];
+        for first in (ordered.starts[c]..ordered.starts[c + 1]).step_by(TILE_POINTS) {
+            let tile = first..(first + TILE_POINTS).min(ordered.starts[c + 1]);
+            let columns = &mut columns[..tile.len() * GROUP_POINTS];
             dispatch(Sweep {
-                points: &panels,
+                points: &pack,
                 squares: &squares,
                 weights: &weights,
                 places: places.clone(),
@@ -161,7 +161,7 @@ impl Scores {
 
 /// Distances between the points at `places` and those of a tile of one cluster, summed for both.
 struct Sweep<'a> {
-    points: &'a Panels,
+    points: &'a SimdPack,
     /// ‖x‖² of the points.
     squares: &'a [f64],
     /// What a distance counts for the points of the tile, one per place of `points`.
@@ -175,7 +175,7 @@ struct Sweep<'a> {
     same: bool,
     /// Sums over the tile, one per place.
     rows: &'a mut [f64],
-    /// Sums over the places, [`GROUP`] parts per point of the tile.
+    /// Sums over the places, [`GROUP_POINTS`] parts per point of the tile.
     columns: &'a mut [f64],
 }
 
@@ -220,25 +220,25 @@ impl Sweep<'_> {
             others: self.others,
             place,
             first: self.tile.start,
-            short: self.points.dims() > FEW_DIMS,
+            short: self.points.dims() > MAX_DIRECT_DIMS,
             squares: [simd.splat_f64s(0.0); R],
             weights: [simd.splat_f64s(0.0); R],
             rows: [simd.splat_f64s(0.0); R],
             columns,
         };
         distances.squares.copy_from_slice(&squares[..R]);
-        let mut group = self.tile.start / GROUP;
+        let mut group = self.tile.start / GROUP_POINTS;
         if self.same {
             // Pairs with earlier points of the cluster were counted when it was their turn.
-            group = group.max(place / GROUP);
-            while group < (end / GROUP).min(self.tile.end / GROUP) {
-                over_halves(simd, &mut distances, group, self.end - group * GROUP);
+            group = group.max(place / GROUP_POINTS);
+            while group < (end / GROUP_POINTS).min(self.tile.end / GROUP_POINTS) {
+                over_halves(simd, &mut distances, group, self.end - group * GROUP_POINTS);
                 group += 1;
             }
         }
         distances.weights.copy_from_slice(&weights[..R]);
-        for group in group..self.tile.end / GROUP {
-            over_halves(simd, &mut distances, group, self.end - group * GROUP);
+        for group in group..self.tile.end / GROUP_POINTS {
+            over_halves(simd, &mut distances, group, self.end - group * GROUP_POINTS);
         }
         let found = distances.rows;
         let start = place - self.places.start;
@@ -251,7 +251,7 @@ impl Sweep<'_> {
 
 /// Sums of the distances of R registers of points.
 struct Distances<'a, S: Simd, const R: usize> {
-    points: &'a Panels,
+    points: &'a SimdPack,
     others: &'a Ordered,
     place: usize,
     /// First place of the tile.
@@ -263,7 +263,7 @@ struct Distances<'a, S: Simd, const R: usize> {
     /// What a distance counts for the other point.
     weights: [S::f64s; R],
     rows: [S::f64s; R],
-    /// One register of parts per point of the tile, [`GROUP`] lanes or as many registers.
+    /// One register of parts per point of the tile, [`GROUP_POINTS`] lanes or as many registers.
     columns: &'a mut [S::f64s],
 }
 
@@ -272,11 +272,11 @@ impl<S: Simd, const R: usize> Distances<'_, S, R> {
     #[allow(clippy::needless_range_loop, reason = "registers of several arrays belong together")]
     #[inline(always)]
     fn squared<const C: usize, const F: usize>(&self, simd: S, group: usize) -> [[S::f64s; R]; C] {
-        let (points, place, panels) = (self.points, self.place, &self.others.panels);
+        let (points, place, pack) = (self.points, self.place, &self.others.pack);
         if self.short {
             let starts = &self.others.minus_halves;
-            let mut found = products::<S, R, C, F, 0>(simd, points, place, panels, group, starts);
-            let (two, near) = (simd.splat_f64s(2.0), simd.splat_f64s(NEAR));
+            let mut found = products::<S, R, C, F, 0>(simd, points, place, pack, group, starts);
+            let (two, near) = (simd.splat_f64s(2.0), simd.splat_f64s(NEAR_SHARE));
             let mut nearest = simd.splat_f64s(0.0);
             for r in 0..R {
                 let limit = simd.mul_f64s(near, self.squares[r]);
@@ -290,19 +290,19 @@ impl<S: Simd, const R: usize> Distances<'_, S, R> {
                 return found;
             }
         }
-        squared_distances::<S, R, C, F>(simd, points, place, panels, group)
+        squared_distances::<S, R, C, F>(simd, points, place, pack, group)
     }
 }
 
-impl<S: Simd, const R: usize> Block<S, R> for Distances<'_, S, R> {
+impl<S: Simd, const R: usize> GroupKernel<S, R> for Distances<'_, S, R> {
     #[allow(clippy::needless_range_loop, reason = "registers of several arrays belong together")]
     #[inline(always)]
     fn run<const C: usize, const F: usize>(&mut self, simd: S, group: usize) {
         let squares = self.squared::<C, F>(simd, group);
-        let used = &self.others.used[group * GROUP..(group + 1) * GROUP];
-        let per = GROUP / S::F64_LANES;
-        let start = (group * GROUP - self.first) * per;
-        let columns = &mut self.columns[start..start + GROUP * per];
+        let used = &self.others.used[group * GROUP_POINTS..(group + 1) * GROUP_POINTS];
+        let per = GROUP_POINTS / S::F64_LANES;
+        let start = (group * GROUP_POINTS - self.first) * per;
+        let columns = &mut self.columns[start..start + GROUP_POINTS * per];
         for c in 0..C {
             let counts = simd.splat_f64s(used[F + c]);
             let mut column = columns[(F + c) * per];

@@ -6,7 +6,9 @@ use super::groups::{Groups, summary, value};
 use super::types::{Method, Silhouette, SilhouetteError};
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::dispatch;
-use crate::linalg::simd_pack::{Block, GROUP, Panels, REGISTERS, over_group, squared_distances};
+use crate::linalg::simd_pack::{
+    BLOCK_REGISTERS, GROUP_POINTS, GroupKernel, SimdPack, over_group, squared_distances,
+};
 
 /// As [`silhouette`](super::silhouette), with squared Euclidean distances throughout, in O(N k D).
 ///
@@ -22,12 +24,12 @@ pub fn silhouette_squared(
     labels: &[usize],
 ) -> Result<Silhouette, SilhouetteError> {
     let groups = Groups::new(x, labels)?;
-    let (panels, centre) = Panels::centred(x);
+    let (pack, centre) = SimdPack::centred(x);
     let (means, spreads) = moments(x, &centre, &groups);
-    let mut own = vec![0.0; panels.places()];
-    let mut next = vec![f64::INFINITY; panels.places()];
+    let mut own = vec![0.0; pack.places()];
+    let mut next = vec![f64::INFINITY; pack.places()];
     dispatch(Means {
-        panels: &panels,
+        pack: &pack,
         means: &means,
         spreads: &spreads,
         clusters: groups.sizes.len(),
@@ -45,7 +47,7 @@ pub fn silhouette_squared(
 
 /// Mean m of each cluster, centred, and the mean of ‖y − m‖² over its members; infinite for places
 /// without a cluster.
-fn moments(x: &DenseMatrix, centre: &[f64], groups: &Groups) -> (Panels, Vec<f64>) {
+fn moments(x: &DenseMatrix, centre: &[f64], groups: &Groups) -> (SimdPack, Vec<f64>) {
     let (clusters, dims) = (groups.sizes.len(), x.cols());
     let mut sums = vec![0.0; clusters * dims];
     for (row, &c) in x.iter_rows().zip(&groups.member) {
@@ -54,7 +56,7 @@ fn moments(x: &DenseMatrix, centre: &[f64], groups: &Groups) -> (Panels, Vec<f64
             *sum += value - middle;
         }
     }
-    let mut means = Panels::zeros(clusters, dims);
+    let mut means = SimdPack::zeros(clusters, dims);
     for (c, &size) in groups.sizes.iter().enumerate() {
         let mean = &mut sums[c * dims..(c + 1) * dims];
         for sum in mean.iter_mut() {
@@ -81,8 +83,8 @@ fn moments(x: &DenseMatrix, centre: &[f64], groups: &Groups) -> (Panels, Vec<f64
 /// For each point the mean squared distance to its own cluster, itself included, and the least one
 /// to another.
 struct Means<'a> {
-    panels: &'a Panels,
-    means: &'a Panels,
+    pack: &'a SimdPack,
+    means: &'a SimdPack,
     spreads: &'a [f64],
     clusters: usize,
     member: &'a [u32],
@@ -96,9 +98,9 @@ impl WithSimd for Means<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(mut self, simd: S) {
         let mut at = 0;
-        while at + REGISTERS * S::F64_LANES <= self.own.len() {
-            self.block::<S, REGISTERS>(simd, at);
-            at += REGISTERS * S::F64_LANES;
+        while at + BLOCK_REGISTERS * S::F64_LANES <= self.own.len() {
+            self.block::<S, BLOCK_REGISTERS>(simd, at);
+            at += BLOCK_REGISTERS * S::F64_LANES;
         }
         while at < self.own.len() {
             self.block::<S, 1>(simd, at);
@@ -110,7 +112,7 @@ impl WithSimd for Means<'_> {
 impl Means<'_> {
     #[inline(always)]
     fn block<S: Simd, const R: usize>(&mut self, simd: S, place: usize) {
-        let mut member = [0_u64; GROUP * REGISTERS];
+        let mut member = [0_u64; GROUP_POINTS * BLOCK_REGISTERS];
         for (to, &c) in member.iter_mut().zip(self.member.iter().skip(place)) {
             *to = u64::from(c);
         }
@@ -124,7 +126,7 @@ impl Means<'_> {
         };
         distances.members.copy_from_slice(&members[..R]);
         for group in 0..self.means.groups() {
-            over_group(simd, &mut distances, group, self.clusters - group * GROUP);
+            over_group(simd, &mut distances, group, self.clusters - group * GROUP_POINTS);
         }
         let (own, next) = (distances.own, distances.next);
         let (to, _) = S::as_mut_simd_f64s(&mut self.own[place..]);
@@ -143,17 +145,16 @@ struct Distances<'a, S: Simd, const R: usize> {
     next: [S::f64s; R],
 }
 
-impl<S: Simd, const R: usize> Block<S, R> for Distances<'_, S, R> {
+impl<S: Simd, const R: usize> GroupKernel<S, R> for Distances<'_, S, R> {
     #[allow(clippy::needless_range_loop, reason = "registers of several arrays belong together")]
     #[inline(always)]
     fn run<const C: usize, const F: usize>(&mut self, simd: S, group: usize) {
         let work = self.work;
-        let found =
-            squared_distances::<S, R, C, F>(simd, work.panels, self.place, work.means, group);
+        let found = squared_distances::<S, R, C, F>(simd, work.pack, self.place, work.means, group);
         let never = simd.splat_f64s(f64::INFINITY);
         for c in 0..C {
-            let spread = simd.splat_f64s(work.spreads[group * GROUP + F + c]);
-            let number = simd.splat_u64s((group * GROUP + F + c) as u64);
+            let spread = simd.splat_f64s(work.spreads[group * GROUP_POINTS + F + c]);
+            let number = simd.splat_u64s((group * GROUP_POINTS + F + c) as u64);
             for r in 0..R {
                 let mean = simd.add_f64s(found[c][r], spread);
                 let own = simd.equal_u64s(self.members[r], number);

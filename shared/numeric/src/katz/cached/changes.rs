@@ -23,7 +23,7 @@ pub(crate) enum Line {
     Column(u32),
 }
 
-/// The changed entries, each held by one line. Keeps its memory.
+/// The changed entries, each covered by one line. Keeps its memory.
 #[derive(Debug, Default)]
 pub(crate) struct Changes {
     entries: Vec<Change>,
@@ -33,7 +33,7 @@ pub(crate) struct Changes {
     row_starts: Vec<u32>,
     /// Entries of each line that no chosen line holds yet, rows first.
     open: Vec<u32>,
-    held: Vec<bool>,
+    covered: Vec<bool>,
     heap: BinaryHeap<(u32, Line)>,
     /// The chosen lines, each with its range in `grouped`.
     lines: Vec<(Line, u32, u32)>,
@@ -116,12 +116,12 @@ impl Changes {
     }
 
     fn choose_mixture(&mut self, size: usize) {
-        let Self { entries, open, held, heap, lines, grouped, .. } = self;
+        let Self { entries, open, covered, heap, lines, grouped, .. } = self;
         open.clear();
         open.extend(self.row_starts.windows(2).map(|w| w[1] - w[0]));
         open.extend(self.column_starts.windows(2).map(|w| w[1] - w[0]));
-        held.clear();
-        held.resize(entries.len(), false);
+        covered.clear();
+        covered.resize(entries.len(), false);
         heap.clear();
         for i in 0..size {
             let lines = [Line::Row(i as u32), Line::Column(i as u32)];
@@ -143,7 +143,7 @@ impl Changes {
             }
             let start = grouped.len() as u32;
             let mut take = |at: usize| {
-                if !std::mem::replace(&mut held[at], true) {
+                if !std::mem::replace(&mut covered[at], true) {
                     let entry = entries[at];
                     grouped.push(entry);
                     open[entry.row as usize] -= 1;
@@ -183,7 +183,7 @@ impl Changes {
         }
     }
 
-    /// The chosen lines with the entries that they hold; every entry is held once.
+    /// The chosen lines with the entries that they hold; every entry is covered once.
     pub(crate) fn lines(&self) -> impl ExactSizeIterator<Item = (Line, &[Change])> {
         let grouped = &self.grouped;
         self.lines.iter().map(|&(line, from, to)| (line, &grouped[from as usize..to as usize]))
@@ -194,7 +194,7 @@ impl Changes {
 mod tests {
     use super::*;
 
-    fn covered(old: &[Row], new: &[Row]) -> (Vec<Line>, usize) {
+    fn cover_of(old: &[Row], new: &[Row]) -> (Vec<Line>, usize) {
         let mut changes = Changes::default();
         changes.clear(old.len());
         for (i, (old, new)) in old.iter().zip(new).enumerate() {
@@ -207,8 +207,8 @@ mod tests {
                 Line::Column(j) => e.column == j,
             }));
         }
-        let held = changes.lines().map(|(_, entries)| entries.len()).sum();
-        (changes.lines().map(|(line, _)| line).collect(), held)
+        let covered = changes.lines().map(|(_, entries)| entries.len()).sum();
+        (changes.lines().map(|(line, _)| line).collect(), covered)
     }
 
     #[test]
@@ -219,10 +219,10 @@ mod tests {
             new[3].push((j, 1.0));
             new[j as usize].push((3, 1.0));
         }
-        let (mut lines, held) = covered(&old, &new);
+        let (mut lines, covered) = cover_of(&old, &new);
         lines.sort();
-        assert_eq!((lines, held), (vec![Line::Row(3), Line::Column(3)], 10));
-        assert_eq!(covered(&new, &old).0.len(), 2);
+        assert_eq!((lines, covered), (vec![Line::Row(3), Line::Column(3)], 10));
+        assert_eq!(cover_of(&new, &old).0.len(), 2);
     }
 
     #[test]
@@ -230,12 +230,12 @@ mod tests {
         let old: Vec<Row> = vec![vec![(1, 1.0), (2, 4.0)], vec![], vec![(0, 2.0)], vec![]];
         let mut new = old.clone();
         new[0] = vec![(2, 4.0), (3, 0.5), (1, 1.5)];
-        assert_eq!(covered(&old, &new), (vec![Line::Row(0)], 2));
+        assert_eq!(cover_of(&old, &new), (vec![Line::Row(0)], 2));
         for row in &mut new {
             row.push((0, 9.0));
         }
         new[0] = old[0].clone();
-        assert_eq!(covered(&old, &new).0, vec![Line::Column(0)]);
-        assert_eq!(covered(&old, &old), (vec![], 0));
+        assert_eq!(cover_of(&old, &new).0, vec![Line::Column(0)]);
+        assert_eq!(cover_of(&old, &old), (vec![], 0));
     }
 }

@@ -30,11 +30,11 @@ impl Sparse {
         self.entries.clear();
         self.starts.clear();
         self.starts.push(0);
-        for (line, held) in changes.lines() {
+        for (line, covered) in changes.lines() {
             match line {
                 Line::Row(i) => self.entries.push((i, 1.0)),
                 Line::Column(_) => {
-                    self.entries.extend(held.iter().map(|c| (c.row, alpha * c.difference)));
+                    self.entries.extend(covered.iter().map(|c| (c.row, alpha * c.difference)));
                 }
             }
             self.starts.push(self.entries.len());
@@ -95,10 +95,10 @@ impl Woodbury {
     fn fill_right(&mut self, s: &[f64], m: usize, alpha: f64, changes: &Changes) {
         self.right.clear();
         self.right.resize(m * changes.lines().len(), 0.0);
-        for (right, (line, held)) in self.right.chunks_exact_mut(m).zip(changes.lines()) {
+        for (right, (line, covered)) in self.right.chunks_exact_mut(m).zip(changes.lines()) {
             match line {
                 Line::Row(_) => {
-                    for c in held {
+                    for c in covered {
                         let (j, factor) = (c.column as usize, alpha * c.difference);
                         Arch::new().dispatch(|| {
                             for (sum, s) in right.iter_mut().zip(&s[j * m..(j + 1) * m]) {

@@ -8,7 +8,7 @@ use faer::{Accum, Mat, MatRef, Par};
 
 use crate::linalg::matrix::DenseMatrix;
 
-/// Everything runs on the calling thread.
+/// All operations run on the calling thread.
 const PAR: Par = Par::Seq;
 
 /// Thin singular value decomposition A = U diag(σ) Vᵀ with σ descending.
@@ -66,8 +66,8 @@ pub(crate) fn solve_lu(a: &DenseMatrix, b: &DenseMatrix) -> Option<DenseMatrix> 
     DenseMatrix::new(n, b.cols(), copy(x.as_ref()).into_data()).ok()
 }
 
-/// Thin singular value decomposition; `None` when the library does not converge or answers
-/// something that is not finite.
+/// Thin singular value decomposition; `None` when the library does not converge or a value is not
+/// finite.
 pub(crate) fn thin_svd(a: &DenseMatrix) -> Option<Factors> {
     let (m, n) = (a.rows(), a.cols());
     let size = m.min(n);

@@ -1,4 +1,4 @@
-//! Small general systems in memory of the caller, and the product that spreads their solutions.
+//! LU of small general systems in reused memory, and the product that applies their solutions.
 
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::lu::partial_pivoting::{factor, solve};
@@ -9,7 +9,7 @@ use faer::{Accum, MatMut, MatRef, Par};
 /// Steps of the estimate of the norm of an inverse; it rarely changes after the second.
 const NORM_STEPS: usize = 5;
 
-/// Factors of one k × k matrix after the other, with their scratch space.
+/// LU factors of one k × k matrix at a time, with scratch space.
 #[derive(Default)]
 pub(crate) struct Factored {
     size: usize,
@@ -48,9 +48,9 @@ fn stack(
 }
 
 impl Factored {
-    /// LU with partial pivoting of the k × k matrix in rows that `fill` writes. Answers an estimate
-    /// of its reciprocal condition in the 1-norm, 0 when it is singular or not finite (Hager, SIAM
-    /// J. Sci. Stat. Comput. 5, 1984; Higham, ACM Trans. Math. Softw. 14, 1988).
+    /// Factors the k × k row-major matrix that `fill` writes, by LU with partial pivoting. Returns
+    /// an estimate of its reciprocal condition in the 1-norm, 0 when it is singular or not finite
+    /// (Hager, SIAM J. Sci. Stat. Comput. 5, 1984; Higham, ACM Trans. Math. Softw. 14, 1988).
     pub(crate) fn factor(&mut self, k: usize, fill: impl FnOnce(&mut [f64])) -> f64 {
         self.size = k;
         self.factors.clear();
@@ -75,7 +75,7 @@ impl Factored {
         if inverse.is_finite() && inverse > 0.0 { 1.0 / (norm * inverse) } else { 0.0 }
     }
 
-    /// An estimate from below of ‖K⁻¹‖₁.
+    /// A lower estimate of ‖K⁻¹‖₁.
     fn inverse_norm(&mut self) -> f64 {
         let k = self.size;
         let mut x = std::mem::take(&mut self.vector);
@@ -106,7 +106,7 @@ impl Factored {
         best
     }
 
-    /// Replaces the rows of `block`, k × `columns`, by K⁻¹ times them.
+    /// Replaces `block`, k × `columns` in rows, by K⁻¹ `block`.
     pub(crate) fn solve(&mut self, block: &mut [f64], columns: usize) {
         let k = self.size;
         let factors = MatRef::from_row_major_slice(&self.factors, k, k);
@@ -134,7 +134,7 @@ impl Factored {
     }
 }
 
-/// `out` + P Z for P m × k, Z k × n and `out` m × n, all in rows.
+/// `out` += P Z for P m × k, Z k × n and `out` m × n, all row-major.
 pub(crate) fn add_product(p: &[f64], z: &[f64], out: &mut [f64], k: usize, n: usize) {
     let m = out.len() / n.max(1);
     matmul(

@@ -1,4 +1,4 @@
-//! The small symmetric problems that come out of blocks of vectors, in memory of the caller.
+//! Small symmetric problems of block methods, in reused memory.
 
 use faer::diag::DiagMut;
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -8,7 +8,7 @@ use faer::linalg::cholesky::llt::factor::{
 use faer::linalg::evd::{ComputeEigenvectors, self_adjoint_evd, self_adjoint_evd_scratch};
 use faer::{MatMut, MatRef, Par};
 
-/// The small symmetric problems, with their scratch space.
+/// Eigenvalues and Cholesky factors of one small matrix at a time, with scratch space.
 #[derive(Default)]
 pub(crate) struct Symmetric {
     memory: Option<(usize, MemBuffer)>,
@@ -38,9 +38,8 @@ impl Symmetric {
         MemStack::new(buffer)
     }
 
-    /// Replaces the lower triangle of the symmetric G, n × n, by L of G = L Lᵀ (Cholesky). False, with
-    /// G spoiled, when it is not positive definite by far: when a pivot is below `least` for a diagonal
-    /// of ones.
+    /// Replaces the lower triangle of the symmetric G, n × n, by L of G = L Lᵀ (Cholesky). False,
+    /// with G overwritten, when a squared pivot is at most `least`, for a G whose diagonal is 1.
     pub(crate) fn cholesky(&mut self, g: &mut [f64], n: usize, least: f64) -> bool {
         let none = LltRegularization::default();
         let stack = self.memory(n);
@@ -49,8 +48,8 @@ impl Symmetric {
         done && (0..n).all(|i| g[i * n + i] * g[i * n + i] > least)
     }
 
-    /// Eigenvalues of the symmetric `g`, n × n, descending, and their vectors in the columns of rows of n.
-    /// `None` when the library does not converge.
+    /// Eigenvalues of the symmetric `g`, n × n, descending, and their vectors in the columns of a
+    /// row-major n × n matrix. `None` when the library does not converge.
     pub(crate) fn eigen(&mut self, g: &[f64], n: usize) -> Option<(&[f64], &[f64])> {
         let mut values = std::mem::take(&mut self.values);
         let mut vectors = std::mem::take(&mut self.vectors);
@@ -58,8 +57,7 @@ impl Symmetric {
         values.resize(n, 0.0);
         vectors.clear();
         vectors.resize(n * n, 0.0);
-        // The library turns pairs of columns by the thousand, which it does well where columns are
-        // contiguous.
+        // The library rotates pairs of columns, which is fast where columns are contiguous.
         let mut columns = std::mem::take(&mut self.columns);
         columns.clear();
         columns.resize(n * n, 0.0);
@@ -73,7 +71,7 @@ impl Symmetric {
             stack,
             Default::default(),
         );
-        // It sorts ascending.
+        // The library sorts ascending.
         values.reverse();
         for (i, row) in vectors.chunks_exact_mut(n).enumerate() {
             for (value, column) in row.iter_mut().zip(columns.chunks_exact(n).rev()) {

@@ -119,7 +119,7 @@ impl DenseMatrix {
         self.data.iter().fold(0.0, |m, v| v.abs().max(m))
     }
 
-    /// Entry (`i`, `j`) without the detour over `Option`; callers stay inside of the shape.
+    /// Entry (`i`, `j`), unchecked: callers stay within the shape.
     pub(crate) fn at(&self, i: usize, j: usize) -> f64 {
         self.data[i * self.cols + j]
     }

@@ -3,10 +3,10 @@
 use super::dense::DenseMatrix;
 use super::error::{MAX_ENTRY, MAX_NODES, MIN_WEIGHT, MatrixError};
 
-/// Rows that are compared at once, in one sweep that looks at all of them.
-const COMPARED: usize = 64;
+/// Rows that are compared in one branch-free pass.
+const COMPARED_ROWS: usize = 64;
 
-/// True when all items pass. Looks at all of them, so that it can look at several at a time.
+/// True when all items pass. Tests all of them without a branch, so that the loop vectorises.
 #[inline(always)]
 fn all<T>(items: impl Iterator<Item = T>, test: impl Fn(T) -> bool) -> bool {
     items.fold(true, |all, item| all & test(item))
@@ -92,7 +92,7 @@ impl SparseMatrix {
         Self::from_sorted(nodes, &entries)
     }
 
-    /// Matrix from a dense square one; negative entries are refused.
+    /// Matrix from a dense square one with non-negative entries.
     ///
     /// # Errors
     /// [`MatrixError::Shape`] when `dense` is not square, otherwise as
@@ -152,8 +152,8 @@ impl SparseMatrix {
         self.weights.iter().fold(0.0, |m, &w| w.max(m))
     }
 
-    /// The compressed rows: where each row starts (and, last, where the last one ends), columns and
-    /// weights. For inner loops, which a bounds check per row would slow down.
+    /// The compressed rows: starts of the rows (and the end of the last), columns, weights. For
+    /// inner loops, which a bounds check per row would slow down.
     pub(crate) fn parts(&self) -> (&[usize], &[u32], &[f64]) {
         (&self.starts, &self.columns, &self.weights)
     }
@@ -163,7 +163,7 @@ impl SparseMatrix {
         Self::from_sorted(0, &[])
     }
 
-    /// Makes this matrix equal to `other` in the memory that is there.
+    /// Makes this matrix equal to `other`, in its own memory.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         self.nodes = other.nodes;
         self.starts.clone_from(&other.starts);
@@ -171,14 +171,14 @@ impl SparseMatrix {
         self.weights.clone_from(&other.weights);
     }
 
-    /// Adds to `rows`, ascending, the numbers of the rows that are not the same bit for bit in
-    /// `other`, which has as many nodes. Stops once there are more than `most`. O(edges), as fast as
-    /// memory is read.
+    /// Appends to `rows`, ascending, the indices of the rows that differ bit for bit from those of
+    /// `other`, which has as many nodes. Stops after more than `most`. O(edges), at the speed of
+    /// memory.
     pub fn differing_rows(&self, other: &Self, most: usize, rows: &mut Vec<usize>) {
         let nodes = self.nodes.min(other.nodes);
         let before = rows.len();
-        for first in (0..nodes).step_by(COMPARED) {
-            let last = (first + COMPARED).min(nodes);
+        for first in (0..nodes).step_by(COMPARED_ROWS) {
+            let last = (first + COMPARED_ROWS).min(nodes);
             if self.same_rows(other, first, last) {
                 continue;
             }
@@ -189,7 +189,8 @@ impl SparseMatrix {
         }
     }
 
-    /// Copies row `i` of `other`, which has as many nodes, if it has as many entries as the one here.
+    /// Copies row `i` of `other`, which has as many nodes, if it has as many entries as the row
+    /// here; otherwise returns false.
     pub(crate) fn copy_row(&mut self, other: &Self, i: usize) -> bool {
         let (own, from) =
             (self.starts[i]..self.starts[i + 1], other.starts[i]..other.starts[i + 1]);
@@ -201,7 +202,7 @@ impl SparseMatrix {
         fits
     }
 
-    /// True when the rows from `first` to before `last` are the same in `other` bit for bit.
+    /// True when the rows from `first` to before `last` equal those of `other` bit for bit.
     fn same_rows(&self, other: &Self, first: usize, last: usize) -> bool {
         let (from, to) = (self.starts[first], self.starts[last]);
         let (start, end) = (other.starts[first], other.starts[last]);
@@ -214,7 +215,7 @@ impl SparseMatrix {
             && all(weights, |(a, b)| a.to_bits() == b.to_bits())
     }
 
-    /// Most edges that leave one node.
+    /// Largest number of edges that leave one node.
     pub(crate) fn max_degree(&self) -> usize {
         let degrees = self.starts.windows(2).map(|w| w[1] - w[0]);
         degrees.max().unwrap_or(0)
@@ -242,7 +243,7 @@ impl SparseMatrix {
         Self::from_checked(self.nodes, entries)
     }
 
-    /// The share of the nodes that have an edge, from them or to them; 0 without nodes.
+    /// Fraction of the nodes that have an edge, in either direction; 0 without nodes.
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "there are fewer nodes than 2⁵³")]
     pub fn related_share(&self) -> f64 {
@@ -254,8 +255,8 @@ impl SparseMatrix {
         count as f64 / self.nodes().max(1) as f64
     }
 
-    /// A + `share` · Aᵀ: every edge also leads back, by a share of its weight (0 or more; the reciprocity
-    /// of the graph).
+    /// A + `share` · Aᵀ: adds the reverse of every edge with a share of its weight (0 or more; the
+    /// reciprocity of the graph).
     ///
     /// # Errors
     /// [`MatrixError::Entry`] for a sum beyond [`MAX_ENTRY`], or a share that is not finite;

@@ -9,15 +9,17 @@ use std::ops::Range;
 
 use crate::linalg::Aligned;
 use crate::linalg::backend::small_symmetric::{Symmetric, invert_transpose};
-use crate::linalg::block_vectors::{Block, CHUNK, add_gram, product, transform, transform_scratch};
+use crate::linalg::block_vectors::{
+    BlockView, CHUNK_ROWS, add_gram, product, transform, transform_scratch,
+};
 use crate::linalg::parallel::{Parts, Strided};
 
 /// Squared length that must be left of a direction of length 1 beside the space and the other ones. What
 /// is left is scaled up to length 1 again, and the rounding of S V with it.
-const DEPENDENT: f64 = 1e-12;
+const DEPENDENT_SQUARE: f64 = 1e-12;
 
 /// Attempts to make directions independent. Twice is enough (Kahan and Parlett).
-const ATTEMPTS: usize = 3;
+const MAX_ATTEMPTS: usize = 3;
 
 /// Directions V, n × [`Basis::size`], and S V.
 #[derive(Debug, Default)]
@@ -86,32 +88,32 @@ impl Basis {
     /// Adds the first `columns` of the `width` directions that `fill` writes, a multiple of the
     /// largest register, of which those from `columns` on are zero. `fill` is given rows, those rows of V
     /// and of S V, their stride and the column to begin with. How many independent ones there were is
-    /// answered; `little` is the length that must be left of each.
+    /// answered; `least_length` is the length that must be left of each.
     pub(super) fn add(
         &mut self,
         parts: Parts,
         columns: usize,
         width: usize,
-        little: f64,
+        least_length: f64,
         fill: impl Fn(Range<usize>, &mut [f64], &mut [f64], usize, usize) + Sync,
     ) -> usize {
         let (stride, first) = (self.stride, self.size);
         self.measure(parts, width, |rows, space, image, _| fill(rows, space, image, stride, first));
         let mut columns = columns;
-        for attempt in 1..=ATTEMPTS {
-            let last = attempt == ATTEMPTS;
-            match self.factorise(columns, width, if last { 0.0 } else { little }) {
-                Factor::Good => {
+        for attempt in 1..=MAX_ATTEMPTS {
+            let last = attempt == MAX_ATTEMPTS;
+            match self.factorise(columns, width, if last { 0.0 } else { least_length }) {
+                Factor::Independent => {
                     self.admit(columns, width);
                     return columns;
                 }
                 _ if last => return 0,
-                Factor::Little(kept) => columns = kept,
+                Factor::Combined(kept) => columns = kept,
                 Factor::None => return 0,
             }
             let all = first + width;
             let combined = std::mem::take(&mut self.small.combined);
-            let t = Block::new(&combined[..all * width], width, width);
+            let t = BlockView::new(&combined[..all * width], width, width);
             self.measure(parts, width, |_, space, image, scratch| {
                 transform(space, stride, t, first, scratch);
                 transform(image, stride, t, first, scratch);
@@ -137,11 +139,14 @@ impl Basis {
         parts.sum(&mut self.sums, length + scratch, blocks, |rows, (space, image), sums| {
             let (sums, scratch) = sums.split_at_mut(length);
             let (gram, energy) = sums.split_at_mut(all * width);
-            let chunks = space.0.chunks_mut(CHUNK * stride).zip(image.0.chunks_mut(CHUNK * stride));
-            for (start, (space, image)) in rows.clone().step_by(CHUNK).zip(chunks) {
-                fill(start..(start + CHUNK).min(rows.end), space, image, scratch);
+            let chunks = space
+                .0
+                .chunks_mut(CHUNK_ROWS * stride)
+                .zip(image.0.chunks_mut(CHUNK_ROWS * stride));
+            for (start, (space, image)) in rows.clone().step_by(CHUNK_ROWS).zip(chunks) {
+                fill(start..(start + CHUNK_ROWS).min(rows.end), space, image, scratch);
                 for (block, sums) in [(space, &mut *gram), (image, &mut *energy)] {
-                    let block = Block::new(block, stride, all);
+                    let block = BlockView::new(block, stride, all);
                     add_gram(block, block.from(first), sums, width);
                 }
             }
@@ -150,7 +155,7 @@ impl Basis {
 
     /// Decomposes what the Gram matrix of the new directions, scaled to length 1, leaves beside the
     /// space. Leaves the inverse factor, or the combination of all that is to replace the new ones.
-    fn factorise(&mut self, columns: usize, width: usize, little: f64) -> Factor {
+    fn factorise(&mut self, columns: usize, width: usize, least_length: f64) -> Factor {
         let (stride, first) = (self.stride, self.size);
         let all = first + width;
         let (gram, energy) = self.sums[..2 * all * width].split_at_mut(all * width);
@@ -174,10 +179,10 @@ impl Basis {
         // What the new directions have in common with the orthonormal ones, with the sign of what
         // is to be added to take it away.
         let overlap = zeros(&mut small.overlap, first * width);
-        let change = Block::new(&self.change[..first * stride], stride, first);
-        add_gram(change, Block::new(&gram[..first * width], width, width), overlap, width);
+        let change = BlockView::new(&self.change[..first * stride], stride, first);
+        add_gram(change, BlockView::new(&gram[..first * width], width, width), overlap, width);
         overlap.iter_mut().for_each(|value| *value = -*value);
-        let overlap = Block::new(overlap, width, width);
+        let overlap = BlockView::new(overlap, width, width);
         let inner = zeros(&mut small.inner, width * width);
         add_gram(overlap, overlap, inner, width);
         small.factor.clear();
@@ -190,7 +195,7 @@ impl Basis {
         let inverse = zeros(&mut small.inverse, width * width);
         let mut kept = columns;
         let mut left = 0.0;
-        if self.symmetric.cholesky(&mut small.factor, columns, DEPENDENT) {
+        if self.symmetric.cholesky(&mut small.factor, columns, DEPENDENT_SQUARE) {
             let factor = &small.factor;
             left = (0..columns).map(|i| factor[i * columns + i]).fold(1.0, f64::min);
             invert_transpose(factor, columns, inverse, width);
@@ -199,7 +204,7 @@ impl Basis {
             let Some((values, vectors)) = self.symmetric.eigen(schur, columns) else {
                 return Factor::None;
             };
-            kept = values.iter().filter(|value| **value > DEPENDENT).count();
+            kept = values.iter().filter(|value| **value > DEPENDENT_SQUARE).count();
             for i in 0..columns {
                 for j in 0..kept {
                     inverse[i * width + j] = vectors[i * columns + j] / values[j].sqrt();
@@ -209,18 +214,22 @@ impl Basis {
         if kept == 0 {
             return Factor::None;
         }
-        let inverse = Block::new(inverse, width, width);
+        let inverse = BlockView::new(inverse, width, width);
         let spread = zeros(&mut small.spread, first * width);
         product(change, overlap, spread, width, 0);
         let combined = zeros(&mut small.combined, all * width);
-        product(Block::new(spread, width, width), inverse, combined, width, 0);
+        product(BlockView::new(spread, width, width), inverse, combined, width, 0);
         for i in 0..columns {
             let row = &mut combined[(first + i) * width..][..width];
             for (value, inverse) in row.iter_mut().zip(&inverse.data[i * width..]) {
                 *value = small.lengths[i] * inverse;
             }
         }
-        if left > 0.0 && left >= little { Factor::Good } else { Factor::Little(kept) }
+        if left > 0.0 && left >= least_length {
+            Factor::Independent
+        } else {
+            Factor::Combined(kept)
+        }
     }
 
     /// Takes the new directions into the space after [`Basis::factorise`] has found them good.
@@ -237,31 +246,31 @@ impl Basis {
         }
         // With C the overlap, E = Tᵀ(SV)ᵀ S W and F = (SV T)ᵀ SV T C, the old directions T and the
         // new ones T C + W have E + F in common, and the new ones with one another what follows.
-        let change = Block::new(&self.change[..first * stride], stride, first);
-        let overlap = Block::new(&small.overlap, width, width);
-        let old_energy = Block::new(&self.energy[..first * stride], stride, first);
+        let change = BlockView::new(&self.change[..first * stride], stride, first);
+        let overlap = BlockView::new(&small.overlap, width, width);
+        let old_energy = BlockView::new(&self.energy[..first * stride], stride, first);
         let crossed = zeros(&mut small.crossed, first * width);
-        add_gram(change, Block::new(&energy[..first * width], width, width), crossed, width);
+        add_gram(change, BlockView::new(&energy[..first * width], width, width), crossed, width);
         let spread = zeros(&mut small.spread, first * width);
         product(old_energy, overlap, spread, width, 0);
         let inner = zeros(&mut small.inner, width * width);
-        add_gram(overlap, Block::new(crossed, width, width), inner, width);
+        add_gram(overlap, BlockView::new(crossed, width, width), inner, width);
         let own = zeros(&mut small.other, width * width);
-        add_gram(overlap, Block::new(spread, width, width), own, width);
+        add_gram(overlap, BlockView::new(spread, width, width), own, width);
         for i in 0..width {
             for j in 0..width {
                 own[i * width + j] +=
                     energy[(first + i) * width + j] + inner[i * width + j] + inner[j * width + i];
             }
         }
-        let inverse = Block::new(&small.inverse, width, width);
-        product(Block::new(own, width, width), inverse, inner, width, 0);
+        let inverse = BlockView::new(&small.inverse, width, width);
+        product(BlockView::new(own, width, width), inverse, inner, width, 0);
         own.fill(0.0);
-        add_gram(inverse, Block::new(inner, width, width), own, width);
+        add_gram(inverse, BlockView::new(inner, width, width), own, width);
         for (crossed, spread) in crossed.iter_mut().zip(&*spread) {
             *crossed += spread;
         }
-        product(Block::new(crossed, width, width), inverse, spread, width, 0);
+        product(BlockView::new(crossed, width, width), inverse, spread, width, 0);
         for i in 0..first {
             for j in 0..columns {
                 let value = spread[i * width + j];
@@ -297,8 +306,8 @@ impl Basis {
             to[..count].copy_from_slice(&from[..count]);
         }
         let coefficients = zeros(&mut self.coefficients, size * width);
-        let change = Block::new(&self.change[..size * stride], stride, size);
-        product(change, Block::new(chosen, width, width), coefficients, width, 0);
+        let change = BlockView::new(&self.change[..size * stride], stride, size);
+        product(change, BlockView::new(chosen, width, width), coefficients, width, 0);
         true
     }
 }
@@ -306,9 +315,9 @@ impl Basis {
 /// What became of a factorisation.
 enum Factor {
     /// The directions are independent.
-    Good,
+    Independent,
     /// So many are, once they are combined.
-    Little(usize),
+    Combined(usize),
     /// None is.
     None,
 }

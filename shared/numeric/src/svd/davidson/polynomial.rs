@@ -4,7 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::linalg::Aligned;
-use crate::linalg::block_vectors::{CHUNK, REGISTER};
+use crate::linalg::block_vectors::{CHUNK_ROWS, COLUMN_MULTIPLE};
 use crate::linalg::parallel::{Parts, Strided};
 use crate::linalg::simd::dispatch;
 use crate::svd::operator::{KatzOperator, Orientation};
@@ -13,30 +13,30 @@ use crate::svd::operator::{KatzOperator, Orientation};
 const MAX_DEGREE: usize = 4;
 
 /// Least degree that is tried.
-const LEAST_DEGREE: usize = 2;
+const MIN_DEGREE: usize = 2;
 
 /// What a polynomial may leave of random vectors, relative to their length: with more, rounds get more
 /// than a higher degree costs. With less they hardly get fewer, as what directions there are limits them then.
-const ENOUGH: f64 = 0.005;
+const MAX_FIT_ERROR: f64 = 0.005;
 
 /// Random vectors that it is fitted to: a register of them.
-const SAMPLES: usize = REGISTER;
+const SAMPLE_VECTORS: usize = COLUMN_MULTIPLE;
 
 /// Powers of αA times the samples that the fit needs.
 const POWERS: usize = MAX_DEGREE + 2;
 
 /// Vectors that the fit needs room for.
-pub(super) const FIT_COLUMNS: usize = POWERS * SAMPLES;
+pub(super) const FIT_COLUMNS: usize = POWERS * SAMPLE_VECTORS;
 
 /// Searches after which the polynomial is fitted anew: it is a help only, and graphs change little
 /// from frame to frame.
-const LASTS: u32 = 20;
+const FIT_SEARCHES: u32 = 20;
 
 /// Change of α, relative, from which it is fitted anew at once.
-const OTHER_DECAY: f64 = 0.05;
+const MAX_DECAY_CHANGE: f64 = 0.05;
 
 /// Columns of a block in single precision are a multiple of this: the numbers in a largest register.
-pub(super) const SINGLE_REGISTER: usize = 2 * REGISTER;
+pub(super) const SINGLE_COLUMN_MULTIPLE: usize = 2 * COLUMN_MULTIPLE;
 
 /// p(B) ≈ (I − B)⁻¹.
 #[derive(Debug, Default)]
@@ -64,20 +64,20 @@ impl Polynomial {
         sums: &mut Vec<f64>,
     ) {
         let (n, alpha) = (operator.nodes(), operator.alpha());
-        let near = (alpha - self.alpha).abs() <= OTHER_DECAY * self.alpha;
+        let near = (alpha - self.alpha).abs() <= MAX_DECAY_CHANGE * self.alpha;
         if self.left > 0 && self.nodes == n && near {
             self.left -= 1;
             return;
         }
-        (self.nodes, self.alpha, self.left) = (n, alpha, LASTS);
+        (self.nodes, self.alpha, self.left) = (n, alpha, FIT_SEARCHES);
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x9e37);
-        let (first, mut rest) = scratch[..n * FIT_COLUMNS].split_at_mut(n * SAMPLES);
+        let (first, mut rest) = scratch[..n * FIT_COLUMNS].split_at_mut(n * SAMPLE_VECTORS);
         first.fill_with(|| rng.random::<f64>() - 0.5);
         let mut powers: [&[f64]; POWERS] = [first; POWERS];
         for k in 1..POWERS {
-            let (next, others) = rest.split_at_mut(n * SAMPLES);
-            parts.run(Strided(&mut *next, SAMPLES), |rows, next| {
-                let (forward, width) = (Orientation::Forward, SAMPLES);
+            let (next, others) = rest.split_at_mut(n * SAMPLE_VECTORS);
+            parts.run(Strided(&mut *next, SAMPLE_VECTORS), |rows, next| {
+                let (forward, width) = (Orientation::Forward, SAMPLE_VECTORS);
                 operator.multiply(forward, rows, powers[k - 1], width, width, next.0, width, 0);
             });
             powers[k] = next;
@@ -85,7 +85,7 @@ impl Polynomial {
         }
         parts.sum(sums, POWERS * POWERS, (), |rows, (), sums| {
             dispatch(|| {
-                let registers = powers.map(|power| power.as_chunks::<SAMPLES>().0);
+                let registers = powers.map(|power| power.as_chunks::<SAMPLE_VECTORS>().0);
                 for row in rows.clone() {
                     for i in 0..POWERS {
                         for j in 0..=i {
@@ -106,20 +106,20 @@ impl Polynomial {
             }
             *right = p(i, 0) - p(i + 1, 0);
         }
-        for degree in LEAST_DEGREE..=MAX_DEGREE {
+        for degree in MIN_DEGREE..=MAX_DEGREE {
             self.degree = degree;
             self.coefficients = solve_small(system, right, degree + 1);
             // The squared length of b less that of what the columns make of it.
             let fitted: f64 =
                 self.coefficients.iter().zip(&right).map(|(c, right)| c * right).sum();
-            if p(0, 0) - fitted <= ENOUGH * ENOUGH * p(0, 0) {
+            if p(0, 0) - fitted <= MAX_FIT_ERROR * MAX_FIT_ERROR * p(0, 0) {
                 break;
             }
         }
     }
 
     /// Writes to `block`, n × `width`, about (M Mᵀ)⁻¹ r for the residuals r in the first of `single`,
-    /// rows of `width` numbers rounded up to a multiple of [`SINGLE_REGISTER`].
+    /// rows of `width` numbers rounded up to a multiple of [`SINGLE_COLUMN_MULTIPLE`].
     pub(super) fn apply(
         &self,
         operator: &KatzOperator,
@@ -129,7 +129,7 @@ impl Polynomial {
         width: usize,
     ) {
         let n = operator.nodes();
-        let stride = width.next_multiple_of(SINGLE_REGISTER);
+        let stride = width.next_multiple_of(SINGLE_COLUMN_MULTIPLE);
         let [r, z, next] = single;
         let (mut r, mut z, mut next) =
             (&mut r[..n * stride], &mut z[..n * stride], &mut next[..n * stride]);
@@ -143,10 +143,10 @@ impl Polynomial {
                 let scales = (c[k], if first { c[self.degree] } else { 1.0 });
                 let out = (Strided(to, stride), Strided(&mut *block, width));
                 parts.run(out, |rows, (to, block)| {
-                    let chunks = to.0.chunks_mut(CHUNK * stride);
-                    let chunks = chunks.zip(block.0.chunks_mut(CHUNK * width));
-                    for (start, (to, block)) in rows.clone().step_by(CHUNK).zip(chunks) {
-                        let rows = start..(start + CHUNK).min(rows.end);
+                    let chunks = to.0.chunks_mut(CHUNK_ROWS * stride);
+                    let chunks = chunks.zip(block.0.chunks_mut(CHUNK_ROWS * width));
+                    for (start, (to, block)) in rows.clone().step_by(CHUNK_ROWS).zip(chunks) {
+                        let rows = start..(start + CHUNK_ROWS).min(rows.end);
                         operator.horner_step(orientation, rows, scales, r, from, to, stride);
                         if last {
                             to_double(to, stride, block, width);

@@ -14,17 +14,17 @@
 //! allowed for.
 
 use crate::linalg::backend::small_symmetric::{Symmetric, invert_transpose};
-use crate::linalg::block_vectors::{Block, CHUNK, add_gram, product};
+use crate::linalg::block_vectors::{BlockView, CHUNK_ROWS, add_gram, product};
 use crate::linalg::matrix::SparseMatrix;
 use crate::linalg::parallel::{Parts, Strided};
 use crate::svd::davidson::{NULL_VALUE_RATIO, Triplets};
 use crate::svd::operator::{KatzOperator, Orientation};
 
 /// Roundings that a Gram matrix may have taken for each of its updates, relative to its trace.
-const ROUNDINGS: f64 = 16.0;
+const GRAM_ROUNDINGS: f64 = 16.0;
 
 /// Smallest pivot of the Gram matrix of V, whose diagonal is about 1, for V to count as a basis still.
-const INDEPENDENT: f64 = 0.01;
+const MIN_PIVOT: f64 = 0.01;
 
 /// Sums that are carried on from change to change, for one W.
 #[derive(Debug, Default)]
@@ -91,10 +91,10 @@ impl Certificate {
         let blocks = (Strided(&mut triplets.right, width), Strided(&mut triplets.image, width));
         parts.sum(&mut self.sums, 2 * square, blocks, |rows, (right, image), sums| {
             let (own, other) = sums.split_at_mut(square);
-            operator.take_in(rows, w, width, width, right.0, image.0, width, 0);
+            operator.map_directions(rows, w, width, width, right.0, image.0, width, 0);
             for (block, sums) in [(right.0, own), (image.0, other)] {
-                for chunk in block.chunks(CHUNK * width) {
-                    let chunk = Block::new(chunk, width, width);
+                for chunk in block.chunks(CHUNK_ROWS * width) {
+                    let chunk = BlockView::new(chunk, width, width);
                     add_gram(chunk, chunk, sums, width);
                 }
             }
@@ -106,11 +106,11 @@ impl Certificate {
         let (right, image, values) = (&*triplets.right, &*triplets.image, &*self.values);
         let out = Strided(&mut vectors[..n * double], double);
         parts.sum(&mut self.sums, double * double, out, |rows, out, sums| {
-            let chunks = out.0.chunks_mut(CHUNK * double);
-            for (start, chunk) in rows.clone().step_by(CHUNK).zip(chunks) {
-                let rows = start..(start + CHUNK).min(rows.end);
+            let chunks = out.0.chunks_mut(CHUNK_ROWS * double);
+            for (start, chunk) in rows.clone().step_by(CHUNK_ROWS).zip(chunks) {
+                let rows = start..(start + CHUNK_ROWS).min(rows.end);
                 fill_residuals(operator, rows, right, image, values, chunk);
-                let chunk = Block::new(chunk, double, double);
+                let chunk = BlockView::new(chunk, double, double);
                 add_gram(chunk, chunk, sums, double);
             }
         });
@@ -175,7 +175,7 @@ impl Certificate {
             let i = i as usize;
             let own = i * width..(i + 1) * width;
             let (right, image) = (&mut right[own.clone()], &mut image[own]);
-            operator.take_in(i..i + 1, w, width, width, right, image, width, 0);
+            operator.map_directions(i..i + 1, w, width, width, right, image, width, 0);
         }
         for &i in touched {
             let i = i as usize;
@@ -203,16 +203,16 @@ impl Certificate {
         for row in right.chunks_exact(width).take(live) {
             factor.extend_from_slice(&row[..live]);
         }
-        if live == 0 || !symmetric.cholesky(factor, live, INDEPENDENT) {
+        if live == 0 || !symmetric.cholesky(factor, live, MIN_PIVOT) {
             return false;
         }
         let inverse = zeros(inverse, width * width);
         invert_transpose(factor, live, inverse, width);
-        let inverse = Block::new(inverse, width, width);
+        let inverse = BlockView::new(inverse, width, width);
         let first = zeros(first, width * width);
-        product(Block::new(image, width, width), inverse, first, width, 0);
+        product(BlockView::new(image, width, width), inverse, first, width, 0);
         let second = zeros(second, width * width);
-        add_gram(inverse, Block::new(first, width, width), second, width);
+        add_gram(inverse, BlockView::new(first, width, width), second, width);
         factor.clear();
         for row in second.chunks_exact(width).take(live) {
             factor.extend_from_slice(&row[..live]);
@@ -225,7 +225,7 @@ impl Certificate {
             to[..live].copy_from_slice(from);
         }
         let rotation = zeros(rotation, width * width);
-        product(inverse, Block::new(first, width, width), rotation, width, 0);
+        product(inverse, BlockView::new(first, width, width), rotation, width, 0);
         triplets.sigma.clear();
         triplets.sigma.extend(squares.iter().map(|square| square.max(0.0).sqrt()));
         triplets.sigma.resize(count, 0.0);
@@ -240,13 +240,13 @@ impl Certificate {
         }
         let double = 2 * width;
         let spread = zeros(spread, double * width);
-        let gram = Block::new(residual, double, double);
-        product(gram, Block::new(combined, width, width), spread, width, 0);
+        let gram = BlockView::new(residual, double, double);
+        product(gram, BlockView::new(combined, width, width), spread, width, 0);
         let trace = |of: std::ops::Range<usize>| of.map(|i| residual[i * double + i]).sum::<f64>();
         for (largest, trace) in traces.iter_mut().zip([trace(0..width), trace(width..double)]) {
             *largest = trace.max(*largest);
         }
-        let rounding = ROUNDINGS * f64::from(self.updates + 1) * f64::EPSILON;
+        let rounding = GRAM_ROUNDINGS * f64::from(self.updates + 1) * f64::EPSILON;
         let top = triplets.sigma[0];
         let null = NULL_VALUE_RATIO * top;
         triplets.residuals.clear();
@@ -300,7 +300,7 @@ fn exchange(
     packed: &mut Vec<f64>,
 ) {
     packed.clear();
-    for chunk in rows.chunks(CHUNK) {
+    for chunk in rows.chunks(CHUNK_ROWS) {
         packed.clear();
         for &i in chunk {
             packed.extend_from_slice(&block[i as usize * width..(i as usize + 1) * width]);
@@ -309,6 +309,11 @@ fn exchange(
         packed.extend_from_within(..);
         packed[len..].iter_mut().for_each(|value| *value *= sign);
         let (plain, signed) = packed.split_at(len);
-        add_gram(Block::new(plain, width, width), Block::new(signed, width, width), gram, width);
+        add_gram(
+            BlockView::new(plain, width, width),
+            BlockView::new(signed, width, width),
+            gram,
+            width,
+        );
     }
 }

@@ -1,7 +1,7 @@
 //! The triplets of the last frame as callers see them.
 
 use super::solver::KatzSvd;
-use crate::linalg::block_vectors::{Block, product};
+use crate::linalg::block_vectors::{BlockView, product};
 use crate::linalg::matrix::DenseMatrix;
 use crate::svd::davidson::{NULL_VALUE_RATIO, Triplets};
 use crate::svd::error::SvdError;
@@ -17,10 +17,10 @@ impl KatzSvd {
             return (right, image);
         }
         let [right, image] = self.rotated.get_or_init(|| {
-            let rotation = Block::new(&self.certificate.rotation, *width, *width);
+            let rotation = BlockView::new(&self.certificate.rotation, *width, *width);
             [right, image].map(|block| {
                 let mut rotated = vec![0.0; block.len()];
-                product(Block::new(block, *width, *width), rotation, &mut rotated, *width, 0);
+                product(BlockView::new(block, *width, *width), rotation, &mut rotated, *width, 0);
                 rotated
             })
         });

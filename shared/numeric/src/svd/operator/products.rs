@@ -12,7 +12,7 @@ use super::{KatzOperator, Orientation};
 use crate::linalg::simd::dispatch;
 
 /// Registers that are summed up at a time.
-const TOGETHER: usize = 4;
+const MAX_COLUMN_REGISTERS: usize = 4;
 
 impl KatzOperator {
     /// Rows `range` of Y = B X for B = αA or αAᵀ: `y` holds these rows, of `y_stride` values, and gets
@@ -36,7 +36,7 @@ impl KatzOperator {
     /// Rows `range` of αA W and of V = W − αA W, into the columns from `first` on of `image` and
     /// `space`, which hold these rows of `stride` values.
     #[expect(clippy::too_many_arguments, reason = "two blocks with their strides")]
-    pub(crate) fn take_in(
+    pub(crate) fn map_directions(
         &self,
         range: Range<usize>,
         w: &[f64],
@@ -49,7 +49,7 @@ impl KatzOperator {
     ) {
         let place = Place { stride, first };
         let rows = &self.forward;
-        dispatch(TakeIn { rows, range, w, w_stride, width, space, image, place });
+        dispatch(MapDirections { rows, range, w, w_stride, width, space, image, place });
     }
 
     /// Rows `range` of αAᵀ X − V Σ, rounded to `residual`, rows of `single_stride` values, of which
@@ -136,7 +136,7 @@ macro_rules! for_all_columns {
         let mut at = 0;
         while at < $self.width {
             at += $lanes
-                * match (($self.width - at) / $lanes).min(TOGETHER) {
+                * match (($self.width - at) / $lanes).min(MAX_COLUMN_REGISTERS) {
                     1 => $self.columns::<S, 1>($simd, at),
                     2 => $self.columns::<S, 2>($simd, at),
                     3 => $self.columns::<S, 3>($simd, at),
@@ -178,7 +178,7 @@ impl Multiply<'_> {
     }
 }
 
-struct TakeIn<'a> {
+struct MapDirections<'a> {
     rows: &'a Rows,
     range: Range<usize>,
     w: &'a [f64],
@@ -189,7 +189,7 @@ struct TakeIn<'a> {
     place: Place,
 }
 
-impl WithSimd for TakeIn<'_> {
+impl WithSimd for MapDirections<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -198,7 +198,7 @@ impl WithSimd for TakeIn<'_> {
     }
 }
 
-impl TakeIn<'_> {
+impl MapDirections<'_> {
     #[inline(always)]
     fn columns<S: Simd, const C: usize>(&mut self, simd: S, at: usize) -> usize {
         let (Place { stride, first }, wide) = (self.place, C * S::F64_LANES);
@@ -349,7 +349,7 @@ mod tests {
                 }
             }
             let mut space = y.clone();
-            operator.take_in(range.clone(), &x, width, width, &mut space, &mut y, stride, 7);
+            operator.map_directions(range.clone(), &x, width, width, &mut space, &mut y, stride, 7);
             for (i, (v, s)) in range.clone().zip(space.chunks(stride).zip(y.chunks(stride))) {
                 for c in 0..width {
                     let wanted = exact(Orientation::Forward, i, c);

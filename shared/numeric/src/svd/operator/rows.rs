@@ -4,7 +4,7 @@ use crate::linalg::matrix::SparseMatrix;
 use crate::linalg::parallel::{Parts, PerPart, Split};
 
 /// Room for that many more entries in a row that had to be moved because it grew.
-const SPARE: usize = 4;
+const SPARE_ENTRIES: usize = 4;
 
 /// Where the entries of a row stand.
 #[derive(Debug, Clone, Copy, Default)]
@@ -244,7 +244,7 @@ impl Rows {
         if len <= span.room as usize {
             return;
         }
-        let (start, room) = (self.columns.len(), len + SPARE);
+        let (start, room) = (self.columns.len(), len + SPARE_ENTRIES);
         let range = self.range(i);
         self.columns.extend_from_within(range.clone());
         self.columns.resize(start + room, 0);
