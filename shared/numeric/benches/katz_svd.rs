@@ -1,8 +1,8 @@
-//! Times of the leading triplets of the Katz similarity: cold, when all robots move, and when one does; and,
-//! to hold them against, how fast this machine reads memory and multiplies.
+//! Times of the leading triplets of the Katz similarity: cold, when all robots move, and when one
+//! does; and, for comparison, the memory bandwidth and the arithmetic speed of the machine.
 //!
-//! Fleets are clustered squads at unit density in the order of a Morton curve, related by a kernel that falls
-//! smoothly to zero and by a tree of commands: about 18 weights a robot.
+//! Fleets are clustered squads at unit density in the order of a Morton curve, related by a kernel
+//! that falls smoothly to zero and by a tree of commands: about 18 weights a robot.
 
 use divan::counter::{BytesCount, ItemsCount};
 use divan::{Bencher, black_box};
@@ -25,7 +25,7 @@ const STEP: f64 = 0.004;
 /// Reach of the kernel, in mean spacings.
 const REACH: f64 = 2.0;
 
-/// Numbers of a block that no cache holds.
+/// Numbers of a block that exceeds every cache.
 const LARGE: usize = 1 << 24;
 
 fn main() {
@@ -97,7 +97,7 @@ fn morton(place: [u32; 2]) -> u64 {
     spread(place[0]) | spread(place[1]) << 1
 }
 
-/// The fleet's radius with room for what moves, and α for αρ about 0.9.
+/// The fleet's radius with a margin for motion, and α for αρ about 0.9.
 fn decay(fleet: &Fleet) -> (SpectralRadius, f64) {
     let a = fleet.graph();
     let mut tracker = RadiusTracker::default();
@@ -173,9 +173,9 @@ fn event(bencher: Bencher<'_, '_>, n: usize) {
         .bench_local_refs(|a| solve(&mut solver, black_box(a), &decay, options(1e-4, 1)));
 }
 
-/// The same for a caller who knows which rows have changed.
+/// The same for a caller that knows which rows have changed.
 #[divan::bench(args = SIZES, max_time = 5)]
-fn event_told(bencher: Bencher<'_, '_>, n: usize) {
+fn event_with_rows(bencher: Bencher<'_, '_>, n: usize) {
     let mut fleet = Fleet::new(n);
     let decay = decay(&fleet);
     let mut solver = KatzSvd::default();
@@ -198,7 +198,7 @@ fn event_told(bencher: Bencher<'_, '_>, n: usize) {
     });
 }
 
-/// What memory gives: x ← y + 3z over blocks that no cache holds, in bytes moved.
+/// Memory bandwidth: x ← y + 3z over blocks that exceed every cache, in bytes moved.
 #[divan::bench(max_time = 2)]
 fn triad(bencher: Bencher<'_, '_>) {
     let (y, z) = (vec![1.0_f64; LARGE], vec![2.0_f64; LARGE]);

@@ -8,7 +8,7 @@
 //! | --- | --- |
 //! | fuse the graphs of all modalities into one, A* = Σ w_m A_m | [`fuse`] |
 //! | bound the spectral radius of A*, on which the choice of α rests | [`spectral_radius`], [`radius_bound`] |
-//! | choose the scales of the graphs and α, and keep them while they hold | [`norm_band`], [`katz`], [`alpha_band`] |
+//! | choose the scales of the graphs and α, and keep them from frame to frame | [`norm_band`], [`katz`], [`alpha_band`] |
 //! | Katz similarity S = (I − αA*)⁻¹ − I | [`katz`], [`cached_katz`], [`katz_column`] |
 //! | singular value decomposition of S, cut at K | [`svd`], [`dimension`] |
 //! | the same for large graphs, without S, from frame to frame | [`katz_svd`] |
@@ -17,12 +17,17 @@
 //! | carry cluster identities over from the previous division | [`matching`] |
 //! | score the division | [`silhouette`] |
 //!
-//! The crate knows nodes by their index only, does no input or output, keeps no state but in values
-//! that the caller holds, and is deterministic: the same input gives the same output, bit for bit,
-//! on the same machine.
-//! Everything runs on the calling thread, except where an option asks for more threads; that never
-//! changes a result. Public signatures use the types of this crate;
-//! the linear algebra library behind them can be exchanged without touching a caller.
+//! The folders are fields of mathematics, and imports between them lead downwards only: `svd`
+//! (decomposition and representation), `katz` (similarity and decay), `fuse`, `norm` (spectral
+//! norm), `radius` (spectral radius), `graph` (algorithms on the pattern) and `linalg` (matrices
+//! and kernels); `cluster` (division and its quality) needs `linalg` alone. Public modules are
+//! re-exported here under the names of the table.
+//!
+//! The crate identifies nodes by their index, does no input or output, and has no state except in
+//! values of the caller. It is deterministic: the same input gives the same output, bit for bit,
+//! on the same machine. All work runs on the calling thread unless a parameter asks for more
+//! threads, which never changes a result. Public signatures use the types of this crate, so that
+//! the linear algebra library can be exchanged without a change of callers.
 //!
 //! Every entry of a [`matrix::DenseMatrix`] or [`matrix::SparseMatrix`] is finite and bounded by
 //! [`matrix::MAX_ENTRY`], which is checked on construction; functions that take them rely on it.

@@ -1,6 +1,6 @@
-//! What is kept from frame to frame allocates nothing once it has seen a frame of each kind.
+//! State that is kept from frame to frame allocates nothing after one frame of each kind.
 //!
-//! Allocations are counted on the calling thread, where everything runs that is asked for no threads.
+//! Allocations are counted on the calling thread, which does all work when one thread is asked for.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -11,7 +11,7 @@ use muster_numeric::matrix::SparseMatrix;
 use muster_numeric::radius_bound::RadiusTracker;
 use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};
 
-/// Searches between two new orders of the nodes, as in `katz_svd`; the order of a new one allocates.
+/// Searches between two new orders of the nodes, as in `katz_svd`; a new order allocates.
 const ORDER_FRAMES: u64 = 100;
 
 /// A grid whose weights sway a little from frame to frame; only those of `rows` rows if there is a limit.
@@ -41,11 +41,11 @@ fn searches_allocate_nothing_from_the_second_frame_on() {
         let alpha = 0.8 / radius.upper;
         let options = KatzSvdOptions { rank, tolerance: 1e-6, seed: 1, threads: 1 };
         let mut solver = KatzSvd::default();
-        // Two frames fill the history; the third one has seen all of it.
+        // Two frames fill the start of the search; the third one has used all of it.
         for frame in 0..3 {
             solver.solve(&swaying(n, frame, None), alpha, &radius, options, None).unwrap();
         }
-        // Frames with random directions are among them, one with a new order is not.
+        // The frames include some with random directions, and none with a new order.
         let frames = 3..3 + 2 * PROBE_EVERY;
         assert!(frames.end < ORDER_FRAMES);
         for frame in frames {
@@ -74,7 +74,7 @@ fn changes_of_few_rows_allocate_nothing() {
         let counted = measure(|| {
             rounds = solver.solve(&a, alpha, &radius, options, None).unwrap().rounds;
         });
-        // Sums are made by the first change that needs no search, and brought up to date by the second.
+        // The first change without a search computes the sums, the second updates them.
         assert!(without < 2 || counted.count_total == 0, "frame {frame}: {counted:?}");
         without += usize::from(rounds == 0);
     }

@@ -79,9 +79,9 @@ fn closed_forms_after_updates() {
 
     let (mut kept, ..) = cached(&directed_path(8, 1.0), Alpha::Value(0.3));
     kept.set_rank_share(1.0).unwrap();
-    let turned: Vec<Option<usize>> = (0..8).map(|i| Some(7 - i)).collect();
+    let reversed: Vec<Option<usize>> = (0..8).map(|i| Some(7 - i)).collect();
     let back = directed_path(8, 1.0).transpose();
-    let found = kept.update(&back, 0.3, &spectral_radius(&back, None), Some(&turned)).unwrap();
+    let found = kept.update(&back, 0.3, &spectral_radius(&back, None), Some(&reversed)).unwrap();
     assert_eq!((found.method, found.rank), (Method::Kept, 0));
     assert_close(kept.pair(7, 2).unwrap(), 0.3_f64.powi(5), 1e-14);
 }
@@ -134,7 +134,7 @@ fn ten_thousand_changes_leave_the_similarity_of_scratch() {
 }
 
 #[test]
-fn what_is_solved_anew_and_why() {
+fn reasons_to_solve_from_scratch() {
     let a = Fleet::new(60, 1).graph();
     let (mut kept, alpha, radius) = cached(&a, Alpha::Fraction(0.5));
     let mut method = |a: &SparseMatrix, alpha, map: Option<&[Option<usize>]>| {

@@ -72,7 +72,7 @@ fn plain_representation_is_u_and_v() {
 }
 
 #[test]
-fn what_vanishes_is_not_made_longer() {
+fn zero_columns_stay_zero() {
     let nothing = decompose(&graph(3, &[]), 2);
     let x = embed(&nothing, Scale::InverseSqrtSigma, Rows::None).x;
     assert!(x.data().iter().all(|value| *value == 0.0));
@@ -89,15 +89,15 @@ fn rotations_within_equal_values_are_undone() {
     let a = cliques(&[5, 5, 5]);
     let (svd, e) = frame(&a, 3);
     let (c, s) = (0.6, 0.8);
-    let turned: Vec<f64> =
+    let rotated: Vec<f64> =
         e.x.iter_rows()
             .flat_map(|r| {
                 let turn = |h: &[f64]| [c * h[0] - s * h[1], s * h[0] + c * h[1], -h[2]];
                 [turn(&r[..3]), turn(&r[3..])].concat()
             })
             .collect();
-    let turned = DenseMatrix::new(15, 6, turned).unwrap();
-    let back = align(&turned, &svd.sigma, &e.x, &same(15)).unwrap();
+    let rotated = DenseMatrix::new(15, 6, rotated).unwrap();
+    let back = align(&rotated, &svd.sigma, &e.x, &same(15)).unwrap();
     assert!(largest_move(&back, &e.x) < 1e-13);
 }
 

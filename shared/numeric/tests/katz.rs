@@ -107,7 +107,7 @@ fn inadmissible_decays_are_refused() {
 }
 
 #[test]
-fn probe_sees_a_wrong_similarity() {
+fn the_probe_detects_a_wrong_similarity() {
     let a = star(30);
     let (alpha, mut s) = similarity(&a, Alpha::Fraction(0.9)).unwrap();
     assert!(katz_probe(&a, alpha, &s, 1).unwrap() < 1e-13);

@@ -66,7 +66,7 @@ fn triplets_and_subspaces_equal_those_of_the_full_decomposition() {
 }
 
 #[test]
-fn frames_that_follow_begin_where_the_last_ended() {
+fn a_search_starts_from_the_triplets_of_the_previous_frame() {
     let n = 200;
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let mut places: Vec<(f64, f64)> =
@@ -132,7 +132,7 @@ fn nodes_join_and_leave_between_frames() {
 }
 
 #[test]
-fn a_vector_that_no_history_holds_is_found_by_a_probe() {
+fn a_vector_missing_from_every_start_is_found_by_a_probe() {
     // Two fleets without an edge in between: the second one wakes up while only the first is followed.
     let block = |scale: f64, offset: usize| {
         (0..60).flat_map(move |i| {
@@ -191,7 +191,7 @@ fn degenerate_graphs_have_answers() {
             solver.solve(&a, 0.3 / radius.upper.max(1.0), &radius, options(n, 1e-9), None).unwrap();
         assert!(report.converged);
     }
-    // Weights that no single number holds.
+    // Weights beyond single precision.
     let a = SparseMatrix::from_triplets(70, (0..69).map(|i| (i, i + 1, 1e90))).unwrap();
     let radius = spectral_radius(&a, None);
     let _ = KatzSvd::default().solve(&a, 1e-90, &radius, options(2, 1e-6), None).unwrap();
@@ -199,7 +199,7 @@ fn degenerate_graphs_have_answers() {
 }
 
 #[test]
-fn what_cannot_be_asked_for_is_refused_by_name() {
+fn invalid_input_is_refused_by_name() {
     let a = random_graph(70, 4, 1);
     let radius = spectral_radius(&a, None);
     let mut solver = KatzSvd::default();
@@ -228,8 +228,8 @@ proptest! {
         let radius = spectral_radius(&a, None);
         prop_assume!(radius.upper > 0.0);
         let alpha = 0.7 / radius.upper;
-        let turned = a.triplets().map(|(i, j, w)| ((i + 7) % n, (j + 7) % n, w));
-        let b = SparseMatrix::from_triplets(n, turned).unwrap();
+        let shifted = a.triplets().map(|(i, j, w)| ((i + 7) % n, (j + 7) % n, w));
+        let b = SparseMatrix::from_triplets(n, shifted).unwrap();
         let (mut first, mut second) = (KatzSvd::default(), KatzSvd::default());
         let options = options(4, 1e-10);
         prop_assert!(first.solve(&a, alpha, &radius, options, None).unwrap().converged);

@@ -84,13 +84,13 @@ fn orthonormal(m: &DenseMatrix) -> f64 {
     worst
 }
 
-/// One robot after the other moves; each answer is looked at by `check`. Answers how many came without a
+/// Moves one robot after the other and passes each result to `check`. Returns how many needed no
 /// search.
 fn follow(
     n: usize,
     seed: u64,
     tolerance: f64,
-    told: bool,
+    rows_given: bool,
     mut check: impl FnMut(&KatzSvd, &KatzSvdReport, &SparseMatrix, f64),
 ) -> usize {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -107,7 +107,7 @@ fn follow(
         fleet.places[robot].0 += step * (rng.random::<f64>() - 0.5);
         fleet.places[robot].1 += step * (rng.random::<f64>() - 0.5);
         let a = fleet.graph();
-        let report = if told {
+        let report = if rows_given {
             let mut changed = vec![robot];
             before.differing_rows(&a, n, &mut changed);
             solver.solve_changed(&a, alpha, &radius, options(tolerance), &changed)
@@ -129,10 +129,10 @@ proptest! {
     fn the_residual_is_never_below_that_of_a_whole_pass(
         seed in 0..10_000_u64,
         n in 130..400_usize,
-        told: bool,
+        rows_given: bool,
         tolerance in prop::sample::select(vec![1e-2, 1e-4, 1e-7]),
     ) {
-        follow(n, seed, tolerance, told, |solver, report, a, alpha| {
+        follow(n, seed, tolerance, rows_given, |solver, report, a, alpha| {
             assert!(report.converged && report.residual <= tolerance, "{report:?}");
             let svd = solver.truncate(RANK).unwrap();
             let (right, left) = whole_pass(a, alpha, &svd);
@@ -148,10 +148,10 @@ fn small_moves_need_no_search_and_give_the_triplets_of_one() {
     let mut largest = 0.0_f64;
     let without = follow(400, 7, 1e-3, false, |solver, report, a, alpha| {
         let radius = SpectralRadius { upper: 0.99 / alpha, ..roomy(a) };
-        let mut anew = KatzSvd::default();
-        anew.solve(a, alpha, &radius, options(1e-9), None).unwrap();
-        let top = anew.all_singular_values()[0];
-        for (j, wanted) in anew.all_singular_values().iter().enumerate().take(RANK) {
+        let mut fresh = KatzSvd::default();
+        fresh.solve(a, alpha, &radius, options(1e-9), None).unwrap();
+        let top = fresh.all_singular_values()[0];
+        for (j, wanted) in fresh.all_singular_values().iter().enumerate().take(RANK) {
             // Weyl; ‖Sᵀu − σv‖ is at most 1 + σ₁ times the residual.
             let bound = (1.0 + top) * report.residual * top;
             let off = (solver.all_singular_values()[j] - wanted).abs();
@@ -164,10 +164,10 @@ fn small_moves_need_no_search_and_give_the_triplets_of_one() {
 }
 
 #[test]
-fn the_comparison_and_the_callers_word_lead_to_the_same_bit_for_bit() {
-    let results = [false, true].map(|told| {
+fn compared_and_given_rows_lead_to_the_same_result_bit_for_bit() {
+    let results = [false, true].map(|rows_given| {
         let mut all = Vec::new();
-        follow(300, 11, 1e-3, told, |solver, report, _, _| {
+        follow(300, 11, 1e-3, rows_given, |solver, report, _, _| {
             let svd = solver.truncate(RANK).unwrap();
             all.push((report.residual.to_bits(), svd.u.data().to_vec(), svd.sigma));
         });
@@ -177,7 +177,7 @@ fn the_comparison_and_the_callers_word_lead_to_the_same_bit_for_bit() {
 }
 
 #[test]
-fn a_pair_that_becomes_closer_than_any_before_is_found_at_once() {
+fn a_pair_closer_than_any_before_is_found_at_once() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     let a = Fleet::new(300, &mut rng).graph();
     let radius = roomy(&a);
@@ -191,10 +191,10 @@ fn a_pair_that_becomes_closer_than_any_before_is_found_at_once() {
         for _ in 0..=calm {
             solver.solve(&a, alpha, &radius, options(1e-4), None).unwrap();
         }
-        let mut anew = KatzSvd::default();
+        let mut fresh = KatzSvd::default();
         solver.solve_changed(&docked, alpha, &radius, options(1e-4), &[7, 290]).unwrap();
-        anew.solve(&docked, alpha, &radius, options(1e-8), None).unwrap();
-        let (found, wanted) = (solver.all_singular_values()[0], anew.all_singular_values()[0]);
+        fresh.solve(&docked, alpha, &radius, options(1e-8), None).unwrap();
+        let (found, wanted) = (solver.all_singular_values()[0], fresh.all_singular_values()[0]);
         assert!((found - wanted).abs() < 1e-4 * wanted, "{found} {wanted}");
     }
 }

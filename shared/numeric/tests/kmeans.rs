@@ -149,7 +149,7 @@ fn lloyd_equals_the_plain_iteration() {
 }
 
 #[test]
-fn lloyd_refuses_what_does_not_fit() {
+fn lloyd_refuses_shapes_that_do_not_fit() {
     let x = blobs(&[&[0.0, 0.0]], 5, 1.0, 1);
     let flat = DenseMatrix::zeros(2, 1).unwrap();
     let fault = KMeansError::Dimensions { points: 2, centroids: 1 };
@@ -253,7 +253,7 @@ fn unchanged_points_keep_their_labels() {
 }
 
 #[test]
-fn noise_moves_nobody_but_real_change_does() {
+fn noise_moves_no_point_but_real_change_does() {
     // Point 20 lies midway between two clusters, shifted a little either way.
     let base = blobs(&[&[-2.0, 0.0], &[2.0, 0.0]], 10, 0.3, 6);
     let with_last = |at: f64| {

@@ -1,4 +1,4 @@
-//! What must hold for any graph on the way from graphs to singular vectors, whichever path is taken.
+//! Properties of all graphs on the way to singular vectors, for every method.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -154,7 +154,8 @@ fn ten_thousand_changes_leave_the_triplets_of_scratch() {
     let mut search = KatzSvd::default();
     let (mut known, mut checked, mut joined) = (0, 0, 0);
     for frame in 0..10_000 / CHANGES {
-        // Where each robot of the last frame stands now, and from that, where each one of now stood.
+        // The present index of each robot of the last frame, and the previous index of each present
+        // one.
         let mut places: Vec<Option<usize>> = (0..known).map(Some).collect();
         for _ in 0..CHANGES {
             let moved = fleet.change();

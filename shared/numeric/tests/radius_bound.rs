@@ -84,13 +84,13 @@ fn acyclic_graphs_have_radius_zero() {
 
 #[test]
 fn acyclic_and_isolated_parts_spoil_no_bound() {
-    // A heavy chain into and out of a weak clique, a heavy tree beside it, and loners.
+    // A heavy chain into and out of a weak clique, a separate heavy tree, and isolated nodes.
     let mut edges: Vec<_> = cliques(&[6]).triplets().collect();
     edges.extend((6..40).map(|i| (i, i - 1, 1e3)));
     edges.extend((41..60).map(|i| (i - 1, i, 1e4)));
     edges.push((0, 70, 1e5));
     check(&graph(80, &edges), 5.0);
-    // A slow ring behind a fast one, joined by a heavy edge.
+    // A slow ring after a fast one, joined by a heavy edge.
     let mut edges: Vec<_> = (0..9).map(|i| (i, (i + 1) % 9, 1.0)).collect();
     edges.extend((0..5).map(|i| (9 + i, 9 + (i + 1) % 5, 0.99)));
     edges.extend([(3, 9, 1e6)]);
@@ -125,7 +125,7 @@ fn large_components_keep_honest_bounds() {
 }
 
 #[test]
-fn widths_that_are_no_widths_are_refused() {
+fn invalid_widths_are_refused() {
     for width in [f64::NAN, -1e-3] {
         let found = RadiusTracker::default().refine(&star(4), width);
         assert!(matches!(found, Err(WidthError(_))));

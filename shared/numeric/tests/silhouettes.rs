@@ -81,7 +81,7 @@ fn methods_are_named() {
 }
 
 #[test]
-fn scores_of_any_size_name_how_they_came_about() {
+fn scores_of_any_size_name_their_method() {
     assert_eq!(Method::by_size(7, 7), Method::Exact);
     assert_eq!(Method::by_size(8, 7), Method::Sampled);
     let points = SAMPLE + 100;

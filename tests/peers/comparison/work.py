@@ -1,7 +1,7 @@
 """How much a search for singular triplets computes and moves, to be held against the machine's limits.
 
 An estimate, rather from above: it takes every direction as open until the last round, while those that
-are found are searched for no more. Names are those of shared/numeric/src/partial.rs.
+are found are searched for no more. Names are those of shared/numeric/src/svd/davidson.rs.
 """
 
 # Vectors that are carried along beside those asked for, to a multiple of a register.

@@ -9,7 +9,7 @@ use thiserror::Error;
 /// Largest number of clusters on either side; the method takes cubic time.
 pub const MAX_CLUSTERS: usize = 1 << 12;
 
-/// Larger overlaps count as this many nodes, so that weights stay within their integer type.
+/// Larger overlaps count as this many nodes, so that weights fit their integer type.
 const MAX_OVERLAP: u64 = 1 << 40;
 
 /// Why clusters could not be matched.
@@ -99,7 +99,7 @@ pub fn match_by_overlap(overlap: &[Vec<u64>]) -> Result<Vec<Option<usize>>, Matc
     if rows == 0 || cols == 0 {
         return Ok(vec![None; rows]);
     }
-    // The method wants no more rows than columns.
+    // The method needs at least as many columns as rows.
     let flipped = rows > cols;
     let (m, n) = (rows.min(cols), rows.max(cols));
     let weights = Matrix::from_fn(m, n, |(i, j)| {
@@ -118,8 +118,8 @@ pub fn match_by_overlap(overlap: &[Vec<u64>]) -> Result<Vec<Option<usize>>, Matc
     Ok(matched)
 }
 
-/// Weight of a match: overlap first, then one bonus per match, then nearness of the indices. Each
-/// level is scaled so that all of the next together cannot outweigh one unit of it.
+/// Weight of a match: overlap first, then a bonus per match, then closeness of the indices. All of
+/// a lower level together cannot outweigh one unit of the level above.
 fn score(overlap: u64, a: usize, b: usize, n: usize) -> i128 {
     if overlap == 0 {
         return 0;

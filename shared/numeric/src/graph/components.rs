@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cycle_behind_a_chain_is_seen() {
+    fn a_cycle_at_the_end_of_a_chain_is_found() {
         let chain = (1..50).map(|i| (i - 1, i, 1.0));
         let a = SparseMatrix::from_triplets(50, chain.clone()).unwrap();
         assert!(is_acyclic(&a));

@@ -2,8 +2,8 @@
 
 use crate::linalg::matrix::SparseMatrix;
 
-/// Rows and columns `nodes` of `a`, renumbered. `place` is scratch space of one entry per node
-/// of `a`, all `usize::MAX` before and after.
+/// Rows and columns `nodes` of `a`, renumbered. `place` is scratch space of one entry per node of
+/// `a`, all `usize::MAX` before and after.
 pub(crate) fn induced_subgraph(
     a: &SparseMatrix,
     nodes: &[usize],

@@ -8,7 +8,7 @@ use crate::radius::exact::SpectralRadius;
 /// How the decay α is chosen. α has the inverse unit of the weights of A.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Alpha {
-    /// This very number.
+    /// This value.
     Value(f64),
     /// This fraction, strictly between 0 and 1, of the largest admissible value 1/ρ(A).
     Fraction(f64),
@@ -17,9 +17,9 @@ pub enum Alpha {
 impl Alpha {
     /// The decay α for the graph `a` whose spectral radius is `radius`.
     ///
-    /// A fraction f gives α = f/ρ, with the upper bound of ρ to stay on the safe side. Acyclic
-    /// graphs have ρ = 0 and admit every α; the fraction is then taken of 1/‖A‖₂, which has the
-    /// same unit and equals 1/ρ for symmetric graphs. Without any edge α = f.
+    /// A fraction f gives α = f/ρ, with the upper bound of ρ to be on the safe side. Acyclic graphs
+    /// have ρ = 0 and admit every α; the fraction then refers to 1/‖A‖₂, which has the same unit
+    /// and equals 1/ρ for symmetric graphs. Without any edge α = f.
     ///
     /// # Errors
     /// [`KatzError::Fraction`], [`KatzError::Alpha`] or [`KatzError::Diverges`].

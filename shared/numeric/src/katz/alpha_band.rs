@@ -1,8 +1,8 @@
 //! The choice of the decay α from frame to frame.
 //!
-//! A cached Katz matrix belongs to one α and is lost with it, while ρ wanders a little with every
-//! frame. So α stays as long as αρ stays near the fraction asked for; and as it is held against
-//! the upper bound of ρ, no α from 1/ρ on can stay or be chosen.
+//! A cached Katz matrix is valid for one α only, while ρ changes a little in every frame. So α is
+//! kept while αρ stays near the fraction asked for. It is compared with the upper bound of ρ, so no
+//! α ≥ 1/ρ can be kept or chosen.
 
 use std::ops::RangeInclusive;
 
@@ -19,19 +19,19 @@ pub struct AlphaBand {
     alpha: Option<f64>,
 }
 
-/// A decay, and whether it is another one than before.
+/// A decay, and whether it differs from the previous one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decay {
     /// The decay α, in the inverse unit of the weights.
     pub alpha: f64,
-    /// False when α is the one of the last frame, bit for bit.
+    /// False when α equals that of the last frame bit for bit.
     pub changed: bool,
 }
 
 impl AlphaBand {
-    /// Holds αρ near `fraction` f, strictly between 0 and 1: within f(1 − h) and f(1 + h) for the
-    /// relative `hysteresis` h, but never above the middle between f and 1. With h = 0 every
-    /// frame has its own α = f/ρ.
+    /// Keeps αρ near `fraction` f, strictly between 0 and 1: within f(1 − h) and f(1 + h) for the
+    /// relative `hysteresis` h, but never above the middle between f and 1. With h = 0 every frame
+    /// has its own α = f/ρ.
     ///
     /// # Errors
     /// [`KatzError::Fraction`] unless 0 < f < 1, [`KatzError::Hysteresis`] unless 0 ≤ h < 1.
@@ -45,13 +45,13 @@ impl AlphaBand {
         Ok(Self { fraction, hysteresis, alpha: None })
     }
 
-    /// The α in force, none before the first frame.
+    /// The current α, `None` before the first frame.
     #[must_use]
     pub fn alpha(&self) -> Option<f64> {
         self.alpha
     }
 
-    /// Lets go of the α in force: the next frame gets its own.
+    /// Discards the current α: the next frame gets its own.
     pub fn reset(&mut self) {
         self.alpha = None;
     }
@@ -63,11 +63,11 @@ impl AlphaBand {
         f * (1.0 - h)..=(f * (1.0 + h)).min(0.5 * (1.0 + f))
     }
 
-    /// The decay for the graph `a` with the spectral radius within `bound`: the one in force if α
-    /// times the upper bound is within [`AlphaBand::limits`], f over the upper bound otherwise.
+    /// The decay for the graph `a` with the spectral radius within `bound`: the current α if α
+    /// times the upper bound is within [`AlphaBand::limits`], otherwise f over the upper bound.
     ///
-    /// The radius of an acyclic graph is 0 and admits every α; its norm ‖A‖₂ takes the place of
-    /// the radius then, or 1 without any edge (see [`crate::katz::Alpha::resolve`]).
+    /// The radius of an acyclic graph is 0 and admits every α; its norm ‖A‖₂ replaces the radius
+    /// then, or 1 without any edge (see [`crate::katz::Alpha::resolve`]).
     pub fn choose(&mut self, a: &SparseMatrix, bound: &RadiusBound) -> Decay {
         let scale = match bound.upper {
             upper if upper > 0.0 => upper,

@@ -1,14 +1,16 @@
-//! The Katz similarity of all pairs, kept from frame to frame.
+//! The Katz similarity of all pairs, updated from frame to frame.
 //!
-//! Solving for S anew costs 8/3 n³ multiply-adds; when a few robots have moved, the identity of
-//! Woodbury gives the new S for 2n² per changed row or column. What changed is
-//! found by comparing the matrices, not from a list of who moved: robots change the neighbourhood
-//! of others too. Robots that join or leave are rows and columns that appear or disappear.
+//! Solving for S costs 8/3 n³ multiply-adds. When a few robots move, the Woodbury identity gives
+//! the new S for 2n² per changed row or column. The changes are found by comparing the matrices,
+//! not from a list of moved robots, as those change the neighbourhood of others too. Robots that
+//! join or leave are rows and columns that appear or disappear.
 //!
-//! Rounding errors add up very slowly (4e-15 after 10,000 updates), but not provably so: every
-//! update ends with a probe of the whole matrix, and S is solved anew where the probe says so.
+//! Rounding errors accumulate very slowly (4e-15 after 10,000 updates), but without proof: every
+//! update ends with a probe of the whole matrix, and S is solved from scratch when the probe is too
+//! large.
 
 mod changes;
+mod entries;
 mod woodbury;
 
 use rand::{Rng, SeedableRng};
@@ -17,56 +19,55 @@ use rand_chacha::ChaCha8Rng;
 use super::alpha::check_alpha;
 use super::error::KatzError;
 use super::similarity::katz_similarity;
-use crate::fuse::WeightedGraph;
-use crate::linalg::matrix::{DenseMatrix, MatrixError, SparseMatrix};
+use crate::linalg::matrix::{MatrixError, SparseMatrix};
 use crate::radius::exact::SpectralRadius;
 use changes::{Changes, Row};
 use woodbury::{Woodbury, multiply};
 
-/// Most nodes of a cached similarity. 4096² entries are 128 MiB, and solving anew takes seconds.
+/// Most nodes of a cached similarity. 4096² entries are 128 MiB, and solving takes seconds.
 pub const MAX_CACHED: usize = 4096;
 
-/// Rank of an update relative to n from which S is solved anew: with up to two per moved robot, a
-/// quarter of the fleet. An update of this rank takes less than half as long (measured at n = 200
-/// to 2000), but solving anew also resets the rounding errors.
+/// Rank of an update relative to n beyond which S is solved from scratch: with at most two per
+/// moved robot, a quarter of the fleet. An update of this rank takes less than half as long
+/// (measured at n = 200 to 2000), but solving also resets the rounding errors.
 pub const MAX_RANK_SHARE: f64 = 0.5;
 
 /// Reciprocal condition of the capacitance matrix below which an update could lose more than half
 /// of all digits.
 pub const MIN_CONDITION: f64 = 1e-8;
 
-/// Probe from which S is solved anew: far above the 1e-15 of a sound update, far below what an
-/// embedding could notice.
+/// Probe above which S is solved from scratch: far above the 1e-15 of a sound update, far below
+/// what affects an embedding.
 pub const MAX_PROBE: f64 = 1e-10;
 
-/// Slots beyond those in use that are added when there are too few, relative to their number.
+/// One spare slot is added per this many slots when there are too few.
 const SPARE_SLOT_SHARE: usize = 16;
 
-/// How an update was done.
+/// Method of an update.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
     /// Nothing had changed.
     Kept,
-    /// By the identity of Woodbury.
+    /// Updated by the Woodbury identity.
     Updated,
-    /// Solved anew, as there was no similarity or it belonged to another decay.
+    /// Solved: there was no similarity, or it belonged to another decay.
     Started,
-    /// Solved anew, as so much had changed that an update would take longer.
+    /// Solved: the rank was so large that an update would take longer.
     TooMany,
-    /// Solved anew, as more than half of the slots were free.
+    /// Solved: more than half of the slots were free.
     Compacted,
-    /// Solved anew, as the capacitance matrix was too near to singular.
+    /// Solved: the capacitance matrix was too close to singular.
     IllConditioned,
-    /// Solved anew, as the probe of the updated matrix was too large.
+    /// Solved: the probe of the updated matrix was too large.
     Inexact,
 }
 
-/// What an update did and how exact the similarity is now.
+/// Result of an update.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Update {
-    /// How it was done.
+    /// The method.
     pub method: Method,
-    /// Rows and columns that had changed.
+    /// Number of changed rows and columns.
     pub rank: usize,
     /// Estimate of the reciprocal condition of the capacitance matrix; 1 without one.
     pub condition: f64,
@@ -76,17 +77,17 @@ pub struct Update {
 
 /// S = (I − αA)⁻¹ − I for up to [`MAX_CACHED`] nodes, kept up to date.
 ///
-/// Changes can be collected: [`CachedKatz::defer`] takes note of a graph, at a cost proportional to
-/// its edges, and [`CachedKatz::apply`] brings S up to date with the last one, which for ten moved
+/// Changes can be collected: [`CachedKatz::defer`] records a graph, at a cost proportional to its
+/// edges, and [`CachedKatz::apply`] brings S up to date with the last one, which for ten moved
 /// robots costs a third of ten updates. [`CachedKatz::update`] does both.
 ///
-/// Rows and columns of S are kept in slots that do not move when others join or leave. In the
-/// steady state nothing is allocated here; solving anew, joins and leaves, and rows or ranks larger
-/// than any before allocate, and the product of the library may for its own blocks.
+/// Rows and columns of S stay in slots that do not move when other nodes join or leave. In the
+/// steady state nothing is allocated here; solving, joins and leaves, and rows or ranks larger than
+/// any before allocate, and the library's product may allocate its own blocks.
 #[derive(Debug)]
 pub struct CachedKatz {
     alpha: f64,
-    /// Slots; the side of `s`.
+    /// Number of slots, the side of `s`.
     slots: usize,
     /// S in rows of `slots` entries. Rows and columns of free slots are zero.
     s: Vec<f64>,
@@ -96,11 +97,11 @@ pub struct CachedKatz {
     /// Slots of nodes that left since the last update.
     leaving: Vec<u32>,
     is_leaving: Vec<bool>,
-    /// Rows of A that S belongs to, and those of the last graph, in slots.
+    /// Rows of the A that S belongs to, and of the last graph, in slots.
     basis: Vec<Row>,
     latest: Vec<Row>,
     is_dirty: Vec<bool>,
-    /// True when changes wait or S is missing.
+    /// True when changes are pending or S is missing.
     waiting: bool,
     stale: bool,
     radius: SpectralRadius,
@@ -144,8 +145,8 @@ impl Default for CachedKatz {
 
 impl CachedKatz {
     /// Sets the rank of an update, relative to n, beyond which S is solved from scratch: for
-    /// callers that have measured both on their machine. The default is [`MAX_RANK_SHARE`];
-    /// infinity updates at any rank.
+    /// callers that have measured both. The default is [`MAX_RANK_SHARE`]; infinity updates at any
+    /// rank.
     ///
     /// # Errors
     /// [`KatzError::RankShare`] for a negative share, or one that is not a number.
@@ -159,14 +160,14 @@ impl CachedKatz {
 
     /// Brings S up to date with the graph `a` and the decay `alpha`.
     ///
-    /// `radius` bounds the spectral radius of `a`. `map` says which node of `a` each node of the
-    /// graph before has become, none for those that left; without it the nodes are the same. A map
-    /// that does not fit the graphs, as one that is missing where the number of nodes has changed,
-    /// makes S be solved anew.
+    /// `radius` bounds the spectral radius of `a`. `map` holds the new index of each node of the
+    /// previous graph, `None` for those that left; without it the nodes are the same. If the map
+    /// does not fit the graphs, or is missing where the number of nodes has changed, S is solved
+    /// from scratch.
     ///
     /// # Errors
     /// [`KatzError::Alpha`] and [`KatzError::Diverges`] for a decay that the bound does not admit,
-    /// and [`KatzError::Matrix`] beyond [`MAX_CACHED`] nodes: the similarity of the graph before
+    /// and [`KatzError::Matrix`] beyond [`MAX_CACHED`] nodes: the similarity of the previous graph
     /// stays. [`KatzError::Overflow`] when S is out of range: there is no similarity then.
     pub fn update(
         &mut self,
@@ -179,10 +180,10 @@ impl CachedKatz {
         self.apply()
     }
 
-    /// Takes note of a graph without touching S; arguments as of [`CachedKatz::update`].
+    /// Records a graph without touching S; parameters as of [`CachedKatz::update`].
     ///
     /// # Errors
-    /// As [`CachedKatz::update`], but for [`KatzError::Overflow`].
+    /// As [`CachedKatz::update`], except for [`KatzError::Overflow`].
     pub fn defer(
         &mut self,
         a: &SparseMatrix,
@@ -219,7 +220,7 @@ impl CachedKatz {
         Ok(())
     }
 
-    /// Copies the bounds into the vector that is there.
+    /// Copies the bounds into the existing vector.
     fn copy_radius(&mut self, radius: &SpectralRadius) {
         let mut vector = std::mem::take(&mut self.radius.vector);
         vector.clone_from(&radius.vector);
@@ -227,7 +228,7 @@ impl CachedKatz {
         self.radius = SpectralRadius { lower, upper, value, acyclic, vector };
     }
 
-    /// Gives every node a slot of its number, without a similarity.
+    /// Gives every node the slot of its index, without a similarity.
     fn reset_slots(&mut self, n: usize) {
         self.place.clear();
         self.place.extend(0..n as u32);
@@ -247,7 +248,7 @@ impl CachedKatz {
         self.is_dirty.resize(n, true);
     }
 
-    /// Takes the slots of nodes along to their new numbers, and finds slots for new nodes.
+    /// Moves the slots of nodes to their new indices, and finds slots for new nodes.
     fn rearrange(&mut self, map: &[Option<usize>], n: usize) {
         const NONE: u32 = u32::MAX;
         let mut arrived = std::mem::take(&mut self.arrived);
@@ -282,7 +283,7 @@ impl CachedKatz {
         let new = old + count + old / SPARE_SLOT_SHARE;
         if self.s.len() == old * old {
             self.s.resize(new * new, 0.0);
-            // From the last row on, so that no row is overwritten before it has moved.
+            // In descending order, so that no row is overwritten before it has moved.
             for i in (1..old).rev() {
                 self.s.copy_within(i * old..(i + 1) * old, i * new);
                 self.s[i * new + old..(i + 1) * new].fill(0.0);
@@ -294,15 +295,15 @@ impl CachedKatz {
         }
         self.is_leaving.resize(new, false);
         self.is_dirty.resize(new, false);
-        // The lowest slots are taken first.
+        // The lowest slots are used first.
         self.free.splice(0..0, (old as u32..new as u32).rev());
         self.slots = new;
     }
 
-    /// Brings S up to date with the last graph that was taken note of.
+    /// Brings S up to date with the last recorded graph.
     ///
     /// # Errors
-    /// [`KatzError::Overflow`] when S had to be solved anew and is out of range.
+    /// [`KatzError::Overflow`] when S had to be solved from scratch and is out of range.
     pub fn apply(&mut self) -> Result<Update, KatzError> {
         if self.stale {
             return self.solve(Method::Started, 0, 1.0);
@@ -346,8 +347,8 @@ impl CachedKatz {
         Ok(Update { method, rank, condition, probe })
     }
 
-    /// Compares the rows that may differ. Edges *to* nodes that left are passed over: without edges
-    /// of their own they lie on no walk between others, and their columns are cleared afterwards.
+    /// Compares the rows that may differ. Ignores edges *to* nodes that left: without edges of
+    /// their own those lie on no walk between others, and their columns are cleared afterwards.
     fn find_changes(&mut self) {
         self.changes.clear(self.slots);
         for slot in 0..self.slots {
@@ -382,7 +383,7 @@ impl CachedKatz {
         self.waiting = false;
     }
 
-    /// S for the last graph by elimination. Slots are numbered anew.
+    /// Solves for the S of the last graph by elimination, with one slot per node.
     fn solve(&mut self, method: Method, rank: usize, condition: f64) -> Result<Update, KatzError> {
         let n = self.place.len();
         let mut node = vec![usize::MAX; self.slots];
@@ -399,7 +400,7 @@ impl CachedKatz {
         for i in 0..n {
             self.latest[i].extend(a.row(i).map(|(j, w)| (j as u32, w)));
         }
-        // The memory of the former matrix is given back before the next one is built.
+        // Free the old matrix before the new one is built.
         self.s = Vec::new();
         self.s = katz_similarity(&a, self.alpha, &self.radius)?.into_data();
         self.stale = false;
@@ -409,7 +410,7 @@ impl CachedKatz {
         Ok(Update { method, rank, condition, probe })
     }
 
-    /// Draws a random vector of ±1, another one each time, the same in every run.
+    /// Draws a random vector of ±1, a different one each time, the same in every run.
     fn draw_signs(&mut self) {
         let mut rng = ChaCha8Rng::seed_from_u64(self.probes);
         self.probes = self.probes.wrapping_add(1);
@@ -455,61 +456,11 @@ impl CachedKatz {
     pub fn alpha(&self) -> f64 {
         self.alpha
     }
-
-    /// S_ij, the damped weight of all walks from node `i` to node `j`. `None` for nodes that are not
-    /// there, and while changes wait for [`CachedKatz::apply`].
-    ///
-    /// Updates leave what should be 0 at the size of a rounding of S, on either side; as S ≥ 0, what
-    /// lies below is answered as 0. The kept matrix is not changed, as that would make every later
-    /// update start from a matrix that is off in one direction.
-    #[must_use]
-    pub fn pair(&self, i: usize, j: usize) -> Option<f64> {
-        self.entry(i, j).map(|value| value.max(0.0))
-    }
-
-    /// S as a matrix of its own, n × n, in the order of the nodes. `None` while changes wait for
-    /// [`CachedKatz::apply`].
-    #[must_use]
-    pub fn similarity(&self) -> Option<DenseMatrix> {
-        let n = self.place.len();
-        let at = |i: usize, j: usize| self.place[i] as usize * self.slots + self.place[j] as usize;
-        (!self.waiting).then(|| DenseMatrix::from_fn(n, n, |i, j| self.s[at(i, j)].max(0.0)))
-    }
-
-    fn entry(&self, i: usize, j: usize) -> Option<f64> {
-        let (i, j) = (*self.place.get(i)? as usize, *self.place.get(j)? as usize);
-        (!self.waiting).then(|| self.s[i * self.slots + j])
-    }
-
-    /// How much of S_ij comes over each of the graphs of which A = Σ w_m A_m is fused.
-    ///
-    /// S = αA(I + S) says that every walk is a first step and then nothing or another walk. The
-    /// share of graph m is the weight of those walks whose *first* step it takes, α w_m Σ_k (A_m)_ik
-    /// (I + S)_kj: the shares are not negative, and their sum is S_ij up to rounding. `graphs` holds
-    /// the pairs (A_m, w_m) with all scaling within the weights. `None` as [`CachedKatz::pair`].
-    #[must_use]
-    pub fn shares<'a>(
-        &self,
-        i: usize,
-        j: usize,
-        graphs: &[impl Into<WeightedGraph<'a>> + Copy],
-    ) -> Option<Vec<f64>> {
-        self.entry(i, j)?;
-        let share = |graph: &_| {
-            let WeightedGraph { graph, weight } = Into::into(*graph);
-            let terms = graph.row(i).map(|(k, w)| {
-                let stay = f64::from(u8::from(k == j));
-                Some(w * (stay + self.pair(k, j)?))
-            });
-            Some(self.alpha * weight * terms.sum::<Option<f64>>()?)
-        };
-        graphs.iter().map(share).collect()
-    }
 }
 
-/// True when `map` takes `old` nodes to different ones of `new` nodes.
+/// True when `map` maps `old` nodes to distinct ones of `new` nodes.
 fn fits(map: &[Option<usize>], old: usize, new: usize) -> bool {
-    let mut seen = vec![false; new];
-    let mut fresh = |to: usize| seen.get_mut(to).is_some_and(|s| !std::mem::replace(s, true));
-    map.len() == old && map.iter().flatten().all(|to| fresh(*to))
+    let mut mapped = vec![false; new];
+    let mut is_new = |to: usize| mapped.get_mut(to).is_some_and(|s| !std::mem::replace(s, true));
+    map.len() == old && map.iter().flatten().all(|to| is_new(*to))
 }

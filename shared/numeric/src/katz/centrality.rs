@@ -6,31 +6,31 @@ use crate::linalg::matrix::{DenseMatrix, SparseMatrix};
 use crate::radius::Chebyshev;
 use crate::radius::tracker::{RadiusBound, RadiusTracker};
 
-/// Sweeps for a centrality; the Neumann series at αρ = 0.99 takes as many to 1e-9.
+/// Most sweeps; the Neumann series at αρ = 0.99 takes as many to 1e-9.
 const CENTRALITY_SWEEPS: usize = 2000;
 
-/// Growth of the residual beyond its best value that shows a spectrum far from real.
+/// Growth of the residual over its best value that shows a spectrum far from real.
 const DIVERGENCE_RATIO: f64 = 4.0;
 
-/// Sweeps after which Chebyshev steps must have done better than as many of the Neumann series,
-/// which they do for real spectra.
+/// Sweeps after which Chebyshev steps must be ahead of as many of the Neumann series, as they are
+/// for real spectra.
 const TRIAL_SWEEPS: i32 = 32;
 
-/// Katz centrality of every node: row sums of S + I, that is the solution x of (I − αA) x = 1.
+/// Katz centrality of every node: row sums of S + I, the solution x of (I − αA) x = 1.
 ///
-/// Entry i weighs all walks that leave node i, the empty walk included, so that it is at least 1.
+/// Entry i weighs all walks that leave node i, the empty walk included, so it is at least 1.
 #[must_use]
 pub fn katz_centrality(s: &DenseMatrix) -> Vec<f64> {
     s.iter_rows().map(|row| 1.0 + row.iter().sum::<f64>()).collect()
 }
 
-/// How exact a centrality is.
+/// Accuracy of a centrality.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Centrality {
-    /// Largest modulus η of an entry of 1 − (I − αA) x. As (I − αA)⁻¹ ≥ 0, no entry of x is off by
-    /// more than the fraction η of its true value, but for rounding.
+    /// Largest modulus η of an entry of 1 − (I − αA) x. As (I − αA)⁻¹ ≥ 0, the error of no entry of
+    /// x exceeds the fraction η of its true value, except by rounding.
     pub residual: f64,
-    /// Products with A that it took.
+    /// Number of products with A.
     pub sweeps: usize,
 }
 
@@ -38,14 +38,14 @@ impl RadiusTracker {
     /// Solves (I − αA) x = 1 for the Katz centralities x (Katz, Psychometrika 18, 1953) to a
     /// residual of `tolerance` in the largest entry, starting from those of the last call; read
     /// them from [`RadiusTracker::centralities`]. Entry i weighs all walks that leave node i, the
-    /// empty walk included, so that it is at least 1.
+    /// empty walk included, so it is at least 1.
     ///
-    /// Ends when the residual is lost in the rounding of x, and after 2000 sweeps in any case; look
-    /// at the residual that is answered.
+    /// Ends early when rounding of x hides the residual, and after 2000 sweeps in any case; check
+    /// [`Centrality::residual`].
     ///
     /// # Errors
-    /// [`KatzError::Alpha`] and [`KatzError::Diverges`] for a decay that `bound`, which must
-    /// belong to `a`, does not admit; [`KatzError::Overflow`] when x leaves the range of `f64`.
+    /// [`KatzError::Alpha`] and [`KatzError::Diverges`] for a decay that `bound`, which must belong
+    /// to `a`, does not admit; [`KatzError::Overflow`] when x leaves the range of `f64`.
     pub fn solve_centrality(
         &mut self,
         a: &SparseMatrix,

@@ -1,42 +1,42 @@
-//! One column of the Katz similarity, for graphs whose similarity is too large to keep.
+//! One column of the Katz similarity, for graphs whose similarity is too large to store.
 //!
-//! S e_j = Σ_{l ≥ 1} (αA)ˡ e_j has no negative term, so that summing it loses no digit however small an
-//! entry is, and every partial sum is a lower bound. It takes as many products as the walks that still
-//! matter have steps.
+//! S e_j = Σ_{l ≥ 1} (αA)ˡ e_j has no negative term, so the sum loses no digit however small an
+//! entry is, and every partial sum is a lower bound. The number of products is the length of the
+//! longest walk that still matters.
 
 use super::alpha::check_alpha;
 use super::error::KatzError;
 use crate::linalg::matrix::SparseMatrix;
 
-/// Multiply-adds spent on one column: a second or two.
+/// Most multiply-adds for one column: one or two seconds.
 const MAX_WORK: usize = 2_000_000_000;
 
-/// Size of a term, relative to the sum, from which on terms are lost in the rounding of the sum.
+/// Size of a term, relative to the sum, below which rounding of the sum loses it.
 const NEGLIGIBLE_RATIO: f64 = 1e-17;
 
 /// A column of S.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KatzColumn {
-    /// S_ij for each node i, as the sum of the walks that were followed: never more than the true value
-    /// but for rounding.
+    /// S_ij for each node i, summed over all walks of at most `steps` steps: never above the true
+    /// value except by rounding.
     pub values: Vec<f64>,
-    /// Largest weight of a walk to node j of the next length. The walks that are left out of S_ij weigh
-    /// at most this times the Katz centrality of node i (see
-    /// [`crate::radius::tracker::RadiusTracker::centralities`]).
+    /// Largest weight of a walk to node j of the next length. The omitted walks of S_ij weigh at
+    /// most this times the Katz centrality of node i (see
+    /// [`crate::radius_bound::RadiusTracker::centralities`]).
     pub remainder: f64,
-    /// Steps of the longest walks that were followed.
+    /// Steps of the longest walks in the sum.
     pub steps: usize,
 }
 
-/// Column `node` of S = (I − αA)⁻¹ − I: how near each node is *to* that one.
+/// Column `node` of S = (I − αA)⁻¹ − I: the similarity of each node *to* that one.
 ///
-/// `radius` is an upper bound of ρ(A). Ends when further terms are lost in rounding, or after two billion
-/// multiply-adds; look at the remainder that is answered.
+/// `radius` is an upper bound of ρ(A). Ends when rounding loses further terms, or after two billion
+/// multiply-adds; check [`KatzColumn::remainder`].
 ///
 /// # Errors
 /// [`KatzError::Alpha`] and [`KatzError::Diverges`] for a decay that the bound does not admit,
-/// [`KatzError::Overflow`] when an entry leaves the range of `f64`, and [`KatzError::Node`] for a node
-/// beyond the graph.
+/// [`KatzError::Overflow`] when an entry leaves the range of `f64`, and [`KatzError::Node`] for a
+/// node beyond the graph.
 pub fn katz_column(
     a: &SparseMatrix,
     alpha: f64,
@@ -56,7 +56,7 @@ pub fn katz_column(
     let mut steps = 0;
     loop {
         let mut largest = 0.0_f64;
-        // Whether a term still changes any entry: small entries of far nodes grow last.
+        // True when a term still changes an entry: small entries of distant nodes grow last.
         let mut counts = false;
         for (i, next) in next.iter_mut().enumerate() {
             let sum: f64 = a.row(i).map(|(j, w)| w * term[j]).sum();
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_refused() {
+    fn invalid_input_is_refused() {
         let a = SparseMatrix::from_triplets(2, [(0, 1, 1.0), (1, 0, 1.0)]).unwrap();
         assert!(matches!(katz_column(&a, 1.0, 1.0, 0), Err(KatzError::Diverges { .. })));
         assert!(matches!(katz_column(&a, 0.5, 1.0, 2), Err(KatzError::Node { .. })));

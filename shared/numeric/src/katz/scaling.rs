@@ -1,7 +1,7 @@
-//! Diagonal scaling under which the Katz system is well conditioned.
+//! Diagonal scaling that makes the Katz system well conditioned.
 //!
-//! Where a graph has strong chains but weak cycles, α is large beside the weights of the chains,
-//! entries of S spread over many orders of magnitude, and elimination on I − αA loses digits in
+//! Where a graph has strong chains but weak cycles, α is large relative to the weights of the
+//! chains, entries of S span many orders of magnitude, and elimination on I − αA loses digits in
 //! proportion to the square of the largest. With a vector x > 0 such that αAx ≤ x, the similar
 //! matrix I − αD⁻¹AD, D = diag(x), has non-negative row sums: it is diagonally dominant, its
 //! elimination does not grow, and its condition is of the order 1/(1 − αρ).
@@ -15,9 +15,9 @@ const MAX_SPREAD: f64 = 1e200;
 /// Scales x, one per node, each a power of two (so that scaling is exact), with αAx ≤ x up to a
 /// small factor; ones where no useful scales exist.
 ///
-/// `vector` holds the Perron vectors of the strongly connected components. Components are taken
-/// in the order in which no edge leads to a later one; within a component x = t p with the Perron
-/// vector p, and t large enough to carry what its edges to earlier components demand.
+/// `vector` holds the Perron vectors of the strongly connected components. Components are processed
+/// in the order in which no edge leads to a later one. Within a component x = t p with the Perron
+/// vector p, and t large enough for its edges to earlier components.
 pub(crate) fn katz_scales(a: &SparseMatrix, alpha: f64, vector: &[f64]) -> Vec<f64> {
     let n = a.nodes();
     let plain = vec![1.0; n];

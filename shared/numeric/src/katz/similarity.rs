@@ -13,10 +13,10 @@ use crate::radius::exact::SpectralRadius;
 
 /// Katz similarity S of the n × n graph `a`, a dense non-negative n × n matrix.
 ///
-/// `radius` must be the spectral radius of the same graph. S is computed as the solution of
-/// (I − αA) S = αA by LU with partial pivoting: subtracting I from the inverse would cancel ten
-/// digits where αρ is small. The system is scaled first so that strong chains beside weak cycles
-/// do not spoil it. Rounding errors below zero are set to zero, since S ≥ 0.
+/// `radius` must be the spectral radius of the same graph. S solves (I − αA) S = αA, by LU with
+/// partial pivoting: subtracting I from the inverse would cancel ten digits where αρ is small. The
+/// system is scaled first, so that strong chains next to weak cycles lose no digits. Rounding
+/// errors below zero are set to zero, since S ≥ 0.
 ///
 /// # Errors
 /// [`KatzError::Alpha`] and [`KatzError::Diverges`] for an inadmissible α, [`KatzError::Matrix`]
@@ -35,7 +35,7 @@ pub fn katz_similarity(
     }
     let mut scales = katz_scales(a, alpha, &radius.vector);
     let (left, _) = scaled_system(a, alpha, &scales)?;
-    // Katz centrality, the solution of (I − αA) x = 1, makes for tighter scales than any bound.
+    // Katz centrality, the solution of (I − αA) x = 1, gives tighter scales than any bound.
     let ones = DenseMatrix::from_fn(n, 1, |i, _| 1.0 / scales[i]);
     if let Some(z) = solve_lu(&left, &ones) {
         let centrality = (0..n).map(|i| z.at(i, 0) * scales[i]).collect();
@@ -66,8 +66,8 @@ fn scaled_system(
 }
 
 /// Accuracy of `s` as the Katz similarity of `a`: ‖M (S + I) z − z‖ / ‖z‖ with M = I − αA and a
-/// random vector z of ±1 drawn from `seed`; about 1e-16 times the condition of M when `s` is
-/// right. Costs O(n²); it samples the error, it does not bound it. 0 for an empty graph.
+/// random vector z of ±1 drawn from `seed`; about 1e-16 times the condition of M when `s` is right.
+/// Costs O(n²). It samples the error and does not bound it. 0 for an empty graph.
 ///
 /// # Errors
 /// [`KatzError::Shape`] when `s` is not n × n.

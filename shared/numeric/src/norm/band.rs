@@ -1,25 +1,25 @@
-//! The spectral norm by which a graph is scaled, from frame to frame.
+//! The spectral norm that scales a graph, from frame to frame.
 //!
-//! Dividing by the norm makes weights mean the same for every graph, for which a few percent more or less
-//! do not matter. The norm of a fleet that moves changes a little in every frame, though, and with it
-//! every entry of the scaled graph: nothing that rests on entries that stay, such as an update of the
-//! Katz similarity by the rows that changed, would ever apply. So a norm stays for as long as the true
-//! one is near it, of which a few steps of the power method on AᵀA tell, begun where the last ended.
-//! Nothing rests on their being exact: any scale is one.
+//! Dividing by the norm makes weights comparable between graphs; a few percent do not matter for
+//! that. But the norm of a moving fleet changes a little in every frame, and with it every entry of
+//! the scaled graph, so that no method that relies on unchanged entries, such as an update of the
+//! Katz similarity by the changed rows, could apply. So a norm is kept while the true one is near
+//! it. A few steps of the power method on AᵀA per frame, continued from the previous frame,
+//! estimate the true one. Nothing depends on an exact norm: any scale is admissible.
 
 use crate::linalg::matrix::SparseMatrix;
 use thiserror::Error;
 
 use super::spectral::spectral_norm;
 
-/// Steps of the power method for each frame.
+/// Steps of the power method per frame.
 const FRAME_STEPS: usize = 4;
 
-/// Most steps after a norm was taken, for the estimate to come near it.
+/// Most steps after a new norm, for the estimate to converge to it.
 const FIRST_STEPS: usize = 200;
 
-/// What part of each vector is spread evenly over all nodes, so that it sees a part of the graph that
-/// becomes the heaviest one.
+/// Part of each vector that is spread evenly over all nodes, so that the estimate follows when
+/// another part of the graph becomes the heaviest.
 const EVEN_PART: f64 = 1e-3;
 
 /// The hysteresis of a [`NormBand`] is not a number from 0 to below 1.
@@ -27,7 +27,7 @@ const EVEN_PART: f64 = 1e-3;
 #[error("hysteresis {0} is not a number from 0 to below 1")]
 pub struct HysteresisError(pub f64);
 
-/// Keeps the norm of a graph while ‖A‖₂ stays near it; by default, every graph has its own.
+/// Keeps the norm of a graph while ‖A‖₂ stays near it. By default every graph has its own norm.
 #[derive(Debug, Default)]
 pub struct NormBand {
     hysteresis: f64,
@@ -50,12 +50,12 @@ impl NormBand {
         Ok(Self { hysteresis, ..Self::default() })
     }
 
-    /// Lets go of the norm: the next one is that of its graph.
+    /// Discards the norm: the next graph gets its own.
     pub fn reset(&mut self) {
         self.kept = None;
     }
 
-    /// The norm for `a`, in the unit of its weights: the one that is kept, or [`spectral_norm`] of `a`.
+    /// The norm for `a`, in the unit of its weights: the kept one, or [`spectral_norm`] of `a`.
     pub fn choose(&mut self, a: &SparseMatrix) -> f64 {
         let h = self.hysteresis;
         if h == 0.0 || a.is_zero() {
@@ -76,7 +76,8 @@ impl NormBand {
         norm
     }
 
-    /// ‖Av‖ for the vector v, of length 1, after so many steps or once it reaches `enough`: at most ‖A‖₂.
+    /// A lower bound of ‖A‖₂: ‖Av‖ for the unit vector v after `steps` steps, or as soon as it
+    /// reaches `enough`.
     fn estimate(&mut self, a: &SparseMatrix, steps: usize, enough: f64) -> f64 {
         let n = a.nodes();
         let even = (n as f64).sqrt().recip();

@@ -1,29 +1,29 @@
-//! The largest singular value of a large sparse matrix by products with it.
+//! The largest singular value of a large sparse matrix, from products with it.
 //!
-//! Golub–Kahan bidiagonalisation (SIAM J. Numer. Anal. 2, 1965): AᵀA is a tridiagonal matrix T on the
-//! vectors vⱼ, but for the last one, and the largest eigenvalue of T grows towards σ₁² while more vectors
-//! come in. The vectors lose their being orthogonal by rounding, which brings copies of eigenvalues that
-//! are there already and spoils none (Paige, 1980), so that three vectors are all the memory it takes.
+//! Golub–Kahan bidiagonalisation (SIAM J. Numer. Anal. 2, 1965): on the vectors vⱼ, AᵀA is a
+//! tridiagonal matrix T except for the last vector, and the largest eigenvalue of T grows towards
+//! σ₁² with every vector. Rounding destroys the orthogonality of the vectors, which adds copies of
+//! eigenvalues and changes none (Paige, 1980), so three vectors of memory suffice.
 
 use crate::linalg::matrix::SparseMatrix;
 
-/// Vectors at most. Values that lie as close together as those of long chains need some hundreds.
+/// Most vectors. Values as close together as those of long chains need some hundreds.
 const MAX_VECTORS: usize = 4000;
 
-/// Vectors between two looks at how far it has come.
+/// Vectors between two convergence checks.
 const CHECK_VECTORS: usize = 8;
 
-/// The largest eigenvalue of T is one of AᵀA up to this part of it.
+/// Relative distance of the largest eigenvalue of T from one of AᵀA.
 const TOLERANCE: f64 = 1e-14;
 
-/// Halvings of the interval in which the largest eigenvalue of T lies, down to rounding.
+/// Bisections of the interval of the largest eigenvalue of T, down to rounding.
 const BISECTIONS: usize = 64;
 
-/// The largest singular value of `a`, divided by its largest weight `top`, which is above 0.
+/// The largest singular value of `a` divided by its largest weight `top`, which is above 0.
 ///
-/// It is never above the true one but for rounding, and a singular value up to a relative error of 1e-14;
-/// that it is the largest follows from the start with a positive vector, which holds a part of every
-/// direction that non-negative matrices can stretch the most.
+/// The result never exceeds the true value except by rounding, and it is a singular value to a
+/// relative error of 1e-14. That it is the largest one follows from the positive start vector,
+/// which has a component in every direction that a non-negative matrix can stretch the most.
 pub(crate) fn largest_singular_value(a: &SparseMatrix, top: f64) -> f64 {
     let n = a.nodes();
     let transposed = a.transpose();
@@ -49,7 +49,7 @@ pub(crate) fn largest_singular_value(a: &SparseMatrix, top: f64) -> f64 {
     tridiagonal.largest_eigenvalue().sqrt()
 }
 
-/// y ← (A x/`top` − `factor` y), scaled to length 1; the length that it had.
+/// y ← (A x/`top` − `factor` y), scaled to length 1; returns the length before scaling.
 fn step(a: &SparseMatrix, top: f64, x: &[f64], factor: f64, y: &mut [f64]) -> f64 {
     let mut square = 0.0;
     for (i, y) in y.iter_mut().enumerate() {
@@ -66,11 +66,11 @@ fn step(a: &SparseMatrix, top: f64, x: &[f64], factor: f64, y: &mut [f64]) -> f6
     length
 }
 
-/// A symmetric matrix of entries on the diagonal and off_diagonal it.
+/// A symmetric tridiagonal matrix.
 #[derive(Debug, Default)]
 struct Tridiagonal {
     diagonal: Vec<f64>,
-    /// One fewer, above 0.
+    /// One entry fewer than the diagonal, each above 0.
     off_diagonal: Vec<f64>,
 }
 
@@ -94,7 +94,7 @@ impl Tridiagonal {
         0.5 * (low + high)
     }
 
-    /// Whether all eigenvalues are below `value`: whether the pivots of T − `value` I are all negative.
+    /// True when all eigenvalues are below `value`: all pivots of T − `value` I are negative.
     fn is_below(&self, value: f64) -> bool {
         let mut pivot = self.diagonal[0] - value;
         for (diagonal, off_diagonal) in self.diagonal[1..].iter().zip(&self.off_diagonal) {
@@ -106,16 +106,16 @@ impl Tridiagonal {
         pivot < 0.0
     }
 
-    /// Modulus of the last component of the eigenvector of length 1 to an eigenvalue, from the last to the
-    /// first, which is the direction in which they grow. It is 0 if it vanishes off_diagonal the others.
+    /// Modulus of the last component of the unit eigenvector of the eigenvalue `value`; 0 if it is
+    /// negligible. Computed from the last component to the first, the direction in which they grow.
     fn last_component(&self, value: f64) -> f64 {
         const VANISHING: f64 = 1e100;
         let (mut last, mut next) = (1.0, 0.0);
         let mut square = 1.0;
         for j in (1..self.diagonal.len()).rev() {
-            let behind = self.off_diagonal.get(j).copied().unwrap_or(0.0);
+            let next_off = self.off_diagonal.get(j).copied().unwrap_or(0.0);
             let before =
-                ((value - self.diagonal[j]) * last - behind * next) / self.off_diagonal[j - 1];
+                ((value - self.diagonal[j]) * last - next_off * next) / self.off_diagonal[j - 1];
             (last, next) = (before, last);
             square += last * last;
             if square > VANISHING {
@@ -153,7 +153,7 @@ mod tests {
         for n in [2, 3, 40, 300, 3000] {
             check(&path(n), 2.0 * (std::f64::consts::PI / (n as f64 + 1.0)).cos());
         }
-        // The larger of two parts, however small it is.
+        // The largest value may belong to a small part.
         let edges = (0..500).map(|i| (i, (i + 1) % 500, 1.0)).chain([(500, 501, 1.25)]);
         check(&SparseMatrix::from_triplets(502, edges).unwrap(), 1.25);
         check(&SparseMatrix::from_triplets(1, [(0, 0, 1e90)]).unwrap(), 1e90);

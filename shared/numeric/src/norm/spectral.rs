@@ -4,16 +4,16 @@ use super::golub_kahan::largest_singular_value;
 use crate::linalg::matrix::SparseMatrix;
 use crate::radius::exact::spectral_radius;
 
-/// Nodes up to which AᵀA is formed explicitly, and its spectral radius enclosed.
+/// Most nodes for which AᵀA is formed explicitly, and its spectral radius enclosed.
 const MAX_GRAM: usize = 2048;
 
-/// Spectral norm ‖A‖₂ = σ₁(A), the largest singular value, in the unit of the weights; 0 for a
-/// zero matrix. Relative accuracy about 1e-13.
+/// Spectral norm ‖A‖₂ = σ₁(A), the largest singular value, in the unit of the weights; 0 for a zero
+/// matrix. Relative accuracy about 1e-13.
 ///
-/// For symmetric A this is the spectral radius; otherwise σ₁² = ρ(AᵀA). Both are spectral radii
-/// of non-negative matrices, so that the certified enclosure of [`spectral_radius`] serves here
-/// too, without any assumption on gaps in the spectrum. It is too wide for large graphs, whose norm is
-/// found by Golub–Kahan bidiagonalisation.
+/// For symmetric A this is the spectral radius; otherwise σ₁² = ρ(AᵀA). Both are spectral radii of
+/// non-negative matrices, so the certified enclosure of [`spectral_radius`] applies without any
+/// assumption on gaps in the spectrum. For large graphs, where it is too wide, Golub–Kahan
+/// bidiagonalisation computes the norm.
 #[must_use]
 pub fn spectral_norm(a: &SparseMatrix) -> f64 {
     let top = a.max_weight();

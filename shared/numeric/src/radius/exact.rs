@@ -10,23 +10,23 @@ use crate::graph::components::strongly_connected;
 use crate::graph::subgraph::induced_subgraph;
 use crate::linalg::matrix::SparseMatrix;
 
-/// Relative width to which every component is swept at first, which tells those apart that could
-/// have the largest radius. It is enough of a start for Noda's iteration.
+/// Sweeps over every component at first, which show the ones that may have the largest radius. The
+/// result is a sufficient start for Noda's iteration.
 const COARSE_LIMITS: Limits = Limits { width: 1e-2, sweeps: 100 };
 
-/// Multiply-adds of a factorisation in the time of one of a sweep: it runs along rows.
+/// Speed of a multiply-add of a factorisation relative to one of a sweep: it runs along rows.
 const FACTORISATION_SPEED: usize = 8;
 
-/// Sweeps that a factorisation must be worth to try sweeps in its place.
+/// Sweeps that a factorisation must cost before sweeps are tried in its place.
 const MIN_FACTORISATION_SWEEPS: usize = 1000;
 
-/// Sweeps over a component at most, where they are tried in place of a factorisation.
+/// Most sweeps over a component in place of a factorisation.
 const MAX_BLOCK_SWEEPS: usize = 200;
 
 /// Multiply-adds spent on sweeps over a component that is too large to factorise.
 const SWEEP_WORK: usize = 400_000_000;
 
-/// Sweeps over a component that is too large to factorise, at least and at most.
+/// Least and most sweeps over a component that is too large to factorise.
 const LARGE_SWEEPS: (usize, usize) = (100, 5000);
 
 /// Enclosure of the spectral radius ρ, in the unit of the weights.
@@ -36,9 +36,9 @@ pub struct SpectralRadius {
     pub lower: f64,
     /// ρ is at most this.
     pub upper: f64,
-    /// Best estimate, the middle of the bounds.
+    /// Best estimate: the middle of the bounds.
     pub value: f64,
-    /// True when the graph has no cycle at all; then all bounds are exactly 0.
+    /// True when the graph has no cycle; all bounds are then exactly 0.
     pub acyclic: bool,
     /// One positive entry per node, x, with (Ax)_i/x_i at most the upper bound within the strongly
     /// connected component of each node: the Perron vector of a component that has the largest
@@ -93,7 +93,7 @@ pub fn spectral_radius(a: &SparseMatrix, warm: Option<&[f64]>) -> SpectralRadius
         result.upper = result.upper.max(root.upper);
         write(&mut result.vector, &nodes, &root.vector);
     }
-    // A component that was passed over has a radius of at most the lower bound.
+    // A skipped component has a radius of at most the lower bound.
     result.upper = result.upper.max(result.lower);
     result.value = 0.5 * (result.lower + result.upper);
     result
@@ -106,8 +106,8 @@ fn write(vector: &mut [f64], nodes: &[usize], entries: &[f64]) {
     }
 }
 
-/// Brackets ρ of one strongly connected component from the positive vector `start` and the upper
-/// bound that is known.
+/// Brackets ρ of one strongly connected component, from the positive vector `start` and the known
+/// upper bound.
 fn bracket(block: &SparseMatrix, start: Vec<f64>, upper: f64) -> Perron {
     let mut vectors = Vectors::default();
     vectors.x = start;
@@ -132,7 +132,7 @@ fn bracket(block: &SparseMatrix, start: Vec<f64>, upper: f64) -> Perron {
     perron(block, vectors.x, known, TOLERANCE)
 }
 
-/// The part of `warm` that belongs to `nodes` if it is usable, ones otherwise.
+/// The entries of `warm` for `nodes` if they are usable, ones otherwise.
 fn start_vector(nodes: &[usize], warm: Option<&[f64]>) -> Vec<f64> {
     let part: Option<Vec<f64>> = warm.map(|w| nodes.iter().map(|&i| w[i]).collect());
     part.filter(|p| p.iter().all(|v| v.is_finite() && *v > 0.0))

@@ -1,32 +1,32 @@
-//! Lower bounds of the spectral radius from a small piece of the graph.
+//! Lower bounds of the spectral radius from a small part of the graph.
 //!
-//! Where a graph is sparse and uneven, its Perron vector is all but confined to the densest place.
-//! The spectral radius of that place alone, a principal submatrix, is a lower bound of the whole
-//! and misses little.
+//! Where a graph is sparse and uneven, its Perron vector is almost confined to the densest part.
+//! The spectral radius of that part alone, a principal submatrix, is a lower bound of the whole and
+//! close to it.
 
 use std::collections::BinaryHeap;
 
 use crate::linalg::matrix::SparseMatrix;
 
-/// Place in the patch of a node that is not in it.
+/// Index in the patch of a node outside of it.
 const OUTSIDE: u32 = u32::MAX;
 
-/// Rounds of the power method at most; a limit for patches with nearly equal eigenvalues.
+/// Most rounds of the power method: a limit for patches with nearly equal eigenvalues.
 const MAX_ROUNDS: usize = 200;
 
-/// Rounds that a large patch gets however few edges the graph has.
+/// Least rounds of a large patch, however few edges the graph has.
 const MIN_ROUNDS: usize = 8;
 
-/// Sweeps over the whole graph that a patch may cost; its products are dense, but much faster.
+/// Cost limit of a patch in sweeps over the whole graph; its products are dense but much faster.
 const MAX_PATCH_SWEEPS: usize = 4;
 
-/// Rounds before the first look at the progress.
+/// Rounds before progress is checked.
 const SETTLING_ROUNDS: usize = 4;
 
 /// Scratch space for patches of one graph after the other.
 #[derive(Debug, Default)]
 pub(crate) struct Patches {
-    /// Place of each node in the patch, [`OUTSIDE`] between calls.
+    /// Index of each node in the patch, [`OUTSIDE`] between calls.
     place: Vec<u32>,
     nodes: Vec<usize>,
     heap: BinaryHeap<(u64, usize)>,
@@ -37,14 +37,15 @@ pub(crate) struct Patches {
 }
 
 impl Patches {
-    /// A lower bound of ρ(A) from at most `size` nodes around `seed`, taken in the order of the
+    /// A lower bound of ρ(A) from at most `size` nodes around `seed`, added in the order of the
     /// positive `x`, one entry per node of `a`. The power method stops when a round raises the
-    /// bound by less than the fraction `progress`, or costs too much. 0 when no edge of the patch goes both ways.
+    /// bound by less than the fraction `progress`, or costs too much. 0 when no edge of the patch
+    /// goes both ways.
     ///
     /// The matrix G of the geometric means g_ij = √(a_ij a_ji) has ρ(G) ≤ ρ(A) (Schwenk, Linear
     /// Algebra Appl. 75, 1986; Elsner, Johnson and Dias da Silva, Linear Multilinear Algebra 24,
-    /// 1988). G is symmetric, so that *every* Rayleigh quotient of it is a lower bound, with an
-    /// error of second order in the error of its vector.
+    /// 1988). G is symmetric, so *every* Rayleigh quotient of it is a lower bound, with an error of
+    /// second order in the error of its vector.
     pub(crate) fn lower_bound(
         &mut self,
         a: &SparseMatrix,
@@ -82,17 +83,17 @@ impl Patches {
         for &node in &self.nodes {
             self.place[node] = OUTSIDE;
         }
-        // Two sums of m positive terms, each with a root and three products.
+        // Rounding of two sums of m positive terms, each with a root and three products.
         best * (1.0 - (2 * m + 16) as f64 * f64::EPSILON)
     }
 
-    /// Takes the nodes and fills [`Patches::means`].
+    /// Chooses the nodes and fills [`Patches::means`].
     fn gather(&mut self, a: &SparseMatrix, x: &[f64], seed: usize, size: usize) {
         self.place.resize(a.nodes(), OUTSIDE);
         self.nodes.clear();
         self.heap.clear();
         self.heap.push((x[seed].to_bits(), seed));
-        // Positive numbers are ordered as their bits are.
+        // Positive numbers are ordered like their bits.
         while let Some((_, node)) = self.heap.pop() {
             if self.place[node] != OUTSIDE {
                 continue;
@@ -125,7 +126,7 @@ impl Patches {
         }
     }
 
-    /// G v; answers vᵀv and the Rayleigh quotient vᵀGv / vᵀv.
+    /// Computes G v; returns vᵀv and the Rayleigh quotient vᵀGv / vᵀv.
     fn multiply(&mut self, m: usize) -> (f64, f64) {
         self.product.clear();
         let rows = self.means.chunks_exact(m);
@@ -137,7 +138,7 @@ impl Patches {
     }
 }
 
-/// Scales to largest entry 1; what is too small to count becomes 0.
+/// Scales to largest entry 1; negligible entries become 0.
 fn rescale(vector: &mut [f64]) {
     const MIN_ITERATE: f64 = 1e-150;
     let top = vector.iter().fold(0.0_f64, |top, v| v.max(top));
@@ -149,7 +150,7 @@ fn rescale(vector: &mut [f64]) {
     }
 }
 
-/// Sum of products in eight strands, which the compiler can compute at once.
+/// Sum of products in eight independent strands, which the compiler vectorises.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0; 8];
     let (mut a, mut b) = (a.chunks_exact(8), b.chunks_exact(8));

@@ -16,40 +16,39 @@ use pulp::Arch;
 use crate::graph::ordering::bandwidth_order;
 use crate::linalg::matrix::SparseMatrix;
 
-/// Relative width of the bracket that is asked for where the radius is wanted exactly: a few
-/// hundred roundings.
+/// Relative width of the bracket where the radius is wanted exactly: a few hundred roundings.
 pub(crate) const TOLERANCE: f64 = 1e-13;
 
-/// Power steps granted while the bounds are still far apart. Noda's iteration only halves the
-/// upper bound per factorisation until it comes near to ρ.
+/// Most power steps while the bounds are far apart: far from ρ, Noda's iteration only halves the
+/// upper bound per factorisation.
 const MAX_POWER_STEPS: usize = 1000;
 
-/// Quotient of the bounds from which they are far apart.
+/// Quotient of the bounds above which they are far apart.
 const FAR_RATIO: f64 = 4.0;
 
-/// Largest block that is factorised; larger ones keep the bounds that they come with.
+/// Most nodes of a block that is factorised; larger ones keep their bounds.
 pub(crate) const MAX_FACTORISED: usize = 4096;
 
-/// Factorisations; about five suffice from a good start.
+/// Most factorisations; about five suffice from a good start.
 const MAX_FACTORISATIONS: usize = 200;
 
-/// Factorisations without visible progress after which rounding has the last word. Entries many
-/// orders of magnitude below the largest need a few iterations before the bounds see them.
+/// Most factorisations in a row without progress. Entries many orders of magnitude below the
+/// largest need a few iterations before they affect the bounds.
 const MAX_STALLED_FACTORISATIONS: usize = 10;
 
-/// Smallest entry of an iterate relative to its largest: keeps quotients finite.
+/// Smallest entry of an iterate relative to its largest; keeps quotients finite.
 const MIN_ITERATE: f64 = 1e-150;
 
-/// Result for one block: bounds of ρ, and a positive vector with largest entry 1.
+/// Bounds of ρ of one block, and a positive vector with largest entry 1.
 pub(crate) struct Perron {
     pub(crate) lower: f64,
     pub(crate) upper: f64,
     pub(crate) vector: Vec<f64>,
 }
 
-/// Brackets ρ of the irreducible matrix `a`, starting from the positive vector `start`, to a
-/// relative width of `tolerance`. Bounds that are known already, 0 and infinity where there are
-/// none, are improved upon; how far the iteration is depends on the vector alone.
+/// Brackets ρ of the irreducible matrix `a` to a relative width of `tolerance`, from the positive
+/// vector `start`. Improves on the `known` bounds, 0 and infinity if there are none; the iteration
+/// itself depends on the vector alone.
 pub(crate) fn perron(
     a: &SparseMatrix,
     start: Vec<f64>,
@@ -102,7 +101,7 @@ fn iterate(a: &SparseMatrix, state: &mut Bracket) {
     }
 }
 
-/// An iterate together with the best bounds seen so far.
+/// An iterate with the best bounds so far.
 struct Bracket {
     lower: f64,
     upper: f64,
@@ -117,8 +116,8 @@ impl Bracket {
 
     /// Improves the bounds by the quotients of the current iterate and returns A x.
     ///
-    /// Entries at [`MIN_ITERATE`] stand for smaller ones and would spoil the lower bound. A principal
-    /// submatrix has no larger Perron root, so that the lower bound may leave them out.
+    /// Entries at [`MIN_ITERATE`] stand for smaller ones and would spoil the lower bound. A
+    /// principal submatrix has no larger Perron root, so the lower bound may leave them out.
     fn tighten(&mut self, a: &SparseMatrix) -> Vec<f64> {
         let product = multiply(a, &self.x);
         self.upper = self.upper.min(largest_quotient(&self.x, &product));
@@ -149,7 +148,7 @@ fn largest_quotient(x: &[f64], product: &[f64]) -> f64 {
     x.iter().zip(product).fold(0.0, |top, (x, y)| (y / x).max(top))
 }
 
-/// Scales to largest entry 1 and lifts entries that would underflow.
+/// Scales to largest entry 1 and raises entries that would underflow.
 fn normalised(mut x: Vec<f64>) -> Vec<f64> {
     let top = x.iter().fold(0.0_f64, |m, &v| m.max(v));
     for v in &mut x {
@@ -160,8 +159,8 @@ fn normalised(mut x: Vec<f64>) -> Vec<f64> {
 
 /// Solves (σI − A) y = x for σ = max_i (Ax)_i/x_i, by subtraction-free elimination.
 ///
-/// `None` when no row has any slack left (x is the Perron vector to the last bit) or the result
-/// leaves the range of `f64`.
+/// `None` when every row sum is zero (x is the Perron vector to the last bit) or the result leaves
+/// the range of `f64`.
 fn shifted_solve(
     a: &SparseMatrix,
     x: &[f64],
@@ -209,7 +208,7 @@ fn shifted_solve(
     usable.then_some(y)
 }
 
-/// Multiply-adds of one factorisation of `a`, from above.
+/// Upper bound of the multiply-adds of one factorisation of `a`.
 pub(crate) fn factorisation_work(a: &SparseMatrix) -> usize {
     let mut place = vec![0; a.nodes()];
     for (k, node) in bandwidth_order(a).into_iter().enumerate() {
@@ -234,13 +233,13 @@ struct System {
 }
 
 impl System {
-    /// Elimination without pivoting and subtractions; false when a pivot vanishes. Inlined into
-    /// its dispatch to the vector instructions of the machine.
+    /// Elimination without pivoting and subtraction; false when a pivot vanishes. Inlined into its
+    /// dispatch to the vector instructions of the machine.
     #[inline(always)]
     fn eliminate(&mut self) -> bool {
         let Self { links, end, last, slack, rhs, pivot } = self;
         let m = end.len();
-        // Elimination of a row fills in no further down than its own column and those before.
+        // Eliminating a row fills in no rows below those of its own column and the columns before.
         let mut bottom = 0;
         for k in 0..m {
             bottom = bottom.max(last[k]);

@@ -4,47 +4,47 @@ use super::patch::Patches;
 use super::sweep::{Chebyshev, Sweep, averaged_power, multiply};
 use crate::linalg::matrix::SparseMatrix;
 
-/// Nodes of the first patch; later ones are twice as large each time.
+/// Nodes of the first patch; each further one is twice as large.
 const FIRST_PATCH_NODES: usize = 48;
 
 /// Nodes of the largest patch. Its m × m means are multiplied several times.
 const MAX_PATCH_NODES: usize = 384;
 
-/// Sweeps before the second patch; the pause doubles each time, as long searches gain from long
-/// undisturbed sequences of Chebyshev steps.
+/// Sweeps before the second patch. The pause doubles each time, as long searches profit from long
+/// uninterrupted sequences of Chebyshev steps.
 const PATCH_PAUSE_SWEEPS: usize = 6;
 
-/// Where the system is solved: at σ = (1 + this part of the width) × lower bound.
+/// The shift is σ = (1 + this part of the width) × lower bound.
 const SHIFT_WIDTHS: f64 = 0.75;
 
-/// Part of the width by which a round on a patch has to raise its bound to be followed by another.
+/// Part of the width by which a round on a patch must raise its bound to be followed by another.
 const PATCH_PROGRESS_WIDTHS: f64 = 1.0 / 64.0;
 
-/// Sweeps without a better upper bound after which Chebyshev steps are given up: the spectrum is
-/// far from real, or the lower bound is far too low.
+/// Sweeps without a better upper bound after which Chebyshev steps end: the spectrum is far from
+/// real, or the lower bound is far too low.
 const MAX_STALLED_SWEEPS: usize = 32;
 
-/// How many sweeps one counts for whose bracket is more than twice as wide as the best one; near
-/// ρ the quotients of a good iterate stay close to the best for long before they improve.
+/// Number of sweeps that one counts as whose bracket is more than twice as wide as the best: near ρ
+/// the quotients of a good iterate stay close to the best for long before they improve.
 const WIDE_BRACKET_SWEEPS: usize = 4;
 
-/// Sweeps without a better upper bound after which the power method is given up too.
+/// Sweeps without a better upper bound after which the power method ends.
 const MAX_STALLED_POWER_STEPS: usize = 64;
 
-/// Entries of an iterate from which it is of no use: the weights spread over too many orders of
-/// magnitude for sweeps.
+/// Largest useful entry of an iterate; beyond it the weights span too many orders of magnitude for
+/// sweeps.
 const MAX_ITERATE: f64 = 1e150;
 
-/// When a search ends.
+/// End of a search.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Limits {
-    /// Relative width of the bracket that is asked for.
+    /// Relative width of the bracket at which it ends.
     pub(crate) width: f64,
-    /// Sweeps at most.
+    /// Most sweeps.
     pub(crate) sweeps: usize,
 }
 
-/// A bracket, but for the rounding of the sums that it comes from.
+/// A bracket, except for the rounding of its sums.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Found {
     pub(crate) lower: f64,
@@ -53,7 +53,7 @@ pub(crate) struct Found {
 }
 
 impl Found {
-    /// True when the bracket is as narrow as asked for.
+    /// True when the bracket is at most `width` wide.
     pub(crate) fn tight(&self, width: f64) -> bool {
         self.upper <= self.lower * (1.0 + width)
     }
@@ -68,19 +68,19 @@ impl Found {
     }
 }
 
-/// Vectors of n entries that a search works in.
+/// Vectors of n entries for a search.
 #[derive(Debug, Default)]
 pub(crate) struct Vectors {
-    /// The iterate: positive, and near a solution of (σI − A) x = σ1 in the end.
+    /// The iterate: positive, and close to a solution of (σI − A) x = σ1 at the end.
     pub(crate) x: Vec<f64>,
     next: Vec<f64>,
     pub(crate) patches: Patches,
-    /// Nodes of the patch that sufficed the last time, where the next search begins.
+    /// Nodes of the last patch of the previous search, where the next one starts.
     size: usize,
 }
 
 impl Vectors {
-    /// Starts from ones unless a vector of the right length is there.
+    /// Resets the iterate to ones unless it has the right length.
     pub(crate) fn prepare(&mut self, nodes: usize) {
         if self.x.len() != nodes {
             self.x.clear();
@@ -91,13 +91,12 @@ impl Vectors {
     }
 
     /// Brackets ρ(A) or, where that is larger, the lower bound `floor`, starting from the positive
-    /// vector x, until the limits are reached or no progress is made any more.
+    /// vector x, until a limit is reached or progress ends.
     ///
     /// The solution of (σI − A) x = σ1 for σ > ρ(A) has (Ax)_i/x_i = σ(1 − 1/x_i) < σ, and with a
-    /// residual r it is σ(1 − (1 − r_i)/x_i): even a very rough solution certifies ρ(A) < σ. Each
-    /// step of the semi-iteration evaluates the quotients of its iterate anyway. Were σ below
-    /// ρ(A), the same steps would amplify the Perron vector, which shows where to look for a
-    /// better lower bound.
+    /// residual r it is σ(1 − (1 − r_i)/x_i): even a rough solution certifies ρ(A) < σ. Each step
+    /// of the semi-iteration evaluates the quotients of its iterate anyway. If σ is below ρ(A), the
+    /// same steps amplify the Perron vector, which shows where a patch gives a better lower bound.
     pub(crate) fn search(&mut self, a: &SparseMatrix, floor: f64, limits: Limits) -> Found {
         let n = a.nodes();
         self.prepare(n);
@@ -148,7 +147,7 @@ impl Vectors {
             }
             let stuck = !power && stalled > MAX_STALLED_SWEEPS;
             if found.sweeps >= next_patch || stuck {
-                // Without progress above, the bracket may still be wide from below.
+                // The upper bound makes no progress, but the lower one may.
                 size = (size * if stuck { 4 } else { 2 }).min(MAX_PATCH_NODES).min(n);
                 pause *= 2;
                 next_patch = found.sweeps + pause;

@@ -1,15 +1,15 @@
-//! One pass over the edges: the quotients of Collatz and Wielandt of an iterate, and the next one.
+//! One pass over the edges: the Collatz–Wielandt quotients of an iterate, and the next iterate.
 
 use crate::linalg::matrix::SparseMatrix;
 
-/// What one pass finds out about the iterate x > 0 that it reads.
+/// Result of one pass over the iterate x > 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Sweep {
     /// Largest quotient (Ax)_i/x_i, an upper bound of ρ(A) up to the rounding of its sums.
     pub(crate) upper: f64,
     /// Smallest quotient (Ax)_i/x_i, a lower bound of ρ(A) likewise.
     pub(crate) lower: f64,
-    /// Where the next iterate is largest.
+    /// Index of the largest entry of the next iterate.
     pub(crate) peak: usize,
     /// The largest entry of the next iterate.
     pub(crate) top: f64,
@@ -37,16 +37,16 @@ impl Chebyshev {
         Self { alpha, square: half_width * half_width, omega: 1.0, first: true }
     }
 
-    /// Goes on to the next step; public to those who do the first one themselves.
+    /// Advances to the next step; for callers that compute the first one themselves.
     pub(crate) fn advance(&mut self) {
         let halved = if self.first { 0.5 } else { 0.25 };
         self.omega = 1.0 / (1.0 - halved * self.square * self.omega);
         self.first = false;
     }
 
-    /// Reads the iterate `x`, n entries from 1 on, and replaces the one before it, `next`, by the
-    /// one after it: ω (1 + αAx − x₋) + x₋. Entries below 1 are raised to 1, as the solution is
-    /// at least 1, which keeps every iterate positive.
+    /// Reads the iterate `x`, n entries of at least 1, and replaces its predecessor `next` by its
+    /// successor ω (1 + αAx − x₋) + x₋. Entries below 1 are raised to 1: the solution is at least
+    /// 1, and every iterate stays positive.
     pub(crate) fn step(&mut self, a: &SparseMatrix, x: &[f64], next: &mut [f64]) -> Sweep {
         let (alpha, omega) = (self.alpha, self.omega);
         let mut residual = 0.0_f64;
@@ -66,8 +66,8 @@ pub(crate) fn multiply(a: &SparseMatrix, x: &[f64], product: &mut [f64]) -> Swee
     sweep(a, x, product, |_, product, _| product)
 }
 
-/// The weighted steps of the power method: √(x·Ax/σ), n entries each. The geometric mean
-/// converges for periodic graphs too (see [`crate::noda`]).
+/// One step of the power method, √(x·Ax/σ), n entries each. The geometric mean converges for
+/// periodic graphs too (see `perron`).
 pub(crate) fn averaged_power(a: &SparseMatrix, x: &[f64], next: &mut [f64], sigma: f64) -> Sweep {
     let scale = 1.0 / sigma;
     sweep(a, x, next, |x, product, _| (x * (scale * product)).sqrt().max(MIN_ITERATE))
@@ -90,7 +90,7 @@ fn sweep(
         let range = bounds[0]..bounds[1];
         let edges = columns[range.clone()].iter().zip(&weights[range]);
         let product = edges.map(|(&j, w)| w * x[j as usize]).sum::<f64>();
-        // Divisions only where a quotient is the most extreme one so far.
+        // Divide only where the quotient is a new extreme.
         if product > upper * own {
             upper = product / own;
         }

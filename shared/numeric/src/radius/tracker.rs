@@ -1,12 +1,12 @@
-//! Certified bounds of the spectral radius at the price of a few products, and Katz centralities.
+//! Certified bounds of the spectral radius from frame to frame, for the cost of a few products.
 //!
-//! [`crate::spectral_radius`] finds ρ to the last digits by factorisations; a fleet that moves
-//! needs no more than a bound that refuses a decay α ≥ 1/ρ, each frame, for 100,000 robots. For
-//! A ≥ 0 and *any* x > 0 the quotients of Collatz and Wielandt bound ρ(A) ≤ max_i (Ax)_i/x_i, and
-//! a good x is a rough solution of (σI − A) x = σ1 for σ just above ρ, which a handful of
-//! Chebyshev steps finds; the one of the last frame mostly is good enough as it stands. Lower
-//! bounds come from the smallest quotient and from small pieces of the graph. All are widened by
-//! the rounding of their own sums, so that they hold whatever the iteration does.
+//! [`crate::spectral_radius`] finds ρ to the last digits by factorisations. A moving fleet only
+//! needs a bound in each frame that rejects a decay α ≥ 1/ρ, for up to 100,000 robots. For A ≥ 0
+//! and *any* x > 0 the Collatz–Wielandt quotients bound ρ(A) ≤ max_i (Ax)_i/x_i. A good x is a
+//! rough solution of (σI − A) x = σ1 for σ just above ρ, which a handful of Chebyshev steps finds;
+//! the x of the previous frame is often good enough. Lower bounds come from the smallest quotient
+//! and from small parts of the graph. All bounds are widened by the rounding of their sums, so they
+//! hold whatever the iteration does.
 
 use thiserror::Error;
 
@@ -17,20 +17,20 @@ use crate::graph::components::{is_acyclic, strongly_connected};
 use crate::graph::subgraph::induced_subgraph;
 use crate::linalg::matrix::SparseMatrix;
 
-/// Relative width of the bracket that [`RadiusTracker::bound`] asks for: enough to hold αρ within
-/// a band, and reached within about ten sweeps where a tenth of it takes three times as many.
+/// Relative width of the bracket of [`RadiusTracker::bound`]: enough to keep αρ within a band, and
+/// reached within about ten sweeps where a tenth of it takes three times as many.
 pub const LIVE_WIDTH: f64 = 0.04;
 
-/// Sweeps over the whole graph before it is taken apart into its components.
+/// Sweeps over the whole graph before its components are bracketed one by one.
 const WHOLE_SWEEPS: usize = 48;
 
 /// Sweeps over a component before it is factorised, where it can be.
 const BLOCK_SWEEPS: usize = 48;
 
-/// Multiply-adds spent on sweeps over components that are too large to factorise: a second or so.
+/// Multiply-adds spent on sweeps over components that are too large to factorise: about a second.
 const SWEEP_WORK: usize = 1_000_000_000;
 
-/// Sweeps over a component that is too large to factorise, at least and at most.
+/// Least and most sweeps over a component that is too large to factorise.
 const LARGE_SWEEPS: (usize, usize) = (100, 20_000);
 
 /// Certified enclosure of a spectral radius ρ, in the unit of the weights.
@@ -40,9 +40,9 @@ pub struct RadiusBound {
     pub lower: f64,
     /// ρ is at most this.
     pub upper: f64,
-    /// True when the graph has no cycle; then both bounds are exactly 0.
+    /// True when the graph has no cycle; both bounds are then exactly 0.
     pub acyclic: bool,
-    /// Products with the whole matrix, or with as many edges, that it took.
+    /// Number of products with the whole matrix, or with as many edges.
     pub sweeps: usize,
 }
 
@@ -61,7 +61,7 @@ impl RadiusBound {
 #[error("relative width {0} of a bracket is not a number from 0 on")]
 pub struct WidthError(pub f64);
 
-/// Bounds of ρ from frame to frame: keeps the vectors of the last frame as start for the next.
+/// Bounds of ρ from frame to frame; starts from the vectors of the previous frame.
 #[derive(Debug, Default)]
 pub struct RadiusTracker {
     work: Vectors,
@@ -78,19 +78,19 @@ impl RadiusTracker {
         self.search(a, LIVE_WIDTH)
     }
 
-    /// Bounds of ρ(A) to the relative width `width`, or as near to it as the limits on work allow:
+    /// Bounds of ρ(A) to the relative width `width`, or as close to it as the limits on work allow:
     /// 1e-13 for components of up to 4096 nodes, for larger ones what 1e9 multiply-adds give. The
     /// bounds hold in any case.
     ///
     /// Sweeps over the whole graph suffice for most. Where they do not, every strongly connected
     /// component is bracketed on its own (ρ is the largest of their radii), so that acyclic and
-    /// isolated parts spoil neither bound; small ones by Noda's iteration in the end.
+    /// isolated parts spoil neither bound; small ones finally by Noda's iteration.
     ///
-    /// Works in kept memory; taking the graph apart and factorising allocate.
+    /// Works in kept memory; only components and factorisations allocate.
     ///
     /// # Errors
-    /// [`WidthError`] for a negative width, or one that is not a number. One below 2e-13, which
-    /// rounding does not allow, is taken for that.
+    /// [`WidthError`] for a negative width, or one that is not a number. A width below 2e-13, which
+    /// rounding does not allow, counts as 2e-13.
     pub fn refine(&mut self, a: &SparseMatrix, width: f64) -> Result<RadiusBound, WidthError> {
         if width.is_nan() || width < 0.0 {
             return Err(WidthError(width));
@@ -124,7 +124,7 @@ impl RadiusTracker {
         }
     }
 
-    /// Brackets every component that the bounds of the whole leave in doubt.
+    /// Brackets every component that the bounds of the whole leave open.
     fn search_components(&mut self, a: &SparseMatrix, whole: Found, width: f64) -> Found {
         let mut lower = whole.lower;
         let mut upper = 0.0_f64;
@@ -165,13 +165,13 @@ impl RadiusTracker {
         Found { lower, upper, sweeps: whole.sweeps + edges / a.edges().max(1) }
     }
 
-    /// The positive vector, one entry per node, that the last bounds came from.
+    /// The positive vector of the last bounds, one entry per node.
     #[must_use]
     pub fn vector(&self) -> &[f64] {
         &self.work.x
     }
 
-    /// The bounds in the form that the other functions of this crate take.
+    /// The bounds as the [`SpectralRadius`] that the other functions of this crate take.
     #[must_use]
     pub fn spectral_radius(&self, bound: &RadiusBound) -> SpectralRadius {
         SpectralRadius {
@@ -183,8 +183,8 @@ impl RadiusTracker {
         }
     }
 
-    /// Takes the vectors along when the list of nodes changes: node i becomes node `map[i]` of
-    /// `nodes`, or is gone. New nodes start from 1. A map that does not fit discards the vectors.
+    /// Moves the vectors to a new list of `nodes` nodes: node i becomes node `map[i]`, or
+    /// disappears. New nodes start from 1. A map that does not fit discards the vectors.
     pub fn carry(&mut self, map: &[Option<usize>], nodes: usize) {
         for vector in [&mut self.work.x, &mut self.centrality] {
             let mut moved = vec![1.0; nodes];

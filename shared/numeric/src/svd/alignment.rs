@@ -1,10 +1,10 @@
 //! Alignment of a representation with that of the previous frame.
 //!
-//! Singular vectors may flip their sign, and turn within nearly equal singular values, although
+//! Singular vectors may change their sign, and rotate within nearly equal singular values, although
 //! the graph has hardly changed. Undoing this makes X move only as the nodes move. The correction
 //! is an orthogonal Procrustes problem (Schönemann, Psychometrika 31, 1966) within each group of
-//! close singular values. Columns are only rotated among themselves, so that distances between
-//! rows, and with them clusters and silhouettes, do not change.
+//! close singular values. Columns are only rotated among themselves, so distances between rows, and
+//! with them clusters and silhouettes, do not change.
 
 use thiserror::Error;
 
@@ -136,8 +136,8 @@ fn cross_product(
     })
 }
 
-/// The orthogonal R that maximises trace(Rᵀ C), P Qᵀ for C = P D Qᵀ; `None` when C is zero and
-/// nothing speaks for any rotation.
+/// The orthogonal R that maximises trace(Rᵀ C): P Qᵀ for C = P D Qᵀ. `None` when C is zero, so that
+/// every rotation is equally good.
 fn procrustes(cross: &DenseMatrix) -> Option<DenseMatrix> {
     let top = cross.max_abs();
     if top == 0.0 {

@@ -1,11 +1,12 @@
 //! The leading singular triplets of the Katz similarity S, without S and without any inverse.
 //!
-//! Write V = M W with M = I − αA. Since S = αA M⁻¹ = M⁻¹ αA, S V = αA W and W = V + S V: one product
-//! with a sparse matrix is all that Rayleigh and Ritz need on the range of V, and it is exact. The
-//! residual of a right vector costs one more, Mᵀ(Sᵀu − σv) = αAᵀ(u + σv) − σv. The best next direction,
-//! (M Mᵀ)⁻¹ times that residual, is approximated by a polynomial in single precision; how well decides
-//! the number of rounds, not the accuracy. This is a block Davidson method (Davidson, J. Comput. Phys.
-//! 17, 1975) for SᵀS that exploits how the Katz similarity is made.
+//! Write V = M W with M = I − αA. Since S = αA M⁻¹ = M⁻¹ αA, S V = αA W and W = V + S V: the
+//! Rayleigh–Ritz method on the range of V needs only one product with a sparse matrix, and is
+//! exact. The residual of a right vector costs one more, Mᵀ(Sᵀu − σv) = αAᵀ(u + σv) − σv. A
+//! polynomial in single precision approximates the best next direction, (M Mᵀ)⁻¹ times that
+//! residual; its quality decides the number of rounds, not the accuracy. This is a block Davidson
+//! method (Davidson, J. Comput. Phys. 17, 1975) for SᵀS that uses the structure of the Katz
+//! similarity.
 
 mod basis;
 mod polynomial;
@@ -21,62 +22,63 @@ use crate::svd::operator::KatzOperator;
 use basis::Basis;
 use polynomial::{FIT_COLUMNS, Polynomial, SINGLE_COLUMN_MULTIPLE, to_double};
 
-/// More vectors than asked for that are carried along: how fast the last one wanted converges depends
-/// on the gap to the first that is not carried.
+/// Vectors that are carried in addition to the wanted ones: the convergence of the last wanted one
+/// depends on the gap to the first that is not carried.
 const EXTRA_VECTORS: usize = 8;
 
-/// New directions that the search space has room for before it is restarted with the best vectors, in
-/// rounds. More save rounds, and make each of them dearer: by products of the length of the graph, and by
-/// the small eigenproblem, which is what counts for graphs of up to [`SMALL_NODES`] nodes.
+/// Rounds of new directions that fit the search space before it restarts with the best vectors.
+/// More of them save rounds but make each one dearer: by products of the length of the graph, and
+/// by the small eigenproblem, which dominates for graphs of up to [`SMALL_NODES`] nodes.
 const SPACE_ROUNDS: usize = 2;
 
-/// The same for small graphs.
+/// [`SPACE_ROUNDS`] for small graphs.
 const SMALL_SPACE_ROUNDS: usize = 1;
 
-/// Nodes of a small graph.
+/// Most nodes of a small graph.
 const SMALL_NODES: usize = 2048;
 
 /// Rounds after which the search gives up.
 const MAX_ROUNDS: usize = 300;
 
-/// Values up to this fraction of the largest count as zero, and their vectors are not looked at: squares
-/// of them are lost beside the square of the largest.
+/// Values up to this fraction of the largest count as zero, and their vectors are ignored: their
+/// squares vanish in the rounding of the square of the largest.
 pub(crate) const NULL_VALUE_RATIO: f64 = 1e-7;
 
-/// Residual below which there is no direction left in a column.
+/// Residual below which a column yields no direction.
 const SPENT_RESIDUAL: f64 = 1e-14;
 
-/// What is asked for.
+/// Input of a search.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Request {
-    /// How many triplets.
+    /// Number of triplets.
     pub(crate) rank: usize,
     /// Largest residual ‖Mᵀ(Sᵀu − σv)‖ relative to σ₁.
     pub(crate) tolerance: f64,
-    /// Random directions beside those to begin with, which find what those do not hold at all.
+    /// Random directions in addition to the start, which find what the start does not contain at
+    /// all.
     pub(crate) probes: usize,
     /// Seed of the random directions.
     pub(crate) seed: u64,
-    /// Threads of the pool that the search runs in, 1 without one.
+    /// Number of threads of the pool around the search, 1 without one.
     pub(crate) threads: usize,
 }
 
-/// Where a search stands.
+/// Progress of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SearchRound {
-    /// Number of the round that has ended, the first being 1.
+    /// Number of the finished round, from 1.
     pub round: usize,
-    /// Triplets that are not within the tolerance yet.
+    /// Triplets that are not yet within the tolerance.
     pub open: usize,
-    /// Triplets that are searched for.
+    /// Triplets that are wanted.
     pub rank: usize,
 }
 
-/// Triplets in the own order of the operator, in rows of `width` values.
+/// Triplets in the inner order of the operator, in rows of `width` values.
 #[derive(Debug, Default)]
 pub(crate) struct Triplets {
-    /// Values in a row, a multiple of [`COLUMN_MULTIPLE`]; those beyond the rank asked for are less exact, and
-    /// those beyond the number of values are zero.
+    /// Values in a row, a multiple of [`COLUMN_MULTIPLE`]; those beyond the wanted rank are less
+    /// exact, and those beyond the number of values are zero.
     pub(crate) width: usize,
     /// Right vectors V, n × width.
     pub(crate) right: Aligned<f64>,
@@ -86,11 +88,11 @@ pub(crate) struct Triplets {
     pub(crate) sigma: Vec<f64>,
     /// ‖Mᵀ(Sᵀu − σv)‖ of each, relative to σ₁.
     pub(crate) residuals: Vec<f64>,
-    /// Rounds that it took.
+    /// Number of rounds.
     pub(crate) rounds: usize,
-    /// Whether all that were asked for are within the tolerance.
+    /// True when all wanted triplets are within the tolerance.
     pub(crate) converged: bool,
-    /// Whether all vectors are finite.
+    /// True when all vectors are finite.
     pub(crate) finite: bool,
 }
 
@@ -99,15 +101,15 @@ pub(crate) struct Triplets {
 pub(crate) struct Workspace {
     basis: Basis,
     polynomial: Polynomial,
-    /// U + V Σ, and then new directions, n × carried.
+    /// U + V Σ, later the new directions, n × carried.
     block: Aligned<f64>,
-    /// Residuals and what becomes of them.
+    /// Residuals and their images under the polynomial.
     single: [Aligned<f32>; 3],
     sums: Vec<f64>,
     /// σ and 1/σ of all columns.
     sigma: Vec<f64>,
     inverse: Vec<f64>,
-    /// Columns that need directions.
+    /// Columns that need a direction.
     open: Vec<usize>,
 }
 
@@ -119,16 +121,17 @@ impl Workspace {
     }
 }
 
-/// Columns of the blocks of a search, each of one double for every node: for estimates of memory and time.
+/// Columns of the blocks of a search, each of one double per node: for estimates of memory and
+/// time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SearchColumns {
-    /// Vectors that are carried from round to round: those that are asked for and some more.
+    /// Vectors that are carried from round to round: the wanted ones and a few more.
     pub carried: usize,
-    /// Directions that the space has room for, and as many images.
+    /// Directions that fit the space; as many images.
     pub space: usize,
 }
 
-/// What a search for `rank` triplets of a graph of `nodes` nodes holds.
+/// Columns of a search for `rank` triplets of a graph of `nodes` nodes.
 #[must_use]
 pub fn search_columns(nodes: usize, rank: usize) -> SearchColumns {
     let carried = width_for(rank);
@@ -139,15 +142,15 @@ pub fn search_columns(nodes: usize, rank: usize) -> SearchColumns {
     }
 }
 
-/// Values in a row of the triplets for so many that are asked for.
+/// Values in a row of the triplets for a wanted rank.
 pub(crate) fn width_for(rank: usize) -> usize {
     (rank + EXTRA_VECTORS).next_multiple_of(COLUMN_MULTIPLE)
 }
 
-/// Leading triplets of the Katz similarity behind `operator`.
+/// Leading triplets of the Katz similarity of `operator`.
 ///
-/// `start` holds directions W to begin with, n × p in rows, p a multiple of [`COLUMN_MULTIPLE`], in the own order
-/// of the operator: V + UΣ of a similar graph, for example. Random ones fill what is missing.
+/// `start` holds initial directions W, n × p in rows, p a multiple of [`COLUMN_MULTIPLE`], in the
+/// inner order of the operator: V + UΣ of a similar graph, for example. Random ones fill the rest.
 pub(crate) fn leading_triplets(
     operator: &KatzOperator,
     request: Request,
@@ -159,8 +162,8 @@ pub(crate) fn leading_triplets(
     let n = operator.nodes();
     let width = width_for(request.rank);
     let parts = Parts::new(n, request.threads);
-    // What rounding leaves of the space in a direction grows with the inverse square of what is left of the
-    // direction; it is to stay below a millionth of the tolerance.
+    // The rounding error along the space grows with the inverse square of the length that is left
+    // of a direction; keep it below a millionth of the tolerance.
     let least_length = (2e-8 / request.tolerance).sqrt().clamp(0.003, 0.3);
     let mut search = Search { operator, request, n, width, parts, least_length, work };
     search.reserve(out);
@@ -172,11 +175,11 @@ struct Search<'a> {
     operator: &'a KatzOperator,
     request: Request,
     n: usize,
-    /// Vectors that a restart keeps, in rows of so many values.
+    /// Vectors that a restart keeps; length of the rows.
     width: usize,
     parts: Parts,
-    /// Length that must be left of every new direction of length 1, beside the space and the other ones,
-    /// for rounding not to spoil its being orthogonal.
+    /// Length that must be left of every new unit direction, orthogonal to the space and to the
+    /// other ones, for rounding to keep the orthogonality.
     least_length: f64,
     work: &'a mut Workspace,
 }
@@ -214,7 +217,7 @@ impl Search<'_> {
         }
     }
 
-    /// Columns that the space has room for, a multiple of [`COLUMN_MULTIPLE`].
+    /// Columns that still fit the space, a multiple of [`COLUMN_MULTIPLE`].
     fn room(&self) -> usize {
         let basis = &self.work.basis;
         (basis.stride - basis.size) / COLUMN_MULTIPLE * COLUMN_MULTIPLE
@@ -232,7 +235,7 @@ impl Search<'_> {
             self.residuals(out);
             let rank = self.request.rank.min(out.sigma.len());
             let tolerance = self.request.tolerance;
-            // Written so that a residual that is no number is open.
+            // NaN counts as open.
             let within = out.residuals[..rank].iter().filter(|residual| **residual <= tolerance);
             let open = rank - within.count();
             out.converged = open == 0;
@@ -262,8 +265,8 @@ impl Search<'_> {
             let kept = self.expand(directions, width, columns);
             self.work.block = block;
             if kept == 0 {
-                // Weights may span more magnitudes than single numbers do; the residuals serve as they
-                // are then.
+                // Weights may span more magnitudes than single precision does; use the plain
+                // residuals then.
                 if plain {
                     return;
                 }
@@ -272,8 +275,8 @@ impl Search<'_> {
         }
     }
 
-    /// Takes the first `columns` of the directions W, rows of `stride` values, into the space. How many
-    /// of them were independent.
+    /// Adds the first `columns` of the directions W, rows of `stride` values, to the space. Returns
+    /// the number of independent ones.
     fn expand(&mut self, w: &[f64], stride: usize, columns: usize) -> usize {
         let operator = self.operator;
         let width = columns.next_multiple_of(COLUMN_MULTIPLE);
@@ -283,8 +286,8 @@ impl Search<'_> {
         self.work.basis.add(self.parts, columns, width, self.least_length, fill)
     }
 
-    /// The best triplets of the space, and U + VΣ into the block. False when there are none in floating
-    /// point.
+    /// Computes the best triplets of the space, and U + VΣ into the block. False when they are not
+    /// finite.
     fn ritz(&mut self, out: &mut Triplets) -> bool {
         let width = self.width;
         let Workspace { basis, block, sigma, inverse, .. } = &mut *self.work;
@@ -326,7 +329,7 @@ impl Search<'_> {
         true
     }
 
-    /// Residuals of all triplets, in single precision, with their lengths.
+    /// Computes the residuals of all triplets, in single precision, and their lengths.
     fn residuals(&mut self, out: &mut Triplets) {
         let width = self.width;
         let operator = self.operator;
@@ -339,7 +342,7 @@ impl Search<'_> {
         self.parts.sum(sums, width, residual, |rows, residual, sums| {
             operator.residual(rows, block, right, sigma, scale, residual.0, stride, sums);
         });
-        // What is not finite in V or S V is so in a residual too.
+        // A value of V or S V that is not finite makes a residual so too.
         out.finite = sums[..width].iter().all(|sum| sum.is_finite());
         let null = NULL_VALUE_RATIO * top;
         out.residuals.clear();
@@ -349,16 +352,17 @@ impl Search<'_> {
         out.residuals.extend(sums.iter().zip(&out.sigma).map(relative));
     }
 
-    /// Brings the residuals that need directions to the front, in rows for as many. How many there are.
+    /// Moves the residuals that need directions to the front, and returns their number.
     fn choose(&mut self, out: &Triplets) -> usize {
         let tolerance = self.request.tolerance;
         let Workspace { single, open, .. } = &mut *self.work;
         let residuals = &out.residuals;
-        // Those that are carried along get directions only where registers are not filled without.
+        // Vectors beyond the wanted rank get directions only to fill registers.
         let count = residuals.len().min(self.request.rank.next_multiple_of(SINGLE_COLUMN_MULTIPLE));
         open.clear();
         open.extend((0..count).filter(|c| residuals[*c] > tolerance));
-        // Registers hold so many columns, and what is left over costs as much as a whole one.
+        // Fill the last register with the next best columns: a part of it costs as much as the
+        // whole.
         let missing = open.len().next_multiple_of(COLUMN_MULTIPLE) - open.len();
         let rest = (0..count).filter(|c| (SPENT_RESIDUAL..=tolerance).contains(&residuals[*c]));
         open.extend(rest.take(missing));
@@ -387,7 +391,7 @@ impl Search<'_> {
         open.len()
     }
 
-    /// Begins the space anew with the best triplets.
+    /// Restarts the space with the best triplets.
     fn restart(&mut self, out: &Triplets) {
         let width = self.width;
         let basis = &mut self.work.basis;

@@ -1,63 +1,64 @@
-//! Choice of the number K of singular triplets that make up the representation.
+//! Choice of the number K of singular triplets of the representation.
 //!
 //! The paper takes K as given (half of the dimension D). It is the most sensitive number of the
-//! method, so this module offers a rule: cut at the last of the large drops of the singular values, in
-//! ratio, among the first few values that a division into that many teams can need. The drop behind
-//! the groups of a fleet is large; that behind a group which is about to leave its team comes after it
-//! and is smaller, and what is behind it counts as soon as it is seen.
+//! method, so this module offers a rule: cut at the last of the large drops of the singular values,
+//! in ratio, among the first few values that a division into that many teams can need. The drop
+//! after the groups of a fleet is large. The drop after a group that is about to leave its team
+//! comes later and is smaller, but counts as soon as the group has a direction of its own.
 //!
-//! The rule alone, [`choose_dimension`], is for single problems. It looks at the values and not at
-//! the nodes: a graph of more separated groups than teams has groups that no leading vector sees,
-//! and which ones may change with every change of a weight. [`choose_seeing_dimension`] is for
-//! frames that follow one another: it adds vectors until every related node is seen, and does not
-//! move where the choice is close.
+//! The rule alone, [`choose_dimension`], is for single problems. It uses the values and not the
+//! nodes: a graph of more separated groups than teams has groups with a zero embedding in all
+//! leading vectors, and which ones may change with every change of a weight.
+//! [`choose_seeing_dimension`] is for successive frames: it adds vectors until every related node
+//! has a non-zero embedding, and keeps K where the choice is close.
 
 use super::embedding::WEAK_ROW;
 pub use super::spectrum::Spectrum;
 use super::spectrum::null_threshold;
 
-/// A drop is large from this share of the largest one, in logarithms. On training seeds of formations and
-/// planted fleets 0.65 to 1 are worth the same to 0.03 %; with 1, fleets of 500 robots take 2 s to follow
-/// a split instead of 1 (`muster-experiments moving`), and below 0.65 noise looks like a group.
+/// A drop is large from this share of the largest one, in logarithms. On training seeds of
+/// formations and planted fleets 0.65 to 1 differ by 0.03 %; with 1, fleets of 500 robots take 2 s
+/// to follow a split instead of 1 (`muster-experiments moving`), and below 0.65 noise looks like a
+/// group.
 pub const LARGE_DROP: f64 = 0.75;
 
-/// Ratios up to this one are none: values that are equal but for rounding.
+/// Ratios up to this one are no drop: the values are equal except for rounding.
 pub const FLAT: f64 = 1.0 + 1e-9;
 
-/// Largest K to which [`choose_seeing_dimension`] goes in order to see every node. Each further
-/// group adds two columns, and k-means drowns in noise beyond a few hundred of them.
+/// Largest K of [`choose_seeing_dimension`]. Each further group adds two columns, and k-means
+/// drowns in noise beyond a few hundred of them.
 pub const MAX_SEEING: usize = 128;
 
-/// The K of the frame before is kept while its drop is large but for this share of the largest one:
-/// noise of a few percent in the weights must not change the dimension.
+/// The previous K is kept while its drop is large except for this share of the largest one: noise
+/// of a few percent in the weights must not change the dimension.
 pub const KEEP: f64 = 0.1;
 
-/// The K of the frame before that was raised is kept while the last value there is within this fraction of
-/// the one that is needed.
+/// A previous K above the rule is kept while its last value is within this fraction of the one that
+/// is needed.
 const SWAP_RATIO: f64 = 0.02;
 
-/// The largest K from 2 to max(`teams`, 2) of which ln(σ_K / σ_{K+1}) is at least [`LARGE_DROP`] times
-/// the largest there is in that range; K = 2 where no value drops.
+/// The largest K from 2 to max(`teams`, 2) for which ln(σ_K / σ_{K+1}) is at least [`LARGE_DROP`]
+/// times the largest such value in that range; K = 2 where no value drops.
 ///
 /// `sigma` holds all n singular values of the n × n similarity, descending; `teams` is the number
-/// of teams wanted. Two nodes or fewer give K = n. K = n is never a candidate otherwise, as there
-/// is no ratio behind the last value. When the numeric rank r (values above n ε σ₁) ends within
-/// the range, the drop behind it is infinite and K = max(r, 2).
+/// of teams wanted. Two nodes or fewer give K = n. Otherwise K = n is never a candidate, as no
+/// ratio follows the last value. When the numeric rank r (values above n ε σ₁) ends within the
+/// range, the drop after it is infinite and K = max(r, 2).
 #[must_use]
 pub fn choose_dimension(sigma: &[f64], teams: usize) -> usize {
     let n = sigma.len();
     ruled(sigma, n, null_threshold(sigma, n), teams)
 }
 
-/// [`choose_dimension`] where only some of the singular values are known: [`least_rank`] at least, or all.
-/// Values up to [`Spectrum::noise`] count as zero.
+/// [`choose_dimension`] where only some of the singular values are known: at least [`least_rank`]
+/// of them, or all. Values up to [`Spectrum::noise`] count as zero.
 #[must_use]
 pub fn choose_known_dimension(svd: &impl Spectrum, teams: usize) -> usize {
     let sigma = svd.singular_values();
     ruled(sigma, svd.nodes(), svd.noise(), teams).min(sigma.len())
 }
 
-/// The rule for values of which those up to `noise` do not count, of a similarity of `n` nodes.
+/// The rule for the values of a similarity of `n` nodes; those up to `noise` do not count.
 fn ruled(sigma: &[f64], n: usize, noise: f64, teams: usize) -> usize {
     if n <= 2 {
         return n;
@@ -74,31 +75,32 @@ fn ruled(sigma: &[f64], n: usize, noise: f64, teams: usize) -> usize {
     (2..=limit).rev().find(is_large).unwrap_or(2)
 }
 
-/// The K that was chosen.
+/// The chosen K.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Choice {
-    /// K, from 1 to the number of values that are known.
+    /// K, from 1 to the number of known values.
     pub dimension: usize,
-    /// Whether more triplets than are known could make more nodes seen, so that the choice is to be made
-    /// again with them.
+    /// True when more triplets than are known could give more nodes a non-zero embedding, so that
+    /// the choice must be repeated with them.
     pub short: bool,
 }
 
-/// How many of the leading triplets [`choose_known_dimension`] and [`choose_seeing_dimension`] must know
-/// at least for so many teams, of `n` nodes: one more than the rule looks at.
+/// Number of leading triplets that [`choose_known_dimension`] and [`choose_seeing_dimension`] must
+/// know for `teams` teams of `n` nodes: one more than the range of the rule.
 #[must_use]
 pub fn least_rank(n: usize, teams: usize) -> usize {
     if n <= 2 { n } else { limit(n, teams) + 1 }
 }
 
-/// K of [`choose_dimension`], raised until the K leading triplets see every node that is `related`
-/// (has an edge, one entry per node), or as many of them as K can make seen within the numeric rank
-/// and [`MAX_SEEING`].
+/// K of [`choose_dimension`], raised until every node that is `related` (has an edge; one entry per
+/// node) has a non-zero embedding in the K leading triplets, or as many of them as is possible
+/// within the numeric rank and [`MAX_SEEING`].
 ///
-/// `svd` must know [`least_rank`] triplets or all. `previous` is the K of the frame before. It is kept
-/// if it sees as many, and either is within the range of the rule, not below its K, with a drop that is
-/// large but for [`KEEP`], or is above the K that was raised with a value σ within 2 % of the one there,
-/// so that the last groups may change places.
+/// `svd` must know [`least_rank`] triplets or all. `previous` is the K of the previous frame. It is
+/// kept if as many nodes have a non-zero embedding with it, and one of two conditions holds. Either
+/// it is within the range of the rule, not below its K, with a drop that is large except for
+/// [`KEEP`]. Or it is above the raised K, with a value σ within 2 % of the one there, so that the
+/// last groups may change places.
 #[must_use]
 pub fn choose_seeing_dimension(
     svd: &impl Spectrum,
@@ -115,18 +117,18 @@ pub fn choose_seeing_dimension(
         return found(ruled);
     }
     let limit = limit(n, teams);
-    let seen = seen_counts(svd, related, rank.min(MAX_SEEING.max(limit)));
-    let count = |k: usize| seen[k.clamp(1, seen.len()) - 1];
+    let embedded = embedded_counts(svd, related, rank.min(MAX_SEEING.max(limit)));
+    let count = |k: usize| embedded[k.clamp(1, embedded.len()) - 1];
     let most = (ruled..=rank.min(MAX_SEEING)).map(count).fold(count(ruled), usize::max);
-    // The last value that is known has none behind it to be compared with.
+    // The last known value has no successor to compare it with.
     let all = rank == sigma.len() && sigma.len() < n.min(MAX_SEEING + 1);
     let short = all && most < related.iter().filter(|related| **related).count();
     let raised = (ruled..=rank).find(|k| count(*k) >= most).unwrap_or(ruled);
-    let Some(previous) = previous.filter(|k| (2..=seen.len()).contains(k) && count(*k) >= most)
+    let Some(previous) = previous.filter(|k| (2..=embedded.len()).contains(k) && count(*k) >= most)
     else {
         return Choice { dimension: raised, short };
     };
-    // Positive up to the rank, and infinite behind it.
+    // Positive up to the rank, and infinite after it.
     let ratio = |k: usize| match sigma.get(k) {
         Some(next) if k < rank => sigma[k - 1] / next,
         _ if k >= rank && rank < sigma.len() => f64::INFINITY,
@@ -147,22 +149,23 @@ fn limit(n: usize, teams: usize) -> usize {
     teams.clamp(2, n - 1)
 }
 
-/// Values above the noise.
+/// Number of values above the noise.
 fn rank(sigma: &[f64], noise: f64) -> usize {
     sigma.iter().filter(|s| **s > noise).count()
 }
 
-/// How many related nodes the k leading triplets see, for k from 1 to `bound`.
-fn seen_counts(svd: &impl Spectrum, related: &[bool], bound: usize) -> Vec<usize> {
+/// Number of related nodes with a non-zero embedding in the k leading triplets, for k from 1 to
+/// `bound`.
+fn embedded_counts(svd: &impl Spectrum, related: &[bool], bound: usize) -> Vec<usize> {
     let mut squares = vec![0.0; svd.nodes()];
     let add = |j: usize| {
         for (i, square) in squares.iter_mut().enumerate() {
             *square += svd.squared_share(i, j);
         }
         let longest = squares.iter().fold(0.0_f64, |m, s| m.max(*s)).sqrt();
-        let is_seen =
+        let is_embedded =
             |(square, related): (&f64, &bool)| *related && square.sqrt() > WEAK_ROW * longest;
-        squares.iter().zip(related).filter(|pair| is_seen(*pair)).count()
+        squares.iter().zip(related).filter(|pair| is_embedded(*pair)).count()
     };
     (0..bound).map(add).collect()
 }
@@ -173,8 +176,9 @@ mod tests {
     use crate::linalg::matrix::DenseMatrix;
     use crate::svd::full_svd;
 
-    /// K for a similarity in which triplet j sees node j alone; the first so many are related.
-    fn seeing(sigma: &[f64], related: usize, teams: usize, previous: Option<usize>) -> usize {
+    /// K for a similarity in which triplet j embeds node j alone; the first `related` nodes are
+    /// related.
+    fn chosen(sigma: &[f64], related: usize, teams: usize, previous: Option<usize>) -> usize {
         let n = sigma.len();
         let s = DenseMatrix::from_fn(n, n, |i, j| if i == j { sigma[i] } else { 0.0 });
         let related: Vec<bool> = (0..n).map(|i| i < related).collect();
@@ -182,40 +186,40 @@ mod tests {
     }
 
     #[test]
-    fn raised_until_every_related_node_is_seen() {
+    fn raised_until_every_related_node_has_a_non_zero_embedding() {
         let sigma = [9.0, 8.0, 3.0, 2.9, 1.0];
         for related in 0..=5 {
-            assert_eq!(seeing(&sigma, related, 2, None), related.max(2));
+            assert_eq!(chosen(&sigma, related, 2, None), related.max(2));
         }
-        assert_eq!(seeing(&[3.0, 2.0, 1e-20, 0.0], 4, 2, None), 2, "the rank is exhausted");
-        assert_eq!(seeing(&[0.0; 4], 4, 2, Some(3)), 2);
-        assert_eq!(seeing(&[], 0, 2, Some(2)), 0);
+        assert_eq!(chosen(&[3.0, 2.0, 1e-20, 0.0], 4, 2, None), 2, "the rank is exhausted");
+        assert_eq!(chosen(&[0.0; 4], 4, 2, Some(3)), 2);
+        assert_eq!(chosen(&[], 0, 2, Some(2)), 0);
         let many: Vec<f64> = (0..MAX_SEEING + 9).map(|j| 200.0 - j as f64).collect();
-        assert_eq!(seeing(&many, many.len(), 2, None), MAX_SEEING);
-        assert_eq!(seeing(&many, many.len(), 2, Some(MAX_SEEING + 1)), MAX_SEEING);
+        assert_eq!(chosen(&many, many.len(), 2, None), MAX_SEEING);
+        assert_eq!(chosen(&many, many.len(), 2, Some(MAX_SEEING + 1)), MAX_SEEING);
     }
 
     #[test]
-    fn the_dimension_before_is_kept_where_the_choice_is_close() {
+    fn the_previous_dimension_is_kept_where_the_choice_is_close() {
         // Drops in logarithms: 1, 0.7, 0.2 times that of the first two.
         let close = [4.0, 4.0, 2.0, 0.5_f64.powf(0.7) * 2.0, 0.5_f64.powf(0.9) * 2.0];
-        assert_eq!(seeing(&close, 2, 4, None), 2);
+        assert_eq!(chosen(&close, 2, 4, None), 2);
         for (previous, kept) in [(1, 2), (2, 2), (3, 3), (4, 2), (5, 2), (6, 2)] {
-            assert_eq!(seeing(&close, 2, 4, Some(previous)), kept);
+            assert_eq!(chosen(&close, 2, 4, Some(previous)), kept);
         }
-        assert_eq!(seeing(&close, 3, 4, Some(2)), 3, "it does not see everybody");
-        assert_eq!(seeing(&close, 2, 2, Some(3)), 2, "it is outside of the range");
-        // A group that is about to be told apart is followed at once.
+        assert_eq!(chosen(&close, 3, 4, Some(2)), 3, "not every node has a non-zero embedding");
+        assert_eq!(chosen(&close, 2, 2, Some(3)), 2, "it is outside of the range");
+        // A new group with a direction of its own is followed at once.
         let more = [4.0, 4.0, 2.0, 0.5_f64.powf(0.8) * 2.0, 0.5_f64.powf(0.9) * 2.0];
-        assert_eq!(seeing(&more, 2, 4, Some(2)), 3);
+        assert_eq!(chosen(&more, 2, 4, Some(2)), 3);
     }
 
     #[test]
     fn a_raised_dimension_is_kept_while_groups_may_have_changed_places() {
         let sigma = [9.0, 8.0, 5.0, 4.9, 1.0];
-        assert_eq!(seeing(&sigma, 3, 2, None), 3);
-        assert_eq!(seeing(&sigma, 3, 2, Some(4)), 4);
-        assert_eq!(seeing(&sigma, 3, 2, Some(5)), 3);
+        assert_eq!(chosen(&sigma, 3, 2, None), 3);
+        assert_eq!(chosen(&sigma, 3, 2, Some(4)), 4);
+        assert_eq!(chosen(&sigma, 3, 2, Some(5)), 3);
     }
 
     #[test]
@@ -225,7 +229,7 @@ mod tests {
         assert_eq!(choose_dimension(&[9.0, 8.0, 4.0, 2.08, 1.22, 1.2], 5), 4);
         assert_eq!(choose_dimension(&[9.0, 8.0, 7.0, 1.0, 0.9], 4), 3);
         assert_eq!(choose_dimension(&[9.0, 8.0, 7.0, 1.0, 0.9], 2), 2);
-        // The drop behind the first value is outside of the range.
+        // The drop after the first value is outside of the range.
         assert_eq!(choose_dimension(&[9.0, 1.0, 0.9, 0.3, 0.2], 3), 3);
     }
 

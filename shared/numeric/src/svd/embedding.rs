@@ -4,7 +4,7 @@ use super::rank_k::RankKSvd;
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::vector::length;
 
-/// A node counts as weak when its row of \[U√Σ, V√Σ\] is at most this fraction of the longest.
+/// A node is weak when its row of \[U√Σ, V√Σ\] is at most this fraction of the longest.
 pub const WEAK_ROW: f64 = 1e-8;
 
 /// Scaling of the columns.
@@ -16,8 +16,8 @@ pub enum Scale {
     /// Graph Embedding* (KDD 2016): products of rows of the two halves approximate S.
     #[default]
     SqrtSigma,
-    /// Column j divided by √σ_j, and 0 where σ_j is: the directions of small groups, such as a leader
-    /// alone, have the smaller values, and count more so.
+    /// Column j divided by √σ_j, and 0 where σ_j is: this emphasises the directions of small
+    /// groups, such as a single leader, which have the smaller values.
     InverseSqrtSigma,
 }
 
@@ -26,8 +26,8 @@ pub enum Scale {
 pub enum Rows {
     /// As in the paper: rows keep their lengths.
     None,
-    /// Rows of length 1, so that well connected nodes do not outshout the others; weak rows
-    /// become zero instead of blown-up noise.
+    /// Rows of length 1, so that well connected nodes do not dominate; weak rows become zero
+    /// instead of amplified noise.
     #[default]
     Unit,
 }
@@ -37,9 +37,9 @@ pub enum Rows {
 pub struct Embedding {
     /// n × 2K matrix: the K columns of U, then the K columns of V, scaled as asked for.
     pub x: DenseMatrix,
-    /// Per node, whether the K leading triplets do not see it (see [`WEAK_ROW`]): it has no
-    /// edges, or its whole component weighs less than the K leading directions. Its row carries
-    /// no information, so that putting it into a team by this row would be arbitrary.
+    /// Per node, true when its row is weak (see [`WEAK_ROW`]): it has no edges, or its whole
+    /// component weighs less than the K leading directions. Its row carries no information: a team
+    /// chosen by this row would be arbitrary.
     pub weak: Vec<bool>,
 }
 

@@ -18,10 +18,10 @@ pub struct FullSvd {
 
 /// Full singular value decomposition of the square matrix `s`.
 ///
-/// The sign of each pair of vectors is chosen so that the entry of u_j with the largest modulus
-/// is positive (the first of them within [`SIGN_TIE`]). Vectors of negligible singular values,
-/// σ_j ≤ n ε σ₁, are set to zero: null directions are arbitrary and would feed noise to whatever
-/// uses them.
+/// The sign of each pair of vectors is chosen so that the entry of u_j with the largest modulus is
+/// positive (the first of them within [`SIGN_TIE`](super::SIGN_TIE)). Vectors of negligible
+/// singular values, σ_j ≤ n ε σ₁, are set to zero: null directions are arbitrary and would add
+/// noise.
 ///
 /// # Errors
 /// [`SvdError::NotSquare`].
@@ -58,7 +58,7 @@ pub fn rank_k_svd(s: &DenseMatrix, k: usize) -> Result<RankKSvd, SvdError> {
     full_svd(s)?.truncate(k)
 }
 
-/// The library's decomposition, of the transpose if it fails (a known defect hits single
+/// The library's decomposition, of the transpose if it fails (a known defect affects single
 /// matrices at random), and one-sided Jacobi if that fails too.
 fn robust_svd(s: &DenseMatrix) -> Factors {
     let swapped = |f: Factors| Factors { u: f.v, sigma: f.sigma, v: f.u };

@@ -1,9 +1,9 @@
-//! αA* in the two orientations and precisions that the products of the partial decomposition need.
+//! αA* in the two orientations and precisions that the products of the Davidson method need.
 //!
-//! A product reads the rows of all neighbours of a node, which should be in the cache already. Where
-//! the caller's numbers leave neighbours far apart, nodes are renumbered so that they come close
-//! together (see [`crate::graph::ordering`]). Everything outside of this module and of [`super::davidson`] knows
-//! the numbering of the caller only.
+//! A product reads the rows of all neighbours of a node, which should be in the cache already.
+//! Where the caller's order leaves neighbours far apart, nodes are renumbered (see
+//! [`crate::graph::ordering`]). Outside of this module and of [`super::davidson`] only the caller's
+//! order exists.
 
 mod products;
 mod rows;
@@ -17,21 +17,21 @@ use rows::{Rows, sort_row};
 pub(crate) struct KatzOperator {
     nodes: usize,
     alpha: f64,
-    /// The caller's number of each node in the own order, and the reverse.
+    /// The caller's index of each node in the inner order, and the reverse.
     outer: Vec<u32>,
     inner: Vec<u32>,
     /// True when both are 0, 1, 2 …
     natural: bool,
     forward: Rows,
     backward: Rows,
-    /// A row that is to replace another one.
+    /// A new row.
     row: (Vec<u32>, Vec<f64>),
-    /// Largest sum of a row of αA when it was last looked at as a whole, and with the rows since.
+    /// Largest row sum of αA at the last assignment, and including the rows replaced since.
     heaviest: f64,
     newest: f64,
 }
 
-/// Which of the two orientations a product takes.
+/// Orientation of a product.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Orientation {
     /// αA.
@@ -41,9 +41,9 @@ pub(crate) enum Orientation {
 }
 
 impl KatzOperator {
-    /// Builds αA anew in the buffers that are there. The order of the nodes is kept if `keep_order`
-    /// and the number of nodes is the same. More than one of `threads` threads are used only within a pool
-    /// of the caller.
+    /// Builds αA in the existing buffers. Keeps the order of the nodes if `keep_order` and the
+    /// number of nodes is the same. More than one of `threads` threads are used only inside the
+    /// caller's pool.
     pub(crate) fn assign(
         &mut self,
         a: &SparseMatrix,
@@ -63,8 +63,8 @@ impl KatzOperator {
         self.newest = self.heaviest;
     }
 
-    /// True when a row that was replaced is heavier than all rows were before: it may be the core of a
-    /// singular triplet that there was not.
+    /// True when a replaced row is heavier than all rows were before: it may be the core of a new
+    /// singular triplet.
     pub(crate) fn has_grown(&self) -> bool {
         self.newest > self.heaviest
     }
@@ -96,17 +96,17 @@ impl KatzOperator {
         self.alpha
     }
 
-    /// The own number of each node of the caller.
+    /// The inner index of each node of the caller.
     pub(crate) fn inner(&self) -> &[u32] {
         &self.inner
     }
 
-    /// The caller's number of each own one.
+    /// The caller's index of each inner one.
     pub(crate) fn outer(&self) -> &[u32] {
         &self.outer
     }
 
-    /// Whether a node, by its own number, has no edge at all.
+    /// True when a node, by its inner index, has no edge.
     pub(crate) fn is_isolated(&self, inner: usize) -> bool {
         let has_none = |orientation| self.rows(orientation).row(inner).0.is_empty();
         has_none(Orientation::Forward) && has_none(Orientation::Backward)
@@ -119,15 +119,14 @@ impl KatzOperator {
         }
     }
 
-    /// True when [`KatzOperator::replace_row`] has left so many gaps that the operator is better
-    /// assigned anew.
+    /// True when [`KatzOperator::replace_row`] has left so many gaps that a new assignment pays.
     pub(crate) fn scattered(&self) -> bool {
         self.forward.scattered() || self.backward.scattered()
     }
 
-    /// Brings row `outer`, a number of the caller, up to date with `a`. False when it already was;
-    /// otherwise `touched` gets the own numbers of the columns in which the row has entries now or
-    /// had some before.
+    /// Brings row `outer`, an index of the caller, up to date with `a`. False when it already was;
+    /// otherwise appends to `touched` the inner indices of the columns in which the row has or had
+    /// entries.
     pub(crate) fn replace_row(
         &mut self,
         a: &SparseMatrix,
@@ -150,7 +149,7 @@ impl KatzOperator {
             return false;
         }
         self.newest = self.newest.max(weights.iter().sum());
-        // Both rows ascend, so that one walk along both finds what each column has become.
+        // Both rows ascend: one merge finds the new weight of each column.
         let (mut k, mut l) = (0, 0);
         while k < old.len() || l < columns.len() {
             let before = old.get(k).copied().unwrap_or(u32::MAX);
@@ -185,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn replaced_rows_leave_the_operator_as_one_that_is_built_anew() {
+    fn replaced_rows_leave_the_operator_as_a_new_assignment_does() {
         let (n, alpha) = (5000, 0.3);
         let mut a = random(n, 1);
         let mut updated = KatzOperator::default();
@@ -206,22 +205,22 @@ mod tests {
             }
             a = next;
         }
-        let mut anew = KatzOperator {
+        let mut fresh = KatzOperator {
             nodes: n,
             outer: updated.outer.clone(),
             inner: updated.inner.clone(),
             ..KatzOperator::default()
         };
-        anew.assign(&a, alpha, true, 1);
+        fresh.assign(&a, alpha, true, 1);
         for orientation in [Orientation::Forward, Orientation::Backward] {
             for i in 0..n {
                 let row = |of: &KatzOperator| {
                     let (columns, weights) = of.rows(orientation).row(i);
                     (columns.to_vec(), weights.to_vec())
                 };
-                assert_eq!(row(&updated), row(&anew));
+                assert_eq!(row(&updated), row(&fresh));
                 let single = |of: &KatzOperator| of.rows(orientation).row_single(i).1.to_vec();
-                assert_eq!(single(&updated), single(&anew));
+                assert_eq!(single(&updated), single(&fresh));
             }
         }
     }

@@ -4,7 +4,7 @@ use super::error::SvdError;
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::vector::dot;
 
-/// Relative gap behind σ_K up to which the first K vectors count as an arbitrary choice.
+/// Relative gap after σ_K up to which the choice of the first K vectors is arbitrary.
 pub const AMBIGUOUS_GAP: f64 = 1e-9;
 
 /// The K leading singular triplets of an n × n matrix.
@@ -27,8 +27,8 @@ impl RankKSvd {
         self.sigma.len()
     }
 
-    /// Relative gap behind the cut, (σ_K − σ_{K+1}) / σ₁; 0 for a zero matrix. By Wedin's
-    /// theorem the subspaces of U and V turn by at most perturbation / (gap · σ₁).
+    /// Relative gap after the cut, (σ_K − σ_{K+1}) / σ₁; 0 for a zero matrix. By Wedin's theorem
+    /// the subspaces of U and V rotate by at most perturbation / (gap · σ₁).
     #[must_use]
     pub fn gap(&self) -> f64 {
         match (self.sigma.first(), self.sigma.last()) {
@@ -39,15 +39,16 @@ impl RankKSvd {
         }
     }
 
-    /// A bound on the sine of the largest angle by which the subspaces of U and of V are off, given that
-    /// no ‖S v_j − σ_j u_j‖ or ‖Sᵀ u_j − σ_j v_j‖ exceeds `residual`, relative to σ₁ (as
-    /// [`RankKSvd::residual`] measures it, or (1 + σ₁) times that of
-    /// [`crate::svd::katz_svd::KatzSvdReport`]).
+    /// A bound on the sine of the largest angle between the computed and the true subspaces of U
+    /// and of V, given that no ‖S v_j − σ_j u_j‖ or ‖Sᵀ u_j − σ_j v_j‖ exceeds `residual`, relative
+    /// to σ₁ (as [`RankKSvd::residual`] measures it, or (1 + σ₁) times that of
+    /// [`crate::katz_svd::KatzSvdReport`]).
     ///
-    /// By Wedin's theorem (BIT 12, 1972) the sine is at most ‖R‖/δ, where the residuals of K triplets
-    /// make ‖R‖ ≤ √K·`residual`, and δ is the distance from σ_K to what is left out, which is known up
-    /// to another residual. 1, the trivial bound, where the gap is no larger than what blurs it. Like
-    /// every bound from residuals, it presumes that no triplet was missed altogether.
+    /// By Wedin's theorem (BIT 12, 1972) the sine is at most ‖R‖/δ, where the residuals of K
+    /// triplets give ‖R‖ ≤ √K·`residual`, and δ is the distance from σ_K to the omitted values,
+    /// known up to another residual. 1, the trivial bound, where the gap is no larger than its
+    /// uncertainty. Like every bound from residuals, it assumes that no triplet is missing
+    /// altogether.
     #[must_use]
     pub fn angle_bound(&self, residual: f64) -> f64 {
         let distance = self.gap() - residual;
@@ -55,16 +56,16 @@ impl RankKSvd {
         if distance > 0.0 && bound < 1.0 { bound } else { 1.0 }
     }
 
-    /// True when σ_K and σ_{K+1} coincide up to [`AMBIGUOUS_GAP`], so that which vectors were
-    /// kept is arbitrary. Not so when both are negligible: their vectors are zero anyway.
+    /// True when σ_K and σ_{K+1} coincide up to [`AMBIGUOUS_GAP`], so that the kept vectors are an
+    /// arbitrary choice. False when both are negligible: their vectors are zero anyway.
     #[must_use]
     pub fn ambiguous(&self) -> bool {
         let noise = self.u.rows() as f64 * f64::EPSILON * self.sigma.first().unwrap_or(&0.0);
         self.sigma_next.is_some_and(|next| next > noise) && self.gap() <= AMBIGUOUS_GAP
     }
 
-    /// Accuracy as a decomposition of `s`, relative to σ₁: the largest of ‖S v_j − σ_j u_j‖ and
-    /// ‖Sᵀ u_j − σ_j v_j‖ over all j whose vectors were not set to zero. 0 for a zero matrix.
+    /// Accuracy as a decomposition of `s`, relative to σ₁: the largest of ‖S v_j − σ_j u_j‖ and ‖Sᵀ
+    /// u_j − σ_j v_j‖ over all j whose vectors are not zero. 0 for a zero matrix.
     ///
     /// # Errors
     /// [`SvdError::Size`] or [`SvdError::NotSquare`] when `s` does not fit.

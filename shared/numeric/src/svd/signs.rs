@@ -6,8 +6,8 @@ use crate::linalg::matrix::DenseMatrix;
 /// equally large when its sign is chosen, so that rounding does not decide.
 pub const SIGN_TIE: f64 = 1e-8;
 
-/// Turns each pair of columns so that the entry of u with the largest modulus is positive, the first of
-/// them within [`SIGN_TIE`].
+/// Flips each pair of columns so that the entry of u with the largest modulus is positive, the
+/// first of them within [`SIGN_TIE`].
 pub(crate) fn fix_signs(u: &mut DenseMatrix, v: &mut DenseMatrix) {
     for j in 0..u.cols() {
         if sign_of_column(u, j) < 0.0 {

@@ -1,17 +1,17 @@
-//! Singular values and vectors as the choice of the rank sees them.
+//! The singular triplets that the choice of the rank needs, and their noise level.
 
-/// What the choice looks at: the leading singular triplets of the similarity, all of them or some.
+/// The leading singular triplets of the similarity, all of them or some.
 pub trait Spectrum {
     /// Number of nodes n.
     fn nodes(&self) -> usize;
 
-    /// Those singular values that are known, descending: all n, or the largest.
+    /// The known singular values, descending: all n, or the largest.
     fn singular_values(&self) -> &[f64];
 
-    /// Values up to this one are noise.
+    /// Noise level: values up to this one count as zero.
     fn noise(&self) -> f64;
 
-    /// Squared length that triplet `j` adds to the row of node `i` in \[U√Σ, V√Σ\].
+    /// Squared contribution of triplet `j` to the length of the row of node `i` in \[U√Σ, V√Σ\].
     fn squared_share(&self, i: usize, j: usize) -> f64;
 }
 

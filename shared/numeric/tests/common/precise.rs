@@ -170,17 +170,17 @@ pub(crate) fn decomposed(s: &Columns) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
     let dot = |a: &[Precise], b: &[Precise]| {
         a.iter().zip(b).fold(Precise::ZERO, |sum, (a, b)| sum + *a * *b)
     };
-    let mut turned = s.clone();
+    let mut rotated = s.clone();
     let mut right: Columns = (0..n)
         .map(|j| (0..n).map(|i| Precise::new(f64::from(u8::from(i == j)))).collect())
         .collect();
-    let top = turned.iter().map(|column| dot(column, column).value()).fold(0.0, f64::max);
+    let top = rotated.iter().map(|column| dot(column, column).value()).fold(0.0, f64::max);
     for _ in 0..60 {
         let mut turns = 0;
         for p in 0..n {
             for q in p + 1..n {
-                let (a, b) = (dot(&turned[p], &turned[p]), dot(&turned[q], &turned[q]));
-                let c = dot(&turned[p], &turned[q]);
+                let (a, b) = (dot(&rotated[p], &rotated[p]), dot(&rotated[q], &rotated[q]));
+                let c = dot(&rotated[p], &rotated[q]);
                 if c.value().abs() <= 1e-29 * (a.value() * b.value()).sqrt() + 1e-60 * top {
                     continue;
                 }
@@ -194,7 +194,7 @@ pub(crate) fn decomposed(s: &Columns) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
                 };
                 let cosine = (Precise::new(1.0) + tangent * tangent).root().inverse();
                 let sine = cosine * tangent;
-                for columns in [&mut turned, &mut right] {
+                for columns in [&mut rotated, &mut right] {
                     let (first, second) = columns.split_at_mut(q);
                     for (x, y) in first[p].iter_mut().zip(&mut second[0]) {
                         (*x, *y) = (cosine * *x - sine * *y, sine * *x + cosine * *y);
@@ -206,7 +206,7 @@ pub(crate) fn decomposed(s: &Columns) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
             break;
         }
     }
-    let mut triplets: Vec<_> = turned
+    let mut triplets: Vec<_> = rotated
         .iter()
         .zip(&right)
         .map(|(image, right)| {

@@ -1,9 +1,9 @@
 //! Assignment of points to their nearest centroids.
 //!
-//! Of ‖x − c‖² only ½‖c‖² − x·c depends on the centroid, which is one multiplication per coordinate
-//! instead of two operations. What that loses by cancellation is bounded (see [`slack`]), and where
-//! two centroids come nearer to each other than the bound, the distances themselves decide: labels
-//! are those that [`nearest`] gives, in every case.
+//! Of ‖x − c‖² only ½‖c‖² − x·c depends on the centroid, which takes one multiplication per
+//! coordinate instead of two operations. The cancellation error of this shortened distance is
+//! bounded (see [`slack`]). Where two centroids are closer to each other than the bound, the full
+//! distances decide: the labels are those of [`nearest`] in every case.
 
 use pulp::{Simd, WithSimd};
 
@@ -16,7 +16,7 @@ use crate::linalg::simd_pack::{
 };
 use crate::linalg::vector::squared_distance;
 
-/// Mark of a point whose two nearest centroids cannot be told apart by the shortened distance.
+/// Label of a point whose two nearest centroids the shortened distance does not distinguish.
 const UNDECIDED: u64 = u64::MAX;
 
 /// Centroids as the kernels read them.
@@ -24,7 +24,7 @@ pub(super) struct Packed {
     clusters: usize,
     /// −c, centred as the points are.
     negative: SimdPack,
-    /// ½‖c‖²; infinite for places without a centroid, which nothing is near to.
+    /// ½‖c‖²; infinite for places without a centroid.
     halves: Vec<f64>,
 }
 
@@ -89,16 +89,17 @@ pub(super) fn slack(dims: usize) -> f64 {
     FACTOR * (dims + 8) as f64 * f64::EPSILON
 }
 
-/// What changed in the labels of some points.
+/// Changed labels of some points.
 pub(super) struct Changes {
     /// Number of points with another label than before.
     pub(super) count: usize,
-    /// These points. Incomplete if there are so many that one would rather look at all points.
+    /// The moves of these points; incomplete when they are so many that a pass over all points is
+    /// cheaper.
     pub(super) list: Vec<Move>,
 }
 
-/// Gives the points of chunk `chunk` the labels of their nearest centroids. A point equally near to
-/// its own and another centroid stays; among others, the first wins.
+/// Labels the points of chunk `chunk` by their nearest centroids. A point equally near to its own
+/// and another centroid stays; among others, the first wins.
 pub(super) fn assign_chunk(
     points: &Points<'_>,
     centroids: &DenseMatrix,
@@ -164,7 +165,7 @@ impl Assign<'_> {
             let close = simd.less_than_or_equal_f64s(nearest.second[r], limit);
             registers[r] = simd.select_u64s(close, simd.splat_u64s(UNDECIDED), nearest.index[r]);
         }
-        // A narrow register may hold nothing but places behind the last point.
+        // A narrow register may contain only places after the last point.
         let start = (place - self.first).min(self.labels.len());
         let count = (R * S::F64_LANES).min(self.labels.len() - start);
         let mut differ = false;
@@ -176,7 +177,7 @@ impl Assign<'_> {
         }
     }
 
-    /// Writes down the labels of some points from the `start`-th of the chunk on.
+    /// Writes the labels of some points, from the `start`-th of the chunk on.
     #[inline(never)]
     fn write_labels(&mut self, start: usize, found: &[u64]) {
         let many = self.labels.len() / 2;
@@ -199,7 +200,7 @@ impl Assign<'_> {
     }
 }
 
-/// The least shortened distance of R registers of points, where it is, and the one after it.
+/// The least shortened distance of R registers of points, its centroid, and the second least.
 struct Nearest<'a, S: Simd, const R: usize> {
     points: &'a Points<'a>,
     packed: &'a Packed,
@@ -248,17 +249,17 @@ mod tests {
 
     use super::*;
 
-    /// Points and centroids of one of several kinds that are hard to tell apart in their own ways.
+    /// Points and centroids of one of several kinds, each hard to distinguish in its own way.
     fn draw(n: usize, dims: usize, clusters: usize, kind: u8, seed: u64) -> [DenseMatrix; 2] {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut value = |row: usize| match kind {
-            // A coarse grid: most points lie equally near to several centroids.
+            // A coarse grid: most points are equally near to several centroids.
             0 => rng.random_range(0..3) as f64,
-            // Far away from the origin, beside which differences are tiny.
+            // Far from the origin, so that differences are relatively tiny.
             1 => 1e8 + rng.random::<f64>(),
             // One row in five is larger by far.
             2 => rng.random::<f64>() * if row.is_multiple_of(5) { 1e100 } else { 1.0 },
-            // Smaller than what has a square.
+            // Entries whose squares underflow.
             3 => 1e-170 * rng.random::<f64>(),
             // Differences in the last digits only.
             4 => 1.0 + f64::EPSILON * rng.random_range(0..4) as f64,

@@ -1,9 +1,9 @@
 //! Moves of single points (Hartigan and Wong, Algorithm AS 136, Applied Statistics 28, 1979).
 //!
-//! Taking point x out of a cluster of n points with mean φ lowers the inertia by n/(n−1)·‖x−φ‖²,
-//! adding it to one raises it by n/(n+1)·‖x−φ‖². Hardly a point gains by moving once Lloyd's
-//! iteration has ended, so that a vector kernel looks for those that might, with a margin for its
-//! rounding errors, and the plain formula decides about them one after the other.
+//! Removing point x from a cluster of n points with mean φ lowers the inertia by n/(n−1)·‖x−φ‖²;
+//! adding it to one raises it by n/(n+1)·‖x−φ‖². After Lloyd's iteration hardly any point gains by
+//! moving. So a vector kernel screens for points that might, with a margin for its rounding errors,
+//! and the plain formula decides about them one after the other.
 
 use pulp::{Simd, WithSimd};
 
@@ -14,18 +14,18 @@ use crate::linalg::simd::dispatch;
 use crate::linalg::simd_pack::{BLOCK_REGISTERS, GROUP_POINTS, GroupKernel};
 use crate::linalg::vector::squared_distance;
 
-/// Relative gain below which a single point is not moved; rounding could make it move for ever.
+/// Relative gain below which a single point is not moved, as rounding could make it move for ever.
 const MIN_GAIN: f64 = 1e-10;
 
-/// Factor by which the margin exceeds that of an assignment. A point is compared with centroids up
-/// to twice as far away as its own here, and both distances count at most twice.
+/// Factor of the margin over that of an assignment: a point is compared with centroids up to twice
+/// as far away as its own, and both distances count at most twice.
 const MARGIN_FACTOR: f64 = 8.0;
 
 impl Partition {
-    /// Moves single points to other clusters while that lowers the inertia; returns the passes
-    /// and whether a pass without moves was reached.
+    /// Moves single points to other clusters while that lowers the inertia. Returns the passes, and
+    /// true when a pass without moves was reached.
     ///
-    /// The gain must exceed the share `hysteresis` of what taking the point out saves.
+    /// The gain must exceed the share `hysteresis` of what removing the point saves.
     pub(super) fn exchange(
         &mut self,
         points: &Points<'_>,
@@ -89,13 +89,13 @@ fn saving(size: usize) -> f64 {
     if size < 2 { 0.0 } else { size as f64 / (size as f64 - 1.0) }
 }
 
-/// The clusters as the search for points reads them.
+/// The clusters as the screening kernel reads them.
 struct Screen {
     packed: Packed,
     keep: f64,
     /// n/(n+1) of every cluster.
     costs: Vec<f64>,
-    /// n/(n−1) of every cluster, less what a gain must exceed.
+    /// n/(n−1) of every cluster, times the share that a gain must not exceed.
     savings: Vec<f64>,
 }
 
@@ -116,7 +116,7 @@ impl Screen {
         self.savings[c] = saving(partition.sizes[c]) * self.keep;
     }
 
-    /// Takes over cluster `c`, which has changed.
+    /// Updates cluster `c`, which has changed.
     fn set(&mut self, points: &Points<'_>, partition: &Partition, c: usize) {
         self.packed.set(points, c, partition.centroids.row(c));
         self.weigh(partition, c);
@@ -161,7 +161,7 @@ impl WithSimd for Next<'_> {
 impl Next<'_> {
     #[inline(always)]
     fn block<S: Simd, const R: usize>(&self, simd: S, place: usize) -> Option<usize> {
-        // A narrow register may hold nothing but places behind the last point.
+        // A narrow register may contain only places after the last point.
         let labels = &self.labels[place.min(self.labels.len())..];
         let count = (R * S::F64_LANES).min(labels.len());
         let labels = &labels[..count];
@@ -205,12 +205,12 @@ impl Next<'_> {
         if any == 0 {
             return None;
         }
-        let seen = self.from.saturating_sub(place).min(count);
-        suspects[seen..count].iter().position(|s| *s == 1).map(|i| place + seen + i)
+        let passed = self.from.saturating_sub(place).min(count);
+        suspects[passed..count].iter().position(|s| *s == 1).map(|i| place + passed + i)
     }
 }
 
-/// What moving R registers of points would save and cost.
+/// Savings and costs of moving R registers of points.
 struct Gains<'a, S: Simd, const R: usize> {
     screen: &'a Screen,
     points: &'a Points<'a>,
@@ -219,7 +219,7 @@ struct Gains<'a, S: Simd, const R: usize> {
     squares: [S::f64s; R],
     /// Squared distance to the own centroid.
     own: [S::f64s; R],
-    /// Least cost of going to another cluster.
+    /// Least cost of moving to another cluster.
     cheapest: [S::f64s; R],
 }
 

@@ -6,12 +6,12 @@ use super::sums::{Move, Sums};
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::vector::squared_distance;
 
-/// Share of the points that may change their cluster before all sums are made anew. To move a point
-/// costs two additions at places that are in no cache, to add it costs one.
+/// One point in this many may change its cluster before all sums are recomputed: moving a point
+/// costs two additions at places that are in no cache, adding it in order costs one.
 const MOVED_POINT_SHARE: usize = 3;
 
-/// Points per cluster in each part of a sum, so that the partial sums never take more than half of
-/// the memory of the points.
+/// Points per cluster in each part of a sum, so that the partial sums take at most half of the
+/// memory of the points.
 const POINTS_PER_SUM: usize = 4;
 
 /// Labels together with the sizes and means of the clusters they describe.
@@ -20,7 +20,7 @@ pub(super) struct Partition {
     pub(super) sizes: Vec<usize>,
     pub(super) centroids: DenseMatrix,
     sums: Sums,
-    /// Whether the sums were made anew since a point moved last.
+    /// True when the sums were recomputed since the last move of a point.
     fresh: bool,
 }
 
@@ -54,8 +54,8 @@ impl Partition {
         partition
     }
 
-    /// Recomputes sizes and means. An empty cluster takes the point that lies farthest from its
-    /// centroid among clusters that can spare one.
+    /// Recomputes sizes and means. An empty cluster gets the point that is farthest from its
+    /// centroid among clusters of at least two points.
     fn update(&mut self, points: &Points<'_>) {
         self.sizes.fill(0);
         for &label in &self.labels {
@@ -97,8 +97,8 @@ impl Partition {
         self.sums.mean(c, self.sizes[c], self.centroids.row_mut(c));
     }
 
-    /// Makes all sums anew if they were changed point by point; returns whether the means stayed
-    /// the same to the last digit.
+    /// Recomputes all sums if they were changed point by point. True when the means stayed the same
+    /// to the last digit.
     pub(super) fn refresh(&mut self, points: &Points<'_>) -> bool {
         if self.fresh {
             return true;
@@ -133,8 +133,8 @@ impl Partition {
         self.fresh = false;
     }
 
-    /// Labels every point by its nearest centroid; returns the number of changes, and all of them
-    /// if they are few.
+    /// Labels every point by its nearest centroid. Returns the number of changes, and the changes
+    /// themselves if they are few.
     fn assign(&mut self, points: &Points<'_>) -> (usize, Option<Vec<Move>>) {
         let packed = Packed::new(points, &self.centroids);
         let centroids = &self.centroids;
@@ -147,8 +147,8 @@ impl Partition {
         (count, few.then(|| changes.into_iter().flat_map(|part| part.list).collect()))
     }
 
-    /// Lloyd's iteration until no label changes; returns the iterations and whether it got there.
-    /// A point equally near to its own and another centroid stays.
+    /// Lloyd's iteration until no label changes. Returns the iterations, and true when it
+    /// converged. A point equally near to its own and another centroid stays.
     pub(super) fn lloyd(&mut self, points: &Points<'_>, limit: usize) -> (usize, bool) {
         for iteration in 1..=limit {
             let (count, moves) = self.assign(points);
@@ -166,7 +166,7 @@ impl Partition {
         (limit, false)
     }
 
-    /// Takes over moves that are in the labels already.
+    /// Updates sizes and means after `moves` that the labels already contain.
     fn follow(&mut self, points: &Points<'_>, moves: &[Move]) {
         for &Move { from, to, .. } in moves {
             self.sizes[from as usize] -= 1;

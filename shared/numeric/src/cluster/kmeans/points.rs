@@ -7,20 +7,20 @@ use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::dispatch;
 use crate::linalg::simd_pack::{BLOCK_REGISTERS, GROUP_POINTS, SimdPack};
 
-/// Points that are worked on together, by one thread: a multiple of what a kernel takes at a time.
-/// The bounds of the chunks depend on nothing else, so that sums over chunks are the same for any
-/// number of threads.
+/// Points that one thread processes together: a multiple of the points of a block. The bounds of
+/// the chunks depend on nothing else, so that sums over chunks are the same for any number of
+/// threads.
 pub(super) const CHUNK_POINTS: usize = 256 * GROUP_POINTS * BLOCK_REGISTERS;
 
-/// Fewest points whose chunks are shared out over threads; for fewer the threads would spend their
-/// time on waiting for each other.
+/// Least number of points that are shared between threads; with fewer the threads would wait for
+/// each other.
 const PARALLEL_POINTS: usize = 100_000;
 
-/// The points, as they were given, and packed and centred.
+/// The points, as given, and packed and centred.
 pub(super) struct Points<'a> {
     pub(super) x: &'a DenseMatrix,
     pub(super) pack: SimdPack,
-    /// What the packed points are centred by.
+    /// Centre of the packed points.
     pub(super) centre: Vec<f64>,
     /// Squared length of every packed point.
     pub(super) squares: Vec<f64>,
@@ -28,8 +28,8 @@ pub(super) struct Points<'a> {
 }
 
 impl<'a> Points<'a> {
-    /// Packs the rows of `x`, at least one. Chunks are shared out over the threads of the pool that
-    /// this runs in if `threads` is above 1 and there are enough of them.
+    /// Packs the rows of `x`, at least one. The threads of the surrounding pool share the chunks if
+    /// `threads` is above 1 and there are enough points.
     pub(super) fn new(x: &'a DenseMatrix, threads: usize) -> Self {
         let (pack, centre) = SimdPack::centred(x);
         let squares = pack.squares();
@@ -42,8 +42,8 @@ impl<'a> Points<'a> {
         self.x.rows()
     }
 
-    /// Calls `work` with the number of each chunk of `size` values and the chunk itself; results in
-    /// the order of the chunks.
+    /// Calls `work` with the number of each chunk of `size` values and the chunk itself. Returns
+    /// the results in the order of the chunks.
     pub(super) fn for_chunks<T: Send, V: Send>(
         &self,
         values: &mut [V],
@@ -58,7 +58,7 @@ impl<'a> Points<'a> {
         chunks.map(|(number, part)| work(number, part)).collect()
     }
 
-    /// As [`Points::for_chunks`], of values that are only read.
+    /// As [`Points::for_chunks`], for values that are only read.
     pub(super) fn over_chunks<T: Send, V: Sync>(
         &self,
         values: &[V],

@@ -12,8 +12,8 @@ use crate::linalg::simd_pack::{
 };
 use crate::linalg::vector::squared_distance;
 
-/// Points nearer to each other than this fraction of the longest row count as equal: nodes that
-/// are interchangeable in the graph have equal rows up to rounding, which must not divide them.
+/// Points closer to each other than this fraction of the longest row count as equal: nodes that are
+/// interchangeable in the graph have equal rows up to rounding, which must not divide them.
 pub const DISTINCT: f64 = 1e-9;
 
 /// Number of distinct rows, counted up to `limit`.
@@ -79,7 +79,7 @@ impl NearestChosen {
         Self { points: points.len(), squares, sums: Vec::new() }
     }
 
-    /// Takes one more point into account.
+    /// Adds one more chosen point.
     fn add(&mut self, points: &Points<'_>, point: usize) {
         let others = packed(points, &[point]);
         self.sums = points.for_chunks(&mut self.squares, CHUNK_POINTS, |number, squares| {
@@ -111,7 +111,7 @@ impl NearestChosen {
             return rng.random_range(0..self.points);
         }
         let mut left = rng.random::<f64>() * total;
-        // The last chunk and point of positive weight take what rounding leaves over.
+        // The last chunk and point of positive weight absorb the rounding.
         let mut chunk = 0;
         for (number, &sum) in self.sums.iter().enumerate().filter(|s| *s.1 > 0.0) {
             chunk = number;

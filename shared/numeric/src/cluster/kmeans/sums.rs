@@ -1,8 +1,8 @@
 //! Sums of the points of each cluster, in about twice the precision of the points.
 //!
-//! Points come and go by the thousand while k-means runs. With the rounding error of every addition
-//! kept beside the sum (Knuth, The Art of Computer Programming 2, section 4.2.2), a sum that was
-//! changed point by point equals one that was made anew, up to the last digit.
+//! Thousands of points move while k-means runs. With the rounding error of every addition kept
+//! separately (Knuth, The Art of Computer Programming 2, section 4.2.2), a sum that was changed
+//! point by point equals a recomputed one up to the last digit.
 
 use pulp::{Simd, WithSimd};
 
@@ -10,11 +10,11 @@ use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::simd::{dispatch, prefetch};
 use crate::linalg::simd_pack::GROUP_POINTS;
 
-/// Moves between the one that is made and the one whose row is fetched into the cache meanwhile.
-/// The rows lie anywhere, so that the processor does not foresee which comes next.
+/// Moves between the one in work and the one whose row is prefetched: the rows are at random
+/// places, which the processor cannot predict.
 const PREFETCH_MOVES: usize = 8;
 
-/// A point that goes from one cluster to another.
+/// A point that moves from one cluster to another.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Move {
     pub(super) point: u32,
@@ -36,12 +36,12 @@ impl Sums {
         Self { dims, high: vec![0.0; clusters * dims], low: vec![0.0; clusters * dims] }
     }
 
-    /// Adds the rows of `x` from `first` on to the clusters that `labels` name.
+    /// Adds the rows of `x` from `first` on to the clusters of `labels`.
     pub(super) fn add_rows(&mut self, x: &DenseMatrix, first: usize, labels: &[u32]) {
         dispatch(AddRows { sums: self, x, first, labels });
     }
 
-    /// Takes rows of `x` from one cluster to another.
+    /// Moves rows of `x` from one cluster to another.
     pub(super) fn transfer(&mut self, x: &DenseMatrix, moves: &[Move]) {
         dispatch(Transfer { sums: self, x, moves });
     }
@@ -68,7 +68,7 @@ impl Sums {
     }
 }
 
-/// a + b rounded, and what rounding took away.
+/// a + b rounded, and its rounding error.
 fn two_sum(a: f64, b: f64) -> (f64, f64) {
     let sum = a + b;
     let part = sum - a;
@@ -86,7 +86,7 @@ fn accumulate<S: Simd>(simd: S, high: &mut S::f64s, low: &mut S::f64s, x: S::f64
     *low = simd.add_f64s(*low, error);
 }
 
-/// Adds `row`, or takes it away, from the sum whose two parts are given.
+/// Adds `row` to the sum in two parts, or subtracts it.
 #[inline(always)]
 fn add_row<S: Simd>(simd: S, high: &mut [f64], low: &mut [f64], row: &[f64], minus: bool) {
     let sign = simd.splat_f64s(if minus { -0.0 } else { 0.0 });
@@ -121,7 +121,7 @@ impl WithSimd for AddRows<'_> {
         let dims = self.sums.dims;
         let per = dims / S::F64_LANES;
         if per > 0 && dims.is_multiple_of(S::F64_LANES) {
-            // Rows of whole registers, as most are.
+            // Most rows are whole registers.
             let (rows, _) = S::as_simd_f64s(&self.x.data()[self.first * dims..]);
             let (high, _) = S::as_mut_simd_f64s(&mut self.sums.high);
             let (low, _) = S::as_mut_simd_f64s(&mut self.sums.low);

@@ -38,14 +38,14 @@ impl Groups {
     }
 }
 
-/// The points of each cluster packed next to one another, every cluster from a new group on.
+/// The points packed by cluster, every cluster from a new group on.
 pub(super) struct Ordered {
     pub(super) pack: SimdPack,
-    /// First place of each cluster, and behind the last one.
+    /// First place of each cluster, and the end of the last one.
     pub(super) starts: Vec<usize>,
     /// Place of each point.
     pub(super) place: Vec<u32>,
-    /// ‖x‖² of each point x, and half of it below zero.
+    /// ‖x‖² of each point x, and −½‖x‖².
     pub(super) squares: Vec<f64>,
     pub(super) minus_halves: Vec<f64>,
     /// 1 for each place that holds a point, 0 for others.
@@ -78,7 +78,7 @@ impl Ordered {
     }
 }
 
-/// The values together with their means.
+/// The values with their means.
 pub(super) fn summary(per_point: Vec<f64>, groups: &Groups, method: Method) -> Silhouette {
     let mut totals = vec![0.0; groups.sizes.len()];
     for (value, &c) in per_point.iter().zip(&groups.member) {

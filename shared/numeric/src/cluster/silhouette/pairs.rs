@@ -1,8 +1,8 @@
-//! Sums of Euclidean distances between points and clusters.
+//! Silhouettes from Euclidean distances between points and clusters.
 //!
 //! ‖x − y‖² = ‖x‖² + ‖y‖² − 2x·y takes one multiplication per coordinate instead of two operations,
-//! and loses digits where points are much nearer to each other than to the centre. There the
-//! differences themselves are squared instead, so that every distance is right to rounding; see
+//! but loses digits where points are much closer to each other than to the centre. There the
+//! differences themselves are squared, so that every distance is right to rounding; see
 //! [`NEAR_SHARE`].
 
 use std::ops::Range;
@@ -17,8 +17,8 @@ use crate::linalg::simd_pack::{
     GROUP_POINTS, GroupKernel, SimdPack, centre, over_halves, products, squared_distances,
 };
 
-/// Points of one cluster that all points of another are compared with before the next ones are:
-/// they and what is summed for them stay in the fastest cache.
+/// Points of one cluster that are compared with all points of another before the next ones: they
+/// and their sums stay in the first-level cache.
 const TILE_POINTS: usize = 32 * GROUP_POINTS;
 
 /// Share of ‖x‖² below which ‖x − y‖² is computed from the differences.
@@ -29,8 +29,8 @@ const TILE_POINTS: usize = 32 * GROUP_POINTS;
 /// u for points that do not lie close together.
 const NEAR_SHARE: f64 = 1.0 / 64.0;
 
-/// Coordinates up to which differences are squared throughout. That is hardly slower there, and
-/// among points of few coordinates many lie close together.
+/// Coordinates up to which differences are always squared: that is hardly slower there, and among
+/// points of few coordinates many are close together.
 const MAX_DIRECT_DIMS: usize = 6;
 
 /// Silhouette (b − a) / max(a, b) of every row of `x`, where a is the mean distance to the other
@@ -48,8 +48,7 @@ pub fn silhouette(x: &DenseMatrix, labels: &[usize]) -> Result<Silhouette, Silho
     Ok(summary(per_point, &groups, Method::Exact))
 }
 
-/// Silhouettes of all points, every distance computed once: it counts for the one point and for the
-/// other.
+/// Silhouettes of all points. Every distance is computed once and counts for both points.
 pub(super) fn all_pairs(x: &DenseMatrix, groups: &Groups) -> Vec<f64> {
     let centre = centre(x);
     let ordered = Ordered::new(x, &centre, groups);
@@ -91,8 +90,7 @@ pub(super) fn all_pairs(x: &DenseMatrix, groups: &Groups) -> Vec<f64> {
     values.map(|(&c, &place)| scores.value(place as usize, sizes[c as usize])).collect()
 }
 
-/// Silhouettes of some points, which belong to clusters `member`, from their distances to all
-/// points.
+/// Silhouettes of the points `chosen`, from their distances to all points.
 pub(super) fn some_points(x: &DenseMatrix, groups: &Groups, chosen: &[usize]) -> Vec<f64> {
     let centre = centre(x);
     let ordered = Ordered::new(x, &centre, groups);
@@ -132,7 +130,8 @@ pub(super) fn some_points(x: &DenseMatrix, groups: &Groups, chosen: &[usize]) ->
     chosen.iter().enumerate().map(|(place, &point)| scores.value(place, size(point))).collect()
 }
 
-/// For each place the sum of distances to its own cluster, and the least mean distance to another.
+/// For each place the sum of distances to its own cluster, and the least mean distance to another
+/// one.
 struct Scores {
     own: Vec<f64>,
     next: Vec<f64>,
@@ -143,8 +142,8 @@ impl Scores {
         Self { own: vec![0.0; places], next: vec![f64::INFINITY; places] }
     }
 
-    /// Takes in the sum of distances of the point at `place` to a cluster of `size` points; in parts
-    /// if it is its own one.
+    /// Adds the sum of distances of the point at `place` to a cluster of `size` points; in parts if
+    /// it is its own one.
     fn add(&mut self, place: usize, sum: f64, size: usize, own: bool) {
         if own {
             self.own[place] += sum;
@@ -164,14 +163,14 @@ struct Sweep<'a> {
     points: &'a SimdPack,
     /// ‖x‖² of the points.
     squares: &'a [f64],
-    /// What a distance counts for the points of the tile, one per place of `points`.
+    /// Weight of a distance for the points of the tile, one per place of `points`.
     weights: &'a [f64],
     places: Range<usize>,
     others: &'a Ordered,
     tile: Range<usize>,
-    /// Behind the last place of the cluster of the tile that holds a point.
+    /// End of the places of the tile's cluster that contain a point.
     end: usize,
-    /// Whether `points` and the tile are of the same cluster, so that half of all pairs suffice.
+    /// True when `points` and the tile are of the same cluster, so that half of all pairs suffice.
     same: bool,
     /// Sums over the tile, one per place.
     rows: &'a mut [f64],
@@ -194,7 +193,7 @@ impl WithSimd for Sweep<'_> {
 }
 
 impl Sweep<'_> {
-    /// Goes through all places, `WIDE` registers at a time and the last ones by `NARROW`; both fill
+    /// Processes all places, `WIDE` registers at a time and the last ones by `NARROW`; both fill
     /// whole groups, so that a block either overlaps a group of the tile or does not.
     #[inline(always)]
     fn sweep<S: Simd, const WIDE: usize, const NARROW: usize>(mut self, simd: S) {
@@ -229,7 +228,7 @@ impl Sweep<'_> {
         distances.squares.copy_from_slice(&squares[..R]);
         let mut group = self.tile.start / GROUP_POINTS;
         if self.same {
-            // Pairs with earlier points of the cluster were counted when it was their turn.
+            // Pairs with earlier points of the cluster are counted already.
             group = group.max(place / GROUP_POINTS);
             while group < (end / GROUP_POINTS).min(self.tile.end / GROUP_POINTS) {
                 over_halves(simd, &mut distances, group, self.end - group * GROUP_POINTS);
@@ -256,11 +255,11 @@ struct Distances<'a, S: Simd, const R: usize> {
     place: usize,
     /// First place of the tile.
     first: usize,
-    /// Whether the shorter formula is tried.
+    /// True when the shorter formula is tried.
     short: bool,
     /// ‖x‖² of the points.
     squares: [S::f64s; R],
-    /// What a distance counts for the other point.
+    /// Weight of a distance for the other point.
     weights: [S::f64s; R],
     rows: [S::f64s; R],
     /// One register of parts per point of the tile, [`GROUP_POINTS`] lanes or as many registers.

@@ -8,18 +8,18 @@ use super::pairs;
 use super::types::{Method, SilhouetteError, SilhouetteOptionsError};
 use crate::linalg::matrix::DenseMatrix;
 
-/// Default of [`SilhouetteOptions::exact_points`]: up to here all pairs take about a tenth of a
-/// second in 16 dimensions.
+/// Default of [`SilhouetteOptions::exact_points`]: up to here all pairs take about 0.1 s in 16
+/// dimensions.
 pub const EXACT_POINTS: usize = 20_000;
 
-/// Default of [`SilhouetteOptions::sample`]: the standard error is below 0.01 then, as the standard
-/// deviation of silhouettes is hardly ever above 0.4.
+/// Default of [`SilhouetteOptions::sample`]: the standard error is then below 0.01, as the standard
+/// deviation of silhouettes hardly ever exceeds 0.4.
 pub const SAMPLE: usize = 2_000;
 
 /// Unchecked parameters: when and how to sample; [`SilhouetteOptions::check`] makes them valid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SilhouetteOptions {
-    /// Largest number of points all of which are scored.
+    /// Largest number of points that are all scored.
     pub exact_points: usize,
     /// Number of points that are scored when there are more; at least 2, as a standard error needs.
     pub sample: usize,
@@ -57,17 +57,16 @@ pub struct SilhouetteEstimate {
     pub mean: f64,
     /// Standard error of `mean`; 0 if all points were scored.
     pub standard_error: f64,
-    /// Label of every cluster, ascending, and the mean over those of its points that were scored;
-    /// `None` if none was.
+    /// Label of every cluster, ascending, and the mean over its scored points; `None` without any.
     pub per_cluster: Vec<(usize, Option<f64>)>,
-    /// The points that were scored, ascending, and their silhouettes, which are exact.
+    /// The scored points, ascending, and their exact silhouettes.
     pub per_point: Vec<(usize, f64)>,
-    /// How they were computed.
+    /// Method of `per_point`.
     pub method: Method,
 }
 
-/// Mean of what [`silhouette`](super::silhouette) gives; above [`SilhouetteOptions::exact_points`]
-/// points estimated from a sample, drawn without replacement.
+/// Mean of [`silhouette`](super::silhouette) over all points; above
+/// [`SilhouetteOptions::exact_points`] points estimated from a sample, drawn without replacement.
 ///
 /// Every point of the sample is compared with all N points, in O(m N D) for m points. With the
 /// standard deviation s of their silhouettes, the standard error is s √((1 − m/N)/m) (Cochran,
@@ -140,7 +139,8 @@ fn draw(points: usize, count: usize, seed: u64) -> Vec<usize> {
     indices
 }
 
-/// Standard error of the mean of `values` as that of `points` values, of which they were drawn.
+/// Standard error of the mean of `values` as an estimate of the mean of the `points` values that
+/// they were drawn from.
 fn standard_error(values: &[f64], points: usize) -> f64 {
     let count = values.len() as f64;
     if values.len() >= points {

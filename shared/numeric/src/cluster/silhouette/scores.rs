@@ -15,8 +15,8 @@ pub struct Scores {
     pub standard_error: f64,
     /// How `mean` was computed.
     pub method: Method,
-    /// Every cluster and every point, by a method of its own: where `mean` is an estimate, which says
-    /// nothing of the points that were not drawn, these rest on squared distances, exactly.
+    /// Every cluster and every point. When `mean` is an estimate, they are computed from squared
+    /// distances for all points; `details.method` is then [`Method::SquaredExact`].
     pub details: Silhouette,
 }
 

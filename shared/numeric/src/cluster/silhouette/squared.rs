@@ -12,10 +12,10 @@ use crate::linalg::simd_pack::{
 
 /// As [`silhouette`](super::silhouette), with squared Euclidean distances throughout, in O(N k D).
 ///
-/// The mean of ‖x − y‖² over the members y of a cluster with mean m is ‖x − m‖² plus the mean of
-/// ‖y − m‖²: a sum of what is not negative, so that nothing cancels. The points are centred first,
-/// so that m is rounded no coarser than the points spread. Not to be mistaken for the "simplified"
-/// silhouette, which leaves out the second term.
+/// The mean of ‖x − y‖² over the members y of a cluster with mean m is ‖x − m‖² plus the mean of ‖y
+/// − m‖²: a sum of non-negative terms, without cancellation. The points are centred first, so that
+/// m is rounded no coarser than the spread of the points. This is not the "simplified" silhouette,
+/// which omits the second term.
 ///
 /// # Errors
 /// As [`silhouette`](super::silhouette).
@@ -39,7 +39,7 @@ pub fn silhouette_squared(
     });
     let values = groups.member.iter().zip(own.iter().zip(&next)).map(|(&c, (own, next))| {
         let size = groups.sizes[c as usize];
-        // The sum over a cluster counts the distance of the point to itself, which is zero.
+        // The mean includes the distance of the point to itself, which is zero.
         value(size, own * (size as f64 / (size.max(2) - 1) as f64), *next)
     });
     Ok(summary(values.collect(), &groups, Method::SquaredExact))

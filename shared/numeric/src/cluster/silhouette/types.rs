@@ -24,7 +24,7 @@ pub enum SilhouetteError {
         /// Points given.
         points: usize,
     },
-    /// All points share one cluster (or there are none): no other cluster to compare with.
+    /// All points share one cluster, or there are none: there is no other cluster to compare with.
     #[error("silhouettes are undefined for {clusters} cluster(s)")]
     Undefined {
         /// Number of clusters, 0 or 1.
@@ -37,8 +37,8 @@ pub enum SilhouetteError {
 pub enum Method {
     /// From Euclidean distances between all pairs of points, up to rounding.
     Exact,
-    /// From squared Euclidean distances between all pairs of points, up to rounding. The values
-    /// differ from those of [`Method::Exact`]: they are further away from zero.
+    /// From squared Euclidean distances between all pairs of points, up to rounding. The values are
+    /// further from zero than those of [`Method::Exact`].
     SquaredExact,
     /// From Euclidean distances between some points and all points: an estimate.
     Sampled,
@@ -58,7 +58,7 @@ pub struct Silhouette {
 }
 
 impl Method {
-    /// [`Method::Exact`] for so many points at most, and [`Method::Sampled`] for more.
+    /// [`Method::Exact`] for at most `exact_points` points, [`Method::Sampled`] for more.
     #[must_use]
     pub fn by_size(points: usize, exact_points: usize) -> Self {
         if points <= exact_points { Self::Exact } else { Self::Sampled }

@@ -1,4 +1,4 @@
-//! Which entries of a matrix changed, and the fewest rows and columns that hold them all.
+//! The changed entries of a matrix, and the fewest rows and columns that cover them all.
 
 use std::collections::BinaryHeap;
 
@@ -23,7 +23,7 @@ pub(crate) enum Line {
     Column(u32),
 }
 
-/// The changed entries, each covered by one line. Keeps its memory.
+/// The changed entries, each covered by one line. Reuses its memory.
 #[derive(Debug, Default)]
 pub(crate) struct Changes {
     entries: Vec<Change>,
@@ -31,7 +31,7 @@ pub(crate) struct Changes {
     by_column: Vec<u32>,
     column_starts: Vec<u32>,
     row_starts: Vec<u32>,
-    /// Entries of each line that no chosen line holds yet, rows first.
+    /// Entries of each line that no chosen line covers yet, rows first.
     open: Vec<u32>,
     covered: Vec<bool>,
     heap: BinaryHeap<(u32, Line)>,
@@ -43,7 +43,7 @@ pub(crate) struct Changes {
 }
 
 impl Changes {
-    /// Forgets all changes of the matrix of `size` rows.
+    /// Discards all changes, for a matrix of `size` rows.
     pub(crate) fn clear(&mut self, size: usize) {
         self.entries.clear();
         self.lines.clear();
@@ -51,8 +51,8 @@ impl Changes {
         self.line.resize(size, 0.0);
     }
 
-    /// Adds what differs between two versions of row `row`, but for columns that `skip` names. Rows
-    /// are to be given in ascending order.
+    /// Adds the difference of two versions of row `row`, except for columns that `skip` names. Rows
+    /// must come in ascending order.
     pub(crate) fn compare(&mut self, row: u32, old: &Row, new: &Row, skip: impl Fn(u32) -> bool) {
         self.touched.clear();
         for &(column, weight) in new {
@@ -74,9 +74,9 @@ impl Changes {
         }
     }
 
-    /// Chooses the lines: all rows, all columns, or a mixture that takes the line with most
-    /// entries first, whichever are fewest. A robot that moved changes its row and its column,
-    /// which the mixture holds by two lines where rows alone would need one per neighbour.
+    /// Chooses the lines: all rows, all columns, or a mixture that greedily takes the line with
+    /// most entries, whichever are fewest. A moved robot changes its row and its column, which the
+    /// mixture covers by two lines where rows alone would need one per neighbour.
     pub(crate) fn cover(&mut self) {
         let size = self.line.len();
         self.index(size);
@@ -133,7 +133,7 @@ impl Changes {
                 Line::Row(i) => i as usize,
                 Line::Column(j) => size + j as usize,
             };
-            // Counts only fall; one that is out of date goes back with its present value.
+            // Counts only fall; an outdated one goes back with its present value.
             let now = open[place(line)];
             if now < count {
                 if now > 0 {
@@ -183,7 +183,7 @@ impl Changes {
         }
     }
 
-    /// The chosen lines with the entries that they hold; every entry is covered once.
+    /// The chosen lines with the entries that they cover; every entry is covered once.
     pub(crate) fn lines(&self) -> impl ExactSizeIterator<Item = (Line, &[Change])> {
         let grouped = &self.grouped;
         self.lines.iter().map(|&(line, from, to)| (line, &grouped[from as usize..to as usize]))

@@ -14,8 +14,8 @@ use pulp::{Arch, Simd, WithSimd};
 use super::changes::{Changes, Line};
 use crate::linalg::backend::small_lu::{Factored, add_product};
 
-/// Rank up to which S' and its product with the probe are computed in one pass over memory, which
-/// is all that such an update costs; beyond, the blocked product of the library is faster.
+/// Largest rank for which S' and its product with the probe are computed in one pass over memory,
+/// which is all that such an update costs; beyond it the blocked product of the library is faster.
 const MAX_FUSED_RANK: usize = 6;
 
 /// The m × k matrix U by its columns, whose entries are (row, value).
@@ -53,7 +53,7 @@ impl Sparse {
     }
 }
 
-/// Memory of the updates of one matrix.
+/// Scratch space of the updates of one matrix.
 #[derive(Debug, Default)]
 pub(crate) struct Woodbury {
     /// U.
@@ -66,8 +66,8 @@ pub(crate) struct Woodbury {
 }
 
 impl Woodbury {
-    /// Prepares the update of the m × m matrix `s` in rows by `alpha` times `changes`. Answers the
-    /// reciprocal condition of the k × k capacitance matrix I − VᵀGU; S itself is not touched.
+    /// Prepares the update of the m × m row-major matrix `s` by `alpha` times `changes`, without
+    /// changing `s`. Returns the reciprocal condition of the k × k capacitance matrix I − VᵀGU.
     pub(crate) fn prepare(&mut self, s: &[f64], m: usize, alpha: f64, changes: &Changes) -> f64 {
         self.sparse.assign(alpha, changes);
         let k = self.sparse.columns();
@@ -117,7 +117,7 @@ impl Woodbury {
         }
     }
 
-    /// Carries out what [`Woodbury::prepare`] prepared, and writes S' z to `product`.
+    /// Applies the update of [`Woodbury::prepare`], and writes S' z to `product`.
     pub(crate) fn apply(&mut self, s: &mut [f64], m: usize, z: &[f64], product: &mut [f64]) {
         let k = self.sparse.columns();
         self.factored.solve(&mut self.right, m);

@@ -20,7 +20,7 @@ fn all<T>(items: impl Iterator<Item = T>, test: impl Fn(T) -> bool) -> bool {
 pub struct SparseMatrix {
     nodes: usize,
     starts: Vec<usize>,
-    /// 32 bits hold every number below [`MAX_NODES`].
+    /// 32 bits suffice for every index below [`MAX_NODES`].
     columns: Vec<u32>,
     weights: Vec<f64>,
 }

@@ -1,9 +1,10 @@
-//! The search space: directions, their images under S, and what Rayleigh and Ritz need of them.
+//! The search space: directions, their images under S, and the matrices of the Rayleigh–Ritz
+//! method.
 //!
-//! Directions stay as they come, V = W − αA W beside S V = αA W; making them orthonormal in place
-//! would take two more passes over all of them each round. Instead the small matrix T is kept for
-//! which V T is orthonormal, from Gram matrices that are measured (a Cholesky factorisation, block by
-//! block). Directions that depend too much on others for that are made independent in place.
+//! Directions stay as computed, V = W − αA W and S V = αA W; making them orthonormal in place would
+//! take two more passes over all of them in each round. Instead a small matrix T is kept for which
+//! V T is orthonormal, from measured Gram matrices (a block Cholesky factorisation). Directions
+//! that are too dependent for that are made independent in place.
 
 use std::ops::Range;
 
@@ -13,30 +14,31 @@ use crate::linalg::block_vectors::{
     BlockView, CHUNK_ROWS, add_gram, product, transform, transform_scratch,
 };
 use crate::linalg::parallel::{Parts, Strided};
+use crate::linalg::vector::zeros;
 
-/// Squared length that must be left of a direction of length 1 beside the space and the other ones. What
-/// is left is scaled up to length 1 again, and the rounding of S V with it.
+/// Squared length that must be left of a unit direction, orthogonal to the space and to the other
+/// ones. It is scaled up to length 1 again, and the rounding of S V with it.
 const DEPENDENT_SQUARE: f64 = 1e-12;
 
-/// Attempts to make directions independent. Twice is enough (Kahan and Parlett).
+/// Most attempts to make directions independent. Twice is enough (Kahan and Parlett).
 const MAX_ATTEMPTS: usize = 3;
 
 /// Directions V, n × [`Basis::size`], and S V.
 #[derive(Debug, Default)]
 pub(super) struct Basis {
     nodes: usize,
-    /// V in rows of `stride` values, with what more room there is to be.
+    /// V in rows of `stride` values, with spare memory after it.
     pub(super) space: Aligned<f64>,
     /// S V likewise.
     image: Aligned<f64>,
     pub(super) stride: usize,
-    /// Directions that are in use.
+    /// Number of directions in use.
     pub(super) size: usize,
     /// T, size × size in rows of `stride` values, upper triangular.
     change: Aligned<f64>,
     /// (S V T)ᵀ S V T, likewise.
     energy: Aligned<f64>,
-    /// Sums of all parts; the first ones are the Gram matrices of new directions with all others.
+    /// Sums over all parts; the first ones are the Gram matrices of the new directions with all.
     sums: Vec<f64>,
     small: Small,
     symmetric: Symmetric,
@@ -45,7 +47,7 @@ pub(super) struct Basis {
     pub(super) values: Vec<f64>,
 }
 
-/// Small matrices that only one step needs.
+/// Small matrices of one step.
 #[derive(Debug, Default)]
 struct Small {
     lengths: Vec<f64>,
@@ -59,16 +61,9 @@ struct Small {
     combined: Vec<f64>,
 }
 
-/// `matrix` as a matrix of zeros of that length.
-fn zeros(matrix: &mut Vec<f64>, len: usize) -> &mut [f64] {
-    matrix.clear();
-    matrix.resize(len, 0.0);
-    matrix
-}
-
 impl Basis {
-    /// Makes room for `capacity` directions of length `n`, and forgets those that there were. In `space`
-    /// there is room for `least` vectors at least.
+    /// Makes room for `capacity` directions of length `n`, and discards the present ones. `space`
+    /// has room for at least `least` vectors.
     pub(super) fn prepare(&mut self, n: usize, capacity: usize, least: usize) {
         self.nodes = n;
         self.stride = capacity;
@@ -86,9 +81,9 @@ impl Basis {
     }
 
     /// Adds the first `columns` of the `width` directions that `fill` writes, a multiple of the
-    /// largest register, of which those from `columns` on are zero. `fill` is given rows, those rows of V
-    /// and of S V, their stride and the column to begin with. How many independent ones there were is
-    /// answered; `least_length` is the length that must be left of each.
+    /// largest register; those from `columns` on are zero. `fill` receives rows, these rows of V
+    /// and of S V, their stride and the first column. `least_length` must be left of each
+    /// direction. Returns the number of independent ones.
     pub(super) fn add(
         &mut self,
         parts: Parts,
@@ -123,7 +118,8 @@ impl Basis {
         0
     }
 
-    /// Lets `fill` write new directions, and takes the Gram matrices of all directions with them.
+    /// Lets `fill` write new directions, and computes the Gram matrices of all directions with
+    /// them.
     fn measure(
         &mut self,
         parts: Parts,
@@ -153,10 +149,9 @@ impl Basis {
         });
     }
 
-    /// Decomposes what the Gram matrix of the new directions, scaled to length 1, leaves beside the
-    /// space. Leaves the inverse factor, or the combination of all that is to replace the new ones.
-    fn factorise(&mut self, columns: usize, width: usize, least_length: f64) -> Factor {
-        let (stride, first) = (self.stride, self.size);
+    /// Scales the Gram matrices of the new directions to length 1. False when a length is not finite.
+    fn scale_gram(&mut self, columns: usize, width: usize) -> bool {
+        let first = self.size;
         let all = first + width;
         let (gram, energy) = self.sums[..2 * all * width].split_at_mut(all * width);
         let small = &mut self.small;
@@ -166,7 +161,7 @@ impl Basis {
             if j < columns && square > 0.0 { 1.0 / square.sqrt() } else { 0.0 }
         }));
         if !small.lengths.iter().all(|length| length.is_finite()) {
-            return Factor::None;
+            return false;
         }
         for matrix in [&mut *gram, energy] {
             for (i, row) in matrix.chunks_exact_mut(width).enumerate() {
@@ -176,8 +171,21 @@ impl Basis {
                 }
             }
         }
-        // What the new directions have in common with the orthonormal ones, with the sign of what
-        // is to be added to take it away.
+        true
+    }
+
+    /// Decomposes the Schur complement of the space in the Gram matrix of the new directions,
+    /// scaled to length 1. Leaves the inverse factor, or the combination of all directions that
+    /// replaces the new ones.
+    fn factorise(&mut self, columns: usize, width: usize, least_length: f64) -> Factor {
+        let (stride, first) = (self.stride, self.size);
+        let all = first + width;
+        if !self.scale_gram(columns, width) {
+            return Factor::None;
+        }
+        let gram = &self.sums[..all * width];
+        let small = &mut self.small;
+        // Minus the components of the new directions along the orthonormal ones.
         let overlap = zeros(&mut small.overlap, first * width);
         let change = BlockView::new(&self.change[..first * stride], stride, first);
         add_gram(change, BlockView::new(&gram[..first * width], width, width), overlap, width);
@@ -200,7 +208,7 @@ impl Basis {
             left = (0..columns).map(|i| factor[i * columns + i]).fold(1.0, f64::min);
             invert_transpose(factor, columns, inverse, width);
         } else {
-            // Some directions depend on others: the principal ones stay.
+            // Some directions are dependent: keep the principal ones.
             let Some((values, vectors)) = self.symmetric.eigen(schur, columns) else {
                 return Factor::None;
             };
@@ -232,7 +240,7 @@ impl Basis {
         }
     }
 
-    /// Takes the new directions into the space after [`Basis::factorise`] has found them good.
+    /// Adds the new directions to the space, after [`Basis::factorise`] found them independent.
     fn admit(&mut self, columns: usize, width: usize) {
         let (stride, first) = (self.stride, self.size);
         let all = first + width;
@@ -244,8 +252,8 @@ impl Basis {
                 self.change[i * stride..i * stride + first].fill(0.0);
             }
         }
-        // With C the overlap, E = Tᵀ(SV)ᵀ S W and F = (SV T)ᵀ SV T C, the old directions T and the
-        // new ones T C + W have E + F in common, and the new ones with one another what follows.
+        // With C the overlap, E = Tᵀ(SV)ᵀ S W and F = (SV T)ᵀ SV T C, the products of the old
+        // directions T with the new ones T C + W are E + F; those of the new ones follow.
         let change = BlockView::new(&self.change[..first * stride], stride, first);
         let overlap = BlockView::new(&small.overlap, width, width);
         let old_energy = BlockView::new(&self.energy[..first * stride], stride, first);
@@ -287,8 +295,8 @@ impl Basis {
         self.size += columns;
     }
 
-    /// The coefficients of the `count` best Ritz vectors, size × `width`, and their values, σ², of
-    /// which the same number. False when there are none in floating point.
+    /// Computes the coefficients of the `count` best Ritz vectors, size × `width`, and their values
+    /// σ². False when they are not finite.
     pub(super) fn ritz(&mut self, count: usize, width: usize) -> bool {
         let (stride, size) = (self.stride, self.size);
         let small = &mut self.small;
@@ -312,12 +320,12 @@ impl Basis {
     }
 }
 
-/// What became of a factorisation.
+/// Result of a factorisation.
 enum Factor {
-    /// The directions are independent.
+    /// All directions are independent.
     Independent,
-    /// So many are, once they are combined.
+    /// This many are, after they are combined.
     Combined(usize),
-    /// None is.
+    /// None is independent.
     None,
 }

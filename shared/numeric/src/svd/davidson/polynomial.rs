@@ -9,17 +9,18 @@ use crate::linalg::parallel::{Parts, Strided};
 use crate::linalg::simd::dispatch;
 use crate::svd::operator::{KatzOperator, Orientation};
 
-/// Most that the degree of the polynomial may be.
+/// Largest degree of the polynomial.
 const MAX_DEGREE: usize = 4;
 
 /// Least degree that is tried.
 const MIN_DEGREE: usize = 2;
 
-/// What a polynomial may leave of random vectors, relative to their length: with more, rounds get more
-/// than a higher degree costs. With less they hardly get fewer, as what directions there are limits them then.
+/// Error of a polynomial on random vectors, relative to their length, that is good enough: with
+/// more, the additional rounds cost more than a higher degree. With less, the available directions
+/// limit the rounds.
 const MAX_FIT_ERROR: f64 = 0.005;
 
-/// Random vectors that it is fitted to: a register of them.
+/// Random vectors of the fit: one register of them.
 const SAMPLE_VECTORS: usize = COLUMN_MULTIPLE;
 
 /// Powers of αA times the samples that the fit needs.
@@ -28,33 +29,34 @@ const POWERS: usize = MAX_DEGREE + 2;
 /// Vectors that the fit needs room for.
 pub(super) const FIT_COLUMNS: usize = POWERS * SAMPLE_VECTORS;
 
-/// Searches after which the polynomial is fitted anew: it is a help only, and graphs change little
-/// from frame to frame.
+/// Searches that one fit serves: it only speeds up the search, and graphs change little from frame
+/// to frame.
 const FIT_SEARCHES: u32 = 20;
 
-/// Change of α, relative, from which it is fitted anew at once.
+/// Relative change of α above which the polynomial is fitted again at once.
 const MAX_DECAY_CHANGE: f64 = 0.05;
 
-/// Columns of a block in single precision are a multiple of this: the numbers in a largest register.
+/// Columns of a block in single precision are a multiple of this: the floats of the widest
+/// registers.
 pub(super) const SINGLE_COLUMN_MULTIPLE: usize = 2 * COLUMN_MULTIPLE;
 
 /// p(B) ≈ (I − B)⁻¹.
 #[derive(Debug, Default)]
 pub(super) struct Polynomial {
-    /// From the constant on.
+    /// Coefficients from the constant on.
     coefficients: [f64; MAX_DEGREE + 1],
     degree: usize,
     nodes: usize,
     alpha: f64,
-    /// Searches that it is still to serve.
+    /// Searches that the fit still serves.
     left: u32,
 }
 
 impl Polynomial {
-    /// Fits the polynomial for which p(B) comes nearest to (I − B)⁻¹ on a few random vectors, B = αA:
-    /// that of GMRES (Embree, Loe and Morgan, SIAM J. Sci. Comput. 43, 2021). It fits any spectrum, also
-    /// that of directed graphs. Does nothing while the one that is there will do. `scratch` has room for
-    /// [`FIT_COLUMNS`] vectors.
+    /// Fits the polynomial for which p(B) is closest to (I − B)⁻¹ on a few random vectors, B = αA:
+    /// that of GMRES (Embree, Loe and Morgan, SIAM J. Sci. Comput. 43, 2021). It suits any
+    /// spectrum, also those of directed graphs. Does nothing while the present one serves.
+    /// `scratch` has room for [`FIT_COLUMNS`] vectors.
     pub(super) fn fit(
         &mut self,
         operator: &KatzOperator,
@@ -109,7 +111,7 @@ impl Polynomial {
         for degree in MIN_DEGREE..=MAX_DEGREE {
             self.degree = degree;
             self.coefficients = solve_small(system, right, degree + 1);
-            // The squared length of b less that of what the columns make of it.
+            // Squared error: ‖b‖² minus the squared length of the fit.
             let fitted: f64 =
                 self.coefficients.iter().zip(&right).map(|(c, right)| c * right).sum();
             if p(0, 0) - fitted <= MAX_FIT_ERROR * MAX_FIT_ERROR * p(0, 0) {
@@ -118,8 +120,8 @@ impl Polynomial {
         }
     }
 
-    /// Writes to `block`, n × `width`, about (M Mᵀ)⁻¹ r for the residuals r in the first of `single`,
-    /// rows of `width` numbers rounded up to a multiple of [`SINGLE_COLUMN_MULTIPLE`].
+    /// Writes approximately (M Mᵀ)⁻¹ r to `block`, n × `width`, for the residuals r in the first of
+    /// `single`, rows of `width` numbers rounded up to a multiple of [`SINGLE_COLUMN_MULTIPLE`].
     pub(super) fn apply(
         &self,
         operator: &KatzOperator,
@@ -136,7 +138,7 @@ impl Polynomial {
         let c = self.coefficients.map(|coefficient| coefficient as f32);
         for orientation in [Orientation::Backward, Orientation::Forward] {
             for k in (0..self.degree).rev() {
-                // The first step begins with the last coefficient times r.
+                // The first step uses the last coefficient times r.
                 let first = k + 1 == self.degree;
                 let last = k == 0 && orientation == Orientation::Forward;
                 let (from, to) = if first { (&*r, &mut *z) } else { (&*z, &mut *next) };
@@ -162,7 +164,7 @@ impl Polynomial {
     }
 }
 
-/// The first `width` of each row of `stride` numbers.
+/// Converts the first `width` numbers of each row of `stride`.
 pub(super) fn to_double(from: &[f32], stride: usize, to: &mut [f64], width: usize) {
     dispatch(|| {
         for (to, from) in to.chunks_exact_mut(width).zip(from.chunks_exact(stride)) {
@@ -173,8 +175,8 @@ pub(super) fn to_double(from: &[f32], stride: usize, to: &mut [f64], width: usiz
     });
 }
 
-/// Solves the first `n` equations, for as many unknowns, of a small symmetric positive semidefinite system by
-/// elimination. The other unknowns are zero; directions that are lost in rounding get nothing.
+/// Solves the first `n` equations, for as many unknowns, of a small symmetric positive semidefinite
+/// system by elimination. Other unknowns, and directions lost in rounding, are zero.
 fn solve_small<const N: usize>(
     mut system: [[f64; N]; N],
     mut right: [f64; N],
@@ -183,7 +185,7 @@ fn solve_small<const N: usize>(
     let top = (0..n).map(|i| system[i][i]).fold(0.0, f64::max);
     for k in 0..n {
         let pivot = system[k][k];
-        // Written so that a pivot that is no number counts as lost too.
+        // NaN counts as lost too.
         if !matches!(pivot, p if p > 1e-14 * top) {
             for i in k..n {
                 right[i] = 0.0;

@@ -1,41 +1,43 @@
 //! The leading triplets after a change of few rows, with their residuals, from those rows alone.
 //!
-//! Between two frames mostly little of αA changes. With the same W, S V = αA W and V = W − S V then change
-//! in the same few rows, and Rayleigh and Ritz on the range of V need no more than the Gram matrices of V
-//! and of S V, which lose the old rows and gain the new ones. The residual of a Ritz vector V y with value
-//! θ² is, with E = αAᵀ S V − Mᵀ V Σ₀² and D = −Mᵀ V for values Σ₀ that stay,
+//! Between two frames mostly little of αA changes. For the same W, S V = αA W and V = W − S V then
+//! change in the same few rows, and the Rayleigh–Ritz method on the range of V needs only the Gram
+//! matrices of V and of S V, from which the old rows are subtracted and to which the new ones are
+//! added. The residual of a Ritz vector V y with value θ² is, with E = αAᵀ S V − Mᵀ V Σ₀² and D =
+//! −Mᵀ V for fixed values Σ₀,
 //!
 //! Mᵀ(Sᵀu − θv) = (E y + D (θ² − Σ₀²) y)/θ,
 //!
-//! in which all terms are as small as the residual, so that its length comes out of the Gram matrix of
-//! E and D without cancellation; these change only in rows that a changed one leads to. Nothing is
-//! estimated: what comes out is the residual that a pass over everything would find for the best
-//! triplets in the range of V, up to rounding, which the sums that are carried on add up and which is
-//! allowed for.
+//! in which all terms are as small as the residual. Its length follows from the Gram matrix of E
+//! and D without cancellation, which changes only in rows that a changed row leads to. Nothing is
+//! estimated: the result is the residual that a pass over all rows would find for the best triplets
+//! in the range of V, up to rounding, which the incremental sums accumulate and which is allowed
+//! for.
 
 use crate::linalg::backend::small_symmetric::{Symmetric, invert_transpose};
 use crate::linalg::block_vectors::{BlockView, CHUNK_ROWS, add_gram, product};
 use crate::linalg::matrix::SparseMatrix;
 use crate::linalg::parallel::{Parts, Strided};
+use crate::linalg::vector::zeros;
 use crate::svd::davidson::{NULL_VALUE_RATIO, Triplets};
 use crate::svd::operator::{KatzOperator, Orientation};
 
-/// Roundings that a Gram matrix may have taken for each of its updates, relative to its trace.
+/// Roundings per update of a Gram matrix, relative to its trace.
 const GRAM_ROUNDINGS: f64 = 16.0;
 
-/// Smallest pivot of the Gram matrix of V, whose diagonal is about 1, for V to count as a basis still.
+/// Smallest pivot of the Gram matrix of V, whose diagonal is about 1, for V to count as a basis.
 const MIN_PIVOT: f64 = 0.01;
 
-/// Sums that are carried on from change to change, for one W.
+/// Incremental sums for one W.
 #[derive(Debug, Default)]
 pub(super) struct Certificate {
-    /// Whether all of this belongs to the triplets and the operator.
+    /// True when the sums belong to the triplets and the operator.
     pub(super) valid: bool,
-    /// Updates since the sums were made.
+    /// Updates since the sums were computed.
     pub(super) updates: u32,
     /// Squares of the values Σ₀.
     values: Vec<f64>,
-    /// Gram matrices of V, of S V, each width × width, and of E beside D, twice as wide.
+    /// Gram matrices of V and of S V, each width × width, and of \[E, D\], twice as wide.
     right: Vec<f64>,
     image: Vec<f64>,
     residual: Vec<f64>,
@@ -50,7 +52,7 @@ pub(super) struct Certificate {
 
 #[derive(Debug, Default)]
 struct Scratch {
-    /// Rows of αA that changed, and rows of E and D that do with them.
+    /// Rows of αA that changed, and rows of E and D that change with them.
     changed: Vec<u32>,
     touched: Vec<u32>,
     /// Update in which a row was last touched.
@@ -65,16 +67,10 @@ struct Scratch {
     spread: Vec<f64>,
 }
 
-fn zeros(matrix: &mut Vec<f64>, len: usize) -> &mut [f64] {
-    matrix.clear();
-    matrix.resize(len, 0.0);
-    matrix
-}
-
 impl Certificate {
-    /// Makes all sums, and the triplets from them, by a pass over everything. `w` are the directions W that
-    /// the triplets span, n × width; `vectors` gets E beside D, n × twice the width. False when nothing comes
-    /// out in floating point.
+    /// Computes all sums, and the triplets from them, by a pass over all rows. `w` are the
+    /// directions W that the triplets span, n × width; `vectors` receives \[E, D\], n × twice the
+    /// width. False when a value is not finite.
     pub(super) fn recompute(
         &mut self,
         operator: &KatzOperator,
@@ -125,8 +121,8 @@ impl Certificate {
         self.valid
     }
 
-    /// Brings the operator up to date with the rows `changed` of `a`, the caller's numbers. The sums have to
-    /// follow, by [`Certificate::update`] or [`Certificate::recompute`].
+    /// Brings the operator up to date with the rows `changed` of `a`, in the caller's order. The
+    /// sums must follow, by [`Certificate::update`] or [`Certificate::recompute`].
     pub(super) fn replace_rows(
         &mut self,
         operator: &mut KatzOperator,
@@ -143,13 +139,13 @@ impl Certificate {
         }
     }
 
-    /// Whether one of the rows that were replaced last was not the same as before.
+    /// True when one of the rows that were last replaced has changed.
     pub(super) fn has_changes(&self) -> bool {
         !self.scratch.changed.is_empty()
     }
 
-    /// Brings the sums, and the triplets with them, up to date with the rows that were replaced. False when V
-    /// is no basis any more: the sums are lost then.
+    /// Updates the sums, and the triplets with them, by the replaced rows. False when V is no
+    /// longer a basis: the sums are lost then.
     pub(super) fn update(
         &mut self,
         operator: &KatzOperator,
@@ -189,13 +185,12 @@ impl Certificate {
         self.valid
     }
 
-    /// Values, coefficients and residuals of the Ritz vectors from the sums. False when V is no basis any
-    /// more or nothing comes out in floating point.
+    /// Computes values, coefficients and residuals of the Ritz vectors from the sums. False when V
+    /// is no longer a basis or a value is not finite.
     fn ritz(&mut self, triplets: &mut Triplets) -> bool {
         let width = triplets.width;
         let count = triplets.sigma.len();
-        let Self { values, right, image, residual, traces, rotation, symmetric, scratch, .. } =
-            self;
+        let Self { values, right, image, residual, rotation, symmetric, scratch, .. } = self;
         let Scratch { factor, inverse, first, second, combined, spread, .. } = scratch;
         // Columns from `count` on are zero.
         let live = (0..count).take_while(|i| right[i * width + i] > 0.0).count();
@@ -242,6 +237,16 @@ impl Certificate {
         let spread = zeros(spread, double * width);
         let gram = BlockView::new(residual, double, double);
         product(gram, BlockView::new(combined, width, width), spread, width, 0);
+        self.measure_residuals(triplets)
+    }
+
+    /// Residuals from the Gram matrix of E and D and the coefficients in the scratch space. False
+    /// when one is not finite.
+    fn measure_residuals(&mut self, triplets: &mut Triplets) -> bool {
+        let width = triplets.width;
+        let double = 2 * width;
+        let Self { residual, traces, scratch, .. } = self;
+        let Scratch { combined, spread, .. } = scratch;
         let trace = |of: std::ops::Range<usize>| of.map(|i| residual[i * double + i]).sum::<f64>();
         for (largest, trace) in traces.iter_mut().zip([trace(0..width), trace(width..double)]) {
             *largest = trace.max(*largest);
@@ -266,7 +271,7 @@ impl Certificate {
     }
 }
 
-/// Rows `rows` of E beside D into `out`.
+/// Writes rows `rows` of \[E, D\] to `out`.
 fn fill_residuals(
     operator: &KatzOperator,
     rows: std::ops::Range<usize>,

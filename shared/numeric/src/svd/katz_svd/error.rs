@@ -23,14 +23,14 @@ pub enum KatzSvdError {
     /// The rank is above the number of nodes.
     #[error(transparent)]
     Rank(#[from] SvdError),
-    /// The correspondence with the frame before does not have one entry per node, or names a node
-    /// that the frame before did not have.
+    /// The map to the previous frame does not have one entry per node, or names a node that the
+    /// previous frame did not have.
     #[error("the correspondence with the frame before does not fit {nodes} nodes")]
     Correspondence {
         /// Nodes of the graph.
         nodes: usize,
     },
-    /// A row is said to have changed that the graph does not have.
+    /// A changed row is beyond the graph.
     #[error("row {row} is said to have changed in a graph of {nodes} nodes")]
     Changed {
         /// The row.

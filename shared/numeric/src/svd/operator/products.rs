@@ -1,7 +1,9 @@
-//! Products of αA and αAᵀ with blocks of vectors, fused with what is done to each row of the result.
+//! Products of αA and αAᵀ with blocks of vectors, fused with the next operation on each row of the
+//! result.
 //!
 //! Blocks are n rows of `stride` values, of which `width` are used, a multiple of the lanes of the
-//! widest register. Every function works on some rows of the result and may run beside others.
+//! widest register. Every function computes some rows of the result, so that calls for other rows
+//! can run in parallel.
 
 use std::ops::Range;
 
@@ -11,12 +13,12 @@ use super::rows::Rows;
 use super::{KatzOperator, Orientation};
 use crate::linalg::simd::dispatch;
 
-/// Registers that are summed up at a time.
+/// Most registers of columns that are summed at a time.
 const MAX_COLUMN_REGISTERS: usize = 4;
 
 impl KatzOperator {
-    /// Rows `range` of Y = B X for B = αA or αAᵀ: `y` holds these rows, of `y_stride` values, and gets
-    /// the products in its columns from `first` on.
+    /// Rows `range` of Y = B X for B = αA or αAᵀ: writes the products to the columns of `y` from
+    /// `first` on; `y` holds these rows, of `y_stride` values.
     #[expect(clippy::too_many_arguments, reason = "two blocks with their strides")]
     pub(crate) fn multiply(
         &self,
@@ -33,8 +35,8 @@ impl KatzOperator {
         dispatch(Multiply { rows: self.rows(orientation), range, x, x_stride, width, y, place });
     }
 
-    /// Rows `range` of αA W and of V = W − αA W, into the columns from `first` on of `image` and
-    /// `space`, which hold these rows of `stride` values.
+    /// Rows `range` of αA W and of V = W − αA W, into the columns of `image` and `space` from
+    /// `first` on, which hold these rows of `stride` values.
     #[expect(clippy::too_many_arguments, reason = "two blocks with their strides")]
     pub(crate) fn map_directions(
         &self,
@@ -52,9 +54,9 @@ impl KatzOperator {
         dispatch(MapDirections { rows, range, w, w_stride, width, space, image, place });
     }
 
-    /// Rows `range` of αAᵀ X − V Σ, rounded to `residual`, rows of `single_stride` values, of which
-    /// those from `width` on become 0. The squares are added up by columns in `squares`. All blocks
-    /// have rows of `width` values.
+    /// Rows `range` of αAᵀ X − V Σ, times `scale` and rounded to `residual`, rows of
+    /// `single_stride` values, of which those from `width` on become 0. Adds the squares by columns
+    /// to `squares`. All blocks have rows of `width` values.
     #[expect(clippy::too_many_arguments, reason = "three blocks and their scales")]
     pub(crate) fn residual(
         &self,
@@ -100,7 +102,7 @@ impl KatzOperator {
     }
 }
 
-/// Where the columns of a result begin in rows of `stride` values.
+/// Location of the columns of a result in rows of `stride` values.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     stride: usize,

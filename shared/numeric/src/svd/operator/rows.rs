@@ -1,12 +1,12 @@
-//! A sparse square matrix by rows that can be replaced one by one.
+//! A sparse square matrix whose rows can be replaced one by one.
 
 use crate::linalg::matrix::SparseMatrix;
 use crate::linalg::parallel::{Parts, PerPart, Split};
 
-/// Room for that many more entries in a row that had to be moved because it grew.
+/// Spare entries of a row that had to move because it grew.
 const SPARE_ENTRIES: usize = 4;
 
-/// Where the entries of a row stand.
+/// Location of the entries of a row.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Span {
     start: u32,
@@ -14,22 +14,22 @@ pub(super) struct Span {
     room: u32,
 }
 
-/// Rows with small indices, in double and in single precision. Columns ascend within a row.
+/// Rows with 32-bit indices, in double and in single precision. Columns ascend within a row.
 #[derive(Debug, Default)]
 pub(super) struct Rows {
     spans: Vec<Span>,
     columns: Vec<u32>,
     weights: Vec<f64>,
     single: Vec<f32>,
-    /// Entries that belong to a row.
+    /// Number of entries that belong to a row.
     live: usize,
-    /// How many entries each row of a transpose gets.
+    /// Number of entries of each row of a transpose.
     lengths: Vec<u32>,
     /// Largest sum of a row of each part.
     heaviest: Vec<f64>,
 }
 
-/// Rows that follow one another, of which the first one's entries begin at `start`.
+/// Consecutive rows; the entries of the first one begin at `start`.
 struct Entries<'a> {
     start: u32,
     spans: &'a mut [Span],
@@ -59,7 +59,7 @@ impl Split for Entries<'_> {
     }
 }
 
-/// Makes a buffer hold so many values; all of them are written afterwards.
+/// Resizes a buffer whose values are all overwritten afterwards.
 fn resize<T: Copy + Default>(buffer: &mut Vec<T>, len: usize) {
     buffer.truncate(len);
     buffer.reserve_exact(len - buffer.len());
@@ -87,8 +87,9 @@ impl Rows {
         span.start as usize..span.start as usize + span.len as usize
     }
 
-    /// αA with its nodes renumbered, in the memory that is there: row k is row `outer[k]` of `a`, and
-    /// column j becomes `inner[j]`. Without an order the numbers stay. Answers the largest sum of a row.
+    /// Assigns αA with its nodes renumbered, in the existing memory: row k is row `outer[k]` of
+    /// `a`, and column j becomes `inner[j]`. Without an order the indices stay. Returns the largest
+    /// row sum.
     pub(super) fn assign(
         &mut self,
         a: &SparseMatrix,
@@ -128,7 +129,7 @@ impl Rows {
         self.heaviest.iter().copied().fold(0.0, f64::max)
     }
 
-    /// The transpose of `rows`, in the memory that is there.
+    /// Assigns the transpose of `rows`, in the existing memory.
     pub(super) fn assign_transpose(&mut self, rows: &Self, threads: usize) {
         let n = rows.spans.len();
         let mut lengths = std::mem::take(&mut self.lengths);
@@ -141,7 +142,7 @@ impl Rows {
         }
         self.lay_out(lengths.iter().map(|length| *length as usize));
         self.lengths = lengths;
-        // Each thread looks at all entries and takes those of its own columns.
+        // Each thread scans all entries and copies those of its own columns.
         let parts = Parts::one_each(n, threads);
         parts.run(self.entries(), |own, entries| {
             let all = own.len() == n;
@@ -163,7 +164,7 @@ impl Rows {
         });
     }
 
-    /// Room for rows of such lengths, one after the other, which are empty yet.
+    /// Lays out empty rows of such lengths, one after the other.
     fn lay_out(&mut self, lengths: impl ExactSizeIterator<Item = usize>) {
         self.spans.clear();
         self.spans.reserve_exact(lengths.len());
@@ -183,7 +184,7 @@ impl Rows {
         Entries { start: 0, spans, columns, weights, single }
     }
 
-    /// True when so much room is lost to rows that were moved that the matrix is better built anew.
+    /// True when moved rows waste so much room that rebuilding the matrix pays.
     pub(super) fn scattered(&self) -> bool {
         self.columns.len() > self.live + self.live / 2
     }
@@ -202,7 +203,7 @@ impl Rows {
         }
     }
 
-    /// Sets the entry in row `i` and column `j`, whether there is one or not; 0 takes it away.
+    /// Sets the entry in row `i` and column `j`, new or not; 0 removes it.
     pub(super) fn set(&mut self, i: usize, j: u32, weight: f64) {
         let found = self.row(i).0.binary_search(&j);
         let len = self.spans[i].len as usize;
@@ -238,7 +239,7 @@ impl Rows {
         self.single[place] = weight as f32;
     }
 
-    /// Moves row `i` behind all others if there is no room for `len` entries where it stands.
+    /// Moves row `i` behind all others if it has no room for `len` entries.
     fn make_room(&mut self, i: usize, len: usize) {
         let span = self.spans[i];
         if len <= span.room as usize {
@@ -256,7 +257,8 @@ impl Rows {
     }
 }
 
-/// Sorts a row by its columns. Rows are short, and nearly sorted where neighbours lie close.
+/// Sorts a row by its columns, by insertion: rows are short, and nearly sorted where neighbours are
+/// close.
 pub(super) fn sort_row(columns: &mut [u32], weights: &mut [f64]) {
     for i in 1..columns.len() {
         let mut k = i;
