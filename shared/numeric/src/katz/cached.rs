@@ -84,7 +84,7 @@ pub struct Update {
 /// Rows and columns of S stay in slots that do not move when other nodes join or leave. In the
 /// steady state nothing is allocated here; solving, joins and leaves, and rows or ranks larger than
 /// any before allocate, and the library's product may allocate its own blocks.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct CachedKatz {
     alpha: f64,
     /// Number of slots, the side of `s`.
@@ -101,46 +101,18 @@ pub struct CachedKatz {
     basis: Vec<Row>,
     latest: Vec<Row>,
     is_dirty: Vec<bool>,
-    /// True when changes are pending or S is missing.
-    waiting: bool,
-    stale: bool,
+    /// True when S belongs to the last graph.
+    is_current: bool,
+    /// True when S belongs to `alpha` and can be updated.
+    is_valid: bool,
     radius: SpectralRadius,
-    rank_share: f64,
+    rank_share: Option<f64>,
     probes: u64,
     changes: Changes,
     woodbury: Woodbury,
     sign: Vec<f64>,
     image: Vec<f64>,
     arrived: Vec<u32>,
-}
-
-impl Default for CachedKatz {
-    fn default() -> Self {
-        let vector = Vec::new();
-        let radius = SpectralRadius { lower: 0.0, upper: 0.0, value: 0.0, acyclic: true, vector };
-        Self {
-            alpha: 0.0,
-            slots: 0,
-            s: Vec::new(),
-            place: Vec::new(),
-            free: Vec::new(),
-            leaving: Vec::new(),
-            is_leaving: Vec::new(),
-            basis: Vec::new(),
-            latest: Vec::new(),
-            is_dirty: Vec::new(),
-            waiting: true,
-            stale: true,
-            radius,
-            rank_share: MAX_RANK_SHARE,
-            probes: 0,
-            changes: Changes::default(),
-            woodbury: Woodbury::default(),
-            sign: Vec::new(),
-            image: Vec::new(),
-            arrived: Vec::new(),
-        }
-    }
 }
 
 impl CachedKatz {
@@ -154,7 +126,7 @@ impl CachedKatz {
         if share.is_nan() || share < 0.0 {
             return Err(KatzError::RankShare(share));
         }
-        self.rank_share = share;
+        self.rank_share = Some(share);
         Ok(())
     }
 
@@ -197,7 +169,7 @@ impl CachedKatz {
             return Err(MatrixError::TooLarge { rows: n, cols: n }.into());
         }
         self.copy_radius(radius);
-        self.stale |= alpha.to_bits() != self.alpha.to_bits();
+        self.is_valid &= alpha.to_bits() == self.alpha.to_bits();
         self.alpha = alpha;
         match map {
             None if n == self.place.len() => {}
@@ -213,10 +185,10 @@ impl CachedKatz {
                 latest.clear();
                 latest.extend(row());
                 self.is_dirty[slot] = true;
-                self.waiting = true;
+                self.is_current = false;
             }
         }
-        self.waiting |= self.stale;
+        self.is_current &= self.is_valid;
         Ok(())
     }
 
@@ -236,8 +208,8 @@ impl CachedKatz {
         self.leaving.clear();
         self.slots = n;
         self.s.clear();
-        self.stale = true;
-        self.waiting = true;
+        self.is_valid = false;
+        self.is_current = false;
         for rows in [&mut self.basis, &mut self.latest] {
             rows.resize_with(n, Row::new);
             rows.iter_mut().for_each(Row::clear);
@@ -262,7 +234,7 @@ impl CachedKatz {
                     self.is_leaving[*slot as usize] = true;
                     self.is_dirty[*slot as usize] = true;
                     self.latest[*slot as usize].clear();
-                    self.waiting = true;
+                    self.is_current = false;
                 }
             }
         }
@@ -305,10 +277,10 @@ impl CachedKatz {
     /// # Errors
     /// [`KatzError::Overflow`] when S had to be solved from scratch and is out of range.
     pub fn apply(&mut self) -> Result<Update, KatzError> {
-        if self.stale {
+        if !self.is_valid {
             return self.solve(Method::Started, 0, 1.0);
         }
-        if !self.waiting {
+        if self.is_current {
             let probe = self.probe();
             return match probe {
                 probe if probe <= MAX_PROBE => {
@@ -323,7 +295,8 @@ impl CachedKatz {
         }
         self.find_changes();
         let rank = self.changes.lines().len();
-        if rank as f64 > self.rank_share * self.place.len() as f64 {
+        let share = self.rank_share.unwrap_or(MAX_RANK_SHARE);
+        if rank as f64 > share * self.place.len() as f64 {
             return self.solve(Method::TooMany, rank, 1.0);
         }
         let mut condition = 1.0;
@@ -380,7 +353,7 @@ impl CachedKatz {
             self.is_leaving[at] = false;
             self.free.push(slot);
         }
-        self.waiting = false;
+        self.is_current = true;
     }
 
     /// Solves for the S of the last graph by elimination, with one slot per node.
@@ -403,7 +376,7 @@ impl CachedKatz {
         // Free the old matrix before the new one is built.
         self.s = Vec::new();
         self.s = katz_similarity(&a, self.alpha, &self.radius)?.into_data();
-        self.stale = false;
+        self.is_valid = true;
         self.draw_signs();
         self.accept_latest();
         let probe = self.probe();

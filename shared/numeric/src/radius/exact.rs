@@ -46,6 +46,13 @@ pub struct SpectralRadius {
     pub vector: Vec<f64>,
 }
 
+/// The radius of a graph without nodes.
+impl Default for SpectralRadius {
+    fn default() -> Self {
+        Self { lower: 0.0, upper: 0.0, value: 0.0, acyclic: true, vector: Vec::new() }
+    }
+}
+
 /// Spectral radius ρ of the non-negative matrix `a`.
 ///
 /// ρ is the largest Perron root among the strongly connected components (Frobenius normal form);
@@ -62,8 +69,7 @@ pub struct SpectralRadius {
 pub fn spectral_radius(a: &SparseMatrix, warm: Option<&[f64]>) -> SpectralRadius {
     let n = a.nodes();
     let warm = warm.filter(|w| w.len() == n);
-    let mut result =
-        SpectralRadius { lower: 0.0, upper: 0.0, value: 0.0, acyclic: true, vector: vec![1.0; n] };
+    let mut result = SpectralRadius { vector: vec![1.0; n], ..SpectralRadius::default() };
     let mut place = vec![usize::MAX; n];
     let mut open = Vec::new();
     for nodes in strongly_connected(a) {

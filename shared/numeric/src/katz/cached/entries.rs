@@ -21,12 +21,12 @@ impl CachedKatz {
     pub fn similarity(&self) -> Option<DenseMatrix> {
         let n = self.place.len();
         let at = |i: usize, j: usize| self.place[i] as usize * self.slots + self.place[j] as usize;
-        (!self.waiting).then(|| DenseMatrix::from_fn(n, n, |i, j| self.s[at(i, j)].max(0.0)))
+        self.is_current.then(|| DenseMatrix::from_fn(n, n, |i, j| self.s[at(i, j)].max(0.0)))
     }
 
     fn entry(&self, i: usize, j: usize) -> Option<f64> {
         let (i, j) = (*self.place.get(i)? as usize, *self.place.get(j)? as usize);
-        (!self.waiting).then(|| self.s[i * self.slots + j])
+        self.is_current.then(|| self.s[i * self.slots + j])
     }
 
     /// Share of each graph in S_ij, where A = Σ w_m A_m.

@@ -25,6 +25,13 @@ pub struct SparseMatrix {
     weights: Vec<f64>,
 }
 
+/// A matrix of no nodes.
+impl Default for SparseMatrix {
+    fn default() -> Self {
+        Self::from_sorted(0, &[])
+    }
+}
+
 impl SparseMatrix {
     /// Matrix of `nodes` nodes from triplets (row, column, weight) in any order. Triplets at the
     /// same position are summed; weights below [`MIN_WEIGHT`] are dropped.
@@ -156,11 +163,6 @@ impl SparseMatrix {
     /// inner loops, which a bounds check per row would slow down.
     pub(crate) fn parts(&self) -> (&[usize], &[u32], &[f64]) {
         (&self.starts, &self.columns, &self.weights)
-    }
-
-    /// A matrix of no nodes.
-    pub(crate) fn empty() -> Self {
-        Self::from_sorted(0, &[])
     }
 
     /// Makes this matrix equal to `other`, in its own memory.

@@ -21,6 +21,9 @@ pub const PROBE_EVERY: u64 = 20;
 /// rows bring a new triplet to the front more rarely than a change of all of them.
 pub const PROBE_CHANGES: u64 = 500;
 
+/// Updates that one search counts for.
+const SEARCH_UPDATES: u64 = PROBE_CHANGES / PROBE_EVERY;
+
 /// Random directions that are added.
 pub const PROBES: usize = 8;
 
@@ -68,7 +71,7 @@ struct Input<'a> {
 }
 
 /// The triplets of the last frame, and the start of the next search.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct KatzSvd {
     pub(super) operator: KatzOperator,
     work: Workspace,
@@ -89,10 +92,10 @@ pub struct KatzSvd {
     pub(super) rank: usize,
     /// Searches so far.
     searches: u64,
-    /// Random directions are due when this reaches [`PROBE_CHANGES`].
-    unprobed: u64,
-    /// True when the graph has changed since the last random directions.
-    changed_since_probe: bool,
+    /// Updates until random directions are due.
+    until_probe: u64,
+    /// True when the graph has not changed since the last random directions.
+    is_probed: bool,
 }
 
 /// W = V + UΣ of the last frame in the order of the operator, n × `width`. The W of the frame
@@ -102,29 +105,6 @@ struct Start {
     directions: Aligned<f64>,
     /// 0 for a cold start.
     width: usize,
-}
-
-impl Default for KatzSvd {
-    fn default() -> Self {
-        Self {
-            operator: KatzOperator::default(),
-            work: Workspace::default(),
-            triplets: Triplets::default(),
-            start: Start::default(),
-            threads: Threads::default(),
-            certificate: Certificate::default(),
-            rotated: OnceLock::new(),
-            graph: SparseMatrix::empty(),
-            stale: Vec::new(),
-            changed: Vec::new(),
-            alpha: 0.0,
-            nodes: 0,
-            rank: 0,
-            searches: 0,
-            unprobed: PROBE_CHANGES,
-            changed_since_probe: true,
-        }
-    }
 }
 
 impl KatzSvd {
@@ -208,7 +188,7 @@ impl KatzSvd {
             && self.alpha.to_bits() == alpha.to_bits()
             && self.triplets.finite
             && self.start.width == width_for(options.rank)
-            && self.unprobed < PROBE_CHANGES
+            && self.until_probe > 0
     }
 
     /// Changed rows up to which an update row by row pays.
@@ -245,16 +225,17 @@ impl KatzSvd {
         let Self { operator, work, triplets, start, threads, certificate, .. } = self;
         certificate.replace_rows(operator, a, &self.changed);
         let changed = certificate.has_changes();
-        self.changed_since_probe |= changed;
-        self.unprobed += match (changed, self.changed_since_probe) {
+        self.is_probed &= !changed;
+        let elapsed = match (changed, self.is_probed) {
             (true, _) => 1,
             // A frame without changes leaves time for random directions.
-            (false, true) => PROBE_CHANGES / PROBE_EVERY,
-            (false, false) => 0,
+            (false, false) => SEARCH_UPDATES,
+            (false, true) => 0,
         };
+        self.until_probe = self.until_probe.saturating_sub(elapsed);
         if operator.has_grown() {
             // Only random directions find a triplet that none of the previous ones leads to.
-            self.unprobed = PROBE_CHANGES;
+            self.until_probe = 0;
             return None;
         }
         if changed {
@@ -317,7 +298,7 @@ impl KatzSvd {
         self.stale.clear();
         self.certificate.valid = false;
         self.rotated = OnceLock::new();
-        let probed = self.unprobed + PROBE_CHANGES / PROBE_EVERY > PROBE_CHANGES;
+        let probed = self.until_probe < SEARCH_UPDATES;
         let request = Request {
             rank: options.rank,
             tolerance: options.tolerance * if is_current { UPDATE_TOLERANCE_FACTOR } else { 1.0 },
@@ -328,8 +309,8 @@ impl KatzSvd {
         let Self { operator, work, triplets, start, .. } = self;
         let first = (&*start.directions, start.width);
         leading_triplets(operator, request, first, work, triplets, progress);
-        self.unprobed = if probed { 0 } else { self.unprobed + PROBE_CHANGES / PROBE_EVERY };
-        self.changed_since_probe = !probed;
+        self.until_probe = if probed { PROBE_CHANGES } else { self.until_probe - SEARCH_UPDATES };
+        self.is_probed = probed;
         self.keep_start(threads);
         self.report(options, self.triplets.rounds)
     }
@@ -344,7 +325,7 @@ impl KatzSvd {
     pub fn forget(&mut self) {
         self.start.width = 0;
         self.searches = 0;
-        self.unprobed = PROBE_CHANGES;
+        self.until_probe = 0;
     }
 
     /// Refuses a correspondence that does not fit, and discards frames of other nodes.
