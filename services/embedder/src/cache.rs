@@ -9,7 +9,7 @@ use muster_machine::Stopwatch;
 use muster_model::embedding::EmbeddingMode;
 use muster_model::id::RobotId;
 use muster_numeric::cached_katz::Method;
-use muster_numeric::dimension::{Choice, choose_seeing_dimension, least_rank};
+use muster_numeric::dimension::{Choice, choose_covering_dimension, least_rank};
 use muster_numeric::katz;
 use muster_numeric::katz_svd::{KatzSvd, KatzSvdError, KatzSvdOptions, KatzSvdReport};
 use muster_numeric::matrix::SparseMatrix;
@@ -187,7 +187,7 @@ impl Cut<'_> {
         match self {
             Self::Fixed(dimension) => dimension.clamp(1, n),
             Self::Seeing { teams, related, before, most } => {
-                let choice = choose_seeing_dimension(svd, related, teams, before);
+                let choice = choose_covering_dimension(svd, related, teams, before);
                 choice.dimension.min(most).clamp(1, n)
             }
         }
@@ -212,7 +212,7 @@ impl Cut<'_> {
         Some(match self {
             Self::Fixed(dimension) => Choice { dimension: dimension.clamp(1, n), short: false },
             Self::Seeing { teams, related, before, most } => {
-                let choice = choose_seeing_dimension(search, related, teams, before);
+                let choice = choose_covering_dimension(search, related, teams, before);
                 let short = choice.short && rank < n.min(most + 1);
                 Choice { dimension: choice.dimension.min(most).clamp(1, n), short }
             }

@@ -5,7 +5,7 @@ mod common;
 
 use common::fleet::Fleet;
 use common::*;
-use muster_numeric::cached_katz::{CachedKatz, MAX_CACHED, MAX_PROBE, Method, Update};
+use muster_numeric::cached_katz::{CachedKatz, MAX_CACHED_NODES, MAX_PROBE, Method, Update};
 use muster_numeric::fuse::{Normalization, fuse};
 use muster_numeric::katz::{Alpha, KatzError, katz_similarity};
 use muster_numeric::matrix::{DenseMatrix, MatrixError, SparseMatrix};
@@ -167,7 +167,7 @@ fn decays_from_the_bound_on_are_refused_and_change_nothing() {
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         assert!(matches!(kept.defer(&a, bad, &radius, None), Err(KatzError::Alpha(_))));
     }
-    let large = graph(MAX_CACHED + 1, &[]);
+    let large = graph(MAX_CACHED_NODES + 1, &[]);
     let zero = spectral_radius(&large, None);
     let found = kept.update(&large, 0.5, &zero, None);
     assert!(matches!(found, Err(KatzError::Matrix(MatrixError::TooLarge { .. }))));

@@ -7,7 +7,7 @@ use common::{blobs, distance, numbers};
 use muster_numeric::margins::{MarginError, margins};
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::{
-    Method, SAMPLE, SilhouetteError, SilhouetteOptions, SilhouetteOptionsError,
+    Method, SAMPLE_POINTS, SilhouetteError, SilhouetteOptions, SilhouetteOptionsError,
     estimate_silhouette, scores, silhouette, silhouette_squared,
 };
 use proptest::prelude::*;
@@ -84,7 +84,7 @@ fn methods_are_named() {
 fn scores_of_any_size_name_their_method() {
     assert_eq!(Method::by_size(7, 7), Method::Exact);
     assert_eq!(Method::by_size(8, 7), Method::Sampled);
-    let points = SAMPLE + 100;
+    let points = SAMPLE_POINTS + 100;
     let x = blobs(&[&[0.0, 0.0], &[1.0, 0.0]], points / 2, 1.0, 4);
     let labels: Vec<usize> = (0..points).map(|i| 5 * (2 * i / points)).collect();
     let (exact, squared) =
@@ -106,9 +106,9 @@ fn scores_of_any_size_name_their_method() {
     assert_eq!(scores(&x, &labels, Method::Sampled, 1), Ok(found), "by the seed alone");
 
     // A sample of all is none.
-    let few = x.select_rows(&(0..SAMPLE).collect::<Vec<_>>());
-    let found = scores(&few, &labels[..SAMPLE], Method::Sampled, 1).unwrap();
-    assert_eq!(found.details, silhouette(&few, &labels[..SAMPLE]).unwrap());
+    let few = x.select_rows(&(0..SAMPLE_POINTS).collect::<Vec<_>>());
+    let found = scores(&few, &labels[..SAMPLE_POINTS], Method::Sampled, 1).unwrap();
+    assert_eq!(found.details, silhouette(&few, &labels[..SAMPLE_POINTS]).unwrap());
     assert_eq!((found.method, found.standard_error), (Method::Exact, 0.0));
     let undefined = SilhouetteError::Undefined { clusters: 1 };
     assert_eq!(scores(&x, &vec![3; points], Method::Sampled, 1), Err(undefined));

@@ -3,7 +3,7 @@
 use muster_model::settings::Dimension;
 use muster_numeric::dimension::least_rank;
 use muster_numeric::katz_svd::{SearchColumns, search_columns};
-use muster_numeric::silhouette::{Method, SAMPLE};
+use muster_numeric::silhouette::{Method, SAMPLE_POINTS};
 
 use super::division::{kmeans_threads, silhouette_method, wanted_teams};
 use super::file::Emit;
@@ -115,7 +115,7 @@ const DIVISION: [Cost; 2] = [
                 Method::Exact => size.robots * size.robots,
                 Method::SquaredExact => size.robots * size.teams,
                 // Each pair of two that are compared with all counts twice.
-                Method::Sampled => size.robots * (size.teams + 2.0 * SAMPLE as f64),
+                Method::Sampled => size.robots * (size.teams + 2.0 * SAMPLE_POINTS as f64),
             };
             speed.silhouettes_per_product * pairs * size.dimension
         },

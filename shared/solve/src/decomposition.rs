@@ -146,7 +146,9 @@ fn inverse_free(
             rounds = before + told.round;
             progress(Step::Search { round: rounds, open: told.open, rank: told.rank });
         };
-        search.solve_watched(fused, alpha, radius, options, None, &mut watch).or_else(of_search)
+        search
+            .solve_with_progress(fused, alpha, radius, options, None, &mut watch)
+            .or_else(of_search)
     };
     let mut report = solve(&mut search)?;
     // Where walks grow for long before they fade, the search takes more rounds than a frame is given.

@@ -5,7 +5,7 @@ use std::num::NonZeroUsize;
 use std::thread::available_parallelism;
 
 use muster_model::settings::{CentroidStart, ClustererSettings};
-use muster_numeric::kmeans::{Init, KMeansOptions, kmeans_watched};
+use muster_numeric::kmeans::{Init, KMeansOptions, kmeans_with_progress};
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::{EXACT_POINTS, Method, Scores, scores};
 
@@ -105,8 +105,9 @@ fn cluster(
         ..KMeansOptions::new(wanted)
     };
     progress(Step::KMeans { done: 0, restarts });
-    let found = kmeans_watched(x, &options, &mut |done| progress(Step::KMeans { done, restarts }))
-        .or_else(|error| refuse("teams", error.to_string()))?;
+    let found =
+        kmeans_with_progress(x, &options, &mut |done| progress(Step::KMeans { done, restarts }))
+            .or_else(|error| refuse("teams", error.to_string()))?;
     let teams = found.centroids.rows();
     if teams < wanted {
         warnings.push(format!(

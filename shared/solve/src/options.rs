@@ -74,7 +74,7 @@ fn tolerance(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use clap::Parser;
-    use muster_numeric::silhouette::{EXACT_POINTS, SAMPLE};
+    use muster_numeric::silhouette::{EXACT_POINTS, SAMPLE_POINTS};
 
     use super::*;
     use crate::path::DENSE_ROBOTS;
@@ -115,6 +115,6 @@ mod tests {
         let silhouette = help(&|| SilhouetteChoice::Auto.to_possible_value());
         assert!(silhouette.contains(&format!("up to {EXACT_POINTS} robots")), "{silhouette}");
         let sampled = help(&|| SilhouetteChoice::Sampled.to_possible_value());
-        assert!(sampled.contains(&format!("from {SAMPLE} robots")), "{sampled}");
+        assert!(sampled.contains(&format!("from {SAMPLE_POINTS} robots")), "{sampled}");
     }
 }

@@ -20,6 +20,6 @@ mod start;
 mod sums;
 mod warm;
 
-pub use division::{KMeans, KMeansError, kmeans, kmeans_watched, lloyd};
+pub use division::{KMeans, KMeansError, kmeans, kmeans_with_progress, lloyd};
 pub use options::{Init, KMeansOptions, KMeansOptionsError, ValidKMeansOptions};
-pub use seeding::DISTINCT;
+pub use seeding::DISTINCT_ROW_RATIO;

@@ -16,7 +16,7 @@ mod types;
 
 pub use pairs::silhouette;
 pub use sample::{
-    EXACT_POINTS, SAMPLE, SilhouetteEstimate, SilhouetteOptions, ValidSilhouetteOptions,
+    EXACT_POINTS, SAMPLE_POINTS, SilhouetteEstimate, SilhouetteOptions, ValidSilhouetteOptions,
     estimate_silhouette,
 };
 pub use scores::{Scores, scores};

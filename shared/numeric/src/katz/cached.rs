@@ -25,7 +25,7 @@ use changes::{Changes, Row};
 use woodbury::{Woodbury, multiply};
 
 /// Most nodes of a cached similarity. 4096² entries are 128 MiB, and solving takes seconds.
-pub const MAX_CACHED: usize = 4096;
+pub const MAX_CACHED_NODES: usize = 4096;
 
 /// Rank of an update relative to n beyond which S is solved from scratch: with at most two per
 /// moved robot, a quarter of the fleet. An update of this rank takes less than half as long
@@ -75,7 +75,7 @@ pub struct Update {
     pub probe: f64,
 }
 
-/// S = (I − αA)⁻¹ − I for up to [`MAX_CACHED`] nodes, kept up to date.
+/// S = (I − αA)⁻¹ − I for up to [`MAX_CACHED_NODES`] nodes, kept up to date.
 ///
 /// Changes can be collected: [`CachedKatz::defer`] records a graph, at a cost proportional to its
 /// edges, and [`CachedKatz::apply`] brings S up to date with the last one, which for ten moved
@@ -139,7 +139,7 @@ impl CachedKatz {
     ///
     /// # Errors
     /// [`KatzError::Alpha`] and [`KatzError::Diverges`] for a decay that the bound does not admit,
-    /// and [`KatzError::Matrix`] beyond [`MAX_CACHED`] nodes: the similarity of the previous graph
+    /// and [`KatzError::Matrix`] beyond [`MAX_CACHED_NODES`] nodes: the similarity of the previous graph
     /// stays. [`KatzError::Overflow`] when S is out of range: there is no similarity then.
     pub fn update(
         &mut self,
@@ -165,7 +165,7 @@ impl CachedKatz {
     ) -> Result<(), KatzError> {
         check_alpha(alpha, radius.upper)?;
         let n = a.nodes();
-        if n > MAX_CACHED {
+        if n > MAX_CACHED_NODES {
             return Err(MatrixError::TooLarge { rows: n, cols: n }.into());
         }
         self.copy_radius(radius);

@@ -9,10 +9,10 @@
 //! The rule alone, [`choose_dimension`], is for single problems. It uses the values and not the
 //! nodes: a graph of more separated groups than teams has groups with a zero embedding in all
 //! leading vectors, and which ones may change with every change of a weight.
-//! [`choose_seeing_dimension`] is for successive frames: it adds vectors until every related node
+//! [`choose_covering_dimension`] is for successive frames: it adds vectors until every related node
 //! has a non-zero embedding, and keeps K where the choice is close.
 
-use super::embedding::WEAK_ROW;
+use super::embedding::WEAK_ROW_RATIO;
 pub use super::spectrum::Spectrum;
 use super::spectrum::null_threshold;
 
@@ -20,24 +20,24 @@ use super::spectrum::null_threshold;
 /// formations and planted fleets 0.65 to 1 differ by 0.03 %; with 1, fleets of 500 robots take 2 s
 /// to follow a split instead of 1 (`muster-experiments moving`), and below 0.65 noise looks like a
 /// group.
-pub const LARGE_DROP: f64 = 0.75;
+pub const LARGE_DROP_SHARE: f64 = 0.75;
 
 /// Ratios up to this one are no drop: the values are equal except for rounding.
-pub const FLAT: f64 = 1.0 + 1e-9;
+pub const FLAT_RATIO: f64 = 1.0 + 1e-9;
 
-/// Largest K of [`choose_seeing_dimension`]. Each further group adds two columns, and k-means
+/// Largest K of [`choose_covering_dimension`]. Each further group adds two columns, and k-means
 /// drowns in noise beyond a few hundred of them.
-pub const MAX_SEEING: usize = 128;
+pub const MAX_COVERING_DIMENSION: usize = 128;
 
 /// The previous K is kept while its drop is large except for this share of the largest one: noise
 /// of a few percent in the weights must not change the dimension.
-pub const KEEP: f64 = 0.1;
+pub const KEPT_DROP_SHARE: f64 = 0.1;
 
 /// A previous K above the rule is kept while its last value is within this fraction of the one that
 /// is needed.
 const SWAP_RATIO: f64 = 0.02;
 
-/// The largest K from 2 to max(`teams`, 2) for which ln(σ_K / σ_{K+1}) is at least [`LARGE_DROP`]
+/// The largest K from 2 to max(`teams`, 2) for which ln(σ_K / σ_{K+1}) is at least [`LARGE_DROP_SHARE`]
 /// times the largest such value in that range; K = 2 where no value drops.
 ///
 /// `sigma` holds all n singular values of the n × n similarity, descending; `teams` is the number
@@ -70,8 +70,8 @@ fn ruled(sigma: &[f64], n: usize, noise: f64, teams: usize) -> usize {
     }
     // sigma[k − 1] is σ_k, and positive up to the rank.
     let ratio = |k: usize| sigma[k - 1] / sigma[k];
-    let most = (2..=limit).map(ratio).fold(FLAT, f64::max).ln();
-    let is_large = |k: &usize| ratio(*k) > FLAT && ratio(*k).ln() >= LARGE_DROP * most;
+    let most = (2..=limit).map(ratio).fold(FLAT_RATIO, f64::max).ln();
+    let is_large = |k: &usize| ratio(*k) > FLAT_RATIO && ratio(*k).ln() >= LARGE_DROP_SHARE * most;
     (2..=limit).rev().find(is_large).unwrap_or(2)
 }
 
@@ -85,7 +85,7 @@ pub struct Choice {
     pub short: bool,
 }
 
-/// Number of leading triplets that [`choose_known_dimension`] and [`choose_seeing_dimension`] must
+/// Number of leading triplets that [`choose_known_dimension`] and [`choose_covering_dimension`] must
 /// know for `teams` teams of `n` nodes: one more than the range of the rule.
 #[must_use]
 pub fn least_rank(n: usize, teams: usize) -> usize {
@@ -94,15 +94,15 @@ pub fn least_rank(n: usize, teams: usize) -> usize {
 
 /// K of [`choose_dimension`], raised until every node that is `related` (has an edge; one entry per
 /// node) has a non-zero embedding in the K leading triplets, or as many of them as is possible
-/// within the numeric rank and [`MAX_SEEING`].
+/// within the numeric rank and [`MAX_COVERING_DIMENSION`].
 ///
 /// `svd` must know [`least_rank`] triplets or all. `previous` is the K of the previous frame. It is
 /// kept if as many nodes have a non-zero embedding with it, and one of two conditions holds. Either
 /// it is within the range of the rule, not below its K, with a drop that is large except for
-/// [`KEEP`]. Or it is above the raised K, with a value σ within 2 % of the one there, so that the
+/// [`KEPT_DROP_SHARE`]. Or it is above the raised K, with a value σ within 2 % of the one there, so that the
 /// last groups may change places.
 #[must_use]
-pub fn choose_seeing_dimension(
+pub fn choose_covering_dimension(
     svd: &impl Spectrum,
     related: &[bool],
     teams: usize,
@@ -117,11 +117,11 @@ pub fn choose_seeing_dimension(
         return found(ruled);
     }
     let limit = limit(n, teams);
-    let embedded = embedded_counts(svd, related, rank.min(MAX_SEEING.max(limit)));
+    let embedded = embedded_counts(svd, related, rank.min(MAX_COVERING_DIMENSION.max(limit)));
     let count = |k: usize| embedded[k.clamp(1, embedded.len()) - 1];
-    let most = (ruled..=rank.min(MAX_SEEING)).map(count).fold(count(ruled), usize::max);
+    let most = (ruled..=rank.min(MAX_COVERING_DIMENSION)).map(count).fold(count(ruled), usize::max);
     // The last known value has no successor to compare it with.
-    let all = rank == sigma.len() && sigma.len() < n.min(MAX_SEEING + 1);
+    let all = rank == sigma.len() && sigma.len() < n.min(MAX_COVERING_DIMENSION + 1);
     let short = all && most < related.iter().filter(|related| **related).count();
     let raised = (ruled..=rank).find(|k| count(*k) >= most).unwrap_or(ruled);
     let Some(previous) = previous.filter(|k| (2..=embedded.len()).contains(k) && count(*k) >= most)
@@ -137,7 +137,7 @@ pub fn choose_seeing_dimension(
     };
     let largest = (2..=limit).map(ratio).fold(1.0, f64::max).ln();
     let as_good = (ruled..=limit).contains(&previous)
-        && ratio(previous).ln() >= (LARGE_DROP - KEEP) * largest;
+        && ratio(previous).ln() >= (LARGE_DROP_SHARE - KEPT_DROP_SHARE) * largest;
     let swapped = previous > raised
         && raised > ruled
         && sigma[previous - 1] >= (1.0 - SWAP_RATIO) * sigma[raised - 1];
@@ -164,7 +164,7 @@ fn embedded_counts(svd: &impl Spectrum, related: &[bool], bound: usize) -> Vec<u
         }
         let longest = squares.iter().fold(0.0_f64, |m, s| m.max(*s)).sqrt();
         let is_embedded =
-            |(square, related): (&f64, &bool)| *related && square.sqrt() > WEAK_ROW * longest;
+            |(square, related): (&f64, &bool)| *related && square.sqrt() > WEAK_ROW_RATIO * longest;
         squares.iter().zip(related).filter(|pair| is_embedded(*pair)).count()
     };
     (0..bound).map(add).collect()
@@ -172,7 +172,7 @@ fn embedded_counts(svd: &impl Spectrum, related: &[bool], bound: usize) -> Vec<u
 
 #[cfg(test)]
 mod tests {
-    use super::{MAX_SEEING, choose_dimension, choose_seeing_dimension};
+    use super::{MAX_COVERING_DIMENSION, choose_covering_dimension, choose_dimension};
     use crate::linalg::matrix::DenseMatrix;
     use crate::svd::full_svd;
 
@@ -182,7 +182,7 @@ mod tests {
         let n = sigma.len();
         let s = DenseMatrix::from_fn(n, n, |i, j| if i == j { sigma[i] } else { 0.0 });
         let related: Vec<bool> = (0..n).map(|i| i < related).collect();
-        choose_seeing_dimension(&full_svd(&s).unwrap(), &related, teams, previous).dimension
+        choose_covering_dimension(&full_svd(&s).unwrap(), &related, teams, previous).dimension
     }
 
     #[test]
@@ -194,9 +194,12 @@ mod tests {
         assert_eq!(chosen(&[3.0, 2.0, 1e-20, 0.0], 4, 2, None), 2, "the rank is exhausted");
         assert_eq!(chosen(&[0.0; 4], 4, 2, Some(3)), 2);
         assert_eq!(chosen(&[], 0, 2, Some(2)), 0);
-        let many: Vec<f64> = (0..MAX_SEEING + 9).map(|j| 200.0 - j as f64).collect();
-        assert_eq!(chosen(&many, many.len(), 2, None), MAX_SEEING);
-        assert_eq!(chosen(&many, many.len(), 2, Some(MAX_SEEING + 1)), MAX_SEEING);
+        let many: Vec<f64> = (0..MAX_COVERING_DIMENSION + 9).map(|j| 200.0 - j as f64).collect();
+        assert_eq!(chosen(&many, many.len(), 2, None), MAX_COVERING_DIMENSION);
+        assert_eq!(
+            chosen(&many, many.len(), 2, Some(MAX_COVERING_DIMENSION + 1)),
+            MAX_COVERING_DIMENSION
+        );
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::vector::length;
 
 /// A node is weak when its row of \[U√Σ, V√Σ\] is at most this fraction of the longest.
-pub const WEAK_ROW: f64 = 1e-8;
+pub const WEAK_ROW_RATIO: f64 = 1e-8;
 
 /// Scaling of the columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -37,7 +37,7 @@ pub enum Rows {
 pub struct Embedding {
     /// n × 2K matrix: the K columns of U, then the K columns of V, scaled as asked for.
     pub x: DenseMatrix,
-    /// Per node, true when its row is weak (see [`WEAK_ROW`]): it has no edges, or its whole
+    /// Per node, true when its row is weak (see [`WEAK_ROW_RATIO`]): it has no edges, or its whole
     /// component weighs less than the K leading directions. Its row carries no information: a team
     /// chosen by this row would be arbitrary.
     pub weak: Vec<bool>,
@@ -52,7 +52,7 @@ pub fn embed(svd: &RankKSvd, scale: Scale, rows: Rows) -> Embedding {
     let scaled = DenseMatrix::from_fn(n, 2 * k, |i, j| side(i, j) * roots[j % k]);
     let lengths: Vec<f64> = scaled.iter_rows().map(length).collect();
     let longest = lengths.iter().fold(0.0_f64, |m, &l| m.max(l));
-    let weak: Vec<bool> = lengths.iter().map(|&l| l <= WEAK_ROW * longest).collect();
+    let weak: Vec<bool> = lengths.iter().map(|&l| l <= WEAK_ROW_RATIO * longest).collect();
 
     let mut x = match scale {
         Scale::None => DenseMatrix::from_fn(n, 2 * k, side),

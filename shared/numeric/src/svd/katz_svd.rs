@@ -12,7 +12,7 @@
 //!
 //! The residual of each triplet is measured, so every result comes with its own error bound. A
 //! residual cannot reveal a triplet that is missing altogether: random directions, added to every
-//! [`PROBE_EVERY`]th search, find those.
+//! [`PROBE_SEARCHES`]th search, find those.
 
 mod certificate;
 mod error;
@@ -23,4 +23,4 @@ mod triplets;
 pub use super::davidson::{SearchColumns, SearchRound, search_columns};
 pub use error::{KatzSvdError, MAX_EDGES};
 pub use options::{KatzSvdOptions, KatzSvdOptionsError, ValidKatzSvdOptions};
-pub use solver::{KatzSvd, KatzSvdReport, PROBE_CHANGES, PROBE_EVERY, PROBES};
+pub use solver::{KatzSvd, KatzSvdReport, PROBE_DIRECTIONS, PROBE_SEARCHES, PROBE_UPDATES};

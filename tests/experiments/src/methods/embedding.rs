@@ -1,6 +1,6 @@
 //! The method itself, in all forms that are compared: from graphs to vectors, from vectors to teams.
 
-use muster_numeric::dimension::choose_seeing_dimension;
+use muster_numeric::dimension::choose_covering_dimension;
 use muster_numeric::embedding::{Rows, Scale, embed};
 use muster_numeric::fuse::{FuseError, Normalization, fuse};
 use muster_numeric::katz::{Alpha, KatzError, katz_similarity};
@@ -89,7 +89,7 @@ impl Form {
             Rank::Ratio => {
                 let mut related = vec![false; fused.nodes()];
                 fused.triplets().for_each(|(i, j, _)| (related[i], related[j]) = (true, true));
-                choose_seeing_dimension(&full, &related, teams, None).dimension
+                choose_covering_dimension(&full, &related, teams, None).dimension
             }
         };
         let svd = full.truncate(rank.clamp(1, fused.nodes()))?;

@@ -34,7 +34,7 @@ pub struct KMeans {
     pub iterations: usize,
     /// True when that start reached a fixed point within its iterations.
     pub converged: bool,
-    /// Number of points that differ by more than [`DISTINCT`](super::DISTINCT), counted up to the
+    /// Number of points that differ by more than [`DISTINCT_ROW_RATIO`](super::DISTINCT_ROW_RATIO), counted up to the
     /// number of clusters asked for. There are no more clusters than that.
     pub distinct_points: usize,
     /// True when the previous division, refined, was kept.
@@ -90,12 +90,12 @@ pub fn kmeans(x: &DenseMatrix, options: &KMeansOptions<'_>) -> Result<KMeans, KM
 ///
 /// # Errors
 /// As [`kmeans`].
-pub fn kmeans_watched(
+pub fn kmeans_with_progress(
     x: &DenseMatrix,
     options: &KMeansOptions<'_>,
     progress: &mut dyn FnMut(usize),
 ) -> Result<KMeans, KMeansError> {
-    options.check()?.divide_watched(x, progress)
+    options.check()?.divide_with_progress(x, progress)
 }
 
 /// Lloyd's iteration alone, from first centroids `first`, k × D: no seeding, no restarts, no
@@ -146,7 +146,7 @@ impl ValidKMeansOptions<'_> {
     /// # Errors
     /// [`KMeansError`] for no points, more clusters than points, or warm labels that do not fit.
     pub fn divide(&self, x: &DenseMatrix) -> Result<KMeans, KMeansError> {
-        self.divide_watched(x, &mut |_| {})
+        self.divide_with_progress(x, &mut |_| {})
     }
 
     /// [`ValidKMeansOptions::divide`] that reports the number of finished restarts after each
@@ -154,7 +154,7 @@ impl ValidKMeansOptions<'_> {
     ///
     /// # Errors
     /// As [`ValidKMeansOptions::divide`].
-    pub fn divide_watched(
+    pub fn divide_with_progress(
         &self,
         x: &DenseMatrix,
         progress: &mut dyn FnMut(usize),

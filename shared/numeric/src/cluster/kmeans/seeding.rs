@@ -14,11 +14,11 @@ use crate::linalg::vector::squared_distance;
 
 /// Points closer to each other than this fraction of the longest row count as equal: nodes that are
 /// interchangeable in the graph have equal rows up to rounding, which must not divide them.
-pub const DISTINCT: f64 = 1e-9;
+pub const DISTINCT_ROW_RATIO: f64 = 1e-9;
 
 /// Number of distinct rows, counted up to `limit`.
 pub(super) fn count_distinct(x: &DenseMatrix, limit: usize) -> usize {
-    let tolerance = DISTINCT * DISTINCT * longest_square(x);
+    let tolerance = DISTINCT_ROW_RATIO * DISTINCT_ROW_RATIO * longest_square(x);
     let mut found: Vec<&[f64]> = Vec::new();
     for row in x.iter_rows() {
         if found.len() == limit {

@@ -14,7 +14,7 @@ pub const EXACT_POINTS: usize = 20_000;
 
 /// Default of [`SilhouetteOptions::sample`]: the standard error is then below 0.01, as the standard
 /// deviation of silhouettes hardly ever exceeds 0.4.
-pub const SAMPLE: usize = 2_000;
+pub const SAMPLE_POINTS: usize = 2_000;
 
 /// Unchecked parameters: when and how to sample; [`SilhouetteOptions::check`] makes them valid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,7 +29,7 @@ pub struct SilhouetteOptions {
 
 impl Default for SilhouetteOptions {
     fn default() -> Self {
-        Self { exact_points: EXACT_POINTS, sample: SAMPLE, seed: 0 }
+        Self { exact_points: EXACT_POINTS, sample: SAMPLE_POINTS, seed: 0 }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Silhouettes of divisions of any size, by the method that their size allows.
 
 use super::pairs::silhouette;
-use super::sample::{SAMPLE, SilhouetteOptions, estimate_silhouette};
+use super::sample::{SAMPLE_POINTS, SilhouetteOptions, estimate_silhouette};
 use super::squared::silhouette_squared;
 use super::types::{Method, Silhouette, SilhouetteError};
 use crate::linalg::matrix::DenseMatrix;
@@ -23,7 +23,7 @@ pub struct Scores {
 /// Silhouettes of the rows of `x`, N × D, for `labels`, N arbitrary numbers, with the mean by `method`.
 ///
 /// O(N² D) for [`Method::Exact`], O(N k D) for [`Method::SquaredExact`]. [`Method::Sampled`] compares
-/// [`SAMPLE`] points, drawn by `seed`, with all others, in O(N D) each; [`SAMPLE`] points or fewer are
+/// [`SAMPLE_POINTS`] points, drawn by `seed`, with all others, in O(N D) each; [`SAMPLE_POINTS`] points or fewer are
 /// all scored, and their mean is exact.
 ///
 /// # Errors
@@ -34,8 +34,8 @@ pub fn scores(
     method: Method,
     seed: u64,
 ) -> Result<Scores, SilhouetteError> {
-    if method == Method::Sampled && x.rows() > SAMPLE {
-        let options = SilhouetteOptions { exact_points: 0, sample: SAMPLE, seed };
+    if method == Method::Sampled && x.rows() > SAMPLE_POINTS {
+        let options = SilhouetteOptions { exact_points: 0, sample: SAMPLE_POINTS, seed };
         let estimate = estimate_silhouette(x, labels, &options)?;
         return Ok(Scores {
             mean: estimate.mean,

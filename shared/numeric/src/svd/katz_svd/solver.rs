@@ -15,17 +15,17 @@ use crate::svd::davidson::{
 use crate::svd::operator::KatzOperator;
 
 /// Searches between two that add random directions to those of the previous frame.
-pub const PROBE_EVERY: u64 = 20;
+pub const PROBE_SEARCHES: u64 = 20;
 
 /// Updates after which random directions are due as well, by a search if necessary: a few changed
 /// rows bring a new triplet to the front more rarely than a change of all of them.
-pub const PROBE_CHANGES: u64 = 500;
+pub const PROBE_UPDATES: u64 = 500;
 
 /// Updates that one search counts for.
-const SEARCH_UPDATES: u64 = PROBE_CHANGES / PROBE_EVERY;
+const SEARCH_UPDATES: u64 = PROBE_UPDATES / PROBE_SEARCHES;
 
 /// Random directions that are added.
-pub const PROBES: usize = 8;
+pub const PROBE_DIRECTIONS: usize = 8;
 
 /// One row in this many may change for an update row by row. Beyond that, a pass over all rows,
 /// which needs no bookkeeping, takes as long.
@@ -126,14 +126,14 @@ impl KatzSvd {
         options: KatzSvdOptions,
         previous: Option<&[Option<usize>]>,
     ) -> Result<KatzSvdReport, KatzSvdError> {
-        self.solve_watched(a, alpha, radius, options, previous, &mut |_| {})
+        self.solve_with_progress(a, alpha, radius, options, previous, &mut |_| {})
     }
 
     /// [`KatzSvd::solve`] that reports each round of the search.
     ///
     /// # Errors
     /// As [`KatzSvd::solve`].
-    pub fn solve_watched(
+    pub fn solve_with_progress(
         &mut self,
         a: &SparseMatrix,
         alpha: f64,
@@ -302,14 +302,14 @@ impl KatzSvd {
         let request = Request {
             rank: options.rank,
             tolerance: options.tolerance * if is_current { UPDATE_TOLERANCE_FACTOR } else { 1.0 },
-            probes: if probed { PROBES } else { 0 },
+            probes: if probed { PROBE_DIRECTIONS } else { 0 },
             seed: options.seed.wrapping_add(self.searches),
             threads,
         };
         let Self { operator, work, triplets, start, .. } = self;
         let first = (&*start.directions, start.width);
         leading_triplets(operator, request, first, work, triplets, progress);
-        self.until_probe = if probed { PROBE_CHANGES } else { self.until_probe - SEARCH_UPDATES };
+        self.until_probe = if probed { PROBE_UPDATES } else { self.until_probe - SEARCH_UPDATES };
         self.is_probed = probed;
         self.keep_start(threads);
         self.report(options, self.triplets.rounds)
