@@ -39,7 +39,7 @@ fn deviation(kept: &CachedKatz, s: &DenseMatrix) -> f64 {
 
 #[test]
 fn closed_forms_after_updates() {
-    // A ring is closed, a star loses a ray, a clique and a path become others.
+    // Edges close a ring, a star loses a ray, a clique and a path change into others.
     let alpha = 0.4;
     let (mut kept, ..) = cached(&directed_path(6, 1.0), Alpha::Value(alpha));
     kept.set_rank_share(1.0).unwrap();
@@ -57,7 +57,7 @@ fn closed_forms_after_updates() {
     let smaller = star(5);
     let map: Vec<Option<usize>> = (0..6).map(|i| (i < 5).then_some(i)).collect();
     let found = kept.update(&smaller, 0.3, &spectral_radius(&smaller, None), Some(&map)).unwrap();
-    // Only the row of the one who left counts.
+    // Only the row of the removed node changes.
     assert_eq!((found.method, found.rank), (Method::Updated, 1));
     let hub = 1.0 / (1.0 - 4.0 * 0.09);
     assert_close(kept.pair(0, 0).unwrap(), hub - 1.0, 1e-13);
@@ -184,7 +184,7 @@ fn empty_fleets_and_out_of_range() {
     for _ in 0..2 {
         assert_eq!(kept.update(&none, 0.5, &zero, None).unwrap().probe, 0.0);
     }
-    // Robots come into an empty fleet, and all leave again.
+    // Robots join an empty fleet, and all leave again.
     let two = graph(2, &[(0, 1, 1.0)]);
     kept.update(&two, 0.5, &spectral_radius(&two, None), Some(&[])).unwrap();
     assert_eq!((kept.pair(0, 1), kept.pair(1, 0)), (Some(0.5), Some(0.0)));
@@ -223,7 +223,7 @@ proptest! {
 
     #[test]
     fn updates_equal_scratch(a in directed_graphs(20), b in directed_graphs(20), f in 0.1..0.7_f64, seed: u64) {
-        // From a to b by any partial map, from scratch on the one hand, by an update on the other.
+        // From a to b by any partial map: from scratch, and by an update.
         let (ra, rb) = (spectral_radius(&a, None), spectral_radius(&b, None));
         let limit = ra.upper.max(rb.upper).max(a.max_weight()).max(b.max_weight());
         prop_assume!(limit > 0.0);

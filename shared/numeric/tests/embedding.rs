@@ -43,7 +43,7 @@ fn largest_move(x: &DenseMatrix, y: &DenseMatrix) -> f64 {
 
 #[test]
 fn weak_components_are_marked() {
-    // Cliques of 6, 5, 4, 3 and two loners: two triplets see 11 of 20 nodes.
+    // Cliques of 6, 5, 4, 3 and two isolated nodes: two triplets embed 11 of 20 nodes.
     let mut edges: Vec<_> = cliques(&[6, 5, 4, 3]).triplets().collect();
     edges.push((18, 18, 0.0));
     let a = graph(20, &edges);
@@ -76,7 +76,7 @@ fn zero_columns_stay_zero() {
     let nothing = decompose(&graph(3, &[]), 2);
     let x = embed(&nothing, Scale::InverseSqrtSigma, Rows::None).x;
     assert!(x.data().iter().all(|value| *value == 0.0));
-    // One edge has one triplet, and three are asked for.
+    // One edge has one triplet; ask for three.
     let edge = decompose(&graph(4, &[(0, 1, 1.0)]), 3);
     let x = embed(&edge, Scale::InverseSqrtSigma, Rows::Unit).x;
     assert!(x.data().iter().all(|value| value.is_finite()));

@@ -114,7 +114,7 @@ fn nodes_join_and_leave_between_frames() {
     let alpha = 0.5 / radius.upper;
     let mut solver = KatzSvd::default();
     solver.solve(&a, alpha, &radius, options(4, 1e-9), None).unwrap();
-    // Node 3 leaves, and two that are new come first.
+    // Node 3 leaves, and two new nodes come first.
     let kept: Vec<usize> = (0..120).filter(|i| *i != 3).collect();
     let previous: Vec<Option<usize>> =
         [None, None].into_iter().chain(kept.iter().copied().map(Some)).collect();
@@ -133,7 +133,8 @@ fn nodes_join_and_leave_between_frames() {
 
 #[test]
 fn a_vector_missing_from_every_start_is_found_by_a_probe() {
-    // Two fleets without an edge in between: the second one wakes up while only the first is followed.
+    // Two fleets without an edge between them: the second grows while the search follows only the
+    // first.
     let block = |scale: f64, offset: usize| {
         (0..60).flat_map(move |i| {
             let (from, to) = (offset + i, offset + (i + 1) % 60);

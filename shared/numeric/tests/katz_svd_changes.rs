@@ -1,4 +1,4 @@
-//! Triplets that are brought up to date after a change of few rows, against passes over everything.
+//! Triplets that are updated after a change of few rows, against passes over all rows.
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 

@@ -1,5 +1,5 @@
-//! The similarity and its decomposition, by every path, against oracles that are written differently and
-//! have more digits.
+//! The similarity and its decomposition, by every method, against independent oracles of more
+//! digits.
 #![allow(clippy::unwrap_used)]
 
 mod common;
@@ -44,7 +44,7 @@ fn deviation(found: &DenseMatrix, wanted: &DenseMatrix) -> f64 {
     apart.fold(0.0, f64::max) / (1.0 + wanted.max_abs())
 }
 
-/// What is left of S in the cache.
+/// S from the cache.
 fn cached(a: &SparseMatrix, from: &SparseMatrix, alpha: f64) -> DenseMatrix {
     let n = a.nodes();
     let mut kept = CachedKatz::default();

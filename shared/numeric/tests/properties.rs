@@ -26,7 +26,7 @@ fn random_graph(n: usize, seed: u64) -> SparseMatrix {
     SparseMatrix::from_triplets(n, edges).unwrap()
 }
 
-/// The leading triplets by both paths.
+/// The leading triplets by both methods.
 fn both(a: &SparseMatrix, alpha: f64) -> [RankKSvd; 2] {
     let radius = spectral_radius(a, None);
     let dense = full_svd(&katz_similarity(a, alpha, &radius).unwrap()).unwrap();
@@ -87,7 +87,7 @@ proptest! {
                 }
             }
         }
-        // However rough the search is.
+        // Also for a rough search.
         let mut search = KatzSvd::default();
         let options = KatzSvdOptions { rank: RANK, tolerance: 1e-2, seed: 8, threads: 1 };
         search.solve(&wider, alpha, &spectral_radius(&wider, None), options, None).unwrap();

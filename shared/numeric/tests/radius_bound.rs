@@ -140,7 +140,7 @@ fn vectors_go_along_with_their_nodes() {
     let a = graph(n, &edges);
     let mut tracker = RadiusTracker::default();
     tracker.bound(&a);
-    // Two nodes leave at the end, and the others turn around; one comes.
+    // Two nodes leave at the end, the order of the others reverses, and one joins.
     let map: Vec<Option<usize>> = (0..n).map(|i| (n - 3).checked_sub(i)).collect();
     let moved = a.triplets().filter_map(|(i, j, w)| Some((map[i]?, map[j]?, w)));
     let b = SparseMatrix::from_triplets(n - 1, moved).unwrap();

@@ -52,7 +52,7 @@ fn subspaces_turn_by_no_more_than_the_bound() {
     let s = similarity(&star(6));
     let svd = rank_k_svd(&s, 2).unwrap();
     assert_eq!(svd.angle_bound(0.0), 0.0);
-    // What the residual says of triplets of a matrix that is slightly off.
+    // The residual of triplets of a slightly perturbed matrix.
     for size in [1e-12, 1e-6, 1e-3] {
         let n = s.rows();
         let rows: Vec<Vec<f64>> = (0..n)
@@ -64,7 +64,7 @@ fn subspaces_turn_by_no_more_than_the_bound() {
         assert!(bound < 1.0 || size == 1e-3);
         for (found, wanted) in [(&off.u, &svd.u), (&off.v, &svd.v)] {
             for column in 0..2 {
-                // What of a vector lies outside of the true subspace.
+                // The part of a vector outside of the true subspace.
                 let mut rest: Vec<f64> = (0..n).map(|i| found.row(i)[column]).collect();
                 for other in 0..2 {
                     let along: f64 = (0..n).map(|i| wanted.row(i)[other] * rest[i]).sum();

@@ -40,8 +40,8 @@ pub const MIN_CONDITION: f64 = 1e-8;
 /// what affects an embedding.
 pub const MAX_PROBE: f64 = 1e-10;
 
-/// One spare slot is added per this many slots when there are too few.
-const SPARE_SLOT_SHARE: usize = 16;
+/// One free slot is added per this many slots when there are too few.
+const FREE_SLOT_SHARE: usize = 16;
 
 /// Method of an update.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -252,7 +252,7 @@ impl CachedKatz {
     /// Adds at least `count` slots.
     fn grow(&mut self, count: usize) {
         let old = self.slots;
-        let new = old + count + old / SPARE_SLOT_SHARE;
+        let new = old + count + old / FREE_SLOT_SHARE;
         if self.s.len() == old * old {
             self.s.resize(new * new, 0.0);
             // In descending order, so that no row is overwritten before it has moved.

@@ -31,7 +31,7 @@ impl Fleet {
         ((self.random)() * n as f64) as usize
     }
 
-    /// New edges from and to the robot at a place, of which most go both ways.
+    /// New edges of the robot at a place, most of them both ways.
     fn link(&mut self, at: usize) {
         let own = self.robots[at];
         self.edges.retain(|edge, _| edge.0 != own && edge.1 != own);
@@ -49,7 +49,7 @@ impl Fleet {
         }
     }
 
-    /// One change, and where each robot went.
+    /// Makes one change and returns the new index of each robot.
     pub(crate) fn change(&mut self) -> Vec<Option<usize>> {
         let before = self.robots.clone();
         let n = before.len();

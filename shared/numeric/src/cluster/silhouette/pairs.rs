@@ -36,9 +36,8 @@ const MAX_DIRECT_DIMS: usize = 6;
 /// Silhouette (b − a) / max(a, b) of every row of `x`, where a is the mean distance to the other
 /// members of its cluster and b the smallest mean distance to the members of another cluster.
 ///
-/// `x` is N × D, `labels` holds N arbitrary numbers. The only member of a cluster has the
-/// value 0, and so has a point with a = b = 0. O(N² D) time, every distance once; besides the
-/// result, memory for a copy of the points, and O(N + k) more.
+/// `x` is N × D, `labels` contains N arbitrary numbers. The only member of a cluster has the value
+/// 0, as has a point with a = b = 0. O(N² D) time, every distance once; O(N D + k) memory.
 ///
 /// # Errors
 /// [`SilhouetteError::Labels`], and [`SilhouetteError::Undefined`] for fewer than two clusters.

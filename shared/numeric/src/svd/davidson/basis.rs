@@ -27,7 +27,7 @@ const MAX_ATTEMPTS: usize = 3;
 #[derive(Debug, Default)]
 pub(super) struct Basis {
     nodes: usize,
-    /// V in rows of `stride` values, with spare memory after it.
+    /// V in rows of `stride` values, with unused memory after it.
     pub(super) space: Aligned<f64>,
     /// S V likewise.
     image: Aligned<f64>,

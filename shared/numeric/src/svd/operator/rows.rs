@@ -3,8 +3,8 @@
 use crate::linalg::matrix::SparseMatrix;
 use crate::linalg::parallel::{Parts, PerPart, Split};
 
-/// Spare entries of a row that had to move because it grew.
-const SPARE_ENTRIES: usize = 4;
+/// Free entries of a row that had to move because it grew.
+const FREE_ENTRIES: usize = 4;
 
 /// Location of the entries of a row.
 #[derive(Debug, Clone, Copy, Default)]
@@ -245,7 +245,7 @@ impl Rows {
         if len <= span.room as usize {
             return;
         }
-        let (start, room) = (self.columns.len(), len + SPARE_ENTRIES);
+        let (start, room) = (self.columns.len(), len + FREE_ENTRIES);
         let range = self.range(i);
         self.columns.extend_from_within(range.clone());
         self.columns.resize(start + room, 0);
