@@ -1,7 +1,7 @@
-//! The programs of the README, word for word: a robot, a dashboard and a check in Python.
+//! The programs of `shared/client/README.md`, word for word: a robot, a dashboard and a check in Python.
 //!
 //! They run against whole processes as a reader would run them, with the environment and the
-//! arguments that the README names, on the Python that `tests/run` installs.
+//! arguments that the document names, on the Python that `tests/run` installs.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -14,13 +14,15 @@ use serde_json::{Value, json};
 
 use crate::pipeline::FORMED_WITHIN;
 
-pub(crate) const README: &str = include_str!("../../README.md");
+/// The document with the programs for robots and consoles.
+const CLIENT: &str = "shared/client/README.md";
 
-/// The text of the fenced block behind a marker, all blocks of that marker in order.
-pub(crate) fn blocks(marker: &str) -> Vec<String> {
+/// The text of the fenced block behind a marker, all blocks of that marker in the document in order.
+pub(crate) fn blocks(document: &str, marker: &str) -> Vec<String> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(document);
+    let text = std::fs::read_to_string(&path).expect(document);
     let start = format!("<!-- {marker} -->\n```");
-    README
-        .split(&start)
+    text.split(&start)
         .skip(1)
         .map(|part| {
             let (_, part) = part.split_once('\n').unwrap();
@@ -29,10 +31,10 @@ pub(crate) fn blocks(marker: &str) -> Vec<String> {
         .collect()
 }
 
-/// Writes a program of the README into a folder, once: another process may be reading it.
+/// Writes a program of the document into a folder, once: another process may be reading it.
 fn written(name: &str, folder: &Path) -> PathBuf {
-    let blocks = blocks(name);
-    assert_eq!(blocks.len(), 1, "README.md must hold one block behind <!-- {name} -->");
+    let blocks = blocks(CLIENT, name);
+    assert_eq!(blocks.len(), 1, "{CLIENT} must hold one block behind <!-- {name} -->");
     let path = folder.join(name);
     if !path.exists() {
         std::fs::write(&path, &blocks[0]).unwrap();
@@ -74,7 +76,7 @@ async fn printed(program: &mut Process, what: &str, right: impl Fn(&str) -> bool
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
+async fn the_robot_and_the_dashboard_of_the_document_work_as_they_stand() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let programs = Programs { cluster: &cluster, python: python().unwrap() };
     let mut dashboard = programs.start("dashboard.py", &[]);
@@ -161,7 +163,7 @@ async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_check_of_the_readme_accepts_what_is_right_and_names_what_is_wrong() {
+async fn the_check_of_the_document_accepts_what_is_right_and_names_what_is_wrong() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let client = cluster.client().await.unwrap();
     let start = Instant::now();

@@ -92,7 +92,7 @@ async fn every_service_serves_the_schema_that_the_command_prints() {
 #[test]
 fn the_messages_of_the_readme_are_valid() {
     let mut cases = Vec::new();
-    for block in blocks("messages") {
+    for block in blocks("README.md", "messages") {
         let starts: Vec<&str> = block.split_inclusive('\n').collect();
         let mut entries: Vec<String> = Vec::new();
         for line in starts {
