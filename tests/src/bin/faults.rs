@@ -1,4 +1,4 @@
-//! Lets every fault of hosts and links happen, and prints the README's table of what users see.
+//! Lets every fault of hosts and links happen, and prints the table of services/README.md.
 //!
 //! `faults [--json] [NAME …]`, as root. It ends with 1 if a promise was not kept.
 

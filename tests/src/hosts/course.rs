@@ -371,7 +371,7 @@ impl Measured {
     /// The head of the table.
     #[must_use]
     pub fn head() -> &'static str {
-        "| fault | stale | gone | pause | whole again | pause on board | on board |\n\
+        "| fault | stale | gone | pause | recovered | pause, robots' host | recovered, robots' host |\n\
          | --- | --- | --- | --- | --- | --- | --- |"
     }
 
