@@ -8,6 +8,8 @@ use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings,
 };
 use muster_tests::cluster::SERVICES;
+use muster_tests::hosts::course::Measured;
+use muster_tests::hosts::fault::FAULTS;
 use muster_tests::process::run;
 use serde_json::{Map, Value, json};
 
@@ -147,6 +149,14 @@ fn the_operators_manual_names_every_finding_of_the_doctor() {
         assert!(source.contains(&format!("\"{name}\"")), "no finding is called {name}");
     }
     assert!(named.len() > 20, "{named:?}");
+}
+
+#[test]
+fn the_table_of_faults_names_each_that_is_measured() {
+    let rows = rows(OPERATORS_MANUAL, "# Faults, and what you see");
+    let named: Vec<&str> = rows.iter().map(|row| row[0].as_str()).collect();
+    assert_eq!(named, FAULTS.map(|fault| fault.what));
+    assert!(read(OPERATORS_MANUAL).contains(Measured::head()));
 }
 
 #[test]
