@@ -6,6 +6,8 @@
 //! service is written to a file; [`schema`] describes the JSON. Nothing outside of this crate handles
 //! bytes, and nothing in it knows the bus.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 pub mod envelope;
 pub mod json;
 pub mod key;
