@@ -4,8 +4,9 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use muster_model::id::Modality;
 use muster_model::settings::{
-    AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings,
+    AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, default_weight,
 };
 use muster_tests::cluster::SERVICES;
 use muster_tests::hosts::course::Measured;
@@ -135,6 +136,18 @@ fn the_operators_manual_names_every_setting() {
         let default = default.unwrap();
         let fields: BTreeSet<String> = default.as_object().unwrap().keys().cloned().collect();
         assert_eq!(named, fields, "{service}");
+    }
+}
+
+/// The weights follow from the fleet, so that no value in the configuration shows them.
+#[test]
+fn the_configuration_states_the_weights_that_are_built_in() {
+    let text = read("deploy/muster.toml");
+    for modality in [Modality::spatial(), Modality::connectivity(), Modality::hierarchy()] {
+        let weight = default_weight(&modality, 1.0);
+        let stated = format!("{modality} {weight}");
+        let flat = text.replace("\n# ", " ");
+        assert!(flat.contains(&stated), "deploy/muster.toml must state {stated:?}");
     }
 }
 
