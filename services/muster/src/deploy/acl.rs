@@ -128,7 +128,27 @@ fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Resul
         text.push_str(line);
         text.push('\n');
     }
-    let with_tls = format!(
+    let with_tls = tls_section(tls, &protocols);
+    for (place, part) in [
+        ("[\"tcp/0.0.0.0:7447\"]", listen.as_str()),
+        ("    endpoints: [],\n", &format!("    endpoints: {connect},\n")),
+        ("      // TLS: none.\n", &with_tls),
+        ("  // Access control: none.\n", &access_control(fleet)?),
+    ] {
+        anyhow::ensure!(
+            text.matches(place).count() == 1,
+            "the plain router has no single {place:?}"
+        );
+        text = text.replace(place, part);
+    }
+    Ok(text)
+}
+
+/// The part of the configuration that makes links use TLS with certificates on both sides.
+///
+/// `protocols` is a JSON list.
+fn tls_section(tls: &Tls, protocols: &str) -> String {
+    format!(
         "      // No link without certificates, even if an endpoint is changed by mistake.
       protocols: {protocols},
       tls: {{
@@ -154,20 +174,7 @@ fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Resul
         authority = tls.authority,
         certificate = tls.certificate,
         key = tls.key,
-    );
-    for (place, put_in) in [
-        ("[\"tcp/0.0.0.0:7447\"]", listen.as_str()),
-        ("    endpoints: [],\n", &format!("    endpoints: {connect},\n")),
-        ("      // TLS: none.\n", &with_tls),
-        ("  // Access control: none.\n", &access_control(fleet)?),
-    ] {
-        anyhow::ensure!(
-            text.matches(place).count() == 1,
-            "the plain router has no single {place:?}"
-        );
-        text = text.replace(place, put_in);
-    }
-    Ok(text)
+    )
 }
 
 /// Rules, subjects and policies, one of each per identity and right.
