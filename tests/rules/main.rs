@@ -189,3 +189,27 @@ fn the_robot_of_the_readme_is_the_one_that_is_compiled() {
         .collect();
     assert_eq!(block(&read("README.md"), "```rust\n"), block(&docs, "```no_run\n"));
 }
+
+/// A version such as `1.89` or `1.89.0` as numbers that compare.
+fn version(text: &str) -> Vec<u32> {
+    text.split('.').take(2).map(|number| number.parse().unwrap()).collect()
+}
+
+/// The lint `incompatible_msrv` looks at the standard library; this at the dependencies.
+#[test]
+fn no_dependency_needs_a_newer_rust_than_is_promised() {
+    let output = Command::new(env!("CARGO"))
+        .args(["metadata", "--locked", "--format-version", "1"])
+        .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let promised = version(env!("CARGO_PKG_RUST_VERSION"));
+    let packages = metadata["packages"].as_array().unwrap();
+    for package in packages {
+        let Some(needed) = package["rust_version"].as_str() else { continue };
+        assert!(version(needed) <= promised, "{} needs Rust {needed}", package["name"]);
+    }
+    assert!(packages.len() > 300, "{}", packages.len());
+}
