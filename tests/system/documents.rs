@@ -9,8 +9,8 @@ use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, default_weight,
 };
 use muster_tests::cluster::SERVICES;
-use muster_tests::hosts::course::Measured;
 use muster_tests::hosts::fault::FAULTS;
+use muster_tests::hosts::run_plan::Measured;
 use muster_tests::process::run;
 use serde_json::{Map, Value, json};
 

@@ -118,7 +118,7 @@ impl Fault {
         !matches!(self.kind, Kind::RouterKilled | Kind::RouterStopped)
     }
 
-    /// Whether the router lives and reaches the services, so that divisions are told meanwhile.
+    /// Whether the router lives and reaches the services, so that divisions are published meanwhile.
     #[must_use]
     pub fn lets_base_speak(&self) -> bool {
         self.cuts_robots_off() || matches!(self.kind, Kind::Narrow(_) | Kind::Slow)
