@@ -35,9 +35,9 @@ fn config(cluster: &Cluster) -> Config {
     Config {
         fleet: cluster.fleet.clone(),
         routers: vec![cluster.endpoint.clone()],
-        patience: Some(Duration::from_secs(10)),
+        connect_timeout: Some(Duration::from_secs(10)),
         stale_after: STALE_AFTER,
-        repeat_every: Duration::from_secs(2),
+        republish_every: Duration::from_secs(2),
         ..Config::default()
     }
 }
@@ -167,7 +167,7 @@ async fn a_robot_in_ten_lines_gets_its_team_and_consoles_see_it() {
     let mut audits = late.audits().await.unwrap();
     let judged = async { while audits.changed().await.unwrap().verdict == Verdict::Undefined {} };
     timeout(TOLD_WITHIN, judged).await.expect("an audit with a verdict");
-    let settings = late.settings(ServiceName::Clusterer).await.unwrap();
+    let settings = late.get_settings(ServiceName::Clusterer).await.unwrap();
     assert_eq!(settings["teams"], 2);
     late.close().await;
     assert!(matches!(teams.changed().await, Err(Error::Closed)), "what is closed says so");
@@ -483,14 +483,14 @@ async fn two_robots_of_one_id_are_told_apart() {
 async fn a_robot_waits_for_its_router_as_long_as_it_is_told() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let patience = Some(Duration::from_millis(500));
-    let hasty = Config { routers: vec![endpoint.clone()], patience, ..Config::default() };
+    let connect_timeout = Some(Duration::from_millis(500));
+    let hasty = Config { routers: vec![endpoint.clone()], connect_timeout, ..Config::default() };
     let start = Instant::now();
     let error = Robot::join(&hasty, "r1").await.unwrap_err();
     assert!(matches!(error, Error::Unreachable { .. }), "{error}");
     assert!(error.to_string().contains(&endpoint), "{error}");
     assert!(start.elapsed() < TOLD_WITHIN);
-    let patient = Config { patience: None, format: Format::Binary, ..hasty };
+    let patient = Config { connect_timeout: None, format: Format::Binary, ..hasty };
     let joining = tokio::spawn(async move { Robot::join(&patient, "r1").await });
     sleep(Duration::from_secs(1)).await;
     assert!(!joining.is_finished());
@@ -525,7 +525,7 @@ async fn what_zenoh_can_do_is_a_matter_of_its_own_configuration() {
         let inside = format!("user: 'r1', password: '{password}'");
         Config {
             routers: vec![endpoint.clone()],
-            patience: Some(Duration::from_secs(3)),
+            connect_timeout: Some(Duration::from_secs(3)),
             zenoh_config: Some(file(&format!("{password}.json5"), auth(inside))),
             ..Config::default()
         }

@@ -30,7 +30,7 @@ async fn robots_by_the_client_crate_belong_by_their_certificates() {
     let config = |robot: &str| Config {
         fleet: "alpha".to_owned(),
         zenoh_config: Some(secured.identity(&format!("robot.{robot}"))),
-        patience: Some(FORMED_WITHIN),
+        connect_timeout: Some(FORMED_WITHIN),
         ..Config::default()
     };
     let mut robots = Vec::new();
