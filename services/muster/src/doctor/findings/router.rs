@@ -8,15 +8,15 @@ use muster_wire::message::quoted;
 use super::{Finding, error, warning};
 use crate::doctor::Endpoint;
 
-/// Longest lease of a router by which lost robots are noticed in the time that the manual promises.
-const LEASE_AT_MOST: Duration = Duration::from_secs(4);
+/// Longest lease of a router with which lost robots are noticed within the documented time.
+const MAX_LEASE: Duration = Duration::from_secs(4);
 
 /// What is wrong with an endpoint.
 pub(in crate::doctor) fn of_endpoint(endpoint: &Endpoint) -> Option<Finding> {
     let name = &endpoint.name;
     let found = match &endpoint.reach {
         Reach::Listens | Reach::Unseen => return None,
-        Reach::Zenoh { lease, router: true } if *lease <= LEASE_AT_MOST => return None,
+        Reach::Zenoh { lease, router: true } if *lease <= MAX_LEASE => return None,
         Reach::Zenoh { lease, router: true } => warning(
             "router_lease",
             format!("the router at {name} announces a lease of {:.0} s", lease.as_secs_f64()),
