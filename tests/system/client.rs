@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use futures_util::StreamExt as _;
 use muster_client::model::audit::Verdict;
 use muster_client::model::event::EventKind;
-use muster_client::model::id::ServiceName;
+use muster_client::model::id::{RobotId, ServiceName};
 use muster_client::model::observation::Rank;
 use muster_client::model::teams::RobotTeam;
 use muster_client::{
-    Client, Config, Error, Events, Format, Latest, Pose, Report, Robot, Staleness, Watch,
+    Change, Client, Config, Error, Events, Format, Latest, Pose, Report, Robot, Staleness, Watch,
 };
 use muster_tests::client::division;
 use muster_tests::cluster::{Cluster, free_endpoint, start_router};
@@ -543,4 +544,54 @@ async fn what_zenoh_can_do_is_a_matter_of_its_own_configuration() {
 async fn a_runtime_with_one_thread_gets_an_error_instead_of_a_panic() {
     let error = Robot::join(&Config::default(), "r1").await.unwrap_err();
     assert!(matches!(error, Error::Runtime) && error.to_string().contains("multi_thread"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_on_the_callers_session_leaves_it_open() {
+    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let outside = cluster.client().await.unwrap();
+    let config = Config { fleet: cluster.fleet.clone(), ..Config::default() };
+    let client = Client::on_session(outside.session().clone(), &config).await.unwrap();
+    let [one, other] = ["r1", "r2"].map(|name| RobotId::new(name).unwrap());
+    let robots = [client.join("r1").await.unwrap(), client.join("r2").await.unwrap()];
+    let mut changes = client.changes().await.unwrap();
+    let teams = async {
+        loop {
+            for (robot, x) in robots.iter().zip([0.0, 3.0]) {
+                robot.put_pose(Pose::at(x, 0.0)).unwrap();
+            }
+            let next = timeout(Duration::from_millis(200), changes.next()).await;
+            if let Ok(Some(Change::Teams(teams))) = next
+                && teams.assignments().count() == 2
+            {
+                return teams;
+            }
+        }
+    };
+    let teams = timeout(FORMED_WITHIN, teams).await.expect("a division of both");
+    assert!(!teams.is_stale());
+
+    // What a console asks for once.
+    assert_eq!(client.get_joined_robots().await.unwrap(), [one.clone(), other.clone()].into());
+    assert_eq!(client.get_teams().await.unwrap().assignments().count(), 2);
+    assert_eq!(client.get_roster().await.unwrap().robots.len(), 2);
+    assert_eq!(client.get_graphs(None).await.unwrap().len(), 3);
+    let statuses = client.get_statuses(None).await.unwrap();
+    assert_eq!((statuses.len(), client.get_instances().await.unwrap().len()), (4, 4));
+    assert!(client.get_similarity(&one, &other).await.unwrap().similarity > 0.0);
+    let stranger = RobotId::new("stranger").unwrap();
+    let refused = client.get_similarity(&one, &stranger).await.unwrap_err();
+    assert!(matches!(refused, Error::Refused { service: ServiceName::Embedder, .. }), "{refused}");
+    let settings = client.change_settings(ServiceName::Clusterer, &json!({"teams": 1})).await;
+    assert_eq!(settings.unwrap()["teams"], 1);
+    let refused = client.change_settings(ServiceName::Clusterer, &json!({"teams": 0})).await;
+    assert!(matches!(refused, Err(Error::Refused { .. })), "{refused:?}");
+
+    // The session of the caller outlives the client.
+    let mut team = robots[0].team();
+    client.close().await;
+    let closed = async { while team.changed().await.is_ok() {} };
+    timeout(TOLD_WITHIN, closed).await.expect("what is closed says so");
+    assert!(matches!(robots[0].put_pose(Pose::at(0.0, 0.0)), Err(Error::Closed)));
+    assert!(outside.get_one("teams?format=json").await.is_ok(), "the session is open");
 }

@@ -46,7 +46,7 @@ pub(crate) fn exit_error(error: Error) -> ExitError {
         Error::Input { .. } | Error::Refused { .. } => ExitError::usage(error.to_string()),
         Error::Unreachable { routers } => ExitError::unreachable(format!(
             "no router answers at {}; start one with `muster router`, or name another with \
-             --connect; `--log warn` tells what is wrong with a link",
+             --connect; `--log warn` shows what is wrong with a link",
             routers.join(", ")
         )),
         Error::Unanswered { .. } => ExitError::unreachable(error.to_string()),

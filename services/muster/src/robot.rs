@@ -80,7 +80,7 @@ pub(crate) fn of_file(path: &Path, options: &FleetOptions) -> anyhow::Result<Fle
     let wrong =
         |problem: String| ExitError::usage(format!("--file: {}: {problem}", path.display()));
     let mut text = String::new();
-    // One byte more than is allowed tells a file that is too long from one that just fits.
+    // With one byte more than is allowed, a file that is too long is not read as one that just fits.
     let file = std::fs::File::open(path).map_err(|error| wrong(error.to_string()))?;
     let read = file.take(MAX_FILE_BYTES as u64 + 1).read_to_string(&mut text);
     read.map_err(|error| wrong(error.to_string()))?;

@@ -40,7 +40,7 @@ pub(super) struct Instance {
     pub(super) version: String,
     pub(super) standing: Standing,
     pub(super) term: u64,
-    /// Seconds by which its clock is ahead of ours; none if its answer took too long to tell.
+    /// Seconds by which its clock is ahead of ours; none if its answer took too long.
     pub(super) clock_offset_s: Option<f64>,
 }
 

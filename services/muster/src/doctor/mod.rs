@@ -1,4 +1,4 @@
-//! `muster doctor`: looks a fleet over, finds the usual mistakes and says what to do.
+//! `muster doctor`: examines a fleet, finds the usual mistakes and shows what to do.
 //!
 //! [`look`] gathers what can be seen from one place on the bus, [`findings`] names what is wrong, and this
 //! file prints it. It only looks: it puts nothing, declares nothing and changes no setting.
@@ -30,7 +30,7 @@ const LISTEN_S: std::ops::RangeInclusive<f64> = 1.0..=3600.0;
 /// Arguments of `muster doctor`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "It looks and listens and changes nothing. The exit code is 0 if everything is well, \
+    after_help = "It reads and listens, and changes nothing. The exit code is 0 if everything is well, \
 1 if there are findings, and 3 if no router answers.\n\nExamples:\n  muster doctor\n  \
 muster doctor --fleet alpha --connect tcp/192.168.1.10:7447\n  \
 muster doctor --json | jq '.findings[] | .id, .remedy'"
@@ -50,10 +50,10 @@ struct Endpoint {
     reach: Reach,
 }
 
-/// Looks a fleet over and prints what is found.
+/// Examines a fleet and prints what is found.
 ///
 /// # Errors
-/// If no router answers, or there are findings; the exit code tells which.
+/// If no router answers, or there are findings; by the exit code.
 pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     if !LISTEN_S.contains(&args.listen_for) {
         let (least, most) = (LISTEN_S.start(), LISTEN_S.end());
@@ -61,7 +61,7 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
         return Err(ExitError::usage(problem).into());
     }
     if config.mode.value != Mode::Client {
-        let problem = "mode: the doctor looks at a router as a client; leave --mode out";
+        let problem = "mode: the doctor examines a router as a client; leave --mode out";
         return Err(ExitError::usage(problem).into());
     }
     let mut endpoints = Vec::new();

@@ -12,8 +12,8 @@ pub(crate) mod watch;
 /// Arguments of the commands that show a live fleet.
 #[derive(Debug, Clone, clap::Args)]
 #[command(
-    after_help = "A watch redraws in place on a terminal and tells every second how old what it \
-shows is, and why if it is stale: the link to the router is lost, the service is silent, or it started \
+    after_help = "A watch redraws in place on a terminal and shows every second how old its content \
+is, and why if it is stale: the link to the router is lost, the service is silent, or it started \
 again without its state. Elsewhere it appends what changes as plain text. NO_COLOR=1 turns colours \
 off.\n\nExamples:\n  muster teams                once\n  \
 muster teams --watch        every change, until Ctrl-C\n  \

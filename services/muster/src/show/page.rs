@@ -100,7 +100,7 @@ impl Page {
     }
 
     /// The bytes that print lines over the last `drawn` lines of a terminal: each is cut to the width,
-    /// and those that do not fit the height are left out and counted.
+    /// and those that do not fit the height are left out; the last line has their number.
     pub(crate) fn frame(&self, lines: &[Line], drawn: usize) -> Frame {
         let most = self.height.map_or(usize::MAX, |height| usize::from(height.saturating_sub(1)));
         let mut shown: Vec<Line> = lines.iter().take(most).cloned().collect();
@@ -188,7 +188,7 @@ pub(crate) enum Age {
     },
 }
 
-/// The line that tells the time, how old what is shown is, and why it is stale.
+/// The line with the time, how old what is shown is, and why it is stale.
 pub(crate) fn age_line(now: Tick, publisher: &str, age: Age) -> Line {
     let (text, tone) = match age {
         Age::Waiting { linked: true } => {

@@ -56,7 +56,7 @@ pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Resu
     Ok(())
 }
 
-/// Asks everybody; twice if somebody does not reply: a get may be lost while links or leaders change.
+/// Asks all instances; twice if one does not reply: a get may be lost while links or leaders change.
 async fn status(client: Client, fleet: FleetId) -> Result<FleetStatus, Error> {
     let status = status_once(&client, &fleet).await?;
     if status.silent.is_empty() { Ok(status) } else { status_once(&client, &fleet).await }

@@ -76,7 +76,7 @@ impl<T> Drop for Polled<T> {
 }
 
 impl<T: Send + Sync + 'static> Polled<T> {
-    /// Asks again and again from a first content on. `ask` returns none if nobody replies.
+    /// Asks every second, after a first content. `ask` returns none if nobody replies.
     pub(crate) fn start<F>(client: &Client, first: T, ask: impl Fn() -> F + Send + 'static) -> Self
     where
         F: Future<Output = Result<Option<T>, Error>> + Send + 'static,

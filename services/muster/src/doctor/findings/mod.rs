@@ -68,7 +68,7 @@ pub(super) fn of_fleet(look: &Look) -> Vec<Finding> {
         && look.tokens.is_empty()
         && let Some(wrong) = wrong_fleet(look)
     {
-        // Nothing else can be said of a fleet that is not there.
+        // Nothing else can be found in a fleet that is not there.
         return vec![wrong];
     }
     found.extend(services::services(look));

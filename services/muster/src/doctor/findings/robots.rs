@@ -195,7 +195,7 @@ pub(super) fn teams(look: &Look) -> Vec<Finding> {
             found.push(error(
                 "no_teams",
                 format!("there are {robots} robots and no division of them"),
-                "`muster status` says what each service waits for; `muster graph` shows whether \
+                "`muster status` shows what each service waits for; `muster graph` shows whether \
                  anything relates the robots",
             ));
         }
