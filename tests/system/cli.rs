@@ -130,17 +130,17 @@ async fn a_watch_follows_services_that_restarted_with_lower_terms() {
     let took = shown_within(1, 1, FOLLOWED_WITHIN + SOON).await;
     eprintln!("followed after {took:?}");
     assert!(took > Duration::from_secs(5), "the newest division was fresh: {took:?}");
-    let said = async |words: &str| {
+    let printed = async |words: &str| {
         let start = Instant::now();
         while !watch.output().contains(words) {
             assert!(start.elapsed() < SOON, "{words}: {}", watch.output());
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
     };
-    said("clusterer is silent").await;
-    said("clusterer started again with lower terms").await;
+    printed("clusterer is silent").await;
+    printed("clusterer started again with lower terms").await;
     router.kill().unwrap();
-    said("the link to the router is lost").await;
+    printed("the link to the router is lost").await;
     assert!(!watch.output().contains('\u{1b}'), "no escape codes in a pipe: {}", watch.output());
 }
 
@@ -149,7 +149,7 @@ fn the_program_describes_itself_to_shells_and_manuals() {
     for shell in ["bash", "zsh", "fish"] {
         let (code, out, err) = run("muster", &["completions", shell], SOON).unwrap();
         assert_eq!(code, Some(0), "{err}");
-        assert!(out.contains("replay-core") && out.contains("--connect"), "{shell}:\n{out}");
+        assert!(out.contains("replay-core") && out.contains("connect"), "{shell}:\n{out}");
     }
     let (code, page, _) = run("muster", &["manual"], SOON).unwrap();
     assert_eq!(code, Some(0));
@@ -169,7 +169,7 @@ fn an_unreachable_fleet_is_reported_with_a_remedy_and_code_3() {
     assert_eq!(code, Some(3));
     assert!(err.contains("muster router"), "{err}");
     let folder = tempfile::tempdir().unwrap();
-    let _router = muster_tests::cluster::start_router(&endpoint, folder.path()).unwrap();
+    let _router = start_router(&endpoint, folder.path()).unwrap();
     for command in [&["teams"][..], &["audit"], &["graph"], &["set", "ingest"]] {
         let arguments = [command, &["--connect", &endpoint]].concat();
         let (code, _, err) = run("muster", &arguments, SOON).unwrap();
@@ -232,7 +232,7 @@ fn every_program_explains_itself_and_its_configuration() {
             "--print-config",
             "Exit codes",
         ] {
-            assert!(out.contains(flag), "{program} --help does not tell {flag}:\n{out}");
+            assert!(out.contains(flag), "{program} --help does not name {flag}:\n{out}");
         }
         assert!(out.contains("Examples:"), "{program}:\n{out}");
         assert_eq!(of(&["--check-config"]).0, Some(0));

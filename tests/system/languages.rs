@@ -131,7 +131,7 @@ async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
     assert_eq!(edges, BTreeSet::from(["\"r1\"\"r2\"".to_owned(), "\"s1\"\"s2\"".to_owned()]));
     let graph = client.get_one("graph/connectivity?format=json").await.unwrap();
     assert_eq!(graph["edges"].as_array().unwrap().len(), 2, "{graph}");
-    // Nothing that the programs said was refused.
+    // Nothing that the programs put was refused.
     assert!(!dashboard.output().contains("quarantined"), "{}", dashboard.output());
 
     // Neither goes back to an older message, whoever repeats it.
@@ -144,8 +144,8 @@ async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
     let team = json!({"id": "t99", "members": ["r1"], "leader": "r1"});
     let teams = with(json!({"teams": [team], "unassigned": [], "stale": []}));
     client.put("json/teams", &teams).await.unwrap();
-    let told = with(json!({"robot": "r1", "team": "t99", "members": ["r1"], "leader": "r1"}));
-    client.put("robot/r1/team", &told).await.unwrap();
+    let own = with(json!({"robot": "r1", "team": "t99", "members": ["r1"], "leader": "r1"}));
+    client.put("robot/r1/team", &own).await.unwrap();
 
     // A robot that goes away is missed, and a dashboard that comes late sees what is.
     robots.pop().unwrap().kill().unwrap();
@@ -213,7 +213,7 @@ async fn the_check_of_the_readme_accepts_what_is_right_and_names_what_is_wrong()
     let client = cluster.client().await.unwrap();
     let start = Instant::now();
     while client.get_one("schema").await.is_err() {
-        assert!(start.elapsed() < FORMED_WITHIN, "nobody answers for the schema");
+        assert!(start.elapsed() < FORMED_WITHIN, "no reply with the schema");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
     let path = written("check.py", cluster.folder());

@@ -26,7 +26,7 @@ const MAX_SECONDS: f64 = 1e9;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Robots of one scenario or file and seed belong together, however many processes they are \
-spread over with --only.\n\nExamples:\n  muster robot                                  18 robots that march\n  \
+spread over with --only.\n\nExamples:\n  muster robot                                  a fleet that marches\n  \
 muster robot --scenario clusters --teams 3 --robots 30\n  muster robot --scenario clusters --list\n  \
 muster robot --scenario clusters --only r3,r4   two of them; others in other processes\n  \
 muster robot --file tests/experiments/formations/platoon-wedge.json"

@@ -197,6 +197,17 @@ mod tests {
     }
 
     #[test]
+    fn the_documented_defaults_are_the_real_ones() {
+        let docs = [include_str!("lib.rs"), include_str!("config.rs")].concat();
+        let Config { stale_after, republish_every, .. } = Config::default();
+        let heartbeat_s = muster_model::settings::ClustererSettings::default().heartbeat_s;
+        let follow_s = 2.0 * stale_after.as_secs_f64() + heartbeat_s;
+        assert!(docs.contains(&format!("of `clusterer`, {follow_s} s by default")));
+        assert!(docs.contains(&format!("if no newer one arrives: {} s", stale_after.as_secs())));
+        assert!(docs.contains(&format!("are republished: {} s", republish_every.as_secs())));
+    }
+
+    #[test]
     fn the_environment_of_all_programs_is_read() {
         let config = Config::from_variables(&|name| match name {
             "MUSTER_FLEET" => Some("alpha".to_owned()),

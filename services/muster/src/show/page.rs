@@ -192,8 +192,7 @@ pub(crate) enum Age {
 pub(crate) fn age_line(now: Tick, publisher: &str, age: Age) -> Line {
     let (text, tone) = match age {
         Age::Waiting { linked: true } => {
-            let text = format!("waiting: {publisher} has published nothing yet");
-            (format!("{text}; see `muster status`"), Tone::Bad)
+            (format!("waiting for {publisher}; see `muster status`"), Tone::Plain)
         }
         Age::Waiting { linked: false } => {
             ("waiting: the link to the router is lost".to_owned(), Tone::Bad)
@@ -268,7 +267,7 @@ pub(crate) mod tests {
 
     #[test]
     fn colours_are_printed_only_where_they_are_wanted() {
-        let line = age_line(Tick(0), "clusterer", Age::Waiting { linked: true });
+        let line = age_line(Tick(0), "clusterer", Age::Waiting { linked: false });
         for colour in [false, true] {
             let page = Page { colour, ..Page::default() };
             let text = page.frame(std::slice::from_ref(&line), 0).text;
@@ -293,6 +292,7 @@ pub(crate) mod tests {
         ] {
             assert!(stale(why).starts_with(&format!("14:03:07 UTC  {words}")), "{}", stale(why));
         }
+        assert!(text(Age::Waiting { linked: true }).contains("waiting for clusterer"));
         assert!(text(Age::Waiting { linked: false }).contains("the link to the router is lost"));
     }
 }
