@@ -114,6 +114,34 @@ fn a_robot_takes_the_bus_and_nothing_of_our_programs() {
     }
 }
 
+#[test]
+fn the_console_talks_to_a_fleet_through_the_client_alone() {
+    // What runs services or a router, and the probe of a router that opens no session.
+    const WITH_A_BUS: [&str; 5] =
+        ["/up.rs", "/demo.rs", "/router.rs", "/doctor/mod.rs", "/doctor/findings/router.rs"];
+    const BUS: [&str; 5] = [
+        "muster_bus",
+        "muster_runtime::bus",
+        "muster_runtime::inbox",
+        "muster_runtime::outbox",
+        "muster_runtime::shell",
+    ];
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../services/muster/src");
+    let mut exempt = 0;
+    for (name, text) in sources(&root, "/deploy/") {
+        if WITH_A_BUS.iter().any(|file| name.ends_with(file)) {
+            exempt += usize::from(BUS.iter().any(|what| text.contains(what)));
+            continue;
+        }
+        for what in BUS {
+            assert!(!text.contains(what), "{name} speaks of {what}");
+        }
+    }
+    assert_eq!(exempt, WITH_A_BUS.len(), "each exemption is needed");
+    let probe = std::fs::read_to_string(root.join("doctor/mod.rs")).unwrap();
+    assert!(!probe.contains("Bus::open"), "the doctor opens no session of its own");
+}
+
 /// Every source file outside of a folder.
 fn sources(of: &Path, outside: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
