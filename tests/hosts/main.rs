@@ -14,9 +14,9 @@ use std::io::Write as _;
 use std::process::Command;
 use std::time::Duration;
 
-use muster_tests::hosts::course;
 use muster_tests::hosts::fault::{FAULTS, Fault};
 use muster_tests::hosts::lab::{self, Host, Lab};
+use muster_tests::hosts::run_plan;
 
 /// Says something past the test harness, which keeps back what a good test prints.
 #[allow(clippy::explicit_write, reason = "what eprintln prints is kept back")]
@@ -32,7 +32,7 @@ fn check(name: &str) {
         ));
         return;
     }
-    let measured = course::check(Fault::named(name).unwrap()).unwrap();
+    let measured = run_plan::check(Fault::named(name).unwrap()).unwrap();
     say(&measured.json().to_string());
 }
 

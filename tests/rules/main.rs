@@ -114,6 +114,34 @@ fn a_robot_takes_the_bus_and_nothing_of_our_programs() {
     }
 }
 
+#[test]
+fn the_console_talks_to_a_fleet_through_the_client_alone() {
+    // What runs services or a router, and the probe of a router that opens no session.
+    const WITH_A_BUS: [&str; 5] =
+        ["/up.rs", "/demo.rs", "/router.rs", "/doctor/mod.rs", "/doctor/findings/router.rs"];
+    const BUS: [&str; 5] = [
+        "muster_bus",
+        "muster_runtime::bus",
+        "muster_runtime::inbox",
+        "muster_runtime::outbox",
+        "muster_runtime::shell",
+    ];
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../services/muster/src");
+    let mut exempt = 0;
+    for (name, text) in sources(&root, "/deploy/") {
+        if WITH_A_BUS.iter().any(|file| name.ends_with(file)) {
+            exempt += usize::from(BUS.iter().any(|what| text.contains(what)));
+            continue;
+        }
+        for what in BUS {
+            assert!(!text.contains(what), "{name} speaks of {what}");
+        }
+    }
+    assert_eq!(exempt, WITH_A_BUS.len(), "each exemption is needed");
+    let probe = std::fs::read_to_string(root.join("doctor/mod.rs")).unwrap();
+    assert!(!probe.contains("Bus::open"), "the doctor opens no session of its own");
+}
+
 /// Every source file outside of a folder.
 fn sources(of: &Path, outside: &str) -> Vec<(String, String)> {
     let mut found = Vec::new();
@@ -146,21 +174,32 @@ fn each_foreign_crate_is_spoken_to_in_one_place() {
     }
 }
 
+/// Crates that run live, in the simulation and from a recording: `clippy.toml` says what they must not do.
+const PURE: [&str; 10] = [
+    "shared/machine",
+    "shared/model",
+    "shared/numeric",
+    "shared/relation",
+    "shared/scenario",
+    "shared/wire",
+    "services/auditor",
+    "services/clusterer",
+    "services/embedder",
+    "services/ingest",
+];
+
 #[test]
-fn nothing_that_a_core_is_made_of_reads_a_clock_or_starts_a_thread() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
-    let pure = ["model", "relation", "numeric", "wire", "machine"].map(|name| ("shared", name));
-    let cores = ["ingest", "embedder", "clusterer", "auditor"].map(|name| ("services", name));
-    for (folder, name) in pure.into_iter().chain(cores) {
-        for (file, text) in sources(&root.join(folder).join(name).join("src"), "/tests/") {
-            for what in ["Instant", "SystemTime", "std::thread", "rand::rng", "available_parallel"]
-            {
-                assert!(!text.contains(what), "{file} speaks of {what}");
-            }
-        }
+fn pure_crates_turn_on_the_lints_against_clocks_threads_and_unordered_iteration() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    for name in PURE {
+        let text = std::fs::read_to_string(root.join(name).join("src/lib.rs")).unwrap();
+        let lints = "#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]";
+        assert!(text.contains(lints), "{name}/src/lib.rs must have {lints}");
     }
-    let shell = sources(&root.join("shared/runtime/src"), "/tests/");
-    assert!(shell.iter().any(|(_, text)| text.contains("Instant")), "the look would see it");
+    let config = std::fs::read_to_string(root.join("clippy.toml")).unwrap();
+    for what in ["Instant", "SystemTime", "thread::spawn", "available_parallelism", "rand::rng"] {
+        assert!(config.contains(what), "clippy.toml must name {what}");
+    }
 }
 
 #[test]
@@ -177,4 +216,28 @@ fn the_robot_of_the_readme_is_the_one_that_is_compiled() {
         .map(|line| format!("{}\n", line.strip_prefix(' ').unwrap_or(line)))
         .collect();
     assert_eq!(block(&read("README.md"), "```rust\n"), block(&docs, "```no_run\n"));
+}
+
+/// A version such as `1.89` or `1.89.0` as numbers that compare.
+fn version(text: &str) -> Vec<u32> {
+    text.split('.').take(2).map(|number| number.parse().unwrap()).collect()
+}
+
+/// The lint `incompatible_msrv` looks at the standard library; this at the dependencies.
+#[test]
+fn no_dependency_needs_a_newer_rust_than_is_promised() {
+    let output = Command::new(env!("CARGO"))
+        .args(["metadata", "--locked", "--format-version", "1"])
+        .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let promised = version(env!("CARGO_PKG_RUST_VERSION"));
+    let packages = metadata["packages"].as_array().unwrap();
+    for package in packages {
+        let Some(needed) = package["rust_version"].as_str() else { continue };
+        assert!(version(needed) <= promised, "{} needs Rust {needed}", package["name"]);
+    }
+    assert!(packages.len() > 300, "{}", packages.len());
 }

@@ -40,7 +40,7 @@ struct Arrived {
 /// Which team each robot is in.
 pub type Division = BTreeMap<String, Option<String>>;
 
-/// The division that a message on `json/teams` tells.
+/// The division in a message on `json/teams`.
 #[must_use]
 pub fn division(teams: &Value) -> Division {
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();

@@ -13,7 +13,7 @@ pub mod client;
 pub mod cluster;
 pub mod hosts;
 pub mod latency;
-pub mod looks;
 pub mod manager;
 pub mod process;
+pub mod process_stats;
 pub mod simulation;

@@ -1,4 +1,4 @@
-//! A service manager to be told things by programs, as systemd is (`sd_notify`).
+//! A service manager that receives the notifications of programs, as systemd does (`sd_notify`).
 
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
@@ -17,8 +17,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 pub struct Manager {
     path: PathBuf,
     socket: UnixDatagram,
-    /// Every line that was told, in order.
-    pub told: Vec<String>,
+    /// Every line that was received, in order.
+    pub received: Vec<String>,
 }
 
 impl Manager {
@@ -30,10 +30,10 @@ impl Manager {
         let path = folder.join("notify.socket");
         let socket = UnixDatagram::bind(&path)?;
         socket.set_nonblocking(true)?;
-        Ok(Self { path, socket, told: Vec::new() })
+        Ok(Self { path, socket, received: Vec::new() })
     }
 
-    /// The environment of a program that tells this manager, and is watched.
+    /// The environment of a program that notifies this manager, with a watchdog.
     #[must_use]
     pub fn environment(&self, watchdog: Duration) -> Vec<(String, String)> {
         vec![
@@ -47,22 +47,22 @@ impl Manager {
         let mut note = [0; MAX_NOTE];
         while let Ok(length) = self.socket.recv(&mut note) {
             let text = String::from_utf8_lossy(&note[..length]).into_owned();
-            self.told.extend(text.lines().map(str::to_owned));
+            self.received.extend(text.lines().map(str::to_owned));
         }
     }
 
-    /// Waits until a line is told that holds a text.
+    /// Waits for a line that contains a text.
     ///
     /// # Errors
-    /// If none is in time; the error holds all that was told.
+    /// If none arrives in time; the error lists all lines.
     pub fn until(&mut self, text: &str, within: Duration) -> anyhow::Result<()> {
         let start = Instant::now();
         loop {
             self.take();
-            if self.told.iter().any(|line| line.contains(text)) {
+            if self.received.iter().any(|line| line.contains(text)) {
                 return Ok(());
             }
-            ensure!(start.elapsed() < within, "{text} is not told; told is {:?}", self.told);
+            ensure!(start.elapsed() < within, "{text} was not received, only {:?}", self.received);
             std::thread::sleep(LOOK_EVERY);
         }
     }
@@ -80,6 +80,6 @@ impl Manager {
     }
 
     fn fed(&self) -> usize {
-        self.told.iter().filter(|line| *line == "WATCHDOG=1").count()
+        self.received.iter().filter(|line| *line == "WATCHDOG=1").count()
     }
 }

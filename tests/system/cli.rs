@@ -1,14 +1,25 @@
 //! What an operator types, and what comes back.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use muster_tests::cluster::{Cluster, SERVICES, free_endpoint};
+use muster_model::header::{Header, Revision};
+use muster_model::id::{FleetId, RobotId, TeamId};
+use muster_model::teams::{Member, Team, Teams};
+use muster_model::time::Tick;
+use muster_tests::client::Client;
+use muster_tests::cluster::{Cluster, SERVICES, free_endpoint, start_router};
 use muster_tests::process::{Process, run};
+use muster_wire::{Message, Outbound};
 use serde_json::Value;
 
 use crate::pipeline::{formed, truth};
 
 const SOON: Duration = Duration::from_secs(20);
+
+/// When services that restarted with lower terms are followed, by the documentation of the client: twice
+/// `stale_after` and one heartbeat.
+pub(crate) const FOLLOWED_WITHIN: Duration = Duration::from_secs(11);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_console_shows_the_live_fleet() {
@@ -64,14 +75,101 @@ async fn the_console_shows_the_live_fleet() {
     assert_eq!(watch.wait(Duration::from_secs(5)).unwrap().code(), Some(0));
 }
 
+/// A division of one robot in one team, as a clusterer publishes it.
+fn division(term: u64, epoch: u64, team: u64) -> Outbound {
+    let robot = RobotId::new("r1").unwrap();
+    let team = Team {
+        id: TeamId::numbered(team),
+        members: vec![Member { robot: robot.clone(), margin: 1.0 }],
+        leader: robot,
+        centroid: vec![0.0],
+    };
+    let header = Header {
+        fleet: FleetId::new("alpha").unwrap(),
+        revision: Revision { term, epoch },
+        oldest: None,
+        newest: None,
+        stages: vec![],
+    };
+    let teams = Teams {
+        header,
+        embedding: Revision::default(),
+        requested: 1,
+        teams: vec![team],
+        unassigned: vec![],
+        stale: vec![],
+        inertia: 0.0,
+        changes: vec![],
+        next_team: 99,
+    };
+    let message = Message::Teams { teams: Arc::new(teams), mirror: false };
+    message.publish(Tick(0)).unwrap().swap_remove(0)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_watch_follows_services_that_restarted_with_lower_terms() {
+    let endpoint = free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let mut router = start_router(&endpoint, folder.path()).unwrap();
+    let arguments = ["teams", "--watch", "--fleet", "alpha", "--connect", &endpoint];
+    let watch = Process::start("muster", &arguments, &[], folder.path()).unwrap();
+    let client = Client::connect(&endpoint, "alpha").await.unwrap();
+    // The outputs of a clusterer, without one.
+    let shown_within = async |term: u64, team: u64, limit: Duration| {
+        let (start, mut epoch, row) = (Instant::now(), 0, format!("│ t{team} "));
+        while !watch.output().contains(&row) {
+            assert!(start.elapsed() < limit, "t{team}: {}", watch.output());
+            epoch += 1;
+            let Outbound { payload, encoding, .. } = division(term, epoch, team);
+            client.put_bytes("teams", payload, &encoding).await.unwrap();
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+        start.elapsed()
+    };
+    shown_within(7, 7, SOON).await;
+    let took = shown_within(1, 1, FOLLOWED_WITHIN + SOON).await;
+    eprintln!("followed after {took:?}");
+    assert!(took > Duration::from_secs(5), "the newest division was fresh: {took:?}");
+    let printed = async |words: &str| {
+        let start = Instant::now();
+        while !watch.output().contains(words) {
+            assert!(start.elapsed() < SOON, "{words}: {}", watch.output());
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    printed("clusterer is silent").await;
+    printed("clusterer started again with lower terms").await;
+    router.kill().unwrap();
+    printed("the link to the router is lost").await;
+    assert!(!watch.output().contains('\u{1b}'), "no escape codes in a pipe: {}", watch.output());
+}
+
 #[test]
-fn nobody_home_is_told_with_a_remedy_and_code_3() {
+fn the_program_describes_itself_to_shells_and_manuals() {
+    for shell in ["bash", "zsh", "fish"] {
+        let (code, out, err) = run("muster", &["completions", shell], SOON).unwrap();
+        assert_eq!(code, Some(0), "{err}");
+        assert!(out.contains("replay-core") && out.contains("connect"), "{shell}:\n{out}");
+    }
+    let (code, page, _) = run("muster", &["manual"], SOON).unwrap();
+    assert_eq!(code, Some(0));
+    assert!(page.contains(".TH") && page.contains("teams"), "{page}");
+    let (code, page, _) = run("muster", &["manual", "teams"], SOON).unwrap();
+    assert_eq!(code, Some(0));
+    assert!(page.contains("muster\\-teams") && page.contains("watch"), "{page}");
+    let (code, _, err) = run("muster", &["manual", "tems"], SOON).unwrap();
+    assert_eq!(code, Some(2));
+    assert!(err.contains("teams"), "{err}");
+}
+
+#[test]
+fn an_unreachable_fleet_is_reported_with_a_remedy_and_code_3() {
     let endpoint = free_endpoint().unwrap();
     let (code, _, err) = run("muster", &["teams", "--connect", &endpoint], SOON).unwrap();
     assert_eq!(code, Some(3));
     assert!(err.contains("muster router"), "{err}");
     let folder = tempfile::tempdir().unwrap();
-    let _router = muster_tests::cluster::start_router(&endpoint, folder.path()).unwrap();
+    let _router = start_router(&endpoint, folder.path()).unwrap();
     for command in [&["teams"][..], &["audit"], &["graph"], &["set", "ingest"]] {
         let arguments = [command, &["--connect", &endpoint]].concat();
         let (code, _, err) = run("muster", &arguments, SOON).unwrap();
@@ -134,7 +232,7 @@ fn every_program_explains_itself_and_its_configuration() {
             "--print-config",
             "Exit codes",
         ] {
-            assert!(out.contains(flag), "{program} --help does not tell {flag}:\n{out}");
+            assert!(out.contains(flag), "{program} --help does not name {flag}:\n{out}");
         }
         assert!(out.contains("Examples:"), "{program}:\n{out}");
         assert_eq!(of(&["--check-config"]).0, Some(0));
@@ -220,6 +318,8 @@ fn every_command_has_examples() {
         "solve",
         "replay-core",
         "deploy",
+        "completions",
+        "manual",
     ] {
         let (code, out, _) = run("muster", &[command, "--help"], SOON).unwrap();
         assert_eq!(code, Some(0));

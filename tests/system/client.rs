@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use futures_util::StreamExt as _;
 use muster_client::model::audit::Verdict;
 use muster_client::model::event::EventKind;
-use muster_client::model::id::ServiceName;
+use muster_client::model::id::{RobotId, ServiceName};
 use muster_client::model::observation::Rank;
 use muster_client::model::teams::RobotTeam;
 use muster_client::{
-    Client, Config, Error, Events, Format, Latest, Pose, Report, Robot, Staleness, Watch,
+    Change, Client, Config, Error, Events, Format, Latest, Pose, Report, Robot, Staleness, Watch,
 };
 use muster_tests::client::division;
 use muster_tests::cluster::{Cluster, free_endpoint, start_router};
@@ -21,11 +22,11 @@ use tokio::time::{sleep, timeout};
 
 use crate::pipeline::FORMED_WITHIN;
 
-/// When a robot counts what it was told as stale in these tests.
+/// When the newest team of a robot is stale in these tests.
 const STALE_AFTER: Duration = Duration::from_secs(4);
 
-/// How soon a robot is told anew by services that live, on a busy machine.
-const TOLD_WITHIN: Duration = Duration::from_secs(10);
+/// How soon a message of a running service arrives, on a busy machine.
+const RECEIVED_WITHIN: Duration = Duration::from_secs(10);
 
 /// Two groups of three, far apart.
 const PLACES: [(&str, f64); 6] =
@@ -35,9 +36,9 @@ fn config(cluster: &Cluster) -> Config {
     Config {
         fleet: cluster.fleet.clone(),
         routers: vec![cluster.endpoint.clone()],
-        patience: Some(Duration::from_secs(10)),
+        connect_timeout: Some(Duration::from_secs(10)),
         stale_after: STALE_AFTER,
-        repeat_every: Duration::from_secs(2),
+        republish_every: Duration::from_secs(2),
         ..Config::default()
     }
 }
@@ -74,7 +75,7 @@ async fn drive(client: &Client, without: &str) -> Driving {
     Driving { robots, driver }
 }
 
-/// Waits for what a robot is told to be right, and says how long that took.
+/// Waits until the team of a robot is right, and returns how long that took.
 async fn until(
     team: &mut Watch<RobotTeam>,
     within: Duration,
@@ -99,17 +100,17 @@ async fn until(
     }
 }
 
-fn members(told: &RobotTeam) -> Vec<&str> {
-    told.members.iter().flatten().map(|member| member.as_str()).collect()
+fn members(team: &RobotTeam) -> Vec<&str> {
+    team.members.iter().flatten().map(|member| member.as_str()).collect()
 }
 
 fn with_group(group: &'static [&'static str]) -> impl Fn(&Latest<RobotTeam>) -> bool {
-    move |told| members(told) == group && !told.is_stale()
+    move |latest| members(latest) == group && !latest.is_stale()
 }
 
 async fn event(events: &mut Events, what: &str, right: impl Fn(&EventKind) -> bool) {
     let waiting = async { while !right(&events.next().await.unwrap().kind) {} };
-    timeout(TOLD_WITHIN, waiting).await.unwrap_or_else(|_| panic!("no event tells: {what}"));
+    timeout(RECEIVED_WITHIN, waiting).await.unwrap_or_else(|_| panic!("no such event: {what}"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -131,14 +132,14 @@ async fn a_robot_in_ten_lines_gets_its_team_and_consoles_see_it() {
         }
     };
     let right = with_group(&["b1", "b2", "b3"]);
-    let (told, took) = tokio::select! {
-        told = until(&mut team, FORMED_WITHIN, "b2 is told its group", right) => told,
+    let (latest, took) = tokio::select! {
+        formed = until(&mut team, FORMED_WITHIN, "b2 is in its group", right) => formed,
         () = moving => unreachable!(),
     };
-    eprintln!("told after {took:?}");
-    assert_eq!(told.robot.as_str(), "b2");
-    // It alone tells of orders and links, which sets it apart from the others of its group a little.
-    assert!(told.confidence > 0.25, "{}", told.confidence);
+    eprintln!("formed after {took:?}");
+    assert_eq!(latest.robot.as_str(), "b2");
+    // It alone reports rank and links, which sets it apart from the others of its group a little.
+    assert!(latest.confidence > 0.25, "{}", latest.confidence);
     assert!(team.data_age_s().unwrap() < 30.0);
     event(
         &mut events,
@@ -158,19 +159,22 @@ async fn a_robot_in_ten_lines_gets_its_team_and_consoles_see_it() {
         let graph = outside.get_one(&format!("graph/{modality}?format=json")).await.unwrap();
         assert_eq!(graph["edges"], edges, "{modality}");
     }
-    // A late console hears of it at once, without a change.
+    // A late console receives it at once, without a change.
     let late = Client::open(&config(&cluster)).await.unwrap();
     let mut teams = late.teams().await.unwrap();
-    let division = timeout(TOLD_WITHIN, teams.changed()).await.unwrap().unwrap();
+    let division = timeout(RECEIVED_WITHIN, teams.changed()).await.unwrap().unwrap();
     assert_eq!(division.teams.len(), 2);
     assert!(!division.is_stale());
     let mut audits = late.audits().await.unwrap();
     let judged = async { while audits.changed().await.unwrap().verdict == Verdict::Undefined {} };
-    timeout(TOLD_WITHIN, judged).await.expect("an audit with a verdict");
-    let settings = late.settings(ServiceName::Clusterer).await.unwrap();
+    timeout(RECEIVED_WITHIN, judged).await.expect("an audit with a verdict");
+    let settings = late.get_settings(ServiceName::Clusterer).await.unwrap();
     assert_eq!(settings["teams"], 2);
     late.close().await;
-    assert!(matches!(teams.changed().await, Err(Error::Closed)), "what is closed says so");
+    assert!(
+        matches!(teams.changed().await, Err(Error::Closed)),
+        "a closed client ends its watches"
+    );
     drop(others);
 }
 
@@ -185,7 +189,7 @@ async fn the_examples_run_as_they_are_shown() {
     let places = [["a1", "0"], ["a2", "5"], ["b1", "90"], ["b2", "95"]];
     let mut robots: Vec<_> =
         places.iter().map(|[name, x]| start("examples/robot", &[*name, *x, "0"])).collect();
-    // The console asks for the settings once, and says so where nobody holds the role yet.
+    // The console asks for the settings once, and fails where no instance leads yet.
     let outside = cluster.client().await.unwrap();
     let began = Instant::now();
     while outside.get_one("service/clusterer/settings").await.is_err() {
@@ -201,16 +205,16 @@ async fn the_examples_run_as_they_are_shown() {
         && shown(&robots[3], &["led by", "b1 b2"])
         && shown(&console, &["settings of clusterer", "\"teams\":2", "led by", "verdict: Good"]))
     {
-        let said = (robots[0].output(), robots[3].output(), console.output());
-        assert!(began.elapsed() < FORMED_WITHIN, "{said:?}");
+        let printed = (robots[0].output(), robots[3].output(), console.output());
+        assert!(began.elapsed() < FORMED_WITHIN, "{printed:?}");
         sleep(Duration::from_millis(50)).await;
     }
     // Ctrl-C is a goodbye.
     robots[3].signal("INT").unwrap();
-    assert_eq!(robots[3].wait(TOLD_WITHIN).unwrap().code(), Some(0));
+    assert_eq!(robots[3].wait(RECEIVED_WITHIN).unwrap().code(), Some(0));
     for wrong in [&["R 1"][..], &["r1", "x", "y"], &["--help"]] {
         let mut process = start("examples/robot", wrong);
-        assert_ne!(process.wait(TOLD_WITHIN).unwrap().code(), Some(0));
+        assert_ne!(process.wait(RECEIVED_WITHIN).unwrap().code(), Some(0));
         assert!(shown(&process, &["usage"]) || shown(&process, &["error: robot: "]));
     }
 }
@@ -225,26 +229,26 @@ async fn a_robot_that_loses_its_router_keeps_its_team_and_marks_it_stale() {
     let mut team = robot.team();
     let group = ["a1", "a2", "a3"];
     let right = with_group(&["a1", "a2", "a3"]);
-    let (before, _) = until(&mut team, FORMED_WITHIN, "a2 is told its group", &right).await;
+    let (before, _) = until(&mut team, FORMED_WITHIN, "a2 is in its group", &right).await;
 
     cluster.kill_router().unwrap();
-    let lost = |told: &Latest<RobotTeam>| told.stale == Some(Staleness::LinkLost);
+    let lost = |latest: &Latest<RobotTeam>| latest.stale == Some(Staleness::LinkLost);
     let (kept, took) = until(&mut team, Duration::from_secs(5), "stale", lost).await;
     eprintln!("stale {took:?} after the router was killed");
     assert_eq!((members(&kept), &kept.team), (group.to_vec(), &before.team));
-    // The robot goes on: it says what it wants, and nobody waits for the bus.
+    // The robot continues: it puts what it wants, and never waits for the bus.
     let start = Instant::now();
     for _ in 0..10_000 {
         robot.put_pose(Pose::at(3.0, 0.0)).unwrap();
     }
     assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
     sleep(Duration::from_secs(3)).await;
-    assert!(team.latest().is_some_and(|told| lost(&told) && members(&told) == group));
+    assert!(team.latest().is_some_and(|latest| lost(&latest) && members(&latest) == group));
 
-    // What it says once while nobody can hear it is said again, and heard then.
+    // A report that it puts once while the link is lost is republished, and received then.
     robot.put_rank(Some("a3")).unwrap();
     // So is a robot that joins meanwhile.
-    let _late = timeout(TOLD_WITHIN, client.join("late")).await.unwrap().unwrap();
+    let _late = timeout(RECEIVED_WITHIN, client.join("late")).await.unwrap().unwrap();
     sleep(Duration::from_millis(500)).await;
     let back = Instant::now();
     cluster.restart_router().unwrap();
@@ -256,7 +260,7 @@ async fn a_robot_that_loses_its_router_keeps_its_team_and_marks_it_stale() {
     answers_to(&outside, "a3").await;
     let teams = outside.watch("json/teams").await.unwrap();
     let joined = |value: &Value| division(value).contains_key("late");
-    teams.until("the late robot is known", TOLD_WITHIN, joined).await.unwrap();
+    teams.until("the late robot is known", RECEIVED_WITHIN, joined).await.unwrap();
 
     // The same when the link is there and only the service is not.
     cluster.service("ingest").unwrap().kill().unwrap();
@@ -274,7 +278,7 @@ async fn answers_to(outside: &muster_tests::client::Client, superior: &str) {
         if graph["edges"] == json!([[superior, "a2", 1.0]]) {
             break;
         }
-        assert!(start.elapsed() < TOLD_WITHIN, "a2 answers to {superior}: {graph}");
+        assert!(start.elapsed() < RECEIVED_WITHIN, "a2 answers to {superior}: {graph}");
         sleep(Duration::from_millis(100)).await;
     }
     eprintln!("known after {:?}", start.elapsed());
@@ -288,7 +292,7 @@ async fn a_clusterer_that_dies_leaves_teams_that_turn_stale_and_fresh() {
     let mut team = fleet.robots["b3"].team();
     let mut teams = client.teams().await.unwrap();
     let right = with_group(&["b1", "b2", "b3"]);
-    let (before, _) = until(&mut team, FORMED_WITHIN, "b3 is told its group", &right).await;
+    let (before, _) = until(&mut team, FORMED_WITHIN, "b3 is in its group", &right).await;
     // Services that live say so for longer than makes a team stale.
     let quiet = async {
         loop {
@@ -298,16 +302,16 @@ async fn a_clusterer_that_dies_leaves_teams_that_turn_stale_and_fresh() {
     let _ = timeout(2 * STALE_AFTER, quiet).await;
 
     cluster.service("clusterer").unwrap().kill().unwrap();
-    let silent = |told: &Latest<RobotTeam>| told.stale == Some(Staleness::Silent);
+    let silent = |latest: &Latest<RobotTeam>| latest.stale == Some(Staleness::Silent);
     let (kept, took) = until(&mut team, 3 * STALE_AFTER, "stale", silent).await;
     eprintln!("stale {took:?} after the clusterer was killed");
     assert!(took > STALE_AFTER / 2, "{took:?}");
     assert_eq!((members(&kept), &kept.team), (members(&before), &before.team));
     let division = async { while !teams.changed().await.unwrap().is_stale() {} };
     timeout(STALE_AFTER, division).await.expect("a console sees it as well");
-    // Others answer in its place with what they heard last: that freshens nothing.
+    // Caches answer in its place with the last message: that freshens nothing.
     sleep(STALE_AFTER).await;
-    assert!(team.latest().is_some_and(|told| silent(&told)));
+    assert!(team.latest().is_some_and(|latest| silent(&latest)));
 
     let back = Instant::now();
     cluster.start_service("clusterer").unwrap();
@@ -318,7 +322,7 @@ async fn a_clusterer_that_dies_leaves_teams_that_turn_stale_and_fresh() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_robot_is_told_is_checked() {
+async fn what_a_robot_receives_is_checked() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let _router = start_router(&endpoint, folder.path()).unwrap();
@@ -326,22 +330,22 @@ async fn what_a_robot_is_told_is_checked() {
     let robot = Robot::join(&config, "r1").await.unwrap();
     let mut team = robot.team();
     let outside = muster_tests::client::Client::connect(&endpoint, "default").await.unwrap();
-    let word = |term: u64, epoch: u64, team: &str| {
+    let message = |term: u64, epoch: u64, team: &str| {
         json!({
             "fleet": "default", "term": term, "epoch": epoch, "data_age_s": 0.5, "stages": [],
             "robot": "r1", "team": team, "members": ["r1"], "leader": "r1", "confidence": 1.0,
         })
     };
-    let tell = async |value: &Value| outside.put("robot/r1/team", value).await.unwrap();
+    let publish = async |value: &Value| outside.put("robot/r1/team", value).await.unwrap();
     let start = Instant::now();
-    // The subscription may be under way when the first word is put.
+    // The subscription may be under way when the first message is put.
     while team.latest().is_none() {
-        assert!(start.elapsed() < TOLD_WITHIN);
-        tell(&word(2, 5, "t1")).await;
+        assert!(start.elapsed() < RECEIVED_WITHIN);
+        publish(&message(2, 5, "t1")).await;
         sleep(Duration::from_millis(100)).await;
     }
     assert_eq!(team.changed().await.unwrap().team.as_ref().unwrap().as_str(), "t1");
-    let mut strange = vec![word(2, 4, "t9"), word(1, 99, "t9"), word(u64::MAX, 1, "t9")];
+    let mut strange = vec![message(2, 4, "t9"), message(1, 99, "t9"), message(u64::MAX, 1, "t9")];
     for (field, value) in [
         ("robot", json!("r2")),
         ("fleet", json!("beta")),
@@ -349,19 +353,19 @@ async fn what_a_robot_is_told_is_checked() {
         ("members", json!(["r2"])),
         ("epoch", json!(-1)),
     ] {
-        let mut wrong = word(3, 1, "t9");
+        let mut wrong = message(3, 1, "t9");
         wrong[field] = value;
         strange.push(wrong);
     }
     for value in &strange {
-        tell(value).await;
+        publish(value).await;
     }
     outside
         .put_bytes("robot/r1/team", vec![0xB7; 1 << 20], "application/octet-stream")
         .await
         .unwrap();
-    tell(&word(2, 6, "t2")).await;
-    let next = timeout(TOLD_WITHIN, team.changed()).await.unwrap().unwrap();
+    publish(&message(2, 6, "t2")).await;
+    let next = timeout(RECEIVED_WITHIN, team.changed()).await.unwrap().unwrap();
     assert_eq!(next.team.as_ref().unwrap().as_str(), "t2", "only what is newer and right counts");
 }
 
@@ -372,7 +376,7 @@ async fn bad_input_is_refused_by_name_before_it_goes_out() {
     let _router = start_router(&endpoint, folder.path()).unwrap();
     let config = Config { routers: vec![endpoint.clone()], ..Config::default() };
     let outside = muster_tests::client::Client::connect(&endpoint, "default").await.unwrap();
-    let heard = outside.watch("robot/**").await.unwrap();
+    let received = outside.watch("robot/**").await.unwrap();
     let robot = Robot::join(&config, "r1").await.unwrap();
     let role = Some("x".repeat(65));
     let wrong: [(&str, Result<(), Error>); 8] = [
@@ -395,8 +399,8 @@ async fn bad_input_is_refused_by_name_before_it_goes_out() {
     }
     robot.put_pose(Pose { heading: Some(0.5), ..Pose::at(1.0, 2.0) }).unwrap();
     let right = |value: &Value| value["x"] == 1.0 && value["seq"] == 1 && value["boot"].is_string();
-    heard.until("the good pose", TOLD_WITHIN, right).await.unwrap();
-    assert_eq!(heard.all().len(), 1, "nothing else went out: {:?}", heard.all());
+    received.until("the good pose", RECEIVED_WITHIN, right).await.unwrap();
+    assert_eq!(received.all().len(), 1, "nothing else went out: {:?}", received.all());
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -417,10 +421,10 @@ async fn a_robot_that_leaves_is_gone_and_may_come_back() {
             }
         };
         tokio::select! {
-            _ = until(&mut team, FORMED_WITHIN, "a3 is told its group", right) => {}
+            _ = until(&mut team, FORMED_WITHIN, "a3 is in its group", right) => {}
             () = moving => unreachable!(),
         }
-        // Once it says goodbye, once it is only let go.
+        // Once it leaves, once it is only dropped.
         if round == 0 {
             robot.leave().await;
         } else {
@@ -429,7 +433,7 @@ async fn a_robot_that_leaves_is_gone_and_may_come_back() {
         assert!(matches!(team.changed().await, Err(Error::Closed)));
         teams.clear();
         let without = |value: &Value| !division(value).contains_key("a3");
-        teams.until("teams without a3", TOLD_WITHIN, without).await.unwrap();
+        teams.until("teams without a3", RECEIVED_WITHIN, without).await.unwrap();
     }
     assert_eq!(fleet.robots.len(), 5);
 }
@@ -447,18 +451,18 @@ async fn two_robots_of_one_id_are_told_apart() {
     let second = Robot::join(&config, "r1").await.unwrap_err();
     assert!(matches!(second, Error::Taken { .. }), "{second}");
     assert!(second.to_string().contains("id of its own"), "{second}");
-    assert!(start.elapsed() < TOLD_WITHIN, "{:?}", start.elapsed());
+    assert!(start.elapsed() < RECEIVED_WITHIN, "{:?}", start.elapsed());
     // The first one is none the worse, and another fleet is another matter.
     first.put_pose(Pose::at(0.0, 0.0)).unwrap();
     let elsewhere = Config { fleet: "beta".to_owned(), ..config.clone() };
     Robot::join(&elsewhere, "r1").await.unwrap().leave().await;
     assert!(!first.is_contested());
 
-    // Somebody who looks for no token speaks all the same.
+    // A process that looks for no token puts poses all the same.
     let outside = muster_tests::client::Client::connect(&endpoint, "default").await.unwrap();
     let start = Instant::now();
     while !first.is_contested() {
-        assert!(start.elapsed() < TOLD_WITHIN);
+        assert!(start.elapsed() < RECEIVED_WITHIN);
         outside.put("robot/r1/pose", &json!({"x": 9.0, "y": 9.0})).await.unwrap();
         sleep(Duration::from_millis(100)).await;
     }
@@ -470,7 +474,7 @@ async fn two_robots_of_one_id_are_told_apart() {
         Process::start("examples/robot", &["r1"], &environment, folder.path()).unwrap();
     let start = Instant::now();
     while !killed.output().contains("r1 has joined") {
-        assert!(killed.is_running().unwrap() && start.elapsed() < TOLD_WITHIN);
+        assert!(killed.is_running().unwrap() && start.elapsed() < RECEIVED_WITHIN);
         sleep(Duration::from_millis(20)).await;
     }
     killed.kill().unwrap();
@@ -483,23 +487,23 @@ async fn two_robots_of_one_id_are_told_apart() {
 async fn a_robot_waits_for_its_router_as_long_as_it_is_told() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let patience = Some(Duration::from_millis(500));
-    let hasty = Config { routers: vec![endpoint.clone()], patience, ..Config::default() };
+    let connect_timeout = Some(Duration::from_millis(500));
+    let hasty = Config { routers: vec![endpoint.clone()], connect_timeout, ..Config::default() };
     let start = Instant::now();
     let error = Robot::join(&hasty, "r1").await.unwrap_err();
     assert!(matches!(error, Error::Unreachable { .. }), "{error}");
     assert!(error.to_string().contains(&endpoint), "{error}");
-    assert!(start.elapsed() < TOLD_WITHIN);
-    let patient = Config { patience: None, format: Format::Binary, ..hasty };
+    assert!(start.elapsed() < RECEIVED_WITHIN);
+    let patient = Config { connect_timeout: None, format: Format::Binary, ..hasty };
     let joining = tokio::spawn(async move { Robot::join(&patient, "r1").await });
     sleep(Duration::from_secs(1)).await;
     assert!(!joining.is_finished());
     let mut router = start_router(&endpoint, folder.path()).unwrap();
-    let robot = timeout(TOLD_WITHIN, joining).await.unwrap().unwrap().unwrap();
+    let robot = timeout(RECEIVED_WITHIN, joining).await.unwrap().unwrap().unwrap();
     robot.put_pose(Pose::at(0.0, 0.0)).unwrap();
     // Nor does a robot wait for one that is gone as it leaves.
     router.kill().unwrap();
-    timeout(TOLD_WITHIN, robot.leave()).await.unwrap();
+    timeout(RECEIVED_WITHIN, robot.leave()).await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -518,14 +522,14 @@ async fn what_zenoh_can_do_is_a_matter_of_its_own_configuration() {
     let mut router = Process::start("muster", &arguments, &[], folder.path()).unwrap();
     let start = Instant::now();
     while !router.output().contains("router listens at") {
-        assert!(router.is_running().unwrap() && start.elapsed() < TOLD_WITHIN);
+        assert!(router.is_running().unwrap() && start.elapsed() < RECEIVED_WITHIN);
         sleep(Duration::from_millis(20)).await;
     }
     let config = |password: &str| {
         let inside = format!("user: 'r1', password: '{password}'");
         Config {
             routers: vec![endpoint.clone()],
-            patience: Some(Duration::from_secs(3)),
+            connect_timeout: Some(Duration::from_secs(3)),
             zenoh_config: Some(file(&format!("{password}.json5"), auth(inside))),
             ..Config::default()
         }
@@ -543,4 +547,54 @@ async fn what_zenoh_can_do_is_a_matter_of_its_own_configuration() {
 async fn a_runtime_with_one_thread_gets_an_error_instead_of_a_panic() {
     let error = Robot::join(&Config::default(), "r1").await.unwrap_err();
     assert!(matches!(error, Error::Runtime) && error.to_string().contains("multi_thread"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_on_the_callers_session_leaves_it_open() {
+    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let outside = cluster.client().await.unwrap();
+    let config = Config { fleet: cluster.fleet.clone(), ..Config::default() };
+    let client = Client::on_session(outside.session().clone(), &config).await.unwrap();
+    let [one, other] = ["r1", "r2"].map(|name| RobotId::new(name).unwrap());
+    let robots = [client.join("r1").await.unwrap(), client.join("r2").await.unwrap()];
+    let mut changes = client.changes().await.unwrap();
+    let teams = async {
+        loop {
+            for (robot, x) in robots.iter().zip([0.0, 3.0]) {
+                robot.put_pose(Pose::at(x, 0.0)).unwrap();
+            }
+            let next = timeout(Duration::from_millis(200), changes.next()).await;
+            if let Ok(Some(Change::Teams(teams))) = next
+                && teams.assignments().count() == 2
+            {
+                return teams;
+            }
+        }
+    };
+    let teams = timeout(FORMED_WITHIN, teams).await.expect("a division of both");
+    assert!(!teams.is_stale());
+
+    // What a console asks for once.
+    assert_eq!(client.get_joined_robots().await.unwrap(), [one.clone(), other.clone()].into());
+    assert_eq!(client.get_teams().await.unwrap().assignments().count(), 2);
+    assert_eq!(client.get_roster().await.unwrap().robots.len(), 2);
+    assert_eq!(client.get_graphs(None).await.unwrap().len(), 3);
+    let statuses = client.get_statuses(None).await.unwrap();
+    assert_eq!((statuses.len(), client.get_instances().await.unwrap().len()), (4, 4));
+    assert!(client.get_similarity(&one, &other).await.unwrap().similarity > 0.0);
+    let stranger = RobotId::new("stranger").unwrap();
+    let refused = client.get_similarity(&one, &stranger).await.unwrap_err();
+    assert!(matches!(refused, Error::Refused { service: ServiceName::Embedder, .. }), "{refused}");
+    let settings = client.change_settings(ServiceName::Clusterer, &json!({"teams": 1})).await;
+    assert_eq!(settings.unwrap()["teams"], 1);
+    let refused = client.change_settings(ServiceName::Clusterer, &json!({"teams": 0})).await;
+    assert!(matches!(refused, Err(Error::Refused { .. })), "{refused:?}");
+
+    // The session of the caller outlives the client.
+    let mut team = robots[0].team();
+    client.close().await;
+    let closed = async { while team.changed().await.is_ok() {} };
+    timeout(RECEIVED_WITHIN, closed).await.expect("a closed client ends its watches");
+    assert!(matches!(robots[0].put_pose(Pose::at(0.0, 0.0)), Err(Error::Closed)));
+    assert!(outside.get_one("teams?format=json").await.is_ok(), "the session is open");
 }

@@ -46,7 +46,7 @@ fn until_well(cluster: &Cluster) {
     }
 }
 
-/// Looks until something is found, and checks that the finding says what to do.
+/// Looks until something is found, and checks that the finding has a remedy.
 fn until_found(cluster: &Cluster, id: &str, remedy: &str) -> Value {
     until_found_when(cluster, id, remedy, |_| true)
 }
@@ -66,8 +66,8 @@ fn until_found_when(
             assert_eq!(report["healthy"], false);
             assert!(matches!(finding["severity"].as_str(), Some("error" | "warning")), "{finding}");
             assert!(!finding["seen"].as_str().unwrap().is_empty());
-            let says = finding["remedy"].as_str().unwrap();
-            assert!(says.contains(remedy), "{id}: {says}");
+            let text = finding["remedy"].as_str().unwrap();
+            assert!(text.contains(remedy), "{id}: {text}");
             return report;
         }
         assert!(start.elapsed() < SOON, "{id} is not found: {report:#}");
@@ -83,7 +83,7 @@ fn now() -> f64 {
 }
 
 #[test]
-fn no_router_is_told_by_what_answers_instead() {
+fn no_router_is_reported_with_what_answers_instead() {
     let problem = |endpoint: &str| {
         let (code, report) = look(endpoint, "alpha", "1");
         assert_eq!(code, 3, "{report}");
@@ -104,16 +104,16 @@ fn no_router_is_told_by_what_answers_instead() {
     assert!(remedy.contains("muster router"), "{remedy}");
     let (answer, ..) = problem("tcp/no-such-host.invalid:7447");
     assert_eq!(answer, "unknown_host");
-    // Something that talks first, something that answers, and something that never says a word.
-    for (says, expected) in [(Some("SSH-2.0-OpenSSH\r\n"), "SSH-2.0"), (None, "says nothing")] {
+    // Something that sends first, something that answers, and something that never sends.
+    for (sends, expected) in [(Some("SSH-2.0-OpenSSH\r\n"), "SSH-2.0"), (None, "sends nothing")] {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let endpoint = format!("tcp/{}", listener.local_addr().unwrap());
         std::thread::spawn(move || {
             let mut kept = Vec::new();
             for stream in listener.incoming() {
                 let mut stream = stream.unwrap();
-                if let Some(says) = says {
-                    let _ = stream.write_all(says.as_bytes());
+                if let Some(sends) = sends {
+                    let _ = stream.write_all(sends.as_bytes());
                 }
                 kept.push(stream);
             }
@@ -122,7 +122,7 @@ fn no_router_is_told_by_what_answers_instead() {
         assert_eq!(answer, "foreign");
         assert!(seen.contains(expected) && remedy.contains("port"), "{seen} {remedy}");
     }
-    // The control: a router, and nobody else.
+    // The control: a router, and nothing else.
     let folder = tempfile::tempdir().unwrap();
     let _router = start_router(&free, folder.path()).unwrap();
     let (code, report) = look(&free, "alpha", "1");
@@ -131,7 +131,7 @@ fn no_router_is_told_by_what_answers_instead() {
     let missing = report["findings"].as_array().unwrap();
     assert_eq!(missing.len(), 4, "{report}");
     assert!(missing.iter().all(|finding| finding["id"] == "service_missing"));
-    // One of two routers is enough; that the other is gone is told all the same.
+    // One of two routers is enough; the other is reported as missing all the same.
     let gone = free_endpoint().unwrap();
     let (code, report) = look(&format!("{gone},{free}"), "alpha", "1");
     assert_eq!(code, 1);
@@ -241,7 +241,7 @@ impl<T> Drop for Both<T> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_second_instance_is_told_by_version_clock_and_role() {
+async fn a_second_instance_is_reported_by_version_clock_and_role() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let _robots = robots(&cluster);
     until_well(&cluster);
@@ -317,7 +317,7 @@ async fn faults_of_robots_are_found_and_gone_again() {
     assert_eq!(subjects(found(&report, "robots_unknown").unwrap()), BTreeSet::from(["x2"]));
     more.undeclare().await.unwrap();
 
-    // It speaks, with a clock an hour behind.
+    // It reports, with a clock an hour behind.
     let speaking = |stamp: fn() -> f64, x: Value| {
         let client = client.clone();
         tokio::spawn(async move {
@@ -355,7 +355,7 @@ async fn faults_of_robots_are_found_and_gone_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn robots_that_report_no_links_are_told() {
+async fn robots_that_report_no_links_are_found() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let client = cluster.client().await.unwrap();
     let mut tokens = Vec::new();
@@ -379,7 +379,7 @@ async fn robots_that_report_no_links_are_told() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_router_that_denies_or_has_a_long_lease_is_told() {
+async fn a_router_that_denies_or_has_a_long_lease_is_reported() {
     let mut cluster = Cluster::start("alpha", &[]).unwrap();
     let _robots = robots(&cluster);
     until_well(&cluster);

@@ -1,26 +1,29 @@
-//! The programs of the README, word for word: a robot, a dashboard and a check in Python.
+//! The programs of `shared/client/README.md`, word for word: a robot, a dashboard and a check in Python.
 //!
 //! They run against whole processes as a reader would run them, with the environment and the
-//! arguments that the README names, on the Python that `tests/run` installs.
+//! arguments that the document names, on the Python that `tests/run` installs.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use muster_tests::client::division;
-use muster_tests::cluster::Cluster;
+use muster_tests::client::{Client, division};
+use muster_tests::cluster::{Cluster, free_endpoint, start_router};
 use muster_tests::process::{Process, python};
 use serde_json::{Value, json};
 
+use crate::cli::FOLLOWED_WITHIN;
 use crate::pipeline::FORMED_WITHIN;
 
-pub(crate) const README: &str = include_str!("../../README.md");
+/// The document with the programs for robots and consoles.
+const CLIENT: &str = "shared/client/README.md";
 
-/// The text of the fenced block behind a marker, all blocks of that marker in order.
-pub(crate) fn blocks(marker: &str) -> Vec<String> {
+/// The text of the fenced block behind a marker, all blocks of that marker in the document in order.
+pub(crate) fn blocks(document: &str, marker: &str) -> Vec<String> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(document);
+    let text = std::fs::read_to_string(&path).expect(document);
     let start = format!("<!-- {marker} -->\n```");
-    README
-        .split(&start)
+    text.split(&start)
         .skip(1)
         .map(|part| {
             let (_, part) = part.split_once('\n').unwrap();
@@ -29,10 +32,10 @@ pub(crate) fn blocks(marker: &str) -> Vec<String> {
         .collect()
 }
 
-/// Writes a program of the README into a folder, once: another process may be reading it.
+/// Writes a program of the document into a folder, once: another process may be reading it.
 fn written(name: &str, folder: &Path) -> PathBuf {
-    let blocks = blocks(name);
-    assert_eq!(blocks.len(), 1, "README.md must hold one block behind <!-- {name} -->");
+    let blocks = blocks(CLIENT, name);
+    assert_eq!(blocks.len(), 1, "{CLIENT} must hold one block behind <!-- {name} -->");
     let path = folder.join(name);
     if !path.exists() {
         std::fs::write(&path, &blocks[0]).unwrap();
@@ -74,7 +77,7 @@ async fn printed(program: &mut Process, what: &str, right: impl Fn(&str) -> bool
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
+async fn the_robot_and_the_dashboard_of_the_document_work_as_they_stand() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let programs = Programs { cluster: &cluster, python: python().unwrap() };
     let mut dashboard = programs.start("dashboard.py", &[]);
@@ -130,10 +133,10 @@ async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
     assert_eq!(edges, BTreeSet::from(["\"r1\"\"r2\"".to_owned(), "\"s1\"\"s2\"".to_owned()]));
     let graph = client.get_one("graph/connectivity?format=json").await.unwrap();
     assert_eq!(graph["edges"].as_array().unwrap().len(), 2, "{graph}");
-    // Nothing that the programs said was refused.
+    // Nothing that the programs put was refused.
     assert!(!dashboard.output().contains("quarantined"), "{}", dashboard.output());
 
-    // Neither goes back to what was said before the newest, whoever repeats it.
+    // Neither goes back to an older message, whoever repeats it.
     let old = json!({"fleet": "alpha", "term": 0, "epoch": 1, "data_age_s": null, "stages": []});
     let with = |more: Value| {
         let mut message = old.clone();
@@ -143,8 +146,8 @@ async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
     let team = json!({"id": "t99", "members": ["r1"], "leader": "r1"});
     let teams = with(json!({"teams": [team], "unassigned": [], "stale": []}));
     client.put("json/teams", &teams).await.unwrap();
-    let told = with(json!({"robot": "r1", "team": "t99", "members": ["r1"], "leader": "r1"}));
-    client.put("robot/r1/team", &told).await.unwrap();
+    let own = with(json!({"robot": "r1", "team": "t99", "members": ["r1"], "leader": "r1"}));
+    client.put("robot/r1/team", &own).await.unwrap();
 
     // A robot that goes away is missed, and a dashboard that comes late sees what is.
     robots.pop().unwrap().kill().unwrap();
@@ -161,12 +164,58 @@ async fn the_robot_and_the_dashboard_of_the_readme_work_as_they_stand() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_check_of_the_readme_accepts_what_is_right_and_names_what_is_wrong() {
+async fn python_programs_follow_services_that_restarted_with_lower_terms() {
+    let endpoint = free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let _router = start_router(&endpoint, folder.path()).unwrap();
+    let environment = [("MUSTER_CONNECT", endpoint.as_str()), ("MUSTER_FLEET", "alpha")];
+    let start = |name: &str, arguments: &[&str]| {
+        let path = written(name, folder.path());
+        let arguments = [&[path.to_str().unwrap()], arguments].concat();
+        let python = python().unwrap();
+        Process::start_at(&python, name, &arguments, &environment, folder.path()).unwrap()
+    };
+    let programs = [start("robot.py", &["r1", "0", "0"]), start("dashboard.py", &[])];
+    let client = Client::connect(&endpoint, "alpha").await.unwrap();
+    // The outputs of a clusterer, without one: each epoch once.
+    let publish = async |term: u64, epoch: u64, team: &str| {
+        let message = |more: Value| {
+            let mut message = json!({
+                "fleet": "alpha", "term": term, "epoch": epoch, "data_age_s": null, "stages": []
+            });
+            message.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+            message
+        };
+        let teams = [json!({"id": team, "members": ["r1"], "leader": "r1"})];
+        let teams = message(json!({"teams": teams, "unassigned": [], "stale": []}));
+        client.put("json/teams", &teams).await.unwrap();
+        let own = json!({"robot": "r1", "team": team, "members": ["r1"], "leader": "r1"});
+        client.put("robot/r1/team", &message(own)).await.unwrap();
+    };
+    let shown_within = async |term: u64, team: &str, limit: Duration| {
+        let (start, mut epoch) = (Instant::now(), 0);
+        while !programs.iter().all(|program| program.output().contains(team)) {
+            let outputs = programs.each_ref().map(Process::output);
+            assert!(start.elapsed() < limit, "{team}: {outputs:?}");
+            epoch += 1;
+            publish(term, epoch, team).await;
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+        start.elapsed()
+    };
+    shown_within(7, "t7", FORMED_WITHIN).await;
+    let took = shown_within(1, "t1", FOLLOWED_WITHIN + FORMED_WITHIN).await;
+    eprintln!("followed after {took:?}");
+    assert!(took > Duration::from_secs(5), "the newest message was fresh: {took:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_check_of_the_document_accepts_what_is_right_and_names_what_is_wrong() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let client = cluster.client().await.unwrap();
     let start = Instant::now();
     while client.get_one("schema").await.is_err() {
-        assert!(start.elapsed() < FORMED_WITHIN, "nobody answers for the schema");
+        assert!(start.elapsed() < FORMED_WITHIN, "no reply with the schema");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
     let path = written("check.py", cluster.folder());

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use muster_tests::latency::course::{self, Course};
 use muster_tests::latency::report;
+use muster_tests::latency::run_plan::{self, RunPlan};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_pose_is_followed_to_a_division() {
-    let course = Course {
+    let plan = RunPlan {
         robots: 12,
         teams: 2,
         rate_hz: 10.0,
@@ -15,7 +15,7 @@ async fn every_pose_is_followed_to_a_division() {
         lasts: Duration::from_secs(4),
         settings: vec![("ingest".to_owned(), "tick_hz=20".to_owned())],
     };
-    let measured = course::run(&course, |_| {}).await.unwrap();
+    let measured = run_plan::run(&plan, |_| {}).await.unwrap();
     // Other tests run beside this one: bounds are generous where time is measured.
     assert!((200..=540).contains(&measured.poses), "{} poses in 4 s", measured.poses);
     let ways = &measured.ways;

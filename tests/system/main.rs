@@ -12,6 +12,7 @@ mod client;
 mod demo;
 mod deploy;
 mod doctor;
+mod documents;
 mod hostile;
 mod keys;
 mod languages;

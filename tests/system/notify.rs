@@ -36,18 +36,18 @@ fn a_service_is_ready_and_fed_through_outages_of_its_router() {
     // No router: it has started all the same, says what it waits for, and is not started anew.
     manager.until("READY=1", SOON).unwrap();
     manager.until(&format!("STATUS=waiting for a router at {endpoint}"), SOON).unwrap();
-    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.told);
+    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.received);
     let router = start_router(&endpoint, folder.path()).unwrap();
     manager.until("STATUS=clusterer serves fleet default", SOON).unwrap();
-    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.told);
+    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.received);
     drop(router);
     manager.until("STATUS=the link to the router is lost", SOON).unwrap();
-    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.told);
-    manager.told.clear();
+    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.received);
+    manager.received.clear();
     let _router = start_router(&endpoint, folder.path()).unwrap();
     manager.until("STATUS=clusterer serves fleet default", SOON).unwrap();
 
-    assert!(!manager.told.iter().any(|line| line == "READY=1"), "a process is ready once");
+    assert!(!manager.received.iter().any(|line| line == "READY=1"), "a process is ready once");
     service.signal("TERM").unwrap();
     manager.until("STOPPING=1", SOON).unwrap();
     assert_eq!(service.wait(Duration::from_secs(5)).unwrap().code(), Some(0));
@@ -58,12 +58,12 @@ fn every_program_tells_that_it_is_ready_and_that_it_stops() {
     let folder = tempfile::tempdir().unwrap();
     let endpoint = free_endpoint().unwrap();
     let of_router = tempfile::tempdir().unwrap();
-    let mut told_by_router = Manager::listen(of_router.path()).unwrap();
+    let mut router_manager = Manager::listen(of_router.path()).unwrap();
     let arguments = ["router", "--listen", &endpoint];
-    let mut router = start(&told_by_router, "muster", &arguments, folder.path());
-    told_by_router.until("READY=1", SOON).unwrap();
-    told_by_router.until("STATUS=router listens at", SOON).unwrap();
-    assert!(told_by_router.fed_in(LOOK) >= ENOUGH, "{:?}", told_by_router.told);
+    let mut router = start(&router_manager, "muster", &arguments, folder.path());
+    router_manager.until("READY=1", SOON).unwrap();
+    router_manager.until("STATUS=router listens at", SOON).unwrap();
+    assert!(router_manager.fed_in(LOOK) >= ENOUGH, "{:?}", router_manager.received);
 
     let mut programs: Vec<_> =
         SERVICES.iter().map(|service| (format!("muster-{service}"), vec![])).collect();
@@ -76,12 +76,12 @@ fn every_program_tells_that_it_is_ready_and_that_it_stops() {
         let mut process = start(&manager, &program, &arguments, folder.path());
         manager.until("READY=1", SOON).unwrap();
         manager.until("serves fleet default", SOON).unwrap();
-        assert!(manager.fed_in(LOOK) >= ENOUGH, "{program}: {:?}", manager.told);
+        assert!(manager.fed_in(LOOK) >= ENOUGH, "{program}: {:?}", manager.received);
         process.signal("TERM").unwrap();
         manager.until("STOPPING=1", SOON).unwrap();
         assert_eq!(process.wait(Duration::from_secs(5)).unwrap().code(), Some(0));
     }
     router.signal("TERM").unwrap();
-    told_by_router.until("STOPPING=1", SOON).unwrap();
+    router_manager.until("STOPPING=1", SOON).unwrap();
     assert_eq!(router.wait(Duration::from_secs(5)).unwrap().code(), Some(0));
 }

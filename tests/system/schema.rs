@@ -90,9 +90,9 @@ async fn every_service_serves_the_schema_that_the_command_prints() {
 }
 
 #[test]
-fn the_messages_of_the_readme_are_valid() {
+fn the_messages_of_the_document_are_valid() {
     let mut cases = Vec::new();
-    for block in blocks("messages") {
+    for block in blocks("shared/wire/README.md", "messages") {
         let starts: Vec<&str> = block.split_inclusive('\n').collect();
         let mut entries: Vec<String> = Vec::new();
         for line in starts {

@@ -536,7 +536,7 @@ fn certificates_are_kept_renewed_and_guarded() {
     let moved = std::fs::read_to_string(&fleet).unwrap().replace("\"127.0.0.1\"", "\"base.local\"");
     std::fs::write(&fleet, moved).unwrap();
     let told = certs(&[]);
-    assert!(told.contains("router.base: made anew, as its addresses"), "{told}");
+    assert!(told.contains("router.base: replaced, because its addresses"), "{told}");
     assert!(told.contains("robot.a1: kept, valid for 36"), "{told}");
     assert!(certs(&[]).contains("router.base: kept"));
     certs(&["--force", "--only", "robot.a1"]);
@@ -563,6 +563,6 @@ fn certificates_are_kept_renewed_and_guarded() {
     std::fs::remove_dir_all(folder.path().join("identities/authority")).unwrap();
     let told = deploy(&["certs", "--fleet-file", fleet, "--out", out]);
     assert!(told.contains("authority: made, valid"), "{told}");
-    assert!(told.contains("robot.a1: made anew, as the authority"), "{told}");
+    assert!(told.contains("robot.a1: replaced, because the authority"), "{told}");
     assert!(!told.contains("kept"), "{told}");
 }

@@ -10,12 +10,12 @@ use crate::secured::Secured;
 
 const FORMED_WITHIN: Duration = Duration::from_secs(20);
 
-/// Waits until a robot is told that a team has these members.
-async fn told(team: &mut Watch<RobotTeam>, wanted: &[&str]) {
+/// Waits until the team of a robot has these members.
+async fn formed(team: &mut Watch<RobotTeam>, wanted: &[&str]) {
     let waiting = async {
         loop {
-            let told = team.changed().await.unwrap();
-            let members: Vec<_> = told.members.iter().flatten().map(|id| id.as_str()).collect();
+            let latest = team.changed().await.unwrap();
+            let members: Vec<_> = latest.members.iter().flatten().map(|id| id.as_str()).collect();
             if members == wanted {
                 return;
             }
@@ -30,7 +30,7 @@ async fn robots_by_the_client_crate_belong_by_their_certificates() {
     let config = |robot: &str| Config {
         fleet: "alpha".to_owned(),
         zenoh_config: Some(secured.identity(&format!("robot.{robot}"))),
-        patience: Some(FORMED_WITHIN),
+        connect_timeout: Some(FORMED_WITHIN),
         ..Config::default()
     };
     let mut robots = Vec::new();
@@ -47,8 +47,8 @@ async fn robots_by_the_client_crate_belong_by_their_certificates() {
     };
     let (mut of_first, mut of_last) = (robots[0].0.team(), robots[3].0.team());
     let everybody = async {
-        told(&mut of_first, &["a1", "a2"]).await;
-        told(&mut of_last, &["b1", "b2"]).await;
+        formed(&mut of_first, &["a1", "a2"]).await;
+        formed(&mut of_last, &["b1", "b2"]).await;
     };
     tokio::select! {
         () = everybody => {}
@@ -57,7 +57,7 @@ async fn robots_by_the_client_crate_belong_by_their_certificates() {
     // A copy of a robot's certificate does not give two processes the same name unnoticed.
     let copy = Robot::join(&config("a1"), "a1").await.unwrap_err();
     assert!(matches!(copy, Error::Taken { .. }), "{copy}");
-    // With the certificate of another, a robot is told nothing and is not there for anybody.
+    // With the certificate of another, a robot receives nothing and is invisible.
     let posing = Robot::join(&config("b1"), "absent").await.unwrap();
     let start = Instant::now();
     while start.elapsed() < Duration::from_secs(3) {

@@ -15,6 +15,8 @@
 //! - What was last heard of the other services is repeated to whoever asks, so that one of them
 //!   that was killed finds its last output again.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 mod alert;
 mod core;
 mod history;

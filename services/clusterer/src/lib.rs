@@ -20,6 +20,8 @@
 //! - A robot that has left the fleet counts as stale until the next embedding, and leads nobody
 //!   while anybody else can.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 mod core;
 mod division;
 mod identity;

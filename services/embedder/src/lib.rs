@@ -15,6 +15,8 @@
 //! For an `ingest` that restarts it also repeats the last `roster` and the graphs that this lists.
 //! The last good embedding stands through every fault: it is served until a newer one exists.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 mod cache;
 mod compute;
 mod core;

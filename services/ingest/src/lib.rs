@@ -17,6 +17,8 @@
 //! Graphs are computed inside of [`Ingest`]'s loop and not as a job: only the modalities whose
 //! observations changed are computed, at most once per frame, for at most `max_robots` robots.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 mod admission;
 mod core;
 mod frames;

@@ -6,20 +6,22 @@
 use std::net::TcpListener;
 use std::path::PathBuf;
 
+use muster_client::Client;
 use muster_model::id::ServiceName;
-use muster_model::teams::Teams;
 use muster_runtime::bus::{Bus, Patience};
-use muster_runtime::clock::Clock;
 use muster_runtime::config::{DEFAULT_ENDPOINT, Origin, ProcessConfig, Sourced};
 use muster_runtime::exit::ExitError;
 use muster_runtime::observe::Observatory;
 use muster_runtime::recording::RecordTo;
 use muster_runtime::stop::Stop;
 use muster_scenario::{FleetOptions, ScenarioKind};
-use muster_wire::{Format, Key, Message};
 
-use crate::fleet::{FleetOnBus, Speech};
-use crate::{ask, show, up};
+use crate::console::{client_config, exit_error};
+use crate::fleet::SimulatedRobots;
+use crate::{show, up};
+
+/// Poses per second of each robot.
+const RATE_HZ: f64 = 10.0;
 
 /// Most robots of a demo: their simulation shares the processors with everything else.
 const MAX_ROBOTS: usize = 2000;
@@ -28,7 +30,7 @@ const MAX_ROBOTS: usize = 2000;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Two platoons march, split at a crossing, where one squad is handed over for a \
-while, and rejoin. The table is printed whenever the division changes. While it runs, look at it from \
+while, and rejoin. The table is redrawn as the division changes. While it runs, look at it from \
 another terminal with `muster teams --watch`, `muster audit`, `muster graph` and `muster status`.\n\n\
 Examples:\n  muster demo\n  muster demo --robots 60 --teams 3 --seconds 60\n  muster demo --json | jq .teams"
 )]
@@ -45,7 +47,7 @@ pub(crate) struct DemoArgs {
     /// Seed of the simulated fleet
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Print one line of JSON per change, in the shape of json/teams
+    /// Print one line of JSON per change, in the form of json/teams
     #[arg(long)]
     json: bool,
     /// Record everything that happens to each service, to FILE.SERVICE, for `muster replay-core`
@@ -71,7 +73,7 @@ pub(crate) async fn run(
     let fleet = crate::robot::simulate(ScenarioKind::Crossing, &options(args))?;
     let seconds = crate::robot::check_seconds(args.seconds)?;
     config.set(ServiceName::Clusterer, &[format!("teams={}", args.teams)])?;
-    // Every demo begins anew: what an earlier one was told must not surprise a newcomer.
+    // Every demo starts without the settings of an earlier one.
     config.state_directory = Sourced { value: None, origin: Origin::Flag };
     let listen = if config.listen.value.is_empty() {
         vec![free_endpoint()?]
@@ -85,13 +87,13 @@ pub(crate) async fn run(
     let config = config.as_client(endpoints.clone());
     let mut services = up::start(&ServiceName::ALL, &config, &stop, &observatory);
 
-    let robots_bus = Bus::open(&config, Patience::Forever).await?;
-    let speech = Speech { rate_hz: 10.0, format: Format::Json };
-    let everybody = (0..fleet.robots().len()).collect();
-    let console = Bus::open(&config, Patience::Forever).await?;
-    let mut follow = ask::follow(&console, Key::Teams).await?;
-    let robots = FleetOnBus::join(robots_bus.clone(), fleet, everybody, speech).await?;
-    let mut marching = tokio::spawn(robots.run(0.0, seconds, stop.clone()));
+    let client = client_config(&config)?;
+    let speaking = Client::open(&client).await.map_err(exit_error)?;
+    let console = Client::open(&client).await.map_err(exit_error)?;
+    let teams = console.teams().await.map_err(exit_error)?;
+    let all = (0..fleet.robots().len()).collect();
+    let robots = SimulatedRobots::join(&speaking, fleet, all).await.map_err(exit_error)?;
+    let mut marching = tokio::spawn(robots.run(RATE_HZ, 0.0, seconds, stop.clone()));
     eprintln!(
         "{} robots and 4 services on a router at {}; Ctrl-C ends it",
         args.robots,
@@ -102,29 +104,19 @@ pub(crate) async fn run(
         if connect == DEFAULT_ENDPOINT { String::new() } else { format!(" --connect {connect}") };
     eprintln!("from another terminal: muster teams --watch{flag}");
 
-    let clock = Clock::start();
-    let mut shown: Option<std::sync::Arc<Teams>> = None;
-    let ended = loop {
-        let message = tokio::select! {
-            message = follow.next() => message,
-            ended = &mut marching => break ended?,
-            Some(ended) = services.join_next() => break match ended? {
-                Ok(()) if stop.is_stopped() => Ok(()),
-                Ok(()) => Err(anyhow::anyhow!("a service ended by itself")),
-                Err(error) => Err(error),
-            },
-        };
-        if let Message::Teams { teams, .. } = message
-            && !shown.as_ref().is_some_and(|shown| teams.same_division(shown))
-        {
-            show::teams::print(&teams, args.json, clock.now())?;
-            shown = Some(teams);
-        }
+    let ended = tokio::select! {
+        ended = show::watch::follow(&console, teams, args.json) => ended,
+        ended = &mut marching => ended?.map_err(|error| exit_error(error).into()),
+        Some(ended) = services.join_next() => match ended? {
+            Ok(()) if stop.is_stopped() => Ok(()),
+            Ok(()) => Err(anyhow::anyhow!("a service ended by itself")),
+            Err(error) => Err(error),
+        },
     };
     services.shutdown().await;
-    for bus in [robots_bus, console, router] {
-        bus.close().await;
-    }
+    speaking.close().await;
+    console.close().await;
+    router.close().await;
     ended
 }
 

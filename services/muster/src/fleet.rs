@@ -2,83 +2,56 @@
 
 use std::time::Duration;
 
-use muster_model::id::RobotId;
+use muster_client::{Client, Error, Report, RobotPublisher};
 use muster_model::observation::{Links, Pose, Rank};
-use muster_runtime::bus::{Bus, Token};
-use muster_runtime::clock::Clock;
-use muster_runtime::outbox::Outbox;
 use muster_runtime::stop::Stop;
 use muster_scenario::Fleet;
-use muster_wire::{Format, Key, Message};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
 /// How often links are reported, in seconds: radios change more slowly than positions.
-const LINKS_EVERY_S: f64 = 0.5;
+const LINK_PERIOD_S: f64 = 0.5;
 
-/// How often ranks are repeated, in seconds, so that whoever missed one soon knows it.
-const RANKS_EVERY_S: f64 = 1.0;
+/// How often ranks are reported, in seconds, so that a reader that missed one soon has it.
+const RANK_PERIOD_S: f64 = 1.0;
 
-/// How a simulated fleet speaks.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Speech {
-    /// Poses per second of each robot.
-    pub(crate) rate_hz: f64,
-    /// JSON, or binary.
-    pub(crate) format: Format,
-}
-
-/// Some robots of a fleet on a bus.
-pub(crate) struct FleetOnBus {
-    bus: Bus,
+/// Some robots of a simulated fleet, joined to the bus.
+pub(crate) struct SimulatedRobots {
     fleet: Fleet,
-    /// Which robots of the fleet speak here.
-    speakers: Vec<usize>,
-    speech: Speech,
-    clock: Clock,
-    boot: String,
-    sequence: u64,
-    tokens: Vec<Token>,
+    /// Each with its index in the fleet.
+    publishers: Vec<(usize, RobotPublisher)>,
 }
 
-impl FleetOnBus {
-    /// Declares the liveliness tokens of the robots that speak here.
+impl SimulatedRobots {
+    /// Joins robots of a fleet, by their indices.
     ///
     /// # Errors
-    /// If the bus refuses them.
+    /// If the bus refuses a token.
     pub(crate) async fn join(
-        bus: Bus,
+        client: &Client,
         fleet: Fleet,
-        speakers: Vec<usize>,
-        speech: Speech,
-    ) -> anyhow::Result<Self> {
-        let clock = Clock::start();
-        let mut tokens = Vec::with_capacity(speakers.len());
-        for robot in &speakers {
-            tokens.push(bus.declare_token(&Key::RobotToken(fleet.robots()[*robot].clone())).await?);
+        robots: Vec<usize>,
+    ) -> Result<Self, Error> {
+        let mut publishers = Vec::with_capacity(robots.len());
+        for index in robots {
+            let robot = fleet.robots()[index].clone();
+            publishers.push((index, client.join_as_publisher(robot).await?));
         }
-        let boot = format!("{:x}", clock.now().0);
-        Ok(Self { bus, fleet, speakers, speech, clock, boot, sequence: 0, tokens })
+        Ok(Self { fleet, publishers })
     }
 
-    /// Speaks until it is time to stop, or for some seconds; then withdraws the tokens. The story of
-    /// the scenario begins at the moment `from`, in its seconds.
+    /// Reports until it is time to stop, or for some seconds; then leaves. The story of the scenario
+    /// starts at `from`, in its seconds.
     ///
     /// # Errors
-    /// If a thread cannot be started or a message not be written.
+    /// If a report is too large, or the client was closed.
     pub(crate) async fn run(
-        mut self,
+        self,
+        rate_hz: f64,
         from: f64,
         seconds: Option<f64>,
         mut stop: Stop,
-    ) -> anyhow::Result<()> {
-        let outbox = Outbox::default();
-        let bus = self.bus.clone();
-        outbox.start(move |message| {
-            if let Err(error) = bus.put(message) {
-                tracing::debug!("{error:#}");
-            }
-        })?;
-        let mut ticks = interval(Duration::from_secs_f64(1.0 / self.speech.rate_hz));
+    ) -> Result<(), Error> {
+        let mut ticks = interval(Duration::from_secs_f64(1.0 / rate_hz));
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let start = Instant::now();
         let (mut links_at, mut ranks_at) = (from, from);
@@ -92,58 +65,29 @@ impl FleetOnBus {
                 break;
             }
             let t = from + elapsed;
-            self.sequence += 1;
-            let poses = self.fleet.poses(t);
-            self.say(&outbox, &poses, Self::pose)?;
+            let poses: Vec<Pose> = self.fleet.poses(t);
+            self.report(&poses, Report::Pose)?;
             if t >= links_at {
-                links_at = t + LINKS_EVERY_S;
-                let links = self.fleet.links(t);
-                self.say(&outbox, &links, Self::links)?;
+                links_at = t + LINK_PERIOD_S;
+                let links: Vec<Links> = self.fleet.links(t);
+                self.report(&links, Report::Links)?;
             }
             if t >= ranks_at {
-                ranks_at = t + RANKS_EVERY_S;
-                let ranks = self.fleet.ranks(t);
-                self.say(&outbox, &ranks, Self::rank)?;
+                ranks_at = t + RANK_PERIOD_S;
+                let ranks: Vec<Rank> = self.fleet.ranks(t);
+                self.report(&ranks, Report::Rank)?;
             }
         }
-        for token in self.tokens {
-            token.withdraw().await?;
-        }
-        let _ = tokio::task::spawn_blocking(move || outbox.close()).await;
-        Ok(())
-    }
-
-    fn say<T: Clone>(
-        &self,
-        outbox: &Outbox,
-        all: &[T],
-        message: impl Fn(&Self, RobotId, T) -> Message,
-    ) -> anyhow::Result<()> {
-        let now = self.clock.now();
-        for robot in &self.speakers {
-            let id = self.fleet.robots()[*robot].clone();
-            let message = message(self, id, all[*robot].clone());
-            outbox.push(message.encode(message.keys().0, self.speech.format, now)?);
+        for (_, publisher) in self.publishers {
+            publisher.leave().await;
         }
         Ok(())
     }
 
-    fn stamp(&self) -> (Option<f64>, Option<String>, Option<u64>) {
-        (Some(self.clock.now().as_seconds()), Some(self.boot.clone()), Some(self.sequence))
-    }
-
-    fn pose(&self, robot: RobotId, pose: Pose) -> Message {
-        let (stamp, boot, seq) = self.stamp();
-        Message::Pose(robot, Pose { stamp, boot, seq, ..pose })
-    }
-
-    fn links(&self, robot: RobotId, links: Links) -> Message {
-        let (stamp, boot, seq) = self.stamp();
-        Message::Links(robot, Links { stamp, boot, seq, ..links })
-    }
-
-    fn rank(&self, robot: RobotId, rank: Rank) -> Message {
-        let (stamp, boot, seq) = self.stamp();
-        Message::Rank(robot, Rank { stamp, boot, seq, ..rank })
+    fn report<T: Clone>(&self, all: &[T], report: fn(T) -> Report) -> Result<(), Error> {
+        for (index, publisher) in &self.publishers {
+            publisher.put(report(all[*index].clone()))?;
+        }
+        Ok(())
     }
 }

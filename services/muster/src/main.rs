@@ -1,14 +1,16 @@
 //! `muster`: the operator's command.
 //!
-//! It starts things ([`demo`], [`up`], [`router`], [`robot`]), looks at a live fleet ([`show`],
-//! [`doctor`]), changes its settings ([`set`]), prepares hosts ([`deploy`]), prints what messages look
-//! like ([`schema`]), runs the method once on a file ([`solve`]), and lives through the recording of a
-//! service again ([`replay`]). It is the one
-//! program that knows all services: it composes them and adds nothing to them.
+//! It starts processes ([`demo`], [`up`], [`router`], [`robot`]), shows a live fleet ([`show`], [`doctor`]),
+//! changes its settings ([`set`]), prepares hosts ([`deploy`]), prints the form of messages ([`schema`]),
+//! runs the method once on a file ([`solve`]), replays the recording of a service ([`replay`]), and
+//! describes itself to shells and manuals ([`describe`]). It is the one program that knows all services:
+//! it composes them and adds nothing to them. It talks to a fleet through `muster-client` ([`console`]);
+//! only what runs services or a router, and the doctor's probe of a router, know the bus.
 
-mod ask;
+mod console;
 mod demo;
 mod deploy;
+mod describe;
 mod doctor;
 mod fleet;
 mod replay;
@@ -75,6 +77,10 @@ enum Command {
     Solve(solve::SolveArgs),
     /// Feed a recording of a service to its core again, and compare what comes out
     ReplayCore(replay::ReplayArgs),
+    /// Print completions for a shell
+    Completions(describe::CompletionsArgs),
+    /// Print the manual page
+    Manual(describe::ManualArgs),
 }
 
 fn main() -> ExitCode {
@@ -82,6 +88,14 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    // What describes the program works with any configuration.
+    match &arguments.command {
+        Some(Command::Completions(args)) => {
+            return describe::completions(args, Arguments::command());
+        }
+        Some(Command::Manual(args)) => return describe::manual(args, Arguments::command()),
+        _ => {}
+    }
     let default_mode = match &arguments.command {
         Some(Command::Router(_)) => Mode::Router,
         _ => Mode::Client,
@@ -89,7 +103,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut config =
         ProcessConfig::resolve(&arguments.process, default_mode, &process_environment)?;
     if matches!(arguments.command, Some(Command::Demo(_))) {
-        // The table is what people look at; the services speak up when something is wrong.
+        // People look at the table; the services log what is wrong.
         config.log.value.get_or_insert_with(|| "warn".to_owned());
     }
     if let Some(Command::Up(args)) = &arguments.command {
@@ -131,6 +145,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
         Command::ReplayCore(args) => replay::run(args),
         Command::Schema(args) => schema::run(args),
+        Command::Completions(args) => describe::completions(args, Arguments::command()),
+        Command::Manual(args) => describe::manual(args, Arguments::command()),
         Command::Deploy(args) => deploy::run(args),
         Command::Solve(args) => solve::run(args).map_err(|error| {
             if error.is::<solve::SolveError>() {
@@ -142,7 +158,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
 }
 
-/// Runs a command that only looks and asks: a signal ends it wherever it is, and that is no failure.
+/// Runs a command that only reads: a signal ends it wherever it is, and that is no failure.
 fn console<F>(config: &ProcessConfig, job: F) -> anyhow::Result<()>
 where
     F: AsyncFnOnce(ProcessConfig) -> anyhow::Result<()>,

@@ -3,17 +3,17 @@
 use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 
+use muster_client::{Client, Config, Format};
 use muster_model::id::RobotId;
-use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
 use muster_scenario::{Fleet, FleetOptions, Layout, MAX_FILE_BYTES, ScenarioKind};
-use muster_wire::Format;
 
-use crate::fleet::{FleetOnBus, Speech};
+use crate::console::{client_config, exit_error};
+use crate::fleet::SimulatedRobots;
 
 /// Lowest and highest rate of poses that make sense: one in a quarter of an hour, and faster than any
 /// controller that positions robots.
@@ -26,7 +26,7 @@ const MAX_SECONDS: f64 = 1e9;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Robots of one scenario or file and seed belong together, however many processes they are \
-spread over with --only.\n\nExamples:\n  muster robot                                  18 robots that march\n  \
+spread over with --only.\n\nExamples:\n  muster robot                                  a fleet that marches\n  \
 muster robot --scenario clusters --teams 3 --robots 30\n  muster robot --scenario clusters --list\n  \
 muster robot --scenario clusters --only r3,r4   two of them; others in other processes\n  \
 muster robot --file tests/experiments/formations/platoon-wedge.json"
@@ -56,7 +56,7 @@ pub(crate) struct RobotArgs {
     /// Poses per second
     #[arg(long, default_value_t = 10.0)]
     rate: f64,
-    /// Speak bincode instead of JSON
+    /// Put bincode instead of JSON
     #[arg(long)]
     bincode: bool,
     /// End after so many seconds; without it, run until stopped
@@ -80,7 +80,7 @@ pub(crate) fn of_file(path: &Path, options: &FleetOptions) -> anyhow::Result<Fle
     let wrong =
         |problem: String| ExitError::usage(format!("--file: {}: {problem}", path.display()));
     let mut text = String::new();
-    // One byte more than is allowed tells a file that is too long from one that just fits.
+    // With one byte more than is allowed, a file that is too long is not read as one that just fits.
     let file = std::fs::File::open(path).map_err(|error| wrong(error.to_string()))?;
     let read = file.take(MAX_FILE_BYTES as u64 + 1).read_to_string(&mut text);
     read.map_err(|error| wrong(error.to_string()))?;
@@ -134,23 +134,25 @@ pub(crate) async fn run(
         }
         return Ok(());
     }
-    let speakers = speakers(&fleet, &args.only)?;
+    let chosen = chosen(&fleet, &args.only)?;
     let _port = Observatory::open(config, &[])?;
-    let bus = tokio::select! {
-        bus = Bus::open(config, Patience::Forever) => bus?,
+    let format = if args.bincode { Format::Binary } else { Format::Json };
+    let client_config = Config { format, ..client_config(config)? };
+    let client = tokio::select! {
+        client = Client::open(&client_config) => client.map_err(exit_error)?,
         () = stop.stopped() => return Ok(()),
     };
-    let format = if args.bincode { Format::Binary } else { Format::Json };
-    let speech = Speech { rate_hz: args.rate, format };
-    tracing::info!("{} robots speak on fleet {}", speakers.len(), config.fleet.value);
-    let robots = FleetOnBus::join(bus.clone(), fleet, speakers, speech).await?;
-    // All processes of a scenario tell the same moment of its story, whenever they were started.
-    let result = robots.run(Clock::start().now().as_seconds(), seconds, stop).await;
-    bus.close().await;
-    result
+    tracing::info!("{} robots report to fleet {}", chosen.len(), config.fleet.value);
+    let robots = SimulatedRobots::join(&client, fleet, chosen).await.map_err(exit_error)?;
+    // All processes of a scenario play the same moment of its story, whenever they were started.
+    let from = Clock::start().now().as_seconds();
+    let result = robots.run(args.rate, from, seconds, stop).await;
+    client.close().await;
+    Ok(result.map_err(exit_error)?)
 }
 
-fn speakers(fleet: &Fleet, only: &[RobotId]) -> anyhow::Result<Vec<usize>> {
+/// The indices of the robots of a fleet that are named; of all if none is.
+fn chosen(fleet: &Fleet, only: &[RobotId]) -> anyhow::Result<Vec<usize>> {
     if only.is_empty() {
         return Ok((0..fleet.robots().len()).collect());
     }
@@ -169,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_duration_that_is_refused_is_told_both_bounds() {
+    fn a_refused_duration_names_both_bounds() {
         for seconds in [None, Some(0.0), Some(MAX_SECONDS)] {
             assert_eq!(check_seconds(seconds).unwrap(), seconds);
         }

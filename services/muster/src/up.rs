@@ -22,7 +22,7 @@ use tokio::task::JoinSet;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  muster up --router                  all services and a router: enough for one host\n  \
-muster up embedder clusterer        two of them, beside others on other hosts\n  \
+muster up embedder clusterer        two of them; the others run on other hosts\n  \
 muster up --router --set clusterer.teams=3"
 )]
 pub(crate) struct UpArgs {

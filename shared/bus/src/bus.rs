@@ -1,6 +1,7 @@
 //! A session: puts, subscriptions, gets, liveliness tokens, and whether a router is linked.
 
-use std::sync::Arc;
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::Context;
@@ -14,6 +15,7 @@ use zenoh::key_expr::KeyExpr;
 use zenoh::qos::Priority;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::{Locality, Sample, SampleKind};
+use zenoh::session::TransportEvent;
 
 use crate::config::BusConfig;
 use crate::handshake::reach;
@@ -42,6 +44,9 @@ const CLAIMS: Priority = Priority::InteractiveHigh;
 /// The priority of other gets, and so of their answers: they may be large, and come before nothing that
 /// is said once.
 const ANSWERS: Priority = Priority::DataLow;
+
+/// What cannot be done on a session that is closed already.
+const LINKS_NOT_FOLLOWED: &str = "cannot follow the links of the session";
 
 /// How long closing a session may take.
 const CLOSE_WITHIN: Duration = Duration::from_secs(1);
@@ -92,7 +97,12 @@ pub struct Bus {
     again: Option<zenoh::Config>,
     space: KeySpace,
     link: watch::Receiver<bool>,
+    /// What follows the links of a session that belongs to the caller; none where the session is ours.
+    borrowed: Option<Arc<Mutex<Option<LinkListener>>>>,
 }
+
+/// Follows the links of a session until it is let go.
+type LinkListener = zenoh::session::TransportEventsListener<()>;
 
 /// A liveliness token; others see it for as long as this lives.
 #[derive(Debug)]
@@ -229,9 +239,29 @@ impl Bus {
                 config.listen.value.join(", ")
             ))
         })?;
-        let link = watch_link(&session).await.map_err(failed)?;
+        let (link, follow) = link_watch();
+        let info = session.info();
+        let listener = info.transport_events_listener().history(true).callback(follow);
+        let declared = listener.background().await;
+        declared.map_err(|error| failed(anyhow::anyhow!("{LINKS_NOT_FOLLOWED}: {error}")))?;
         let space = KeySpace::new(config.fleet);
-        Ok(Self { session, tokens: Arc::default(), again, space, link })
+        Ok(Self { session, tokens: Arc::default(), again, space, link, borrowed: None })
+    }
+
+    /// The keys of a fleet on a session that belongs to the caller and that [`Bus::close`] leaves open.
+    ///
+    /// # Errors
+    /// [`OpenError::Failed`] if the session is closed.
+    pub async fn on_session(session: zenoh::Session, fleet: FleetId) -> Result<Self, OpenError> {
+        let (link, follow) = link_watch();
+        let info = session.info();
+        let listener = info.transport_events_listener().history(true).callback(follow);
+        let listener = listener
+            .await
+            .map_err(|error| OpenError::Failed(format!("{LINKS_NOT_FOLLOWED}: {error}")))?;
+        let borrowed = Some(Arc::new(Mutex::new(Some(listener))));
+        let space = KeySpace::new(fleet);
+        Ok(Self { session, tokens: Arc::default(), again: None, space, link, borrowed })
     }
 
     /// The keys of the fleet.
@@ -503,8 +533,14 @@ impl Bus {
         Ok(answers)
     }
 
-    /// Closes the session, both if there are two; gives up waiting after a moment.
+    /// Closes the session, both if there are two; gives up waiting after a moment. The session of a
+    /// caller stays open, and its links are not followed any more.
     pub async fn close(&self) {
+        if let Some(listener) = &self.borrowed {
+            let listener = listener.lock().unwrap_or_else(PoisonError::into_inner).take();
+            drop(listener);
+            return;
+        }
         let sessions = [Some(self.session.clone()), self.tokens.get().cloned()];
         let closing = tokio::task::spawn_blocking(move || {
             // The tokens first: that they are gone says nothing any more.
@@ -625,35 +661,27 @@ async fn answering_first(endpoints: Vec<String>) -> Vec<String> {
     there
 }
 
-/// Follows whether a router is linked. A process that never had one (a router, a peer) counts as
-/// linked.
-async fn watch_link(session: &zenoh::Session) -> anyhow::Result<watch::Receiver<bool>> {
+/// Whether a router is linked, and what must be told of each change of a link. A process that never
+/// had a router (a router, a peer) counts as linked.
+fn link_watch() -> (watch::Receiver<bool>, impl Fn(TransportEvent) + Send + Sync + 'static) {
     let (sender, receiver) = watch::channel(true);
-    let linked = std::sync::Mutex::new(std::collections::HashSet::new());
-    session
-        .info()
-        .transport_events_listener()
-        .history(true)
-        .callback(move |event| {
-            if event.transport().whatami() != WhatAmI::Router {
-                return;
-            }
-            let mut linked = linked.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-            match event.kind() {
-                SampleKind::Put => linked.insert(*event.transport().zid()),
-                SampleKind::Delete => linked.remove(event.transport().zid()),
-            };
-            sender.send_if_modified(|up| {
-                let changed = *up == linked.is_empty();
-                *up = !linked.is_empty();
-                changed
-            });
-        })
-        .background()
-        .await
-        .map_err(|error| anyhow::anyhow!("{error}"))
-        .context("cannot follow the links of the session")?;
-    Ok(receiver)
+    let linked = Mutex::new(HashSet::new());
+    let follow = move |event: TransportEvent| {
+        if event.transport().whatami() != WhatAmI::Router {
+            return;
+        }
+        let mut linked = linked.lock().unwrap_or_else(PoisonError::into_inner);
+        match event.kind() {
+            SampleKind::Put => linked.insert(*event.transport().zid()),
+            SampleKind::Delete => linked.remove(event.transport().zid()),
+        };
+        sender.send_if_modified(|up| {
+            let changed = *up == linked.is_empty();
+            *up = !linked.is_empty();
+            changed
+        });
+    };
+    (receiver, follow)
 }
 
 #[cfg(test)]

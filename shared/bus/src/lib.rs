@@ -12,4 +12,6 @@ mod zenoh_config;
 
 pub use bus::{Answer, Ask, Asked, Bus, OpenError, Patience, Query, Served, Subscription, Token};
 pub use config::{BusConfig, Mode};
+/// A session of Zenoh, for callers that have one of their own.
+pub use zenoh::Session;
 pub use zenoh_config::{QUIET_LOG, check_endpoint, check_zenoh_config, routers};

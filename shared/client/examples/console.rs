@@ -6,15 +6,16 @@
 
 use std::time::Duration;
 
+use futures_util::StreamExt as _;
 use muster_client::model::id::ServiceName;
 use muster_client::model::teams::Teams;
-use muster_client::{Client, Config, Error, Latest};
+use muster_client::{Change, Client, Config, Error, Latest};
 
 const USAGE: &str = "usage: console
 environment: MUSTER_FLEET, MUSTER_CONNECT, MUSTER_ZENOH_CONFIG";
 
 fn print(division: &Latest<Teams>) {
-    let stale = if division.is_stale() { " (stale)" } else { "" };
+    let stale = division.stale.map_or(String::new(), |why| format!(" (stale: {why:?})"));
     println!("division {:?}{stale}", division.header.revision);
     for team in &division.teams {
         let members: Vec<_> = team.members.iter().map(|member| member.robot.as_str()).collect();
@@ -23,25 +24,24 @@ fn print(division: &Latest<Teams>) {
 }
 
 async fn look() -> Result<(), Error> {
-    let config = Config { patience: Some(Duration::from_secs(5)), ..Config::from_env() };
-    let client = Client::open(&config).await?;
-    match client.settings(ServiceName::Clusterer).await {
+    let connect_timeout = Some(Duration::from_secs(5));
+    let client = Client::open(&Config { connect_timeout, ..Config::from_env() }).await?;
+    match client.get_settings(ServiceName::Clusterer).await {
         Ok(settings) => println!("settings of clusterer: {settings}"),
         Err(error) => eprintln!("{error}"),
     }
-    let mut events = client.events().await?;
-    let (mut teams, mut audits) = (client.teams().await?, client.audits().await?);
+    let mut changes = client.changes().await?;
     let mut verdict = None;
     loop {
         tokio::select! {
-            division = teams.changed() => print(&division?),
-            audit = audits.changed() => {
-                let audit = audit?;
-                if verdict.replace(audit.verdict) != Some(audit.verdict) {
+            Some(change) = changes.next() => match change {
+                Change::Teams(division) => print(&division),
+                Change::Audit(audit) => if verdict.replace(audit.verdict) != Some(audit.verdict) {
                     println!("verdict: {:?}", audit.verdict);
                 }
-            }
-            event = events.next() => println!("{:?}", event?.kind),
+                Change::Event(event) => println!("{:?}", event.kind),
+                link => println!("{link:?}"),
+            },
             _ = tokio::signal::ctrl_c() => break,
         }
     }

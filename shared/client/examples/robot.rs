@@ -14,15 +14,18 @@ use tokio::time::{Instant, interval};
 const USAGE: &str = "usage: robot ID [X Y [SUPERIOR]]
   ID        the robot: a-z 0-9 _ -
   X Y       the middle of its circle in metres; 0 0 if left out
-  SUPERIOR  the robot that it answers to; nobody if left out
+  SUPERIOR  its superior; none if left out
 environment: MUSTER_FLEET, MUSTER_CONNECT, MUSTER_ZENOH_CONFIG";
 
-/// Radius of the circle in metres, and seconds for one round.
-const CIRCLE: (f64, f64) = (1.0, 20.0);
+/// Radius of the circle in metres.
+const RADIUS_M: f64 = 1.0;
 
-fn print(told: &Latest<RobotTeam>) {
-    let stale = told.stale.map_or(String::new(), |why| format!(" (stale: {why:?})"));
-    match (&told.team, &told.members, &told.leader) {
+/// Time for one round in seconds.
+const ROUND_S: f64 = 20.0;
+
+fn print(latest: &Latest<RobotTeam>) {
+    let stale = latest.stale.map_or(String::new(), |why| format!(" (stale: {why:?})"));
+    match (&latest.team, &latest.members, &latest.leader) {
         (Some(team), Some(members), Some(leader)) => {
             let names: Vec<_> = members.iter().map(ToString::to_string).collect();
             println!("team {team}, led by {leader}: {}{stale}", names.join(" "));
@@ -42,11 +45,11 @@ async fn drive(id: &str, middle: (f64, f64), superior: Option<&str>) -> Result<(
     loop {
         tokio::select! {
             _ = ticks.tick() => {
-                let angle = start.elapsed().as_secs_f64() / CIRCLE.1 * std::f64::consts::TAU;
-                let (x, y) = (middle.0 + CIRCLE.0 * angle.cos(), middle.1 + CIRCLE.0 * angle.sin());
+                let angle = start.elapsed().as_secs_f64() / ROUND_S * std::f64::consts::TAU;
+                let (x, y) = (middle.0 + RADIUS_M * angle.cos(), middle.1 + RADIUS_M * angle.sin());
                 robot.put_pose(Pose { heading: Some(angle), ..Pose::at(x, y) })?;
             }
-            told = team.changed() => print(&told?),
+            latest = team.changed() => print(&latest?),
             _ = tokio::signal::ctrl_c() => break,
         }
     }

@@ -2,26 +2,23 @@
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
-use muster_bus::{Answer, Ask, Bus};
+use muster_bus::{Bus, Session};
 use muster_model::audit::Audit;
-use muster_model::id::{RobotId, ServiceName};
+use muster_model::id::RobotId;
+use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
-use muster_wire::message::quoted;
-use muster_wire::{Key, KeySpace, Message, Packet, Pattern, Rejection};
+use muster_wire::{Key, KeySpace, Message, Packet, Rejection};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::watch;
 
 use crate::config::Config;
 use crate::error::Error;
-use crate::events::Events;
-use crate::outgoing::Outgoing;
-use crate::robot::Robot;
+use crate::feed::{self, Events, Feed, ReceivedPose};
+use crate::freshness::Publication;
+use crate::robot::{Robot, RobotPublisher};
+use crate::send_queue::SendQueue;
 use crate::watch::Watch;
-
-/// How long a console waits for the answer to a question.
-const ANSWER_WITHIN: Duration = Duration::from_secs(3);
 
 /// A session on the bus, for one robot, for many in one process, or for a console. Clones share it.
 ///
@@ -34,54 +31,81 @@ pub struct Client(Arc<Inner>);
 struct Inner {
     bus: Bus,
     config: Config,
-    outgoing: Outgoing,
+    queue: SendQueue,
     joined: Mutex<BTreeSet<RobotId>>,
 }
 
 impl Drop for Inner {
     fn drop(&mut self) {
-        // The thread that sends holds the session; it ends, and lets it go.
-        self.outgoing.close();
+        // The sending thread owns a clone of the session; it ends, and drops it.
+        self.queue.close();
     }
 }
 
+/// Refuses runtimes on which Zenoh would panic.
+fn check_runtime() -> Result<(), Error> {
+    let flavor = Handle::try_current().map(|handle| handle.runtime_flavor());
+    if matches!(flavor, Ok(RuntimeFlavor::MultiThread)) { Ok(()) } else { Err(Error::Runtime) }
+}
+
 impl Client {
-    /// Opens a session, and waits for a router as long as the configuration says.
+    /// Opens a session, and waits for a router for [`Config::connect_timeout`].
     ///
     /// # Errors
     /// [`Error::Input`] for a wrong configuration, [`Error::Runtime`] outside of a multi-threaded
     /// tokio runtime, [`Error::Unreachable`] if no router answers in time.
     pub async fn open(config: &Config) -> Result<Self, Error> {
-        let flavor = Handle::try_current().map(|handle| handle.runtime_flavor());
-        // Zenoh would panic.
-        if !matches!(flavor, Ok(RuntimeFlavor::MultiThread)) {
-            return Err(Error::Runtime);
-        }
+        check_runtime()?;
         let bus = config.bus()?;
-        // Zenoh's own configuration may name others than ours does.
+        // Zenoh's own configuration may name other routers.
         let routers = muster_bus::routers(&bus).unwrap_or_else(|_| config.routers.clone());
-        let bus = Bus::open(bus, config.bus_patience()).await;
-        let bus = bus.map_err(|error| Error::open(error, &routers))?;
-        let outgoing = Outgoing::default();
+        let bus = Bus::open(bus, config.patience()).await;
+        Self::on_bus(bus.map_err(|error| Error::open(error, &routers))?, config)
+    }
+
+    /// A client on a Zenoh session of the caller's, which stays open when the client is closed. Of the
+    /// configuration it uses [`Config::fleet`], [`Config::stale_after`], [`Config::republish_every`] and
+    /// [`Config::format`]; how the session reaches its routers is the caller's choice.
+    ///
+    /// # Errors
+    /// [`Error::Input`] for a wrong configuration, [`Error::Runtime`] outside of a multi-threaded
+    /// tokio runtime, [`Error::Bus`] if the session is closed.
+    pub async fn on_session(session: Session, config: &Config) -> Result<Self, Error> {
+        check_runtime()?;
+        let bus = Bus::on_session(session, config.fleet()?).await.map_err(Error::bus)?;
+        Self::on_bus(bus, config)
+    }
+
+    fn on_bus(bus: Bus, config: &Config) -> Result<Self, Error> {
+        let queue = SendQueue::default();
         let sending = bus.clone();
-        let started = outgoing.start(move |message| {
+        let started = queue.start(move |message| {
             if let Err(error) = sending.put(message) {
                 tracing::debug!("{error:#}");
             }
         });
         started.map_err(Error::bus)?;
         let (config, joined) = (config.clone(), Mutex::default());
-        Ok(Self(Arc::new(Inner { bus, config, outgoing, joined })))
+        Ok(Self(Arc::new(Inner { bus, config, queue, joined })))
     }
 
     /// Joins the fleet as a robot. Several robots may share a session.
     ///
     /// # Errors
-    /// [`Error::Input`] if the id is none, [`Error::Taken`] if another process speaks for the robot
-    /// and goes on for longer than it takes to notice a dead one, [`Error::Bus`] if the bus fails.
+    /// [`Error::Input`] if the id is invalid, [`Error::Taken`] if another process has joined as the
+    /// robot and stays for longer than it takes to notice a dead one, [`Error::Bus`] if the bus fails.
     pub async fn join(&self, robot: &str) -> Result<Robot, Error> {
         let robot = RobotId::new(robot).map_err(Error::id("robot"))?;
         Robot::begin(self.clone(), robot, false).await
+    }
+
+    /// Joins the fleet as a robot that only reports: it has no team, republishes nothing, and does not
+    /// look for another process with its id. For simulations of many robots in one process.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn join_as_publisher(&self, robot: RobotId) -> Result<RobotPublisher, Error> {
+        RobotPublisher::join(self.clone(), robot).await
     }
 
     /// Follows the division of the fleet.
@@ -96,7 +120,7 @@ impl Client {
         .await
     }
 
-    /// Follows the judgement of the division.
+    /// Follows the silhouettes of the division.
     ///
     /// # Errors
     /// [`Error::Bus`] if the bus fails.
@@ -108,43 +132,35 @@ impl Client {
         .await
     }
 
-    /// Follows what happens in the fleet from now on.
+    /// Follows the roster. In a fleet that moves it changes with every frame of `ingest`.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn rosters(&self) -> Result<Watch<Roster>, Error> {
+        self.follow(Key::Roster, |space, packet| match Message::decode(space, packet)? {
+            Message::Roster(roster) => Ok(Arc::unwrap_or_clone(roster)),
+            _ => Err(Rejection::new(space, &packet.key, "this is no roster")),
+        })
+        .await
+    }
+
+    /// Subscribes to the events of the fleet, from now on.
     ///
     /// # Errors
     /// [`Error::Bus`] if the bus fails.
     pub async fn events(&self) -> Result<Events, Error> {
-        Events::follow(&self.0.bus).await
+        Feed::subscribe(self.bus(), [Key::Event], feed::event).await
     }
 
-    /// Reads the settings of a service, as the JSON object that `muster set SERVICE` shows.
+    /// Subscribes to the poses of some robots, from now on.
     ///
     /// # Errors
-    /// [`Error::Unanswered`] if the service does not run, [`Error::Bus`] if the bus fails or the
-    /// answer is an error.
-    pub async fn settings(&self, service: ServiceName) -> Result<serde_json::Value, Error> {
-        let key = Key::Settings(service);
-        let what = key.to_string();
-        let ask = Ask {
-            parameters: "format=json",
-            payload: None,
-            within: ANSWER_WITHIN,
-            everybody: false,
-        };
-        let answers = self.0.bus.get(&Pattern::One(key), ask).await.map_err(Error::bus)?;
-        let mut problem = Error::Unanswered { what };
-        for answer in answers {
-            match answer {
-                Answer::Packet(Packet { payload: Ok(payload), .. }) => {
-                    match serde_json::from_slice(&payload) {
-                        Ok(settings) => return Ok(settings),
-                        Err(error) => problem = Error::bus(error),
-                    }
-                }
-                Answer::Packet(_) => {}
-                Answer::Error(error) => problem = Error::Bus(quoted(&error)),
-            }
-        }
-        Err(problem)
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn poses(
+        &self,
+        robots: impl IntoIterator<Item = RobotId>,
+    ) -> Result<Feed<ReceivedPose>, Error> {
+        Feed::subscribe(self.bus(), robots.into_iter().map(Key::Pose), feed::pose).await
     }
 
     /// Whether a router is linked, and every change of it.
@@ -153,21 +169,22 @@ impl Client {
         self.0.bus.link()
     }
 
-    /// How many messages gave way to newer ones of the same stream before they were sent, because the
-    /// link was busy.
+    /// How many messages were replaced by newer ones of the same stream before they were sent, because
+    /// the link was busy.
     #[must_use]
     pub fn superseded(&self) -> u64 {
-        self.0.outgoing.superseded()
+        self.0.queue.superseded()
     }
 
-    /// Sends what waits, and closes the session for all clones. Their robots vanish from the fleet.
+    /// Sends what is queued, and closes the session for all clones. Their robots vanish from the fleet.
+    /// A session that belongs to the caller stays open, and robots stay until they leave or are dropped.
     pub async fn close(self) {
         self.flush().await;
-        self.0.outgoing.close();
+        self.0.queue.close();
         self.0.bus.close().await;
     }
 
-    async fn follow<T: crate::keeper::Telling>(
+    async fn follow<T: Publication>(
         &self,
         key: Key,
         decode: fn(&KeySpace, &Packet) -> Result<T, Rejection>,
@@ -177,15 +194,15 @@ impl Client {
 
     pub(crate) async fn team(&self, robot: &RobotId) -> Result<Watch<RobotTeam>, Error> {
         self.follow(Key::RobotTeam(robot.clone()), |space, packet| {
-            muster_wire::told::decode(space, packet, crate::voice::wall_clock())
+            muster_wire::told::decode(space, packet, crate::reporter::wall_clock())
         })
         .await
     }
 
     pub(crate) async fn flush(&self) {
-        let outgoing = self.0.outgoing.clone();
+        let queue = self.0.queue.clone();
         // It fails only as the runtime ends; then nothing is left to wait for.
-        let _ = tokio::task::spawn_blocking(move || outgoing.flush()).await;
+        let _ = tokio::task::spawn_blocking(move || queue.flush()).await;
     }
 
     pub(crate) fn bus(&self) -> &Bus {
@@ -196,11 +213,11 @@ impl Client {
         &self.0.config
     }
 
-    pub(crate) fn outgoing(&self) -> &Outgoing {
-        &self.0.outgoing
+    pub(crate) fn queue(&self) -> &SendQueue {
+        &self.0.queue
     }
 
-    /// The robots that speak through this session.
+    /// The robots that joined through this session.
     pub(crate) fn joined(&self) -> MutexGuard<'_, BTreeSet<RobotId>> {
         self.0.joined.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,32 +1,44 @@
-//! Where a client finds its fleet, and how patient it is.
+//! Where a client finds its fleet, and its timeouts.
 
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use muster_bus::config::{Choice, DEFAULT_ENDPOINT, DEFAULT_FLEET};
-use muster_bus::{BusConfig, Mode, Patience, check_endpoint};
+use muster_bus::{BusConfig, Patience, check_endpoint};
 use muster_model::id::FleetId;
 use muster_wire::Format;
 
 use crate::error::Error;
 
-/// When what a robot or console was told counts as stale: five heartbeats of `clusterer`, which is
-/// also the time in which a service that died is back.
+/// When the newest message is stale: after five heartbeats of `clusterer`, which is also the time in
+/// which a service that died is back.
 const STALE_AFTER: Duration = Duration::from_secs(5);
 
-/// Shortest and longest time after which something may count as stale. Below, one lost message would
-/// do it; above, nobody would ever be told.
-const STALE_AFTER_RANGE: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(3600));
+/// Shortest and longest time after which a message may be stale. Below, one lost message would do it;
+/// above, no operator would wait for it.
+const STALE_AFTER_RANGE: RangeInclusive<Duration> =
+    Duration::from_secs(1)..=Duration::from_secs(3600);
 
-/// How often what a robot has said once is said again: seldom enough to cost nothing, often enough
-/// that a service which lost it learns it within one breath of an operator.
-const REPEAT_EVERY: Duration = Duration::from_secs(10);
+/// How often valid reports are republished: seldom enough to cost nothing, often enough that a service
+/// which lost them has them again before an operator looks.
+const REPUBLISH_EVERY: Duration = Duration::from_secs(10);
 
-/// Shortest and longest time between repetitions.
-const REPEAT_EVERY_RANGE: (Duration, Duration) =
-    (Duration::from_secs(1), Duration::from_secs(3600));
+/// Shortest and longest time between republications.
+const REPUBLISH_EVERY_RANGE: RangeInclusive<Duration> =
+    Duration::from_secs(1)..=Duration::from_secs(3600);
 
-/// Where a client finds its fleet, and how patient it is.
+/// How a client takes part in the bus.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// Through a router.
+    #[default]
+    Client,
+    /// With direct links to other peers, which do not relay for each other.
+    Peer,
+}
+
+/// Where a client finds its fleet, and its timeouts.
 ///
 /// ```
 /// use muster_client::Config;
@@ -49,15 +61,19 @@ pub struct Config {
     /// access through several interfaces. What [`Config::routers`] names overrides its endpoints,
     /// unless that is the default.
     pub zenoh_config: Option<PathBuf>,
+    /// How to take part in the bus.
+    pub mode: Mode,
+    /// Where a peer listens, in the form of [`Config::routers`].
+    pub listen: Vec<String>,
     /// How long opening waits for a router; none: until there is one.
-    pub patience: Option<Duration>,
-    /// When what was told last counts as stale, if nothing newer is told: 5 s. It must be longer than
-    /// `heartbeat_s` of `clusterer`, and in fleets of thousands longer still: each robot that has
-    /// heard nothing for half of it asks.
+    pub connect_timeout: Option<Duration>,
+    /// When the newest message is stale, if no newer one arrives: 5 s. It must be longer than
+    /// `heartbeat_s` of `clusterer`, and longer still in fleets of thousands: each robot that received
+    /// nothing for half of it sends a get.
     pub stale_after: Duration,
-    /// How often links, rank and relations that were put once are put again: 10 s.
-    pub repeat_every: Duration,
-    /// The form in which a robot speaks: JSON, which any tool reads, or binary, which is smaller.
+    /// How often links, rank and relations that were put once are republished: 10 s.
+    pub republish_every: Duration,
+    /// The format of a robot's messages: JSON, which any tool reads, or binary, which is smaller.
     pub format: Format,
 }
 
@@ -67,9 +83,11 @@ impl Default for Config {
             fleet: DEFAULT_FLEET.to_owned(),
             routers: vec![DEFAULT_ENDPOINT.to_owned()],
             zenoh_config: None,
-            patience: None,
+            mode: Mode::default(),
+            listen: Vec::new(),
+            connect_timeout: None,
             stale_after: STALE_AFTER,
-            repeat_every: REPEAT_EVERY,
+            republish_every: REPUBLISH_EVERY,
             format: Format::Json,
         }
     }
@@ -77,8 +95,7 @@ impl Default for Config {
 
 impl Config {
     /// The defaults, changed by the variables that every program of Muster reads: `MUSTER_FLEET`,
-    /// `MUSTER_CONNECT` (several with commas), `MUSTER_ZENOH_CONFIG`. One that is empty is as good as
-    /// none.
+    /// `MUSTER_CONNECT` (several with commas), `MUSTER_ZENOH_CONFIG`. An empty one is ignored.
     #[must_use]
     pub fn from_env() -> Self {
         Self::from_variables(&|name| std::env::var(name).ok())
@@ -104,45 +121,57 @@ impl Config {
     /// Checks every field.
     ///
     /// # Errors
-    /// Names the first field that is wrong.
+    /// [`Error::Input`] names the first field that is wrong.
     pub fn check(&self) -> Result<(), Error> {
         self.bus().map(drop)
     }
 
-    /// What the bus needs to know, with every field checked.
+    /// The fleet, with every field checked that does not concern the session.
+    pub(crate) fn fleet(&self) -> Result<FleetId, Error> {
+        check_range("stale_after", self.stale_after, STALE_AFTER_RANGE)?;
+        check_range("republish_every", self.republish_every, REPUBLISH_EVERY_RANGE)?;
+        FleetId::new(&self.fleet).map_err(Error::id("fleet"))
+    }
+
+    /// The configuration of the bus, with every field checked.
     pub(crate) fn bus(&self) -> Result<BusConfig, Error> {
-        let fleet = FleetId::new(&self.fleet).map_err(Error::id("fleet"))?;
-        if self.routers.is_empty() {
+        let fleet = self.fleet()?;
+        if self.routers.is_empty() && self.mode == Mode::Client {
             return Err(Error::input("routers", "must name at least one, like tcp/10.0.0.1:7447"));
         }
-        for router in &self.routers {
-            check_endpoint(router).map_err(|problem| Error::input("routers", problem))?;
+        for (field, endpoints) in [("routers", &self.routers), ("listen", &self.listen)] {
+            for endpoint in endpoints {
+                check_endpoint(endpoint).map_err(|problem| Error::input(field, problem))?;
+            }
         }
-        check_range("stale_after", self.stale_after, STALE_AFTER_RANGE)?;
-        check_range("repeat_every", self.repeat_every, REPEAT_EVERY_RANGE)?;
+        let mode = match self.mode {
+            Mode::Client => Choice::default(muster_bus::Mode::Client),
+            Mode::Peer => Choice::chosen(muster_bus::Mode::Peer),
+        };
         let chosen = self.routers != [DEFAULT_ENDPOINT];
         Ok(BusConfig {
             fleet,
-            mode: Choice::default(Mode::Client),
+            mode,
             connect: Choice { value: self.routers.clone(), chosen },
-            listen: Choice::default(Vec::new()),
+            listen: Choice { value: self.listen.clone(), chosen: !self.listen.is_empty() },
             zenoh_config: self.zenoh_config.clone(),
         })
     }
 
-    pub(crate) fn bus_patience(&self) -> Patience {
-        self.patience.map_or(Patience::Forever, Patience::AtMost)
+    pub(crate) fn patience(&self) -> Patience {
+        self.connect_timeout.map_or(Patience::Forever, Patience::AtMost)
     }
 }
 
 fn check_range(
     field: &'static str,
     value: Duration,
-    (least, most): (Duration, Duration),
+    range: RangeInclusive<Duration>,
 ) -> Result<(), Error> {
-    if (least..=most).contains(&value) {
+    if range.contains(&value) {
         return Ok(());
     }
+    let (least, most) = range.into_inner();
     Err(Error::input(field, format!("must be {least:?} to {most:?}, this is {value:?}")))
 }
 
@@ -158,7 +187,8 @@ mod tests {
             ("routers", Config { routers: vec![], ..good() }),
             ("routers", Config { routers: vec!["here".to_owned()], ..good() }),
             ("stale_after", Config { stale_after: Duration::ZERO, ..good() }),
-            ("repeat_every", Config { repeat_every: Duration::MAX, ..good() }),
+            ("republish_every", Config { republish_every: Duration::MAX, ..good() }),
+            ("listen", Config { listen: vec!["here".to_owned()], ..good() }),
         ];
         for (field, config) in wrong {
             let error = config.check().unwrap_err().to_string();
@@ -167,7 +197,18 @@ mod tests {
     }
 
     #[test]
-    fn the_variables_of_our_programs_hold_here_too() {
+    fn the_documented_defaults_are_the_real_ones() {
+        let docs = [include_str!("lib.rs"), include_str!("config.rs")].concat();
+        let Config { stale_after, republish_every, .. } = Config::default();
+        let heartbeat_s = muster_model::settings::ClustererSettings::default().heartbeat_s;
+        let follow_s = 2.0 * stale_after.as_secs_f64() + heartbeat_s;
+        assert!(docs.contains(&format!("of `clusterer`, {follow_s} s by default")));
+        assert!(docs.contains(&format!("if no newer one arrives: {} s", stale_after.as_secs())));
+        assert!(docs.contains(&format!("are republished: {} s", republish_every.as_secs())));
+    }
+
+    #[test]
+    fn the_environment_of_all_programs_is_read() {
         let config = Config::from_variables(&|name| match name {
             "MUSTER_FLEET" => Some("alpha".to_owned()),
             "MUSTER_CONNECT" => Some("tcp/a:1, ,tcp/b:2,".to_owned()),

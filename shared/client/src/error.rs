@@ -1,7 +1,7 @@
 //! What can go wrong, each with its remedy.
 
 use muster_bus::OpenError;
-use muster_model::id::{FleetId, IdError, RobotId};
+use muster_model::id::{FleetId, IdError, RobotId, ServiceName};
 use muster_model::observation::ObservationError;
 
 /// Why the client refuses or fails.
@@ -22,16 +22,16 @@ pub enum Error {
          #[tokio::test(flavor = \"multi_thread\")], or runtime::Builder::new_multi_thread()"
     )]
     Runtime,
-    /// No router answered in the time that [`Config::patience`](crate::Config::patience) gives.
+    /// No router answered within [`Config::connect_timeout`](crate::Config::connect_timeout).
     #[error(
-        "no router answers at {routers}; start one with `muster router`, or name another in \
-         Config::routers"
+        "no router answers at {}; start one with `muster router`, or name another in \
+         Config::routers", routers.join(", ")
     )]
     Unreachable {
-        /// Where one was looked for.
-        routers: String,
+        /// The endpoints of the routers.
+        routers: Vec<String>,
     },
-    /// Another process speaks for this robot.
+    /// Another process has joined the fleet as this robot.
     #[error(
         "robot: {robot} is in fleet {fleet} already; give each robot an id of its own, or end the \
          process that speaks for it"
@@ -42,18 +42,31 @@ pub enum Error {
         /// The fleet.
         fleet: FleetId,
     },
-    /// Nobody answered a question in time.
-    #[error("nobody answers for {what}; see `muster status` for what runs")]
+    /// No service replied to a get in time.
+    #[error("nobody answers for {key} of fleet {fleet}; see `muster status` for what runs")]
     Unanswered {
-        /// What was asked for.
-        what: String,
+        /// The key below the fleet's prefix, or the pattern.
+        key: String,
+        /// The fleet.
+        fleet: FleetId,
+    },
+    /// A service refused a get.
+    #[error("{service} refuses: {reason}")]
+    Refused {
+        /// The service.
+        service: ServiceName,
+        /// What is wrong and what would be right, cut short, without control characters.
+        reason: String,
     },
     /// The robot has left, or the client was closed.
     #[error("the robot has left, or its client was closed")]
     Closed,
     /// The bus failed.
-    #[error("the bus failed: {0}")]
-    Bus(String),
+    #[error("the bus failed: {reason}")]
+    Bus {
+        /// What Zenoh or the operating system says.
+        reason: String,
+    },
 }
 
 impl Error {
@@ -66,7 +79,7 @@ impl Error {
     }
 
     pub(crate) fn bus(error: impl std::fmt::Display) -> Self {
-        Self::Bus(format!("{error:#}"))
+        Self::Bus { reason: format!("{error:#}") }
     }
 
     pub(crate) fn open(error: OpenError, routers: &[String]) -> Self {
@@ -75,7 +88,7 @@ impl Error {
                 let named = problem.strip_prefix("zenoh_config ").unwrap_or(&problem);
                 Self::input("zenoh_config", named)
             }
-            OpenError::Unreachable(_) => Self::Unreachable { routers: routers.join(", ") },
+            OpenError::Unreachable(_) => Self::Unreachable { routers: routers.to_vec() },
             other => Self::bus(other),
         }
     }

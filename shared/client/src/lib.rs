@@ -15,17 +15,17 @@
 //!     loop {
 //!         tokio::select! {
 //!             _ = ticks.tick() => robot.put_pose(Pose::at(1.0, 2.0))?,
-//!             told = team.changed() => println!("{:?}", told?),
+//!             latest = team.changed() => println!("{:?}", latest?),
 //!         }
 //!     }
 //! }
 //! ```
 //!
-//! Name of the run, numbers and stamps are set. What is put is checked first: an [`Error::Input`] names
-//! the field. Putting never waits and never queues: of each stream, the newest waits for its turn.
-//! Links, rank and relations hold until the next report, and are said again by themselves. The team is
-//! what was told last, with whether it still holds. Dropping the robot takes it out of the fleet;
-//! [`Robot::leave`] does so and sends what waits first. `examples/robot.rs` is a whole program.
+//! Boot id, sequence numbers and stamps are set. Every report is checked first: an [`Error::Input`]
+//! names the field. Putting never waits: of each stream, the newest message waits to be sent. Links,
+//! rank and relations are valid until the next report, and are republished by themselves. The team is
+//! the newest message, with whether it is still valid. Dropping the robot takes it out of the fleet;
+//! [`Robot::leave`] does so after it has sent what is queued. `examples/robot.rs` is a whole program.
 //!
 //! # What happens when something is lost
 //!
@@ -33,20 +33,26 @@
 //! | --- | --- |
 //! | the link to the router | its last team, stale at once ([`Staleness::LinkLost`]) |
 //! | the services, or their links | its last team, stale after [`Config::stale_after`] ([`Staleness::Silent`]) |
-//! | nothing any more | fresh as soon as somebody tells it anew; it asks by itself |
+//! | the services with their state | its last team, stale ([`Staleness::Restarted`]), then the new one |
+//! | nothing any more | a fresh team as soon as a newer message arrives; the client sends gets by itself |
 //!
 //! A silent link counts as lost after 2 s. The session connects again by itself. A message that is
-//! older than the last one, by (term, epoch), or speaks to another robot or fleet, changes nothing. If
-//! a whole fleet begins anew with lower terms, it is believed after it was the only one to speak for
-//! as long as makes a team stale, and once more.
+//! older than the newest one, by (term, epoch), or names another robot or fleet, changes nothing.
+//! Services that start again without their state begin with lower terms. A reader follows them within
+//! twice [`Config::stale_after`] and one `heartbeat_s` of `clusterer`, 11 s by default: the old message
+//! must be stale first, and the new ones must have kept arriving for as long. Consoles do the same.
 //!
 //! Two processes cannot be the same robot: the second is refused with [`Error::Taken`]. If both joined
 //! while they could not see each other, [`Robot::is_contested`] says so.
 //!
 //! # A console
 //!
-//! [`Client`] is a session without a robot. This one reads and prints the division; like all of this
-//! crate it runs on tokio's multi-threaded runtime, and says so elsewhere:
+//! [`Client`] is a session without a robot. It follows the division, the audit and the roster
+//! ([`Client::teams`] and so on, each a [`Watch`]), delivers events, asks once ([`Client::get_statuses`],
+//! [`Client::get_graphs`], [`Client::get_similarity`] and others), and changes settings
+//! ([`Client::change_settings`]). Each watch is a stream too, and [`Client::changes`] is all in one.
+//! This one prints the division; like all of this crate it runs on tokio's multi-threaded runtime, and
+//! refuses others:
 //!
 //! ```
 //! use muster_client::{Client, Config, Error};
@@ -66,38 +72,52 @@
 //! assert!(matches!(single.block_on(print_teams(&config)), Err(Error::Runtime)));
 //!
 //! // Nothing listens on port 1: the error names the remedy.
-//! let patience = Some(std::time::Duration::from_millis(100));
-//! let config = Config { routers: vec!["tcp/127.0.0.1:1".to_owned()], patience, ..config };
+//! let connect_timeout = Some(std::time::Duration::from_millis(100));
+//! let config = Config { routers: vec!["tcp/127.0.0.1:1".to_owned()], connect_timeout, ..config };
 //! let multi = tokio::runtime::Runtime::new().unwrap();
 //! let error = multi.block_on(print_teams(&config)).unwrap_err();
 //! assert!(error.to_string().contains("muster router"), "{error}");
 //! ```
 //!
-//! # How it is made
+//! A program that has a Zenoh session already opens the client on it with [`Client::on_session`].
 //!
-//! `voice` checks, numbers and remembers what a robot says, `outgoing` is the bounded way out,
-//! `keeper` decides what is newest and when it is stale: none of them knows the bus, and each is tested
-//! without one. [`Watch`] and [`Robot`] tie them to a session.
+//! # Build settings
+//!
+//! Zenoh's TCP and TLS links read the environment variables `TCP_LINGER_TIMEOUT` and
+//! `TLS_LINGER_TIMEOUT` when they are compiled. A dependant sets both to 0 in a `.cargo/config.toml` of its
+//! own; `README.md` of this crate says how, and what happens without them.
+//!
+//! # Modules
+//!
+//! `reporter` checks, numbers and remembers the reports of a robot, `send_queue` is the bounded queue to
+//! the bus, `freshness` decides which message is the newest and when it is stale: none of them knows the
+//! bus, and each is tested without one. [`Watch`] and [`Robot`] connect them to a session; `get` has what a
+//! console asks for once.
 
+mod changes;
 mod client;
 mod config;
 mod error;
-mod events;
-mod keeper;
-mod outgoing;
+mod feed;
+mod freshness;
+mod get;
+mod reporter;
 mod robot;
-mod voice;
+mod send_queue;
 mod watch;
 
+pub use muster_bus::Session;
 pub use muster_model as model;
 pub use muster_model::observation::Pose;
 pub use muster_wire::Format;
 
+pub use crate::changes::Change;
 pub use crate::client::Client;
-pub use crate::config::Config;
+pub use crate::config::{Config, Mode};
 pub use crate::error::Error;
-pub use crate::events::Events;
-pub use crate::keeper::{Latest, Staleness, Telling};
-pub use crate::robot::Robot;
-pub use crate::voice::Report;
+pub use crate::feed::{Events, Feed, ReceivedPose};
+pub use crate::freshness::{Latest, Publication, Staleness};
+pub use crate::get::{FleetPresence, ServiceInstance};
+pub use crate::reporter::Report;
+pub use crate::robot::{Robot, RobotPublisher};
 pub use crate::watch::Watch;

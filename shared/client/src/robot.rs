@@ -16,63 +16,107 @@ use tokio::time::{MissedTickBehavior, interval};
 use crate::client::Client;
 use crate::config::Config;
 use crate::error::Error;
-use crate::outgoing::Outgoing;
-use crate::voice::{Report, Voice};
+use crate::reporter::{Report, Reporter};
+use crate::send_queue::SendQueue;
 use crate::watch::Watch;
 
-/// How long a token of the same robot may outlive its process: a robot that restarts must not be
-/// refused for the sake of itself. A dead host is noticed within the lease of 2 s; this is twice that.
-const TOKEN_OUTLIVES: Duration = Duration::from_secs(4);
+/// How long the token of a robot may outlive its process: a robot that restarts must not be refused
+/// because of its own last run. A dead host is noticed within the lease of 2 s; this is twice that.
+const TOKEN_LIFETIME: Duration = Duration::from_secs(4);
 
 /// How often such a token is looked for again.
-const TOKEN_AGAIN: Duration = Duration::from_millis(200);
+const TOKEN_POLL_INTERVAL: Duration = Duration::from_millis(200);
 
-/// How long the answer to such a look is waited for.
-const TOKEN_WITHIN: Duration = Duration::from_secs(1);
+/// How long the reply to such a look is waited for.
+const TOKEN_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How often it is looked whether something is to be said again.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// How often it is checked whether a report is to be republished.
+const REPUBLISH_POLL_INTERVAL: Duration = Duration::from_secs(1);
 
-/// When what holds is said again after the link is back, beside at once: the services may find the
-/// router later than the robot does.
-const AGAIN_AFTER_LINK: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(3)];
+/// When valid reports are republished after the link is restored, in addition to at once: the services
+/// may find the router later than the robot does.
+const REPUBLISH_AFTER_LINK: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(3)];
 
-/// For how long another process that spoke for the robot counts as there.
-const RIVAL_LASTS: Duration = Duration::from_secs(5);
+/// How long after its last pose another process with the same id counts as present.
+const DUPLICATE_LIFETIME: Duration = Duration::from_secs(5);
 
-/// How long a rival is not mentioned again in the log.
-const RIVAL_SILENCE: Duration = Duration::from_secs(10);
+/// How long a duplicate is not logged again.
+const DUPLICATE_LOG_INTERVAL: Duration = Duration::from_secs(10);
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // No critical section can panic half-way: the state behind a poisoned lock is whole.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The reporting part of a robot: its liveliness token and its streams. The fleet sees the robot until
+/// this leaves or is dropped.
+///
+/// Nothing that it reports waits for the bus: of each stream, the newest message waits to be sent.
+#[derive(Debug)]
+pub struct RobotPublisher {
+    reporter: Arc<Mutex<Reporter>>,
+    queue: SendQueue,
+    token: Token,
+}
+
+impl RobotPublisher {
+    pub(crate) async fn join(client: Client, id: RobotId) -> Result<Self, Error> {
+        let reporter = Reporter::new(id, client.config().format);
+        Self::declare(&client, reporter).await
+    }
+
+    async fn declare(client: &Client, reporter: Reporter) -> Result<Self, Error> {
+        let key = Key::RobotToken(reporter.robot().clone());
+        let token = client.bus().declare_token(&key).await.map_err(Error::bus)?;
+        let reporter = Arc::new(Mutex::new(reporter));
+        Ok(Self { reporter, queue: client.queue().clone(), token })
+    }
+
+    /// Puts a report. Boot id and sequence number are set, and the stamp if it has none.
+    ///
+    /// # Errors
+    /// [`Error::Input`] names the field that is wrong, and nothing is sent; [`Error::Closed`] if the
+    /// client was closed.
+    pub fn put(&self, report: Report) -> Result<(), Error> {
+        let mut reporter = lock(&self.reporter);
+        let message = reporter.publish(Instant::now(), report)?;
+        // Under the lock, so that messages leave in the order of their numbers.
+        self.queue.push(message)
+    }
+
+    /// Leaves the fleet on purpose. What is queued is sent all the same.
+    pub async fn leave(self) {
+        if let Err(error) = self.token.withdraw().await {
+            tracing::debug!("a token is not withdrawn: {error:#}");
+        }
+    }
+}
 
 /// One robot of a fleet. The fleet sees it until it leaves or is dropped.
 ///
-/// Nothing that it says waits for the bus, nor for anything else: of each stream, the newest waits for
-/// its turn. A message that is lost with the link is not sent later, but links, rank and relations
-/// are said again once the link is back, and every [`Config::repeat_every`] in any case.
+/// Nothing that it puts waits for the bus: of each stream, the newest message waits to be sent. A
+/// message that is lost with the link is not sent later, but links, rank and relations are republished
+/// once the link is restored, and every [`Config::republish_every`] in any case.
 #[derive(Debug)]
 pub struct Robot {
     client: Client,
     /// Whether the client was opened for this robot alone.
     alone: bool,
     id: RobotId,
-    voice: Arc<Mutex<Voice>>,
+    /// None once the robot has left.
+    publisher: Option<RobotPublisher>,
     team: Watch<RobotTeam>,
-    token: Option<Token>,
-    rival: Arc<Mutex<Rival>>,
-    repeating: AbortHandle,
-    _rivals: Subscription,
+    duplicate: Arc<Mutex<Duplicate>>,
+    republishing: AbortHandle,
+    _duplicates: Subscription,
     _name: Name,
 }
 
-/// Another process that speaks for the same robot.
+/// Another process with the same id.
 #[derive(Debug, Default)]
-struct Rival {
-    heard: Option<Instant>,
+struct Duplicate {
+    received: Option<Instant>,
     logged: Option<Instant>,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // No critical section can panic half-way, so that a poisoned lock still guards a whole state.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Robot {
@@ -90,32 +134,30 @@ impl Robot {
         let name = Name::take(client.clone(), id.clone())?;
         wait_until_free(&client, &id).await?;
         let config = client.config();
-        let voice = Voice::new(id.clone(), config.format);
-        let rival = Arc::<Mutex<Rival>>::default();
-        let take = rivals(client.bus().space().clone(), voice.boot().to_owned(), &rival);
+        let reporter = Reporter::new(id.clone(), config.format);
+        let duplicate = Arc::<Mutex<Duplicate>>::default();
+        let space = client.bus().space().clone();
+        let accept = notice_duplicates(space, reporter.boot().to_owned(), &duplicate);
         let pattern = Pattern::One(Key::Pose(id.clone()));
-        let rivals = client.bus().listen(&pattern, take).await.map_err(Error::bus)?;
+        let duplicates = client.bus().listen(&pattern, accept).await.map_err(Error::bus)?;
         let team = client.team(&id).await?;
-        let token = client.bus().declare_token(&Key::RobotToken(id.clone())).await;
-        let token = Some(token.map_err(Error::bus)?);
-        let voice = Arc::new(Mutex::new(voice));
-        let repeating = repeat(
-            Arc::clone(&voice),
-            client.outgoing().clone(),
+        let publisher = RobotPublisher::declare(&client, reporter).await?;
+        let republishing = republish(
+            Arc::clone(&publisher.reporter),
+            client.queue().clone(),
             client.link(),
-            config.repeat_every,
+            config.republish_every,
         );
-        let repeating = tokio::spawn(repeating).abort_handle();
+        let republishing = tokio::spawn(republishing).abort_handle();
         Ok(Self {
             client,
             alone,
             id,
-            voice,
+            publisher: Some(publisher),
             team,
-            token,
-            rival,
-            repeating,
-            _rivals: rivals,
+            duplicate,
+            republishing,
+            _duplicates: duplicates,
             _name: name,
         })
     }
@@ -126,20 +168,20 @@ impl Robot {
         &self.id
     }
 
-    /// The session through which it speaks.
+    /// The session that it uses.
     #[must_use]
     pub fn client(&self) -> &Client {
         &self.client
     }
 
-    /// Follows its team: what it was told last, and every change.
+    /// Follows its team: the newest message, and every change.
     #[must_use]
     pub fn team(&self) -> Watch<RobotTeam> {
         self.team.clone()
     }
 
     /// Puts where it is: `Pose::at(x, y)`, or with more fields
-    /// `Pose { heading: Some(0.1), ..Pose::at(x, y) }`. Name of the run and number are set; so is the
+    /// `Pose { heading: Some(0.1), ..Pose::at(x, y) }`. Boot id and sequence number are set; so is the
     /// stamp, if it is left out.
     ///
     /// # Errors
@@ -148,8 +190,8 @@ impl Robot {
         self.put(Report::Pose(pose))
     }
 
-    /// Puts whom it hears, and how well: 0 to 1, or dBm if `ingest` is set so. Who is left out is
-    /// not heard any more.
+    /// Puts the robots that it receives by radio, each with the quality of the link: 0 to 1, or dBm if
+    /// `ingest` is set so. A robot that is left out is not received any more.
     ///
     /// # Errors
     /// [`Error::Input`] names the field that is wrong; then nothing is sent.
@@ -165,7 +207,7 @@ impl Robot {
         self.put(Report::Links(Links { links, stamp: None, boot: None, seq: None }))
     }
 
-    /// Puts whom it answers to; none at the top.
+    /// Puts its superior; none at the top.
     ///
     /// # Errors
     /// [`Error::Input`] names the field that is wrong; then nothing is sent.
@@ -193,36 +235,30 @@ impl Robot {
         self.put(Report::Relation(modality, relation))
     }
 
-    /// Puts any report, with all its fields. The name of the run and the number are set.
+    /// Puts any report, with all its fields. Boot id and sequence number are set.
     ///
     /// # Errors
     /// [`Error::Input`] names the field that is wrong, and nothing is sent; [`Error::Closed`] if the
     /// client was closed.
     pub fn put(&self, report: Report) -> Result<(), Error> {
-        let mut voice = lock(&self.voice);
-        let message = voice.say(Instant::now(), report)?;
-        // Under the lock of the voice, so that messages leave in the order of their numbers.
-        let sent = self.client.outgoing().push(message);
-        if sent { Ok(()) } else { Err(Error::Closed) }
+        self.publisher.as_ref().ok_or(Error::Closed)?.put(report)
     }
 
-    /// Whether another process has spoken for this robot within the last 5 s. Both are heard then by
-    /// turns, and refused by turns: one of them needs another id.
+    /// Whether another process has put a pose of this robot within the last 5 s. Services then accept
+    /// and refuse both alternately: one of them needs another id.
     #[must_use]
     pub fn is_contested(&self) -> bool {
-        lock(&self.rival).heard.is_some_and(|heard| heard.elapsed() < RIVAL_LASTS)
+        lock(&self.duplicate).received.is_some_and(|at| at.elapsed() < DUPLICATE_LIFETIME)
     }
 
-    /// Leaves the fleet on purpose: sends what waits, withdraws the token, and closes the session if
+    /// Leaves the fleet on purpose: sends what is queued, withdraws the token, and closes the session if
     /// it was opened for this robot.
     pub async fn leave(mut self) {
         self.client.flush().await;
-        self.repeating.abort();
+        self.republishing.abort();
         self.team.end();
-        if let Some(token) = self.token.take()
-            && let Err(error) = token.withdraw().await
-        {
-            tracing::debug!("the token of {} is not withdrawn: {error:#}", self.id);
+        if let Some(publisher) = self.publisher.take() {
+            publisher.leave().await;
         }
         if self.alone {
             self.client.clone().close().await;
@@ -232,12 +268,12 @@ impl Robot {
 
 impl Drop for Robot {
     fn drop(&mut self) {
-        self.repeating.abort();
+        self.republishing.abort();
         self.team.end();
     }
 }
 
-/// A robot's name within its session; given back as this is dropped.
+/// The reservation of a robot's id within its session; released when dropped.
 #[derive(Debug)]
 struct Name {
     client: Client,
@@ -261,57 +297,58 @@ fn taken(client: &Client, id: &RobotId) -> Error {
     Error::Taken { robot: id.clone(), fleet: client.bus().space().fleet().clone() }
 }
 
-/// Waits until nobody holds the token of the robot; gives up once it cannot be that of a dead one.
+/// Waits until the token of the robot is gone; gives up once it cannot be that of a dead process.
 async fn wait_until_free(client: &Client, id: &RobotId) -> Result<(), Error> {
-    let until = Instant::now() + TOKEN_OUTLIVES;
+    let until = Instant::now() + TOKEN_LIFETIME;
     let pattern = Pattern::One(Key::RobotToken(id.clone()));
     loop {
-        let tokens = client.bus().tokens(&pattern, TOKEN_WITHIN).await.map_err(Error::bus)?;
+        let tokens = client.bus().tokens(&pattern, TOKEN_TIMEOUT).await.map_err(Error::bus)?;
         if tokens.is_empty() {
             return Ok(());
         }
         if Instant::now() >= until {
             return Err(taken(client, id));
         }
-        tokio::time::sleep(TOKEN_AGAIN).await;
+        tokio::time::sleep(TOKEN_POLL_INTERVAL).await;
     }
 }
 
-/// Listens to poses of the robot that others put.
-fn rivals(
+/// Notes poses of the robot that other processes put.
+fn notice_duplicates(
     space: KeySpace,
     boot: String,
-    rival: &Arc<Mutex<Rival>>,
+    duplicate: &Arc<Mutex<Duplicate>>,
 ) -> impl Fn(Packet) + Send + Sync + 'static {
-    let rival = Arc::clone(rival);
+    let duplicate = Arc::clone(duplicate);
     move |packet| {
         let Ok(Message::Pose(robot, pose)) = Message::decode(&space, &packet) else { return };
         if pose.provenance().boot.as_ref() == Some(&boot) {
             return;
         }
-        let (mut rival, now) = (lock(&rival), Instant::now());
-        rival.heard = Some(now);
-        if rival.logged.is_none_or(|logged| now.duration_since(logged) >= RIVAL_SILENCE) {
-            rival.logged = Some(now);
-            drop(rival);
-            tracing::warn!("another process speaks for {robot}: give one of them another id");
+        let (mut duplicate, now) = (lock(&duplicate), Instant::now());
+        duplicate.received = Some(now);
+        let due = |logged| now.duration_since(logged) >= DUPLICATE_LOG_INTERVAL;
+        if duplicate.logged.is_none_or(due) {
+            duplicate.logged = Some(now);
+            drop(duplicate);
+            tracing::warn!("another process puts poses of {robot}: give one of them another id");
         }
     }
 }
 
-/// Says again what holds: soon after the link is back, and slowly in any case.
-async fn repeat(
-    voice: Arc<Mutex<Voice>>,
-    outgoing: Outgoing,
+/// Republishes valid reports: soon after the link is restored, and slowly in any case.
+async fn republish(
+    reporter: Arc<Mutex<Reporter>>,
+    queue: SendQueue,
     mut link: watch::Receiver<bool>,
     every: Duration,
 ) {
-    let mut looks = interval(LOOK_EVERY);
-    looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut polls = interval(REPUBLISH_POLL_INTERVAL);
+    polls.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut soon: VecDeque<Instant> = VecDeque::new();
     loop {
         tokio::select! {
-            _ = looks.tick() => {}
+            _ = polls.tick() => {}
             changed = link.changed() => {
                 if changed.is_err() {
                     return;
@@ -320,7 +357,7 @@ async fn repeat(
                 if *link.borrow_and_update() {
                     let now = Instant::now();
                     soon.push_back(now);
-                    soon.extend(AGAIN_AFTER_LINK.map(|after| now + after));
+                    soon.extend(REPUBLISH_AFTER_LINK.map(|after| now + after));
                 }
             }
         }
@@ -334,9 +371,11 @@ async fn repeat(
         }
         let before = if hurried { Some(now) } else { now.checked_sub(every) };
         let Some(before) = before else { continue };
-        let mut voice = lock(&voice);
-        for message in voice.repeat(now, before) {
-            outgoing.push(message);
+        let mut reporter = lock(&reporter);
+        for message in reporter.republish(now, before) {
+            if queue.push(message).is_err() {
+                return;
+            }
         }
     }
 }

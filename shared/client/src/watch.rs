@@ -1,26 +1,26 @@
-//! Following what services tell: a task that keeps the newest, asks when it is silent, and marks it
-//! stale in time.
+//! Following a stream of a service: a task keeps the newest message, sends gets while nothing
+//! arrives, and marks the message stale in time.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use futures_util::{Stream, StreamExt as _, stream};
 use muster_bus::{Answer, Ask, Bus, Subscription};
-use muster_model::header::Header;
 use muster_wire::message::quoted;
 use muster_wire::{Key, KeySpace, Packet, Pattern, Rejection};
 use tokio::sync::watch;
 use tokio::task::{AbortHandle, JoinSet};
 
 use crate::error::Error;
-use crate::keeper::{ASKS, Keeper, Latest, Telling, Way};
+use crate::freshness::{Freshness, GETS_BEFORE_STALE, Latest, Publication, Via};
 
-/// How long refused messages are only counted after one was logged: an offender must not flood the
-/// log of a robot.
-const REFUSED_SILENCE: Duration = Duration::from_secs(10);
+/// After a refused message was logged, others are only counted for so long: an offender must not flood
+/// the log of a robot.
+const REFUSED_LOG_INTERVAL: Duration = Duration::from_secs(10);
 
-/// What a service tells on one key: the newest, and whether it still holds.
+/// The newest message of a stream, and whether it is still valid.
 ///
-/// A clone follows by itself. The key is followed for as long as one of them lives.
+/// A clone follows by itself. The subscription lasts as long as one of them.
 #[derive(Debug)]
 pub struct Watch<T> {
     receiver: watch::Receiver<Option<Latest<T>>>,
@@ -33,7 +33,7 @@ impl<T> Clone for Watch<T> {
     }
 }
 
-/// Ends the task and the subscription when nobody follows any more.
+/// Ends the task and the subscription with the last clone.
 #[derive(Debug)]
 struct Follower {
     task: AbortHandle,
@@ -55,32 +55,32 @@ struct Shared<T> {
 
 #[derive(Debug)]
 struct State<T> {
-    keeper: Keeper<T>,
+    freshness: Freshness<T>,
     refused: u64,
     logged: Option<Instant>,
 }
 
 type Decode<T> = fn(&KeySpace, &Packet) -> Result<T, Rejection>;
 
-impl<T: Telling> Shared<T> {
-    /// No critical section can panic half-way, so that a poisoned lock still guards a whole state.
+impl<T: Publication> Shared<T> {
+    /// No critical section can panic half-way: the state behind a poisoned lock is whole.
     fn state(&self) -> MutexGuard<'_, State<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes the keeper; those who follow hear of it if it says so, and see it in any case.
-    fn change(&self, change: impl FnOnce(&mut Keeper<T>) -> bool) {
+    /// Changes the state. Readers are notified if `change` says so, and see it in any case.
+    fn change(&self, change: impl FnOnce(&mut Freshness<T>) -> bool) {
         let mut state = self.state();
-        let changed = change(&mut state.keeper);
+        let changed = change(&mut state.freshness);
         self.sender.send_if_modified(|latest| {
-            *latest = state.keeper.latest().cloned();
+            *latest = state.freshness.latest().cloned();
             changed
         });
     }
 
-    fn take(&self, understood: Result<T, Rejection>, way: Way) {
-        match understood {
-            Ok(value) => self.change(|keeper| keeper.told(Instant::now(), value, way)),
+    fn receive(&self, decoded: Result<T, Rejection>, via: Via) {
+        match decoded {
+            Ok(value) => self.change(|freshness| freshness.receive(Instant::now(), value, via)),
             Err(rejection) => self.refuse(&rejection),
         }
     }
@@ -89,30 +89,31 @@ impl<T: Telling> Shared<T> {
         let mut state = self.state();
         state.refused += 1;
         let now = Instant::now();
-        if state.logged.is_none_or(|logged| now.duration_since(logged) >= REFUSED_SILENCE) {
+        let due = |logged| now.duration_since(logged) >= REFUSED_LOG_INTERVAL;
+        if state.logged.is_none_or(due) {
             state.logged = Some(now);
             let count = std::mem::take(&mut state.refused);
             drop(state);
             let Rejection { key, reason, .. } = rejection;
-            tracing::warn!("refused on {key}: {reason} ({count} since the last such word)");
+            tracing::warn!("refused on {key}: {reason} ({count} since the last warning)");
         }
     }
 }
 
 impl<T> Watch<T> {
-    /// What was told last; none if nothing was told yet. A later look may find it stale.
+    /// The newest message; none before the first one. It may turn stale later.
     #[must_use]
     pub fn latest(&self) -> Option<Latest<T>> {
         self.receiver.borrow().clone()
     }
 
-    /// Waits for the next change, and returns what holds then: another content, or whether it is
-    /// stale. Changes that come faster than they are looked at are passed over, all but the last. The
-    /// first call returns at once if something was told already. It may be given up at any time, as
-    /// in `select!` or with a timeout, without losing anything.
+    /// Waits for the next change, and returns the newest message then: other content, or whether it is
+    /// stale. If several changes happen between two calls, the last one is returned. The first call
+    /// returns at once if a message has arrived already. It may be cancelled at any time, as in
+    /// `select!` or with a timeout, without losing anything.
     ///
     /// # Errors
-    /// [`Error::Closed`] once nothing is told any more.
+    /// [`Error::Closed`] once the client is closed or the robot has left.
     pub async fn changed(&mut self) -> Result<Latest<T>, Error> {
         loop {
             self.receiver.changed().await.map_err(|_| Error::Closed)?;
@@ -123,16 +124,21 @@ impl<T> Watch<T> {
     }
 }
 
-impl<T: Telling> Watch<T> {
-    /// Age in seconds of the oldest robot data behind what was told last, by the clock of this host;
+impl<T: Publication> Watch<T> {
+    /// The same changes as a stream, which ends when the client is closed.
+    pub fn into_stream(self) -> impl Stream<Item = Latest<T>> + Send + Unpin + 'static {
+        let next = async |mut watch: Self| watch.changed().await.ok().map(|latest| (latest, watch));
+        stream::unfold(self, next).boxed()
+    }
+
+    /// Age in seconds of the oldest robot data behind the newest message, by the clock of this host;
     /// none if there is no such data.
     #[must_use]
     pub fn data_age_s(&self) -> Option<f64> {
-        let header: Header = self.latest()?.value.header().clone();
-        header.data_age_s(crate::voice::wall_clock())
+        self.latest()?.value.header().data_age_s(crate::reporter::wall_clock())
     }
 
-    /// Follows a key until nobody holds the watch any more, or the bus is gone.
+    /// Follows a key until the last clone is dropped, or the bus is closed.
     pub(crate) async fn follow(
         bus: &Bus,
         key: Key,
@@ -140,50 +146,50 @@ impl<T: Telling> Watch<T> {
         decode: Decode<T>,
     ) -> Result<Self, Error> {
         let link = bus.link();
-        let keeper = Keeper::new(Instant::now(), stale_after, *link.borrow());
-        let state = Mutex::new(State { keeper, refused: 0, logged: None });
+        let freshness = Freshness::new(Instant::now(), stale_after, *link.borrow());
+        let state = Mutex::new(State { freshness, refused: 0, logged: None });
         let (sender, receiver) = watch::channel(None);
         let shared = Arc::new(Shared { state, sender });
-        // The task alone keeps the sender: when it has ended, those who follow hear of it.
-        let (taking, space) = (Arc::downgrade(&shared), bus.space().clone());
+        // Only the task owns the sender: readers see its end.
+        let (receiving, space) = (Arc::downgrade(&shared), bus.space().clone());
         let pattern = Pattern::One(key);
         let subscription = bus
             .listen(&pattern, move |packet| {
-                if let Some(shared) = taking.upgrade() {
-                    shared.take(decode(&space, &packet), Way::Put);
+                if let Some(shared) = receiving.upgrade() {
+                    shared.receive(decode(&space, &packet), Via::Put);
                 }
             })
             .await
             .map_err(Error::bus)?;
-        let within = stale_after / ASKS;
-        let questions = Arc::new(Questions { bus: bus.clone(), pattern, within, decode });
-        let task = tokio::spawn(drive(shared, link, questions)).abort_handle();
+        let within = stale_after / GETS_BEFORE_STALE;
+        let source = Arc::new(Source { bus: bus.clone(), pattern, within, decode });
+        let task = tokio::spawn(drive(shared, link, source)).abort_handle();
         Ok(Self { receiver, follower: Arc::new(Follower { task, _subscription: subscription }) })
     }
 
-    /// Ends the following for all who hold it.
+    /// Ends the following for all clones.
     pub(crate) fn end(&self) {
         self.follower.task.abort();
     }
 }
 
-/// How a key is asked for.
-struct Questions<T> {
+/// Where gets go.
+struct Source<T> {
     bus: Bus,
     pattern: Pattern,
     within: Duration,
     decode: Decode<T>,
 }
 
-async fn drive<T: Telling>(
+async fn drive<T: Publication>(
     shared: Arc<Shared<T>>,
     mut link: watch::Receiver<bool>,
-    questions: Arc<Questions<T>>,
+    source: Arc<Source<T>>,
 ) {
-    // One question at a time; it ends with the task.
-    let mut asking = JoinSet::new();
+    // One get at a time; it ends with this task.
+    let mut gets = JoinSet::new();
     loop {
-        let deadline = shared.state().keeper.deadline();
+        let deadline = shared.state().freshness.deadline();
         let due = async {
             match deadline {
                 Some(deadline) => tokio::time::sleep_until(deadline.into()).await,
@@ -197,21 +203,21 @@ async fn drive<T: Telling>(
                     return;
                 }
                 let linked = *link.borrow_and_update();
-                shared.change(|keeper| keeper.link(Instant::now(), linked));
+                shared.change(|freshness| freshness.set_link(Instant::now(), linked));
             }
-            Some(_) = asking.join_next() => {}
+            Some(_) = gets.join_next() => {}
         }
         let now = Instant::now();
-        shared.change(|keeper| keeper.pass(now));
-        if shared.state().keeper.asks(now) && asking.is_empty() {
-            asking.spawn(ask(Arc::clone(&shared), Arc::clone(&questions)));
+        shared.change(|freshness| freshness.advance(now));
+        if shared.state().freshness.take_get(now) && gets.is_empty() {
+            gets.spawn(get(Arc::clone(&shared), Arc::clone(&source)));
         }
     }
 }
 
-async fn ask<T: Telling>(shared: Arc<Shared<T>>, questions: Arc<Questions<T>>) {
-    let Questions { bus, pattern, within, decode } = &*questions;
-    // Who serves the key completely is its author; only without one are all asked who remember.
+async fn get<T: Publication>(shared: Arc<Shared<T>>, source: Arc<Source<T>>) {
+    let Source { bus, pattern, within, decode } = &*source;
+    // The service itself serves the key completely; without it every cache replies.
     let ask =
         Ask { parameters: "format=bincode", payload: None, within: *within, everybody: false };
     match bus.get(pattern, ask).await {
@@ -219,7 +225,7 @@ async fn ask<T: Telling>(shared: Arc<Shared<T>>, questions: Arc<Questions<T>>) {
             for answer in answers {
                 match answer {
                     Answer::Packet(packet) => {
-                        shared.take(decode(bus.space(), &packet), Way::Answer);
+                        shared.receive(decode(bus.space(), &packet), Via::Reply);
                     }
                     Answer::Error(error) => tracing::debug!("answered with {}", quoted(&error)),
                 }

@@ -7,6 +7,8 @@
 //! treats a core alike; [`recording`] is what is written down of its life, and [`replay`]
 //! lives through that again. [`Role`] is what all cores share: terms, epochs, settings, events, counters.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 mod core;
 mod driver;
 mod jobs;

@@ -8,6 +8,8 @@
 //! This crate knows no bytes, no bus, no clock and no file. Its types derive serde, and none uses
 //! `#[serde(default)]` or `skip_serializing_if`, because the binary codec is positional.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 pub mod audit;
 pub mod embedding;
 pub mod event;

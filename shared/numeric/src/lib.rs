@@ -32,6 +32,8 @@
 //! Every entry of a [`matrix::DenseMatrix`] or [`matrix::SparseMatrix`] is finite and bounded by
 //! [`matrix::MAX_ENTRY`], which is checked on construction; functions that take them rely on it.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 mod cluster;
 pub mod fuse;
 mod graph;

@@ -4,6 +4,8 @@
 //! the live fleet and a fleet in a file are judged by the same rules. All edge lists are ordered by
 //! source, then target, and name no edge twice.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 mod compact;
 pub mod connectivity;
 pub mod edge;

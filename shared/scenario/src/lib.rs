@@ -5,6 +5,8 @@
 //! that is asked for, so that the same seed tells the same story again, from any moment on, and in
 //! several processes at once.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 mod clusters;
 mod crossing;
 mod file;

@@ -1,4 +1,4 @@
-//! Lets every fault of hosts and links happen, and prints the README's table of what users see.
+//! Lets every fault of hosts and links happen, and prints the table of services/README.md.
 //!
 //! `faults [--json] [NAME …]`, as root. It ends with 1 if a promise was not kept.
 
@@ -7,9 +7,9 @@ use std::io::Write as _;
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
 
-use muster_tests::hosts::course::{self, Measured};
 use muster_tests::hosts::fault::{FAULTS, Fault};
 use muster_tests::hosts::lab;
+use muster_tests::hosts::run_plan::{self, Measured};
 
 /// Faults that happen at the same time, each on hosts of its own: they mostly wait.
 const AT_ONCE: usize = 3;
@@ -39,7 +39,7 @@ fn main() -> anyhow::Result<ExitCode> {
                 loop {
                     let next = waiting.lock().unwrap_or_else(PoisonError::into_inner).pop_front();
                     let Some(fault) = next else { break };
-                    let result = course::run(fault);
+                    let result = run_plan::run(fault);
                     results
                         .lock()
                         .unwrap_or_else(PoisonError::into_inner)

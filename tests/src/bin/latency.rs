@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Parser;
-use muster_tests::latency::course::{self, Course};
+use muster_tests::latency::run_plan::{self, RunPlan};
 use muster_tests::latency::{drive, echo, report};
 
 /// Most robots of a run: more than one process can put for at 10 Hz on two cores.
@@ -59,7 +59,7 @@ struct Options {
     drive: Option<PathBuf>,
 }
 
-fn courses(options: &Options) -> anyhow::Result<Vec<Course>> {
+fn plans(options: &Options) -> anyhow::Result<Vec<RunPlan>> {
     anyhow::ensure!(
         (0.1..=100.0).contains(&options.rate),
         "--rate: must be 0.1 to 100 per second, not {}",
@@ -72,7 +72,7 @@ fn courses(options: &Options) -> anyhow::Result<Vec<Course>> {
         Ok((service.to_owned(), rest.to_owned()))
     };
     let settings = options.set.iter().map(parted).collect::<anyhow::Result<Vec<_>>>()?;
-    let course = |robots: &u32| Course {
+    let plan = |robots: &u32| RunPlan {
         robots: *robots as usize,
         teams: options.teams as usize,
         rate_hz: options.rate,
@@ -80,35 +80,35 @@ fn courses(options: &Options) -> anyhow::Result<Vec<Course>> {
         lasts: Duration::from_secs(options.seconds),
         settings: settings.clone(),
     };
-    Ok(options.robots.iter().map(course).collect())
+    Ok(options.robots.iter().map(plan).collect())
 }
 
 #[tokio::main]
 async fn main() -> anyhow::Result<ExitCode> {
     let options = Options::parse();
-    let courses = courses(&options)?;
+    let plans = plans(&options)?;
     if options.echo {
-        echo::run(&options.router, course::FLEET).await?;
+        echo::run(&options.router, run_plan::FLEET).await?;
         return Ok(ExitCode::SUCCESS);
     }
-    if let (Some(folder), Some(course)) = (&options.drive, courses.first()) {
+    if let (Some(folder), Some(plan)) = (&options.drive, plans.first()) {
         let drive = drive::Drive {
             endpoint: options.router.clone(),
-            fleet: course::FLEET.to_owned(),
-            robots: course.robots,
-            teams: course.teams,
-            rate_hz: course.rate_hz,
+            fleet: run_plan::FLEET.to_owned(),
+            robots: plan.robots,
+            teams: plan.teams,
+            rate_hz: plan.rate_hz,
             folder: folder.clone(),
         };
         drive::run(&drive).await?;
         return Ok(ExitCode::SUCCESS);
     }
     let mut all = Vec::new();
-    for course in &courses {
+    for plan in &plans {
         let progress = |text: String| {
             let _ = writeln!(std::io::stderr(), "{text}");
         };
-        all.push(course::run(course, progress).await?);
+        all.push(run_plan::run(plan, progress).await?);
     }
     let picture = options.out.as_ref().map(|out| out.with_extension("svg"));
     let name = picture.as_ref().and_then(|picture| picture.file_name()?.to_str());

@@ -1,8 +1,8 @@
 //! A long run of many robots over real processes, to see that memory stays flat and nothing slows down.
 //!
 //! `soak [--robots N] [--minutes M] [--teams K] [--plot FILE.svg]` starts a router, the four services
-//! and the robots, looks at each process and at the division every second, and tells once a minute what
-//! it saw. It ends with 1 if the memory of a process grows faster than [`MOST_GROWTH`] once it has warmed
+//! and the robots, samples each process and the division every second, and prints once a minute what it
+//! measured. It ends with 1 if the memory of a process grows faster than [`MOST_GROWTH`] once it has warmed
 //! up (half of the run, at most five minutes), if divisions paused for longer than [`MOST_PAUSE`], or if
 //! robots or messages were lost.
 
@@ -14,14 +14,14 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use muster_tests::client::{Client, division, now};
 use muster_tests::cluster::{Cluster, SERVICES};
-use muster_tests::looks::{Look, look, part, slope};
+use muster_tests::process_stats::{ProcessStats, process_stats, quantile, slope};
 use serde_json::Value;
 
 /// Growth of a process that counts as flat, in KiB a minute: at this rate a day costs less than 400 MiB,
-/// and a run of ten minutes can tell it from the noise of an allocator.
+/// and a run of ten minutes can distinguish it from the noise of an allocator.
 const MOST_GROWTH: f64 = 256.0;
 
-/// Longest pause of the division, in seconds: it is told once a second, and a busy machine may be late.
+/// Longest pause of the division, in seconds: it is published once a second, and a busy machine may be late.
 const MOST_PAUSE: f64 = 5.0;
 
 /// How much of the run is warming up, and how many seconds at most: buffers grow to what the fleet
@@ -65,13 +65,13 @@ fn options() -> anyhow::Result<Options> {
 }
 
 /// The memory of every process over time, as a picture.
-fn plot(looks: &BTreeMap<&str, Vec<Look>>) -> String {
+fn plot(samples: &BTreeMap<&str, Vec<ProcessStats>>) -> String {
     const WIDTH: f64 = 720.0;
     const HEIGHT: f64 = 320.0;
     const COLOURS: [&str; 6] = ["#1b6", "#26c", "#c33", "#c80", "#808", "#555"];
-    let all = || looks.values().flatten();
-    let last = all().map(|look| look.at).fold(1.0, f64::max);
-    let most = all().map(|look| look.memory).fold(1024.0, f64::max) / 1024.0;
+    let all = || samples.values().flatten();
+    let last = all().map(|sample| sample.at).fold(1.0, f64::max);
+    let most = all().map(|sample| sample.memory).fold(1024.0, f64::max) / 1024.0;
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\" font-family=\"sans-serif\" \
          font-size=\"12\">\n<text x=\"4\" y=\"14\">MiB (top: {most:.0}) over {:.1} minutes</text>\n",
@@ -79,13 +79,13 @@ fn plot(looks: &BTreeMap<&str, Vec<Look>>) -> String {
         HEIGHT + 20.0,
         last / 60.0
     );
-    for (number, (name, looks)) in looks.iter().enumerate() {
+    for (number, (name, samples)) in samples.iter().enumerate() {
         let colour = COLOURS[number % COLOURS.len()];
-        let place = |look: &Look| {
-            let (x, y) = (look.at / last * WIDTH, look.memory / 1024.0 / most * HEIGHT);
+        let place = |sample: &ProcessStats| {
+            let (x, y) = (sample.at / last * WIDTH, sample.memory / 1024.0 / most * HEIGHT);
             format!("{x:.1},{:.1}", HEIGHT + 20.0 - y)
         };
-        let points: Vec<_> = looks.iter().map(place).collect();
+        let points: Vec<_> = samples.iter().map(place).collect();
         svg += &format!(
             "<polyline fill=\"none\" stroke=\"{colour}\" points=\"{}\"/>\n<text x=\"{}\" y=\"{}\" \
              fill=\"{colour}\">{name}</text>\n",
@@ -123,13 +123,13 @@ async fn main() -> anyhow::Result<ExitCode> {
     let scenario = ["--scenario", "clusters", "--robots", &robots, "--teams", &groups];
     let fleet = cluster.robots(&scenario)?;
     let client = cluster.client().await?;
-    let told = client.watch("json/teams").await?;
+    let divisions = client.watch("json/teams").await?;
     let events = client.watch("json/event").await?;
     let whole = |value: &Value| {
         let division = division(value);
         division.len() == options.robots && division.values().all(Option::is_some)
     };
-    told.until("every robot in a team", FORMED_WITHIN, whole).await?;
+    divisions.until("every robot in a team", FORMED_WITHIN, whole).await?;
     writeln!(
         out,
         "{} robots in {} teams; {} minutes",
@@ -141,10 +141,10 @@ async fn main() -> anyhow::Result<ExitCode> {
         processes.push((service, cluster.service(service)?.id()));
     }
     events.clear();
-    told.clear();
+    divisions.clear();
     let begin = Instant::now();
     let lasts = options.minutes * 60.0;
-    let mut looks: BTreeMap<&str, Vec<Look>> = BTreeMap::new();
+    let mut samples: BTreeMap<&str, Vec<ProcessStats>> = BTreeMap::new();
     let (mut ages, mut longest, mut last) = (Vec::new(), 0.0_f64, now());
     let (mut incomplete, mut left, mut minute) = (0_usize, 0_usize, 1.0);
     let mut every = tokio::time::interval(Duration::from_secs(1));
@@ -152,10 +152,11 @@ async fn main() -> anyhow::Result<ExitCode> {
         every.tick().await;
         let at = begin.elapsed().as_secs_f64();
         for (name, process) in &processes {
-            let look = look(*process, at).with_context(|| format!("{name} has ended"))?;
-            looks.entry(name).or_default().push(look);
+            let sample =
+                process_stats(*process, at).with_context(|| format!("{name} has ended"))?;
+            samples.entry(name).or_default().push(sample);
         }
-        for (arrived, value) in told.take() {
+        for (arrived, value) in divisions.take() {
             longest = longest.max(arrived - last);
             last = arrived;
             ages.extend(value["data_age_s"].as_f64());
@@ -171,7 +172,7 @@ async fn main() -> anyhow::Result<ExitCode> {
         if at >= minute * 60.0 {
             let memory: Vec<_> = processes
                 .iter()
-                .filter_map(|(name, _)| Some((name, looks.get(name)?.last()?.memory / 1024.0)))
+                .filter_map(|(name, _)| Some((name, samples.get(name)?.last()?.memory / 1024.0)))
                 .map(|(name, memory)| format!("{name} {memory:.1}"))
                 .collect();
             writeln!(
@@ -190,10 +191,10 @@ async fn main() -> anyhow::Result<ExitCode> {
     )?;
     writeln!(out, "| --- | --- | --- | --- | --- |")?;
     for (name, _) in &processes {
-        let all = looks.get(name).map(Vec::as_slice).unwrap_or_default();
-        let later = &all[all.partition_point(|look| look.at < warm)..];
+        let all = samples.get(name).map(Vec::as_slice).unwrap_or_default();
+        let later = &all[all.partition_point(|sample| sample.at < warm)..];
         let (Some(first), Some(last)) = (later.first(), later.last()) else { continue };
-        let points: Vec<_> = later.iter().map(|look| (look.at, look.memory)).collect();
+        let points: Vec<_> = later.iter().map(|sample| (sample.at, sample.memory)).collect();
         // In KiB a minute.
         let growth = slope(&points) * 60.0;
         let spent = (last.busy - first.busy) / (last.at - first.at);
@@ -212,11 +213,11 @@ async fn main() -> anyhow::Result<ExitCode> {
     ages.sort_by(f64::total_cmp);
     writeln!(
         out,
-        "\n{} divisions told; data age median {:.3} s, 99 % {:.3} s, greatest {:.3} s; longest pause {longest:.2} s",
+        "\n{} divisions published; data age median {:.3} s, 99 % {:.3} s, greatest {:.3} s; longest pause {longest:.2} s",
         ages.len(),
-        part(&ages, 0.5),
-        part(&ages, 0.99),
-        part(&ages, 1.0)
+        quantile(&ages, 0.5),
+        quantile(&ages, 0.99),
+        quantile(&ages, 1.0)
     )?;
     let lost = counted(&client, &LOST).await?;
     writeln!(
@@ -227,7 +228,7 @@ async fn main() -> anyhow::Result<ExitCode> {
     )?;
     kept &= lost.is_empty() && left == 0 && incomplete == 0 && longest <= MOST_PAUSE;
     if let Some(path) = &options.plot {
-        std::fs::write(path, plot(&looks)).with_context(|| format!("--plot {path}"))?;
+        std::fs::write(path, plot(&samples)).with_context(|| format!("--plot {path}"))?;
     }
     writeln!(out, "{}", if kept { "flat and whole" } else { "NOT flat and whole" })?;
     Ok(if kept { ExitCode::SUCCESS } else { ExitCode::FAILURE })

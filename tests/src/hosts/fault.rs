@@ -9,7 +9,7 @@ use super::lab::Host;
 pub enum Kind {
     /// The cable of a host is pulled.
     Pulled(Host),
-    /// Every packet from and to a host is lost in silence.
+    /// Every packet from and to a host is dropped silently.
     Lost(Host),
     /// The link of the robots' host is narrowed to so many kbit/s, and they are configured for that.
     Narrow(u32),
@@ -49,28 +49,28 @@ pub const FAULTS: [Fault; 13] = [
     fault("robots-pulled-20", "the same, 20 s", Kind::Pulled(Host::Robots), 20),
     fault(
         "robots-lost-3",
-        "packets of the robots' host lost in silence, 3 s",
+        "packets of the robots' host dropped silently, 3 s",
         Kind::Lost(Host::Robots),
         3,
     ),
     fault("robots-lost-20", "the same, 20 s", Kind::Lost(Host::Robots), 20),
-    fault("base-pulled-3", "cable of the base pulled, 3 s", Kind::Pulled(Host::Base), 3),
+    fault("base-pulled-3", "cable of the services' host pulled, 3 s", Kind::Pulled(Host::Base), 3),
     fault("base-pulled-20", "the same, 20 s", Kind::Pulled(Host::Base), 20),
-    fault("base-lost-20", "packets of the base lost in silence, 20 s", Kind::Lost(Host::Base), 20),
     fault(
-        "narrow-64",
-        "link of the robots' host narrowed to 64 kbit/s, 15 s",
-        Kind::Narrow(64),
-        15,
+        "base-lost-20",
+        "packets of the services' host dropped silently, 20 s",
+        Kind::Lost(Host::Base),
+        20,
     ),
+    fault("narrow-64", "link of the robots' host limited to 64 kbit/s, 15 s", Kind::Narrow(64), 15),
     fault(
         "slow",
         "link of the robots' host with 200 ± 50 ms delay and 5 % loss, 15 s",
         Kind::Slow,
         15,
     ),
-    fault("router-killed-1", "router killed, started after 1 s", Kind::RouterKilled, 1),
-    fault("router-killed-15", "router killed, started after 15 s", Kind::RouterKilled, 15),
+    fault("router-killed-1", "router killed, restarted after 1 s", Kind::RouterKilled, 1),
+    fault("router-killed-15", "router killed, restarted after 15 s", Kind::RouterKilled, 15),
     fault("router-stopped-5", "router stopped by a signal, 5 s", Kind::RouterStopped, 5),
     fault("router-stopped-1", "router stopped by a signal, 1 s", Kind::RouterStopped, 1),
 ];
@@ -118,7 +118,7 @@ impl Fault {
         !matches!(self.kind, Kind::RouterKilled | Kind::RouterStopped)
     }
 
-    /// Whether the router lives and reaches the services, so that divisions are told meanwhile.
+    /// Whether the router lives and reaches the services, so that divisions are published meanwhile.
     #[must_use]
     pub fn lets_base_speak(&self) -> bool {
         self.cuts_robots_off() || matches!(self.kind, Kind::Narrow(_) | Kind::Slow)

@@ -155,7 +155,7 @@ fn look_for_missing() -> anyhow::Result<Option<String>> {
 fn may_make_networks() -> anyhow::Result<bool> {
     let status = std::fs::read_to_string("/proc/self/status")?;
     let rights = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
-    let rights = rights.context("the kernel does not tell the rights of a process")?;
+    let rights = rights.context("the kernel does not report the rights of a process")?;
     let rights = u64::from_str_radix(rights.trim(), 16)?;
     Ok(NEEDED_RIGHTS.iter().all(|right| rights >> right & 1 == 1))
 }
@@ -283,8 +283,8 @@ impl Lab {
         [(self.namespace(host), LINK), (self.bridge(), host.name())]
     }
 
-    /// Replaces the cable of a host by a relay that passes frames at once until it is told by the
-    /// signal `USR1` to delay and lose them, and by `USR2` to stop that. (Not every kernel can delay.)
+    /// Replaces the cable of a host by a relay that passes frames at once. The signal `USR1` makes it
+    /// delay and lose them, and `USR2` ends that. (Not every kernel can delay.)
     ///
     /// # Errors
     /// If there is no Python, or the kernel has no tap devices.

@@ -5,7 +5,7 @@
 //! promised under each; [`course`] lets one happen to a running fleet; [`record`] reads what the
 //! observers on two of the hosts have seen, and measures it.
 
-pub mod course;
 pub mod fault;
 pub mod lab;
 pub mod record;
+pub mod run_plan;

@@ -43,18 +43,18 @@ impl Record {
         self.0.iter().filter(move |seen| seen.key == key && seen.at >= since)
     }
 
-    /// The divisions that were told since a moment.
+    /// The divisions that were published since a moment.
     pub fn teams(&self, since: f64) -> impl DoubleEndedIterator<Item = &Seen> {
         self.of("json/teams", since).filter(|seen| seen.value["teams"].is_array())
     }
 
-    /// How many messages came by the key of another since a moment. Zenoh has been seen to do so when
-    /// a router that hung goes on and its clients have meanwhile connected anew.
+    /// How many messages came by the key of another since a moment. Zenoh has been seen to do so after a
+    /// router hung and its clients had reconnected meanwhile.
     #[must_use]
     pub fn misplaced(&self, since: f64) -> usize {
-        let told = self.of("json/teams", since).filter(|seen| !seen.value["teams"].is_array());
+        let teams = self.of("json/teams", since).filter(|seen| !seen.value["teams"].is_array());
         let events = self.of("json/event", since).filter(|seen| !seen.value["event"].is_string());
-        told.count() + events.count()
+        teams.count() + events.count()
     }
 
     /// When the first event of a name was seen since a moment.
@@ -76,7 +76,7 @@ impl Record {
         events.filter_map(|seen| seen.value["robot"].as_str().map(str::to_owned)).collect()
     }
 
-    /// When a division was told for the first time since a moment that is the wanted one, has no
+    /// When a division was published for the first time since a moment that is the wanted one, has no
     /// stale robot, and rests on nothing that was measured before that moment.
     #[must_use]
     pub fn whole(&self, wanted: &Division, since: f64) -> Option<f64> {
@@ -92,17 +92,17 @@ impl Record {
     /// The longest time without a division between two moments.
     #[must_use]
     pub fn longest_pause(&self, from: f64, to: f64) -> f64 {
-        let told = self.teams(from).map(|seen| seen.at).take_while(|at| *at < to);
+        let times = self.teams(from).map(|seen| seen.at).take_while(|at| *at < to);
         let (longest, last) =
-            told.fold((0.0_f64, from), |(longest, last), at| (longest.max(at - last), at));
+            times.fold((0.0_f64, from), |(longest, last), at| (longest.max(at - last), at));
         longest.max(to - last)
     }
 
-    /// The greatest age of the data behind a division that was told between two moments.
+    /// The greatest age of the data behind a division that was published between two moments.
     #[must_use]
     pub fn oldest_data(&self, from: f64, to: f64) -> f64 {
-        let told = self.teams(from).take_while(|seen| seen.at < to);
-        told.filter_map(|seen| seen.value["data_age_s"].as_f64()).fold(0.0, f64::max)
+        let teams = self.teams(from).take_while(|seen| seen.at < to);
+        teams.filter_map(|seen| seen.value["data_age_s"].as_f64()).fold(0.0, f64::max)
     }
 
     /// How long the poses that arrived between two moments were on their way, sorted; those of some
@@ -128,7 +128,7 @@ impl Record {
         })
     }
 
-    /// Everything told since a moment that puts a robot into a team that is not the wanted one, or
+    /// Everything published since a moment that puts a robot into a team that is not the wanted one, or
     /// leaves out one of `always` or puts it nowhere.
     #[must_use]
     pub fn contradictions(
@@ -139,15 +139,15 @@ impl Record {
     ) -> Vec<String> {
         let mut found = Vec::new();
         for seen in self.teams(since) {
-            let told = division(&seen.value);
-            for (robot, team) in &told {
+            let published = division(&seen.value);
+            for (robot, team) in &published {
                 let expected = wanted.get(robot).and_then(Option::as_ref);
                 if team.is_some() && team.as_ref() != expected {
                     found.push(format!("{robot} is in {team:?}, not {expected:?}: {}", seen.value));
                 }
             }
             for robot in always {
-                if told.get(robot).is_none_or(Option::is_none) {
+                if published.get(robot).is_none_or(Option::is_none) {
                     found.push(format!("{robot} is in no team: {}", seen.value));
                 }
             }
@@ -156,7 +156,7 @@ impl Record {
             let Some(robot) = seen.value["robot"].as_str() else { continue };
             let expected = wanted.get(robot).and_then(Option::as_deref);
             if seen.value["team"].as_str().is_some_and(|team| Some(team) != expected) {
-                found.push(format!("{robot} is told {}", seen.value));
+                found.push(format!("{robot} received {}", seen.value));
             }
         }
         found

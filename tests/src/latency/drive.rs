@@ -2,9 +2,9 @@
 //!
 //! The robots share one Zenoh session and put JSON, as `muster robot` does, by declared publishers: a
 //! router searches all keys of the fleet for the receivers of each message on a key that nobody declared.
-//! Each robot has its token, and subscribes to what it is told of its team. A robot that also reports
-//! links or its rank does so just before a pose, so that the pose is the last that was heard of it: the
-//! roster then tells when `ingest` received it.
+//! Each robot has its token, and subscribes to its team. A robot that also reports links or its rank does so
+//! just before a pose, so that the pose is its last message: the roster then contains when `ingest` received
+//! it.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -76,7 +76,7 @@ pub fn stop(folder: &Path) -> anyhow::Result<()> {
 }
 
 impl Puts {
-    /// The log of a drive that was told to stop, once it is written.
+    /// The log of a stopped drive, once it is written.
     ///
     /// # Errors
     /// If it is none.
@@ -138,7 +138,7 @@ pub fn pose_json(at: [f64; 2], number: u64, boot: &str, stamp_us: u64) -> String
     )
 }
 
-/// Drives robots until they are told to stop, writes the log, and waits to be killed, so that the robots
+/// Drives robots until they are stopped, writes the log, and waits to be killed, so that the robots
 /// stay members of the fleet.
 ///
 /// # Errors
@@ -149,7 +149,7 @@ pub async fn run(drive: &Drive) -> anyhow::Result<()> {
     let (mut tokens, mut publishers) = (Vec::new(), Vec::new());
     for robot in (0..drive.robots).map(robot_name) {
         tokens.push(client.token(&format!("robot/{robot}")).await?);
-        // What it is told is measured by the listener, which also tells when; but robots listen.
+        // The listener measures the messages on teams and their arrival; but robots subscribe as well.
         client.listen(&format!("robot/{robot}/team"), |_, _| {}).await?;
         for (_, stream) in STREAMS {
             let publisher = client
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn robots_put_at_their_rate_each_in_its_turn_until_they_are_told_to_stop() {
+    fn robots_put_at_their_rate_each_in_its_turn_until_they_are_stopped() {
         let folder = tempfile::tempdir().unwrap();
         let drive = Drive {
             endpoint: String::new(),

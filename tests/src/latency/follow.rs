@@ -11,7 +11,7 @@ pub type Newest = Option<(u64, u64)>;
 /// A frame of `ingest`, by the moment in which it was made.
 pub type Frames = BTreeMap<u64, Vec<Newest>>;
 
-/// When one stage had received what it needed, and when it told what it made of it.
+/// When one stage had received its input, and when it published its output.
 pub type Stage = (u64, u64);
 
 /// A division that was received. All moments are in microseconds since 1970.
@@ -31,12 +31,12 @@ pub struct Division {
     pub stale: usize,
 }
 
-/// What one robot was told.
+/// A message on `robot/*/team`.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Told {
+pub struct TeamMessage {
     /// When it was received.
     pub arrived: u64,
-    /// Who was told.
+    /// The robot.
     pub robot: usize,
     /// The frame of the division.
     pub frame: u64,
@@ -106,22 +106,22 @@ pub fn follow(puts: &Puts, window: (u64, u64), frames: &Frames, divisions: &[Div
     ways
 }
 
-/// From the put of the newest pose of a robot that its division rests on to the arrival of the words
-/// that tell the robot of another team than before, in milliseconds.
+/// Milliseconds from the put of the newest pose behind a division to the arrival of the message that gives
+/// the robot another team than before.
 #[must_use]
-pub fn follow_changes(puts: &Puts, frames: &Frames, told: &[Told]) -> Vec<f64> {
+pub fn follow_changes(puts: &Puts, frames: &Frames, messages: &[TeamMessage]) -> Vec<f64> {
     let mut last: BTreeMap<usize, &Option<String>> = BTreeMap::new();
     let mut ways = Vec::new();
-    for told in told {
-        let before = last.insert(told.robot, &told.team);
-        if before.is_none_or(|before| *before == told.team) {
+    for message in messages {
+        let before = last.insert(message.robot, &message.team);
+        if before.is_none_or(|before| *before == message.team) {
             continue;
         }
-        let newest = frames.get(&told.frame).and_then(|frame| *frame.get(told.robot)?);
+        let newest = frames.get(&message.frame).and_then(|frame| *frame.get(message.robot)?);
         let put = newest.and_then(|(number, _)| {
-            puts.poses.get(told.robot)?.get(usize::try_from(number).ok()?).copied()
+            puts.poses.get(message.robot)?.get(usize::try_from(number).ok()?).copied()
         });
-        ways.extend(put.map(|put| milliseconds(put, told.arrived)));
+        ways.extend(put.map(|put| milliseconds(put, message.arrived)));
     }
     ways
 }
@@ -168,18 +168,18 @@ mod tests {
     #[test]
     fn only_changes_of_team_are_followed() {
         let frames = Frames::from([(260_000, vec![Some((2, 201_000)), Some((2, 251_000))])]);
-        let told = |arrived, robot, team: &str| Told {
+        let message = |arrived, robot, team: &str| TeamMessage {
             arrived,
             robot,
             frame: 260_000,
             team: Some(team.to_owned()),
         };
         let said = [
-            told(1_000, 0, "t1"),
-            told(280_000, 0, "t1"),
-            told(290_000, 0, "t2"),
-            told(290_000, 1, "t2"),
-            told(300_000, 1, "t1"),
+            message(1_000, 0, "t1"),
+            message(280_000, 0, "t1"),
+            message(290_000, 0, "t2"),
+            message(290_000, 1, "t2"),
+            message(300_000, 1, "t1"),
         ];
         assert_eq!(follow_changes(&puts(), &frames, &said), [90.0, 50.0]);
     }

@@ -16,7 +16,7 @@ use muster_wire::envelope;
 use serde_json::Value;
 use zenoh::bytes::ZBytes;
 
-use super::follow::{Division, Frames, Stage, Told};
+use super::follow::{Division, Frames, Stage, TeamMessage};
 use super::{now_us, robot_of};
 use crate::client::Client;
 
@@ -47,7 +47,7 @@ pub struct Judged {
 
 /// All that was received since [`Listener::begin`].
 #[derive(Debug, Default)]
-pub struct Heard {
+pub struct Received {
     /// What each frame holds.
     pub frames: Frames,
     /// In the order of arrival.
@@ -57,14 +57,14 @@ pub struct Heard {
     /// In the order of arrival.
     pub judgements: Vec<Judged>,
     /// In the order of arrival.
-    pub told: Vec<Told>,
+    pub team_messages: Vec<TeamMessage>,
     /// Messages that could not be understood, or found too many waiting.
     pub lost: u64,
 }
 
 /// Listens to one fleet.
 #[derive(Debug)]
-pub struct Listener(Arc<Mutex<Heard>>);
+pub struct Listener(Arc<Mutex<Received>>);
 
 /// What a message is.
 #[derive(Debug, Clone, Copy)]
@@ -73,7 +73,7 @@ enum Kind {
     Embedding,
     Teams,
     Audit,
-    Told,
+    TeamMessage,
 }
 
 const KINDS: [(&str, Kind); 5] = [
@@ -81,11 +81,11 @@ const KINDS: [(&str, Kind); 5] = [
     ("embedding", Kind::Embedding),
     ("teams", Kind::Teams),
     ("audit", Kind::Audit),
-    ("robot/*/team", Kind::Told),
+    ("robot/*/team", Kind::TeamMessage),
 ];
 
-fn lock(heard: &Mutex<Heard>) -> MutexGuard<'_, Heard> {
-    heard.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock(received: &Mutex<Received>) -> MutexGuard<'_, Received> {
+    received.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn stage(header: &Header, of: ServiceName) -> Option<Stage> {
@@ -99,37 +99,37 @@ impl Listener {
     /// # Errors
     /// If the session is closed.
     pub async fn start(client: &Client, robots: usize) -> anyhow::Result<Self> {
-        let heard = Arc::new(Mutex::new(Heard::default()));
+        let received = Arc::new(Mutex::new(Received::default()));
         let (sender, receiver) = mpsc::sync_channel::<(u64, Kind, ZBytes)>(MOST_WAITING);
         for (tail, kind) in KINDS {
-            let (sender, heard) = (sender.clone(), Arc::clone(&heard));
+            let (sender, received) = (sender.clone(), Arc::clone(&received));
             client
                 .session()
                 .declare_subscriber(client.key(tail))
                 .callback(move |sample| {
                     if sender.try_send((now_us(), kind, sample.payload().clone())).is_err() {
-                        lock(&heard).lost += 1;
+                        lock(&received).lost += 1;
                     }
                 })
                 .background()
                 .await
                 .map_err(|error| anyhow::anyhow!("{tail}: {error}"))?;
         }
-        let reading = Arc::clone(&heard);
+        let reading = Arc::clone(&received);
         std::thread::Builder::new().name("reader".to_owned()).spawn(move || {
             for (arrived, kind, payload) in receiver {
                 let taken = take(&reading, arrived, kind, &payload.to_bytes(), robots);
                 lock(&reading).lost += u64::from(taken.is_none());
             }
         })?;
-        Ok(Self(heard))
+        Ok(Self(received))
     }
 
     /// Forgets everything but the frames, which later divisions may rest on.
     pub fn begin(&self) {
-        let mut heard = lock(&self.0);
-        let frames = std::mem::take(&mut heard.frames);
-        *heard = Heard { frames, ..Heard::default() };
+        let mut received = lock(&self.0);
+        let frames = std::mem::take(&mut received.frames);
+        *received = Received { frames, ..Received::default() };
     }
 
     /// The newest division.
@@ -141,20 +141,27 @@ impl Listener {
     /// The number of the last pose of each robot that the newest division rests on.
     #[must_use]
     pub fn covered(&self) -> Vec<Option<u64>> {
-        let heard = lock(&self.0);
-        let frame = heard.divisions.last().and_then(|last| heard.frames.get(&last.stages[0].1));
+        let received = lock(&self.0);
+        let frame =
+            received.divisions.last().and_then(|last| received.frames.get(&last.stages[0].1));
         frame.into_iter().flatten().map(|newest| newest.map(|(number, _)| number)).collect()
     }
 
     /// Hands over all that was received, and forgets it.
     #[must_use]
-    pub fn take(&self) -> Heard {
+    pub fn take(&self) -> Received {
         std::mem::take(&mut *lock(&self.0))
     }
 }
 
 /// Reads a message; none if it is not what it should be.
-fn take(heard: &Mutex<Heard>, arrived: u64, kind: Kind, bytes: &[u8], robots: usize) -> Option<()> {
+fn take(
+    received: &Mutex<Received>,
+    arrived: u64,
+    kind: Kind,
+    bytes: &[u8],
+    robots: usize,
+) -> Option<()> {
     match kind {
         Kind::Roster => {
             let roster: Roster = envelope::decode(bytes).ok()?;
@@ -167,12 +174,12 @@ fn take(heard: &Mutex<Heard>, arrived: u64, kind: Kind, bytes: &[u8], robots: us
                     *place = number.map(|number| (number as u64, entry.last_seen.0));
                 }
             }
-            lock(heard).frames.insert(made, newest);
+            lock(received).frames.insert(made, newest);
         }
         Kind::Embedding => {
             let embedding: Embedding = envelope::decode(bytes).ok()?;
             let quality = embedding.quality;
-            lock(heard).embeddings.push(Embedded {
+            lock(received).embeddings.push(Embedded {
                 mode: quality.mode,
                 dimension: embedding.dimension,
                 stage_ms: quality.stage_us.map(|us| us as f64 / 1e3),
@@ -187,7 +194,7 @@ fn take(heard: &Mutex<Heard>, arrived: u64, kind: Kind, bytes: &[u8], robots: us
             else {
                 return None;
             };
-            lock(heard).divisions.push(Division {
+            lock(received).divisions.push(Division {
                 arrived,
                 stages: [ingest, embedder, clusterer],
                 oldest: teams.header.oldest.map(|oldest| oldest.0),
@@ -200,15 +207,15 @@ fn take(heard: &Mutex<Heard>, arrived: u64, kind: Kind, bytes: &[u8], robots: us
             let audit: Audit = envelope::decode(bytes).ok()?;
             let divided = stage(&audit.header, ServiceName::Clusterer)?.1;
             let stage = stage(&audit.header, ServiceName::Auditor)?;
-            lock(heard).judgements.push(Judged { divided, stage });
+            lock(received).judgements.push(Judged { divided, stage });
         }
-        Kind::Told => {
+        Kind::TeamMessage => {
             let value: Value = serde_json::from_slice(bytes).ok()?;
             let stages = value["stages"].as_array()?;
             let ingest = stages.iter().find(|stage| stage["stage"] == "ingest")?;
-            // Seconds since 1970 as a double tell microseconds apart until the year 2255.
+            // Seconds since 1970 as a double resolve microseconds until the year 2255.
             let frame = (ingest["published"].as_f64()? * 1e6).round() as u64;
-            lock(heard).told.push(Told {
+            lock(received).team_messages.push(TeamMessage {
                 arrived,
                 robot: robot_of(value["robot"].as_str()?)?,
                 frame,

@@ -9,15 +9,15 @@
 //!
 //! All clocks are that of one host.
 
-pub mod course;
 pub mod drive;
 pub mod echo;
 pub mod follow;
 pub mod listen;
 pub mod report;
+pub mod run_plan;
 pub mod squads;
 
-/// The moment in microseconds since 1970, as the services tell theirs.
+/// The moment in microseconds since 1970, as in the messages of the services.
 #[must_use]
 pub fn now_us() -> u64 {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);

@@ -3,13 +3,13 @@
 use std::fmt::Write as _;
 use std::process::Command;
 
-use super::course::{Measured, Spread};
+use super::run_plan::{Measured, Spread};
 
 /// `ingest`'s tick in milliseconds, by its default of 10 Hz: a pose waits for the next frame up to this
 /// long, half of it on average.
 const TICK_MS: f64 = 100.0;
 
-/// What is wanted of the 99th percentile beyond the tick, in milliseconds, by the number of robots.
+/// What is wanted of the 99th percentile beyond the frame, in milliseconds, by the number of robots.
 const GOALS_MS: [(usize, f64); 2] = [(50, 20.0), (500, 60.0)];
 
 /// From so many robots on, at least [`LEAST_RATE`] divisions per second are wanted instead.
@@ -36,12 +36,12 @@ pub struct Goal {
 /// The goals of a run.
 #[must_use]
 pub fn goals(measured: &Measured) -> Vec<Goal> {
-    let robots = measured.course.robots;
+    let robots = measured.plan.robots;
     let mut goals = Vec::new();
     for (_, most) in GOALS_MS.iter().filter(|(of, _)| *of == robots) {
         let p99 = Spread::of(measured.ways.beyond.iter().copied()).p99;
         goals.push(Goal {
-            wanted: format!("{robots} robots: p99 at most {most} ms beyond the tick"),
+            wanted: format!("{robots} robots: p99 at most {most} ms beyond the frame"),
             measured: format!("{p99:.1} ms"),
             reached: p99 <= *most,
         });
@@ -135,14 +135,14 @@ pub fn page(
         if cfg!(debug_assertions) { "debug" } else { "release" }
     )?;
     for measured in all {
-        let course = &measured.course;
-        let settings = course.settings.iter().map(|(service, set)| format!(", {service} {set}"));
+        let plan = &measured.plan;
+        let settings = plan.settings.iter().map(|(service, set)| format!(", {service} {set}"));
         writeln!(
             page,
             "- {} robots: {} teams, {} poses per second each, {:.0} s{}",
-            course.robots,
-            course.teams,
-            course.rate_hz,
+            plan.robots,
+            plan.teams,
+            plan.rate_hz,
             measured.seconds,
             settings.collect::<String>()
         )?;
@@ -163,19 +163,19 @@ pub fn page(
 /// What the numbers are, for who reads the page alone.
 const HOW: &str = "\
 A router, the four services and all robots run as processes of one host, over TCP on loopback, with \
-default settings but for the number of teams. The robots march in squads and move with every pose; each \
-has a phase of its own. They join 1,000 a second. Beside poses they put links twice a second and ranks once. The heading of a pose \
-is its number; rosters repeat it, and the head of each division names the frame that it rests on: which \
-poses are in a division is known, not estimated.
+default settings but for the number of teams. The robots march in squads and move with every pose; \
+each has a phase of its own. They join 1,000 a second. They also put links twice a second and ranks \
+once. The heading of a pose is its number, which the roster contains, and the header of each division \
+names its frame: which poses are in a division is known, not estimated.
 
-- **pose → division**: from the put of a pose to the arrival, at a client of the same router, of the first \
-message on `teams` that rests on it or, where the robot has put another meanwhile, on that one.
-- **beyond the tick**: the same for poses that a division rests on, without the time for which `ingest` \
-held the pose until it made the frame (10 frames a second by default).
-- **pose → robot told**: from the put of the pose to the arrival of `robot/*/team` with another team.
-- **age**: when a division was decided, how long ago `ingest` had received the oldest pose behind it.
-- **round trip**: of a message as long as a pose, through the same router and back, between two processes \
-that do nothing else; before there are robots, and beside them.
+- **pose → division**: from the put of a pose to the arrival, at a client of the same router, of the \
+first message on `teams` that uses it or, if the robot has put another meanwhile, that one.
+- **beyond the frame**: the same for poses in a division, without the time from their arrival at \
+`ingest` to the frame (10 frames a second by default).
+- **pose → robot**: from the put of the pose to the arrival of `robot/*/team` with another team.
+- **age**: time from the arrival of the oldest pose behind a division at `ingest` to the division.
+- **round trip**: of a message as long as a pose, through the same router and back, between two \
+processes that do nothing else; without robots (idle), and with them (loaded).
 
 All times are in milliseconds.
 ";
@@ -193,15 +193,15 @@ fn ways_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
     writeln!(page, "## From pose to division\n")?;
     writeln!(
         page,
-        "| robots | divisions/s | pose → division p50 | p99 | max | beyond the tick p50 | p99 | max | \
-         pose → robot told p50 / p99 (changes) | round trip idle p50 / p99 | beside p50 / p99 |"
+        "| robots | divisions/s | pose → division p50 | p99 | max | beyond the frame p50 | p99 | max | \
+         pose → robot p50 / p99 (changes) | round trip idle p50 / p99 | loaded p50 / p99 |"
     )?;
     writeln!(page, "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")?;
     for measured in all {
         writeln!(
             page,
             "| {} | {:.1} | {} | {} | {} ({}) | {:.2} / {:.2} | {:.2} / {:.2} |",
-            measured.course.robots,
+            measured.plan.robots,
             measured.rate(),
             spread(Spread::of(measured.ways.whole.iter().copied())),
             spread(Spread::of(measured.ways.beyond.iter().copied())),
@@ -223,7 +223,7 @@ fn ages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
     for measured in all {
         let ages = Spread::of(measured.ages().into_iter().map(|(_, age)| age));
         let growth = measured.growth();
-        writeln!(page, "| {} | {} | {growth:+.1} |", measured.course.robots, spread(ages))?;
+        writeln!(page, "| {} | {} | {growth:+.1} |", measured.plan.robots, spread(ages))?;
     }
     writeln!(page)
 }
@@ -234,10 +234,10 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
         let cells: Vec<_> = all.iter().map(of).collect();
         writeln!(page, "| {name} | {} |", cells.join(" | "))
     };
-    row("robots", &|measured| measured.course.robots.to_string())?;
+    row("robots", &|measured| measured.plan.robots.to_string())?;
     row("---", &|_| "---".to_owned())?;
     row("robot → ingest", &|measured| pair(Spread::of(measured.ways.to_ingest.iter().copied())))?;
-    row("held by ingest until the frame", &|measured| {
+    row("in ingest until the frame", &|measured| {
         pair(Spread::of(measured.ways.held.iter().copied()))
     })?;
     let between = |measured: &Measured, from: fn(&super::follow::Division) -> (u64, u64)| {
@@ -252,22 +252,22 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
     row("embedder → clusterer", &|m| between(m, |d| (d.stages[1].1, d.stages[2].0)))?;
     row("clusterer", &|m| between(m, |d| (d.stages[2].0, d.stages[2].1)))?;
     row("clusterer → reader", &|m| between(m, |d| (d.stages[2].1, d.arrived)))?;
-    row("beside: division → judgement", &|m| pair(m.judged[0]))?;
+    row("in parallel: division → audit", &|m| pair(m.judged[0]))?;
     row("of it: auditor", &|m| pair(m.judged[1]))?;
     writeln!(
         page,
-        "\nA stage counts from when it had received what it needed until it published, with the wait for \
-         the job before.\n"
+        "\nThe time of a stage is from the receipt of its input to its output, with the wait for the \
+         previous job.\n"
     )?;
     for measured in all {
-        let robots = measured.course.robots;
+        let robots = measured.plan.robots;
         let modes: Vec<_> =
             measured.modes.iter().map(|(mode, count)| format!("{count} {mode}")).collect();
         let (least, most) = measured.dimensions;
         writeln!(
             page,
             "- {robots} robots: {:.1} embeddings/s ({}), vectors of length {least} to {most}, largest \
-             residual {:.1e}; {:.1} judgements/s",
+             residual {:.1e}; {:.1} audits/s",
             measured.modes.values().sum::<usize>() as f64 / measured.seconds,
             modes.join(", "),
             measured.residual,
@@ -278,7 +278,7 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
 }
 
 fn poses_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
-    writeln!(page, "## What became of the poses\n")?;
+    writeln!(page, "## What happened to the poses\n")?;
     writeln!(
         page,
         "| robots | put | per second | in a division | superseded by a later one of the robot | in none | \
@@ -293,7 +293,7 @@ fn poses_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
         writeln!(
             page,
             "| {} | {} | {:.0} | {} | {} | {} | {} | {} | {} |",
-            measured.course.robots,
+            measured.plan.robots,
             measured.poses,
             measured.poses as f64 / measured.seconds,
             measured.ways.beyond.len(),
@@ -308,7 +308,7 @@ fn poses_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
 }
 
 fn processes_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
-    writeln!(page, "## What each process takes: processor % of one core / MiB resident\n")?;
+    writeln!(page, "## What each process uses: processor % of one core / MiB resident\n")?;
     let Some(first) = all.first() else { return Ok(()) };
     let names: Vec<_> = first.taken.iter().map(|taken| taken.name).collect();
     writeln!(page, "| robots | {} |", names.join(" | "))?;
@@ -318,11 +318,11 @@ fn processes_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
             .taken
             .iter()
             .map(|taken| format!(" {:.1} / {:.0} |", taken.processors * 100.0, taken.memory));
-        writeln!(page, "| {} |{}", measured.course.robots, cells.collect::<String>())?;
+        writeln!(page, "| {} |{}", measured.plan.robots, cells.collect::<String>())?;
     }
     writeln!(
         page,
-        "\n*robots* is the process that plays all robots; *listener* the one that measures.\n"
+        "\n*robots* is the process that simulates all robots; *listener* the one that measures.\n"
     )
 }
 
@@ -355,7 +355,7 @@ pub fn plot(all: &[Measured]) -> String {
             places.join(" "),
             WIDTH + 6.0,
             40 + 18 * number,
-            measured.course.robots
+            measured.plan.robots
         );
     }
     svg + "</svg>\n"

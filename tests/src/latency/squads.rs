@@ -25,7 +25,7 @@ const CIRCLE_M: f64 = 3.0;
 /// Seconds in which a squad goes around its place once.
 const CIRCLE_S: f64 = 20.0;
 
-/// Metres at which a robot is not heard any more.
+/// Radio range in metres.
 const RANGE_M: f64 = 40.0;
 
 /// Seconds of a courier's whole way; a quarter each at home, on the way, away, and on the way back.
@@ -154,13 +154,13 @@ impl Squads {
         let above = squad.superior.filter(|_| leads);
         let at = self.place(robot, t);
         let peers = squad.robots.iter().copied().filter(|peer| *peer != robot).chain(above);
-        let heard = peers.map(|peer| {
+        let received = peers.map(|peer| {
             let place = self.place(peer, t);
             let distance = (at[0] - place[0]).hypot(at[1] - place[1]) / RANGE_M;
-            // A superior far away is heard by a better antenna.
+            // The antenna of a superior reaches further.
             (peer, (1.0 - distance * distance).max(0.1))
         });
-        heard.collect()
+        received.collect()
     }
 
     /// Whom a robot answers to: the leader of its squad; that one to the leader of its team.
@@ -219,8 +219,8 @@ mod tests {
         }
         let free = (0..120).filter(|robot| fleet.superior(*robot, 0.0).is_none()).count();
         assert_eq!(free, 3);
-        let heard = (0..120).map(|robot| fleet.links(robot, 0.0));
-        assert!(heard.flatten().all(|(_, quality)| (0.0..=1.0).contains(&quality)));
+        let received = (0..120).map(|robot| fleet.links(robot, 0.0));
+        assert!(received.flatten().all(|(_, quality)| (0.0..=1.0).contains(&quality)));
     }
 
     #[test]

@@ -1,8 +1,7 @@
 //! The configuration of a secured router: mutual TLS, and rules that deny what they do not allow.
 //!
-//! A rule allows a message if its key expression includes that of the message. So a put to
-//! `robot/*/pose` is allowed by no rule for one robot, and needs no rule that denies it; such rules
-//! would be passed by exactly such puts.
+//! A rule allows a message if its key expression includes that of the message. So no rule for one robot
+//! allows a put to `robot/*/pose`. A rule that denied it would match exactly such puts only.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -16,37 +15,37 @@ use super::certs::{AUTHORITY, CERTIFICATE, KEY, PUBLIC_MODE, SECRET_MODE, base64
 use super::fleet::{FleetFile, Identity, Kind, PROTOCOLS, Router};
 use super::rights::Rights;
 
-/// The router for trusted networks, which the secured one differs from only in what is put in here.
+/// The router for trusted networks. The secured one is this text with the parts below inserted.
 const PLAIN: &str = include_str!("../../../../deploy/router/plain.json5");
 
-/// Where a router's identity stands on its host if it is not put into the configuration.
+/// Folder of a router's identity on its host, unless it is embedded in the configuration.
 const INSTALLED: &str = "/etc/muster/router";
 
 /// Arguments of `muster deploy acl`.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "The file is the whole configuration of one router: TLS with certificates on both sides, and \
-for each identity what it may say, hear, ask and answer. Whoever is not named may do nothing. A router \
-reads it only as it starts.\n\nExamples:\n  \
+for each identity the keys that it may put, receive, get and answer. An identity that is not named may do \
+nothing. A router reads the file when it starts.\n\nExamples:\n  \
 muster deploy acl --fleet-file fleet.toml --out router.json5\n  \
 muster deploy acl --fleet-file fleet.toml --identity identities/router.base --out router.json5\n  \
 muster router --zenoh-config router.json5"
 )]
 pub(crate) struct AclArgs {
-    /// The file that names everybody who takes part; deploy/fleet.toml is an example
+    /// The file that names all members of the fleet; deploy/fleet.toml is an example
     #[arg(long, value_name = "FILE")]
     fleet_file: PathBuf,
-    /// Which router of the fleet file; may be left out where there is one
+    /// Which router of the fleet file; optional if there is one
     #[arg(long, value_name = "NAME")]
     router: Option<String>,
-    /// Put the certificates and the key of this folder into the file; without it the file names
-    /// those in /etc/muster/router
+    /// Embed the certificates and the key of this folder; without it the file names those in
+    /// /etc/muster/router
     #[arg(long, value_name = "FOLDER")]
     identity: Option<PathBuf>,
     /// The file to write
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Replace a file that is there already
+    /// Replace an existing file
     #[arg(long)]
     force: bool,
 }
@@ -54,16 +53,15 @@ pub(crate) struct AclArgs {
 /// Writes the configuration of a router.
 ///
 /// # Errors
-/// Names the file that is wrong, is there already, or cannot be written.
+/// Names the file that is invalid, exists already, or cannot be written.
 pub(super) fn run(args: &AclArgs) -> anyhow::Result<()> {
     let fleet = FleetFile::read(&args.fleet_file)?;
     let router = fleet.router(args.router.as_deref()).map_err(ExitError::usage)?;
     if args.out.exists() && !args.force {
         let out = args.out.display();
-        return Err(ExitError::usage(format!(
-            "--out: {out} is there already; --force replaces it"
-        ))
-        .into());
+        return Err(
+            ExitError::usage(format!("--out: {out} exists already; --force replaces it")).into()
+        );
     }
     let tls = match &args.identity {
         Some(folder) => Tls::embedded(folder)?,
@@ -81,7 +79,7 @@ pub(super) fn run(args: &AclArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// By what a router is known and knows others: names of files, or their content in base64.
+/// The identity of a router and the authority that it trusts: names of files, or their content in base64.
 struct Tls {
     suffix: &'static str,
     authority: String,
@@ -109,7 +107,7 @@ impl Tls {
 /// The text of the configuration of one router.
 ///
 /// # Errors
-/// If the plain configuration has lost a place where something is put in.
+/// If the plain configuration lacks a place where a part is inserted.
 fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Result<String> {
     let listen = serde_json::to_string(&router.listens())?;
     let protocols = serde_json::to_string(&PROTOCOLS.map(|protocol| protocol.to_string()))?;
@@ -119,8 +117,8 @@ fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Resul
         serde_json::to_string(&before.map(|other| fleet.endpoint(other)).collect::<Vec<_>>())?;
     let head = PLAIN.lines().take_while(|line| line.starts_with("//")).count();
     let mut text = format!(
-        "// The Zenoh router {} of fleet {}, for networks that are not trusted: everybody shows a certificate, and
-// may do only what is allowed below. Made by `muster deploy acl` from the fleet file; change that one.
+        "// The Zenoh router {} of fleet {}, for networks that are not trusted: every client shows a certificate,
+// and may do only what is allowed below. Made by `muster deploy acl` from the fleet file; change that one.
 //
 //   muster router --zenoh-config FILE        or Zenoh's own:  zenohd --config FILE
 ",
@@ -130,34 +128,8 @@ fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Resul
         text.push_str(line);
         text.push('\n');
     }
-    let with_tls = format!(
-        "      // Nothing without certificates, also where an endpoint is changed by mistake.
-      protocols: {protocols},
-      tls: {{
-        // Everybody must show a certificate (mutual TLS).
-        enable_mtls: true,
-        // Links end with the certificates behind them.
-        close_link_on_expiration: true,
-        // Who must have signed the certificates of clients and other routers.
-        root_ca_certificate{suffix}: \"{authority}\",
-        // The certificate that clients are shown …
-        listen_certificate{suffix}: \"{certificate}\",
-        // … and what proves it.
-        listen_private_key{suffix}: \"{key}\",
-        // The same towards other routers, of which this one is a client …
-        connect_certificate{suffix}: \"{certificate}\",
-        // … and what proves it.
-        connect_private_key{suffix}: \"{key}\",
-        // Refuse another router whose certificate does not name the address that we connect to.
-        verify_name_on_connect: true,
-      }},
-",
-        suffix = tls.suffix,
-        authority = tls.authority,
-        certificate = tls.certificate,
-        key = tls.key,
-    );
-    for (place, put_in) in [
+    let with_tls = tls_section(tls, &protocols);
+    for (place, part) in [
         ("[\"tcp/0.0.0.0:7447\"]", listen.as_str()),
         ("    endpoints: [],\n", &format!("    endpoints: {connect},\n")),
         ("      // TLS: none.\n", &with_tls),
@@ -167,9 +139,42 @@ fn router_config(fleet: &FleetFile, router: &Router, tls: &Tls) -> anyhow::Resul
             text.matches(place).count() == 1,
             "the plain router has no single {place:?}"
         );
-        text = text.replace(place, put_in);
+        text = text.replace(place, part);
     }
     Ok(text)
+}
+
+/// The part of the configuration that makes links use TLS with certificates on both sides.
+///
+/// `protocols` is a JSON list.
+fn tls_section(tls: &Tls, protocols: &str) -> String {
+    format!(
+        "      // No link without certificates, even if an endpoint is changed by mistake.
+      protocols: {protocols},
+      tls: {{
+        // Every client must show a certificate (mutual TLS).
+        enable_mtls: true,
+        // A link ends when its certificate expires.
+        close_link_on_expiration: true,
+        // Who must have signed the certificates of clients and other routers.
+        root_ca_certificate{suffix}: \"{authority}\",
+        // The certificate that this router shows to clients …
+        listen_certificate{suffix}: \"{certificate}\",
+        // … and its key.
+        listen_private_key{suffix}: \"{key}\",
+        // The same towards other routers, of which this one is a client …
+        connect_certificate{suffix}: \"{certificate}\",
+        // … and its key.
+        connect_private_key{suffix}: \"{key}\",
+        // Refuse another router whose certificate does not name the address that we connect to.
+        verify_name_on_connect: true,
+      }},
+",
+        suffix = tls.suffix,
+        authority = tls.authority,
+        certificate = tls.certificate,
+        key = tls.key,
+    )
 }
 
 /// Rules, subjects and policies, one of each per identity and right.
@@ -193,17 +198,17 @@ fn access_control(fleet: &FleetFile) -> anyhow::Result<String> {
     }
     Ok(format!(
         "  access_control: {{
-    // Without rules there would be no control at all.
+    // Off would mean no control at all.
     enabled: true,
-    // What no rule allows is dropped, and nobody is told.
+    // What no rule allows is dropped without an error.
     default_permission: \"deny\",
-    // Ingress is what the router takes from a client, egress what it hands to one.
+    // Ingress: from a client to the router. Egress: from the router to a client.
     rules: [
 {rules}    ],
-    // Who is who: exactly the common name of the certificate, and only over links that show one.
+    // Identities: exactly the common name of the certificate, and only over links that show one.
     subjects: [
 {subjects}    ],
-    // Who has which rights.
+    // Which rules hold for which identity.
     policies: [
 {policies}    ],
   }},
@@ -253,40 +258,40 @@ impl Rules {
             "liveliness_query",
         ];
         let everything = ["**".to_owned()];
-        let why = "Routers pass everything on to each other; each has checked its own clients.";
+        let why = "Routers relay everything to each other; each has checked its own clients.";
         self.add("trusted", why, "\"ingress\", \"egress\"", &ALL, &everything)?;
-        let why = "Who says or asks something is told whether somebody listens: without that a publisher \
-                   stays silent.";
+        let why = "Clients learn which subscribers and queryables exist: without that a publisher sends \
+                   nothing.";
         let messages = ["declare_subscriber", "declare_queryable"];
-        self.add("told of readers", why, "\"egress\"", &messages, &everything)?;
-        let why = "Services are handed the gets of those that may ask, wide ones too.";
+        self.add("declarations", why, "\"egress\"", &messages, &everything)?;
+        let why = "Services receive the gets of all identities that may get, wildcards included.";
         let keys = [KeySpace::new(fleet.clone()).pattern(&Pattern::Everything)];
-        self.add("asked", why, "\"egress\"", &["query"], &keys)?;
+        self.add("gets", why, "\"egress\"", &["query"], &keys)?;
         Ok(())
     }
 
     /// The rules of one identity; returns the ids of all that it has.
     fn of(&mut self, identity: &Identity, rights: &Rights) -> anyhow::Result<Vec<String>> {
         let (ingress, egress) = ("\"ingress\"", "\"egress\"");
-        let mut used = vec!["told of readers".to_owned()];
+        let mut used = vec!["declarations".to_owned()];
         if identity.kind == Kind::Service {
-            used.push("asked".to_owned());
+            used.push("gets".to_owned());
         }
         let all: [(&str, &str, &[&str], &Vec<String>); 9] = [
-            ("says", ingress, &["put"], &rights.say),
-            ("subscribes to", ingress, &["declare_subscriber"], &rights.hear),
-            ("hears", egress, &["put"], &rights.hear),
-            ("asks for", ingress, &["query"], &rights.ask),
-            ("is answered", egress, &["reply"], &rights.ask),
-            ("answers", ingress, &["declare_queryable", "reply"], &rights.answer),
-            ("is there as", ingress, &["liveliness_token"], &rights.be),
+            ("puts", ingress, &["put"], &rights.put),
+            ("subscribes to", ingress, &["declare_subscriber"], &rights.subscribe),
+            ("receives", egress, &["put"], &rights.subscribe),
+            ("gets", ingress, &["query"], &rights.get),
+            ("receives replies to", egress, &["reply"], &rights.get),
+            ("replies to", ingress, &["declare_queryable", "reply"], &rights.reply),
+            ("declares the token", ingress, &["liveliness_token"], &rights.declare_token),
             (
                 "watches",
                 ingress,
                 &["declare_liveliness_subscriber", "liveliness_query"],
-                &rights.see,
+                &rights.watch_token,
             ),
-            ("sees", egress, &["liveliness_token"], &rights.see),
+            ("receives tokens", egress, &["liveliness_token"], &rights.watch_token),
         ];
         for (verb, flow, messages, keys) in all {
             let id = format!("{identity} {verb}");

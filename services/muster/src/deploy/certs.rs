@@ -1,7 +1,7 @@
-//! Certificates: an authority for the fleet, and one certificate for each that takes part.
+//! Certificates: an authority for the fleet, and one certificate per identity.
 //!
-//! Keys are ECDSA on P-256, which every TLS library of robots knows. The folder of each identity
-//! holds all that its host needs; the key of the authority stays where it was made.
+//! Keys are ECDSA on P-256, which every TLS library supports. The folder of each identity holds all that
+//! its host needs; the key of the authority stays where it was made.
 
 use std::io::Write;
 use std::net::IpAddr;
@@ -25,25 +25,25 @@ use super::fleet::{FleetFile, Identity, Kind};
 /// The certificate of an identity or of the authority.
 pub(super) const CERTIFICATE: &str = "certificate.pem";
 
-/// The secret that belongs to it.
+/// The private key of the certificate.
 pub(super) const KEY: &str = "key.pem";
 
-/// A copy of the authority's certificate beside each identity.
+/// A copy of the authority's certificate in the folder of each identity.
 pub(super) const AUTHORITY: &str = "authority.pem";
 
-/// Zenoh's configuration of a client, with everything that it needs in one file.
+/// Zenoh's configuration of a client, with its certificate and key embedded.
 const CLIENT_CONFIG: &str = "zenoh.json5";
 
 /// The folder of the authority.
 const AUTHORITY_FOLDER: &str = "authority";
 
-/// Who may look into the folders: secrets stand in them.
+/// Access to the folders: for their owner only, since they hold secrets.
 const FOLDER_MODE: u32 = 0o700;
 
-/// Who may read a secret: its owner.
+/// Access to a secret: its owner may read and write it.
 pub(super) const SECRET_MODE: u32 = 0o600;
 
-/// Who may read a certificate: everybody.
+/// Access to a certificate: everybody may read it.
 pub(super) const PUBLIC_MODE: u32 = 0o644;
 
 /// Largest certificate or key in bytes that is read back.
@@ -54,17 +54,17 @@ const SECONDS_PER_DAY: i64 = 24 * 60 * 60;
 /// Arguments of `muster deploy certs`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Makes OUT/authority (keep its key.pem off the network: who has it can be anybody), and for \
+    after_help = "Makes OUT/authority (keep its key.pem off the network: it can forge every identity), and for \
 each router, service, robot, operator and viewer a folder such as OUT/robot.r1 with certificate.pem, \
-key.pem, authority.pem and, for clients, zenoh.json5, which holds all of them. What is there \
-and still good stays as it is; the authority is never replaced.\n\nExamples:\n  \
+key.pem, authority.pem and, for clients, zenoh.json5, which embeds all of them. Valid \
+certificates are kept; the authority is never replaced.\n\nExamples:\n  \
 muster deploy certs --fleet-file fleet.toml --out identities\n  \
 muster deploy certs --fleet-file fleet.toml --out identities --force                  renew all\n  \
 muster deploy certs --fleet-file fleet.toml --out identities --force --only robot.r1   renew one\n  \
 muster-ingest --zenoh-config identities/service.ingest/zenoh.json5                    use one"
 )]
 pub(crate) struct CertsArgs {
-    /// The file that names everybody who takes part; deploy/fleet.toml is an example
+    /// The file that names all members of the fleet; deploy/fleet.toml is an example
     #[arg(long, value_name = "FILE")]
     fleet_file: PathBuf,
     /// The folder of all identities
@@ -73,21 +73,21 @@ pub(crate) struct CertsArgs {
     /// Only these identities, such as robot.r1, with commas
     #[arg(long, value_name = "KIND.NAME", value_delimiter = ',')]
     only: Vec<String>,
-    /// Make certificates anew that are there already
+    /// Replace existing certificates
     #[arg(long)]
     force: bool,
 }
 
-/// Who signs.
+/// The certificate authority.
 struct Authority {
     issuer: Issuer<'static, KeyPair>,
     certificate: String,
 }
 
-/// Makes what is missing, and with `--force` everything but the authority anew.
+/// Makes missing certificates; with `--force` it replaces all but that of the authority.
 ///
 /// # Errors
-/// Names the file that is wrong or cannot be written.
+/// Names the file that is invalid or cannot be written.
 pub(super) fn run(args: &CertsArgs) -> anyhow::Result<()> {
     let fleet = FleetFile::read(&args.fleet_file)?;
     let chosen = choose(&fleet, &args.only)?;
@@ -104,7 +104,7 @@ pub(super) fn run(args: &CertsArgs) -> anyhow::Result<()> {
             match kept(&fleet, &identity, &folder, &certificate, &authority)? {
                 Ok(days) => {
                     writeln!(out, "{identity}: kept, valid for {days} more days")?;
-                    // What clients are told of the routers may have changed, and is no secret to be kept.
+                    // The routers in the configuration of a client may have changed.
                     write_identity(
                         &fleet,
                         &identity,
@@ -121,7 +121,7 @@ pub(super) fn run(args: &CertsArgs) -> anyhow::Result<()> {
         let (certificate, key) = certify(&fleet, &identity, &authority)
             .with_context(|| format!("cannot certify {identity}"))?;
         make_folder(&folder)?;
-        // An old certificate beside a new key would look whole after a crash.
+        // After a crash an old certificate with a new key would look complete.
         remove(&folder.join(CERTIFICATE))?;
         write_identity(&fleet, &identity, &folder, &certificate, &key, &authority)?;
         writeln!(out, "{identity}: {made}, valid for {} days", fleet.certificate_days)?;
@@ -129,8 +129,8 @@ pub(super) fn run(args: &CertsArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// For how many days the certificate of an identity is still good, or why it is made anew: by a
-/// certificate of another authority, or without all addresses of its router, no link would open.
+/// Days for which the certificate of an identity is still valid, or why it must be replaced: no link
+/// opens with a certificate of another authority, or without all addresses of its router.
 fn kept(
     fleet: &FleetFile,
     identity: &Identity,
@@ -140,7 +140,7 @@ fn kept(
 ) -> anyhow::Result<Result<i64, &'static str>> {
     let of = folder.join(AUTHORITY);
     if !of.exists() || read(&of)? != authority.certificate {
-        return Ok(Err("made anew, as the authority is another"));
+        return Ok(Err("replaced, because the authority is another"));
     }
     let path = folder.join(CERTIFICATE);
     let damaged = |error: String| damaged(&path, &error);
@@ -162,11 +162,11 @@ fn kept(
     let router = fleet.routers.iter().find(|router| router.name == identity.name);
     let router = router.filter(|_| identity.kind == Kind::Router);
     if router.is_some_and(|router| !router.addresses.iter().all(named)) {
-        return Ok(Err("made anew, as its addresses have changed"));
+        return Ok(Err("replaced, because its addresses have changed"));
     }
     let left = parsed.validity().not_after.timestamp() - OffsetDateTime::now_utc().unix_timestamp();
     if left <= 0 {
-        return Ok(Err("made anew, as it was no longer valid"));
+        return Ok(Err("replaced, because it was no longer valid"));
     }
     Ok(Ok(left / SECONDS_PER_DAY))
 }
@@ -184,7 +184,7 @@ fn choose(fleet: &FleetFile, only: &[String]) -> Result<Vec<Identity>, ExitError
     Ok(all)
 }
 
-/// The authority of the folder, made if there is none.
+/// The authority in the folder; created if there is none.
 fn authority(fleet: &FleetFile, folder: &Path, out: &mut dyn Write) -> anyhow::Result<Authority> {
     let (certificate_path, key_path) = (folder.join(CERTIFICATE), folder.join(KEY));
     match (certificate_path.exists(), key_path.exists()) {
@@ -217,8 +217,8 @@ fn authority(fleet: &FleetFile, folder: &Path, out: &mut dyn Write) -> anyhow::R
         (has_certificate, _) => {
             let missing = if has_certificate { key_path } else { certificate_path };
             Err(ExitError::usage(format!(
-                "{} is missing; put it back, or remove the whole folder {} for a new authority, by which \
-                 everybody needs a new certificate",
+                "{} is missing; put it back, or remove the whole folder {} for a new authority, which \
+                 makes all certificates invalid",
                 missing.display(),
                 folder.display()
             ))
@@ -244,7 +244,7 @@ fn certify(
     params.distinguished_name = rcgen::DistinguishedName::new();
     params.distinguished_name.push(DnType::CommonName, fleet.common_name(identity));
     params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
-    // A client's certificate does not make a router: only those are for servers.
+    // Only certificates of routers are valid for servers.
     params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ClientAuth];
     params.use_authority_key_identifier_extension = true;
     (params.not_before, params.not_after) = validity(fleet.certificate_days)?;
@@ -262,7 +262,7 @@ fn certify(
     Ok((certificate.pem(), key.serialize_pem()))
 }
 
-/// From yesterday on, so that a host whose clock is somewhat behind accepts it too.
+/// From yesterday on, so that a host whose clock is behind accepts the certificate.
 fn validity(days: u32) -> anyhow::Result<(OffsetDateTime, OffsetDateTime)> {
     let now = OffsetDateTime::now_utc();
     let moment = |days: i64| {
@@ -285,11 +285,11 @@ fn write_identity(
         let text = client_config(fleet, identity, &authority.certificate, certificate, key)?;
         write(&folder.join(CLIENT_CONFIG), &text, SECRET_MODE)?;
     }
-    // Last, so that an identity with a certificate has everything else.
+    // Last, so that a folder with a certificate is complete.
     write(&folder.join(CERTIFICATE), certificate, PUBLIC_MODE)
 }
 
-/// Zenoh's configuration for a client: where the routers are, and by what both sides know each other.
+/// Zenoh's configuration for a client: addresses of the routers, certificates and key.
 fn client_config(
     fleet: &FleetFile,
     identity: &Identity,
@@ -302,30 +302,30 @@ fn client_config(
     Ok(format!(
         "// Zenoh's configuration of {identity} of fleet {fleet_name}. Keep it secret: it holds the key.
 {{
-  // Through a router; clients need not reach each other.
+  // Through a router; clients do not link with each other.
   mode: \"client\",
-  // The routers, in the order in which they are tried; the next one is used when one is lost.
+  // Routers in the order in which they are tried; when one is lost, the next is used.
   connect: {{ endpoints: {endpoints} }},
-  // Nobody is looked for: what can be found can be forged.
+  // No discovery: what can be discovered can be forged.
   scouting: {{ multicast: {{ enabled: false }}, gossip: {{ enabled: false }} }},
   transport: {{
-    // A router that does not answer is given up after so many milliseconds, and the next one tried.
+    // Milliseconds after which the next router is tried if one does not answer.
     unicast: {{ open_timeout: 2000 }},
     link: {{
-      // Nothing without certificates, also where an endpoint is changed by mistake.
+      // No link without certificates, even if an endpoint is changed by mistake.
       protocols: [\"{protocol}\"],
       tls: {{
         // Show a certificate of our own (mutual TLS).
         enable_mtls: true,
         // Refuse a router whose certificate does not name the address that we connect to.
         verify_name_on_connect: true,
-        // Leave a router whose certificate ends while we are linked.
+        // Close the link when the certificate of the router expires.
         close_link_on_expiration: true,
         // Who must have signed the router's certificate (authority.pem).
         root_ca_certificate_base64: \"{authority}\",
-        // Who we are (certificate.pem) …
+        // Our certificate (certificate.pem) …
         connect_certificate_base64: \"{certificate}\",
-        // … and what proves it (key.pem).
+        // … and its key (key.pem).
         connect_private_key_base64: \"{key}\",
       }},
     }},
@@ -340,12 +340,12 @@ fn client_config(
     ))
 }
 
-/// The form in which Zenoh takes a file inside of its configuration.
+/// The form in which Zenoh reads a file that is embedded in its configuration.
 pub(super) fn base64(text: &str) -> String {
     base64::engine::general_purpose::STANDARD.encode(text)
 }
 
-/// Makes a folder that only its owner may look into; one that is there stays as it is.
+/// Creates a folder for its owner only; an existing one stays as it is.
 fn make_folder(folder: &Path) -> anyhow::Result<()> {
     std::fs::DirBuilder::new()
         .recursive(true)
@@ -368,7 +368,7 @@ pub(super) fn read(path: &Path) -> anyhow::Result<String> {
     String::from_utf8(read_at_most(path, MAX_PEM).with_context(fail)?).with_context(fail)
 }
 
-/// Writes a file anew, whole or not at all; nobody sees a secret on the way.
+/// Replaces a file atomically; a secret is never readable by others meanwhile.
 pub(super) fn write(path: &Path, text: &str, mode: u32) -> anyhow::Result<()> {
     let fail = || format!("cannot write {}", path.display());
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());

@@ -1,7 +1,7 @@
 //! `muster deploy config`: the commented default configuration of one service.
 //!
-//! There is one source of it, the configuration of a whole host. What stands before its first table
-//! holds for every program; then each service has a part of its own, below a ruled line.
+//! Its one source is the configuration of a whole host. The text before the first ruled line applies to
+//! every program; each service has a part below a ruled line of its own.
 
 use std::io::Write as _;
 
@@ -11,7 +11,7 @@ use muster_model::id::ServiceName;
 /// The commented configuration of a host.
 const WHOLE: &str = include_str!("../../../../deploy/muster.toml");
 
-/// How the line begins that stands above the part of a service.
+/// Start of the line above the part of a service.
 const RULE: &str = "# -----";
 
 /// Arguments of `muster deploy config`.
@@ -37,7 +37,7 @@ pub(super) fn run(args: &ConfigArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The part that every program reads, and that of one service.
+/// The part for every program, and that for one service.
 fn of_service(service: ServiceName) -> anyhow::Result<String> {
     let mut parts: Vec<String> = vec![String::new()];
     for line in WHOLE.lines() {

@@ -1,4 +1,4 @@
-//! The fleet file: who may take part in a secured fleet, under which names.
+//! The fleet file: the members of a secured fleet and their names.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -20,18 +20,18 @@ const MAX_COMMON_NAME: usize = 64;
 /// Longest address of a router, by the standard of host names.
 const MAX_ADDRESS: usize = 253;
 
-/// Most routers that a client is told of: beyond a few, a list is a mistake.
+/// Most routers in the configuration of a client: a longer list is a mistake.
 const MAX_ROUTERS: usize = 16;
 
-/// Longest validity in days: certificates that outlive their hosts are of no use.
+/// Longest validity in days: no host lasts longer.
 const MAX_DAYS: u32 = 36_500;
 
-/// Who holds a certificate.
+/// The kinds of identities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
-    /// Relays for all others, and is trusted by them.
+    /// Relays for all others, which trust it.
     Router,
-    /// One of the services, however many instances of it run.
+    /// One of the services; all its instances share the identity.
     Service,
     /// One robot.
     Robot,
@@ -53,16 +53,16 @@ impl fmt::Display for Kind {
     }
 }
 
-/// One holder of a certificate: what it is and how it is called.
+/// The holder of a certificate.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Identity {
-    /// What it is.
+    /// The kind of identity.
     pub(super) kind: Kind,
     /// Its name among its kind.
     pub(super) name: String,
 }
 
-/// `kind.name`. No name has a dot, so that no two identities look alike.
+/// `kind.name`. No name contains a dot, so the text is unique.
 impl fmt::Display for Identity {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "{}.{}", self.kind, self.name)
@@ -73,15 +73,15 @@ impl fmt::Display for Identity {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Protocol {
-    /// Over UDP. Zenoh's link over TLS lets two threads into one stream at once: it breaks now and then
-    /// and may damage memory (eclipse-zenoh/zenoh#2557). Its link over QUIC has a stream per direction.
+    /// Over UDP. Zenoh's link over TLS has a data race on its stream: it breaks now and then, and may
+    /// corrupt memory (eclipse-zenoh/zenoh#2557). Its link over QUIC has a stream per direction.
     #[default]
     Quic,
-    /// Over TCP, for networks that let no UDP through.
+    /// Over TCP, for networks that block UDP.
     Tls,
 }
 
-/// All of them: a router takes in those who speak either.
+/// All of them: a router listens for each.
 pub(super) const PROTOCOLS: [Protocol; 2] = [Protocol::Quic, Protocol::Tls];
 
 impl fmt::Display for Protocol {
@@ -101,12 +101,12 @@ pub(super) struct Router {
     pub(super) name: String,
     /// Host names and addresses by which it is reached; clients use the first.
     pub(super) addresses: Vec<String>,
-    /// The port that it listens at, of UDP for QUIC and of TCP for TLS.
+    /// The port on which it listens, of UDP for QUIC and of TCP for TLS.
     #[serde(default = "default_port")]
     pub(super) port: u16,
 }
 
-/// A fleet as its file describes it.
+/// The content of a fleet file.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FleetFile {
@@ -114,7 +114,7 @@ pub(super) struct FleetFile {
     pub(super) fleet: FleetId,
     /// Its routers, in the order in which clients try them.
     pub(super) routers: Vec<Router>,
-    /// How they are connected to.
+    /// The protocol of links to routers.
     #[serde(default)]
     pub(super) protocol: Protocol,
     /// Its robots.
@@ -126,13 +126,13 @@ pub(super) struct FleetFile {
     /// Its operators.
     #[serde(default)]
     pub(super) operators: Vec<String>,
-    /// Who may look at it.
+    /// Its viewers.
     #[serde(default)]
     pub(super) viewers: Vec<String>,
     /// Declared relations that robots may report.
     #[serde(default)]
     pub(super) modalities: Vec<Modality>,
-    /// Whether robots may read what consoles read.
+    /// Whether robots may read `json/*` of the whole fleet.
     #[serde(default)]
     pub(super) robots_read_json: bool,
     /// Validity of certificates in days.
@@ -160,7 +160,7 @@ fn default_authority_days() -> u32 {
 }
 
 impl Router {
-    /// Where it listens, on every interface. An address of IPv6 takes those of IPv4 as well.
+    /// Endpoints on which it listens, on every interface. The IPv6 wildcard accepts IPv4 as well.
     pub(super) fn listens(&self) -> Vec<String> {
         let with_ipv6 = self.addresses.iter().any(|address| address.contains(':'));
         let any = if with_ipv6 { "[::]" } else { "0.0.0.0" };
@@ -169,10 +169,10 @@ impl Router {
 }
 
 impl FleetFile {
-    /// Where clients connect to a router.
+    /// The endpoint to which clients connect.
     pub(super) fn endpoint(&self, router: &Router) -> String {
         let address = router.addresses.first().map_or("localhost", String::as_str);
-        // Of addresses only those of IPv6 have colons, which must not run into that of the port.
+        // Only addresses of IPv6 contain colons; brackets separate them from the port.
         if address.contains(':') {
             format!("{}/[{address}]:{}", self.protocol, router.port)
         } else {
@@ -245,7 +245,7 @@ impl FleetFile {
             let length = self.common_name(&identity).len();
             if length > MAX_COMMON_NAME {
                 return Err(format!(
-                    "{field}: the certificate of {} would be called by {length} characters, and may by \
+                    "{field}: the certificate of {} would have a name of {length} characters, and may have \
                      {MAX_COMMON_NAME}; choose a shorter name for it or the fleet",
                     identity.name
                 ));
@@ -257,7 +257,7 @@ impl FleetFile {
         Ok(())
     }
 
-    /// Everybody who holds a certificate.
+    /// All identities of the fleet.
     pub(super) fn identities(&self) -> Vec<Identity> {
         let of = |kind, name: &str| Identity { kind, name: name.to_owned() };
         let mut all = Vec::new();
@@ -269,7 +269,7 @@ impl FleetFile {
         all
     }
 
-    /// The common name of a certificate, by which routers know its holder.
+    /// The common name of a certificate, by which routers identify its holder.
     pub(super) fn common_name(&self, identity: &Identity) -> String {
         format!("{identity}.{}", self.fleet)
     }
@@ -277,7 +277,7 @@ impl FleetFile {
     /// A router by its name, or the only one.
     ///
     /// # Errors
-    /// Names the routers that there are.
+    /// Names the routers of the fleet.
     pub(super) fn router(&self, name: Option<&str>) -> Result<&Router, String> {
         let found = match name {
             Some(name) => self.routers.iter().find(|router| router.name == name),
@@ -290,7 +290,7 @@ impl FleetFile {
     }
 }
 
-/// Checks a host name or an address, so that it may stand in an endpoint and in a certificate.
+/// Checks that a host name or an address is valid in an endpoint and in a certificate.
 fn check_address(address: &str) -> Result<(), String> {
     let named = address.split('.').all(|label| {
         !label.is_empty()
@@ -303,7 +303,7 @@ fn check_address(address: &str) -> Result<(), String> {
         return Ok(());
     }
     Err(format!(
-        "{:?} is no host name or address; write one like base.local or 192.168.1.10, without a port",
+        "{:?} is neither a host name nor an address; write one like base.local or 192.168.1.10, without a port",
         quoted(address)
     ))
 }
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn an_error_names_the_field() {
         let with = |from: &str, to: &str| {
             assert!(EXAMPLE.contains(from), "{from}");
             FleetFile::parse(&EXAMPLE.replace(from, to)).unwrap_err()

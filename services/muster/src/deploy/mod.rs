@@ -1,8 +1,8 @@
-//! `muster deploy`: what a fleet needs before it runs on many hosts.
+//! `muster deploy`: configurations, certificates and router rules for fleets on several hosts.
 //!
-//! [`fleet`] reads who takes part; [`certs`] certifies them, [`rights`] says what each may do, and
-//! [`acl`] writes that as the rules of a router; [`config`] prints the commented defaults of one
-//! service. Nothing here touches the bus.
+//! [`fleet`] reads the members of a fleet; [`certs`] certifies them, [`rights`] lists what each may do, and
+//! [`acl`] writes that as the rules of a router; [`config`] prints the commented defaults of one service.
+//! Nothing here touches the bus.
 
 mod acl;
 mod certs;
@@ -32,10 +32,10 @@ enum What {
     Acl(acl::AclArgs),
 }
 
-/// Does what is asked for.
+/// Runs a subcommand.
 ///
 /// # Errors
-/// Names the file that is wrong or cannot be written.
+/// Names the file that is invalid or cannot be written.
 pub(crate) fn run(args: &DeployArgs) -> anyhow::Result<()> {
     match &args.what {
         What::Config(args) => config::run(args),

@@ -1,7 +1,8 @@
 //! What each identity may do on the bus, as key expressions.
 //!
-//! What a service may do follows from the wiring of its core, so that the rules cannot fall behind
-//! the code: it hears what it subscribes to, says what it serves as its own, and repeats the rest.
+//! The rights of a service follow from the wiring of its core, so that the rules cannot fall behind the
+//! code: it receives what it subscribes to, puts what it serves as its own output, and answers gets for
+//! the outputs that it reads.
 
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
@@ -13,21 +14,21 @@ use muster_wire::{Key, KeySpace, Pattern};
 
 use super::fleet::{FleetFile, Identity, Kind};
 
-/// What one identity may do. Whatever is not here it may not.
+/// What one identity may do. Everything else is denied.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Rights {
     /// Keys that it may put.
-    pub(super) say: Vec<String>,
+    pub(super) put: Vec<String>,
     /// Keys that it may subscribe to.
-    pub(super) hear: Vec<String>,
+    pub(super) subscribe: Vec<String>,
     /// Keys that it may get.
-    pub(super) ask: Vec<String>,
-    /// Keys for which it may answer gets.
-    pub(super) answer: Vec<String>,
+    pub(super) get: Vec<String>,
+    /// Keys whose gets it may answer.
+    pub(super) reply: Vec<String>,
     /// Liveliness tokens that it may declare.
-    pub(super) be: Vec<String>,
+    pub(super) declare_token: Vec<String>,
     /// Liveliness tokens that it may watch.
-    pub(super) see: Vec<String>,
+    pub(super) watch_token: Vec<String>,
 }
 
 impl Rights {
@@ -44,13 +45,12 @@ impl Rights {
                 let named = |robot: &&RobotId| robot.as_str() == identity.name;
                 fleet.robots.iter().find(named).map(|robot| of_robot(fleet, &space, robot))
             }
-            Kind::Operator => Some(of_reader(&space, true)),
-            Kind::Viewer => Some(of_reader(&space, false)),
+            Kind::Operator | Kind::Viewer => Some(of_reader(&space, identity.kind)),
         }
     }
 }
 
-/// The wiring of a service, with what its instances need for their role.
+/// The wiring of a service, with what its instances need for the election.
 fn wiring(service: ServiceName) -> Wiring {
     match service {
         ServiceName::Ingest => Wiring::of::<Ingest>(),
@@ -60,7 +60,7 @@ fn wiring(service: ServiceName) -> Wiring {
     }
 }
 
-/// The key that every service answers with the schemas of all messages.
+/// The key on which every service answers with the schemas of all messages.
 fn schema(space: &KeySpace) -> String {
     space.format(&Key::Schema)
 }
@@ -70,7 +70,7 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
     let texts = |patterns: &mut dyn Iterator<Item = Pattern>| -> Vec<String> {
         patterns.map(|pattern| space.pattern(&pattern)).collect()
     };
-    let heard = texts(&mut subscriptions.into_iter().map(|subscription| subscription.pattern));
+    let received = texts(&mut subscriptions.into_iter().map(|subscription| subscription.pattern));
     let outputs = texts(
         &mut served.iter().filter(|(_, complete)| *complete).map(|(pattern, _)| pattern.clone()),
     );
@@ -78,18 +78,22 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
     let events = [Key::Event, Key::JsonEvent].map(|key| space.format(&key));
 
     let mut rights = Rights {
-        say: [outputs.as_slice(), &events].concat(),
-        // As it starts it asks for what it hears, and for its own last output.
-        ask: [heard.as_slice(), &outputs].concat(),
-        hear: heard,
-        answer: answered,
-        be: vec![space.pattern(&Pattern::InstanceTokens(service))],
-        see: texts(&mut tokens.into_iter()),
+        put: [outputs.as_slice(), &events].concat(),
+        // At the start it gets what it subscribes to, and its own last output.
+        get: [received.as_slice(), &outputs].concat(),
+        subscribe: received,
+        reply: answered,
+        declare_token: vec![space.pattern(&Pattern::InstanceTokens(service))],
+        watch_token: texts(&mut tokens.into_iter()),
     };
-    rights.answer.push(schema(space));
-    for list in
-        [&mut rights.say, &mut rights.hear, &mut rights.ask, &mut rights.answer, &mut rights.see]
-    {
+    rights.reply.push(schema(space));
+    for list in [
+        &mut rights.put,
+        &mut rights.subscribe,
+        &mut rights.get,
+        &mut rights.reply,
+        &mut rights.watch_token,
+    ] {
         list.sort_unstable();
         list.dedup();
     }
@@ -101,30 +105,29 @@ fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
     let team = key(Key::RobotTeam(robot.clone()));
     let (pose, token) = (key(Key::Pose(robot.clone())), key(Key::RobotToken(robot.clone())));
     let mut rights = Rights {
-        say: vec![pose.clone(), key(Key::Links(robot.clone())), key(Key::Rank(robot.clone()))],
-        // It looks whether another process speaks for it: one that has a copy of its certificate.
-        hear: vec![team.clone(), pose],
-        ask: vec![team, schema(space)],
-        be: vec![token.clone()],
-        see: vec![token],
+        put: vec![pose.clone(), key(Key::Links(robot.clone())), key(Key::Rank(robot.clone()))],
+        // It checks whether another process uses its id: one with a copy of its certificate.
+        subscribe: vec![team.clone(), pose],
+        get: vec![team, schema(space)],
+        declare_token: vec![token.clone()],
+        watch_token: vec![token],
         ..Rights::default()
     };
-    rights.say.extend(
+    rights.put.extend(
         fleet.modalities.iter().map(|name| key(Key::Relation(robot.clone(), name.clone()))),
     );
     if fleet.robots_read_json {
         let json = [Key::JsonTeams, Key::JsonAudit, Key::JsonEvent].map(key);
-        rights.hear.extend_from_slice(&json);
-        rights.ask.extend(json);
+        rights.subscribe.extend_from_slice(&json);
+        rights.get.extend(json);
     }
     rights
 }
 
-/// A get of settings may carry a change, which the router cannot tell from a question: who may only
-/// look may not ask there.
-fn of_reader(space: &KeySpace, may_set: bool) -> Rights {
+/// A get of settings may carry a change, which a router cannot distinguish: a viewer may not get them.
+fn of_reader(space: &KeySpace, kind: Kind) -> Rights {
     let everything = space.pattern(&Pattern::Everything);
-    let ask = if may_set {
+    let get = if kind == Kind::Operator {
         vec![everything.clone()]
     } else {
         let keys = [
@@ -140,7 +143,12 @@ fn of_reader(space: &KeySpace, may_set: bool) -> Rights {
         ];
         keys.iter().map(|pattern| space.pattern(pattern)).chain([schema(space)]).collect()
     };
-    Rights { hear: vec![everything.clone()], ask, see: vec![everything], ..Rights::default() }
+    Rights {
+        subscribe: vec![everything.clone()],
+        get,
+        watch_token: vec![everything],
+        ..Rights::default()
+    }
 }
 
 #[cfg(test)]
@@ -163,7 +171,7 @@ mod tests {
         Rights::of(&fleet, identity).unwrap()
     }
 
-    /// Whatever a core asks for as it starts must be among what its service may ask.
+    /// Whatever a core fetches at the start must be among what its service may get.
     fn check_start<C: Core>() {
         let start = Start {
             fleet: fleet().fleet,
@@ -173,22 +181,22 @@ mod tests {
             stored: Stored::default(),
         };
         let may = rights(&format!("service.{}", C::SERVICE));
-        let mut asked = 0;
+        let mut fetched = 0;
         for command in Driver::<C>::new(start).step(Tick(1), Event::Started) {
             let Command::Fetch { patterns, .. } = command else { continue };
             for pattern in patterns {
-                asked += 1;
+                fetched += 1;
                 let text = KeySpace::new(fleet().fleet).pattern(&pattern);
-                assert!(may.ask.contains(&text), "{} may not ask for {text}", C::SERVICE);
+                assert!(may.get.contains(&text), "{} may not get {text}", C::SERVICE);
             }
         }
-        assert!(asked > 0);
+        assert!(fetched > 0);
         // The settings of a core are a table, as every patch of them.
         assert!(<C::Settings as Default>::default().patched(&serde_json::json!({})).is_ok());
     }
 
     #[test]
-    fn every_service_may_ask_for_what_it_asks_for() {
+    fn every_service_may_get_what_it_fetches() {
         check_start::<Ingest>();
         check_start::<Embedder>();
         check_start::<Clusterer>();
@@ -210,59 +218,66 @@ mod tests {
         ] {
             for service in ServiceName::ALL {
                 let may = rights(&format!("service.{service}"));
-                let says = may.say.contains(&of(tail));
-                assert_eq!(says, service.as_str() == owner, "{service} and {tail}");
+                let puts = may.put.contains(&of(tail));
+                assert_eq!(puts, service.as_str() == owner, "{service} and {tail}");
             }
         }
         for service in ServiceName::ALL {
             let may = rights(&format!("service.{service}"));
-            for list in [&may.say, &may.hear, &may.ask, &may.answer, &may.be, &may.see] {
+            for list in [
+                &may.put,
+                &may.subscribe,
+                &may.get,
+                &may.reply,
+                &may.declare_token,
+                &may.watch_token,
+            ] {
                 assert!(!list.iter().any(|key| key.contains("**")), "{list:?}");
             }
-            // Instances of a service agree on who holds its role.
+            // Instances of a service elect their leader on this key.
             let holder = of(&format!("service/{service}/holder"));
-            for list in [&may.say, &may.hear, &may.ask, &may.answer] {
+            for list in [&may.put, &may.subscribe, &may.get, &may.reply] {
                 assert!(list.contains(&holder), "{list:?}");
             }
             let tokens = of(&format!("service/{service}/*"));
-            assert!(may.be == [tokens.clone()] && may.see.contains(&tokens));
+            assert!(may.declare_token == [tokens.clone()] && may.watch_token.contains(&tokens));
             for other in ServiceName::ALL.iter().filter(|other| **other != service) {
                 let foreign = of(&format!("service/{other}/"));
                 assert!(
-                    ![&may.say, &may.answer, &may.be]
+                    ![&may.put, &may.reply, &may.declare_token]
                         .iter()
                         .any(|list| list.iter().any(|key| key.starts_with(&foreign)))
                 );
             }
         }
-        assert!(rights("service.embedder").ask.contains(&of("service/clusterer/settings")));
-        assert!(rights("service.ingest").hear.contains(&of("robot/*/pose")));
-        assert!(rights("service.ingest").see.contains(&of("robot/*")));
+        assert!(rights("service.embedder").get.contains(&of("service/clusterer/settings")));
+        assert!(rights("service.ingest").subscribe.contains(&of("robot/*/pose")));
+        assert!(rights("service.ingest").watch_token.contains(&of("robot/*")));
     }
 
     #[test]
-    fn a_robot_may_speak_for_itself_only() {
+    fn a_robot_may_put_its_own_streams_only() {
         let may = rights("robot.r1");
-        for list in [&may.say, &may.be, &may.hear, &may.see] {
+        for list in [&may.put, &may.declare_token, &may.subscribe, &may.watch_token] {
             assert!(list.iter().all(|key| key.starts_with("muster/v1/default/robot/r1")));
             assert!(!list.iter().any(|key| key.contains('*')), "{list:?}");
         }
-        assert!(may.answer.is_empty());
-        assert_eq!(may.say.len(), 3);
+        assert!(may.reply.is_empty());
+        assert_eq!(may.put.len(), 3);
         let mut fleet = fleet();
         fleet.robots_read_json = true;
         fleet.modalities = vec!["thermal".parse().unwrap()];
         let robot = Identity { kind: Kind::Robot, name: "r1".to_owned() };
         let may = Rights::of(&fleet, &robot).unwrap();
-        assert_eq!(may.say[3], "muster/v1/default/robot/r1/relation/thermal");
-        assert!(may.hear.contains(&"muster/v1/default/json/teams".to_owned()));
+        assert_eq!(may.put[3], "muster/v1/default/robot/r1/relation/thermal");
+        assert!(may.subscribe.contains(&"muster/v1/default/json/teams".to_owned()));
     }
 
     #[test]
-    fn only_operators_may_ask_where_a_question_may_be_a_change() {
-        assert_eq!(rights("operator.operator").ask, ["muster/v1/default/**"]);
+    fn only_operators_may_get_settings_which_may_change_them() {
+        assert_eq!(rights("operator.operator").get, ["muster/v1/default/**"]);
         let may = rights("viewer.dashboard");
-        assert!(may.say.is_empty() && may.be.is_empty() && may.answer.is_empty());
-        assert!(!may.ask.iter().any(|key| key.contains("**") || key.contains("settings")));
+        assert!(may.put.is_empty() && may.declare_token.is_empty() && may.reply.is_empty());
+        assert!(!may.get.iter().any(|key| key.contains("**") || key.contains("settings")));
     }
 }

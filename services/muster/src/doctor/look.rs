@@ -1,10 +1,10 @@
 //! What can be seen of a fleet from one place on the bus, in a few seconds.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use muster_machine::Delivery;
+use muster_client::{Client, Error, Events, Feed, FleetPresence, ReceivedPose, ServiceInstance};
 use muster_model::event::{Event, EventKind};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::role::Standing;
@@ -13,23 +13,21 @@ use muster_model::settings::{ClustererSettings, IngestSettings};
 use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
-use muster_runtime::bus::{Answer, Ask, Bus};
 use muster_runtime::clock::Clock;
-use muster_runtime::inbox::Inbox;
 use muster_wire::message::quoted;
-use muster_wire::{Key, Message, Pattern};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
+use tokio::time::timeout_at;
 
-use crate::ask::{self, ANSWER_WITHIN};
+use crate::console::reply;
 
-/// Most robots whose poses are listened to: enough to see a clock that is off, and no load on the
-/// bus of a large fleet.
-const MAX_SAMPLED: usize = 32;
+/// Most robots whose poses are received: enough to see a clock that is off, and no load on the bus of a
+/// large fleet.
+const MAX_SAMPLED_ROBOTS: usize = 32;
 
 /// How soon a service must answer for its clock to be compared with ours: half of that is the error.
-const CLOCK_WITHIN: Duration = Duration::from_millis(400);
+const CLOCK_TIMEOUT: Duration = Duration::from_millis(400);
 
 /// Most events that are kept while listening.
 const MAX_EVENTS: usize = 1024;
@@ -42,7 +40,7 @@ pub(super) struct Instance {
     pub(super) version: String,
     pub(super) standing: Standing,
     pub(super) term: u64,
-    /// Seconds by which its clock is ahead of ours; none if its answer took too long to tell.
+    /// Seconds by which its clock is ahead of ours; none if its answer took too long.
     pub(super) clock_offset_s: Option<f64>,
 }
 
@@ -54,6 +52,12 @@ pub(super) struct Other {
     pub(super) robots: usize,
 }
 
+impl From<FleetPresence> for Other {
+    fn from(FleetPresence { fleet, services, robots }: FleetPresence) -> Self {
+        Self { fleet, services, robots }
+    }
+}
+
 /// What is seen of a fleet.
 #[derive(Debug)]
 pub(super) struct Look {
@@ -63,19 +67,19 @@ pub(super) struct Look {
     /// The statuses before listening, and after it.
     pub(super) before: Vec<ServiceStatus>,
     pub(super) after: Vec<ServiceStatus>,
-    /// Tokens of services.
-    pub(super) tokens: BTreeSet<(ServiceName, InstanceId)>,
-    /// Tokens of robots.
+    /// Instances of services that are on the bus.
+    pub(super) tokens: BTreeSet<ServiceInstance>,
+    /// Robots that have joined.
     pub(super) robot_tokens: BTreeSet<RobotId>,
     pub(super) others: Vec<Other>,
-    /// Who answered for it, and what; an empty answer is one.
+    /// What gets were answered with; an empty answer is one.
     pub(super) roster: Option<Arc<Roster>>,
     pub(super) embedding: bool,
     pub(super) teams: Option<Arc<Teams>>,
-    /// The settings that services tell.
+    /// The settings that services answer with.
     pub(super) ingest: Option<IngestSettings>,
     pub(super) clusterer: Option<ClustererSettings>,
-    /// What the services told while we listened.
+    /// What was refused or failed while we listened.
     pub(super) events: Vec<Event>,
     /// Seconds by which stamps of robots were ahead of our clock when they arrived.
     pub(super) robot_clocks: BTreeMap<RobotId, f64>,
@@ -99,7 +103,7 @@ impl Look {
         })
     }
 
-    /// The newest status of a service's holder, or of anybody who answers for it.
+    /// The status of a service's leader, or the newest of anybody who answers for it.
     pub(super) fn status(&self, service: ServiceName) -> Option<&ServiceStatus> {
         let all = self.after.iter().filter(|status| status.service == service);
         all.max_by_key(|status| (status.standing == Standing::Holding, status.revision))
@@ -109,79 +113,65 @@ impl Look {
 /// Looks and listens.
 ///
 /// # Errors
-/// If the session is closed.
-pub(super) async fn look(bus: &Bus, listen_for: Duration) -> anyhow::Result<Look> {
+/// If the client is closed.
+pub(super) async fn look(
+    client: &Client,
+    fleet: &FleetId,
+    listen_for: Duration,
+) -> Result<Look, Error> {
     let clock = Clock::start();
-    let events = events(bus).await?;
-    let ((before, instances), tokens, robot_tokens, all_tokens, rosters) = tokio::try_join!(
-        statuses(bus, &clock),
-        bus.tokens(&Pattern::ServiceTokens, ANSWER_WITHIN),
-        bus.tokens(&Pattern::RobotTokens, ANSWER_WITHIN),
-        bus.tokens_of_all_fleets(ANSWER_WITHIN),
-        ask::messages(bus, &Pattern::One(Key::Roster)),
+    let events = client.events().await?;
+    let ((before, instances), tokens, robot_tokens, fleets, roster) = tokio::try_join!(
+        statuses(client, &clock),
+        client.get_instances(),
+        client.get_joined_robots(),
+        client.get_fleets(),
+        async { reply(client.get_roster().await) },
     )?;
-    let known: BTreeSet<RobotId> =
-        robot_tokens.iter().filter_map(|key| key.robot().cloned()).collect();
-    let entries = rosters.iter().filter_map(roster_of).flat_map(|roster| roster.robots.clone());
+    let known = robot_tokens.iter().cloned();
+    let entries = roster.iter().flat_map(|roster| &roster.robots);
     let sampled: BTreeSet<RobotId> =
-        known.iter().cloned().chain(entries.map(|entry| entry.robot)).take(MAX_SAMPLED).collect();
-    let clocks = Arc::new(Mutex::new(BTreeMap::new()));
-    for robot in sampled {
-        listen_to(bus, robot, clock, &clocks).await?;
-    }
-    tokio::time::sleep(listen_for).await;
+        known.chain(entries.map(|entry| entry.robot.clone())).take(MAX_SAMPLED_ROBOTS).collect();
+    let poses = client.poses(sampled).await?;
+    let until = tokio::time::Instant::now() + listen_for;
+    let (events, robot_clocks) = tokio::join!(problems(events, until), clocks(poses, until));
     // What may have changed while we listened is asked for at the end.
-    let ((after, _), rosters, embeddings, divisions, ingest, clusterer) = tokio::try_join!(
-        statuses(bus, &clock),
-        ask::messages(bus, &Pattern::One(Key::Roster)),
-        ask::messages(bus, &Pattern::One(Key::Embedding)),
-        ask::messages(bus, &Pattern::One(Key::Teams)),
-        settings(bus, ServiceName::Ingest),
-        settings(bus, ServiceName::Clusterer),
+    let ((after, _), roster, embedding, teams, ingest, clusterer) = tokio::try_join!(
+        statuses(client, &clock),
+        async { reply(client.get_roster().await) },
+        async { reply(client.get_embedding().await) },
+        async { reply(client.get_teams().await) },
+        settings(client, ServiceName::Ingest),
+        settings(client, ServiceName::Clusterer),
     )?;
-    let newest = |all: Vec<Message>| all.into_iter().max_by_key(ask::revision);
-    let fleet = bus.space().fleet().clone();
-    let robot_clocks = clocks.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let others = fleets.into_iter().filter(|other| other.fleet != *fleet).map(Other::from);
     Ok(Look {
         now: clock.now(),
         instances,
         before,
         after,
-        tokens: tokens
-            .into_iter()
-            .filter_map(|key| match key {
-                Key::ServiceToken(service, instance) => Some((service, instance)),
-                _ => None,
-            })
-            .collect(),
-        robot_tokens: known,
-        others: others(all_tokens, &fleet),
-        roster: newest(rosters).as_ref().and_then(roster_of).cloned(),
-        embedding: !embeddings.is_empty(),
-        teams: newest(divisions).and_then(|message| match message {
-            Message::Teams { teams, .. } => Some(teams),
-            _ => None,
-        }),
+        tokens,
+        robot_tokens,
+        others: others.collect(),
+        roster,
+        embedding: embedding.is_some(),
+        teams,
         ingest,
         clusterer,
-        events: std::iter::from_fn(|| events.pop()).collect(),
+        events,
         robot_clocks,
         listened: listen_for,
-        fleet,
+        fleet: fleet.clone(),
     })
 }
 
-fn roster_of(message: &Message) -> Option<&Arc<Roster>> {
-    match message {
-        Message::Roster(roster) => Some(roster),
-        _ => None,
-    }
-}
-
-/// What all services tell of themselves.
-async fn statuses(bus: &Bus, clock: &Clock) -> anyhow::Result<(Vec<ServiceStatus>, Vec<Instance>)> {
+/// The statuses of all services, and their instances.
+async fn statuses(
+    client: &Client,
+    clock: &Clock,
+) -> Result<(Vec<ServiceStatus>, Vec<Instance>), Error> {
     let (mut statuses, mut instances) = (Vec::new(), Vec::new());
-    let all = ServiceName::ALL.map(|service| status(bus, clock, service));
+    let all = ServiceName::ALL.map(|service| status(client, clock, service));
     let [first, second, third, fourth] = all;
     let answers = tokio::try_join!(first, second, third, fourth)?;
     for (status, clock_offset_s) in [answers.0, answers.1, answers.2, answers.3].concat() {
@@ -202,92 +192,62 @@ async fn statuses(bus: &Bus, clock: &Clock) -> anyhow::Result<(Vec<ServiceStatus
     Ok((statuses, instances))
 }
 
-/// What the instances of one service tell of themselves, each with the offset of its clock.
+/// The status of each instance of one service, with the offset of its clock.
 async fn status(
-    bus: &Bus,
+    client: &Client,
     clock: &Clock,
     service: ServiceName,
-) -> anyhow::Result<Vec<(ServiceStatus, Option<f64>)>> {
-    let ask =
-        Ask { parameters: "format=json", payload: None, within: ANSWER_WITHIN, everybody: true };
+) -> Result<Vec<(ServiceStatus, Option<f64>)>, Error> {
     let (begun, asked) = (Instant::now(), clock.now());
-    let answers = bus.get(&Pattern::One(Key::Status(service)), ask).await?;
+    let statuses = client.get_statuses(Some(service)).await?;
     let took = begun.elapsed();
     // Answers come together: one that is slow makes it unknown when the others were written.
-    let middle = (took < CLOCK_WITHIN).then(|| asked.after(took / 2).as_seconds());
-    let read = |answer| match answer {
-        Answer::Packet(packet) => {
-            serde_json::from_slice::<ServiceStatus>(&packet.payload.ok()?).ok()
-        }
-        Answer::Error(_) => None,
+    let middle = (took < CLOCK_TIMEOUT).then(|| asked.after(took / 2).as_seconds());
+    let with_offset = |status: ServiceStatus| {
+        let offset = middle.map(|middle| status.now.as_seconds() - middle);
+        (status, offset)
     };
-    let statuses = answers.into_iter().filter_map(read);
-    let own = statuses.filter(|status| status.service == service);
-    Ok(own
-        .map(|status| {
-            let offset = middle.map(|middle| status.now.as_seconds() - middle);
-            (status, offset)
-        })
-        .collect())
+    Ok(statuses.into_iter().map(with_offset).collect())
 }
 
-/// The settings that a service tells.
+/// The settings of a service; none if it does not answer, or with others than ours.
 async fn settings<S: DeserializeOwned>(
-    bus: &Bus,
+    client: &Client,
     service: ServiceName,
-) -> anyhow::Result<Option<S>> {
-    let told = ask::messages(bus, &Pattern::One(Key::Settings(service))).await?;
-    Ok(told.into_iter().find_map(|message| match message {
-        Message::Settings(announced) => serde_json::from_str(&announced.settings).ok(),
-        _ => None,
-    }))
+) -> Result<Option<S>, Error> {
+    match client.get_settings(service).await {
+        Ok(settings) => Ok(serde_json::from_value(settings).ok()),
+        Err(Error::Unanswered { .. } | Error::Refused { .. }) => Ok(None),
+        Err(error) => Err(error),
+    }
 }
 
-async fn events(bus: &Bus) -> anyhow::Result<Arc<Inbox<Event>>> {
-    let inbox = Arc::new(Inbox::default());
-    let (space, taking) = (bus.space().clone(), Arc::clone(&inbox));
-    bus.subscribe(&Pattern::One(Key::Event), move |packet| {
-        if let Ok(Message::Event(event)) = Message::decode(&space, &packet)
-            && matches!(event.kind, EventKind::Quarantined { .. } | EventKind::JobFailed { .. })
-        {
-            taking.push(packet.key, event, 1, Delivery::Queue(MAX_EVENTS));
-        }
-    })
-    .await?;
-    Ok(inbox)
-}
-
-/// Compares the stamps of a robot's poses with our clock, as they arrive.
-async fn listen_to(
-    bus: &Bus,
-    robot: RobotId,
-    clock: Clock,
-    clocks: &Arc<Mutex<BTreeMap<RobotId, f64>>>,
-) -> anyhow::Result<()> {
-    let (space, clocks) = (bus.space().clone(), Arc::clone(clocks));
-    bus.subscribe(&Pattern::One(Key::Pose(robot)), move |packet| {
-        let Ok(Message::Pose(robot, pose)) = Message::decode(&space, &packet) else { return };
-        let Some(stamp) = pose.stamp else { return };
-        let offset = stamp - clock.now().as_seconds();
-        let mut clocks = clocks.lock().unwrap_or_else(PoisonError::into_inner);
-        // The way of a message only makes stamps older: the least delayed one tells most.
-        let best = clocks.entry(robot).or_insert(offset);
-        *best = best.max(offset);
-    })
-    .await
-}
-
-fn others(tokens: Vec<(FleetId, Key)>, own: &FleetId) -> Vec<Other> {
-    let mut fleets: BTreeMap<FleetId, (usize, usize)> = BTreeMap::new();
-    for (fleet, key) in tokens {
-        let (services, robots) = fleets.entry(fleet).or_default();
-        match key {
-            Key::ServiceToken(..) => *services += 1,
-            Key::RobotToken(_) => *robots += 1,
-            _ => {}
+/// What is refused or fails until a moment.
+async fn problems(mut events: Events, until: tokio::time::Instant) -> Vec<Event> {
+    let mut problems = Vec::new();
+    while let Ok(Ok(event)) = timeout_at(until, events.next()).await {
+        let is_problem =
+            matches!(event.kind, EventKind::Quarantined { .. } | EventKind::JobFailed { .. });
+        if is_problem && problems.len() < MAX_EVENTS {
+            problems.push(event);
         }
     }
-    fleets.remove(own);
-    let other = |(fleet, (services, robots))| Other { fleet, services, robots };
-    fleets.into_iter().map(other).collect()
+    problems
+}
+
+/// Compares the stamps of robots' poses with our clock until a moment.
+async fn clocks(
+    mut poses: Feed<ReceivedPose>,
+    until: tokio::time::Instant,
+) -> BTreeMap<RobotId, f64> {
+    let mut clocks = BTreeMap::new();
+    while let Ok(Ok(ReceivedPose { robot, pose, received })) = timeout_at(until, poses.next()).await
+    {
+        let Some(stamp) = pose.stamp else { continue };
+        let offset = stamp - received.as_seconds();
+        // The way of a message only makes stamps older: the least delayed one is the best estimate.
+        let best = clocks.entry(robot).or_insert(offset);
+        *best = best.max(offset);
+    }
+    clocks
 }

@@ -1,7 +1,7 @@
-//! `muster doctor`: looks a fleet over, finds the usual mistakes and says what to do.
+//! `muster doctor`: examines a fleet, finds the usual mistakes and shows what to do.
 //!
-//! [`look`] gathers what can be seen from one place on the bus, [`findings`] judges it, and this file
-//! prints it. It only looks: it puts nothing, declares nothing and changes no setting.
+//! [`look`] gathers what can be seen from one place on the bus, [`findings`] names what is wrong, and this
+//! file prints it. It only looks: it puts nothing, declares nothing and changes no setting.
 
 mod findings;
 mod look;
@@ -9,7 +9,7 @@ mod look;
 use std::io::Write as _;
 use std::time::Duration;
 
-use muster_runtime::bus::Bus;
+use muster_client::Client;
 use muster_runtime::bus::handshake::{self, Reach};
 use muster_runtime::config::{Mode, ProcessConfig};
 use muster_runtime::exit::{Exit, ExitError};
@@ -17,18 +17,20 @@ use serde_json::json;
 
 use self::findings::{Finding, Severity};
 use self::look::{Instance, Look};
-use crate::{ask, show};
+use crate::console::{self, exit_error};
+use crate::show::page::{Column, Page};
+use crate::show::status::role;
 
 /// How long an endpoint may take to answer.
-const REACH_WITHIN: Duration = Duration::from_secs(3);
+const REACH_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Shortest and longest time to listen in seconds: an event that repeats is told every two seconds.
+/// Shortest and longest time to listen in seconds: a repeated event is published every two seconds.
 const LISTEN_S: std::ops::RangeInclusive<f64> = 1.0..=3600.0;
 
 /// Arguments of `muster doctor`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "It looks and listens and changes nothing. The exit code is 0 if everything is well, \
+    after_help = "It reads and listens, and changes nothing. The exit code is 0 if everything is well, \
 1 if there are findings, and 3 if no router answers.\n\nExamples:\n  muster doctor\n  \
 muster doctor --fleet alpha --connect tcp/192.168.1.10:7447\n  \
 muster doctor --json | jq '.findings[] | .id, .remedy'"
@@ -48,10 +50,10 @@ struct Endpoint {
     reach: Reach,
 }
 
-/// Looks a fleet over and prints what is found.
+/// Examines a fleet and prints what is found.
 ///
 /// # Errors
-/// If no router answers, or there are findings; the exit code tells which.
+/// If no router answers, or there are findings; by the exit code.
 pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     if !LISTEN_S.contains(&args.listen_for) {
         let (least, most) = (LISTEN_S.start(), LISTEN_S.end());
@@ -59,22 +61,22 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
         return Err(ExitError::usage(problem).into());
     }
     if config.mode.value != Mode::Client {
-        let problem = "mode: the doctor looks at a router as a client; leave --mode out";
+        let problem = "mode: the doctor examines a router as a client; leave --mode out";
         return Err(ExitError::usage(problem).into());
     }
     let mut endpoints = Vec::new();
     for endpoint in &config.connect.value {
-        let reach = handshake::reach(endpoint, REACH_WITHIN).await;
+        let reach = handshake::reach(endpoint, REACH_TIMEOUT).await;
         endpoints.push(Endpoint { name: endpoint.clone(), reach });
     }
     let mut found: Vec<Finding> = endpoints.iter().filter_map(findings::of_endpoint).collect();
-    let bus = if endpoints.iter().any(|endpoint| endpoint.reach.answers()) {
-        ask::open(config).await
+    let client = if endpoints.iter().any(|endpoint| endpoint.reach.answers()) {
+        console::open(config).await
     } else {
         no_router(&endpoints)
     };
-    let bus: Bus = match bus {
-        Ok(bus) => bus,
+    let client = match client {
+        Ok(client) => client,
         Err(error) => {
             if found.iter().all(|finding| finding.id != "no_router") {
                 found.push(findings::session(&error));
@@ -88,11 +90,12 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
         finding.severity = Severity::Warning;
         finding.remedy.push_str(". Programs use the other one meanwhile");
     }
-    let look = look::look(&bus, Duration::from_secs_f64(args.listen_for)).await?;
+    let listen_for = Duration::from_secs_f64(args.listen_for);
+    let look = look::look(&client, &config.fleet.value, listen_for).await.map_err(exit_error)?;
     found.extend(findings::of_fleet(&look));
     found.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
     print(args, config, &endpoints, Some(&look), &found)?;
-    bus.close().await;
+    client.close().await;
     match found.len() {
         0 => Ok(()),
         1 => Err(failure("1 finding".to_owned())),
@@ -100,7 +103,7 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
     }
 }
 
-fn no_router(endpoints: &[Endpoint]) -> anyhow::Result<Bus> {
+fn no_router(endpoints: &[Endpoint]) -> anyhow::Result<Client> {
     let all: Vec<_> = endpoints.iter().map(|endpoint| endpoint.name.as_str()).collect();
     Err(anyhow::anyhow!("nothing answers at {}", all.join(", ")))
 }
@@ -146,20 +149,9 @@ fn print(
     }
     writeln!(out, "fleet {}", config.fleet.value)?;
     if let Some(look) = look.filter(|look| !look.instances.is_empty()) {
-        let mut table = show::table(&["service", "instance", "version", "stands", "term", "clock"]);
-        for Instance { service, instance, version, standing, term, clock_offset_s } in
-            &look.instances
-        {
-            table.add_row([
-                service.to_string(),
-                instance.to_string(),
-                version.clone(),
-                format!("{standing:?}").to_lowercase(),
-                term.to_string(),
-                clock_offset_s.map_or_else(String::new, |offset| format!("{offset:+.3} s")),
-            ]);
+        for line in table(&look.instances, &Page::of_stdout()) {
+            writeln!(out, "{line}")?;
         }
-        writeln!(out, "{table}")?;
     }
     for finding in found {
         let severity = match finding.severity {
@@ -176,4 +168,23 @@ fn print(
         writeln!(out, "everything is well")?;
     }
     Ok(out.flush()?)
+}
+
+/// The instances of services as a table.
+fn table(instances: &[Instance], page: &Page) -> Vec<String> {
+    let [service, instance] = ["service", "instance"].map(Column::kept);
+    let [version, term] = ["version", "term"].map(|name| Column::dropped(name, 1));
+    let columns = [service, instance, version, Column::kept("role"), term, Column::kept("clock")];
+    let row = |instance: &Instance| {
+        let offset = instance.clock_offset_s;
+        vec![
+            instance.service.to_string(),
+            instance.instance.to_string(),
+            instance.version.clone(),
+            role(instance.standing).to_owned(),
+            instance.term.to_string(),
+            offset.map_or_else(String::new, |offset| format!("{offset:+.3} s")),
+        ]
+    };
+    page.table(&columns, instances.iter().map(row))
 }

@@ -1,87 +1,79 @@
 //! `muster audit`: the silhouettes of the live division.
 
-use std::io::Write as _;
-
 use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport};
+use muster_model::id::TeamId;
 use muster_model::time::Tick;
-use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
 use muster_wire::json::EdgeJson;
-use muster_wire::{Key, Message};
 
-use super::{ShowArgs, names, table};
-use crate::ask;
+use super::ShowArgs;
+use super::page::{Column, Page, names};
+use super::watch::{Shown, follow, print};
+use crate::console::{self, exit_error};
 
-/// How many of the worst placed robots are named.
-const WORST: usize = 5;
+/// How many robots with the lowest silhouettes are named.
+const LOWEST_ROBOTS: usize = 5;
 
-/// Shows the judgement, or every change of it.
+/// Shows the silhouettes, or every change of them.
 ///
 /// # Errors
-/// If no router answers, or nobody knows the judgement.
+/// If no router answers, or nobody knows the silhouettes.
 pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Result<()> {
-    let clock = Clock::start();
-    let bus = ask::open(config).await?;
-    if !args.watch {
-        let newest = ask::newest(&bus, Key::Audit).await;
-        bus.close().await;
-        if let Message::Audit(audit) = newest? {
-            print(&audit, args.json, clock.now())?;
-        }
-        return Ok(());
+    let client = console::open(config).await?;
+    if args.watch {
+        let audits = client.audits().await.map_err(exit_error)?;
+        return follow(&client, audits, args.json).await;
     }
-    let mut follow = ask::follow(&bus, Key::Audit).await?;
-    let mut shown: Option<std::sync::Arc<Audit>> = None;
-    loop {
-        let message = follow.next().await;
-        let Message::Audit(audit) = message else { continue };
-        let same = shown.as_ref().is_some_and(|shown| {
-            shown.in_embedding == audit.in_embedding && shown.in_physical == audit.in_physical
-        });
-        if !same {
-            print(&audit, args.json, clock.now())?;
-            shown = Some(audit);
-        }
-    }
+    let audit = client.get_audit().await;
+    client.close().await;
+    print(&*audit.map_err(exit_error)?, args.json)
 }
 
 fn score(value: Option<f64>) -> String {
     value.map_or_else(|| "undefined".to_owned(), |value| format!("{value:+.3}"))
 }
 
-fn print(audit: &Audit, json: bool, now: Tick) -> anyhow::Result<()> {
-    let mut out = std::io::stdout().lock();
-    if json {
-        out.write_all(&audit.to_json(now)?)?;
-        writeln!(out)?;
-        return Ok(out.flush()?);
+impl Shown for Audit {
+    const PUBLISHER: &'static str = "auditor";
+
+    fn lines(&self, page: &Page, _: Tick) -> Vec<String> {
+        let mut lines = vec![
+            format!(
+                "fleet {}  epoch {}  verdict {:?}",
+                self.header.fleet, self.header.revision.epoch, self.verdict
+            ),
+            format!(
+                "silhouette {} in the embedding, {} in physical space",
+                mean(&self.in_embedding),
+                mean(&self.in_physical)
+            ),
+        ];
+        let of = |report: &SilhouetteReport, team: &TeamId| {
+            report.per_team.iter().find(|(id, _)| id == team).map(|(_, value)| *value)
+        };
+        let rows = self.in_embedding.per_team.iter().map(|(team, value)| {
+            vec![team.to_string(), score(Some(*value)), score(of(&self.in_physical, team))]
+        });
+        let columns = ["team", "embedding", "physical"].map(Column::kept);
+        lines.extend(page.table(&columns, rows));
+        if self.in_embedding.detail_method == SilhouetteMethod::SquaredExact {
+            lines.push("those of teams and robots are of squared distances".to_owned());
+        }
+        let mut lowest: Vec<_> = self.in_embedding.per_robot.iter().collect();
+        lowest.sort_by(|left, right| left.1.total_cmp(&right.1));
+        lowest.truncate(LOWEST_ROBOTS);
+        let lowest = lowest.iter().map(|(robot, value)| format!("{robot} {value:+.3}"));
+        lines.push(format!("lowest: {}", names(lowest)));
+        lines
     }
-    writeln!(
-        out,
-        "fleet {}  epoch {}  verdict {:?}  silhouette {} in the embedding, {} in physical space",
-        audit.header.fleet,
-        audit.header.revision.epoch,
-        audit.verdict,
-        mean(&audit.in_embedding),
-        mean(&audit.in_physical),
-    )?;
-    let of = |report: &SilhouetteReport, team: &muster_model::id::TeamId| {
-        report.per_team.iter().find(|(id, _)| id == team).map(|(_, value)| *value)
-    };
-    let mut table = table(&["team", "embedding", "physical"]);
-    for (team, value) in &audit.in_embedding.per_team {
-        table.add_row([team.to_string(), score(Some(*value)), score(of(&audit.in_physical, team))]);
+
+    fn json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        Ok([self.to_json(now)?, b"\n".to_vec()].concat())
     }
-    writeln!(out, "{table}")?;
-    if audit.in_embedding.detail_method == SilhouetteMethod::SquaredExact {
-        writeln!(out, "those of teams and robots are of squared distances")?;
+
+    fn same(&self, other: &Self) -> bool {
+        self.in_embedding == other.in_embedding && self.in_physical == other.in_physical
     }
-    let mut worst: Vec<_> = audit.in_embedding.per_robot.iter().collect();
-    worst.sort_by(|left, right| left.1.total_cmp(&right.1));
-    worst.truncate(WORST);
-    let worst = worst.iter().map(|(robot, value)| format!("{robot} {value:+.3}"));
-    writeln!(out, "least at home: {}", names(worst))?;
-    Ok(out.flush()?)
 }
 
 /// The mean, with its standard error where it is an estimate.

@@ -1,83 +1,71 @@
-//! `muster graph --katz`: how near two robots are to one another in the fused graph, and by what.
+//! `muster graph --katz`: how similar two robots are in the fused graph, and by which modalities.
 
 use std::io::Write as _;
-use std::time::Duration;
 
-use muster_model::id::RobotId;
-use muster_runtime::bus::{Answer, Ask, Bus};
-use muster_runtime::exit::ExitError;
-use muster_wire::message::quoted;
-use muster_wire::{Key, Pattern};
-use serde_json::Value;
+use muster_client::Client;
+use muster_model::id::{Modality, RobotId};
+use muster_model::katz::{PairMethod, PairSimilarity};
+use muster_runtime::clock::Clock;
+use muster_wire::json::EdgeJson;
 
-use super::table;
-
-/// How long `embedder` may take: the first question makes the similarity of all pairs of a fleet.
-const ANSWER_WITHIN: Duration = Duration::from_secs(30);
+use super::page::{Column, Page};
+use crate::console::exit_error;
 
 /// Shows the similarity of two robots in both directions.
 ///
 /// # Errors
 /// If a robot is not known, or nobody answers.
-pub(crate) async fn run(bus: &Bus, [from, to]: [&RobotId; 2], json: bool) -> anyhow::Result<()> {
-    let there = similarity(bus, [from, to]).await?;
-    let back = similarity(bus, [to, from]).await?;
+pub(crate) async fn run(
+    client: &Client,
+    [one, other]: [&RobotId; 2],
+    json: bool,
+) -> anyhow::Result<()> {
+    let mut pairs = Vec::new();
+    for (from, to) in [(one, other), (other, one)] {
+        pairs.push(client.get_similarity(from, to).await.map_err(exit_error)?);
+    }
     let mut out = std::io::stdout().lock();
     if json {
-        writeln!(out, "{there}\n{back}")?;
-        return Ok(out.flush()?);
+        let now = Clock::start().now();
+        for pair in &pairs {
+            out.write_all(&pair.to_json(now)?)?;
+            writeln!(out)?;
+        }
+    } else {
+        for line in lines(&pairs, &Page::of_stdout()) {
+            writeln!(out, "{line}")?;
+        }
     }
-    let shares = |pair: &Value| pair["shares"].as_object().cloned().unwrap_or_default();
-    let modalities: Vec<String> = shares(&there).keys().cloned().collect();
-    let mut header = vec!["from", "to", "similarity"];
-    header.extend(modalities.iter().map(String::as_str));
-    let mut table = table(&header);
-    for pair in [&there, &back] {
-        let total = pair["similarity"].as_f64().unwrap_or_default();
-        let text = |field: &str| pair[field].as_str().unwrap_or_default().to_owned();
-        let mut row = vec![text("from"), text("to"), format!("{total:.3e}")];
-        let shares = shares(pair);
-        row.extend(modalities.iter().map(|name| {
-            let share = shares.get(name).and_then(Value::as_f64).unwrap_or_default();
-            if total > 0.0 { format!("{:.1} %", 100.0 * share / total) } else { "–".to_owned() }
-        }));
-        table.add_row(row);
-    }
-    writeln!(out, "{table}")?;
-    writeln!(
-        out,
-        "The weight of all walks from one robot to the other, each step damped by α = {:.4e}, and the \
-         share of the walks whose first step is of each modality ({} method, residual {:.0e}).",
-        there["alpha"].as_f64().unwrap_or_default(),
-        there["method"].as_str().unwrap_or_default(),
-        there["residual"].as_f64().unwrap_or_default(),
-    )?;
     Ok(out.flush()?)
 }
 
-/// The answer to one question, as it came.
-async fn similarity(bus: &Bus, [from, to]: [&RobotId; 2]) -> anyhow::Result<Value> {
-    let parameters = format!("format=json;katz={from},{to}");
-    let ask =
-        Ask { parameters: &parameters, payload: None, within: ANSWER_WITHIN, everybody: false };
-    for answer in bus.get(&Pattern::One(Key::Embedding), ask).await? {
-        match answer {
-            Answer::Packet(packet) => {
-                if let Ok(bytes) = packet.payload {
-                    return Ok(serde_json::from_slice(&bytes)?);
-                }
-            }
-            Answer::Error(error) => {
-                let text = serde_json::from_str::<Value>(&error).ok();
-                let text = text.as_ref().and_then(|value| value.get("error")?.as_str());
-                let problem = quoted(text.unwrap_or(&error));
-                return Err(ExitError::usage(format!("embedder refuses: {problem}")).into());
-            }
-        }
-    }
-    Err(ExitError::unreachable(format!(
-        "no embedder of fleet {} answers; see `muster status` for what runs",
-        bus.space().fleet()
-    ))
-    .into())
+fn lines(pairs: &[PairSimilarity], page: &Page) -> Vec<String> {
+    let Some(first) = pairs.first() else { return Vec::new() };
+    let modalities: Vec<&Modality> = first.shares.iter().map(|(modality, _)| modality).collect();
+    let mut columns: Vec<Column> = ["from", "to", "similarity"].map(Column::kept).to_vec();
+    columns.extend(modalities.iter().map(|modality| Column::kept(modality.as_str())));
+    let share = |pair: &PairSimilarity, modality: &Modality| {
+        let share = pair.shares.iter().find(|(name, _)| name == modality);
+        share.map_or(0.0, |(_, weight)| *weight)
+    };
+    let row = |pair: &PairSimilarity| {
+        let total = pair.similarity;
+        let mut row = vec![pair.from.to_string(), pair.to.to_string(), format!("{total:.3e}")];
+        row.extend(modalities.iter().map(|modality| {
+            let part = share(pair, modality);
+            if total > 0.0 { format!("{:.1} %", 100.0 * part / total) } else { "–".to_owned() }
+        }));
+        row
+    };
+    let mut lines = page.table(&columns, pairs.iter().map(row));
+    let method = match first.method {
+        PairMethod::Cached => "cached",
+        PairMethod::Column => "column",
+    };
+    lines.push(format!(
+        "The weight of all walks from one robot to the other, each step damped by α = {:.4e}, and the \
+         share of the walks whose first step is of each modality ({method} method, residual {:.0e}).",
+        first.alpha, first.residual,
+    ));
+    lines
 }

@@ -1,44 +1,29 @@
-//! Looks at a live fleet: what it is now, or with `--watch` whatever changes.
+//! Shows a live fleet: what it is now, or with `--watch` every change.
 
 pub(crate) mod audit;
 pub(crate) mod graph;
 pub(crate) mod katz;
+pub(crate) mod page;
+mod screen;
 pub(crate) mod status;
 pub(crate) mod teams;
+pub(crate) mod watch;
 
-use comfy_table::{Table, presets};
-
-/// Most robots that are named in one cell of a table; all are in `--json`.
-const MAX_NAMED: usize = 24;
-
-/// Arguments of the commands that look at a live fleet.
+/// Arguments of the commands that show a live fleet.
 #[derive(Debug, Clone, clap::Args)]
-#[command(after_help = "Examples:\n  muster teams                one look\n  \
+#[command(
+    after_help = "A watch redraws in place on a terminal and shows every second how old its content \
+is, and why if it is stale: the link to the router is lost, the service is silent, or it started \
+again without its state. Elsewhere it appends what changes as plain text. NO_COLOR=1 turns colours \
+off.\n\nExamples:\n  muster teams                once\n  \
 muster teams --watch        every change, until Ctrl-C\n  \
-muster teams --watch --json one line of JSON per change, for scripts")]
+muster teams --watch --json one line of JSON per change, for scripts"
+)]
 pub(crate) struct ShowArgs {
-    /// Go on and show every change
+    /// Continue and show every change
     #[arg(long)]
     pub(crate) watch: bool,
-    /// Print JSON: one line per look or change
+    /// Print JSON: one line each time
     #[arg(long)]
     pub(crate) json: bool,
-}
-
-/// A table in the style of all tables.
-#[must_use]
-pub(crate) fn table(header: &[&str]) -> Table {
-    let mut table = Table::new();
-    table.load_style(presets::UTF8_FULL_CONDENSED).set_header(header.to_vec());
-    table
-}
-
-/// Names with commas, cut short.
-pub(crate) fn names<T: ToString>(all: impl ExactSizeIterator<Item = T>) -> String {
-    let count = all.len();
-    let mut text = all.take(MAX_NAMED).map(|name| name.to_string()).collect::<Vec<_>>().join(" ");
-    if count > MAX_NAMED {
-        text.push_str(&format!(" … and {} more", count - MAX_NAMED));
-    }
-    text
 }

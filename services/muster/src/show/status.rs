@@ -1,31 +1,34 @@
 //! `muster status`: services and robots of the live fleet.
 
-use std::io::Write as _;
-use std::time::Duration;
+use std::sync::Arc;
 
+use muster_client::model::id::FleetId;
+use muster_client::{Client, Error, ServiceInstance};
 use muster_model::id::ServiceName;
 use muster_model::role::Standing;
 use muster_model::roster::{Presence, Roster};
 use muster_model::status::ServiceStatus;
-use muster_runtime::bus::{Answer, Ask, Bus};
-use muster_runtime::clock::Clock;
+use muster_model::time::Tick;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
-use muster_wire::{Key, Message, Pattern};
+use muster_wire::message::quoted;
 use serde_json::json;
 
-use super::{ShowArgs, table};
-use crate::ask;
+use super::ShowArgs;
+use super::page::{Column, Page};
+use super::watch::{Polled, Shown, follow, print};
+use crate::console::{self, exit_error, reply};
 
-/// How often `--watch` looks.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
-
-/// What is known of a fleet at one look.
-struct Look {
+/// What is known of a fleet.
+#[derive(Debug)]
+struct FleetStatus {
+    fleet: FleetId,
     services: Vec<ServiceStatus>,
-    silent: Vec<String>,
-    tokens: usize,
-    roster: Option<std::sync::Arc<Roster>>,
+    /// Instances that are on the bus and do not reply.
+    silent: Vec<ServiceInstance>,
+    /// How many robots have joined.
+    joined: usize,
+    roster: Option<Arc<Roster>>,
 }
 
 /// Shows services and robots, once or every second.
@@ -33,92 +36,130 @@ struct Look {
 /// # Errors
 /// If no router answers.
 pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Result<()> {
-    let clock = Clock::start();
-    let bus = ask::open(config).await?;
-    loop {
-        let mut look = look(&bus).await?;
-        if !look.silent.is_empty() {
-            // A get may be lost where links or roles are about to change; nobody is told of as silent
-            // who was asked but once.
-            look = self::look(&bus).await?;
-        }
-        print(&look, config, args.json, &clock)?;
-        if !args.watch {
-            if look.services.is_empty() && look.tokens == 0 {
-                let fleet = &config.fleet.value;
-                let problem = format!("nobody answers for fleet {fleet}; is --fleet right?");
-                return Err(ExitError::unreachable(problem).into());
-            }
-            break;
-        }
-        tokio::time::sleep(LOOK_EVERY).await;
+    let fleet = &config.fleet.value;
+    let client = console::open(config).await?;
+    let first = status(client.clone(), fleet.clone()).await.map_err(exit_error)?;
+    if args.watch {
+        let (asking, fleet) = (client.clone(), fleet.clone());
+        let ask = move || {
+            let asked = status(asking.clone(), fleet.clone());
+            async move { asked.await.map(Some) }
+        };
+        return follow(&client, Polled::start(&client, first, ask), args.json).await;
     }
-    bus.close().await;
+    client.close().await;
+    print(&first, args.json)?;
+    if first.services.is_empty() && first.joined == 0 {
+        let problem = format!("nobody answers for fleet {fleet}; is --fleet right?");
+        return Err(ExitError::unreachable(problem).into());
+    }
     Ok(())
 }
 
-async fn look(bus: &Bus) -> anyhow::Result<Look> {
-    let ask = Ask {
-        parameters: "format=json",
-        payload: None,
-        within: ask::ANSWER_WITHIN,
-        everybody: true,
-    };
-    let (statuses, running, robots, rosters) = tokio::try_join!(
-        bus.get(&Pattern::Statuses, ask),
-        bus.tokens(&Pattern::ServiceTokens, ask::ANSWER_WITHIN),
-        bus.tokens(&Pattern::RobotTokens, ask::ANSWER_WITHIN),
-        ask::messages(bus, &Pattern::One(Key::Roster)),
-    )?;
-    let mut services: Vec<ServiceStatus> = statuses
-        .into_iter()
-        .filter_map(|answer| match answer {
-            Answer::Packet(packet) => serde_json::from_slice(&packet.payload.ok()?).ok(),
-            Answer::Error(_) => None,
-        })
-        .collect();
-    services.sort_by(|left, right| {
-        (left.service, &left.instance).cmp(&(right.service, &right.instance))
-    });
-    let silent = running
-        .iter()
-        .filter_map(|key| match key {
-            Key::ServiceToken(service, instance) => {
-                let answered = services.iter().any(|status| status.instance == *instance);
-                (!answered).then(|| format!("{service} {instance}"))
-            }
-            _ => None,
-        })
-        .collect();
-    let roster = rosters
-        .into_iter()
-        .filter_map(|message| match message {
-            Message::Roster(roster) => Some(roster),
-            _ => None,
-        })
-        .max_by_key(|roster| roster.header.revision);
-    Ok(Look { services, silent, tokens: robots.len(), roster })
+/// Asks all instances; twice if one does not reply: a get may be lost while links or leaders change.
+async fn status(client: Client, fleet: FleetId) -> Result<FleetStatus, Error> {
+    let status = status_once(&client, &fleet).await?;
+    if status.silent.is_empty() { Ok(status) } else { status_once(&client, &fleet).await }
 }
 
-/// What an instance does about the role of its service, in a word.
-fn standing(standing: Standing) -> &'static str {
+async fn status_once(client: &Client, fleet: &FleetId) -> Result<FleetStatus, Error> {
+    let (services, running, joined, roster) = tokio::try_join!(
+        client.get_statuses(None),
+        client.get_instances(),
+        client.get_joined_robots(),
+        async { reply(client.get_roster().await) },
+    )?;
+    let replied =
+        |token: &ServiceInstance| services.iter().any(|status| status.instance == token.instance);
+    let silent = running.into_iter().filter(|token| !replied(token)).collect();
+    Ok(FleetStatus { fleet: fleet.clone(), services, silent, joined: joined.len(), roster })
+}
+
+/// What an instance does in its service, in a word.
+pub(crate) fn role(standing: Standing) -> &'static str {
     match standing {
         Standing::Starting => "starting",
-        Standing::Standby => "stands by",
-        Standing::Doubtful => "in doubt",
-        Standing::Holding => "holds",
+        Standing::Standby => "standby",
+        Standing::Doubtful => "suspect",
+        Standing::Holding => "leader",
     }
 }
 
-fn print(look: &Look, config: &ProcessConfig, json: bool, clock: &Clock) -> anyhow::Result<()> {
-    let now = clock.now();
-    let mut out = std::io::stdout().lock();
-    let absent: Vec<ServiceName> = ServiceName::ALL
-        .into_iter()
-        .filter(|name| !look.services.iter().any(|status| status.service == *name))
-        .collect();
-    if json {
-        let robots = look.roster.iter().flat_map(|roster| &roster.robots).map(|entry| {
+impl FleetStatus {
+    fn absent(&self) -> Vec<ServiceName> {
+        let absent =
+            |name: &ServiceName| !self.services.iter().any(|status| status.service == *name);
+        ServiceName::ALL.into_iter().filter(absent).collect()
+    }
+
+    fn silent(&self) -> Vec<String> {
+        let name = |token: &ServiceInstance| format!("{} {}", token.service, token.instance);
+        self.silent.iter().map(name).collect()
+    }
+
+    fn services(&self, page: &Page) -> Vec<String> {
+        let columns = [
+            Column::kept("service"),
+            Column::kept("instance"),
+            Column::kept("role"),
+            Column::dropped("term", 1),
+            Column::dropped("epoch", 4),
+            Column::dropped("up", 2),
+            Column::dropped("refused", 3),
+            Column::kept("activity"),
+        ];
+        let row = |status: &ServiceStatus| {
+            let refused = status.counters.get("messages_refused").copied().unwrap_or_default();
+            vec![
+                status.service.to_string(),
+                status.instance.to_string(),
+                role(status.standing).to_owned(),
+                status.revision.term.to_string(),
+                status.revision.epoch.to_string(),
+                format!("{} s", status.now.since(status.started).as_secs()),
+                refused.to_string(),
+                // Anybody may answer a get: what is printed is made harmless.
+                quoted(&status.state),
+            ]
+        };
+        page.table(&columns, self.services.iter().map(row))
+    }
+
+    fn robots(&self) -> String {
+        let Some(roster) = &self.roster else {
+            return "no roster: ingest has not published one".to_owned();
+        };
+        let count =
+            |presence| roster.robots.iter().filter(|entry| entry.presence == presence).count();
+        let unplaced = roster.robots.iter().filter(|entry| entry.position.is_none()).count();
+        format!(
+            "{} robots: {} active, {} stale; {unplaced} without a position; {} with a token",
+            roster.robots.len(),
+            count(Presence::Active),
+            count(Presence::Stale),
+            self.joined,
+        )
+    }
+}
+
+impl Shown for FleetStatus {
+    const PUBLISHER: &'static str = "the fleet";
+
+    fn lines(&self, page: &Page, _: Tick) -> Vec<String> {
+        let mut lines = vec![format!("fleet {}", self.fleet)];
+        lines.extend(self.services(page));
+        let absent = self.absent().into_iter();
+        lines.extend(
+            absent.map(|name| format!("{name} does not answer; start it with `muster up {name}`")),
+        );
+        let silent = self.silent().into_iter();
+        lines.extend(silent.map(|name| format!("{name} is on the bus and does not answer")));
+        lines.push(self.robots());
+        lines
+    }
+
+    fn json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        let robots = self.roster.iter().flat_map(|roster| &roster.robots).map(|entry| {
             json!({
                 "robot": entry.robot, "presence": entry.presence, "position": entry.position,
                 "frame": entry.frame, "superior": entry.superior, "role": entry.role,
@@ -126,52 +167,59 @@ fn print(look: &Look, config: &ProcessConfig, json: bool, clock: &Clock) -> anyh
             })
         });
         let line = json!({
-            "fleet": config.fleet.value, "services": look.services, "absent": absent,
-            "silent": look.silent, "robot_tokens": look.tokens,
+            "fleet": self.fleet, "services": self.services, "absent": self.absent(),
+            "silent": self.silent(), "robot_tokens": self.joined,
             "robots": robots.collect::<Vec<_>>(),
         });
-        writeln!(out, "{line}")?;
-        return Ok(out.flush()?);
+        Ok(format!("{line}\n").into_bytes())
     }
-    let mut services =
-        table(&["service", "instance", "standing", "term", "epoch", "up", "refused", "state"]);
-    for status in &look.services {
-        let refused = status.counters.get("messages_refused").copied().unwrap_or_default();
-        services.add_row([
-            status.service.to_string(),
-            status.instance.to_string(),
-            standing(status.standing).to_owned(),
-            status.revision.term.to_string(),
-            status.revision.epoch.to_string(),
-            format!("{} s", status.now.since(status.started).as_secs()),
-            refused.to_string(),
-            // Anybody may answer a get: what is printed is made harmless.
-            muster_wire::message::quoted(&status.state),
-        ]);
+
+    fn same(&self, _: &Self) -> bool {
+        false
     }
-    writeln!(out, "fleet {}", config.fleet.value)?;
-    writeln!(out, "{services}")?;
-    for name in absent {
-        writeln!(out, "{name} does not answer; start it with `muster up {name}`")?;
-    }
-    for name in &look.silent {
-        writeln!(out, "{name} is on the bus and does not answer")?;
-    }
-    match &look.roster {
-        Some(roster) => {
-            let count =
-                |presence| roster.robots.iter().filter(|entry| entry.presence == presence).count();
-            let unplaced = roster.robots.iter().filter(|entry| entry.position.is_none()).count();
-            writeln!(
-                out,
-                "{} robots: {} active, {} stale; {unplaced} without a position; {} with a token",
-                roster.robots.len(),
-                count(Presence::Active),
-                count(Presence::Stale),
-                look.tokens,
-            )?;
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use muster_model::header::Revision;
+    use muster_model::id::InstanceId;
+
+    use super::super::page::tests::{WIDTHS, assert_fits, page};
+    use super::*;
+
+    #[test]
+    fn the_table_fits_the_terminal_and_keeps_what_matters_most() {
+        let status = |service| ServiceStatus {
+            fleet: FleetId::new("alpha").unwrap(),
+            service,
+            instance: InstanceId::new("base-station-1234567").unwrap(),
+            version: "0.1.0".to_owned(),
+            started: Tick(0),
+            now: Tick(123_456_000_000),
+            standing: Standing::Holding,
+            revision: Revision { term: 12, epoch: 1_234_567 },
+            state: "200 robots in 5 teams, hierarchy missing, and a text that is long".to_owned(),
+            counters: BTreeMap::new(),
+        };
+        let fleet = FleetStatus {
+            fleet: FleetId::new("alpha").unwrap(),
+            services: [ServiceName::Ingest, ServiceName::Clusterer].map(status).to_vec(),
+            silent: vec![],
+            joined: 3,
+            roster: None,
+        };
+        for width in WIDTHS {
+            let lines = fleet.lines(&page(width), Tick(0));
+            let (table, below) = lines.split_at(lines.len() - 3);
+            assert_fits(table, width);
+            let text = lines.join("\n");
+            for name in ["ingest", "clusterer", "leader", "hierarchy"] {
+                assert!(text.contains(name), "{width}: {name} is missing\n{text}");
+            }
+            assert_eq!(text.contains("1234567 ┆"), width >= 120, "{text}");
+            assert_eq!(below[0], "embedder does not answer; start it with `muster up embedder`");
         }
-        None => writeln!(out, "no roster: ingest has not published one")?,
     }
-    Ok(out.flush()?)
 }

@@ -1,92 +1,80 @@
 //! `muster teams`: the division of the live fleet.
 
-use std::io::Write as _;
-
-use muster_model::teams::Teams;
+use muster_model::id::TeamId;
+use muster_model::teams::{TeamChange, Teams};
 use muster_model::time::Tick;
-use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
 use muster_wire::json::EdgeJson;
-use muster_wire::{Key, Message};
 
-use super::{ShowArgs, names, table};
-use crate::ask;
+use super::ShowArgs;
+use super::page::{Column, Page, names};
+use super::watch::{Shown, follow, print};
+use crate::console::{self, exit_error};
 
 /// Shows the teams, or every change of them.
 ///
 /// # Errors
 /// If no router answers, or nobody knows the teams.
 pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Result<()> {
-    let clock = Clock::start();
-    let bus = ask::open(config).await?;
-    if !args.watch {
-        let newest = ask::newest(&bus, Key::Teams).await;
-        bus.close().await;
-        if let Message::Teams { teams, .. } = newest? {
-            print(&teams, args.json, clock.now())?;
-        }
-        return Ok(());
+    let client = console::open(config).await?;
+    if args.watch {
+        let teams = client.teams().await.map_err(exit_error)?;
+        return follow(&client, teams, args.json).await;
     }
-    let mut follow = ask::follow(&bus, Key::Teams).await?;
-    let mut shown: Option<std::sync::Arc<Teams>> = None;
-    loop {
-        let message = follow.next().await;
-        if let Message::Teams { teams, .. } = message
-            && !shown.as_ref().is_some_and(|shown| shown.same_division(&teams))
-        {
-            print(&teams, args.json, clock.now())?;
-            shown = Some(teams);
-        }
-    }
+    let teams = client.get_teams().await;
+    client.close().await;
+    print(&*teams.map_err(exit_error)?, args.json)
 }
 
-/// Prints a division as a table, or as one line of JSON in the shape of `json/teams`.
-///
-/// # Errors
-/// If standard output is closed.
-pub(crate) fn print(teams: &Teams, json: bool, now: Tick) -> anyhow::Result<()> {
-    let mut out = std::io::stdout().lock();
-    if json {
-        out.write_all(&teams.to_json(now)?)?;
-        writeln!(out)?;
-        return Ok(out.flush()?);
+impl Shown for Teams {
+    const PUBLISHER: &'static str = "clusterer";
+
+    fn lines(&self, page: &Page, now: Tick) -> Vec<String> {
+        let header = &self.header;
+        let age = header.data_age_s(now);
+        let mut lines = vec![format!(
+            "fleet {}  term {}  epoch {}  {}",
+            header.fleet,
+            header.revision.term,
+            header.revision.epoch,
+            age.map_or("no poses".to_owned(), |age| format!("data {age:.2} s old"))
+        )];
+        let mut rows: Vec<Vec<String>> = Vec::new();
+        for team in &self.teams {
+            rows.push(vec![
+                team.id.to_string(),
+                team.members.len().to_string(),
+                team.leader.to_string(),
+                names(team.members.iter().map(|member| &member.robot)),
+            ]);
+        }
+        if !self.unassigned.is_empty() {
+            let count = self.unassigned.len().to_string();
+            let robots = names(self.unassigned.iter());
+            rows.push(vec!["none".to_owned(), count, String::new(), robots]);
+        }
+        let columns = ["team", "robots", "leader", "members"].map(Column::kept);
+        lines.extend(page.table(&columns, rows.into_iter()));
+        if !self.stale.is_empty() {
+            lines.push(format!("stale: {}", names(self.stale.iter())));
+        }
+        lines.extend(self.changes.iter().map(|change| format!("  {}", describe(change))));
+        lines
     }
-    let header = &teams.header;
-    writeln!(
-        out,
-        "fleet {}  term {}  epoch {}  {}",
-        header.fleet,
-        header.revision.term,
-        header.revision.epoch,
-        header.data_age_s(now).map_or("no poses".to_owned(), |age| format!("data {age:.2} s old"))
-    )?;
-    let mut table = table(&["team", "robots", "leader", "members"]);
-    for team in &teams.teams {
-        table.add_row([
-            team.id.to_string(),
-            team.members.len().to_string(),
-            team.leader.to_string(),
-            names(team.members.iter().map(|member| &member.robot)),
-        ]);
+
+    fn json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        Ok([self.to_json(now)?, b"\n".to_vec()].concat())
     }
-    if !teams.unassigned.is_empty() {
-        let count = teams.unassigned.len().to_string();
-        table.add_row(["none".to_owned(), count, String::new(), names(teams.unassigned.iter())]);
+
+    fn same(&self, other: &Self) -> bool {
+        self.same_division(other)
     }
-    writeln!(out, "{table}")?;
-    if !teams.stale.is_empty() {
-        writeln!(out, "stale: {}", names(teams.stale.iter()))?;
-    }
-    for change in &teams.changes {
-        writeln!(out, "  {}", describe(change))?;
-    }
-    Ok(out.flush()?)
 }
 
 /// One change in words.
-fn describe(change: &muster_model::teams::TeamChange) -> String {
-    use muster_model::teams::TeamChange::{Born, Died, Merged, Moved, Split};
-    let place = |team: &Option<muster_model::id::TeamId>| {
+fn describe(change: &TeamChange) -> String {
+    use TeamChange::{Born, Died, Merged, Moved, Split};
+    let place = |team: &Option<TeamId>| {
         team.as_ref().map_or_else(|| "no team".to_owned(), ToString::to_string)
     };
     match change {
@@ -95,5 +83,60 @@ fn describe(change: &muster_model::teams::TeamChange) -> String {
         Split { from, into } => format!("{into} split off {from}"),
         Merged { from, into } => format!("{from} merged into {into}"),
         Moved { robot, from, to } => format!("{robot} moved from {} to {}", place(from), place(to)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::header::{Header, Revision};
+    use muster_model::id::{FleetId, RobotId};
+    use muster_model::teams::{Member, Team};
+
+    use super::super::page::tests::{WIDTHS, assert_fits, page};
+    use super::*;
+
+    fn robot(name: String) -> RobotId {
+        RobotId::new(name).unwrap()
+    }
+
+    fn division() -> Teams {
+        let team = |number: u64| Team {
+            id: TeamId::numbered(number),
+            members: (0..30)
+                .map(|i| Member { robot: robot(format!("t{number}-robot-{i}")), margin: 0.5 })
+                .collect(),
+            leader: robot("x".repeat(64)),
+            centroid: vec![],
+        };
+        Teams {
+            header: Header {
+                fleet: FleetId::new("alpha").unwrap(),
+                revision: Revision { term: 3, epoch: 44 },
+                oldest: Some(Tick(9_000_000)),
+                newest: None,
+                stages: vec![],
+            },
+            teams: vec![team(1), team(2)],
+            requested: 2,
+            next_team: 3,
+            inertia: 0.0,
+            unassigned: vec![robot("loose".to_owned())],
+            stale: vec![],
+            changes: vec![TeamChange::Born { team: TeamId::numbered(2) }],
+            embedding: Revision::default(),
+        }
+    }
+
+    #[test]
+    fn the_table_fits_the_terminal_and_names_every_team() {
+        for width in WIDTHS {
+            let lines = division().lines(&page(width), Tick(9_250_000));
+            assert_eq!(lines[0], "fleet alpha  term 3  epoch 44  data 0.25 s old");
+            assert_fits(&lines, width);
+            let text = lines.join("\n");
+            for name in ["t1", "t2", "none", "loose", "t2-robot-3", "and 6 more", "t2 is new"] {
+                assert!(text.contains(name), "{width}: {name} is missing\n{text}");
+            }
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! What is wrong by what was seen, and what to do about it.
+//! What is wrong, judging by what was seen, and what to do about it.
 
 mod robots;
 mod router;
@@ -8,7 +8,7 @@ use serde::Serialize;
 
 pub(super) use self::router::{of_endpoint, session};
 use super::look::Look;
-use crate::show::names;
+use crate::show::page::names;
 
 /// Most things that a finding names one by one.
 const MAX_SUBJECTS: usize = 100;
@@ -33,7 +33,7 @@ pub(super) struct Finding {
     pub(super) seen: String,
     /// What to do.
     pub(super) remedy: String,
-    /// Whom it concerns: robots, services, endpoints.
+    /// What it concerns: robots, services, endpoints.
     pub(super) subjects: Vec<String>,
 }
 
@@ -68,7 +68,7 @@ pub(super) fn of_fleet(look: &Look) -> Vec<Finding> {
         && look.tokens.is_empty()
         && let Some(wrong) = wrong_fleet(look)
     {
-        // Nothing else can be said of a fleet that is not there.
+        // Nothing else can be found in a fleet that is not there.
         return vec![wrong];
     }
     found.extend(services::services(look));
@@ -90,7 +90,7 @@ fn wrong_fleet(look: &Look) -> Option<Finding> {
     Some(
         error(
             "wrong_fleet",
-            format!("nobody speaks for fleet {}, but for {named}", look.fleet),
+            format!("nothing is on the bus for fleet {}, but for {named}", look.fleet),
             format!("name the fleet that is meant: --fleet {}", fleets[0]),
         )
         .about(&fleets),

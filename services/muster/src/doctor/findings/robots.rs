@@ -1,4 +1,4 @@
-//! What is wrong with what robots say, and with the division that is made of it.
+//! What is wrong with the reports of robots, and with the division that rests on them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -12,16 +12,16 @@ use muster_wire::message::quoted;
 
 use super::{Finding, Severity, error, finding, warning};
 use crate::doctor::look::Look;
-use crate::show::names;
+use crate::show::page::names;
 
 /// Older data than this behind a division: a pose is a tick old, and every stage takes less.
 const DATA_OLD_S: f64 = 3.0;
 
-/// How long a service must have run before what it has never heard of counts as missing.
-const SETTLED: Duration = Duration::from_secs(10);
+/// How long a service must have run before what it has never received counts as missing.
+const SETTLED_AFTER: Duration = Duration::from_secs(10);
 
 fn settled(status: &ServiceStatus) -> bool {
-    status.now.since(status.started) >= SETTLED
+    status.now.since(status.started) >= SETTLED_AFTER
 }
 
 pub(super) fn robots(look: &Look) -> Vec<Finding> {
@@ -38,7 +38,7 @@ pub(super) fn robots(look: &Look) -> Vec<Finding> {
                 "robots_elsewhere",
                 format!("no service serves {}", all.join(", ")),
                 format!(
-                    "let them speak under muster/v1/{}/, or start services with --fleet",
+                    "let them put under muster/v1/{}/, or start services with --fleet",
                     look.fleet
                 ),
             )
@@ -102,8 +102,8 @@ pub(super) fn robots(look: &Look) -> Vec<Finding> {
                     roster.robots.len(),
                     names(shown.iter())
                 ),
-                "look after their radio and their software; raise stale_after_s of ingest if they \
-                 speak more rarely than that on purpose",
+                "check their radio and their software; raise stale_after_s of ingest if they report \
+                 more rarely than that on purpose",
             )
             .about(stale.iter().map(|entry| &entry.robot)),
         );
@@ -113,8 +113,8 @@ pub(super) fn robots(look: &Look) -> Vec<Finding> {
         found.push(warning(
             "no_links",
             "no robot has reported links since ingest started",
-            "let robots put whom they hear on robot/{robot}/links; where the radio tells nothing, give \
-             connectivity no weight: muster set embedder 'weights={\"spatial\":0.5,\"hierarchy\":0.5}'",
+            "let robots put the robots that they receive on robot/{robot}/links; where the radio does not \
+             report them, give connectivity no weight: muster set embedder 'weights={\"spatial\":0.5,\"hierarchy\":0.5}'",
         ));
     }
     found
@@ -136,11 +136,11 @@ fn unknown(
     let full = full.map_or_else(String::new, |most| {
         format!("the fleet is full: raise max_robots of ingest ({most}) if they belong to it; ")
     });
-    let patience = ingest.map(|settings| format!(" ({} s)", settings.gone_after_s));
+    let gone_after = ingest.map(|settings| format!(" ({} s)", settings.gone_after_s));
     let remedy = format!(
-        "{full}a robot with a token that has said nothing for gone_after_s{} has left: restart its \
-         software; if it speaks, access control keeps ingest from seeing its token",
-        patience.unwrap_or_default()
+        "{full}a robot with a token that has put nothing for gone_after_s{} has left: restart its \
+         software; if it does put, access control keeps ingest from seeing its token",
+        gone_after.unwrap_or_default()
     );
     let seen = format!("robots with a token that ingest does not know: {}", names(unknown.iter()));
     Some(error("robots_unknown", seen, remedy).about(unknown))
@@ -170,7 +170,7 @@ pub(super) fn refused(look: &Look) -> Option<Finding> {
                 look.listened.as_secs_f64(),
                 names(shown.iter())
             ),
-            "mend what these robots put; each reason names the field and what would be right",
+            "correct what these robots put; each reason names the field and what would be right",
         )
         .about(who),
     )
@@ -195,7 +195,7 @@ pub(super) fn teams(look: &Look) -> Vec<Finding> {
             found.push(error(
                 "no_teams",
                 format!("there are {robots} robots and no division of them"),
-                "`muster status` says what each service waits for; `muster graph` shows whether \
+                "`muster status` shows what each service waits for; `muster graph` shows whether \
                  anything relates the robots",
             ));
         }
@@ -214,7 +214,7 @@ pub(super) fn teams(look: &Look) -> Vec<Finding> {
     }
     let active = look.roster.iter().flat_map(|roster| &roster.robots);
     let active = active.filter(|entry| entry.presence == Presence::Active).count();
-    // Ages are taken by the clock of the clusterer, where it is known: ours may be another.
+    // Ages are computed by the clock of the clusterer, where it is known: ours may differ.
     let now = look.status(ServiceName::Clusterer).map_or(look.now, |status| status.now);
     if let Some(age) = teams.header.data_age_s(now).filter(|age| active > 0 && *age >= DATA_OLD_S) {
         found.push(warning(

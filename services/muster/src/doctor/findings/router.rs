@@ -8,15 +8,15 @@ use muster_wire::message::quoted;
 use super::{Finding, error, warning};
 use crate::doctor::Endpoint;
 
-/// Longest lease of a router by which lost robots are noticed in the time that the manual promises.
-const LEASE_AT_MOST: Duration = Duration::from_secs(4);
+/// Longest lease of a router with which lost robots are noticed within the documented time.
+const MAX_LEASE: Duration = Duration::from_secs(4);
 
 /// What is wrong with an endpoint.
 pub(in crate::doctor) fn of_endpoint(endpoint: &Endpoint) -> Option<Finding> {
     let name = &endpoint.name;
     let found = match &endpoint.reach {
         Reach::Listens | Reach::Unseen => return None,
-        Reach::Zenoh { lease, router: true } if *lease <= LEASE_AT_MOST => return None,
+        Reach::Zenoh { lease, router: true } if *lease <= MAX_LEASE => return None,
         Reach::Zenoh { lease, router: true } => warning(
             "router_lease",
             format!("the router at {name} announces a lease of {:.0} s", lease.as_secs_f64()),
@@ -43,14 +43,14 @@ pub(in crate::doctor) fn of_endpoint(endpoint: &Endpoint) -> Option<Finding> {
             format!("the host of {name} does not answer"),
             "check the address, the network and the firewall in between; is the host running?",
         ),
-        Reach::Foreign(said) => {
-            let said = match said {
-                Some(said) => format!("it says {said:?}"),
-                None => "it says nothing that Zenoh would".to_owned(),
+        Reach::Foreign(sent) => {
+            let sent = match sent {
+                Some(sent) => format!("it sends {sent:?}"),
+                None => "it sends nothing that Zenoh would".to_owned(),
             };
             error(
                 "no_router",
-                format!("something takes connections at {name}, and it is not Zenoh: {said}"),
+                format!("something takes connections at {name}, and it is not Zenoh: {sent}"),
                 "check the port in --connect: the router listens at another one, usually 7447. If the \
                  router wants certificates, write quic/ or tls/ instead of tcp/",
             )
@@ -72,6 +72,6 @@ pub(in crate::doctor) fn session(problem: &anyhow::Error) -> Finding {
             "a router answers, and the session does not open: {}",
             quoted(&format!("{problem:#}"))
         ),
-        "it may want a certificate or a password (--zenoh-config); its log tells why it refuses",
+        "it may want a certificate or a password (--zenoh-config); its log has the reason",
     )
 }

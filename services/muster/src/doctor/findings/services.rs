@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use muster_client::ServiceInstance;
 use muster_model::event::EventKind;
 use muster_model::id::ServiceName;
 use muster_model::role::Standing;
@@ -9,17 +10,17 @@ use muster_model::status::ServiceStatus;
 use muster_wire::message::quoted;
 
 use super::{Finding, Severity, error, finding, warning};
-use crate::doctor::look::Look;
-use crate::show::names;
+use crate::doctor::look::{Instance, Look};
+use crate::show::page::names;
 
-/// Clocks that differ by less do no harm: the age of data is told in tenths of a second.
+/// Clocks that differ by less do no harm: the age of data is shown in tenths of a second.
 const CLOCK_OFF_S: f64 = 0.5;
 
 pub(super) fn services(look: &Look) -> Vec<Finding> {
     let mut found = Vec::new();
     for service in ServiceName::ALL {
         let answered = look.instances.iter().any(|instance| instance.service == service);
-        let running = look.tokens.iter().any(|(of, _)| *of == service);
+        let running = look.tokens.iter().any(|token| token.service == service);
         if !answered && !running {
             found.push(
                 error(
@@ -30,19 +31,20 @@ pub(super) fn services(look: &Look) -> Vec<Finding> {
                 .about([service]),
             );
         }
-        let holders = look.instances.iter().filter(|instance| {
+        let leaders = look.instances.iter().filter(|instance| {
             instance.service == service && instance.standing == Standing::Holding
         });
-        let holders: Vec<_> = holders.map(|instance| &instance.instance).collect();
-        if holders.len() > 1 {
+        let leaders: Vec<_> = leaders.map(|instance| &instance.instance).collect();
+        if leaders.len() > 1 {
             found.push(
                 error(
                     "two_holders",
-                    format!("{} instances of {service} hold its role at once: {}", holders.len(), names(holders.iter())),
-                    "one of them is to stand by: they do not hear each other's claims (a router that \
-                     is cut off, access control) or are of different versions; end all but one",
+                    format!("{} instances of {service} lead at once: {}", leaders.len(), names(leaders.iter())),
+                    "one of them is to be standby: they do not receive each other's lease renewals (a \
+                     router that is cut off, access control) or are of different versions; end all but \
+                     one",
                 )
-                .about(&holders),
+                .about(&leaders),
             );
         }
     }
@@ -73,11 +75,14 @@ pub(super) fn services(look: &Look) -> Vec<Finding> {
 pub(super) fn denied(look: &Look) -> Vec<Finding> {
     const SILENT: &str = "denials of access control are silent";
     let mut found = Vec::new();
-    let answered: BTreeSet<_> =
-        look.instances.iter().map(|i| (i.service, i.instance.clone())).collect();
+    let token = |instance: &Instance| ServiceInstance {
+        service: instance.service,
+        instance: instance.instance.clone(),
+    };
+    let answered: BTreeSet<_> = look.instances.iter().map(token).collect();
     let silent: Vec<_> = look.tokens.difference(&answered).collect();
     if !silent.is_empty() {
-        let all = silent.iter().map(|(service, instance)| format!("{service} {instance}"));
+        let all = silent.iter().map(|token| format!("{} {}", token.service, token.instance));
         let all: Vec<_> = all.collect();
         found.push(
             error(
@@ -94,7 +99,7 @@ pub(super) fn denied(look: &Look) -> Vec<Finding> {
             .about(&all),
         );
     }
-    let hidden: Vec<_> = answered.difference(&look.tokens).map(|(service, _)| service).collect();
+    let hidden: Vec<_> = answered.difference(&look.tokens).map(|token| token.service).collect();
     if !hidden.is_empty() {
         found.push(
             error(
@@ -159,7 +164,7 @@ pub(super) fn clocks(look: &Look) -> Option<Finding> {
         off.iter().map(|(who, offset)| format!("{who} by {offset:+.1} s")).collect();
     let seen = format!("clocks differ from the one of this host: {}", names(shown.iter()));
     let remedy = "keep all hosts on one clock: `timedatectl set-ntp true`, or chrony with one host of \
-                  the fleet as server; `chronyc tracking` tells how far each is off. If all are off by \
+                  the fleet as server; `chronyc tracking` shows how far each is off. If all are off by \
                   the same, it is the clock of this host";
     Some(warning("clock_off", seen, remedy).about(off.iter().map(|(who, _)| who)))
 }
@@ -172,24 +177,24 @@ pub(super) fn jobs(look: &Look) -> Vec<Finding> {
         };
         let before = look.before.iter().find(|status| status.instance == after.instance);
         let more = failed(after) - before.map_or(0, failed).min(failed(after));
-        let told = look.events.iter().rev().find_map(|event| match &event.kind {
+        let reported = look.events.iter().rev().find_map(|event| match &event.kind {
             EventKind::JobFailed { reason } if event.source == after.service => {
                 Some(quoted(reason))
             }
             _ => None,
         });
-        // A fault that stands is not computed again, and shows in what the service says of itself.
-        let stands = after.state.contains("failed");
-        if more == 0 && told.is_none() && !stands {
+        // A fault that lasts is not computed again, and shows in the status of the service.
+        let lasts = after.state.contains("failed");
+        if more == 0 && reported.is_none() && !lasts {
             continue;
         }
         let service = after.service;
         found.push(
             error(
                 "jobs_failing",
-                format!("{service} fails to compute: {}", told.unwrap_or_else(|| quoted(&after.state))),
+                format!("{service} fails to compute: {}", reported.unwrap_or_else(|| quoted(&after.state))),
                 format!(
-                    "the last good result stands meanwhile; the reason names the setting: \
+                    "the last good result is kept meanwhile; the reason names the setting: \
                      `muster set {service}` shows all, `muster set {service} FIELD=VALUE` changes one"
                 ),
             )

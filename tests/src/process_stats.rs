@@ -1,14 +1,14 @@
-//! What a process takes: its memory and its processor time, as Linux tells them.
+//! Memory and processor time of a process, as Linux reports them.
 
 use anyhow::Context;
 
 /// The kernel's ticks a second in `/proc/PID/stat`, the same on every Linux.
 const TICKS_HZ: f64 = 100.0;
 
-/// One look at one process.
+/// One sample of one process.
 #[derive(Debug, Clone, Copy)]
-pub struct Look {
-    /// When, in seconds since a beginning of the caller's.
+pub struct ProcessStats {
+    /// When, in seconds since an origin of the caller.
     pub at: f64,
     /// Resident memory in KiB.
     pub memory: f64,
@@ -16,11 +16,11 @@ pub struct Look {
     pub busy: f64,
 }
 
-/// Looks at a process.
+/// Samples a process.
 ///
 /// # Errors
 /// If it has ended.
-pub fn look(process: u32, at: f64) -> anyhow::Result<Look> {
+pub fn process_stats(process: u32, at: f64) -> anyhow::Result<ProcessStats> {
     let status = std::fs::read_to_string(format!("/proc/{process}/status"))?;
     let memory = status
         .lines()
@@ -32,13 +32,13 @@ pub fn look(process: u32, at: f64) -> anyhow::Result<Look> {
     // The name of the program stands in brackets and may hold blanks.
     let fields = stat.rsplit_once(") ").map_or("", |(_, rest)| rest).split(' ');
     let ticks: f64 = fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum();
-    Ok(Look { at, memory, busy: ticks / TICKS_HZ })
+    Ok(ProcessStats { at, memory, busy: ticks / TICKS_HZ })
 }
 
-/// The value below which a part of sorted values lies; not a number if there is none.
+/// The value below which a share of sorted values lies; NaN if there is none.
 #[must_use]
-pub fn part(sorted: &[f64], part: f64) -> f64 {
-    let place = (sorted.len() as f64 * part) as usize;
+pub fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let place = (sorted.len() as f64 * share) as usize;
     sorted.get(place.min(sorted.len().saturating_sub(1))).copied().unwrap_or(f64::NAN)
 }
 
@@ -59,27 +59,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn this_process_takes_memory_and_time() {
-        let before = look(std::process::id(), 0.0).unwrap();
+    fn this_process_uses_memory_and_time() {
+        let before = process_stats(std::process::id(), 0.0).unwrap();
         let held = vec![1_u8; 32 << 20];
         let mut sum = 0_u64;
-        while look(std::process::id(), 0.0).unwrap().busy - before.busy < 0.05 {
+        while process_stats(std::process::id(), 0.0).unwrap().busy - before.busy < 0.05 {
             sum = held.iter().fold(sum, |sum, byte| sum.wrapping_add(u64::from(*byte)));
         }
         assert!(sum > 0);
-        let after = look(std::process::id(), 0.0).unwrap();
+        let after = process_stats(std::process::id(), 0.0).unwrap();
         assert!(after.memory > before.memory + 16.0 * 1024.0, "{before:?} {after:?}");
-        assert!(look(u32::MAX, 0.0).is_err());
+        assert!(process_stats(u32::MAX, 0.0).is_err());
     }
 
     #[test]
-    fn parts_and_slopes_are_those_of_the_numbers() {
+    fn quantiles_and_slopes_are_those_of_the_numbers() {
         let values: Vec<f64> = (0..100).map(f64::from).collect();
         assert_eq!(
-            (part(&values, 0.5), part(&values, 0.99), part(&values, 1.0)),
+            (quantile(&values, 0.5), quantile(&values, 0.99), quantile(&values, 1.0)),
             (50.0, 99.0, 99.0)
         );
-        assert!(part(&[], 0.5).is_nan());
+        assert!(quantile(&[], 0.5).is_nan());
         let line: Vec<_> = (0..9).map(|x| (f64::from(x), 7.0 - 2.5 * f64::from(x))).collect();
         assert!((slope(&line) + 2.5).abs() < 1e-12);
         assert_eq!(slope(&[(1.0, 5.0)]), 0.0);

@@ -9,12 +9,12 @@ use serde_json::Value;
 
 use super::drive::{self, Puts};
 use super::follow::{Division, Ways, follow, follow_changes};
-use super::listen::{Heard, Listener};
+use super::listen::{Listener, Received};
 use super::{echo, now_us};
 use crate::client::Client;
 use crate::cluster::{Cluster, SERVICES};
-use crate::looks::{Look, look, part, slope};
 use crate::process::Process;
+use crate::process_stats::{ProcessStats, process_stats, quantile, slope};
 
 /// The fleet of a run.
 pub const FLEET: &str = "latency";
@@ -32,9 +32,9 @@ const TAKEN: [&str; 3] = ["poses_accepted", "links_accepted", "ranks_accepted"];
 /// Counters of what was lost because too much waited, which must not be.
 const DROPPED: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
 
-/// What is to be run.
+/// What to run.
 #[derive(Debug, Clone)]
-pub struct Course {
+pub struct RunPlan {
     /// How many robots.
     pub robots: usize,
     /// In how many teams.
@@ -67,7 +67,11 @@ impl Spread {
     pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
         let mut values: Vec<f64> = values.into_iter().collect();
         values.sort_by(f64::total_cmp);
-        Self { p50: part(&values, 0.5), p99: part(&values, 0.99), most: part(&values, 1.0) }
+        Self {
+            p50: quantile(&values, 0.5),
+            p99: quantile(&values, 0.99),
+            most: quantile(&values, 1.0),
+        }
     }
 }
 
@@ -86,17 +90,17 @@ pub struct Taken {
 #[derive(Debug)]
 pub struct Measured {
     /// What was run.
-    pub course: Course,
+    pub plan: RunPlan,
     /// How long was measured, in seconds.
     pub seconds: f64,
     /// Poses that were put.
     pub poses: usize,
     /// How they became divisions.
     pub ways: Ways,
-    /// From a pose to the robot that it tells of another team.
+    /// Milliseconds from a pose to the message that gives its robot another team.
     pub changes: Vec<f64>,
-    /// Words to robots that arrived.
-    pub told: usize,
+    /// Number of messages on `robot/*/team`.
+    pub team_messages: usize,
     /// Divisions that arrived.
     pub divisions: Vec<Division>,
     /// Embeddings that arrived, by their mode.
@@ -153,15 +157,15 @@ impl Measured {
     }
 }
 
-/// Runs it. `progress` is told what happens.
+/// Runs a plan. `progress` receives a line for each step.
 ///
 /// # Errors
 /// If a process does not start or ends, or the fleet is not divided in time.
-pub async fn run(course: &Course, progress: impl Fn(String)) -> anyhow::Result<Measured> {
-    let robots = course.robots;
-    let teams = format!("teams={}", course.teams);
+pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Measured> {
+    let robots = plan.robots;
+    let teams = format!("teams={}", plan.teams);
     let mut settings = vec![("clusterer", teams.as_str())];
-    settings.extend(course.settings.iter().map(|(service, set)| (service.as_str(), set.as_str())));
+    settings.extend(plan.settings.iter().map(|(service, set)| (service.as_str(), set.as_str())));
     progress(format!("{robots} robots: a router and four services start"));
     let mut cluster = Cluster::start(FLEET, &settings)?;
     let client = cluster.client().await?;
@@ -178,13 +182,13 @@ pub async fn run(course: &Course, progress: impl Fn(String)) -> anyhow::Result<M
         serving(&client, service).await?;
     }
     let size = drive::pose_json([100.0; 2], 100, "0123456789abc", now_us()).len();
-    let (idle, _) = echo::ping(&client, size, course.settles).await?;
+    let (idle, _) = echo::ping(&client, size, plan.settles).await?;
 
     let listener = Listener::start(&client, robots).await?;
     let folder = cluster.folder().join("robots");
     std::fs::create_dir(&folder)?;
     let (many, groups, rate) =
-        (robots.to_string(), course.teams.to_string(), course.rate_hz.to_string());
+        (robots.to_string(), plan.teams.to_string(), plan.rate_hz.to_string());
     let place = folder.to_string_lossy();
     let mut fleet =
         ours(&["--drive", &place, "--robots", &many, "--teams", &groups, "--rate", &rate])?;
@@ -195,11 +199,8 @@ pub async fn run(course: &Course, progress: impl Fn(String)) -> anyhow::Result<M
         Ok(whole())
     })
     .await?;
-    progress(format!(
-        "{robots} robots: divided; measuring for {:.0} s",
-        course.lasts.as_secs_f64()
-    ));
-    tokio::time::sleep(course.settles).await;
+    progress(format!("{robots} robots: divided; measuring for {:.0} s", plan.lasts.as_secs_f64()));
+    tokio::time::sleep(plan.settles).await;
 
     let mut processes = vec![("router", cluster.router_id()), ("robots", fleet.id())];
     for service in SERVICES {
@@ -207,12 +208,12 @@ pub async fn run(course: &Course, progress: impl Fn(String)) -> anyhow::Result<M
     }
     processes.push(("listener", std::process::id()));
     let pinging = {
-        let (client, lasts) = (cluster.client().await?, course.lasts);
+        let (client, lasts) = (cluster.client().await?, plan.lasts);
         tokio::spawn(async move { echo::ping(&client, size, lasts).await })
     };
     listener.begin();
     let window = now_us();
-    let looks = watch(&processes, course.lasts).await?;
+    let samples = watch(&processes, plan.lasts).await?;
     let window = (window, now_us());
     let (beside, pings_missing) = pinging.await??;
 
@@ -232,19 +233,19 @@ pub async fn run(course: &Course, progress: impl Fn(String)) -> anyhow::Result<M
     }
     let counters = counters(&client).await?;
     drop((fleet, echo));
-    let heard = listener.take();
+    let received = listener.take();
     Ok(measured(
-        course,
+        plan,
         window,
         &puts,
-        heard,
-        Counted { looks, counters, idle, beside, pings_missing },
+        received,
+        Counted { samples, counters, idle, beside, pings_missing },
     ))
 }
 
 /// What was counted beside the messages.
 struct Counted {
-    looks: Vec<(&'static str, Vec<Look>)>,
+    samples: Vec<(&'static str, Vec<ProcessStats>)>,
     counters: BTreeMap<&'static str, BTreeMap<String, u64>>,
     idle: Vec<f64>,
     beside: Vec<f64>,
@@ -252,25 +253,25 @@ struct Counted {
 }
 
 fn measured(
-    course: &Course,
+    plan: &RunPlan,
     window: (u64, u64),
     puts: &Puts,
-    mut heard: Heard,
+    mut received: Received,
     counted: Counted,
 ) -> Measured {
-    let ways = follow(puts, window, &heard.frames, &heard.divisions);
-    let changes = follow_changes(puts, &heard.frames, &heard.told);
+    let ways = follow(puts, window, &received.frames, &received.divisions);
+    let changes = follow_changes(puts, &received.frames, &received.team_messages);
     let within = |moment: u64| (window.0..window.1).contains(&moment);
     let poses = puts.poses.iter().flatten().filter(|put| within(**put)).count();
-    heard.divisions.retain(|division| within(division.arrived));
-    heard.told.retain(|told| within(told.arrived));
+    received.divisions.retain(|division| within(division.arrived));
+    received.team_messages.retain(|message| within(message.arrived));
     let mut modes = BTreeMap::new();
-    for embedding in &heard.embeddings {
+    for embedding in &received.embeddings {
         *modes.entry(format!("{:?}", embedding.mode)).or_default() += 1;
     }
-    let computed = heard.embeddings.iter().filter(|e| e.mode != EmbeddingMode::Cached);
-    let lengths = heard.embeddings.iter().map(|embedding| embedding.dimension);
-    let judgements = heard.judgements.iter();
+    let computed = received.embeddings.iter().filter(|e| e.mode != EmbeddingMode::Cached);
+    let lengths = received.embeddings.iter().map(|embedding| embedding.dimension);
+    let judgements = received.judgements.iter();
     let took = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e3;
 
     let ingest = counted.counters.get("ingest");
@@ -289,41 +290,41 @@ fn measured(
     };
     let mut dropped = named(&DROPPED);
     dropped.extend(named(&["messages_refused", "jobs_failed"]));
-    if heard.lost > 0 {
-        dropped.insert("listener".to_owned(), heard.lost);
+    if received.lost > 0 {
+        dropped.insert("listener".to_owned(), received.lost);
     }
     Measured {
-        course: course.clone(),
+        plan: plan.clone(),
         seconds: (window.1 - window.0) as f64 / 1e6,
         poses,
         ways,
         changes,
-        told: heard.told.len(),
+        team_messages: received.team_messages.len(),
         modes,
         dimensions: (lengths.clone().min().unwrap_or(0), lengths.max().unwrap_or(0)),
-        residual: heard.embeddings.iter().map(|e| e.residual).fold(0.0, f64::max),
+        residual: received.embeddings.iter().map(|e| e.residual).fold(0.0, f64::max),
         embedding: [0, 1, 2].map(|stage| Spread::of(computed.clone().map(|e| e.stage_ms[stage]))),
         judged: [
             Spread::of(judgements.clone().map(|judged| took(judged.divided, judged.stage.1))),
             Spread::of(judgements.clone().map(|judged| took(judged.stage.0, judged.stage.1))),
         ],
         judgements: judgements.len(),
-        divisions: heard.divisions,
+        divisions: received.divisions,
         round_trip: [Spread::of(counted.idle), Spread::of(counted.beside)],
         pings_missing: counted.pings_missing,
         lost_on_the_way: puts.messages as i64 - seen as i64,
         dropped,
         replaced: named(&["inbox_superseded"]),
-        taken: counted.looks.iter().filter_map(|(name, looks)| taken(name, looks)).collect(),
+        taken: counted.samples.iter().filter_map(|(name, samples)| taken(name, samples)).collect(),
     }
 }
 
-fn taken(name: &'static str, looks: &[Look]) -> Option<Taken> {
-    let (first, last) = (looks.first()?, looks.last()?);
+fn taken(name: &'static str, samples: &[ProcessStats]) -> Option<Taken> {
+    let (first, last) = (samples.first()?, samples.last()?);
     Some(Taken {
         name,
         processors: (last.busy - first.busy) / (last.at - first.at),
-        memory: looks.iter().map(|look| look.memory).fold(0.0, f64::max) / 1024.0,
+        memory: samples.iter().map(|sample| sample.memory).fold(0.0, f64::max) / 1024.0,
     })
 }
 
@@ -331,17 +332,17 @@ fn taken(name: &'static str, looks: &[Look]) -> Option<Taken> {
 async fn watch(
     processes: &[(&'static str, u32)],
     lasts: Duration,
-) -> anyhow::Result<Vec<(&'static str, Vec<Look>)>> {
-    let mut looks: Vec<_> = processes.iter().map(|(name, _)| (*name, Vec::new())).collect();
+) -> anyhow::Result<Vec<(&'static str, Vec<ProcessStats>)>> {
+    let mut samples: Vec<_> = processes.iter().map(|(name, _)| (*name, Vec::new())).collect();
     let (begin, mut every) = (Instant::now(), tokio::time::interval(Duration::from_secs(1)));
     loop {
         every.tick().await;
         let at = begin.elapsed().as_secs_f64();
-        for ((name, process), (_, looks)) in processes.iter().zip(&mut looks) {
-            looks.push(look(*process, at).with_context(|| format!("{name} has ended"))?);
+        for ((name, process), (_, samples)) in processes.iter().zip(&mut samples) {
+            samples.push(process_stats(*process, at).with_context(|| format!("{name} has ended"))?);
         }
         if begin.elapsed() >= lasts {
-            return Ok(looks);
+            return Ok(samples);
         }
     }
 }

@@ -27,7 +27,7 @@ const ROBOTS: usize = 12;
 /// How long a fleet may take from nothing to teams, on a busy machine.
 const FORMED_WITHIN: Duration = Duration::from_secs(40);
 
-/// How long nothing is changed before a fault, so that what it does can be told from the start.
+/// Time without a change before a fault, so that its effects differ from those of the start.
 const CALM: Duration = Duration::from_secs(2);
 
 /// How long a fleet is watched once it is whole again: contradictions may come later.
@@ -44,7 +44,7 @@ pub struct Measured {
     pub fault: Fault,
     /// How long it really lasted.
     pub lasted: f64,
-    /// When the first robot was marked stale, where that was told to a console at the router.
+    /// When the first robot was marked stale, as a console at the router received it.
     pub stale: Option<f64>,
     /// When the last robot that left had left.
     pub gone: Option<f64>,
@@ -52,7 +52,7 @@ pub struct Measured {
     pub left: BTreeSet<String>,
     /// Which robots are on the robots' host.
     pub on_robots_host: BTreeSet<String>,
-    /// When the whole fleet was told as it was before, from fresh data, to a console at the router.
+    /// When a console at the router received the whole fleet as before, from fresh data.
     pub whole: Option<f64>,
     /// The same for a console on the robots' host.
     pub whole_on_board: Option<f64>,
@@ -60,7 +60,7 @@ pub struct Measured {
     pub pause: f64,
     /// The same for the one on the robots' host.
     pub pause_on_board: f64,
-    /// Greatest age of the data behind a division, as told in the fault.
+    /// Greatest age of the data behind a division during the fault.
     pub oldest_data: f64,
     /// How long poses from the robots' host were on their way in the fault: half of them at most, and
     /// all.
@@ -162,7 +162,7 @@ impl World {
         start(lab, folder, Host::Router, "muster", &["router", "--listen", &endpoint()])
     }
 
-    /// Waits until both observers are told all robots in two teams.
+    /// Waits until both observers have received all robots in two teams.
     fn formed(&self) -> anyhow::Result<Division> {
         let begin = Instant::now();
         loop {
@@ -170,13 +170,13 @@ impl World {
                 let record = Record::read(&observer.output());
                 record.teams(0.0).next_back().map(|seen| division(&seen.value))
             });
-            if let Some(told) = console
-                && on_board.as_ref() == Some(&told)
-                && told.len() == ROBOTS
-                && told.values().all(Option::is_some)
-                && told.values().collect::<BTreeSet<_>>().len() == 2
+            if let Some(division) = console
+                && on_board.as_ref() == Some(&division)
+                && division.len() == ROBOTS
+                && division.values().all(Option::is_some)
+                && division.values().collect::<BTreeSet<_>>().len() == 2
             {
-                return Ok(told);
+                return Ok(division);
             }
             ensure!(
                 begin.elapsed() < FORMED_WITHIN,
@@ -312,7 +312,7 @@ impl Measured {
         };
         let within = |at: Option<f64>| at.is_some_and(|at| at <= WHOLE_WITHIN_S);
         hold(within(self.whole), "the fleet is whole again in time");
-        hold(within(self.whole_on_board), "robots are told so in time");
+        hold(within(self.whole_on_board), "robots receive that in time");
         if self.fault.cuts_robots_off() {
             hold(between(self.stale, STALE_S), "silent robots are marked stale in time");
         }
@@ -337,7 +337,7 @@ impl Measured {
             hold(self.stale.is_none(), "nobody is taken for silent");
         }
         if self.fault.lets_base_speak() {
-            hold(self.pause <= 3.0, "divisions are told meanwhile");
+            hold(self.pause <= 3.0, "divisions are published meanwhile");
             let (answered, asked) = self.answered;
             hold(answered == asked, "gets are answered meanwhile");
         }
@@ -371,7 +371,7 @@ impl Measured {
     /// The head of the table.
     #[must_use]
     pub fn head() -> &'static str {
-        "| fault | stale | gone | pause | whole again | pause on board | on board |\n\
+        "| fault | stale | gone | pause | recovered | pause, robots' host | recovered, robots' host |\n\
          | --- | --- | --- | --- | --- | --- | --- |"
     }
 

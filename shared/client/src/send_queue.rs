@@ -1,5 +1,5 @@
-//! The bounded way out: the newest of each key waits, and one thread sends, so that no caller ever
-//! waits for the bus.
+//! The bounded send queue: the newest message of each key waits, and one thread sends, so that no
+//! caller ever waits for the bus.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -7,12 +7,14 @@ use std::time::Duration;
 
 use muster_wire::{Key, Outbound};
 
-/// How long a robot that leaves waits for what it said last to be sent.
+use crate::error::Error;
+
+/// How long a robot that leaves waits until its last messages are sent.
 const FLUSH_WITHIN: Duration = Duration::from_millis(500);
 
-/// The bounded way out. It holds one message per robot and stream at most.
+/// The bounded send queue. It holds one message per robot and stream at most.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Outgoing(Arc<Shared>);
+pub(crate) struct SendQueue(Arc<Shared>);
 
 #[derive(Debug, Default)]
 struct Shared {
@@ -29,18 +31,20 @@ struct State {
     superseded: u64,
 }
 
-impl Outgoing {
-    /// No critical section can panic half-way, so that a poisoned lock still guards a whole state.
+impl SendQueue {
+    /// No critical section can panic half-way: the state behind a poisoned lock is whole.
     fn state(&self) -> MutexGuard<'_, State> {
         self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Hands a message to the sender, in the place of an older one that waits. Never waits. False if
-    /// nothing is sent any more.
-    pub(crate) fn push(&self, message: Outbound) -> bool {
+    /// Queues a message, in the place of an older one of its key. Never waits.
+    ///
+    /// # Errors
+    /// [`Error::Closed`] after the queue was closed.
+    pub(crate) fn push(&self, message: Outbound) -> Result<(), Error> {
         let mut state = self.state();
         if state.closed {
-            return false;
+            return Err(Error::Closed);
         }
         let key = message.key.clone();
         if state.waiting.insert(key.clone(), message).is_some() {
@@ -50,23 +54,23 @@ impl Outgoing {
         }
         drop(state);
         self.0.changed.notify_all();
-        true
+        Ok(())
     }
 
-    /// How many messages gave way to newer ones before they were sent.
+    /// How many messages were replaced by newer ones before they were sent.
     pub(crate) fn superseded(&self) -> u64 {
         self.state().superseded
     }
 
-    /// Starts the thread that sends; it ends when this is closed.
+    /// Starts the thread that sends; it ends when the queue is closed.
     pub(crate) fn start(
         &self,
         mut send: impl FnMut(Outbound) + Send + 'static,
     ) -> std::io::Result<()> {
-        let outgoing = self.clone();
+        let queue = self.clone();
         let thread = std::thread::Builder::new().name("muster-client".to_owned());
         thread.spawn(move || {
-            while let Some(message) = outgoing.next() {
+            while let Some(message) = queue.next() {
                 send(message);
             }
         })?;
@@ -90,14 +94,14 @@ impl Outgoing {
         }
     }
 
-    /// Waits a moment until everything is sent. Blocks.
+    /// Waits until everything is sent, for [`FLUSH_WITHIN`] at most. Blocks.
     pub(crate) fn flush(&self) {
         let busy =
             |state: &mut State| !state.closed && (state.sending || !state.waiting.is_empty());
         let _ = self.0.changed.wait_timeout_while(self.state(), FLUSH_WITHIN, busy);
     }
 
-    /// Sends nothing any more. Never waits.
+    /// Drops what waits and ends the thread. Never waits.
     pub(crate) fn close(&self) {
         let mut state = self.state();
         state.closed = true;
@@ -124,35 +128,35 @@ mod tests {
 
     #[test]
     fn the_newest_of_each_key_leaves_in_the_order_of_the_first() {
-        let outgoing = Outgoing::default();
+        let queue = SendQueue::default();
         for (robot, byte) in [(1, 1), (2, 2), (1, 3)] {
-            assert!(outgoing.push(pose(robot, byte)));
+            queue.push(pose(robot, byte)).unwrap();
         }
         let (sender, receiver) = mpsc::channel();
-        outgoing.start(move |message| sender.send(message.payload[0]).unwrap()).unwrap();
-        outgoing.flush();
+        queue.start(move |message| sender.send(message.payload[0]).unwrap()).unwrap();
+        queue.flush();
         assert_eq!(receiver.try_iter().collect::<Vec<_>>(), [3, 2]);
-        assert_eq!(outgoing.superseded(), 1);
-        outgoing.close();
-        assert!(!outgoing.push(pose(1, 4)));
+        assert_eq!(queue.superseded(), 1);
+        queue.close();
+        assert!(matches!(queue.push(pose(1, 4)), Err(Error::Closed)));
         assert_eq!(receiver.recv(), Err(mpsc::RecvError), "the thread has ended");
     }
 
     #[test]
     fn a_bus_that_hangs_costs_no_caller_its_time_and_no_memory() {
-        let outgoing = Outgoing::default();
+        let queue = SendQueue::default();
         let (release, held) = mpsc::channel::<()>();
         let send = move |_| {
             let _ = held.recv();
         };
-        outgoing.start(send).unwrap();
+        queue.start(send).unwrap();
         for number in 0..100_000 {
-            outgoing.push(pose(number % 4, 0));
+            queue.push(pose(number % 4, 0)).unwrap();
         }
-        let state = outgoing.state();
+        let state = queue.state();
         assert!(state.waiting.len() <= 4 && state.order.len() <= 4);
         drop(state);
         drop(release);
-        outgoing.close();
+        queue.close();
     }
 }

@@ -1,4 +1,4 @@
-//! What a robot says: checked, numbered, stamped, and said again while it holds.
+//! What a robot reports: checked, numbered, stamped, and republished while it is valid.
 
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher, Hasher, RandomState};
@@ -12,20 +12,20 @@ use muster_wire::{Format, Key, Message, Outbound};
 
 use crate::error::Error;
 
-/// Something that a robot says of itself.
+/// A report of a robot about itself.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Report {
-    /// Where it is. It holds for a moment, so that it is never said twice.
+    /// Where it is. It is valid for a moment, and never republished.
     Pose(Pose),
-    /// Whom it hears. It holds until the next report.
+    /// Which robots it receives by radio. It is valid until the next report.
     Links(Links),
-    /// Whom it answers to. It holds until the next report.
+    /// Its superior. It is valid until the next report.
     Rank(Rank),
-    /// Its edges of a declared modality. They hold until the next report.
+    /// Its edges of a declared modality. They are valid until the next report.
     Relation(Modality, Relation),
 }
 
-/// One stream of a robot: newer words take the place of older ones.
+/// One stream of a robot: a newer report replaces an older one.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 enum Stream {
     Pose,
@@ -34,21 +34,21 @@ enum Stream {
     Relation(Modality),
 }
 
-/// A report that holds until the next one of its stream.
+/// A report that is valid until the next one of its stream.
 #[derive(Debug)]
-struct Standing {
+struct Valid {
     report: Report,
-    said: Instant,
+    published: Instant,
 }
 
-/// The voice of one robot.
+/// Turns the reports of one robot into messages.
 #[derive(Debug)]
-pub(crate) struct Voice {
+pub(crate) struct Reporter {
     robot: RobotId,
     format: Format,
     boot: String,
     sequences: BTreeMap<Stream, u64>,
-    standing: BTreeMap<Stream, Standing>,
+    valid: BTreeMap<Stream, Valid>,
 }
 
 /// A name for one run of a robot's software, which no other run has.
@@ -59,7 +59,7 @@ fn new_boot() -> String {
     format!("{:x}-{random:x}", wall_clock().0)
 }
 
-/// Now, by the clock of the host. It is read anew each time: many robots set it after they start.
+/// Now, by the clock of the host. It is read each time: many robots set it after they start.
 pub(crate) fn wall_clock() -> Tick {
     Tick(0).after(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default())
 }
@@ -80,14 +80,14 @@ impl Report {
             Self::Links(links) => {
                 links.check()?;
                 if links.links.iter().any(|link| link.peer == *robot) {
-                    let problem = "a robot does not report that it hears itself";
+                    let problem = "a robot does not report a link to itself";
                     return Err(Error::input("links.peer", problem));
                 }
             }
             Self::Rank(rank) => {
                 rank.check()?;
                 if rank.superior.as_ref() == Some(robot) {
-                    let problem = "a robot does not answer to itself; None is the top";
+                    let problem = "a robot is not its own superior; None is the top";
                     return Err(Error::input("superior", problem));
                 }
             }
@@ -108,8 +108,7 @@ impl Report {
         Ok(())
     }
 
-    /// The report as it is put: with the name of the run and its number, and with a stamp if it has
-    /// none of its own.
+    /// The report as a message: with boot id and sequence number, and with a stamp if it has none.
     fn message(self, robot: RobotId, stamp: f64, boot: &str, number: u64) -> Message {
         macro_rules! marked {
             ($body:expr) => {{
@@ -129,60 +128,59 @@ impl Report {
     }
 }
 
-impl Voice {
+impl Reporter {
     pub(crate) fn new(robot: RobotId, format: Format) -> Self {
-        Self {
-            robot,
-            format,
-            boot: new_boot(),
-            sequences: BTreeMap::new(),
-            standing: BTreeMap::new(),
-        }
+        Self { robot, format, boot: new_boot(), sequences: BTreeMap::new(), valid: BTreeMap::new() }
     }
 
-    /// The name of this run of the robot's software.
+    /// The robot.
+    pub(crate) fn robot(&self) -> &RobotId {
+        &self.robot
+    }
+
+    /// The boot id: the name of this run of the robot's software.
     pub(crate) fn boot(&self) -> &str {
         &self.boot
     }
 
-    /// Says something.
+    /// The message of a report, to be put now.
     ///
     /// # Errors
-    /// Names the field that is wrong.
-    pub(crate) fn say(&mut self, now: Instant, report: Report) -> Result<Outbound, Error> {
+    /// [`Error::Input`] names the field that is wrong.
+    pub(crate) fn publish(&mut self, now: Instant, report: Report) -> Result<Outbound, Error> {
         report.check(&self.robot)?;
         let stream = report.stream();
         let relations =
-            self.standing.keys().filter(|stream| matches!(stream, Stream::Relation(_))).count();
+            self.valid.keys().filter(|stream| matches!(stream, Stream::Relation(_))).count();
         if matches!(stream, Stream::Relation(_))
             && relations >= MAX_DECLARED_MODALITIES
-            && !self.standing.contains_key(&stream)
+            && !self.valid.contains_key(&stream)
         {
             let problem = format!("a fleet declares at most {MAX_DECLARED_MODALITIES}");
             return Err(Error::input("modality", problem));
         }
         let outbound = self.encode(&stream, report.clone())?;
         if stream != Stream::Pose {
-            self.standing.insert(stream, Standing { report, said: now });
+            self.valid.insert(stream, Valid { report, published: now });
         }
         Ok(outbound)
     }
 
-    /// Says again what holds and was last said before a moment.
-    pub(crate) fn repeat(&mut self, now: Instant, before: Instant) -> Vec<Outbound> {
+    /// The messages of all valid reports that were last published before a moment.
+    pub(crate) fn republish(&mut self, now: Instant, before: Instant) -> Vec<Outbound> {
         let due: Vec<(Stream, Report)> = self
-            .standing
+            .valid
             .iter_mut()
-            .filter(|(_, standing)| standing.said <= before)
-            .map(|(stream, standing)| {
-                standing.said = now;
-                (stream.clone(), standing.report.clone())
+            .filter(|(_, valid)| valid.published <= before)
+            .map(|(stream, valid)| {
+                valid.published = now;
+                (stream.clone(), valid.report.clone())
             })
             .collect();
         let encoded = due.into_iter().map(|(stream, report)| self.encode(&stream, report));
         encoded
             .filter_map(|outbound| {
-                outbound.inspect_err(|error| tracing::debug!("not repeated: {error}")).ok()
+                outbound.inspect_err(|error| tracing::debug!("not republished: {error}")).ok()
             })
             .collect()
     }
@@ -225,12 +223,12 @@ mod tests {
         RobotId::new(name).unwrap()
     }
 
-    fn voice() -> Voice {
-        Voice::new(id("r1"), Format::Json)
+    fn reporter() -> Reporter {
+        Reporter::new(id("r1"), Format::Json)
     }
 
-    /// What a service understands of it.
-    fn heard(outbound: Outbound) -> (Message, Provenance) {
+    /// What a service decodes of it.
+    fn decoded(outbound: Outbound) -> (Message, Provenance) {
         let space = KeySpace::new(FleetId::new("f").unwrap());
         let packet = Packet {
             key: space.format(&outbound.key),
@@ -260,52 +258,52 @@ mod tests {
 
     #[test]
     fn each_stream_counts_by_itself_within_one_run() {
-        let (mut voice, now) = (voice(), Instant::now());
-        let mut seen = Vec::new();
+        let (mut reporter, now) = (reporter(), Instant::now());
+        let mut numbered = Vec::new();
         for report in [
             Report::Pose(Pose::at(1.0, 2.0)),
             Report::Pose(Pose { stamp: Some(7.0), ..Pose::at(1.0, 2.0) }),
             Report::Rank(Rank::under(None)),
         ] {
-            let (_, provenance) = heard(voice.say(now, report).unwrap());
-            assert_eq!(provenance.boot.as_deref(), Some(voice.boot()));
-            seen.push((provenance.seq, provenance.stamp));
+            let (_, provenance) = decoded(reporter.publish(now, report).unwrap());
+            assert_eq!(provenance.boot.as_deref(), Some(reporter.boot()));
+            numbered.push((provenance.seq, provenance.stamp));
         }
         assert_eq!(
-            seen.iter().map(|(seq, _)| *seq).collect::<Vec<_>>(),
+            numbered.iter().map(|(seq, _)| *seq).collect::<Vec<_>>(),
             [Some(1), Some(2), Some(1)]
         );
-        assert_eq!(seen[1].1, Some(7.0), "the stamp of a sensor stands");
-        assert!((seen[0].1.unwrap() - wall_clock().as_seconds()).abs() < 60.0);
+        assert_eq!(numbered[1].1, Some(7.0), "the stamp of a sensor is kept");
+        assert!((numbered[0].1.unwrap() - wall_clock().as_seconds()).abs() < 60.0);
         assert_ne!(new_boot(), new_boot());
         assert!(new_boot().len() <= muster_model::limits::MAX_TEXT_LENGTH);
     }
 
     #[test]
-    fn what_holds_is_said_again_with_later_numbers_and_poses_are_not() {
-        let (mut voice, start) = (voice(), Instant::now());
+    fn valid_reports_are_republished_with_higher_numbers_and_poses_are_not() {
+        let (mut reporter, start) = (reporter(), Instant::now());
         let later = start + Duration::from_secs(1);
-        voice.say(start, Report::Pose(Pose::at(0.0, 0.0))).unwrap();
-        voice.say(start, Report::Rank(Rank::under(Some(id("r0"))))).unwrap();
-        voice.say(start, links(["r2".to_owned()])).unwrap();
-        voice.say(later, links(["r3".to_owned()])).unwrap();
-        let again = voice.repeat(later, start);
-        assert_eq!(again.len(), 1, "the links are young");
-        let (message, provenance) = heard(again.into_iter().next().unwrap());
+        reporter.publish(start, Report::Pose(Pose::at(0.0, 0.0))).unwrap();
+        reporter.publish(start, Report::Rank(Rank::under(Some(id("r0"))))).unwrap();
+        reporter.publish(start, links(["r2".to_owned()])).unwrap();
+        reporter.publish(later, links(["r3".to_owned()])).unwrap();
+        let due = reporter.republish(later, start);
+        assert_eq!(due.len(), 1, "the links are young");
+        let (message, provenance) = decoded(due.into_iter().next().unwrap());
         assert!(matches!(message, Message::Rank(..)));
         assert_eq!(provenance.seq, Some(2));
-        let all: Vec<_> = voice.repeat(later, later).into_iter().map(heard).collect();
+        let all: Vec<_> = reporter.republish(later, later).into_iter().map(decoded).collect();
         assert_eq!(all.len(), 2);
         let newest = |(message, _): &(Message, Provenance)| match message {
             Message::Links(_, links) => links.links[0].peer == id("r3"),
             _ => false,
         };
-        assert!(all.iter().any(newest), "the newest stands");
+        assert!(all.iter().any(newest), "the newest is republished");
     }
 
     #[test]
-    fn every_wrong_field_is_named_and_nothing_of_it_stands() {
-        let (mut voice, now) = (voice(), Instant::now());
+    fn every_wrong_field_is_named_and_nothing_of_it_is_kept() {
+        let (mut reporter, now) = (reporter(), Instant::now());
         let thermal = || Modality::new("thermal").unwrap();
         let me = || id("r1");
         let wrong = [
@@ -323,10 +321,10 @@ mod tests {
             ("modality", Report::Relation(Modality::spatial(), relation(vec![]))),
         ];
         for (field, report) in wrong {
-            let error = voice.say(now, report).unwrap_err().to_string();
+            let error = reporter.publish(now, report).unwrap_err().to_string();
             assert!(error.starts_with(&format!("{field}: ")), "{error}");
         }
-        assert!(voice.repeat(now, now).is_empty());
+        assert!(reporter.republish(now, now).is_empty());
     }
 
     #[test]
@@ -335,17 +333,17 @@ mod tests {
         let long = |i: usize| format!("{i:a>MAX_ID_LENGTH$}");
         let longest = RobotId::new("z".repeat(MAX_ID_LENGTH)).unwrap();
         for format in [Format::Json, Format::Binary] {
-            let mut voice = Voice::new(longest.clone(), format);
-            voice.say(now, links((0..MAX_LINKS).map(long))).unwrap();
+            let mut reporter = Reporter::new(longest.clone(), format);
+            reporter.publish(now, links((0..MAX_LINKS).map(long))).unwrap();
             let edges = (0..MAX_RELATION_EDGES)
                 .map(|i| (longest.clone(), id(&long(i)), 0.123_456_789_012_345_6));
             let edges = relation(edges.collect());
             for number in 0..MAX_DECLARED_MODALITIES {
                 let modality = Modality::new(format!("m{number}")).unwrap();
-                voice.say(now, Report::Relation(modality, edges.clone())).unwrap();
+                reporter.publish(now, Report::Relation(modality, edges.clone())).unwrap();
             }
             let more = Report::Relation(Modality::new("more").unwrap(), edges);
-            assert!(voice.say(now, more).unwrap_err().to_string().contains("at most 16"));
+            assert!(reporter.publish(now, more).unwrap_err().to_string().contains("at most 16"));
         }
     }
 }

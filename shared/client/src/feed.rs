@@ -1,0 +1,116 @@
+//! Messages of which each one counts, in order: events of a fleet, poses of robots.
+
+use futures_util::{Stream, StreamExt as _, stream};
+use muster_bus::{Bus, Subscription};
+use muster_model::event::Event;
+use muster_model::id::RobotId;
+use muster_model::observation::Pose;
+use muster_model::time::Tick;
+use muster_wire::{Key, Message, Pattern};
+use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::{broadcast, watch};
+
+use crate::error::Error;
+use crate::reporter::wall_clock;
+
+/// Most messages that wait for a slow reader. When a whole fleet joins at once, the last of them are
+/// delivered, and how many were missed.
+const MAX_WAITING_MESSAGES: usize = 1024;
+
+/// Messages from the moment of subscribing on.
+#[derive(Debug)]
+pub struct Feed<T> {
+    receiver: broadcast::Receiver<T>,
+    link: watch::Receiver<bool>,
+    missed: u64,
+    _subscriptions: Vec<Subscription>,
+}
+
+/// The events of a fleet, from the moment of subscribing on.
+pub type Events = Feed<Event>;
+
+/// The pose of a robot, as it arrived.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReceivedPose {
+    /// The robot.
+    pub robot: RobotId,
+    /// What it put.
+    pub pose: Pose,
+    /// When it arrived, by the clock of this host.
+    pub received: Tick,
+}
+
+impl<T: Clone + Send + 'static> Feed<T> {
+    /// Subscribes to keys. `read` takes what it wants of a message; others are dropped.
+    pub(crate) async fn subscribe(
+        bus: &Bus,
+        keys: impl IntoIterator<Item = Key>,
+        read: fn(Message) -> Option<T>,
+    ) -> Result<Self, Error> {
+        let (sender, receiver) = broadcast::channel(MAX_WAITING_MESSAGES);
+        let mut subscriptions = Vec::new();
+        for key in keys {
+            let (sender, space) = (sender.clone(), bus.space().clone());
+            let accept = move |packet| match Message::decode(&space, &packet) {
+                Ok(message) => {
+                    if let Some(content) = read(message) {
+                        // It fails if the reader is gone; the subscription follows at once.
+                        let _ = sender.send(content);
+                    }
+                }
+                Err(refused) => tracing::debug!("refused on {}: {}", refused.key, refused.reason),
+            };
+            subscriptions.push(bus.listen(&Pattern::One(key), accept).await.map_err(Error::bus)?);
+        }
+        Ok(Self { receiver, link: bus.link(), missed: 0, _subscriptions: subscriptions })
+    }
+
+    /// The next message. It may be cancelled at any time, as in `select!`, without losing one.
+    ///
+    /// # Errors
+    /// [`Error::Closed`] once the client is closed.
+    pub async fn next(&mut self) -> Result<T, Error> {
+        loop {
+            tokio::select! {
+                biased;
+                received = self.receiver.recv() => match received {
+                    Ok(message) => return Ok(message),
+                    Err(RecvError::Lagged(missed)) => self.missed += missed,
+                    Err(RecvError::Closed) => return Err(Error::Closed),
+                },
+                // The session outlives the client where it belongs to the caller.
+                changed = self.link.changed() => if changed.is_err() {
+                    return Err(Error::Closed);
+                },
+            }
+        }
+    }
+
+    /// How many messages were dropped because more than 1024 waited.
+    #[must_use]
+    pub const fn missed(&self) -> u64 {
+        self.missed
+    }
+
+    /// The same messages as a stream, which ends when the client is closed.
+    pub fn into_stream(self) -> impl Stream<Item = T> + Send + Unpin + 'static {
+        let next = async |mut feed: Self| feed.next().await.ok().map(|message| (message, feed));
+        stream::unfold(self, next).boxed()
+    }
+}
+
+/// An event out of a message.
+pub(crate) fn event(message: Message) -> Option<Event> {
+    match message {
+        Message::Event(event) => Some(event),
+        _ => None,
+    }
+}
+
+/// A pose out of a message.
+pub(crate) fn pose(message: Message) -> Option<ReceivedPose> {
+    match message {
+        Message::Pose(robot, pose) => Some(ReceivedPose { robot, pose, received: wall_clock() }),
+        _ => None,
+    }
+}

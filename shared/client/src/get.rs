@@ -1,0 +1,340 @@
+//! Gets: what a console asks for once. Messages that cannot be decoded are logged and left out.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+
+use muster_bus::{Answer, Ask};
+use muster_model::audit::Audit;
+use muster_model::embedding::Embedding;
+use muster_model::graph::GraphDelta;
+use muster_model::header::Revision;
+use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
+use muster_model::katz::PairSimilarity;
+use muster_model::roster::Roster;
+use muster_model::status::ServiceStatus;
+use muster_model::teams::Teams;
+use muster_wire::message::quoted;
+use muster_wire::{Key, Message, Packet, Pattern};
+use serde_json::Value;
+
+use crate::client::Client;
+use crate::error::Error;
+use crate::reporter::wall_clock;
+
+/// How long replies to a get are waited for: a service that runs answers within milliseconds, and one
+/// on a slow link within seconds.
+const REPLY_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// The same for the similarity of a pair: the first one computes that of all pairs of the fleet.
+const SIMILARITY_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// A running instance of a service, by its liveliness token.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct ServiceInstance {
+    /// The service.
+    pub service: ServiceName,
+    /// The instance.
+    pub instance: InstanceId,
+}
+
+/// A fleet on the bus, by its liveliness tokens.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FleetPresence {
+    /// The fleet.
+    pub fleet: FleetId,
+    /// How many instances of services it has.
+    pub services: usize,
+    /// How many robots it has.
+    pub robots: usize,
+}
+
+/// Who is to reply to a get.
+#[derive(Debug, Clone, Copy)]
+enum Target {
+    /// The service itself; only without it every cache.
+    Service,
+    /// Everybody who serves the key, caches too.
+    All,
+}
+
+/// What the error reply of a service says.
+fn reason(error: &str) -> String {
+    let text = serde_json::from_str::<Value>(error).ok();
+    let text = text.as_ref().and_then(|value| value.get("error")?.as_str());
+    quoted(text.unwrap_or(error))
+}
+
+fn revision(message: &Message) -> Revision {
+    message.header().map_or_else(Revision::default, |header| header.revision)
+}
+
+impl Client {
+    /// The newest division that anybody knows.
+    ///
+    /// # Errors
+    /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
+    pub async fn get_teams(&self) -> Result<Arc<Teams>, Error> {
+        self.newest(Key::Teams, |message| match message {
+            Message::Teams { teams, .. } => Some(teams),
+            _ => None,
+        })
+        .await
+    }
+
+    /// The newest audit that anybody knows.
+    ///
+    /// # Errors
+    /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
+    pub async fn get_audit(&self) -> Result<Arc<Audit>, Error> {
+        self.newest(Key::Audit, |message| match message {
+            Message::Audit(audit) => Some(audit),
+            _ => None,
+        })
+        .await
+    }
+
+    /// The newest roster that anybody knows.
+    ///
+    /// # Errors
+    /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
+    pub async fn get_roster(&self) -> Result<Arc<Roster>, Error> {
+        self.newest(Key::Roster, |message| match message {
+            Message::Roster(roster) => Some(roster),
+            _ => None,
+        })
+        .await
+    }
+
+    /// The newest embedding that anybody knows.
+    ///
+    /// # Errors
+    /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
+    pub async fn get_embedding(&self) -> Result<Arc<Embedding>, Error> {
+        self.newest(Key::Embedding, |message| match message {
+            Message::Embedding(embedding) => Some(embedding),
+            _ => None,
+        })
+        .await
+    }
+
+    /// The newest snapshot of one graph, or of each, by name.
+    ///
+    /// # Errors
+    /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
+    pub async fn get_graphs(
+        &self,
+        modality: Option<&Modality>,
+    ) -> Result<Vec<Arc<GraphDelta>>, Error> {
+        let pattern =
+            modality.map_or(Pattern::Graphs, |modality| Pattern::One(Key::Graph(modality.clone())));
+        let mut newest: BTreeMap<Modality, Arc<GraphDelta>> = BTreeMap::new();
+        for message in self.messages(&pattern).await? {
+            if let Message::Graph(graph) = message {
+                let entry = newest.entry(graph.modality.clone()).or_insert_with(|| graph.clone());
+                if entry.header.revision < graph.header.revision {
+                    *entry = graph;
+                }
+            }
+        }
+        if newest.is_empty() {
+            return Err(self.unanswered(match modality {
+                Some(modality) => format!("the graph {modality}"),
+                None => "graphs".to_owned(),
+            }));
+        }
+        Ok(newest.into_values().collect())
+    }
+
+    /// The Katz similarity of two robots: the weight of all walks from one to the other. The first call
+    /// may take seconds in a large fleet.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] if `embedder` does not know a robot, [`Error::Unanswered`] if it does not run,
+    /// [`Error::Bus`] if the bus fails or the reply is not of this form.
+    pub async fn get_similarity(
+        &self,
+        from: &RobotId,
+        to: &RobotId,
+    ) -> Result<PairSimilarity, Error> {
+        let ask = Ask {
+            parameters: &format!("format=json;katz={from},{to}"),
+            payload: None,
+            within: SIMILARITY_TIMEOUT,
+            everybody: false,
+        };
+        for answer in self.get(&Pattern::One(Key::Embedding), ask).await? {
+            match answer {
+                Answer::Packet(packet) => {
+                    let pair = muster_wire::katz::decode(self.bus().space(), &packet, wall_clock());
+                    return pair.map_err(|refused| Error::bus(refused.reason));
+                }
+                Answer::Error(error) => {
+                    let service = ServiceName::Embedder;
+                    return Err(Error::Refused { service, reason: reason(&error) });
+                }
+            }
+        }
+        Err(self.unanswered("similarities"))
+    }
+
+    /// The status of each running instance of one service, or of all, ordered by service and instance.
+    /// Empty if none replies. Anybody may reply: texts of it may hold any character.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn get_statuses(
+        &self,
+        service: Option<ServiceName>,
+    ) -> Result<Vec<ServiceStatus>, Error> {
+        let pattern = service.map_or(Pattern::Statuses, |name| Pattern::One(Key::Status(name)));
+        let answers = self.get(&pattern, ask_for("format=json", Target::All)).await?;
+        let read = |answer| match answer {
+            Answer::Packet(packet) => {
+                serde_json::from_slice::<ServiceStatus>(&packet.payload.ok()?).ok()
+            }
+            Answer::Error(_) => None,
+        };
+        let wanted = |status: &ServiceStatus| service.is_none_or(|name| status.service == name);
+        let mut statuses: Vec<_> = answers.into_iter().filter_map(read).filter(wanted).collect();
+        statuses.sort_by(|left, right| {
+            (left.service, &left.instance).cmp(&(right.service, &right.instance))
+        });
+        Ok(statuses)
+    }
+
+    /// The settings of a service, as the JSON object that `muster set SERVICE` shows.
+    ///
+    /// # Errors
+    /// [`Error::Unanswered`] if the service does not run, [`Error::Bus`] if the bus fails or the reply is
+    /// no JSON.
+    pub async fn get_settings(&self, service: ServiceName) -> Result<Value, Error> {
+        self.settings_reply(service, None).await
+    }
+
+    /// Changes settings of a service, and returns all of them. The patch is a JSON object with the fields
+    /// to change; it is checked as a whole, applied at once and kept over a restart of the service. `null`
+    /// resets a field to its default.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] if a field is unknown or a value is wrong; the reason names it.
+    /// [`Error::Unanswered`] if the service does not run, [`Error::Bus`] if the bus fails.
+    pub async fn change_settings(
+        &self,
+        service: ServiceName,
+        patch: &Value,
+    ) -> Result<Value, Error> {
+        self.settings_reply(service, Some(patch.to_string().as_bytes())).await
+    }
+
+    /// The running instances of services, by their liveliness tokens.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn get_instances(&self) -> Result<BTreeSet<ServiceInstance>, Error> {
+        let tokens = self.bus().tokens(&Pattern::ServiceTokens, REPLY_TIMEOUT).await;
+        let instance = |key| match key {
+            Key::ServiceToken(service, instance) => Some(ServiceInstance { service, instance }),
+            _ => None,
+        };
+        Ok(tokens.map_err(Error::bus)?.into_iter().filter_map(instance).collect())
+    }
+
+    /// The robots that have joined, by their liveliness tokens.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn get_joined_robots(&self) -> Result<BTreeSet<RobotId>, Error> {
+        let tokens = self.bus().tokens(&Pattern::RobotTokens, REPLY_TIMEOUT).await;
+        Ok(tokens.map_err(Error::bus)?.iter().filter_map(|key| key.robot().cloned()).collect())
+    }
+
+    /// All fleets of the bus, by their liveliness tokens, ordered by name.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn get_fleets(&self) -> Result<Vec<FleetPresence>, Error> {
+        let tokens = self.bus().tokens_of_all_fleets(REPLY_TIMEOUT).await.map_err(Error::bus)?;
+        let mut fleets: BTreeMap<FleetId, FleetPresence> = BTreeMap::new();
+        for (fleet, key) in tokens {
+            let presence = fleets.entry(fleet.clone());
+            let presence =
+                presence.or_insert_with(|| FleetPresence { fleet, services: 0, robots: 0 });
+            match key {
+                Key::ServiceToken(..) => presence.services += 1,
+                Key::RobotToken(_) => presence.robots += 1,
+                _ => {}
+            }
+        }
+        Ok(fleets.into_values().collect())
+    }
+
+    async fn settings_reply(
+        &self,
+        service: ServiceName,
+        patch: Option<&[u8]>,
+    ) -> Result<Value, Error> {
+        let ask = Ask { payload: patch, ..ask_for("format=json", Target::Service) };
+        let mut refused = None;
+        for answer in self.get(&Pattern::One(Key::Settings(service)), ask).await? {
+            match answer {
+                Answer::Packet(Packet { payload: Ok(payload), .. }) => {
+                    return serde_json::from_slice(&payload).map_err(Error::bus);
+                }
+                Answer::Packet(_) => {}
+                Answer::Error(error) => {
+                    refused = Some(Error::Refused { service, reason: reason(&error) });
+                }
+            }
+        }
+        Err(refused.unwrap_or_else(|| self.unanswered(Key::Settings(service))))
+    }
+
+    async fn newest<T>(&self, key: Key, read: fn(Message) -> Option<T>) -> Result<T, Error> {
+        let all = self.messages(&Pattern::One(key.clone())).await?;
+        let newest = all.into_iter().max_by_key(revision).and_then(read);
+        newest.ok_or_else(|| self.unanswered(key))
+    }
+
+    /// All replies to a get that can be decoded.
+    async fn messages(&self, pattern: &Pattern) -> Result<Vec<Message>, Error> {
+        let mut messages = Vec::new();
+        for answer in self.get(pattern, ask_for("format=bincode", Target::All)).await? {
+            match answer {
+                Answer::Packet(packet) => match Message::decode(self.bus().space(), &packet) {
+                    Ok(message) => messages.push(message),
+                    Err(refused) => {
+                        tracing::warn!("refused on {}: {}", refused.key, refused.reason);
+                    }
+                },
+                Answer::Error(error) => tracing::warn!("answered with {}", quoted(&error)),
+            }
+        }
+        Ok(messages)
+    }
+
+    async fn get(&self, pattern: &Pattern, ask: Ask<'_>) -> Result<Vec<Answer>, Error> {
+        self.bus().get(pattern, ask).await.map_err(Error::bus)
+    }
+
+    fn unanswered(&self, key: impl ToString) -> Error {
+        Error::Unanswered { key: key.to_string(), fleet: self.bus().space().fleet().clone() }
+    }
+}
+
+fn ask_for(parameters: &str, target: Target) -> Ask<'_> {
+    let everybody = matches!(target, Target::All);
+    Ask { parameters, payload: None, within: REPLY_TIMEOUT, everybody }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_reason_of_a_refusal_is_fit_for_a_terminal() {
+        assert_eq!(reason(r#"{"error": "teams: too few", "field": "teams"}"#), "teams: too few");
+        assert_eq!(reason("plain\u{1b}[2J"), "plain\u{FFFD}[2J");
+        assert!(reason(&"x".repeat(10_000)).len() < 200);
+    }
+}

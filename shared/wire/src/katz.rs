@@ -1,0 +1,172 @@
+//! The Katz similarity of two robots as consoles read it: the JSON reply to `embedding?katz=from,to`.
+
+use std::collections::BTreeMap;
+
+use muster_model::header::{Header, Revision, StageTime};
+use muster_model::id::{FleetId, Modality, RobotId, ServiceName};
+use muster_model::katz::{PairMethod, PairSimilarity};
+use muster_model::limits::MAX_REVISION;
+use muster_model::time::{Tick, seconds};
+use serde::Deserialize;
+
+use crate::key::{Key, KeySpace};
+use crate::message::{Packet, Rejection};
+
+/// The JSON form. Unknown fields are ignored, so that a console reads what newer services send.
+#[derive(Deserialize)]
+struct Form {
+    fleet: FleetId,
+    term: u64,
+    epoch: u64,
+    data_age_s: Option<f64>,
+    stages: Vec<Stage>,
+    from: RobotId,
+    to: RobotId,
+    similarity: f64,
+    shares: BTreeMap<Modality, f64>,
+    alpha: f64,
+    method: PairMethod,
+    residual: f64,
+}
+
+#[derive(Deserialize)]
+struct Stage {
+    stage: ServiceName,
+    received: f64,
+    published: f64,
+}
+
+/// Decodes the reply to a get of `embedding?katz=from,to`. The age of the data that JSON names counts
+/// from `now`, the moment of arrival.
+///
+/// # Errors
+/// A [`Rejection`] if the key is not the embedding of this fleet, the content is not of this form, or a
+/// number is not finite or negative.
+pub fn decode(space: &KeySpace, packet: &Packet, now: Tick) -> Result<PairSimilarity, Rejection> {
+    read(space, packet, now).map_err(|reason| Rejection::new(space, &packet.key, reason))
+}
+
+fn read(space: &KeySpace, packet: &Packet, now: Tick) -> Result<PairSimilarity, String> {
+    if space.parse(&packet.key).map_err(|error| error.to_string())? != Key::Embedding {
+        return Err("similarities stand on the key of the embedding".to_owned());
+    }
+    let bytes = packet.payload.as_ref().map_err(|size| format!("{size} bytes are too many"))?;
+    let form: Form = serde_json::from_slice(bytes)
+        .map_err(|error| format!("this is not the JSON it should be: {error}"))?;
+    if form.fleet != *space.fleet() {
+        return Err(format!(
+            "fleet: the key is of {}, the message of {}",
+            space.fleet(),
+            form.fleet
+        ));
+    }
+    if form.term.max(form.epoch) >= MAX_REVISION {
+        return Err(format!("term and epoch must be below {MAX_REVISION}"));
+    }
+    let numbers = [form.similarity, form.alpha, form.residual];
+    if !numbers.iter().chain(form.shares.values()).all(|number| *number >= 0.0) {
+        return Err("similarity, shares, alpha, residual: must not be negative".to_owned());
+    }
+    let moment = |at: f64| Tick(0).after(seconds(at));
+    let stages = form.stages.into_iter().map(|stage| StageTime {
+        stage: stage.stage,
+        received: moment(stage.received),
+        published: moment(stage.published),
+    });
+    Ok(PairSimilarity {
+        header: Header {
+            fleet: form.fleet,
+            revision: Revision { term: form.term, epoch: form.epoch },
+            oldest: form.data_age_s.map(|age| now.before(seconds(age))),
+            newest: None,
+            stages: stages.collect(),
+        },
+        from: form.from,
+        to: form.to,
+        similarity: form.similarity,
+        shares: form.shares.into_iter().collect(),
+        alpha: form.alpha,
+        method: form.method,
+        residual: form.residual,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::*;
+    use crate::json::EdgeJson;
+    use crate::message::{JSON, Source};
+
+    fn space() -> KeySpace {
+        KeySpace::new(FleetId::new("alpha").unwrap())
+    }
+
+    fn sample() -> PairSimilarity {
+        PairSimilarity {
+            header: Header {
+                fleet: FleetId::new("alpha").unwrap(),
+                revision: Revision { term: 3, epoch: 44 },
+                oldest: Some(Tick(9_000_000)),
+                newest: None,
+                stages: vec![StageTime {
+                    stage: ServiceName::Ingest,
+                    received: Tick(9_500_000),
+                    published: Tick(9_600_000),
+                }],
+            },
+            from: RobotId::new("r1").unwrap(),
+            to: RobotId::new("r2").unwrap(),
+            similarity: 0.1 + 0.2,
+            shares: vec![(Modality::hierarchy(), 0.1), (Modality::spatial(), 0.2)],
+            alpha: 1.0 / 3.0,
+            method: PairMethod::Cached,
+            residual: 1e-17,
+        }
+    }
+
+    fn decoded(change: impl Fn(&mut Value)) -> Result<PairSimilarity, String> {
+        let now = Tick(10_000_000);
+        let mut value: Value = serde_json::from_slice(&sample().to_json(now).unwrap()).unwrap();
+        change(&mut value);
+        let packet = Packet {
+            key: "muster/v1/alpha/embedding".to_owned(),
+            encoding: JSON.to_owned(),
+            source: Source::Put,
+            payload: Ok(value.to_string().into_bytes()),
+        };
+        decode(&space(), &packet, now).map_err(|refused| refused.reason)
+    }
+
+    #[test]
+    fn a_console_reads_what_the_embedder_writes_bit_by_bit() {
+        assert_eq!(decoded(|_| {}).unwrap(), sample());
+        assert_eq!(decoded(|value| value["new"] = json!(1)).unwrap(), sample());
+    }
+
+    #[test]
+    fn nonsense_is_refused_by_name() {
+        for (field, value, named) in [
+            ("fleet", json!("beta"), "fleet"),
+            ("from", json!("R 1"), "JSON"),
+            ("similarity", json!(-1.0), "similarity"),
+            ("shares", json!({"spatial": -1.0}), "shares"),
+            ("term", json!(u64::MAX), "term"),
+            ("method", json!("guess"), "JSON"),
+        ] {
+            let reason = decoded(|whole| whole[field] = value.clone()).unwrap_err();
+            assert!(reason.contains(named), "{field} {value}: {reason}");
+        }
+        for (key, payload) in [
+            ("muster/v1/alpha/teams", Ok(Vec::new())),
+            ("muster/v1/beta/embedding", Ok(Vec::new())),
+            ("muster/v1/alpha/embedding", Ok(b"{}".to_vec())),
+            ("muster/v1/alpha/embedding", Err(1 << 30)),
+        ] {
+            let key = key.to_owned();
+            let packet = Packet { key, encoding: String::new(), source: Source::Put, payload };
+            assert!(decode(&space(), &packet, Tick(0)).is_err());
+        }
+    }
+}
