@@ -65,7 +65,7 @@ impl AlphaBand {
     /// times the upper bound is within [`AlphaBand::limits`], f over the upper bound otherwise.
     ///
     /// The radius of an acyclic graph is 0 and admits every α; its norm ‖A‖₂ takes the place of
-    /// the radius then, or 1 without any edge (see [`crate::katz::Alpha::resolve`]).
+    /// the radius then, or 1 without any edge (see [`crate::katz::resolve_alpha`]).
     pub fn choose(&mut self, a: &SparseMatrix, bound: &RadiusBound) -> Decay {
         let scale = match bound.upper {
             upper if upper > 0.0 => upper,

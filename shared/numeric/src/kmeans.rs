@@ -17,6 +17,7 @@ mod seeding;
 mod sums;
 mod warm;
 
+pub use muster_model::settings::CentroidStart as Init;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -40,17 +41,6 @@ const RESTARTS_PER_THREAD: usize = 4;
 /// Most threads that are started. More than any machine has cores help nobody, and each has a
 /// stack.
 const MAX_THREADS: usize = 1024;
-
-/// How the first centroids of a restart are chosen.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Init {
-    /// Greedy k-means++: far from one another, the best of 2 + ln k candidates each.
-    #[default]
-    PlusPlus,
-    /// As in the paper, at random: distinct points drawn uniformly. (Positions drawn from the
-    /// bounding box would start with empty clusters in a large share of runs.)
-    Random,
-}
 
 /// What to compute.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -13,6 +13,7 @@ mod sample;
 mod scores;
 mod squared;
 
+pub use muster_model::audit::SilhouetteMethod as Method;
 use thiserror::Error;
 
 use crate::matrix::DenseMatrix;
@@ -21,7 +22,7 @@ use groups::Groups;
 pub use sample::{
     EXACT_POINTS, SAMPLE, SilhouetteEstimate, SilhouetteOptions, estimate_silhouette,
 };
-pub use scores::{Scores, scores};
+pub use scores::{Scores, method_by_size, scores};
 pub use squared::silhouette_squared;
 
 /// Why there are no silhouettes.
@@ -41,18 +42,6 @@ pub enum SilhouetteError {
         /// Number of clusters, 0 or 1.
         clusters: usize,
     },
-}
-
-/// How silhouettes were computed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Method {
-    /// From Euclidean distances between all pairs of points, up to rounding.
-    Exact,
-    /// From squared Euclidean distances between all pairs of points, up to rounding. The values
-    /// differ from those of [`Method::Exact`]: they are further away from zero.
-    SquaredExact,
-    /// From Euclidean distances between some points and all points: an estimate.
-    Sampled,
 }
 
 /// Silhouettes of one division, each between −1 and 1.

@@ -7,14 +7,15 @@
 use std::fmt::Write as _;
 use std::io::Write as _;
 
+use muster_method::decomposition::Path;
 use muster_model::id::Modality;
 use serde::Serialize;
 
 use super::SolveError;
-use super::cost::{Size, whole};
+use super::cost::{Size, steps, whole};
 use super::memory::{admit, available_mib, fits};
 use super::options::Options;
-use super::path::Path;
+use super::path::{description, path_of};
 use super::problem::Problem;
 use super::speed::Speed;
 
@@ -54,10 +55,9 @@ struct StepEstimate {
 /// # Errors
 /// Where no path leads to what is asked for.
 pub(super) fn estimate(problem: &Problem) -> Result<Estimate, SolveError> {
-    let (path, size) = (Path::of(problem, problem.options.path)?, Size::of(problem));
+    let (path, size) = (path_of(problem, problem.options.path)?, Size::of(problem));
     let speed = Speed::measure();
-    let steps: Vec<StepEstimate> = path
-        .steps()
+    let steps: Vec<StepEstimate> = steps(path)
         .map(|cost| StepEstimate {
             step: cost.step.to_string(),
             seconds: (cost.seconds)(&size, &speed),
@@ -127,7 +127,7 @@ impl Estimate {
             self.robots,
             self.edges,
             graphs.join(", "),
-            self.path.description(),
+            description(self.path),
             self.peak_mib,
             duration(self.seconds),
         );

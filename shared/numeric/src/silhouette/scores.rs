@@ -20,12 +20,10 @@ pub struct Scores {
     pub details: Silhouette,
 }
 
-impl Method {
-    /// [`Method::Exact`] for so many points at most, and [`Method::Sampled`] for more.
-    #[must_use]
-    pub fn by_size(points: usize, exact_points: usize) -> Self {
-        if points <= exact_points { Self::Exact } else { Self::Sampled }
-    }
+/// [`Method::Exact`] for `exact_points` at most, and [`Method::Sampled`] for more.
+#[must_use]
+pub fn method_by_size(points: usize, exact_points: usize) -> Method {
+    if points <= exact_points { Method::Exact } else { Method::Sampled }
 }
 
 /// Silhouettes of the rows of `x`, N × D, for `labels`, N arbitrary numbers, with the mean by `method`.
