@@ -173,7 +173,7 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
-    use crate::memory::SMALL;
+    use crate::memory::SMALL_ROBOTS;
     use crate::options::PathChoice;
 
     fn file(robots: usize, changes: Value) -> String {
@@ -246,7 +246,7 @@ mod tests {
         assert!(error.contains("graphs and vectors of 4000 robots"), "{error}");
         estimate.available_mib = None;
         assert!(estimate.check().is_ok());
-        assert!(fits(SMALL, 2, Some(1)) && !fits(SMALL + 1, 2, Some(1)));
+        assert!(fits(SMALL_ROBOTS, 2, Some(1)) && !fits(SMALL_ROBOTS + 1, 2, Some(1)));
     }
 
     #[test]
@@ -265,7 +265,7 @@ mod tests {
         };
         for path in [Path::Dense, Path::InverseFree] {
             let total =
-                |size: &Size| path.steps().map(|cost| (cost.seconds)(size, &speed)).sum::<f64>();
+                |size: &Size| steps(path).map(|cost| (cost.seconds)(size, &speed)).sum::<f64>();
             for more in [
                 Size { robots: 600.0, ..base.clone() },
                 Size { edges: 6e3, ..base.clone() },

@@ -6,7 +6,7 @@ use super::cost::Size;
 use super::{SolveError, refuse};
 
 /// Fleets of up to so many robots fit everywhere.
-const SMALL_ROBOTS: usize = 1000;
+pub(super) const SMALL_ROBOTS: usize = 1000;
 
 /// Whether a fleet fits by a path. Where the system does not say how much memory is available, every fleet
 /// does.
