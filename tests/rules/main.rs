@@ -70,14 +70,18 @@ fn no_service_imports_another() {
 
 #[test]
 fn shared_crates_know_only_what_they_may() {
-    let rules: [(&str, &[&str]); 7] = [
+    let rules: [(&str, &[&str]); 8] = [
         ("muster-model", &["muster-model"]),
         ("muster-numeric", &["muster-model", "muster-numeric"]),
         ("muster-relation", &["muster-model", "muster-relation"]),
         ("muster-wire", &["muster-model", "muster-wire"]),
         ("muster-machine", &["muster-machine", "muster-model", "muster-wire"]),
         ("muster-scenario", &["muster-model", "muster-scenario"]),
-        ("muster-solve", &["muster-model", "muster-numeric", "muster-relation", "muster-solve"]),
+        ("muster-method", &["muster-method", "muster-model", "muster-numeric"]),
+        (
+            "muster-solve",
+            &["muster-method", "muster-model", "muster-numeric", "muster-relation", "muster-solve"],
+        ),
     ];
     for (package, allowed) in rules {
         let all = dependencies(package, &[]);
@@ -149,7 +153,8 @@ fn each_foreign_crate_is_spoken_to_in_one_place() {
 #[test]
 fn nothing_that_a_core_is_made_of_reads_a_clock_or_starts_a_thread() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
-    let pure = ["model", "relation", "numeric", "wire", "machine"].map(|name| ("shared", name));
+    let pure =
+        ["model", "relation", "numeric", "method", "wire", "machine"].map(|name| ("shared", name));
     let cores = ["ingest", "embedder", "clusterer", "auditor"].map(|name| ("services", name));
     for (folder, name) in pure.into_iter().chain(cores) {
         for (file, text) in sources(&root.join(folder).join(name).join("src"), "/tests/") {

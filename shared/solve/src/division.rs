@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::thread::available_parallelism;
 
-use muster_method::division::{Numbered, divide as divide_robots};
+use muster_method::division::{self, Numbered};
 use muster_method::embedding::Embedded;
 use muster_method::params::DivisionParams;
 use muster_method::silhouettes::{SilhouetteParams, silhouettes};
@@ -43,17 +43,25 @@ pub(super) fn divide(
     progress: &mut Progress<'_>,
 ) -> Result<Divided, SolveError> {
     let x = &embedded.x;
-    let Numbered { labels, unassigned } = match &problem.division {
-        Division::Wanted(settings) => cluster(embedded, settings, warnings, progress)?,
-        Division::Given(labels) => Numbered {
-            labels: labels.iter().map(|label| *label as usize).collect(),
-            unassigned: None,
-        },
+    let (Numbered { labels, unassigned }, inertia) = match &problem.division {
+        Division::Wanted(settings) => {
+            let found = cluster(embedded, settings, warnings, progress)?;
+            let numbered = found.numbered();
+            let without = embedded.without_embedding.iter().enumerate().filter(|(_, w)| **w);
+            let rest = x.select_rows(&without.map(|(i, _)| i).collect::<Vec<_>>());
+            let inertia = found.inertia + inertia(&rest, &vec![0; rest.rows()]);
+            (numbered, inertia)
+        }
+        Division::Given(labels) => {
+            let labels: Vec<usize> = labels.iter().map(|label| *label as usize).collect();
+            let inertia = inertia(x, &labels);
+            (Numbered { labels, unassigned: None }, inertia)
+        }
     };
     progress(Step::Silhouettes);
     // The labels are one per row, so that the only error left is one of fewer than two labels.
     let silhouette = silhouettes(x, &labels, &silhouette_params(problem.options.silhouette)).ok();
-    Ok(Divided { inertia: inertia(x, &labels), labels, unassigned, silhouette })
+    Ok(Divided { labels, unassigned, inertia, silhouette })
 }
 
 /// How silhouettes are computed.
@@ -87,13 +95,13 @@ pub(super) fn wanted_teams(problem: &Problem) -> usize {
     }
 }
 
-/// Labels by k-means, numbered by first appearance, and the one of robots without an embedding.
+/// The teams by k-means.
 fn cluster(
     embedded: &Embedded,
     settings: &ClustererSettings,
     warnings: &mut Vec<String>,
     progress: &mut Progress<'_>,
-) -> Result<Numbered, SolveError> {
+) -> Result<division::Division, SolveError> {
     let Embedded { x, without_embedding, .. } = embedded;
     let wanted = settings.teams as usize;
     let params = DivisionParams {
@@ -101,7 +109,7 @@ fn cluster(
         ..DivisionParams::new(settings)
     };
     let params = params.check().or_else(|error| refuse("teams", error.to_string()))?;
-    let found = divide_robots(x, without_embedding, &params, None, progress)
+    let found = division::divide(x, without_embedding, &params, None, progress)
         .or_else(|error| refuse("teams", error.to_string()))?;
     let teams = found.centroids.rows();
     if teams < wanted {
@@ -116,7 +124,7 @@ fn cluster(
             found.iterations
         ));
     }
-    Ok(found.numbered())
+    Ok(found)
 }
 
 /// Sum of squared distances of the rows to the mean of the rows with the same label.
