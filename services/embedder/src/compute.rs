@@ -28,15 +28,15 @@ pub(crate) struct Basis {
     pub(crate) graphs: Vec<(Modality, Revision)>,
     /// The settings.
     pub(crate) settings: EmbedderSettings,
-    /// How many teams the rule for the dimension reckons with; none if the dimension is fixed.
+    /// How many teams the rule for the dimension expects; none if the dimension is fixed.
     pub(crate) teams: Option<u32>,
-    /// Whether the fleet has come to rest, so that there is time for the scales and the decay of its very
+    /// Whether the fleet is at rest, so that there is time for the scales and the decay of exactly these
     /// graphs, and for more digits.
     pub(crate) settled: bool,
 }
 
 impl Basis {
-    /// Whether both rest on the same, at rest or not.
+    /// Whether robots, graphs, settings and teams are the same, at rest or not.
     pub(crate) fn is_of(&self, other: &Self) -> bool {
         (&self.robots, &self.graphs, &self.settings, self.teams)
             == (&other.robots, &other.graphs, &other.settings, other.teams)
@@ -47,7 +47,7 @@ impl Basis {
 #[derive(Debug)]
 pub struct Job {
     pub(crate) task: Task,
-    /// It returns with the end of the job.
+    /// It comes back with the result.
     pub(crate) memory: Box<Memory>,
 }
 
@@ -58,7 +58,7 @@ pub(crate) enum Task {
     Embed {
         frame: Arc<Frame>,
         basis: Basis,
-        /// With which embedding the new one is aligned.
+        /// The embedding that the new one is aligned with.
         previous: Option<Arc<Embedding>>,
     },
     /// The similarity of pairs of robots, by the graphs of the last embedding.

@@ -1,4 +1,4 @@
-//! Gets of the Katz similarity of two robots: which wait, and how they are answered.
+//! Gets of the Katz similarity of two robots: a bounded queue, and the answers.
 
 use muster_machine::{Effect, Effects, QueryId};
 use muster_method::pairs::{Pair, PairError};
@@ -22,7 +22,7 @@ const GETS_PER_JOB: usize = 16;
 #[derive(Debug, Default)]
 pub(crate) struct Questions {
     waiting: Vec<Question>,
-    /// Those that the running job answers, with the head of their answers.
+    /// Those that the running job answers, with the header of their answers.
     asked: Vec<Question>,
     head: Option<Header>,
 }
@@ -42,12 +42,12 @@ impl Question {
 }
 
 impl Questions {
-    /// Whether any waits for a job.
+    /// Whether any get waits for a job.
     pub(crate) fn wait(&self) -> bool {
         !self.waiting.is_empty()
     }
 
-    /// Takes a get in.
+    /// Queues a get, or refuses it where too many wait.
     pub(crate) fn take(
         &mut self,
         query: QueryId,
@@ -64,7 +64,7 @@ impl Questions {
         }
     }
 
-    /// The pairs that the next job is to compare, by the embedding with the head; those that asked first.
+    /// The pairs of the next job, by the embedding with the header; the oldest gets first.
     pub(crate) fn ask(&mut self, head: Header) -> Vec<[RobotId; 2]> {
         self.head = Some(head);
         let count = self.waiting.len().min(GETS_PER_JOB);
@@ -100,7 +100,7 @@ impl Questions {
         }
     }
 
-    /// Answers everything that waits with a reason why it cannot be told.
+    /// Answers every waiting get with the reason why there is no answer.
     pub(crate) fn refuse(&mut self, reason: &str, effects: &mut Effects<Job>) {
         self.head = None;
         let waiting = std::mem::take(&mut self.waiting);

@@ -15,7 +15,7 @@ use crate::step::{Progress, Step};
 pub struct Division {
     /// The team of each robot, numbered by first appearance; none for a robot without an embedding.
     pub labels: Vec<Option<usize>>,
-    /// The mean row of each team; fewer rows than teams were asked for where fewer can be told apart.
+    /// The mean row of each team; fewer rows than teams were asked for where fewer are distinct.
     pub centroids: DenseMatrix,
     /// Sum of squared distances of the robots to the mean rows of their teams.
     pub inertia: f64,
@@ -148,8 +148,8 @@ mod tests {
         assert_eq!(found.labels, [None, Some(0), Some(1), Some(1)]);
         let numbered = found.numbered();
         assert_eq!((numbered.labels, numbered.unassigned), (vec![0, 1, 2, 2], Some(0)));
-        let nobody = divided(&rows, &[true; 4], 2);
-        assert_eq!((nobody.labels, nobody.inertia), (vec![None; 4], 0.0));
+        let none = divided(&rows, &[true; 4], 2);
+        assert_eq!((none.labels, none.inertia), (vec![None; 4], 0.0));
     }
 
     #[test]

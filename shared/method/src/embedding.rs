@@ -174,3 +174,73 @@ fn aligned(x: DenseMatrix, sigma: &[f64], previous: &Embedding, robots: &[RobotI
     let turned = align(&x, sigma, &before, &pairs).ok();
     turned.unwrap_or(x)
 }
+
+#[cfg(test)]
+mod tests {
+    use muster_model::id::Modality;
+    use muster_model::settings::EmbedderSettings;
+
+    use super::*;
+    use crate::graph::Graph;
+    use crate::params::EmbeddingParams;
+
+    /// Cliques of different weights, and one robot without an edge.
+    fn frame(sizes: &[usize]) -> Frame {
+        let robots = sizes.iter().sum::<usize>() + 1;
+        let mut edges = Vec::new();
+        let mut first = 0;
+        for (number, size) in sizes.iter().enumerate() {
+            let members = first..first + size;
+            let weight = 1.0 + 0.1 * number as f64;
+            let pairs = members.clone().flat_map(|i| members.clone().map(move |j| (i, j)));
+            edges.extend(pairs.filter(|(i, j)| i != j).map(|(i, j)| (i, j, weight)));
+            first += size;
+        }
+        let matrix = SparseMatrix::from_triplets(robots, edges).unwrap();
+        let names = (0..robots).map(|i| RobotId::new(format!("r{i:03}")).unwrap());
+        Frame {
+            robots: names.collect(),
+            graphs: vec![(Modality::spatial(), Graph::Matrix(Arc::new(matrix)))],
+        }
+    }
+
+    fn params(teams: usize, pace: Pace) -> ValidEmbeddingParams {
+        EmbeddingParams::new(&EmbedderSettings::default(), teams, pace).check().unwrap()
+    }
+
+    #[test]
+    fn a_single_frame_has_the_rank_of_a_live_fleet_at_rest() {
+        // More groups than teams and fewer, decomposed whole and not.
+        for sizes in [&[4, 3, 5, 4][..], &[30, 25], &[40, 20, 30]] {
+            let frame = frame(sizes);
+            for teams in [2, 3, 6] {
+                let settings = EmbedderSettings::default();
+                let once = EmbeddingParams::once(&settings, teams).check().unwrap();
+                let once = embed(&frame, &once, &mut |_| {}).unwrap();
+                let mut frames = Frames::default();
+                for pace in [Pace::Moving, Pace::AtRest] {
+                    let live = frames.embed(&frame, &params(teams, pace), None, &mut |_| {});
+                    let live = live.unwrap();
+                    assert_eq!(live.decomposition.svd.rank(), once.decomposition.svd.rank());
+                    assert_eq!(live.without_embedding, once.without_embedding);
+                }
+                let without: Vec<bool> = once.without_embedding;
+                assert_eq!(without.iter().filter(|without| **without).count(), 1);
+                assert!(without.last().unwrap());
+            }
+        }
+    }
+
+    #[test]
+    fn graphs_without_an_edge_have_one_triplet_of_zeros() {
+        let frame = frame(&[1, 1]);
+        let mut frames = Frames::default();
+        let found = frames.embed(&frame, &params(2, Pace::Moving), None, &mut |_| {}).unwrap();
+        assert_eq!(found.decomposition.svd.sigma, [0.0]);
+        assert_eq!((found.x.cols(), found.without_embedding), (2, vec![true; 3]));
+        assert_eq!(frames.centralities().unwrap(), [1.0; 3]);
+        let fixed = EmbedderSettings { dimension: Dimension::Fixed(4), ..Default::default() };
+        let params = EmbeddingParams::once(&fixed, 2).check().unwrap();
+        assert_eq!(embed(&frame, &params, &mut |_| {}).unwrap().x.cols(), 4);
+    }
+}

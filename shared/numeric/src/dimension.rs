@@ -6,11 +6,11 @@
 //! the groups of a fleet is large; that behind a group which is about to leave its team comes after it
 //! and is smaller, and what is behind it counts as soon as it is seen.
 //!
-//! The rule alone, [`choose_dimension`], is for single problems. It looks at the values and not at
-//! the nodes: a graph of more separated groups than teams has groups that no leading vector sees,
-//! and which ones may change with every change of a weight. [`choose_seeing_dimension`] is for
-//! frames that follow one another: it adds vectors until every related node is seen, and does not
-//! move where the choice is close.
+//! The rule alone, [`choose_dimension`], looks at the values and not at the nodes: a graph of more
+//! separated groups than teams has groups that no leading vector sees, and which ones may change with
+//! every change of a weight. [`choose_seeing_dimension`] is the rule of the method: it adds vectors until
+//! every related node is seen, and in frames that follow one another it does not move where the choice is
+//! close.
 
 use crate::embedding::WEAK_ROW;
 use crate::svd::null_threshold;
@@ -63,14 +63,6 @@ pub fn choose_dimension(sigma: &[f64], teams: usize) -> usize {
     ruled(sigma, n, null_threshold(sigma, n), teams)
 }
 
-/// [`choose_dimension`] where only some of the singular values are known: [`least_rank`] at least, or all.
-/// Values up to [`Spectrum::noise`] count as zero.
-#[must_use]
-pub fn choose_known_dimension(svd: &impl Spectrum, teams: usize) -> usize {
-    let sigma = svd.singular_values();
-    ruled(sigma, svd.nodes(), svd.noise(), teams).min(sigma.len())
-}
-
 /// The rule for values of which those up to `noise` do not count, of a similarity of `n` nodes.
 fn ruled(sigma: &[f64], n: usize, noise: f64, teams: usize) -> usize {
     if n <= 2 {
@@ -98,8 +90,8 @@ pub struct Choice {
     pub short: bool,
 }
 
-/// How many of the leading triplets [`choose_known_dimension`] and [`choose_seeing_dimension`] must know
-/// at least for so many teams, of `n` nodes: one more than the rule looks at.
+/// The number of leading triplets, of `n` nodes, that [`choose_seeing_dimension`] must know at least for so
+/// many teams: one more than the rule looks at.
 #[must_use]
 pub fn least_rank(n: usize, teams: usize) -> usize {
     if n <= 2 { n } else { limit(n, teams) + 1 }

@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fleet_is_refused_by_the_numbers_that_are_told() {
+    fn a_fleet_is_refused_by_the_numbers_that_are_printed() {
         let mut estimate = estimated(&file(50, json!({})));
         assert!(estimate.fits && estimate.check().is_ok());
         let size = Size { robots: 4000.0, ..size(&file(50, json!({}))) };
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_told_in_json_and_to_read() {
+    fn it_is_written_as_json_and_as_text() {
         let estimate = estimated(&file(50, json!({})));
         let read: Value = serde_json::from_str(&estimate.to_json().unwrap()).unwrap();
         assert_eq!((&read["robots"], &read["edges"]), (&json!(50), &json!(49)));
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_duration_is_told_in_its_unit() {
+    fn a_duration_is_written_in_its_unit() {
         let pairs = [
             (0.0, "0.0 ms"),
             (0.0023, "2.3 ms"),

@@ -31,7 +31,7 @@ struct SavedGraph {
     edges: Edges,
 }
 
-/// The fields by which the lines of a saved fleet are told apart from each other and from other files.
+/// Fields that distinguish the lines of a saved fleet from each other and from other files.
 #[derive(Deserialize)]
 struct Probe {
     modality: Option<IgnoredAny>,
