@@ -62,8 +62,8 @@ impl<T: Revised> History<T> {
         }
         if kept.len() > MOST {
             // What is wanted stays, however old it is.
-            let spare = usize::from(kept.front().map(|message| message.revision()) == wanted);
-            kept.remove(spare);
+            let removed = usize::from(kept.front().map(|message| message.revision()) == wanted);
+            kept.remove(removed);
         }
         if is_wanted { Taken::Wanted } else { Taken::Kept }
     }

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use muster_model::audit::{SilhouetteMethod, SilhouetteReport, Space, Verdict};
+use muster_method::silhouettes::{SilhouetteParams, silhouettes};
+use muster_model::audit::{SilhouetteReport, Space, Verdict};
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::limits::MAX_COORDINATE_M;
@@ -11,16 +12,6 @@ use muster_model::roster::Roster;
 use muster_model::settings::AuditorSettings;
 use muster_model::teams::Teams;
 use muster_numeric::matrix::DenseMatrix;
-use muster_numeric::silhouette::{Method, scores};
-
-/// Largest fleet whose silhouettes are exact. Up to here all pairs of robots take a few hundredths of a
-/// second, so that the audit keeps up with the divisions; it would take four times as long for twice as
-/// many.
-pub const EXACT_ROBOTS: usize = 10_000;
-
-/// Seed of the robots that are drawn from larger fleets. The same ones are drawn in every frame while the
-/// fleet stays the same, so that the estimate moves with the division and not with the draw.
-const SAMPLE_SEED: u64 = 0;
 
 /// One division to judge, with what it was made from.
 #[derive(Debug, Clone)]
@@ -130,8 +121,8 @@ fn report<'a>(
     let x = DenseMatrix::new(scored.len(), dimension, values.collect())
         .map_err(|error| error.to_string())?;
     let labels: Vec<usize> = scored.iter().map(|(_, number)| *number).collect();
-    let method = Method::by_size(x.rows(), EXACT_ROBOTS);
-    let found = scores(&x, &labels, method, SAMPLE_SEED).map_err(|error| error.to_string())?;
+    let params = SilhouetteParams::default();
+    let found = silhouettes(&x, &labels, &params).map_err(|error| error.to_string())?;
     let details = found.details;
     let named = |(number, mean): (usize, f64)| -> Option<(TeamId, f64)> {
         Some((teams.teams.get(number)?.id.clone(), mean))
@@ -139,21 +130,12 @@ fn report<'a>(
     Ok(SilhouetteReport {
         space,
         mean: Some(found.mean),
-        method: told(found.method),
+        method: found.method,
         standard_error: found.standard_error,
         per_team: details.per_cluster.into_iter().filter_map(named).collect(),
         per_robot: scored.into_iter().map(|(r, _)| r.clone()).zip(details.per_point).collect(),
-        detail_method: told(details.method),
+        detail_method: details.method,
     })
-}
-
-/// A method as it is told.
-fn told(method: Method) -> SilhouetteMethod {
-    match method {
-        Method::Exact => SilhouetteMethod::Exact,
-        Method::SquaredExact => SilhouetteMethod::SquaredExact,
-        Method::Sampled => SilhouetteMethod::Sampled,
-    }
 }
 
 /// The judgement in one word.

@@ -2,7 +2,7 @@
 //!
 //! Read in the order of the data's path: [`Auditor`] takes events in, finds the embedding and the
 //! roster that a division was made from, and decides what is told when; `history` keeps those; `judge` is
-//! the job, silhouettes among the vectors and among the positions, exact for up to [`EXACT_ROBOTS`] robots;
+//! the job, silhouettes among the vectors and among the positions, by `muster-method`;
 //! `alert` tells an operator of lasting bad quality, and of its end.
 //!
 //! What holds at all times:
@@ -23,4 +23,4 @@ mod history;
 mod judge;
 
 pub use crate::core::Auditor;
-pub use crate::judge::{EXACT_ROBOTS, Job, Judgement, Outcome};
+pub use crate::judge::{Job, Judgement, Outcome};

@@ -3,19 +3,15 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use muster_method::division::{Division, divide as divide_robots};
+use muster_method::params::DivisionParams;
 use muster_model::embedding::Embedding;
 use muster_model::id::RobotId;
-use muster_model::settings::{CentroidStart, ClustererSettings};
+use muster_model::settings::ClustererSettings;
 use muster_model::teams::{Member, Team, Teams};
-use muster_numeric::kmeans::{Init, KMeans, KMeansOptions, kmeans};
-use muster_numeric::margins::margins;
 use muster_numeric::matrix::DenseMatrix;
 
 use crate::identity::{self, Memory};
-
-/// Largest hysteresis that the division takes: a share of 1 would hold every robot where it is,
-/// whatever happens, so that larger settings mean "just below 1".
-const MAX_HYSTERESIS: f64 = 0.999;
 
 /// One embedding to divide.
 #[derive(Debug, Clone)]
@@ -46,27 +42,17 @@ struct Cluster {
     centroid: Vec<f64>,
 }
 
-/// Divides the robots that the embedding sees.
+/// Divides the robots that have a non-zero embedding.
 pub(crate) fn divide(job: &Job) -> Result<Teams, String> {
     let embedding = &*job.embedding;
     embedding.check()?;
-    let seen: Vec<usize> = (0..embedding.robots.len()).filter(|&i| !embedding.unseen[i]).collect();
-    let values = seen.iter().flat_map(|&i| row_of(embedding, i)).copied().collect::<Vec<f64>>();
-    let x = DenseMatrix::new(seen.len(), embedding.dimension as usize, values)
+    let (robots, dimension) = (embedding.robots.len(), embedding.dimension as usize);
+    let x = DenseMatrix::new(robots, dimension, embedding.values.clone())
         .map_err(|error| error.to_string())?;
-
-    let mut margin_of = vec![0.0; embedding.robots.len()];
-    let mut clusters = Vec::new();
-    let mut inertia = 0.0;
-    if !seen.is_empty() {
-        let found = cluster(&x, &seen, job)?;
-        let margins = margins(&x, &found.labels, &found.centroids).map_err(|e| e.to_string())?;
-        for (&row, margin) in seen.iter().zip(margins) {
-            margin_of[row] = margin;
-        }
-        inertia = found.inertia;
-        clusters = gather(&found, &seen);
-    }
+    let found = cluster(&x, job)?;
+    let margin_of = found.margins(&x).map_err(|error| error.to_string())?;
+    let inertia = found.inertia;
+    let clusters = gather(&found);
     let unassigned: Vec<RobotId> = (0..embedding.robots.len())
         .filter(|&i| embedding.unseen[i])
         .map(|i| embedding.robots[i].clone())
@@ -103,14 +89,9 @@ pub(crate) fn divide(job: &Job) -> Result<Teams, String> {
     })
 }
 
-fn row_of(embedding: &Embedding, i: usize) -> &[f64] {
-    let dimension = embedding.dimension as usize;
-    &embedding.values[i * dimension..(i + 1) * dimension]
-}
-
 /// k-means, from the teams before where they were asked for in the same number.
-fn cluster(x: &DenseMatrix, seen: &[usize], job: &Job) -> Result<KMeans, String> {
-    let settings = &job.settings;
+fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, String> {
+    let Job { embedding, settings, .. } = job;
     let warm = job.previous.as_deref().filter(|teams| teams.requested == settings.teams);
     let warm: Option<Vec<Option<usize>>> = warm.map(|teams| {
         let team_of: BTreeMap<&RobotId, usize> = teams
@@ -119,33 +100,22 @@ fn cluster(x: &DenseMatrix, seen: &[usize], job: &Job) -> Result<KMeans, String>
             .enumerate()
             .flat_map(|(number, team)| team.members.iter().map(move |m| (&m.robot, number)))
             .collect();
-        seen.iter().map(|&i| team_of.get(&job.embedding.robots[i]).copied()).collect()
+        embedding.robots.iter().map(|robot| team_of.get(robot).copied()).collect()
     });
-    let options = KMeansOptions {
-        clusters: (settings.teams.max(1) as usize).min(seen.len()),
-        init: match settings.init {
-            CentroidStart::PlusPlus => Init::PlusPlus,
-            CentroidStart::Random => Init::Random,
-        },
-        restarts: settings.restarts as usize,
-        max_iterations: settings.max_iterations as usize,
-        seed: settings.seed,
-        warm_labels: warm.as_deref(),
-        hysteresis: settings.hysteresis.clamp(0.0, MAX_HYSTERESIS),
-        threads: 1,
-    };
-    kmeans(x, &options).map_err(|error| error.to_string())
+    let params = DivisionParams::new(settings).check().map_err(|error| error.to_string())?;
+    divide_robots(x, &embedding.unseen, &params, warm.as_deref(), &mut |_| {})
+        .map_err(|error| error.to_string())
 }
 
 /// The clusters, ordered by their smallest member, so that nothing rests on how they were numbered.
-fn gather(found: &KMeans, seen: &[usize]) -> Vec<Cluster> {
+fn gather(found: &Division) -> Vec<Cluster> {
     let mut clusters: Vec<Cluster> = found
         .centroids
         .iter_rows()
         .map(|centroid| Cluster { rows: Vec::new(), centroid: centroid.to_vec() })
         .collect();
-    for (&row, &label) in seen.iter().zip(&found.labels) {
-        if let Some(cluster) = clusters.get_mut(label) {
+    for (row, label) in found.labels.iter().enumerate() {
+        if let Some(cluster) = label.and_then(|label| clusters.get_mut(label)) {
             cluster.rows.push(row);
         }
     }

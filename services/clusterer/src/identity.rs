@@ -44,7 +44,7 @@ const LIVING: u64 = 2;
 ///
 /// A robot without a team counts for the one that it had last, as long as that is remembered. A team
 /// that ended lives again under its id if most of its robots that are there are most of a cluster;
-/// that is told as a birth, or as a split where most robots come from a team that lives on.
+/// that is reported as a birth, or as a split where most robots come from a team that lives on.
 pub(crate) fn name(
     clusters: &[Vec<&RobotId>],
     unassigned: &[RobotId],
@@ -121,7 +121,7 @@ impl<'a> Numbers<'a> {
     fn next(&mut self) -> TeamId {
         loop {
             let id = TeamId::numbered(self.next);
-            // Wraps only if the bus told of a number near the end of the range.
+            // Wraps only if a message has named a number near the end of the range.
             self.next = self.next.wrapping_add(1);
             if !self.used.contains(&id) {
                 return id;

@@ -1,4 +1,4 @@
-//! Who leads each team: the member that commands most of the others.
+//! The leader of each team: the member that commands most of the others.
 
 use std::collections::BTreeMap;
 
@@ -44,9 +44,9 @@ pub(crate) fn leaders(
 }
 
 /// How many others of its team each robot commands, over any number of steps and through robots of
-/// any team. Robots that command nobody may be left out.
+/// any team. Robots without subordinates may be left out.
 ///
-/// One walk through the forest of superiors: what was counted of a team between entering a robot
+/// One walk through the forest of superiors: the count of a team between entering a robot
 /// and leaving it is what lies below that robot. Where the superiors run in a circle, each robot of
 /// the circle commands all that hangs on it. Linear in the robots, however long the chains are.
 fn commanded<'a>(teams: &'a [Team], roster: Option<&'a Roster>) -> BTreeMap<&'a RobotId, u64> {
@@ -141,8 +141,8 @@ impl Walk<'_> {
             Enter(usize),
             Leave(usize, u64),
         }
-        let counted = |walk: &Self, at: usize| walk.team_of[at].map_or(0, |team| walk.seen[team]);
-        let before: Vec<u64> = tops.iter().map(|at| counted(self, *at)).collect();
+        let count = |walk: &Self, at: usize| walk.team_of[at].map_or(0, |team| walk.seen[team]);
+        let before: Vec<u64> = tops.iter().map(|at| count(self, *at)).collect();
         let mut steps: Vec<Step> = tops.iter().map(|at| Step::Enter(*at)).collect();
         while let Some(step) = steps.pop() {
             match step {
@@ -150,19 +150,19 @@ impl Walk<'_> {
                     if std::mem::replace(&mut self.visited[at], true) {
                         continue;
                     }
-                    steps.push(Step::Leave(at, counted(self, at)));
+                    steps.push(Step::Leave(at, count(self, at)));
                     if let Some(team) = self.team_of[at] {
                         self.seen[team] += 1;
                     }
                     steps.extend(self.inferiors[at].iter().map(|at| Step::Enter(*at)));
                 }
                 Step::Leave(at, entered) => {
-                    self.below[at] = (counted(self, at) - entered).saturating_sub(1);
+                    self.below[at] = (count(self, at) - entered).saturating_sub(1);
                 }
             }
         }
         for (at, entered) in tops.iter().zip(before) {
-            self.below[*at] = (counted(self, *at) - entered).saturating_sub(1);
+            self.below[*at] = (count(self, *at) - entered).saturating_sub(1);
         }
     }
 }

@@ -20,7 +20,7 @@ pub(crate) struct Memory {
     last: BTreeMap<RobotId, (TeamId, Tick)>,
     /// Teams that ended. At most [`MAX_TEAMS`] with [`MAX_ROBOTS`] robots in all.
     pub(crate) ended: BTreeMap<TeamId, Ended>,
-    /// No lower number was free in any division that was heard of.
+    /// No lower number was free in any division that was received.
     pub(crate) next_team: u64,
 }
 

@@ -7,6 +7,7 @@ use muster_machine::{
     Answered, Core, Delivery, Effect, Effects, Event, Footprint, JobGate, QueryId, Role,
     START_FETCH, Start, Stopwatch, Subscription, TERM_FETCH, Turn, Wiring,
 };
+use muster_method::pairs::PairError;
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::{EventKind, Severity};
 use muster_model::graph::GraphError;
@@ -19,7 +20,7 @@ use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::compute::{Basis, Computed, Done, Job, Memory, Outcome, Task, run};
 use crate::follow::{Follower, Frame, Taken};
-use crate::pairs::{NOTHING_TO_COMPARE, Questions};
+use crate::pairs::Questions;
 use crate::teams::{SETTINGS_FETCH, TeamsWanted};
 
 /// How often an embedding is told again while rosters go on and nothing that it rests on changes, so
@@ -352,7 +353,7 @@ impl Embedder {
     /// Starts the job that answers the questions, if there is an embedding to answer them by.
     fn compare(&mut self, effects: &mut Effects<Job>) {
         let (Some(embedding), Some(memory)) = (&self.embedding, self.memory.take()) else {
-            self.questions.refuse(NOTHING_TO_COMPARE, effects);
+            self.questions.refuse(&PairError::NoEmbedding.to_string(), effects);
             return;
         };
         let task = Task::Compare(self.questions.ask(embedding.header.clone()));

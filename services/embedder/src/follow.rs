@@ -26,26 +26,26 @@ const MAX_GRAPHS: usize = MAX_DECLARED_MODALITIES + 3;
 /// Least time between the starts of two fetches.
 const FETCH_INTERVAL: Duration = Duration::from_millis(500);
 
-/// How long a graph may be behind the roster without a known gap: its delta may wait in a queue
+/// Grace period of a graph that is behind the roster without a known gap: its delta may wait in a queue
 /// while the roster, on another key, has overtaken it.
-const BEHIND_PATIENCE: Duration = Duration::from_millis(50);
+const BEHIND_GRACE: Duration = Duration::from_millis(50);
 
-/// How long a graph may be ahead of the roster: the roster of its frame is on the way.
-const AHEAD_PATIENCE: Duration = Duration::from_secs(1);
+/// Grace period of a graph that is ahead of the roster: the roster of its frame is on the way.
+const AHEAD_GRACE: Duration = Duration::from_secs(1);
 
-/// How often a roster is asked for while none is known: `ingest` may be gone, and those that answer in
-/// its place tell nothing by themselves.
+/// How often a roster is asked for while none is known: `ingest` may be gone, and the readers that answer
+/// in its place publish nothing by themselves.
 const ROSTER_INTERVAL: Duration = Duration::from_secs(2);
 
 /// One consistent state of the fleet.
 #[derive(Debug)]
 pub(crate) struct Frame {
-    /// Who belongs to the fleet.
+    /// The robots of the fleet.
     pub(crate) roster: Arc<Roster>,
     /// When the last part arrived.
     pub(crate) received: Tick,
     /// The robots of the roster, ordered by name. The same allocation as in the frame before while
-    /// nobody comes or goes.
+    /// no robot comes or goes.
     pub(crate) robots: Arc<[RobotId]>,
     /// The graphs that the roster lists, in its order and at its revisions.
     pub(crate) graphs: Vec<(Modality, Arc<GraphReplica>)>,
@@ -54,7 +54,7 @@ pub(crate) struct Frame {
 /// What became of a roster or delta that is not refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Taken {
-    /// It led further.
+    /// It was applied.
     Applied,
     /// It is what is known already.
     Known,
@@ -148,7 +148,7 @@ impl Follower {
     /// Takes a delta or snapshot of a graph.
     ///
     /// # Errors
-    /// Tells why the delta is to be refused; the graph stays as it was.
+    /// Why the delta is refused; the graph stays as it was.
     pub(crate) fn take_graph(&mut self, delta: &GraphDelta) -> Result<Taken, GraphError> {
         let known = self.graphs.contains_key(&delta.modality);
         if !known && !self.has_room_for(&delta.modality) {
@@ -178,8 +178,8 @@ impl Follower {
     /// Takes a fetched snapshot although the graph is at a later revision; whether it was taken.
     ///
     /// So it is if the newest roster lists exactly the snapshot's revision, and rosters and graphs
-    /// have been apart for longer than a roster is under way. Then nobody stands behind the later
-    /// revision: it was forged, or told in a term that was lost.
+    /// have been apart for longer than a roster is under way. Then no leader has published the later
+    /// revision: it was forged, or published in a term that was lost.
     pub(crate) fn take_back(&mut self, now: Tick, snapshot: &GraphDelta) -> bool {
         let at = (&snapshot.modality, snapshot.header.revision);
         let listed = |roster: &Arc<Roster>| {
@@ -187,7 +187,7 @@ impl Follower {
         };
         if snapshot.base.is_some()
             || !self.roster.as_ref().is_some_and(listed)
-            || self.apart_since.is_none_or(|since| since.after(AHEAD_PATIENCE) > now)
+            || self.apart_since.is_none_or(|since| since.after(AHEAD_GRACE) > now)
             || self.distance(at.0, at.1) != Distance::Ahead
         {
             return false;
@@ -218,7 +218,7 @@ impl Follower {
     /// Takes a roster.
     ///
     /// # Errors
-    /// Tells why the roster is to be refused; the one before stands.
+    /// Why the roster is refused; the one before stays.
     pub(crate) fn take_roster(&mut self, roster: Arc<Roster>) -> Result<Taken, &'static str> {
         if let Some(have) = &self.roster {
             match roster.header.revision.cmp(&have.header.revision) {
@@ -277,7 +277,7 @@ impl Follower {
         }
     }
 
-    /// Asks for everything anew: what the bus said meanwhile was not heard.
+    /// Fetches everything again: messages of the meantime were not received.
     pub(crate) fn refresh(&mut self) {
         self.refresh = true;
         self.in_flight = None;
@@ -303,8 +303,8 @@ impl Follower {
         let since = self.apart_since.unwrap_or_default();
         let wanted = match worst? {
             Distance::None => return None,
-            Distance::Ahead => since.after(AHEAD_PATIENCE),
-            Distance::Behind => since.after(BEHIND_PATIENCE),
+            Distance::Ahead => since.after(AHEAD_GRACE),
+            Distance::Behind => since.after(BEHIND_GRACE),
             Distance::Gap => Tick::default(),
         };
         Some(wanted.max(self.fetched.after(FETCH_INTERVAL)))

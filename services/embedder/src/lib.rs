@@ -1,10 +1,8 @@
 //! Graphs in, one vector per robot out.
 //!
 //! `embedder` follows the graphs of all modalities into frames that belong together (module
-//! `follow`), fuses each frame (module `fusion`) and chooses the decay (module `decay`), takes the
-//! leading singular vectors of the Katz similarity (module `compute`, beginning with those of the last
-//! frame, which module `cache` keeps), and publishes them as
-//! [`muster_model::embedding::Embedding`]. Gets of the similarity of two robots are answered by module
+//! `follow`), embeds each frame by `muster-method`, beginning with what is kept of the last one (module
+//! `compute`), and publishes the vectors as [`muster_model::embedding::Embedding`]. Gets of the similarity of two robots are answered by module
 //! `pairs`. When it does so is decided by module `core`; how many
 //! teams are wanted, on which the dimension depends, is heard by module `teams`.
 //!
@@ -17,15 +15,10 @@
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
-mod cache;
 mod compute;
 mod core;
-mod correspondence;
-mod decay;
 mod follow;
-mod fusion;
 mod pairs;
-mod similarity;
 mod teams;
 
 pub use crate::compute::{Done, Job};

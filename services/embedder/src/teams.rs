@@ -1,4 +1,4 @@
-//! How many teams `clusterer` divides the fleet into, as it announces it.
+//! How many teams `clusterer` divides the fleet into, by the settings that it announces.
 
 use std::time::Duration;
 
@@ -11,9 +11,9 @@ use muster_wire::envelope::AnnouncedSettings;
 /// The number of the fetch that asks for the settings alone.
 pub(crate) const SETTINGS_FETCH: u32 = TERM_FETCH - 1;
 
-/// How often the settings are asked for: `clusterer` announces them again and again, but a forged
-/// announcement of a later revision would shut those out, and only answers can contradict it. It need
-/// not be often, as the number of teams seldom changes and only guides the choice of the dimension.
+/// How often the settings are asked for. `clusterer` announces them repeatedly, but a forged announcement
+/// of a later revision would shut those out, and only answers can contradict it. Seldom is enough: the
+/// number of teams seldom changes, and only guides the choice of the dimension.
 const ASK_INTERVAL: Duration = Duration::from_secs(10);
 
 /// The newest announcement.
@@ -44,11 +44,11 @@ impl TeamsWanted {
         self.teams
     }
 
-    /// Takes an announcement; whether it counts. One that is older than what is known does not: it
-    /// was overtaken. The same revision does, as settings change between two outputs.
+    /// Takes an announcement, unless it is older than what is known: it was overtaken. The same revision
+    /// counts, because settings change between two outputs. Returns whether it was taken.
     ///
     /// # Errors
-    /// Tells why the settings are to be refused; those before stand.
+    /// Why the settings are refused; those before stay.
     pub(crate) fn take(&mut self, announced: &AnnouncedSettings) -> Result<bool, SettingsError> {
         let revision = announced.header.revision;
         if self.at.is_some_and(|at| revision < at) {
@@ -58,16 +58,18 @@ impl TeamsWanted {
         Ok(true)
     }
 
-    /// Takes the answer to a question. When two in a row are older than the announcement, nobody
-    /// stands behind that one any more (it was forged, or its sender has lost its term), and the
-    /// answer counts.
+    /// Takes an answer. When two answers in a row are older than the announcement, that one is void (it
+    /// was forged, or its sender has lost its term), and the answer counts.
     ///
     /// # Errors
     /// As [`TeamsWanted::take`].
-    pub(crate) fn take_answer(&mut self, told: &AnnouncedSettings) -> Result<bool, SettingsError> {
-        let taken = self.take(told)?;
+    pub(crate) fn take_answer(
+        &mut self,
+        answer: &AnnouncedSettings,
+    ) -> Result<bool, SettingsError> {
+        let taken = self.take(answer)?;
         if !taken && self.contradicted {
-            self.accept(told)?;
+            self.accept(answer)?;
             return Ok(true);
         }
         self.contradicted = !taken;

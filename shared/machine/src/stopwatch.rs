@@ -11,7 +11,7 @@ pub struct Stopwatch {
 enum Source {
     Still,
     /// Microseconds since any fixed moment, and those at the last lap.
-    Clock(Box<dyn FnMut() -> u64>, u64),
+    Clock(Box<dyn FnMut() -> u64 + Send>, u64),
     Told(std::vec::IntoIter<u64>),
 }
 
@@ -23,7 +23,7 @@ impl Stopwatch {
     }
 
     /// Reads a clock that counts microseconds and never runs backwards; the first lap begins now.
-    pub fn reading(mut clock: impl FnMut() -> u64 + 'static) -> Self {
+    pub fn reading(mut clock: impl FnMut() -> u64 + Send + 'static) -> Self {
         let now = clock();
         Self { source: Source::Clock(Box::new(clock), now), laps: Vec::new() }
     }

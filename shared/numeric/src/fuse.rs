@@ -1,21 +1,10 @@
 //! Fusion of several graphs over the same nodes into one: A* = Σ w_m A_m.
 
+pub use muster_model::settings::Normalization;
 use thiserror::Error;
 
 use crate::linalg::matrix::{MatrixError, SparseMatrix};
 use crate::norm::spectral_norm;
-
-/// How each graph is scaled before it is weighted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Normalization {
-    /// As in the paper: weights apply to the graphs as they are, whatever their units.
-    None,
-    /// Each graph is divided by its spectral norm σ₁(A_m), so that a weight means the same for
-    /// every modality. For a symmetric graph the norm equals the spectral radius, which cannot
-    /// serve itself: it is 0 for every acyclic graph, such as a command tree.
-    #[default]
-    Spectral,
-}
 
 /// A graph A_m and its weight w_m ≥ 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,6 +68,10 @@ pub enum FuseError {
 }
 
 /// Fused graph A* = Σ w_m A_m (equation 3 of the paper), each A_m scaled as `normalization` says.
+///
+/// [`Normalization::Spectral`] divides each graph by its spectral norm σ₁(A_m), so that weights mean the
+/// same for every modality. The norm of a symmetric graph equals its spectral radius; the radius itself
+/// cannot serve, since it is 0 for every acyclic graph, such as a command tree.
 ///
 /// The graphs are n × n, the weights not negative. The paper asks for Σ w_m = 1, which is left to
 /// the caller: a common factor of all weights scales A* and nothing else. A graph without edges

@@ -14,8 +14,8 @@ mod error;
 mod scaling;
 mod similarity;
 
-pub use alpha::Alpha;
 pub(crate) use alpha::check_alpha;
+pub use alpha::{Alpha, resolve_alpha};
 pub use centrality::{Centrality, katz_centrality};
 pub use error::KatzError;
 pub use similarity::{katz_probe, katz_similarity};

@@ -7,7 +7,7 @@ use common::fleet::Fleet;
 use common::*;
 use muster_numeric::cached_katz::{CachedKatz, MAX_CACHED_NODES, MAX_PROBE, Method, Update};
 use muster_numeric::fuse::{Normalization, fuse};
-use muster_numeric::katz::{Alpha, KatzError, katz_similarity};
+use muster_numeric::katz::{Alpha, KatzError, katz_similarity, resolve_alpha};
 use muster_numeric::matrix::{DenseMatrix, MatrixError, SparseMatrix};
 use muster_numeric::radius_bound::RadiusTracker;
 use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};
@@ -15,7 +15,7 @@ use proptest::prelude::*;
 
 fn cached(a: &SparseMatrix, alpha: Alpha) -> (CachedKatz, f64, SpectralRadius) {
     let radius = spectral_radius(a, None);
-    let alpha = alpha.resolve(a, &radius).unwrap();
+    let alpha = resolve_alpha(alpha, a, &radius).unwrap();
     let mut kept = CachedKatz::default();
     let update = kept.update(a, alpha, &radius, None).unwrap();
     assert_eq!(update.method, Method::Started);
@@ -136,7 +136,7 @@ fn ten_thousand_changes_leave_the_similarity_of_scratch() {
 #[test]
 fn reasons_to_solve_from_scratch() {
     let a = Fleet::new(60, 1).graph();
-    let (mut kept, alpha, radius) = cached(&a, Alpha::Fraction(0.5));
+    let (mut kept, alpha, radius) = cached(&a, Alpha::Fraction { fraction: 0.5 });
     let mut method = |a: &SparseMatrix, alpha, map: Option<&[Option<usize>]>| {
         let Update { method, .. } = kept.update(a, alpha, &radius, map).unwrap();
         check_against_scratch(&kept, a, &radius);
@@ -159,7 +159,7 @@ fn reasons_to_solve_from_scratch() {
 #[test]
 fn decays_from_the_bound_on_are_refused_and_change_nothing() {
     let a = star(5);
-    let (mut kept, alpha, radius) = cached(&a, Alpha::Fraction(0.5));
+    let (mut kept, alpha, radius) = cached(&a, Alpha::Fraction { fraction: 0.5 });
     for bad in [0.5, 0.6, 1e9] {
         let found = kept.update(&a, bad, &radius, None);
         assert!(matches!(found, Err(KatzError::Diverges { .. })));
@@ -204,7 +204,7 @@ fn shares_sum_to_the_whole() {
     let (a, b) = (Fleet::new(40, 2).graph(), Fleet::new(40, 3).graph());
     let graphs = [(&a, 0.3), (&b, 0.7)];
     let fused = fuse(&graphs, Normalization::None).unwrap();
-    let (kept, ..) = cached(&fused, Alpha::Fraction(0.7));
+    let (kept, ..) = cached(&fused, Alpha::Fraction { fraction: 0.7 });
     for (i, j) in [(0, 0), (3, 17), (39, 1)] {
         let shares = kept.shares(i, j, &graphs).unwrap();
         assert!(shares.iter().all(|s| *s >= 0.0));

@@ -6,7 +6,7 @@ mod common;
 use common::*;
 use muster_numeric::alignment::{AlignError, align};
 use muster_numeric::embedding::{Embedding, Rows, Scale, embed};
-use muster_numeric::katz::{Alpha, katz_similarity};
+use muster_numeric::katz::{Alpha, katz_similarity, resolve_alpha};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::spectral_radius;
 use muster_numeric::svd::{RankKSvd, rank_k_svd};
@@ -14,7 +14,7 @@ use proptest::prelude::*;
 
 fn decompose(a: &SparseMatrix, k: usize) -> RankKSvd {
     let radius = spectral_radius(a, None);
-    let alpha = Alpha::Fraction(0.5).resolve(a, &radius).unwrap();
+    let alpha = resolve_alpha(Alpha::Fraction { fraction: 0.5 }, a, &radius).unwrap();
     rank_k_svd(&katz_similarity(a, alpha, &radius).unwrap(), k).unwrap()
 }
 

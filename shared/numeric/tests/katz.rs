@@ -4,14 +4,16 @@
 mod common;
 
 use common::*;
-use muster_numeric::katz::{Alpha, KatzError, katz_centrality, katz_probe, katz_similarity};
+use muster_numeric::katz::{
+    Alpha, KatzError, katz_centrality, katz_probe, katz_similarity, resolve_alpha,
+};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::spectral_radius;
 use proptest::prelude::*;
 
 fn similarity(a: &SparseMatrix, alpha: Alpha) -> Result<(f64, DenseMatrix), KatzError> {
     let radius = spectral_radius(a, None);
-    let alpha = alpha.resolve(a, &radius)?;
+    let alpha = resolve_alpha(alpha, a, &radius)?;
     Ok((alpha, katz_similarity(a, alpha, &radius)?))
 }
 
@@ -45,7 +47,7 @@ fn ring_and_clique() {
 
 #[test]
 fn two_cliques_do_not_mix() {
-    let (_, s) = similarity(&cliques(&[4, 3]), Alpha::Fraction(0.9)).unwrap();
+    let (_, s) = similarity(&cliques(&[4, 3]), Alpha::Fraction { fraction: 0.9 }).unwrap();
     for i in 0..4 {
         for j in 4..7 {
             assert_eq!((s.get(i, j), s.get(j, i)), (Some(0.0), Some(0.0)));
@@ -66,14 +68,14 @@ fn small_products_keep_their_digits() {
 fn fractions_of_the_admissible_range() {
     let radius = |a: &SparseMatrix| spectral_radius(a, None);
     let star = star(5);
-    let half = Alpha::Fraction(0.5);
-    assert_close(half.resolve(&star, &radius(&star)).unwrap(), 0.25, 1e-12);
+    let half = Alpha::Fraction { fraction: 0.5 };
+    assert_close(resolve_alpha(half, &star, &radius(&star)).unwrap(), 0.25, 1e-12);
     let chain = directed_path(4, 5.0);
-    assert_close(half.resolve(&chain, &radius(&chain)).unwrap(), 0.1, 1e-12);
+    assert_close(resolve_alpha(half, &chain, &radius(&chain)).unwrap(), 0.1, 1e-12);
     let empty = graph(3, &[]);
-    assert_eq!(half.resolve(&empty, &radius(&empty)).unwrap(), 0.5);
+    assert_eq!(resolve_alpha(half, &empty, &radius(&empty)).unwrap(), 0.5);
     for bad in [0.0, 1.0, -0.5, f64::NAN, f64::INFINITY] {
-        let found = Alpha::Fraction(bad).resolve(&star, &radius(&star));
+        let found = resolve_alpha(Alpha::Fraction { fraction: bad }, &star, &radius(&star));
         assert!(matches!(found, Err(KatzError::Fraction(_))));
     }
 }
@@ -109,13 +111,13 @@ fn inadmissible_decays_are_refused() {
 #[test]
 fn the_probe_detects_a_wrong_similarity() {
     let a = star(30);
-    let (alpha, mut s) = similarity(&a, Alpha::Fraction(0.9)).unwrap();
+    let (alpha, mut s) = similarity(&a, Alpha::Fraction { fraction: 0.9 }).unwrap();
     assert!(katz_probe(&a, alpha, &s, 1).unwrap() < 1e-13);
     assert!(katz_probe(&a, 0.9 * alpha, &s, 1).unwrap() > 1e-3);
     s = DenseMatrix::zeros(3, 3).unwrap();
     assert!(matches!(katz_probe(&a, alpha, &s, 1), Err(KatzError::Shape { .. })));
     let none = graph(0, &[]);
-    let (alpha, s) = similarity(&none, Alpha::Fraction(0.5)).unwrap();
+    let (alpha, s) = similarity(&none, Alpha::Fraction { fraction: 0.5 }).unwrap();
     assert_eq!(katz_probe(&none, alpha, &s, 1).unwrap(), 0.0);
 }
 
@@ -142,7 +144,7 @@ proptest! {
 
     #[test]
     fn equals_the_series(a in directed_graphs(15), f in 0.05..0.6_f64) {
-        let (alpha, s) = similarity(&a, Alpha::Fraction(f)).unwrap();
+        let (alpha, s) = similarity(&a, Alpha::Fraction { fraction: f }).unwrap();
         let expected = series(&a, alpha, 120);
         let rounding = 1e-11 * s.max_abs();
         for (x, y) in s.data().iter().zip(expected.data()) {
@@ -159,9 +161,9 @@ proptest! {
     #[test]
     fn permutes_with_the_nodes(a in directed_graphs(15), seed: u64) {
         let order = permutation(a.nodes(), seed);
-        let (_, s) = similarity(&a, Alpha::Fraction(0.5)).unwrap();
+        let (_, s) = similarity(&a, Alpha::Fraction { fraction: 0.5 }).unwrap();
         let rounding = 1e-11 * s.max_abs();
-        let (_, t) = similarity(&permuted(&a, &order), Alpha::Fraction(0.5)).unwrap();
+        let (_, t) = similarity(&permuted(&a, &order), Alpha::Fraction { fraction: 0.5 }).unwrap();
         for i in 0..a.nodes() {
             for j in 0..a.nodes() {
                 let (x, y) = (s.get(i, j).unwrap(), t.get(order[i], order[j]).unwrap());
@@ -174,7 +176,7 @@ proptest! {
     fn nodes_without_edges_have_zero_rows(a in directed_graphs(12)) {
         let n = a.nodes();
         let wider = SparseMatrix::from_triplets(n + 2, a.triplets()).unwrap();
-        let (_, s) = similarity(&wider, Alpha::Fraction(0.8)).unwrap();
+        let (_, s) = similarity(&wider, Alpha::Fraction { fraction: 0.8 }).unwrap();
         for i in n..n + 2 {
             prop_assert!(s.row(i).iter().all(|v| *v == 0.0));
             prop_assert!((0..n + 2).all(|j| s.get(j, i) == Some(0.0)));

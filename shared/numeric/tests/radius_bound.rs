@@ -5,7 +5,7 @@ mod common;
 
 use common::*;
 use muster_numeric::alpha_band::AlphaBand;
-use muster_numeric::katz::{Alpha, KatzError, katz_centrality, katz_similarity};
+use muster_numeric::katz::{Alpha, KatzError, katz_centrality, katz_similarity, resolve_alpha};
 use muster_numeric::matrix::SparseMatrix;
 use muster_numeric::radius_bound::{LIVE_WIDTH, RadiusBound, RadiusTracker, WidthError};
 use proptest::prelude::*;
@@ -163,7 +163,7 @@ fn decays_are_refused_by_the_bound() {
         let refused = |found: Option<KatzError>| {
             assert!(matches!(found, Some(KatzError::Diverges { .. })), "{found:?}");
         };
-        refused(Alpha::Value(alpha).resolve(&a, &radius).err());
+        refused(resolve_alpha(Alpha::Value(alpha), &a, &radius).err());
         refused(katz_similarity(&a, alpha, &radius).err());
         refused(tracker.solve_centrality(&a, alpha, &bound, 1e-3).err());
     }
@@ -239,7 +239,7 @@ proptest! {
         let mut tracker = RadiusTracker::default();
         let bound = tracker.bound(&a);
         let radius = tracker.spectral_radius(&bound);
-        let alpha = Alpha::Fraction(f).resolve(&a, &radius).unwrap();
+        let alpha = resolve_alpha(Alpha::Fraction { fraction: f }, &a, &radius).unwrap();
         let tolerance = 10.0_f64.powi(-e);
         let expected = katz_centrality(&katz_similarity(&a, alpha, &radius).unwrap());
         for _ in 0..2 {

@@ -8,7 +8,7 @@ use muster_numeric::margins::{MarginError, margins};
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::{
     Method, SAMPLE_POINTS, SilhouetteError, SilhouetteOptions, SilhouetteOptionsError,
-    estimate_silhouette, scores, silhouette, silhouette_squared,
+    estimate_silhouette, method_by_size, scores, silhouette, silhouette_squared,
 };
 use proptest::prelude::*;
 
@@ -82,8 +82,8 @@ fn methods_are_named() {
 
 #[test]
 fn scores_of_any_size_name_their_method() {
-    assert_eq!(Method::by_size(7, 7), Method::Exact);
-    assert_eq!(Method::by_size(8, 7), Method::Sampled);
+    assert_eq!(method_by_size(7, 7), Method::Exact);
+    assert_eq!(method_by_size(8, 7), Method::Sampled);
     let points = SAMPLE_POINTS + 100;
     let x = blobs(&[&[0.0, 0.0], &[1.0, 0.0]], points / 2, 1.0, 4);
     let labels: Vec<usize> = (0..points).map(|i| 5 * (2 * i / points)).collect();

@@ -4,7 +4,7 @@
 mod common;
 
 use common::*;
-use muster_numeric::katz::{Alpha, katz_similarity};
+use muster_numeric::katz::{Alpha, katz_similarity, resolve_alpha};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::spectral_radius;
 use muster_numeric::svd::{SvdError, full_svd, rank_k_svd};
@@ -12,7 +12,7 @@ use proptest::prelude::*;
 
 fn similarity(a: &SparseMatrix) -> DenseMatrix {
     let radius = spectral_radius(a, None);
-    let alpha = Alpha::Fraction(0.5).resolve(a, &radius).unwrap();
+    let alpha = resolve_alpha(Alpha::Fraction { fraction: 0.5 }, a, &radius).unwrap();
     katz_similarity(a, alpha, &radius).unwrap()
 }
 

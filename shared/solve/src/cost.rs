@@ -1,16 +1,16 @@
 //! What each step of each path holds in memory at its worst moment, and what its time grows with.
 
+use muster_method::decomposition::Path;
+use muster_method::step::Step;
 use muster_model::settings::Dimension;
 use muster_numeric::dimension::least_rank;
 use muster_numeric::katz_svd::{SearchColumns, search_columns};
 use muster_numeric::silhouette::{Method, SAMPLE_POINTS};
 
-use super::division::{kmeans_threads, silhouette_method, wanted_teams};
+use super::division::{kmeans_threads, silhouette_params, wanted_teams};
 use super::file::Emit;
-use super::path::Path;
 use super::problem::{Division, Problem};
 use super::speed::Speed;
-use super::step::Step;
 
 /// Memory of the program itself and of everything else that does not grow with the robots, in MiB.
 const BASE_MIB: f64 = 16.0;
@@ -122,15 +122,13 @@ const DIVISION: [Cost; 2] = [
     },
 ];
 
-impl Path {
-    /// What is done in order.
-    pub(super) fn steps(self) -> impl Iterator<Item = &'static Cost> {
-        let decomposed = match self {
-            Self::Dense => &DENSE[..],
-            Self::InverseFree => &INVERSE_FREE,
-        };
-        decomposed.iter().chain(&DIVISION)
-    }
+/// What is done by a path, in order.
+pub(super) fn steps(path: Path) -> impl Iterator<Item = &'static Cost> {
+    let decomposed = match path {
+        Path::Dense => &DENSE[..],
+        Path::InverseFree => &INVERSE_FREE,
+    };
+    decomposed.iter().chain(&DIVISION)
 }
 
 impl Size {
@@ -139,7 +137,7 @@ impl Size {
     pub(super) fn of(problem: &Problem) -> Self {
         let robots = problem.robots.len();
         let teams = wanted_teams(problem);
-        let (dimension, rank) = match problem.dimension {
+        let (dimension, rank) = match problem.settings.dimension {
             Dimension::Fixed(dimension) => (dimension as usize, dimension as usize / 2 + 1),
             Dimension::Auto => (2 * teams.clamp(2, robots.max(2)), least_rank(robots, teams)),
         };
@@ -155,7 +153,7 @@ impl Size {
             teams: teams as f64,
             restarts: f64::from(restarts),
             threads: threads as f64,
-            silhouettes: silhouette_method(problem.options.silhouette, robots),
+            silhouettes: silhouette_params(problem.options.silhouette).method(robots),
             keeps_katz: problem.emit.contains(&Emit::Katz),
         }
     }
@@ -168,7 +166,7 @@ impl Size {
 
     /// Memory at the worst moment of all in MiB.
     pub(super) fn peak_mib(&self, path: Path) -> u64 {
-        let peak = path.steps().map(|cost| self.mib(cost)).fold(0.0, f64::max);
+        let peak = steps(path).map(|cost| self.mib(cost)).fold(0.0, f64::max);
         whole(peak)
     }
 

@@ -1,77 +1,88 @@
-//! From the embedding to the teams, or to the given ones, and to their silhouettes.
+//! The teams of a problem, by k-means or as given, and their silhouettes.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::thread::available_parallelism;
 
-use muster_model::settings::{CentroidStart, ClustererSettings};
-use muster_numeric::kmeans::{Init, KMeansOptions, kmeans_with_progress};
+use muster_method::division::{self, Numbered};
+use muster_method::embedding::Embedded;
+use muster_method::params::DivisionParams;
+use muster_method::silhouettes::{SilhouetteParams, silhouettes};
+use muster_method::step::{Progress, Step};
+use muster_model::audit::SilhouetteMethod;
+use muster_model::settings::ClustererSettings;
 use muster_numeric::matrix::DenseMatrix;
-use muster_numeric::silhouette::{EXACT_POINTS, Method, Scores, scores};
+use muster_numeric::silhouette::Scores;
 
-use super::options::SilhouetteChoice;
+use super::options::{EXACT_ROBOTS, SilhouetteChoice};
 use super::problem::{Division, Problem};
-use super::step::{Progress, Step};
 use super::{SolveError, refuse};
 
-/// Robots over all teams and restarts from which k-means is shared out over all cores: it takes some
+/// Robots times teams times restarts from which k-means is shared out over all cores: it takes some
 /// milliseconds then, and starting threads a tenth of one.
-const WORTH_THREADS: usize = 200_000;
-
-/// Seed of the robots that are sampled.
-const SAMPLE_SEED: u64 = 0;
+const PARALLEL_WORK: usize = 200_000;
 
 /// A division and how good it is.
 #[derive(Debug)]
 pub(super) struct Divided {
     /// The label of each robot.
     pub(super) labels: Vec<usize>,
-    /// Sum of squared distances to the means of the teams.
+    /// The label that robots without an embedding share; it is no team.
+    pub(super) unassigned: Option<usize>,
+    /// Sum of squared distances to the means of the labels.
     pub(super) inertia: f64,
-    /// None for fewer than two teams.
+    /// None for fewer than two labels.
     pub(super) silhouette: Option<Scores>,
 }
 
-/// The teams of a problem whose vectors are the rows of `x`.
+/// The teams of a problem.
 pub(super) fn divide(
     problem: &Problem,
-    x: &DenseMatrix,
+    embedded: &Embedded,
     warnings: &mut Vec<String>,
     progress: &mut Progress<'_>,
 ) -> Result<Divided, SolveError> {
-    let (labels, inertia) = match &problem.division {
-        Division::Wanted(settings) => cluster(x, settings, warnings, progress)?,
+    let x = &embedded.x;
+    let (Numbered { labels, unassigned }, inertia) = match &problem.division {
+        Division::Wanted(settings) => {
+            let found = cluster(embedded, settings, warnings, progress)?;
+            let numbered = found.numbered();
+            let without = embedded.without_embedding.iter().enumerate().filter(|(_, w)| **w);
+            let rest = x.select_rows(&without.map(|(i, _)| i).collect::<Vec<_>>());
+            let inertia = found.inertia + inertia(&rest, &vec![0; rest.rows()]);
+            (numbered, inertia)
+        }
         Division::Given(labels) => {
             let labels: Vec<usize> = labels.iter().map(|label| *label as usize).collect();
             let inertia = inertia(x, &labels);
-            (labels, inertia)
+            (Numbered { labels, unassigned: None }, inertia)
         }
     };
     progress(Step::Silhouettes);
-    let method = silhouette_method(problem.options.silhouette, x.rows());
-    // The labels are one per row, so that the only error left is one of fewer than two teams.
-    let silhouette = scores(x, &labels, method, SAMPLE_SEED).ok();
-    Ok(Divided { labels, inertia, silhouette })
+    // The labels are one per row, so that the only error left is one of fewer than two labels.
+    let silhouette = silhouettes(x, &labels, &silhouette_params(problem.options.silhouette)).ok();
+    Ok(Divided { labels, unassigned, inertia, silhouette })
 }
 
-/// How the silhouettes of so many robots are computed.
-pub(super) fn silhouette_method(choice: SilhouetteChoice, robots: usize) -> Method {
-    match choice {
-        SilhouetteChoice::Auto => Method::by_size(robots, EXACT_POINTS),
-        SilhouetteChoice::Exact => Method::Exact,
-        SilhouetteChoice::Squared => Method::SquaredExact,
-        SilhouetteChoice::Sampled => Method::Sampled,
-    }
+/// How silhouettes are computed.
+pub(super) fn silhouette_params(choice: SilhouetteChoice) -> SilhouetteParams {
+    let method = match choice {
+        SilhouetteChoice::Auto => None,
+        SilhouetteChoice::Exact => Some(SilhouetteMethod::Exact),
+        SilhouetteChoice::Squared => Some(SilhouetteMethod::SquaredExact),
+        SilhouetteChoice::Sampled => Some(SilhouetteMethod::Sampled),
+    };
+    SilhouetteParams { method, exact_robots: EXACT_ROBOTS, ..SilhouetteParams::default() }
 }
 
-/// Threads for the k-means of so many robots: all cores where it is worth it.
+/// Threads for the k-means of so many robots: all cores for much work.
 pub(super) fn kmeans_threads(settings: &ClustererSettings, robots: usize) -> usize {
     let work =
         robots.saturating_mul(settings.teams as usize).saturating_mul(settings.restarts as usize);
-    if work < WORTH_THREADS { 1 } else { available_parallelism().map_or(1, NonZeroUsize::get) }
+    if work < PARALLEL_WORK { 1 } else { available_parallelism().map_or(1, NonZeroUsize::get) }
 }
 
-/// How many teams the rule for the dimension reckons with.
+/// How many teams the rule for the dimension expects.
 pub(super) fn wanted_teams(problem: &Problem) -> usize {
     match &problem.division {
         Division::Wanted(settings) => settings.teams as usize,
@@ -84,30 +95,22 @@ pub(super) fn wanted_teams(problem: &Problem) -> usize {
     }
 }
 
-/// Labels by k-means, and their inertia.
+/// The teams by k-means.
 fn cluster(
-    x: &DenseMatrix,
+    embedded: &Embedded,
     settings: &ClustererSettings,
     warnings: &mut Vec<String>,
     progress: &mut Progress<'_>,
-) -> Result<(Vec<usize>, f64), SolveError> {
+) -> Result<division::Division, SolveError> {
+    let Embedded { x, without_embedding, .. } = embedded;
     let wanted = settings.teams as usize;
-    let restarts = settings.restarts as usize;
-    let options = KMeansOptions {
-        init: match settings.init {
-            CentroidStart::PlusPlus => Init::PlusPlus,
-            CentroidStart::Random => Init::Random,
-        },
-        restarts,
-        max_iterations: settings.max_iterations as usize,
-        seed: settings.seed,
+    let params = DivisionParams {
         threads: kmeans_threads(settings, x.rows()),
-        ..KMeansOptions::new(wanted)
+        ..DivisionParams::new(settings)
     };
-    progress(Step::KMeans { done: 0, restarts });
-    let found =
-        kmeans_with_progress(x, &options, &mut |done| progress(Step::KMeans { done, restarts }))
-            .or_else(|error| refuse("teams", error.to_string()))?;
+    let params = params.check().or_else(|error| refuse("teams", error.to_string()))?;
+    let found = division::divide(x, without_embedding, &params, None, progress)
+        .or_else(|error| refuse("teams", error.to_string()))?;
     let teams = found.centroids.rows();
     if teams < wanted {
         warnings.push(format!(
@@ -121,7 +124,7 @@ fn cluster(
             found.iterations
         ));
     }
-    Ok((found.labels, found.inertia))
+    Ok(found)
 }
 
 /// Sum of squared distances of the rows to the mean of the rows with the same label.

@@ -7,14 +7,15 @@
 use std::fmt::Write as _;
 use std::io::Write as _;
 
+use muster_method::decomposition::Path;
 use muster_model::id::Modality;
 use serde::Serialize;
 
 use super::SolveError;
-use super::cost::{Size, whole};
+use super::cost::{Size, steps, whole};
 use super::memory::{admit, available_mib, fits};
 use super::options::Options;
-use super::path::Path;
+use super::path::{description, path_of};
 use super::problem::Problem;
 use super::speed::Speed;
 
@@ -54,10 +55,9 @@ struct StepEstimate {
 /// # Errors
 /// Where no path leads to what is asked for.
 pub(super) fn estimate(problem: &Problem) -> Result<Estimate, SolveError> {
-    let (path, size) = (Path::of(problem, problem.options.path)?, Size::of(problem));
+    let (path, size) = (path_of(problem, problem.options.path)?, Size::of(problem));
     let speed = Speed::measure();
-    let steps: Vec<StepEstimate> = path
-        .steps()
+    let steps: Vec<StepEstimate> = steps(path)
         .map(|cost| StepEstimate {
             step: cost.step.to_string(),
             seconds: (cost.seconds)(&size, &speed),
@@ -127,7 +127,7 @@ impl Estimate {
             self.robots,
             self.edges,
             graphs.join(", "),
-            self.path.description(),
+            description(self.path),
             self.peak_mib,
             duration(self.seconds),
         );
@@ -173,7 +173,7 @@ mod tests {
     use serde_json::{Value, json};
 
     use super::*;
-    use crate::memory::SMALL;
+    use crate::memory::SMALL_ROBOTS;
     use crate::options::PathChoice;
 
     fn file(robots: usize, changes: Value) -> String {
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fleet_is_refused_by_the_numbers_that_are_told() {
+    fn a_fleet_is_refused_by_the_numbers_that_are_printed() {
         let mut estimate = estimated(&file(50, json!({})));
         assert!(estimate.fits && estimate.check().is_ok());
         let size = Size { robots: 4000.0, ..size(&file(50, json!({}))) };
@@ -246,7 +246,7 @@ mod tests {
         assert!(error.contains("graphs and vectors of 4000 robots"), "{error}");
         estimate.available_mib = None;
         assert!(estimate.check().is_ok());
-        assert!(fits(SMALL, 2, Some(1)) && !fits(SMALL + 1, 2, Some(1)));
+        assert!(fits(SMALL_ROBOTS, 2, Some(1)) && !fits(SMALL_ROBOTS + 1, 2, Some(1)));
     }
 
     #[test]
@@ -265,7 +265,7 @@ mod tests {
         };
         for path in [Path::Dense, Path::InverseFree] {
             let total =
-                |size: &Size| path.steps().map(|cost| (cost.seconds)(size, &speed)).sum::<f64>();
+                |size: &Size| steps(path).map(|cost| (cost.seconds)(size, &speed)).sum::<f64>();
             for more in [
                 Size { robots: 600.0, ..base.clone() },
                 Size { edges: 6e3, ..base.clone() },
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_told_in_json_and_to_read() {
+    fn it_is_written_as_json_and_as_text() {
         let estimate = estimated(&file(50, json!({})));
         let read: Value = serde_json::from_str(&estimate.to_json().unwrap()).unwrap();
         assert_eq!((&read["robots"], &read["edges"]), (&json!(50), &json!(49)));
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_duration_is_told_in_its_unit() {
+    fn a_duration_is_written_in_its_unit() {
         let pairs = [
             (0.0, "0.0 ms"),
             (0.0023, "2.3 ms"),

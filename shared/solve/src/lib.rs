@@ -2,12 +2,11 @@
 //!
 //! The input goes through [`file`], which reads it, and [`problem`], which checks it, with
 //! [`observations`] for raw observations; [`path`] decides how the similarity is decomposed; [`method`]
-//! computes, with [`decomposition`] and [`division`] for its two halves, and [`output`] writes. Nothing
-//! here knows the bus. [`estimate`] says beforehand what it will take, by the tables of [`cost`], [`memory`]
+//! applies `muster-method`, with [`division`] for the teams, and [`output`] writes. Nothing here knows the
+//! bus. [`estimate`] says beforehand what it will take, by the tables of [`cost`], [`memory`]
 //! refuses what does not fit, and [`line`] says meanwhile what is being done.
 
 mod cost;
-mod decomposition;
 mod division;
 mod edges;
 mod estimate;
@@ -20,8 +19,8 @@ mod options;
 mod output;
 mod path;
 mod problem;
+mod saved;
 mod speed;
-mod step;
 #[cfg(test)]
 mod tests;
 
@@ -31,8 +30,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 pub use estimate::Estimate;
+pub use muster_method::step::{Progress, Step};
 pub use options::{Options, PathChoice, SilhouetteChoice, TOLERANCES};
-pub use step::{Progress, Step};
 
 /// Largest file that is read: the matrix of the largest fleet that is decomposed whole in short decimals
 /// fits, and so do a dozen edges for each of a million robots.
@@ -59,7 +58,7 @@ All keys, with what is taken where they are left out:
   normalize   "spectral" (default): each matrix is divided by its largest singular value; "none"
   alpha       a number below 1/ρ, or {"fraction": 0.5} of 1/ρ (default)
   dimension   even, from 2 to twice the number of robots, or "auto" (default)
-  scale       "none" (default) or "sqrt-sigma"
+  scale       "inverse-sqrt-sigma" (default), "sqrt-sigma" or "none"
   rows        "unit" (default) or "none"
   teams       how many, or instead of it:
   labels      one whole number per robot: the division to judge
@@ -79,11 +78,17 @@ Instead of modalities, raw observations, which become graphs as in the live flee
 "weights" and "reciprocity" are those of the live fleet then unless they are given; "spatial" and
 "connectivity" are settings of ingest.
 
-The method as printed in the paper: "normalize": "none", "rows": "none",
+A live fleet, saved and divided again; the lines of its settings may be left out:
+
+  (muster graph --json; muster set embedder --json; muster set clusterer --json) > fleet.jsonl
+  muster solve fleet.jsonl
+
+The method as printed in the paper: "normalize": "none", "scale": "none", "rows": "none",
 "init": "random", "restarts": 1.
 
 In the output, labels are numbered by first appearance (given ones stay as they are), and
-silhouette.per_team is ordered by label. Silhouettes are those in the embedding; "method" says how their
+silhouette.per_team is ordered by label. Robots without an embedding belong to no team and share a label
+of their own; "diagnostics" names them as "unseen". Silhouettes are those in the embedding; "method" says how their
 mean was computed, "detail_method" how those of teams and robots were. "decomposition" holds the path,
 the residual of the singular triplets, the gap behind them, and how far their space may be turned against
 the true one at most (angle_bound, the sine of an angle).
@@ -189,7 +194,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
         }
         return estimate.check().with_context(|| name);
     }
-    let solution = solve(&problem, &mut |step| line.tell(step)).with_context(|| name)?;
+    let solution = solve(&problem, &mut |step| line.show(step)).with_context(|| name)?;
     drop(line);
     for warning in &solution.warnings {
         eprintln!("warning: {warning}");
@@ -259,14 +264,20 @@ fn solve(
     problem: &problem::Problem,
     progress: &mut Progress<'_>,
 ) -> Result<method::Solution, SolveError> {
-    let path = path::Path::of(problem, problem.options.path)?;
-    path.admit(problem.robots.len(), &cost::Size::of(problem))?;
+    let path = path::path_of(problem, problem.options.path)?;
+    memory::admit_path(path, problem.robots.len(), &cost::Size::of(problem))?;
     method::solve(problem, path, progress)
 }
 
 /// A text as a checked input.
 fn parse(text: &[u8], options: Options) -> Result<problem::Problem, SolveError> {
-    problem::check(file::read(text)?, options)
+    match file::read(text) {
+        Ok(file) => problem::check(file, options),
+        Err(error) => match saved::SavedFleet::read(text)? {
+            Some(fleet) => fleet.into_problem(options),
+            None => Err(error),
+        },
+    }
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, SolveError> {

@@ -1,4 +1,4 @@
-//! One line on the terminal that tells an operator who waits what is being done.
+//! One line on the terminal that shows an operator what is being done.
 
 use std::fmt::Display;
 use std::io::Write as _;
@@ -6,18 +6,18 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::step::Step;
+use muster_method::step::Step;
 
-/// How long a solve may take before anything is said: what is done within it needs no explanation.
-const PATIENCE: Duration = Duration::from_secs(1);
+/// Time before the line appears: a shorter solve needs no explanation.
+const QUIET: Duration = Duration::from_secs(1);
 
-/// How often the line is written anew: a second that passes must be seen to pass.
-const REDRAWN: Duration = Duration::from_millis(250);
+/// Time between two redraws: every second that passes must show.
+const REDRAW_EVERY: Duration = Duration::from_millis(250);
 
 /// Back to the first column, and everything to the right erased.
 const ERASE: &str = "\r\x1b[K";
 
-/// The line. A thread of its own writes it, since a step that takes minutes says nothing meanwhile.
+/// The line. A thread of its own writes it, because a step may take minutes without a report.
 #[derive(Debug)]
 pub(super) struct Line {
     steps: Option<Sender<Step>>,
@@ -30,16 +30,16 @@ impl Line {
         if !is_shown {
             return Self { steps: None, writer: None };
         }
-        let (steps, told) = channel();
+        let (steps, received) = channel();
         // Without a thread there is no line, and all else goes on.
-        let writer = std::thread::Builder::new().spawn(move || write(&told)).ok();
+        let writer = std::thread::Builder::new().spawn(move || write(&received)).ok();
         Self { steps: Some(steps), writer }
     }
 
     /// The step has begun.
-    pub(super) fn tell(&self, step: Step) {
+    pub(super) fn show(&self, step: Step) {
         if let Some(steps) = &self.steps {
-            // It fails without a writer only, who has nothing to say then.
+            // It fails only without a writer.
             let _ = steps.send(step);
         }
     }
@@ -55,19 +55,19 @@ impl Drop for Line {
     }
 }
 
-/// Writes the line until nobody tells anything any more.
-fn write(told: &Receiver<Step>) {
+/// Writes the line until its sender is dropped.
+fn write(received: &Receiver<Step>) {
     let begin = Instant::now();
     let mut step: Option<Step> = None;
     let mut written: Option<Instant> = None;
     loop {
-        match told.recv_timeout(REDRAWN) {
+        match received.recv_timeout(REDRAW_EVERY) {
             Ok(next) => step = Some(next),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => break,
         }
-        let is_due = written.is_none_or(|written| written.elapsed() >= REDRAWN);
-        if begin.elapsed() >= PATIENCE && is_due {
+        let is_due = written.is_none_or(|written| written.elapsed() >= REDRAW_EVERY);
+        if begin.elapsed() >= QUIET && is_due {
             let text = match &step {
                 Some(step) => text(step, begin.elapsed()),
                 None => text(&"read the file", begin.elapsed()),
@@ -81,7 +81,7 @@ fn write(told: &Receiver<Step>) {
     }
 }
 
-/// Writes to standard error; whether anybody reads it does not matter to the solve.
+/// Writes to standard error; a failure does not matter to the solve.
 fn say(text: &str) {
     let mut out = std::io::stderr().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
@@ -117,10 +117,10 @@ mod tests {
     }
 
     #[test]
-    fn it_ends_when_nobody_tells_anything_any_more() {
+    fn it_ends_with_its_sender() {
         let line = Line::start(true);
-        line.tell(Step::Katz);
+        line.show(Step::Katz);
         drop(line);
-        Line::start(false).tell(Step::Katz);
+        Line::start(false).show(Step::Katz);
     }
 }

@@ -1,31 +1,35 @@
 //! Whether a problem fits into the memory of this machine.
 
+use muster_method::decomposition::Path;
+
 use super::cost::Size;
-use super::path::Path;
 use super::{SolveError, refuse};
 
-/// Fleets up to this size fit everywhere.
-pub(super) const SMALL: usize = 1000;
+/// Fleets of up to so many robots fit everywhere.
+pub(super) const SMALL_ROBOTS: usize = 1000;
 
-impl Path {
-    /// Whether a fleet fits. Where the system does not tell how much memory is available, every fleet
-    /// does, and small ones are not worth asking it.
-    pub(super) fn fits(self, robots: usize, size: &Size, available_mib: Option<u64>) -> bool {
-        fits(robots, size.peak_mib(self), available_mib)
-    }
+/// Whether a fleet fits by a path. Where the system does not say how much memory is available, every fleet
+/// does.
+pub(super) fn fits_path(
+    path: Path,
+    robots: usize,
+    size: &Size,
+    available_mib: Option<u64>,
+) -> bool {
+    fits(robots, size.peak_mib(path), available_mib)
+}
 
-    /// Refuses what does not fit now, instead of being killed half an hour later.
-    pub(super) fn admit(self, robots: usize, size: &Size) -> Result<(), SolveError> {
-        if robots <= SMALL {
-            return Ok(());
-        }
-        admit(self, robots, size.peak_mib(self), available_mib())
+/// Refuses what does not fit now, instead of being killed half an hour later.
+pub(super) fn admit_path(path: Path, robots: usize, size: &Size) -> Result<(), SolveError> {
+    if robots <= SMALL_ROBOTS {
+        return Ok(());
     }
+    admit(path, robots, size.peak_mib(path), available_mib())
 }
 
 /// Whether so many robots fit that take so much.
 pub(super) fn fits(robots: usize, peak_mib: u64, available_mib: Option<u64>) -> bool {
-    robots <= SMALL || available_mib.is_none_or(|available| peak_mib <= available)
+    robots <= SMALL_ROBOTS || available_mib.is_none_or(|available| peak_mib <= available)
 }
 
 /// Refuses a fleet that does not fit.

@@ -1,21 +1,31 @@
-//! The computation: graphs to Katz similarity to embedding to labels to silhouettes.
+//! The method on a checked input, with its warnings.
 
-use muster_model::settings::{Alpha, Normalization, RowScaling, SingularValueScaling};
-use muster_numeric::embedding::{Rows, Scale, embed};
-use muster_numeric::fuse::{self, fuse};
-use muster_numeric::katz;
-use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
-use muster_numeric::spectral_radius::{SpectralRadius, spectral_radius};
+use std::sync::Arc;
+use std::thread::available_parallelism;
 
-use super::decomposition::{Decomposition, Walks, of_katz};
-use super::division::{Divided, divide};
-use super::path::Path;
+use muster_method::decomposition::{Decomposition, Path};
+use muster_method::embedding::{Embedded, embed};
+use muster_method::params::EmbeddingParams;
+use muster_method::step::Progress;
+use muster_method::{Frame, Graph, MethodError};
+use muster_numeric::katz::KatzError;
+use muster_numeric::matrix::DenseMatrix;
+use muster_numeric::spectral_radius::SpectralRadius;
+
+use super::cost::Size;
+use super::division::{Divided, divide, wanted_teams};
+use super::file::Emit;
+use super::memory::admit_path;
+use super::options::PathChoice;
 use super::problem::Problem;
-use super::step::{Progress, Step};
 use super::{SolveError, refuse};
 
-/// How many robots a warning names.
-const MOST_NAMED: usize = 10;
+/// Most robots that a warning names.
+const MAX_NAMED_ROBOTS: usize = 10;
+
+/// Where the search does not reach its tolerance, fleets of up to so many robots are decomposed whole after
+/// all, if that fits: it takes a minute at most.
+const DENSE_FALLBACK_ROBOTS: usize = 4000;
 
 /// Everything that was found.
 #[derive(Debug)]
@@ -23,44 +33,125 @@ pub(super) struct Solution {
     pub(super) radius: SpectralRadius,
     pub(super) alpha: f64,
     pub(super) decomposition: Decomposition,
+    /// Largest ‖S v − σ u‖ or ‖Sᵀ u − σ v‖, relative to σ₁; where S is never formed, a bound on it.
+    pub(super) residual: f64,
     pub(super) embedding: DenseMatrix,
-    /// Per robot, whether its row says nothing.
-    pub(super) unseen: Vec<bool>,
+    /// Per robot, whether its row holds nothing.
+    pub(super) without_embedding: Vec<bool>,
     pub(super) divided: Divided,
     pub(super) warnings: Vec<String>,
 }
 
-/// Applies the method, and tells each step that it begins.
+impl Solution {
+    /// Bound on the sine of the angle by which the spaces of U and of V are turned against the true ones
+    /// (Wedin, BIT 12, 1972): the residuals of all K triplets over the gap behind them. 1 says nothing.
+    pub(super) fn angle_bound(&self) -> f64 {
+        let svd = &self.decomposition.svd;
+        #[expect(clippy::cast_precision_loss, reason = "there are a few triplets")]
+        let together = self.residual * (svd.rank() as f64).sqrt();
+        match svd.gap() {
+            gap if gap > together => together / gap,
+            _ if together == 0.0 => 0.0,
+            _ => 1.0,
+        }
+    }
+}
+
+/// Applies the method; `progress` receives each step when it begins.
 pub(super) fn solve(
     problem: &Problem,
     path: Path,
     progress: &mut Progress<'_>,
 ) -> Result<Solution, SolveError> {
-    progress(Step::Fuse);
-    let fused = fused(problem)?;
-    progress(Step::SpectralRadius);
-    let radius = spectral_radius(&fused, None);
-    let alpha = match problem.alpha {
-        Alpha::Value(alpha) => katz::Alpha::Value(alpha),
-        Alpha::Fraction { fraction } => katz::Alpha::Fraction(fraction),
+    let graphs = problem.graphs.iter();
+    let frame = Frame {
+        robots: problem.robots.as_slice().into(),
+        graphs: graphs
+            .map(|graph| (graph.name.clone(), Graph::Matrix(Arc::clone(&graph.matrix))))
+            .collect(),
     };
-    let alpha = alpha.resolve(&fused, &radius).or_else(of_katz)?;
-    let walks = Walks { fused: &fused, alpha, radius: &radius };
-    let decomposition = Decomposition::new(problem, walks, path, progress)?;
-    drop(fused);
+    let params = params(problem, path).check().map_err(MethodError::from);
+    let found = params.and_then(|params| embed(&frame, &params, progress));
+    let mut embedded = found.or_else(of_method)?;
+    if !problem.emit.contains(&Emit::Katz) {
+        // It is as large as all else together.
+        embedded.decomposition.similarity = None;
+    }
+    let found = &embedded.decomposition;
+    if !found.residual.is_finite() {
+        return refuse(
+            "modalities",
+            "the weights span so many magnitudes that no singular vectors are found without the \
+             similarity; for fewer robots --path dense finds them",
+        );
+    }
+    let residual = match found.path {
+        Path::Dense => found.residual,
+        // ‖M⁻ᵀ‖ = ‖I + S‖ ≤ 1 + σ₁ with M = I − αA*, of which the residual is that of Mᵀ(Sᵀu − σv).
+        Path::InverseFree => {
+            (1.0 + found.svd.sigma.first().copied().unwrap_or(0.0)) * found.residual
+        }
+    };
+    let mut warnings = warnings(problem, &embedded, residual);
+    let divided = divide(problem, &embedded, &mut warnings, progress)?;
+    let Embedded { decay, decomposition, x, without_embedding, .. } = embedded;
+    Ok(Solution {
+        radius: decay.radius,
+        alpha: decay.alpha,
+        decomposition,
+        residual,
+        embedding: x,
+        without_embedding,
+        divided,
+        warnings,
+    })
+}
 
-    let scale = match problem.scale {
-        SingularValueScaling::None => Scale::None,
-        SingularValueScaling::SqrtSigma => Scale::SqrtSigma,
-        SingularValueScaling::InverseSqrtSigma => Scale::InverseSqrtSigma,
+/// The parameters of a problem that is solved by a path.
+fn params(problem: &Problem, path: Path) -> EmbeddingParams {
+    let robots = problem.robots.len();
+    let dense_robots = match path {
+        Path::Dense => usize::MAX,
+        Path::InverseFree => 0,
     };
-    let rows = match problem.rows {
-        RowScaling::None => Rows::None,
-        RowScaling::Unit => Rows::Unit,
-    };
-    let svd = &decomposition.svd;
-    let embedded = embed(svd, scale, rows);
+    let may_change = problem.options.path == PathChoice::Auto
+        && robots <= DENSE_FALLBACK_ROBOTS
+        && admit_path(Path::Dense, robots, &Size::of(problem)).is_ok();
+    EmbeddingParams {
+        tolerance: problem.options.tolerance,
+        threads: available_parallelism().map_or(1, usize::from),
+        dense_robots,
+        dense_fallback_robots: if may_change { DENSE_FALLBACK_ROBOTS } else { 0 },
+        ..EmbeddingParams::once(&problem.settings, wanted_teams(problem))
+    }
+}
+
+/// An error of the method, by the field that is to be changed.
+fn of_method<T>(error: MethodError) -> Result<T, SolveError> {
+    match error {
+        MethodError::Diverges { alpha, radius } => refuse(
+            "alpha",
+            format!(
+                "{alpha} must be less than 1/ρ = {} of this file (ρ = {radius}); set it below, or \
+                 as {{\"fraction\": 0.5}}",
+                1.0 / radius
+            ),
+        ),
+        MethodError::Katz(KatzError::Matrix(error)) => refuse("robots", error.to_string()),
+        MethodError::Katz(error) => refuse("alpha", error.to_string()),
+        MethodError::Fuse(error) => {
+            refuse("modalities", format!("the graphs cannot be added up: {error}"))
+        }
+        MethodError::Svd(error) => refuse("modalities", error.to_string()),
+        MethodError::Search(error) => refuse("modalities", error.to_string()),
+        other => refuse("modalities", other.to_string()),
+    }
+}
+
+/// What a reader should know about an embedding.
+fn warnings(problem: &Problem, embedded: &Embedded, residual: f64) -> Vec<String> {
     let mut warnings = Vec::new();
+    let Decomposition { svd, converged, .. } = &embedded.decomposition;
     if svd.ambiguous() {
         warnings.push(format!(
             "the singular values number {} and {} coincide: which directions make up the embedding \
@@ -70,57 +161,32 @@ pub(super) fn solve(
             2 * svd.rank(),
         ));
     }
-    if !decomposition.converged {
+    if !converged {
         warnings.push(format!(
-            "the search for the singular vectors ended at a residual of {:.1e}, above the tolerance of \
-             {:.1e}; for fewer robots --path dense is exact",
-            decomposition.residual, problem.options.tolerance,
+            "the search for the singular vectors ended at a residual of {residual:.1e}, above the \
+             tolerance of {:.1e}; for fewer robots --path dense is exact",
+            problem.options.tolerance,
         ));
     }
-    warnings.extend(unseen_warning(problem, &embedded.weak, svd.rank()));
-    let divided = divide(problem, &embedded.x, &mut warnings, progress)?;
-    Ok(Solution {
-        radius,
-        alpha,
-        decomposition,
-        embedding: embedded.x,
-        unseen: embedded.weak,
-        divided,
-        warnings,
-    })
+    warnings.extend(without_embedding_warning(problem, &embedded.without_embedding, svd.rank()));
+    warnings
 }
 
-/// A* of the file.
-fn fused(problem: &Problem) -> Result<SparseMatrix, SolveError> {
-    let graphs: Vec<_> = problem.graphs.iter().map(|graph| (&graph.matrix, graph.weight)).collect();
-    let normalization = match problem.normalize {
-        Normalization::None => fuse::Normalization::None,
-        Normalization::Spectral => fuse::Normalization::Spectral,
-    };
-    fuse(&graphs, normalization)
-        .or_else(|error| refuse("modalities", format!("the graphs cannot be added up: {error}")))
-}
-
-/// Names the robots whose rows say nothing.
-fn unseen_warning(problem: &Problem, unseen: &[bool], rank: usize) -> Option<String> {
-    let robots: Vec<&str> = problem
-        .robots
-        .iter()
-        .zip(unseen)
-        .filter(|(_, unseen)| **unseen)
-        .map(|(robot, _)| robot.as_str())
-        .collect();
+/// Names the robots without an embedding.
+fn without_embedding_warning(problem: &Problem, without: &[bool], rank: usize) -> Option<String> {
+    let robots = problem.robots.iter().zip(without).filter(|(_, without)| **without);
+    let robots: Vec<&str> = robots.map(|(robot, _)| robot.as_str()).collect();
     if robots.is_empty() {
         return None;
     }
-    let named = robots.iter().take(MOST_NAMED).copied().collect::<Vec<_>>().join(", ");
-    let more = match robots.len().saturating_sub(MOST_NAMED) {
+    let named = robots.iter().take(MAX_NAMED_ROBOTS).copied().collect::<Vec<_>>().join(", ");
+    let more = match robots.len().saturating_sub(MAX_NAMED_ROBOTS) {
         0 => String::new(),
         more => format!(" and {more} more"),
     };
     Some(format!(
-        "the embedding does not see {named}{more}: no edges, or a part of the fleet that is weaker \
-         than the {rank} leading directions; their rows are zero and say nothing about their team, \
-         which a larger dimension may change"
+        "without an embedding: {named}{more}; they have no edges, or their part of the fleet is \
+         weaker than the {rank} leading directions, which a larger dimension may change; they belong \
+         to no team, and k-means gives them one label of their own"
     ))
 }

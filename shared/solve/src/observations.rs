@@ -132,17 +132,17 @@ fn of_links(
     settings: &ConnectivitySettings,
 ) -> Result<Vec<Edge>, SolveError> {
     let mut reports = Vec::with_capacity(links.0.len());
-    for (robot, heard) in &links.0 {
+    for (robot, links) in &links.0 {
         let hearer = index(place(places, robot, || format!("links.{robot}"))?);
-        let mut report: Vec<(u32, f64)> = Vec::with_capacity(heard.len());
-        let mut seen = HashMap::with_capacity(heard.len());
-        for (number, Object(link)) in heard.iter().enumerate() {
+        let mut report: Vec<(u32, f64)> = Vec::with_capacity(links.len());
+        let mut peers = HashMap::with_capacity(links.len());
+        for (number, Object(link)) in links.iter().enumerate() {
             let field = |part: &str| format!("links.{robot}[{number}].{part}");
             let peer = index(place(places, &link.peer, || field("peer"))?);
             if peer == hearer {
                 return refuse(field("peer"), "no robot hears itself");
             }
-            if let Some(first) = seen.insert(peer, number) {
+            if let Some(first) = peers.insert(peer, number) {
                 let problem = format!("{} is named twice, first as [{first}]", link.peer);
                 return refuse(field("peer"), problem);
             }

@@ -6,6 +6,10 @@ use clap::ValueEnum;
 /// one singular values have no correct digits.
 pub const TOLERANCES: (f64, f64) = (1e-12, 1e-1);
 
+/// Divisions of up to so many robots have exact silhouettes, twice as many as those of a live fleet: nothing
+/// else waits for a solve.
+pub(super) const EXACT_ROBOTS: usize = 20_000;
+
 /// How a file is solved.
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct Options {
@@ -74,7 +78,7 @@ fn tolerance(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use clap::Parser;
-    use muster_numeric::silhouette::{EXACT_POINTS, SAMPLE_POINTS};
+    use muster_numeric::silhouette::SAMPLE_POINTS;
 
     use super::*;
     use crate::path::DENSE_ROBOTS;
@@ -113,7 +117,7 @@ mod tests {
         let path = help(&|| PathChoice::Auto.to_possible_value());
         assert!(path.contains(&format!("up to {DENSE_ROBOTS} robots")), "{path}");
         let silhouette = help(&|| SilhouetteChoice::Auto.to_possible_value());
-        assert!(silhouette.contains(&format!("up to {EXACT_POINTS} robots")), "{silhouette}");
+        assert!(silhouette.contains(&format!("up to {EXACT_ROBOTS} robots")), "{silhouette}");
         let sampled = help(&|| SilhouetteChoice::Sampled.to_possible_value());
         assert!(sampled.contains(&format!("from {SAMPLE_POINTS} robots")), "{sampled}");
     }

@@ -5,16 +5,18 @@ use std::io::{BufWriter, Write};
 
 use comfy_table::presets::UTF8_BORDERS_ONLY;
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
+use muster_method::decomposition::Path;
+use muster_model::audit::SilhouetteMethod;
 use muster_model::id::RobotId;
 use muster_model::settings::{Alpha, Dimension};
 use muster_numeric::matrix::DenseMatrix;
-use muster_numeric::silhouette::{Method, Scores};
+use muster_numeric::silhouette::Scores;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
 use super::file::Emit;
 use super::method::Solution;
-use super::path::Path;
+use super::path::description;
 use super::problem::{Division, Problem};
 
 /// Columns of the table; the standard output may be no terminal.
@@ -64,11 +66,11 @@ struct SilhouetteReport<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     standard_error: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    method: Option<&'static str>,
+    method: Option<SilhouetteMethod>,
     per_team: Vec<f64>,
     per_robot: &'a [f64],
     #[serde(skip_serializing_if = "Option::is_none")]
-    detail_method: Option<&'static str>,
+    detail_method: Option<SilhouetteMethod>,
 }
 
 #[derive(Serialize)]
@@ -128,7 +130,7 @@ pub(super) fn write_summary(problem: &Problem, solution: &Solution) -> std::io::
 
 /// The results as they are serialised.
 fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
-    let unseen = problem.robots.iter().zip(&solution.unseen);
+    let robots = problem.robots.iter().zip(&solution.without_embedding);
     let found = &solution.decomposition;
     let labels = &solution.divided.labels;
     let wants = |emit| problem.emit.contains(&emit);
@@ -136,13 +138,13 @@ fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
         robots: &problem.robots,
         rho: solution.radius.value,
         alpha: solution.alpha,
-        katz: found.katz.as_ref().map(Matrix),
+        katz: found.similarity.as_ref().filter(|_| wants(Emit::Katz)).map(Matrix),
         singular_values: &found.svd.sigma,
         decomposition: DecompositionReport {
             path: found.path,
-            residual: found.residual,
+            residual: solution.residual,
             gap: found.svd.gap(),
-            angle_bound: found.angle_bound(),
+            angle_bound: solution.angle_bound(),
             ambiguous: found.svd.ambiguous(),
             converged: found.converged,
         },
@@ -157,9 +159,9 @@ fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
             next_singular_value: found.svd.sigma_next,
             gap: found.svd.gap(),
             ambiguous: found.svd.ambiguous(),
-            residual: found.residual,
-            katz_residual: found.katz_residual,
-            unseen: unseen.filter(|(_, unseen)| **unseen).map(|(robot, _)| robot).collect(),
+            residual: solution.residual,
+            katz_residual: found.probe,
+            unseen: robots.filter(|(_, without)| **without).map(|(robot, _)| robot).collect(),
         }),
     }
 }
@@ -170,19 +172,10 @@ fn silhouette_report(scores: Option<&Scores>) -> SilhouetteReport<'_> {
     SilhouetteReport {
         mean: scores.map(|scores| scores.mean),
         standard_error: scores.map(|scores| scores.standard_error),
-        method: scores.map(|scores| method_name(scores.method)),
+        method: scores.map(|scores| scores.method),
         per_team: per_cluster.iter().map(|cluster| cluster.1).collect(),
         per_robot: details.map(|details| details.per_point.as_slice()).unwrap_or_default(),
-        detail_method: details.map(|details| method_name(details.method)),
-    }
-}
-
-/// The name of a method, as in the audits of a live fleet.
-fn method_name(method: Method) -> &'static str {
-    match method {
-        Method::Exact => "exact",
-        Method::SquaredExact => "squared-exact",
-        Method::Sampled => "sampled",
+        detail_method: details.map(|details| details.method),
     }
 }
 
@@ -193,14 +186,14 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
         .iter()
         .map(|graph| format!("{} {}", graph.name, rounded(graph.weight)))
         .collect();
-    let alpha = match problem.alpha {
+    let alpha = match problem.settings.alpha {
         Alpha::Value(_) => String::new(),
         Alpha::Fraction { fraction } if solution.radius.upper > 0.0 => {
             format!(" (fraction {fraction} of 1/ρ)")
         }
         Alpha::Fraction { fraction } => format!(" (fraction {fraction}; ρ is 0 without cycles)"),
     };
-    let chosen = match problem.dimension {
+    let chosen = match problem.settings.dimension {
         Dimension::Auto => " (chosen by the last large drop of the singular values)",
         Dimension::Fixed(_) => "",
     };
@@ -241,9 +234,9 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
         dimension = solution.embedding.cols(),
         values = values.join(", "),
         gap = rounded(found.svd.gap()),
-        path = found.path.description(),
-        residual = found.residual,
-        angle = found.angle_bound(),
+        path = description(found.path),
+        residual = solution.residual,
+        angle = solution.angle_bound(),
         inertia = rounded(solution.divided.inertia),
         table = table(problem, solution),
     )
@@ -253,9 +246,9 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
 fn mean_silhouette(scores: &Scores) -> String {
     let mean = rounded(scores.mean);
     match scores.method {
-        Method::Exact => mean,
-        Method::SquaredExact => format!("{mean} (of squared distances)"),
-        Method::Sampled => format!(
+        SilhouetteMethod::Exact => mean,
+        SilhouetteMethod::SquaredExact => format!("{mean} (of squared distances)"),
+        SilhouetteMethod::Sampled => format!(
             "{mean} ± {} (sampled; those of the teams are of squared distances)",
             rounded(scores.standard_error)
         ),
@@ -273,6 +266,7 @@ fn table(problem: &Problem, solution: &Solution) -> Table {
         .iter()
         .flat_map(|scores| scores.details.per_cluster.iter().copied())
         .collect();
+    let unassigned = solution.divided.unassigned;
     let label = match problem.division {
         Division::Wanted(_) => "team",
         Division::Given(_) => "label",
@@ -286,7 +280,7 @@ fn table(problem: &Problem, solution: &Solution) -> Table {
             silhouettes.get(&label).map_or_else(|| "-".to_owned(), |s| format!("{s:.3}"));
         let right = |text: String| Cell::new(text).set_alignment(CellAlignment::Right);
         table.add_row([
-            right(label.to_string()),
+            right(if unassigned == Some(label) { "-".to_owned() } else { label.to_string() }),
             right(members.len().to_string()),
             right(silhouette),
             Cell::new(named(&members)),

@@ -1,13 +1,14 @@
 //! The checks on an input, and what passes them.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
 
 use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_WEIGHT;
 use muster_model::object::Object;
 use muster_model::settings::{
-    Alpha, ClustererSettings, Dimension, EmbedderSettings, Normalization, RowScaling, Settings,
-    SingularValueScaling, WEIGHT_SUM_TOLERANCE, check_reciprocity,
+    Alpha, ClustererSettings, Dimension, EmbedderSettings, Settings, WEIGHT_SUM_TOLERANCE,
+    check_reciprocity,
 };
 use muster_numeric::matrix::{MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
 
@@ -27,11 +28,8 @@ pub(super) struct Problem {
     pub(super) robots: Vec<RobotId>,
     /// One graph per modality with its weight; the weights sum to 1.
     pub(super) graphs: Vec<Graph>,
-    pub(super) normalize: Normalization,
-    pub(super) alpha: Alpha,
-    pub(super) dimension: Dimension,
-    pub(super) scale: SingularValueScaling,
-    pub(super) rows: RowScaling,
+    /// From graphs to vectors; the weights are those of `graphs`, in which edges lead back already.
+    pub(super) settings: EmbedderSettings,
     pub(super) division: Division,
     pub(super) emit: BTreeSet<Emit>,
     /// What was chosen beside the file.
@@ -43,7 +41,7 @@ pub(super) struct Problem {
 pub(super) struct Graph {
     pub(super) name: Modality,
     pub(super) weight: f64,
-    pub(super) matrix: SparseMatrix,
+    pub(super) matrix: Arc<SparseMatrix>,
 }
 
 /// Where the division comes from.
@@ -65,18 +63,32 @@ pub(super) fn check(mut file: File, options: Options) -> Result<Problem, SolveEr
     check_alpha(alpha)?;
     let dimension = file.dimension.unwrap_or(defaults.dimension);
     check_dimension(dimension, file.robots.len())?;
-    Ok(Problem {
-        robots: file.robots,
-        graphs,
+    let settings = EmbedderSettings {
         normalize: file.normalize.unwrap_or(defaults.normalize),
         alpha,
         dimension,
         scale: file.scale.unwrap_or(defaults.scale),
         rows: file.rows.unwrap_or(defaults.rows),
-        division,
-        emit: file.emit.unwrap_or_default().into_iter().collect(),
-        options,
-    })
+        ..defaults
+    };
+    let emit = file.emit.unwrap_or_default().into_iter().collect();
+    Ok(Problem::new(file.robots, graphs, settings, division, emit, options))
+}
+
+impl Problem {
+    /// A problem of checked parts. Weights and reciprocity of the settings give way to those of the graphs.
+    pub(super) fn new(
+        robots: Vec<RobotId>,
+        graphs: Vec<Graph>,
+        settings: EmbedderSettings,
+        division: Division,
+        emit: BTreeSet<Emit>,
+        options: Options,
+    ) -> Self {
+        let weights = graphs.iter().map(|graph| (graph.name.clone(), graph.weight)).collect();
+        let settings = EmbedderSettings { weights, reciprocity: BTreeMap::new(), ..settings };
+        Self { robots, graphs, settings, division, emit, options }
+    }
 }
 
 /// The graphs of a file, with what leads back in them.
@@ -107,7 +119,8 @@ fn graphs(
         if share > 0.0 {
             let both = graph.matrix.with_reverse(share);
             let field = || format!("reciprocity.{}", graph.name);
-            graph.matrix = both.or_else(|error| refuse(field(), error.to_string()))?;
+            let both = both.or_else(|error| refuse(field(), error.to_string()))?;
+            graph.matrix = Arc::new(both);
         }
     }
     Ok(graphs)
@@ -278,7 +291,7 @@ fn matrix_triplets(
     Ok(triplets)
 }
 
-fn edge_triplets(
+pub(super) fn edge_triplets(
     edges: &Edges,
     places: &HashMap<RobotId, usize>,
     path: &str,
@@ -370,7 +383,8 @@ fn weighted(graphs: Graphs, field: &str, normalize: bool) -> Result<Vec<Graph>, 
         );
     }
     let graphs = graphs.into_iter().zip(weights);
-    Ok(graphs.map(|((_, name, _, matrix), weight)| Graph { name, weight, matrix }).collect())
+    let graph = |((_, name, _, matrix), weight)| Graph { name, weight, matrix: Arc::new(matrix) };
+    Ok(graphs.map(graph).collect())
 }
 
 fn check_alpha(alpha: Alpha) -> Result<(), SolveError> {

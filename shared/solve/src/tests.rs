@@ -5,12 +5,13 @@ mod files;
 mod hostile;
 mod paths;
 mod results;
+mod saved;
 
 use muster_numeric::matrix::DenseMatrix;
 use serde_json::{Value, json};
 
 use super::method::{self, Solution};
-use super::path::Path;
+use super::path::path_of;
 use super::problem::Problem;
 use super::{Options, SolveError, parse};
 
@@ -20,7 +21,7 @@ fn solve(text: &str) -> Result<(Problem, Solution), SolveError> {
 
 fn solve_with(text: &str, options: Options) -> Result<(Problem, Solution), SolveError> {
     let problem = parse(text.as_bytes(), options)?;
-    let path = Path::of(&problem, options.path)?;
+    let path = path_of(&problem, options.path)?;
     let solution = method::solve(&problem, path, &mut |_| {})?;
     Ok((problem, solution))
 }
@@ -67,7 +68,7 @@ fn assert_near(found: f64, expected: f64, what: &str) {
 }
 
 fn assert_katz(solution: &Solution, expected: impl Fn(usize, usize) -> f64) {
-    let katz: &DenseMatrix = solution.decomposition.katz.as_ref().unwrap();
+    let katz: &DenseMatrix = solution.decomposition.similarity.as_ref().unwrap();
     for i in 0..katz.rows() {
         for j in 0..katz.cols() {
             assert_near(katz.get(i, j).unwrap(), expected(i, j), &format!("S[{i}][{j}]"));

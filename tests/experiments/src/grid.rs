@@ -1,8 +1,8 @@
 //! How well a recipe divides what the truth is known of: what defaults are chosen by.
 
+use muster_model::settings::Normalization;
+use muster_model::settings::RowScaling as Rows;
 use muster_model::settings::{IngestSettings, SpatialKernel, SpatialScale, SpatialSettings};
-use muster_numeric::embedding::Rows;
-use muster_numeric::fuse::Normalization;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;

@@ -13,17 +13,14 @@ pub mod lle;
 use muster_model::id::Modality;
 use muster_model::settings::{
     Alpha, CentroidStart, ClustererSettings, Dimension, EmbedderSettings, IngestSettings,
-    Normalization as Normalize, RowScaling, SingularValueScaling, WHOLE_FROM, default_weight,
+    Normalization, RowScaling, coverage, default_weight,
 };
-use muster_numeric::embedding::Rows;
-use muster_numeric::fuse::Normalization;
-use muster_numeric::kmeans::Init;
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 
 use crate::system::{Nearness, System, SystemError};
 use agreement::trusted;
 use consensus::together;
-use embedding::{Clustering, Form, MethodError, Rank, concatenated};
+use embedding::{Clustering, Form, MethodError, Rank, Vectors, concatenated};
 use girvan_newman::girvan_newman;
 use lle::{LleError, locally_linear_embedding};
 
@@ -95,17 +92,16 @@ impl Recipe {
                 fraction: PAPER_FRACTION,
                 rank: Rank::Fixed(PAPER_RANK),
                 power: 0.0,
-                rows: Rows::None,
+                rows: RowScaling::None,
             },
-            clustering: Clustering { init: Init::Random, starts: 1 },
+            clustering: Clustering { init: CentroidStart::Random, starts: 1 },
             consensus: Consensus::Best,
         }
     }
 
     /// By which share of its weight a graph counts: that of the live system's default weights.
     fn trust(&self, graph: &SparseMatrix) -> f64 {
-        let related = graph.related_share();
-        if self.by_coverage && related > 0.0 { (related / WHOLE_FROM).min(1.0) } else { 1.0 }
+        if self.by_coverage { coverage(graph.related_share()) } else { 1.0 }
     }
 
     /// What the live system does unless it is told otherwise: the defaults of its services.
@@ -129,10 +125,7 @@ impl Recipe {
             by_coverage: embedder.weights.is_empty(),
             by_agreement: false,
             form: Form {
-                normalization: match embedder.normalize {
-                    Normalize::None => Normalization::None,
-                    Normalize::Spectral => Normalization::Spectral,
-                },
+                normalization: embedder.normalize,
                 fraction: match embedder.alpha {
                     Alpha::Fraction { fraction } => fraction,
                     // A decay that fits one graph fits no other.
@@ -142,25 +135,28 @@ impl Recipe {
                     Dimension::Auto => Rank::Ratio,
                     Dimension::Fixed(dimension) => Rank::Fixed(dimension as usize / 2),
                 },
-                power: match embedder.scale {
-                    SingularValueScaling::None => 0.0,
-                    SingularValueScaling::SqrtSigma => 0.5,
-                    SingularValueScaling::InverseSqrtSigma => -0.5,
-                },
-                rows: match embedder.rows {
-                    RowScaling::None => Rows::None,
-                    RowScaling::Unit => Rows::Unit,
-                },
+                power: embedder.scale.power(),
+                rows: embedder.rows,
             },
-            clustering: Clustering {
-                init: match clusterer.init {
-                    CentroidStart::PlusPlus => Init::PlusPlus,
-                    CentroidStart::Random => Init::Random,
-                },
-                starts: clusterer.restarts as usize,
-            },
+            clustering: Clustering { init: clusterer.init, starts: clusterer.restarts as usize },
             consensus: Consensus::Best,
         }
+    }
+
+    /// Divides the robots of graphs in the order of [`crate::system::MODALITIES`], of which that of command
+    /// leads back already.
+    ///
+    /// # Errors
+    /// [`MethodError`]
+    pub fn divide(
+        &self,
+        graphs: &[SparseMatrix; 3],
+        teams: usize,
+        seed: u64,
+    ) -> Result<Division, MethodError> {
+        let vectors = self.vectors(graphs, teams, seed)?;
+        let labels = self.clustering.divide(&vectors, teams, seed)?;
+        Ok(Division { labels, vectors: Some(vectors.x) })
     }
 
     /// What k-means sees of graphs in the order of [`crate::system::MODALITIES`].
@@ -169,7 +165,7 @@ impl Recipe {
         graphs: &[SparseMatrix; 3],
         teams: usize,
         seed: u64,
-    ) -> Result<DenseMatrix, MethodError> {
+    ) -> Result<Vectors, MethodError> {
         let mut weights: Vec<f64> =
             graphs.iter().zip(self.weights).map(|(graph, w)| w * self.trust(graph)).collect();
         if self.by_agreement {
@@ -194,7 +190,7 @@ impl Recipe {
                 (2..=teams.max(2)).map(of_rank).collect::<Result<Vec<_>, _>>()?
             }
         };
-        Ok(together(&divisions)?)
+        Ok(Vectors::of_all(together(&divisions)?))
     }
 }
 
@@ -279,7 +275,7 @@ impl Method {
         teams: usize,
         seed: u64,
     ) -> Result<Division, DivisionError> {
-        let kmeans = Clustering { init: Init::PlusPlus, starts: BASELINE_STARTS };
+        let kmeans = Clustering { init: CentroidStart::PlusPlus, starts: BASELINE_STARTS };
         let (vectors, kmeans) = match self {
             Self::GirvanNewman(modality) => {
                 let graph = &system.graphs(&Nearness::Inverse)?[*modality];
@@ -290,15 +286,18 @@ impl Method {
             Self::Lle(modality) => {
                 let graph = &system.graphs(&Nearness::Inverse)?[*modality];
                 let rows = graph.to_dense().map_err(SystemError::from)?;
-                (locally_linear_embedding(&rows, LLE_NEIGHBOURS, LLE_DIMENSION)?, kmeans)
+                let x = locally_linear_embedding(&rows, LLE_NEIGHBOURS, LLE_DIMENSION)?;
+                (Vectors::of_all(x), kmeans)
             }
             Self::Hope(modality) => {
-                (hope(&system.graphs(&Nearness::Inverse)?[*modality], teams)?, kmeans)
+                let x = hope(&system.graphs(&Nearness::Inverse)?[*modality], teams)?;
+                (Vectors::of_all(x), kmeans)
             }
             Self::HopeConcatenated => {
                 let graphs = system.graphs(&Nearness::Inverse)?;
                 let parts = graphs.iter().map(|graph| hope(graph, teams));
-                (concatenated(&parts.collect::<Result<Vec<_>, _>>()?)?, kmeans)
+                let x = concatenated(&parts.collect::<Result<Vec<_>, _>>()?)?;
+                (Vectors::of_all(x), kmeans)
             }
             Self::Single(modality, recipe) => {
                 let mut graphs = system.graphs(&recipe.nearness)?;
@@ -309,10 +308,10 @@ impl Method {
             Self::Multimodal(_, recipe) => {
                 let mut graphs = system.graphs(&recipe.nearness)?;
                 graphs[2] = system.command(recipe.upward, recipe.siblings)?;
-                (recipe.vectors(&graphs, teams, seed)?, recipe.clustering)
+                return Ok(recipe.divide(&graphs, teams, seed)?);
             }
         };
-        Ok(Division { labels: kmeans.divide(&vectors, teams, seed)?, vectors: Some(vectors) })
+        Ok(Division { labels: kmeans.divide(&vectors, teams, seed)?, vectors: Some(vectors.x) })
     }
 }
 
@@ -320,5 +319,5 @@ impl Method {
 /// the roots of their values.
 fn hope(graph: &SparseMatrix, teams: usize) -> Result<DenseMatrix, MethodError> {
     let form = Form { power: 0.5, ..Recipe::plain().form };
-    form.vectors(&[(graph, 1.0)], teams)
+    Ok(form.vectors(&[(graph, 1.0)], teams)?.x)
 }

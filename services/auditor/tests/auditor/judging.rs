@@ -1,6 +1,6 @@
 //! What is judged by what.
 
-use muster_auditor::EXACT_ROBOTS;
+use muster_method::silhouettes::SilhouetteParams;
 use muster_model::audit::SilhouetteMethod;
 
 use super::*;
@@ -84,9 +84,10 @@ fn a_large_fleet_is_judged_by_a_sample_and_each_robot_by_squared_distances() {
         bench.audit()
     };
     use SilhouetteMethod::{Exact, Sampled, SquaredExact};
-    let exact = audit(EXACT_ROBOTS).in_embedding.clone();
+    let exact_robots = SilhouetteParams::default().exact_robots;
+    let exact = audit(exact_robots).in_embedding.clone();
     assert_eq!((exact.method, exact.standard_error, exact.detail_method), (Exact, 0.0, Exact));
-    let robots = EXACT_ROBOTS + 1000;
+    let robots = exact_robots + 1000;
     let sampled = audit(robots).in_embedding.clone();
     assert_eq!((sampled.method, sampled.detail_method), (Sampled, SquaredExact));
     assert!((1e-4..0.02).contains(&sampled.standard_error), "{}", sampled.standard_error);

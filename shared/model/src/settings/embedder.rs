@@ -105,6 +105,18 @@ pub enum SingularValueScaling {
     InverseSqrtSigma,
 }
 
+impl SingularValueScaling {
+    /// The power of its singular value that each singular vector is multiplied by.
+    #[must_use]
+    pub fn power(self) -> f64 {
+        match self {
+            Self::None => 0.0,
+            Self::SqrtSigma => 0.5,
+            Self::InverseSqrtSigma => -0.5,
+        }
+    }
+}
+
 /// How the rows are scaled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -191,8 +203,13 @@ pub fn default_weight(modality: &Modality, related: f64) -> f64 {
         (Modality::hierarchy(), 0.55),
     ];
     let known = built_in.iter().find(|(name, _)| name == modality);
-    let weight = known.map_or(1.0 / 3.0, |(_, weight)| *weight);
-    if related > 0.0 { weight * (related / WHOLE_FROM).min(1.0) } else { weight }
+    known.map_or(1.0 / 3.0, |(_, weight)| *weight) * coverage(related)
+}
+
+/// The share of its default weight that a modality has which relates a share of the robots, both from 0 to 1.
+#[must_use]
+pub fn coverage(related: f64) -> f64 {
+    if related > 0.0 { (related / WHOLE_FROM).min(1.0) } else { 1.0 }
 }
 
 /// Checks that reciprocities are shares.

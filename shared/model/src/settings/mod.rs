@@ -18,7 +18,7 @@ pub use clusterer::{CentroidStart, ClustererSettings};
 pub use embedder::{
     Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
     SingularValueScaling, WEIGHT_SUM_TOLERANCE, WHOLE_FROM, check_reciprocity, check_weights,
-    default_weight,
+    coverage, default_weight,
 };
 pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialScale,

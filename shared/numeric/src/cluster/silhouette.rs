@@ -19,6 +19,6 @@ pub use sample::{
     EXACT_POINTS, SAMPLE_POINTS, SilhouetteEstimate, SilhouetteOptions, ValidSilhouetteOptions,
     estimate_silhouette,
 };
-pub use scores::{Scores, scores};
+pub use scores::{Scores, method_by_size, scores};
 pub use squared::silhouette_squared;
 pub use types::{Method, Silhouette, SilhouetteError, SilhouetteOptionsError};

@@ -1,39 +1,37 @@
 //! The decay α, and the check that the Katz series converges.
 
+pub use muster_model::settings::Alpha;
+
 use super::error::KatzError;
 use crate::linalg::matrix::SparseMatrix;
 use crate::norm::spectral_norm;
 use crate::radius::exact::SpectralRadius;
 
-/// How the decay α is chosen. α has the inverse unit of the weights of A.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Alpha {
-    /// This value.
-    Value(f64),
-    /// This fraction, strictly between 0 and 1, of the largest admissible value 1/ρ(A).
-    Fraction(f64),
-}
-
-impl Alpha {
-    /// The decay α for the graph `a` whose spectral radius is `radius`.
-    ///
-    /// A fraction f gives α = f/ρ, with the upper bound of ρ to be on the safe side. Acyclic graphs
-    /// have ρ = 0 and admit every α; the fraction then refers to 1/‖A‖₂, which has the same unit
-    /// and equals 1/ρ for symmetric graphs. Without any edge α = f.
-    ///
-    /// # Errors
-    /// [`KatzError::Fraction`], [`KatzError::Alpha`] or [`KatzError::Diverges`].
-    pub fn resolve(self, a: &SparseMatrix, radius: &SpectralRadius) -> Result<f64, KatzError> {
-        let alpha = match self {
-            Self::Value(value) => value,
-            Self::Fraction(f) if !(f > 0.0 && f < 1.0) => return Err(KatzError::Fraction(f)),
-            Self::Fraction(f) if radius.upper > 0.0 => f / radius.upper,
-            Self::Fraction(f) if a.is_zero() => f,
-            Self::Fraction(f) => f / spectral_norm(a),
-        };
-        check_alpha(alpha, radius.upper)?;
-        Ok(alpha)
-    }
+/// The decay α for the graph `a` whose spectral radius is `radius`. α has the inverse unit of the
+/// weights of A.
+///
+/// A fraction f gives α = f/ρ, with the upper bound of ρ to be on the safe side. Acyclic graphs have
+/// ρ = 0 and admit every α; the fraction then refers to 1/‖A‖₂, which has the same unit and equals
+/// 1/ρ for symmetric graphs. Without any edge α = f.
+///
+/// # Errors
+/// [`KatzError::Fraction`], [`KatzError::Alpha`] or [`KatzError::Diverges`].
+pub fn resolve_alpha(
+    alpha: Alpha,
+    a: &SparseMatrix,
+    radius: &SpectralRadius,
+) -> Result<f64, KatzError> {
+    let alpha = match alpha {
+        Alpha::Value(value) => value,
+        Alpha::Fraction { fraction: f } if !(f > 0.0 && f < 1.0) => {
+            return Err(KatzError::Fraction(f));
+        }
+        Alpha::Fraction { fraction: f } if radius.upper > 0.0 => f / radius.upper,
+        Alpha::Fraction { fraction: f } if a.is_zero() => f,
+        Alpha::Fraction { fraction: f } => f / spectral_norm(a),
+    };
+    check_alpha(alpha, radius.upper)?;
+    Ok(alpha)
 }
 
 /// Refuses α unless it is positive, finite and certified to let the series converge by the upper

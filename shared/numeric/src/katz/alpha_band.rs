@@ -67,7 +67,7 @@ impl AlphaBand {
     /// times the upper bound is within [`AlphaBand::limits`], otherwise f over the upper bound.
     ///
     /// The radius of an acyclic graph is 0 and admits every α; its norm ‖A‖₂ replaces the radius
-    /// then, or 1 without any edge (see [`crate::katz::Alpha::resolve`]).
+    /// then, or 1 without any edge (see [`crate::katz::resolve_alpha`]).
     pub fn choose(&mut self, a: &SparseMatrix, bound: &RadiusBound) -> Decay {
         let scale = match bound.upper {
             upper if upper > 0.0 => upper,

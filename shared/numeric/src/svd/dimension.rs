@@ -50,14 +50,6 @@ pub fn choose_dimension(sigma: &[f64], teams: usize) -> usize {
     ruled(sigma, n, null_threshold(sigma, n), teams)
 }
 
-/// [`choose_dimension`] where only some of the singular values are known: at least [`least_rank`]
-/// of them, or all. Values up to [`Spectrum::noise`] count as zero.
-#[must_use]
-pub fn choose_known_dimension(svd: &impl Spectrum, teams: usize) -> usize {
-    let sigma = svd.singular_values();
-    ruled(sigma, svd.nodes(), svd.noise(), teams).min(sigma.len())
-}
-
 /// The rule for the values of a similarity of `n` nodes; those up to `noise` do not count.
 fn ruled(sigma: &[f64], n: usize, noise: f64, teams: usize) -> usize {
     if n <= 2 {
@@ -85,7 +77,7 @@ pub struct Choice {
     pub short: bool,
 }
 
-/// Number of leading triplets that [`choose_known_dimension`] and [`choose_covering_dimension`] must
+/// Number of leading triplets that [`choose_covering_dimension`] must
 /// know for `teams` teams of `n` nodes: one more than the range of the rule.
 #[must_use]
 pub fn least_rank(n: usize, teams: usize) -> usize {

@@ -75,11 +75,11 @@ fn a_complete_graph_is_ambiguous_behind_its_first_value() {
     let cut = solved(&with(file.clone(), json!({"dimension": 4})));
     let found = &cut.decomposition;
     assert!(found.svd.ambiguous() && found.svd.gap().abs() < 1e-12);
-    assert_eq!(found.angle_bound(), 1.0);
+    assert_eq!(cut.angle_bound(), 1.0);
     assert!(cut.warnings[0].contains("coincide"), "{:?}", cut.warnings);
     let first = solved(&with(file, json!({"dimension": 2})));
     assert!(!first.decomposition.svd.ambiguous() && first.warnings.is_empty());
-    assert!(first.decomposition.angle_bound() < 1e-13);
+    assert!(first.angle_bound() < 1e-13);
 }
 
 #[test]
@@ -117,14 +117,14 @@ fn two_cliques_are_two_teams_and_their_silhouettes_are_known() {
 }
 
 #[test]
-fn robots_that_the_embedding_does_not_see_are_named_and_clustered() {
+fn robots_without_an_embedding_are_named_and_share_a_label() {
     let file = with(
         plain(8, &cliques(&[3, 3]), 0.1),
         json!({"dimension": 4, "rows": "unit", "scale": "sqrt-sigma", "teams": 3}),
     );
     let solution = solved(&file);
     assert_eq!(solution.divided.labels, [0, 0, 0, 1, 1, 1, 2, 2]);
-    assert_eq!(solution.unseen, [false, false, false, false, false, false, true, true]);
+    assert_eq!(solution.without_embedding, [false, false, false, false, false, false, true, true]);
     assert!(solution.warnings[0].contains("r6, r7"), "{:?}", solution.warnings);
     assert_near(
         solution.divided.silhouette.unwrap().details.per_point[7],

@@ -17,7 +17,7 @@ fn matrix_and_edges_say_the_same_and_weights_add_up() {
         {"name": "x", "weight": 0.4, "edges": [["a", "b", 1], ["b", "a", 1.0], ["c", "a", 0]]},
         {"name": "y", "weight": 0.6, "edges": [["a", "c", 1]]}]);
     let (left, right) = (solved(&entry(matrices)), solved(&entry(edges)));
-    assert_eq!(left.decomposition.katz, right.decomposition.katz);
+    assert_eq!(left.decomposition.similarity, right.decomposition.similarity);
     // The walks a→b, a→c and a→b→a→…: with x = 0.2·0.4 and y = 0.2·0.6.
     let (x, y) = (0.08, 0.12);
     let around = 1.0 - x * x;
@@ -31,7 +31,7 @@ fn matrix_and_edges_say_the_same_and_weights_add_up() {
                      {"name": "y", "weight": weights[1], "edges": [["a", "c", 1]]}]))
     };
     assert_near(
-        solved(&free([None, None])).decomposition.katz.unwrap().get(0, 2).unwrap(),
+        solved(&free([None, None])).decomposition.similarity.unwrap().get(0, 2).unwrap(),
         0.1,
         "S",
     );

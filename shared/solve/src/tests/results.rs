@@ -3,10 +3,9 @@
 use serde_json::{Value, json};
 
 use super::*;
-use crate::Solved;
 use crate::options::PathChoice;
 use crate::output;
-use crate::step::Step;
+use crate::{Solved, Step};
 
 #[test]
 fn each_step_is_told_when_it_begins_and_each_round_and_restart_when_it_is_done() {

@@ -1,13 +1,17 @@
-//! The method itself, in all forms that are compared: from graphs to vectors, from vectors to teams.
+//! Muster's own method in all forms that are compared: the parameters of `muster-method`, named.
 
-use muster_numeric::dimension::choose_covering_dimension;
-use muster_numeric::embedding::{Rows, Scale, embed};
-use muster_numeric::fuse::{FuseError, Normalization, fuse};
-use muster_numeric::katz::{Alpha, KatzError, katz_similarity};
-use muster_numeric::kmeans::{Init, KMeansError, KMeansOptions, kmeans};
+use std::sync::Arc;
+
+use muster_method::division::divide;
+use muster_method::embedding::embed;
+use muster_method::params::{DivisionParams, EmbeddingParams, ParamsError};
+use muster_method::{Frame, Graph};
+use muster_model::id::{IdError, Modality, RobotId};
+use muster_model::settings::{
+    Alpha, CentroidStart, Dimension, EmbedderSettings, Normalization, RowScaling,
+};
+use muster_numeric::kmeans::KMeansError;
 use muster_numeric::matrix::{DenseMatrix, MatrixError, SparseMatrix};
-use muster_numeric::spectral_radius::spectral_radius;
-use muster_numeric::svd::{RankKSvd, SvdError, full_svd};
 
 /// How K, half of the length of a vector, is chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -15,7 +19,7 @@ pub enum Rank {
     /// This one, or the number of robots if that is less.
     Fixed(usize),
     /// The live system's rule: the last large ratio of neighbouring singular values from 2 to the number of
-    /// teams, and more where a robot with relations would not be seen otherwise.
+    /// teams, and more where a robot with relations would have no embedding otherwise.
     Ratio,
     /// The number of teams.
     Teams,
@@ -35,37 +39,54 @@ pub struct Form {
     /// Power of the singular values by which their vectors are scaled: 0 in the paper, 1/2 in HOPE, −1/2 in the
     /// live system.
     pub power: f64,
-    /// How the vectors of robots are.
-    pub rows: Rows,
+    /// How the vectors of robots are scaled.
+    pub rows: RowScaling,
 }
 
 /// From vectors to teams.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clustering {
     /// Where centroids start.
-    pub init: Init,
+    pub init: CentroidStart,
     /// How often.
     pub starts: usize,
+}
+
+/// What k-means sees.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Vectors {
+    /// One row per robot.
+    pub x: DenseMatrix,
+    /// Whether a robot has no embedding and belongs to no team.
+    pub without_embedding: Vec<bool>,
+}
+
+impl Vectors {
+    /// Rows all of which are divided.
+    #[must_use]
+    pub fn of_all(x: DenseMatrix) -> Self {
+        Self { without_embedding: vec![false; x.rows()], x }
+    }
 }
 
 /// Why there is no division.
 #[derive(Debug, thiserror::Error)]
 pub enum MethodError {
-    /// The graphs cannot be fused.
+    /// The graphs have no embedding.
     #[error(transparent)]
-    Fuse(#[from] FuseError),
-    /// There is no similarity.
+    Embedding(#[from] muster_method::MethodError),
+    /// The parameters are not valid.
     #[error(transparent)]
-    Katz(#[from] KatzError),
-    /// It cannot be decomposed.
-    #[error(transparent)]
-    Svd(#[from] SvdError),
+    Params(#[from] ParamsError),
     /// The vectors cannot be divided.
     #[error(transparent)]
     KMeans(#[from] KMeansError),
-    /// The vectors are none.
+    /// The vectors have no matrix.
     #[error(transparent)]
     Matrix(#[from] MatrixError),
+    /// A number makes no name.
+    #[error(transparent)]
+    Name(#[from] IdError),
 }
 
 impl Form {
@@ -77,65 +98,64 @@ impl Form {
         &self,
         graphs: &[(&SparseMatrix, f64)],
         teams: usize,
-    ) -> Result<DenseMatrix, MethodError> {
-        let fused = fuse(graphs, self.normalization)?;
-        let radius = spectral_radius(&fused, None);
-        let alpha = Alpha::Fraction(self.fraction).resolve(&fused, &radius)?;
-        let full = full_svd(&katz_similarity(&fused, alpha, &radius)?)?;
-        let rank = match self.rank {
-            Rank::Fixed(rank) => rank,
-            Rank::Teams => teams,
-            Rank::More(more) => teams + more,
-            Rank::Ratio => {
-                let mut related = vec![false; fused.nodes()];
-                fused.triplets().for_each(|(i, j, _)| (related[i], related[j]) = (true, true));
-                choose_covering_dimension(&full, &related, teams, None).dimension
-            }
+    ) -> Result<Vectors, MethodError> {
+        let fixed = |rank: usize| Dimension::Fixed(u32::try_from(2 * rank).unwrap_or(u32::MAX - 1));
+        let names = (0..graphs.len()).map(|at| Modality::new(format!("m{at}")));
+        let names: Vec<Modality> = names.collect::<Result<_, _>>()?;
+        let settings = EmbedderSettings {
+            weights: names.iter().cloned().zip(graphs.iter().map(|(_, weight)| *weight)).collect(),
+            reciprocity: Default::default(),
+            normalize: self.normalization,
+            alpha: Alpha::Fraction { fraction: self.fraction },
+            dimension: match self.rank {
+                Rank::Fixed(rank) => fixed(rank),
+                Rank::Teams => fixed(teams),
+                Rank::More(more) => fixed(teams + more),
+                Rank::Ratio => Dimension::Auto,
+            },
+            rows: self.rows,
+            ..EmbedderSettings::default()
         };
-        let svd = full.truncate(rank.clamp(1, fused.nodes()))?;
-        Ok(self.rows_of(&svd)?)
-    }
-}
-
-impl Form {
-    /// [`embed`] for any power of the singular values.
-    fn rows_of(&self, svd: &RankKSvd) -> Result<DenseMatrix, MatrixError> {
-        let weak = embed(svd, Scale::SqrtSigma, Rows::None).weak;
-        // What vanishes has no direction that could be made longer.
-        let scale = |sigma: f64| if sigma > 0.0 { sigma.powf(self.power) } else { 0.0 };
-        let scales: Vec<f64> = svd.sigma.iter().map(|sigma| scale(*sigma)).collect();
-        let row = |(i, weak): (usize, &bool)| -> Vec<f64> {
-            let sides = svd.u.row(i).iter().zip(&scales).chain(svd.v.row(i).iter().zip(&scales));
-            let mut row: Vec<f64> = sides.map(|(value, scale)| value * scale).collect();
-            if self.rows == Rows::Unit {
-                let length = row.iter().map(|value| value * value).sum::<f64>().sqrt();
-                row.iter_mut()
-                    .for_each(|v| *v = if *weak || length == 0.0 { 0.0 } else { *v / length });
-            }
-            row
+        let robots = graphs.first().map_or(0, |(graph, _)| graph.nodes());
+        let robots = (0..robots).map(|robot| RobotId::new(format!("r{robot:06}")));
+        let matrices = graphs.iter().map(|(graph, _)| Graph::Matrix(Arc::new((*graph).clone())));
+        let frame = Frame {
+            robots: robots.collect::<Result<Vec<_>, _>>()?.into(),
+            graphs: names.into_iter().zip(matrices).collect(),
         };
-        DenseMatrix::from_rows(&weak.iter().enumerate().map(row).collect::<Vec<_>>())
+        let params = EmbeddingParams {
+            power: self.power,
+            // Tables hold what the method says, not what a search leaves of it.
+            dense_robots: usize::MAX,
+            ..EmbeddingParams::once(&settings, teams)
+        };
+        let found = embed(&frame, &params.check()?, &mut |_| {})?;
+        Ok(Vectors { x: found.x, without_embedding: found.without_embedding })
     }
 }
 
 impl Clustering {
-    /// The team of each row of `x`, numbered from 0 in order of first appearance.
+    /// The team of each robot, numbered from 0 in order of first appearance. Robots without an embedding
+    /// share a number of their own.
     ///
     /// # Errors
-    /// [`MethodError::KMeans`] for more teams than robots.
+    /// [`MethodError::KMeans`] where there is nothing to divide.
     pub fn divide(
         &self,
-        x: &DenseMatrix,
+        vectors: &Vectors,
         teams: usize,
         seed: u64,
     ) -> Result<Vec<usize>, MethodError> {
-        let options = KMeansOptions {
+        let params = DivisionParams {
+            teams,
             init: self.init,
             restarts: self.starts,
             seed,
-            ..KMeansOptions::new(teams)
+            ..DivisionParams::default()
         };
-        Ok(kmeans(x, &options)?.labels)
+        let Vectors { x, without_embedding } = vectors;
+        let found = divide(x, without_embedding, &params.check()?, None, &mut |_| {})?;
+        Ok(found.numbered().labels)
     }
 }
 

@@ -3,7 +3,7 @@
 //! Messages are handed on at once and as they are: what the bus adds is tested elsewhere. Fetches find nothing,
 //! as on a bus on which nothing is lost and nobody was before. A job takes as long as it is told to.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,7 +13,8 @@ use muster_embedder::Embedder;
 use muster_ingest::Ingest;
 use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stopwatch, Stored};
 use muster_model::audit::Audit;
-use muster_model::id::{FleetId, IdError, InstanceId, ServiceName};
+use muster_model::graph::GraphReplica;
+use muster_model::id::{FleetId, IdError, InstanceId, Modality, ServiceName};
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings,
 };
@@ -137,6 +138,8 @@ pub struct Pipeline {
     pub audit: Option<Arc<Audit>>,
     /// Columns of the last embedding.
     pub dimension: u32,
+    /// The graphs that were published last.
+    pub graphs: BTreeMap<Modality, GraphReplica>,
 }
 
 impl Pipeline {
@@ -159,6 +162,7 @@ impl Pipeline {
             teams: None,
             audit: None,
             dimension: 0,
+            graphs: BTreeMap::new(),
         };
         pipeline.embedder.step(now, Event::Started, &mut pipeline.queue);
         pipeline.clusterer.step(now, Event::Started, &mut pipeline.queue);
@@ -216,7 +220,11 @@ impl Pipeline {
             let received = |message: &Message| Event::Received(message.clone());
             let out = &mut self.queue;
             match &message {
-                Message::Graph(_) => self.embedder.step(now, Event::Received(message), out),
+                Message::Graph(delta) => {
+                    // On this bus nothing is lost, so that every delta applies.
+                    let _ = self.graphs.entry(delta.modality.clone()).or_default().apply(delta);
+                    self.embedder.step(now, Event::Received(message), out);
+                }
                 Message::Roster(_) => {
                     self.embedder.step(now, Event::Received(message.clone()), out);
                     self.clusterer.step(now, Event::Received(message.clone()), out);

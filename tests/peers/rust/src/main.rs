@@ -92,7 +92,7 @@ impl Session {
             }
             Command::Literal { site } => {
                 let site = self.site(&site)?;
-                let found = literal::literal(&site.graph, site.alpha)?;
+                let found = literal::literal(&site.graph, site.decay.alpha)?;
                 json!({
                     "eigenvalues": found.eigenvalues,
                     "inverse": found.inverse,
@@ -141,7 +141,7 @@ fn about(site: &Site) -> Value {
     json!({
         "robots": site.graph.nodes(),
         "edges": site.graph.edges(),
-        "alpha": site.alpha,
+        "alpha": site.decay.alpha,
         "radius": [lower, upper],
     })
 }

@@ -1,13 +1,16 @@
 //! A fleet with its graph, and Muster's decompositions of it from frame to frame.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
+use muster_method::Decay;
+use muster_method::decomposition::LeadingTriplets;
+use muster_model::id::RobotId;
 use muster_numeric::alpha_band::AlphaBand;
 use muster_numeric::cached_katz::CachedKatz;
-use muster_numeric::katz_svd::{KatzSvd, KatzSvdOptions, KatzSvdReport};
+use muster_numeric::katz_svd::{KatzSvdOptions, KatzSvdReport};
 use muster_numeric::matrix::SparseMatrix;
 use muster_numeric::radius_bound::{RadiusBound, RadiusTracker};
-use muster_numeric::spectral_radius::SpectralRadius;
 use muster_numeric::svd::RankKSvd;
 
 use crate::Failure;
@@ -53,17 +56,13 @@ pub(crate) struct Solved {
 pub(crate) struct Site {
     fleet: Fleet,
     kind: Kind,
-    pub(crate) graph: SparseMatrix,
+    pub(crate) graph: Arc<SparseMatrix>,
+    robots: Arc<[RobotId]>,
     band: AlphaBand,
-    pub(crate) alpha: f64,
-    radius: SpectralRadius,
+    pub(crate) decay: Decay,
     bounds: RadiusTracker,
-    /// Number of the frame, and which rows of the graph differ from the last one, where few do: who makes
-    /// the graph knows them.
-    frame: u64,
-    changed: Option<Vec<usize>>,
-    /// Searches, and the frame that each has seen last.
-    streams: BTreeMap<String, (KatzSvd, u64)>,
+    /// What the services keep from frame to frame, one for each stream.
+    streams: BTreeMap<String, LeadingTriplets>,
     tracker: RadiusTracker,
     similarity: CachedKatz,
 }
@@ -77,21 +76,20 @@ impl Site {
         seed: u64,
     ) -> Result<Self, Failure> {
         let fleet = Fleet::new(robots, seed);
-        let graph = graph(&fleet, kind)?;
+        let graph = Arc::new(graph(&fleet, kind)?);
+        let names = (0..graph.nodes()).map(|robot| RobotId::new(format!("r{robot:09}")));
         let mut bounds = RadiusTracker::default();
         let bound = bounds.refine(&graph, WIDTH)?;
         let mut band = AlphaBand::new(fraction, HYSTERESIS)?;
         let alpha = band.choose(&graph, &bound).alpha;
         Ok(Self {
-            radius: bounds.spectral_radius(&bound),
+            decay: Decay { alpha, radius: bounds.spectral_radius(&bound) },
+            robots: names.collect::<Result<Vec<_>, _>>()?.into(),
             fleet,
             kind,
             graph,
             band,
-            alpha,
             bounds,
-            frame: 0,
-            changed: None,
             streams: BTreeMap::new(),
             tracker: RadiusTracker::default(),
             similarity: CachedKatz::default(),
@@ -105,46 +103,36 @@ impl Site {
         } else {
             self.fleet.one_moves(spacings);
         }
-        let before = std::mem::replace(&mut self.graph, graph(&self.fleet, self.kind)?);
-        self.frame += 1;
-        self.changed = (!all).then(|| {
-            let mut rows = Vec::new();
-            before.differing_rows(&self.graph, self.graph.nodes(), &mut rows);
-            rows
-        });
+        self.graph = Arc::new(graph(&self.fleet, self.kind)?);
         let bound = self.bounds.refine(&self.graph, WIDTH)?;
-        self.alpha = self.band.choose(&self.graph, &bound).alpha;
-        self.radius = self.bounds.spectral_radius(&bound);
+        let alpha = self.band.choose(&self.graph, &bound).alpha;
+        self.decay = Decay { alpha, radius: self.bounds.spectral_radius(&bound) };
         Ok(())
     }
 
     /// The bounds of the spectral radius that α rests on.
     pub(crate) fn radius(&self) -> (f64, f64) {
-        (self.radius.lower, self.radius.upper)
+        (self.decay.radius.lower, self.decay.radius.upper)
     }
 
-    /// Leading triplets: from nothing but the graph and α, memory and all, or from where the last frame of
-    /// the stream ended. Streams do not know of each other.
+    /// Leading triplets by the function that the services call: from nothing but the graph and α, memory and
+    /// all, or from where the last frame of the stream ended. Streams do not know of each other.
     pub(crate) fn solve(
         &mut self,
         stream: Option<&str>,
         wanted: Wanted,
     ) -> Result<Solved, Failure> {
         let kept = stream.and_then(|stream| self.streams.remove(stream));
-        let told = kept.as_ref().is_some_and(|(_, frame)| *frame + 1 == self.frame);
-        let (graph, alpha, radius, options) =
-            (&self.graph, self.alpha, &self.radius, wanted.options());
-        let (seconds, (search, report)) = timed(|| {
-            let mut search = kept.map_or_else(KatzSvd::default, |(search, _)| search);
-            let report = match &self.changed {
-                Some(rows) if told => search.solve_changed(graph, alpha, radius, options, rows),
-                _ => search.solve(graph, alpha, radius, options, None),
-            };
-            (search, report)
+        let (graph, decay, robots) = (&self.graph, &self.decay, &self.robots);
+        let options = wanted.options();
+        let (seconds, (leading, report)) = timed(|| {
+            let mut leading = kept.unwrap_or_default();
+            let report = leading.advance(graph, decay, robots, options, &mut |_| {});
+            (leading, report)
         });
-        let (vectors, svd) = timed(|| search.truncate(wanted.rank));
+        let (vectors, svd) = timed(|| leading.truncate(wanted.rank));
         if let Some(stream) = stream {
-            self.streams.insert(stream.to_owned(), (search, self.frame));
+            self.streams.insert(stream.to_owned(), leading);
         }
         Ok(Solved { seconds, vectors, report: report?, svd: svd? })
     }
@@ -156,8 +144,10 @@ impl Site {
 
     /// The similarity of all pairs, brought up to date.
     pub(crate) fn update_similarity(&mut self) -> Result<Seconds, Failure> {
+        let Decay { alpha, radius } = &self.decay;
+        let alpha = *alpha;
         let (seconds, update) =
-            timed(|| self.similarity.update(&self.graph, self.alpha, &self.radius, None));
+            timed(|| self.similarity.update(&self.graph, alpha, radius, None));
         update?;
         Ok(seconds)
     }

@@ -1,18 +1,7 @@
 //! Parameters of k-means: unchecked, checked, and what may be wrong with them.
 
+pub use muster_model::settings::CentroidStart as Init;
 use thiserror::Error;
-
-/// How the first centroids of a restart are chosen.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Init {
-    /// Greedy k-means++: each centroid is the best of 2 + ln k candidates, drawn far from the
-    /// others.
-    #[default]
-    PlusPlus,
-    /// As in the paper, at random: distinct points drawn uniformly. (Positions drawn from the
-    /// bounding box would start with empty clusters in a large share of runs.)
-    Random,
-}
 
 /// Unchecked parameters of k-means; [`KMeansOptions::check`] makes them valid.
 #[derive(Debug, Clone, Copy, PartialEq)]

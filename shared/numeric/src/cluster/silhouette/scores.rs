@@ -20,6 +20,12 @@ pub struct Scores {
     pub details: Silhouette,
 }
 
+/// [`Method::Exact`] for `exact_points` at most, and [`Method::Sampled`] for more.
+#[must_use]
+pub fn method_by_size(points: usize, exact_points: usize) -> Method {
+    if points <= exact_points { Method::Exact } else { Method::Sampled }
+}
+
 /// Silhouettes of the rows of `x`, N × D, for `labels`, N arbitrary numbers, with the mean by `method`.
 ///
 /// O(N² D) for [`Method::Exact`], O(N k D) for [`Method::SquaredExact`]. [`Method::Sampled`] compares

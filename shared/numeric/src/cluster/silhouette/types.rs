@@ -1,5 +1,6 @@
 //! What silhouettes are, how they were computed, and why there are none.
 
+pub use muster_model::audit::SilhouetteMethod as Method;
 use thiserror::Error;
 
 /// The parameter of [`SilhouetteOptions`](super::SilhouetteOptions) that is out of its range.
@@ -32,18 +33,6 @@ pub enum SilhouetteError {
     },
 }
 
-/// How silhouettes were computed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Method {
-    /// From Euclidean distances between all pairs of points, up to rounding.
-    Exact,
-    /// From squared Euclidean distances between all pairs of points, up to rounding. The values are
-    /// further from zero than those of [`Method::Exact`].
-    SquaredExact,
-    /// From Euclidean distances between some points and all points: an estimate.
-    Sampled,
-}
-
 /// Silhouettes of one division, each between −1 and 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Silhouette {
@@ -55,12 +44,4 @@ pub struct Silhouette {
     pub mean: f64,
     /// How they were computed.
     pub method: Method,
-}
-
-impl Method {
-    /// [`Method::Exact`] for at most `exact_points` points, [`Method::Sampled`] for more.
-    #[must_use]
-    pub fn by_size(points: usize, exact_points: usize) -> Self {
-        if points <= exact_points { Self::Exact } else { Self::Sampled }
-    }
 }

@@ -1,11 +1,11 @@
-//! What the method is doing, for whoever waits for it.
+//! What the method is doing, for callers that report progress.
 
 use std::fmt;
 
-/// Who is told of the steps. A search tells its rounds from a thread of its own.
+/// Receives each step when it begins. A search reports its rounds from a thread of its own.
 pub type Progress<'a> = dyn FnMut(Step) + Send + 'a;
 
-/// A step of the method, told when it begins.
+/// A step of the method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
     /// The graphs of all modalities are added up.
@@ -18,18 +18,18 @@ pub enum Step {
     Svd,
     /// The leading singular triplets are searched for, without the similarity.
     Search {
-        /// How many rounds are done.
+        /// Rounds that are done.
         round: usize,
-        /// How many triplets are not found yet.
+        /// Triplets that are not found yet.
         open: usize,
-        /// How many are searched for.
+        /// Triplets that are searched for.
         rank: usize,
     },
-    /// k-means, of which so many restarts are done; several at a time where it is shared out.
+    /// k-means; several restarts run at a time where there are several threads.
     KMeans {
-        /// How many are done.
+        /// Restarts that are done.
         done: usize,
-        /// How many there are in all.
+        /// Restarts in all.
         restarts: usize,
     },
     /// The silhouettes of the division.
@@ -37,8 +37,8 @@ pub enum Step {
 }
 
 impl Step {
-    /// The search for leading triplets as it begins.
-    pub(super) const SEARCH: Self = Self::Search { round: 0, open: 0, rank: 0 };
+    /// The search for leading triplets before its first round.
+    pub const SEARCH: Self = Self::Search { round: 0, open: 0, rank: 0 };
 }
 
 impl fmt::Display for Step {

@@ -1,0 +1,40 @@
+//! The method: from graphs and settings to vectors, teams and silhouettes.
+//!
+//! | step | module |
+//! | --- | --- |
+//! | weights of the modalities | [`weights`] |
+//! | fused graph A* = Σ w_m (A_m + r_m A_mᵀ) / s_m | `fusion` |
+//! | bounds of ρ(A*), decay α, Katz centralities | `decay` |
+//! | leading singular triplets of the Katz similarity S, whole or without forming S | [`decomposition`] |
+//! | how many of them are kept: K | `cut` |
+//! | rows of X = \[U, V\], scaled | [`embedding`] |
+//! | k-means over the rows | [`division`] |
+//! | silhouettes of a division | [`silhouettes`] |
+//! | S_ij of two robots, by modality | [`pairs`] |
+//!
+//! The same code serves a live fleet and a single problem. [`embedding::Frames`] keeps what the next frame
+//! can begin with; [`embedding::embed`] is one frame of a new [`embedding::Frames`]. Services, `muster solve`,
+//! experiments and benchmarks differ only in the fields of [`params::EmbeddingParams`] and
+//! [`params::DivisionParams`], each of which has one documented default.
+//!
+//! This crate reads no clock and starts no thread of its own; [`step::Progress`] says what it is doing.
+
+mod correspondence;
+mod cut;
+mod decay;
+pub mod decomposition;
+pub mod division;
+pub mod embedding;
+mod error;
+mod fusion;
+mod graph;
+pub mod pairs;
+pub mod params;
+pub mod silhouettes;
+mod similarity;
+pub mod step;
+pub mod weights;
+
+pub use decay::Decay;
+pub use error::MethodError;
+pub use graph::{Frame, Graph};

@@ -1,0 +1,180 @@
+//! A saved fleet: the lines of `muster graph --json`, and the settings of the services if they are there.
+//!
+//! Each line is one JSON object: a graph as it is printed, or the settings of `embedder` or `clusterer` as
+//! `muster set embedder --json` and `muster set clusterer --json` print them. Settings that are not there
+//! are the defaults. A saved fleet is divided as the live fleet would divide these graphs first.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
+
+use muster_method::weights::weights;
+use muster_method::{Frame, Graph as FrameGraph};
+use muster_model::id::{FleetId, Modality, RobotId};
+use muster_model::object::Object;
+use muster_model::settings::{ClustererSettings, EmbedderSettings, Settings};
+use muster_numeric::matrix::SparseMatrix;
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+
+use super::edges::Edges;
+use super::file::explained;
+use super::options::Options;
+use super::problem::{Division, Graph, MAX_SOLVE_ROBOTS, Problem, edge_triplets};
+use super::{SolveError, refuse, tidy};
+
+/// One graph as `muster graph --json` prints it.
+#[derive(Deserialize)]
+struct SavedGraph {
+    fleet: Option<FleetId>,
+    modality: Modality,
+    robots: Vec<RobotId>,
+    edges: Edges,
+}
+
+/// Fields that distinguish the lines of a saved fleet from each other and from other files.
+#[derive(Deserialize)]
+struct Probe {
+    modality: Option<IgnoredAny>,
+    residual_tolerance: Option<IgnoredAny>,
+    heartbeat_s: Option<IgnoredAny>,
+}
+
+/// What a line holds.
+enum Kind {
+    Graph,
+    Embedder,
+    Clusterer,
+}
+
+impl Probe {
+    fn kind(&self) -> Option<Kind> {
+        match self {
+            Self { modality: Some(_), .. } => Some(Kind::Graph),
+            Self { residual_tolerance: Some(_), .. } => Some(Kind::Embedder),
+            Self { heartbeat_s: Some(_), .. } => Some(Kind::Clusterer),
+            _ => None,
+        }
+    }
+}
+
+/// The lines of a saved fleet.
+#[derive(Default)]
+pub(super) struct SavedFleet {
+    fleet: Option<FleetId>,
+    /// The last graph of each modality.
+    graphs: BTreeMap<Modality, SavedGraph>,
+    embedder: EmbedderSettings,
+    clusterer: ClustererSettings,
+}
+
+impl SavedFleet {
+    /// Reads a saved fleet; none if the text begins with anything else.
+    ///
+    /// # Errors
+    /// Names the line and the field that is wrong; lines are counted from 0.
+    pub(super) fn read(text: &[u8]) -> Result<Option<Self>, SolveError> {
+        let mut saved = Self::default();
+        let mut values = serde_json::Deserializer::from_slice(text).into_iter::<Probe>();
+        let mut number = 0;
+        loop {
+            let start = values.byte_offset();
+            let kind = match values.next() {
+                Some(Ok(probe)) => probe.kind(),
+                Some(Err(error)) if number > 0 => {
+                    return refuse(line(number, ""), explained(&error, text));
+                }
+                Some(Err(_)) => return Ok(None),
+                None => break,
+            };
+            let value = &text[start..values.byte_offset()];
+            match kind {
+                Some(Kind::Graph) => saved.add(number, parsed(number, value)?)?,
+                Some(Kind::Embedder) => saved.embedder = settings(number, value)?,
+                Some(Kind::Clusterer) => saved.clusterer = settings(number, value)?,
+                None if number == 0 => return Ok(None),
+                None => {
+                    let problem = "is neither a graph of `muster graph --json` nor settings of \
+                                   embedder or clusterer";
+                    return refuse(line(number, ""), problem);
+                }
+            }
+            number += 1;
+        }
+        Ok((number > 0).then_some(saved))
+    }
+
+    fn add(&mut self, number: usize, graph: SavedGraph) -> Result<(), SolveError> {
+        match (&self.fleet, &graph.fleet) {
+            (Some(first), Some(other)) if first != other => {
+                let problem =
+                    format!("{other} is another fleet than {first}, which is named first");
+                return refuse(line(number, ".fleet"), problem);
+            }
+            (None, Some(_)) => self.fleet.clone_from(&graph.fleet),
+            _ => {}
+        }
+        self.graphs.insert(graph.modality.clone(), graph);
+        Ok(())
+    }
+
+    /// The problem that the fleet is.
+    ///
+    /// # Errors
+    /// Names the graph and the field that is wrong.
+    pub(super) fn into_problem(self, options: Options) -> Result<Problem, SolveError> {
+        let Self { graphs, embedder, clusterer, .. } = self;
+        if graphs.is_empty() {
+            return refuse("modality", "there are settings, but no graph");
+        }
+        let robots: BTreeSet<&RobotId> = graphs.values().flat_map(|graph| &graph.robots).collect();
+        let robots: Vec<RobotId> = robots.into_iter().cloned().collect();
+        if robots.is_empty() || robots.len() > MAX_SOLVE_ROBOTS {
+            let problem = format!("must name 1 to {MAX_SOLVE_ROBOTS} robots, not {}", robots.len());
+            return refuse("robots", problem);
+        }
+        let places: HashMap<RobotId, usize> = robots.iter().cloned().zip(0..).collect();
+        let mut frame = Frame { robots: robots.as_slice().into(), graphs: Vec::new() };
+        for (name, graph) in graphs {
+            let triplets = edge_triplets(&graph.edges, &places, name.as_str())?;
+            let matrix = SparseMatrix::from_triplets(robots.len(), triplets)
+                .or_else(|error| refuse(name.as_str(), error.to_string()))?;
+            frame.graphs.push((name, FrameGraph::Matrix(Arc::new(matrix))));
+        }
+        let weights = weights(&embedder.weights, &frame)
+            .or_else(|error| refuse("weights", error.to_string()))?;
+        let mut reported = Vec::with_capacity(frame.graphs.len());
+        for ((name, graph), weight) in frame.graphs.into_iter().zip(weights) {
+            let share = embedder.reciprocity.get(&name).copied().unwrap_or(0.0);
+            let matrix = graph
+                .matrix(&robots, share)
+                .or_else(|error| refuse(format!("reciprocity.{name}"), error.to_string()))?;
+            reported.push(Graph { name, weight, matrix });
+        }
+        let division = Division::Wanted(clusterer);
+        Ok(Problem::new(robots, reported, embedder, division, BTreeSet::new(), options))
+    }
+}
+
+/// The path of a field of a line.
+fn line(number: usize, field: &str) -> String {
+    format!("[{number}]{field}")
+}
+
+fn parsed<'de, T: Deserialize<'de>>(number: usize, value: &'de [u8]) -> Result<T, SolveError> {
+    let mut json = serde_json::Deserializer::from_slice(value);
+    let read = serde_path_to_error::deserialize::<_, Object<T>>(&mut json);
+    read.map(|object| object.0).map_err(|error| {
+        let path = error.path().to_string();
+        let path = if path == "." { String::new() } else { format!(".{path}") };
+        let problem = explained(&error.into_inner(), value);
+        SolveError::Field { field: tidy(&line(number, &path)), problem: tidy(&problem) }
+    })
+}
+
+fn settings<T: Settings>(number: usize, value: &[u8]) -> Result<T, SolveError> {
+    let settings: T = parsed(number, value)?;
+    settings
+        .check()
+        .or_else(|error| refuse(line(number, &format!(".{}", error.field)), error.problem))?;
+    Ok(settings)
+}

@@ -1,0 +1,207 @@
+//! There is one method: the live cores, `muster solve` on their graphs, and the experiments divide alike.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use muster_experiments::methods::Recipe;
+use muster_experiments::moving::pipeline::{AllSettings, Pipeline};
+use muster_experiments::system::MODALITIES;
+use muster_model::header::{Header, Revision};
+use muster_model::id::{FleetId, Modality, RobotId};
+use muster_model::observation::{Link, Links, Pose, Rank};
+use muster_model::settings::ClustererSettings;
+use muster_model::time::Tick;
+use muster_numeric::matrix::SparseMatrix;
+use muster_solve::{Options, Solved};
+use muster_wire::Message;
+use muster_wire::json::EdgeJson;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde_json::Value;
+
+const FLEETS: u64 = 200;
+
+/// Virtual time after which a fleet that does not move is at rest.
+const REST_AFTER: Tick = Tick(4_000_000);
+
+/// What one fleet reports, and how many teams are asked for.
+struct Reports {
+    robots: Vec<RobotId>,
+    messages: Vec<Message>,
+    teams: u32,
+    groups: usize,
+}
+
+/// A fleet of 2 to 300 robots in some groups, each of which reports some of the three modalities.
+fn reports(seed: u64) -> Reports {
+    let mut chance = ChaCha8Rng::seed_from_u64(seed);
+    // As many small fleets as large ones, on a scale of ratios.
+    let count = (2.0 * 150.0_f64.powf(chance.random::<f64>())).round() as usize;
+    let (groups, teams) = (chance.random_range(1..=8_usize), chance.random_range(1..=6_u32));
+    let has = loop {
+        let has = [(); 3].map(|()| chance.random_bool(0.65));
+        if has != [false; 3] {
+            break has;
+        }
+    };
+    let robots: Vec<RobotId> =
+        (0..count).map(|robot| RobotId::new(format!("r{robot:03}")).unwrap()).collect();
+    let centres: Vec<[f64; 2]> =
+        (0..groups).map(|_| [(); 2].map(|()| 120.0 * chance.random::<f64>())).collect();
+    let group = |robot: usize| robot % groups;
+    let places: Vec<[f64; 2]> = (0..count)
+        .map(|robot| centres[group(robot)].map(|at| at + 24.0 * chance.random::<f64>()))
+        .collect();
+    let mut messages = Vec::new();
+    for (robot, name) in robots.iter().enumerate() {
+        let mut reports = |has: bool| has && chance.random_bool(0.96);
+        let (pose, links, rank) = (reports(has[0]), reports(has[1]), reports(has[2]));
+        if pose {
+            messages
+                .push(Message::Pose(name.clone(), Pose::at(places[robot][0], places[robot][1])));
+        }
+        if links {
+            let mut peers = BTreeSet::new();
+            for _ in 0..4 {
+                let near = groups * chance.random_range(0..count.div_ceil(groups)) + group(robot);
+                let any = chance.random_range(0..count);
+                peers.insert(if chance.random_bool(0.95) { near } else { any });
+            }
+            let peers = peers.into_iter().filter(|peer| *peer < count && *peer != robot);
+            let links: Vec<Link> = peers
+                .map(|peer| Link { peer: robots[peer].clone(), quality: chance.random::<f64>() })
+                .collect();
+            let links = Links { links, stamp: None, boot: None, seq: None };
+            messages.push(Message::Links(name.clone(), links));
+        }
+        if rank {
+            let superior = (robot >= groups).then(|| {
+                let rounds = robot / groups;
+                robots[groups * chance.random_range(0..rounds) + group(robot)].clone()
+            });
+            let weight = Some(0.5 + chance.random::<f64>());
+            messages.push(Message::Rank(name.clone(), Rank { weight, ..Rank::under(superior) }));
+        }
+    }
+    Reports { robots, messages, teams, groups }
+}
+
+/// A division, and K.
+#[derive(Debug, PartialEq)]
+struct Divided {
+    rank: usize,
+    /// Robots of each team, and those without one as one more.
+    teams: BTreeSet<BTreeSet<RobotId>>,
+}
+
+impl Divided {
+    fn new(rank: usize, labels: impl IntoIterator<Item = (RobotId, Option<u64>)>) -> Self {
+        let mut teams: BTreeMap<Option<u64>, BTreeSet<RobotId>> = BTreeMap::new();
+        for (robot, label) in labels {
+            teams.entry(label).or_default().insert(robot);
+        }
+        Self { rank, teams: teams.into_values().collect() }
+    }
+}
+
+/// What the cores of all services make of the reports once the fleet is at rest.
+fn live(reports: &Reports) -> (Divided, Pipeline) {
+    let clusterer = ClustererSettings { teams: reports.teams, ..ClustererSettings::default() };
+    let settings = AllSettings { clusterer, ..AllSettings::default() };
+    let mut pipeline = Pipeline::new(Tick(0), settings).unwrap();
+    pipeline.advance(Tick(500_000));
+    reports.messages.iter().for_each(|message| pipeline.hear(message.clone()));
+    pipeline.advance(REST_AFTER);
+    let teams = pipeline.teams.clone().unwrap();
+    let labels = teams.teams.iter().zip(0..).flat_map(|(team, number)| {
+        team.members.iter().map(move |member| (member.robot.clone(), Some(number)))
+    });
+    let unassigned = teams.unassigned.iter().map(|robot| (robot.clone(), None));
+    let rank = pipeline.dimension as usize / 2;
+    (Divided::new(rank, labels.chain(unassigned)), pipeline)
+}
+
+/// The lines of `muster graph --json` and `muster set clusterer --json`.
+fn saved(reports: &Reports, pipeline: &Pipeline) -> String {
+    let header = Header {
+        fleet: FleetId::new("moving").unwrap(),
+        revision: Revision::default(),
+        oldest: None,
+        newest: None,
+        stages: Vec::new(),
+    };
+    let graph = |(modality, graph): (&Modality, &muster_model::graph::GraphReplica)| {
+        let snapshot = graph.snapshot(header.clone(), modality.clone());
+        String::from_utf8(snapshot.to_json(REST_AFTER).unwrap()).unwrap()
+    };
+    let mut lines: Vec<String> = pipeline.graphs.iter().map(graph).collect();
+    let settings = ClustererSettings { teams: reports.teams, ..ClustererSettings::default() };
+    lines.push(serde_json::to_string(&settings).unwrap());
+    lines.join("\n")
+}
+
+fn solved(reports: &Reports, pipeline: &Pipeline) -> Divided {
+    let text = saved(reports, pipeline);
+    let solved = Solved::new(text.as_bytes(), Options::default()).unwrap();
+    let json: Value = serde_json::from_str(&solved.to_json().unwrap()).unwrap();
+    let rank = json["singular_values"].as_array().unwrap().len();
+    let teams = json["teams"].as_object().unwrap();
+    let label = |(robot, label): (&String, &Value)| (RobotId::new(robot).unwrap(), label.as_u64());
+    Divided::new(rank, teams.iter().map(label))
+}
+
+fn experimented(reports: &Reports, pipeline: &Pipeline) -> Divided {
+    let recipe = Recipe::live();
+    let count = reports.robots.len();
+    let graphs = MODALITIES.map(|name| {
+        let modality = Modality::new(name).unwrap();
+        let graph = pipeline.graphs.get(&modality);
+        let edges = graph.into_iter().flat_map(|graph| {
+            let place = |node: &u32| reports.robots.binary_search(&graph.nodes()[node]).unwrap();
+            graph.rows().iter().flat_map(move |(from, edges)| {
+                edges.iter().map(move |(to, weight)| (place(from), place(to), *weight))
+            })
+        });
+        let matrix = SparseMatrix::from_triplets(count, edges).unwrap();
+        let upward = if modality == Modality::hierarchy() { recipe.upward } else { 0.0 };
+        matrix.with_reverse(upward).unwrap()
+    });
+    let found = recipe.divide(&graphs, reports.teams as usize, 0).unwrap();
+    let labels = found.labels.into_iter().map(|label| Some(label as u64));
+    let rank = found.vectors.unwrap().cols() / 2;
+    Divided::new(rank, reports.robots.iter().cloned().zip(labels))
+}
+
+#[test]
+fn live_cores_solve_and_experiments_divide_alike() {
+    let different: Vec<String> = (0..FLEETS)
+        .into_par_iter()
+        .filter_map(|seed| {
+            let reports = reports(seed);
+            let (live, pipeline) = live(&reports);
+            let (solved, experimented) =
+                (solved(&reports, &pipeline), experimented(&reports, &pipeline));
+            let what = format!(
+                "fleet {seed}: {} robots in {} groups, {} teams, graphs {:?}",
+                reports.robots.len(),
+                reports.groups,
+                reports.teams,
+                pipeline.graphs.keys().map(Modality::as_str).collect::<Vec<_>>()
+            );
+            let same = live == solved && live == experimented;
+            (!same).then(|| {
+                format!(
+                    "{what}: K {} {} {}, teams {} {}",
+                    live.rank,
+                    solved.rank,
+                    experimented.rank,
+                    live.teams == solved.teams,
+                    live.teams == experimented.teams
+                )
+            })
+        })
+        .collect();
+    assert!(different.is_empty(), "{} of {FLEETS}:\n{}", different.len(), different.join("\n"));
+}
