@@ -119,7 +119,12 @@ mod tests {
 
     fn pose(robot: usize, byte: u8) -> Outbound {
         let robot = RobotId::new(format!("r{robot}")).unwrap();
-        Outbound { key: Key::Pose(robot), encoding: Cow::Borrowed(""), payload: vec![byte] }
+        Outbound {
+            key: Key::Pose(robot),
+            encoding: Cow::Borrowed(""),
+            payload: vec![byte],
+            attachment: None,
+        }
     }
 
     #[test]

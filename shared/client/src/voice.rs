@@ -217,7 +217,7 @@ mod tests {
     use muster_model::id::FleetId;
     use muster_model::limits::{MAX_ID_LENGTH, MAX_LINKS, MAX_RELATION_EDGES};
     use muster_model::observation::{Link, Provenance};
-    use muster_wire::{KeySpace, Packet, Source};
+    use muster_wire::KeySpace;
 
     use super::*;
 
@@ -232,12 +232,7 @@ mod tests {
     /// What a service understands of it.
     fn heard(outbound: Outbound) -> (Message, Provenance) {
         let space = KeySpace::new(FleetId::new("f").unwrap());
-        let packet = Packet {
-            key: space.format(&outbound.key),
-            encoding: outbound.encoding.into_owned(),
-            source: Source::Put,
-            payload: Ok(outbound.payload),
-        };
+        let packet = outbound.into_packet(&space);
         let message = Message::decode(&space, &packet).unwrap();
         let provenance = match &message {
             Message::Pose(_, body) => body.provenance(),

@@ -415,6 +415,7 @@ impl<C: Core> Shell<C> {
                         key: Key::Schema,
                         encoding: JSON.into(),
                         payload: schema::text().to_vec(),
+                        attachment: None,
                     };
                     self.errands.reply(query, Ok(vec![schema]), false);
                     return;

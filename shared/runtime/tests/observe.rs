@@ -138,7 +138,7 @@ async fn a_core_that_hangs_is_told_by_healthz_and_one_that_goes_on_as_well() {
 
     let key = Key::Pose(RobotId::new("r1").unwrap());
     let payload = br#"{"x":1,"y":2}"#.to_vec();
-    router.put(Outbound { key, encoding: "".into(), payload }).unwrap();
+    router.put(Outbound { key, encoding: "".into(), payload, attachment: None }).unwrap();
     until("a loop that hangs is dead", || get(address, "/healthz").0 == 503);
     let (code, body) = get(address, "/readyz");
     assert_eq!(code, 503);

@@ -216,7 +216,8 @@ async fn deadlines_are_met_under_steady_traffic() {
         let pose = br#"{"x":1,"y":2}"#.to_vec();
         while start.elapsed() < Duration::from_secs(3) {
             let key = Key::Pose(muster_model::id::RobotId::new("r1").unwrap());
-            let message = Outbound { key, encoding: "".into(), payload: pose.clone() };
+            let message =
+                Outbound { key, encoding: "".into(), payload: pose.clone(), attachment: None };
             talking.put(message).unwrap();
             std::thread::sleep(Duration::from_micros(700));
         }
@@ -283,7 +284,7 @@ async fn what_a_core_panicked_at_stands_in_its_recording() {
     for robot in ["r1", "cursed"] {
         let key = Key::Pose(muster_model::id::RobotId::new(robot).unwrap());
         let payload = br#"{"x":1,"y":2}"#.to_vec();
-        talker.put(Outbound { key, encoding: "".into(), payload }).unwrap();
+        talker.put(Outbound { key, encoding: "".into(), payload, attachment: None }).unwrap();
         tokio::time::sleep(Duration::from_millis(300)).await;
     }
     let ended = tokio::time::timeout(Duration::from_secs(10), service).await.unwrap();

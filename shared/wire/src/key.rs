@@ -10,6 +10,7 @@ use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 
 use crate::envelope::{MAX_SERVICE_PAYLOAD, MAX_SMALL_PAYLOAD};
+use crate::foreign::{ForeignKey, ForeignPattern};
 
 /// What stands before the fleet in every key.
 const ROOT: &str = "muster/v1";
@@ -57,6 +58,8 @@ pub enum Key {
     Holder(ServiceName),
     /// `service/{service}/{instance}`: liveliness token of a running service.
     ServiceToken(ServiceName, InstanceId),
+    /// A key of another program, outside of the fleet's keys. [`KeySpace::parse`] never returns it.
+    Foreign(ForeignKey),
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -86,6 +89,8 @@ pub enum Pattern {
     Everything,
     /// One key.
     One(Key),
+    /// Keys of other programs, outside of the fleet's keys.
+    Foreign(ForeignPattern),
 }
 
 /// Why a text is not a key of the fleet.
@@ -138,7 +143,10 @@ impl KeySpace {
     /// The text of a key on the bus.
     #[must_use]
     pub fn format(&self, key: &Key) -> String {
-        format!("{}{key}", self.prefix)
+        match key {
+            Key::Foreign(key) => key.to_string(),
+            key => format!("{}{key}", self.prefix),
+        }
     }
 
     /// The key expression of a set of keys.
@@ -159,6 +167,7 @@ impl KeySpace {
             Pattern::Statuses => "service/*/status",
             Pattern::Everything => "**",
             Pattern::One(key) => return self.format(key),
+            Pattern::Foreign(pattern) => return pattern.to_string(),
         };
         format!("{}{tail}", self.prefix)
     }
@@ -228,7 +237,7 @@ impl Pattern {
             Self::Poses | Self::Links | Self::Ranks | Self::Relations => MAX_ROBOT_PAYLOAD,
             Self::RobotTeams | Self::Statuses => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
-            Self::Graphs | Self::Everything => MAX_SERVICE_PAYLOAD,
+            Self::Graphs | Self::Everything | Self::Foreign(_) => MAX_SERVICE_PAYLOAD,
             Self::One(key) => key.payload_limit(),
         }
     }
@@ -268,7 +277,7 @@ impl Key {
     }
 }
 
-/// The text of the key below the fleet's prefix.
+/// The text of the key below the fleet's prefix; of a foreign key, the whole text.
 impl fmt::Display for Key {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -296,6 +305,7 @@ impl fmt::Display for Key {
             Self::ServiceToken(service, instance) => {
                 write!(formatter, "service/{service}/{instance}")
             }
+            Self::Foreign(key) => key.fmt(formatter),
         }
     }
 }

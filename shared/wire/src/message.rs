@@ -18,21 +18,14 @@ use muster_model::status::ServiceStatus;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
 
 use crate::envelope::{self, AnnouncedSettings, BinaryMessage, EnvelopeError, FromRobot};
 use crate::json::EdgeJson;
 use crate::key::{Key, KeySpace};
+use crate::packet::{BINARY, Outbound, Packet, Rejection, Source, format_of};
 use crate::request::{Format, Request};
 
-/// The encoding of JSON.
-pub const JSON: &str = "application/json";
-
-/// What the encoding of every binary message begins with; the kind and version follow.
-const BINARY: &str = "application/octet-stream";
-
-/// Longest piece of foreign text that is repeated in an error.
-const MAX_QUOTED: usize = 120;
+pub use crate::packet::{JSON, quoted};
 
 /// What stands, or is to stand, on the bus.
 #[derive(Debug, Clone, PartialEq)]
@@ -88,84 +81,6 @@ pub enum Message {
     Settings(Box<AnnouncedSettings>),
     /// What a service tells of itself.
     Status(Box<ServiceStatus>),
-}
-
-/// Where a packet comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Source {
-    /// Somebody put it.
-    Put,
-    /// Somebody deleted the key.
-    Delete,
-    /// The bus says that a liveliness token is there.
-    TokenAlive,
-    /// The bus says that a liveliness token is gone.
-    TokenGone,
-}
-
-/// Something off the bus that is not understood yet.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Packet {
-    /// The text of its key.
-    pub key: String,
-    /// The text of its encoding; may be empty.
-    pub encoding: String,
-    /// Where it comes from.
-    pub source: Source,
-    /// Its bytes, or how many they were where the limit of the subscription cut them off.
-    pub payload: Result<Vec<u8>, usize>,
-}
-
-/// Why a packet is refused.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Rejection {
-    /// Whom it spoke for, if its key says so.
-    pub robot: Option<RobotId>,
-    /// Its key, cut short, without control characters.
-    pub key: String,
-    /// What is wrong and what would be right, cut short, without control characters.
-    pub reason: String,
-}
-
-/// Something that is ready for the bus.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Outbound {
-    /// Where to.
-    pub key: Key,
-    /// The text of the encoding.
-    pub encoding: Cow<'static, str>,
-    /// The bytes.
-    pub payload: Vec<u8>,
-}
-
-/// Makes foreign text fit for a log line or an event: short, and without control characters.
-#[must_use]
-pub fn quoted(text: &str) -> String {
-    text.chars().take(MAX_QUOTED).map(|c| if c.is_control() { '\u{FFFD}' } else { c }).collect()
-}
-
-/// Reads an encoding. A missing one is JSON, so that the shortest client works.
-pub(crate) fn format_of(encoding: &str) -> Option<Format> {
-    let name = encoding.split(';').next().unwrap_or_default().trim();
-    match name {
-        "" | "zenoh/bytes" | "zenoh/string" | "text/plain" | "text/json" | "application/json" => {
-            Some(Format::Json)
-        }
-        BINARY | "application/bincode" => Some(Format::Binary),
-        _ => None,
-    }
-}
-
-impl Rejection {
-    /// A refusal of a packet with a key.
-    #[must_use]
-    pub fn new(space: &KeySpace, key: &str, reason: impl AsRef<str>) -> Self {
-        Self {
-            robot: space.parse(key).ok().and_then(|key| key.robot().cloned()),
-            key: quoted(key),
-            reason: quoted(reason.as_ref()),
-        }
-    }
 }
 
 fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
@@ -309,7 +224,12 @@ impl Message {
             Key::RobotToken(_) | Key::ServiceToken(..) => {
                 return Err("this key takes liveliness tokens and no messages".to_owned());
             }
-            Key::JsonTeams | Key::JsonAudit | Key::JsonEvent | Key::Status(_) | Key::Schema => {
+            Key::JsonTeams
+            | Key::JsonAudit
+            | Key::JsonEvent
+            | Key::Status(_)
+            | Key::Schema
+            | Key::Foreign(_) => {
                 return Err("no service reads this key".to_owned());
             }
         };
@@ -425,13 +345,13 @@ impl Message {
             Format::Json => {
                 let payload =
                     self.json(now).map_err(|error| EnvelopeError::Encode(error.to_string()))?;
-                Ok(Outbound { key, encoding: Cow::Borrowed(JSON), payload })
+                Ok(Outbound { key, encoding: Cow::Borrowed(JSON), payload, attachment: None })
             }
             Format::Binary => {
                 let (name, payload) = self.binary()?;
                 let encoding =
                     Cow::Owned(format!("{BINARY};bincode;muster.{name};{}", envelope::VERSION));
-                Ok(Outbound { key, encoding, payload })
+                Ok(Outbound { key, encoding, payload, attachment: None })
             }
         }
     }

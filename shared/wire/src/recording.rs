@@ -13,7 +13,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::envelope::{self, EnvelopeError};
 use crate::key::KeySpace;
-use crate::message::{Message, Outbound, Packet, Source, quoted};
+use crate::message::Message;
+use crate::packet::{Outbound, Packet, quoted};
 use crate::request::Format;
 
 /// The first bytes of every recording.
@@ -119,12 +120,7 @@ impl Put {
     /// The packet that a subscriber would receive.
     #[must_use]
     pub fn into_packet(self) -> Packet {
-        Packet {
-            key: self.key,
-            encoding: self.encoding,
-            source: Source::Put,
-            payload: Ok(self.payload.0),
-        }
+        Packet::put(self.key, self.encoding, self.payload.0)
     }
 }
 
@@ -167,12 +163,7 @@ impl Heard {
     pub fn into_packet(self) -> Packet {
         match self {
             Self::Put(put) => put.into_packet(),
-            Self::Token { key, alive } => Packet {
-                key,
-                encoding: String::new(),
-                source: if alive { Source::TokenAlive } else { Source::TokenGone },
-                payload: Ok(Vec::new()),
-            },
+            Self::Token { key, alive } => Packet::token(key, alive),
         }
     }
 }

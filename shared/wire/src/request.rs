@@ -6,7 +6,7 @@ use muster_model::id::RobotId;
 use serde::{Deserialize, Serialize};
 
 use crate::key::{Key, KeySpace};
-use crate::message::quoted;
+use crate::packet::quoted;
 
 /// Longest text of a get's parameters that is read: `format=json` and a few more.
 const MAX_PARAMETERS: usize = 1024;

@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use crate::envelope;
 use crate::key::{Key, KeySpace};
-use crate::message::{Packet, Rejection, Source, format_of};
+use crate::packet::{Packet, Rejection, Source, format_of};
 use crate::request::Format;
 
 /// The JSON form. Fields that are not known are passed over, so that a robot understands services
@@ -128,7 +128,8 @@ fn check(told: &RobotTeam) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::message::{JSON, Message};
+    use crate::message::Message;
+    use crate::packet::JSON;
     use serde_json::{Value, json};
 
     fn space() -> KeySpace {
@@ -161,12 +162,7 @@ mod tests {
         let key = Key::RobotTeam(RobotId::new("r1").unwrap());
         let told = Message::RobotTeam(sample());
         let outbound = told.encode(key.clone(), format, Tick(10_000_000)).unwrap();
-        Packet {
-            key: space().format(&key),
-            encoding: outbound.encoding.into_owned(),
-            source: Source::Put,
-            payload: Ok(outbound.payload),
-        }
+        outbound.into_packet(&space())
     }
 
     #[test]

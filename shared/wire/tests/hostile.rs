@@ -14,12 +14,7 @@ fn space() -> KeySpace {
 }
 
 fn packet(key: &str, encoding: &str, payload: Vec<u8>) -> Packet {
-    Packet {
-        key: format!("muster/v1/alpha/{key}"),
-        encoding: encoding.to_owned(),
-        source: Source::Put,
-        payload: Ok(payload),
-    }
+    Packet::put(format!("muster/v1/alpha/{key}"), encoding, payload)
 }
 
 fn reason(packet: &Packet) -> String {

@@ -6,7 +6,7 @@ mod samples;
 
 use muster_model::id::{InstanceId, ServiceName};
 use muster_wire::recording::{Heard, MAGIC, Put, Reader, RecordingError, begin, frame};
-use muster_wire::{Format, KeySpace, Message, Packet, Source};
+use muster_wire::{Format, KeySpace, Message, Packet};
 use proptest::prelude::*;
 
 fn space() -> KeySpace {
@@ -53,12 +53,11 @@ fn every_message_that_is_received_comes_back_from_a_recording() {
 /// What robots say in JSON is recorded in binary: whatever is accepted in JSON must fit, and keep
 /// every bit.
 fn through_json(tail: &str, payload: &str) -> Option<Message> {
-    let packet = Packet {
-        key: format!("muster/v1/alpha/robot/r1/{tail}"),
-        encoding: "application/json".to_owned(),
-        source: Source::Put,
-        payload: Ok(payload.as_bytes().to_vec()),
-    };
+    let packet = Packet::put(
+        format!("muster/v1/alpha/robot/r1/{tail}"),
+        "application/json",
+        payload.as_bytes().to_vec(),
+    );
     Message::decode(&space(), &packet).ok()
 }
 

@@ -217,7 +217,7 @@ impl<C: Core> World<C> {
                     if draw.below(2) == 0 { Source::TokenAlive } else { Source::TokenGone };
                 let key = format!("muster/v1/alpha/robot/r{}", draw.below(8));
                 let (encoding, payload) = (String::new(), Ok(Vec::new()));
-                self.receive(&Packet { key, encoding, source, payload });
+                self.receive(&Packet { key, encoding, source, payload, attachment: None });
             }
         }
     }
@@ -226,23 +226,17 @@ impl<C: Core> World<C> {
     fn raw(&self, draw: &mut Draw<'_>) -> Packet {
         let choice = draw.byte();
         let encoding = if choice & 16 == 0 { BINARY } else { "" };
-        Packet {
-            key: format!("muster/v1/alpha/{}", KEYS[usize::from(choice % 16)]),
-            encoding: encoding.to_owned(),
-            source: Source::Put,
-            payload: Ok(draw.block().to_vec()),
-        }
+        Packet::put(
+            format!("muster/v1/alpha/{}", KEYS[usize::from(choice % 16)]),
+            encoding,
+            draw.block().to_vec(),
+        )
     }
 
     /// A message as it crosses the bus.
     fn drawn(&self, message: &Message) -> Packet {
         let out = message.encode(message.keys().0, Format::Binary, self.now).unwrap();
-        Packet {
-            key: self.space.format(&out.key),
-            encoding: out.encoding.into_owned(),
-            source: Source::Put,
-            payload: Ok(out.payload),
-        }
+        out.into_packet(&self.space)
     }
 
     fn is_wanted(&self, packet: &Packet, patterns: &[Pattern]) -> bool {
@@ -351,12 +345,7 @@ impl<C: Core> World<C> {
         let (key, _) = message.keys();
         for out in message.publish(self.now).unwrap() {
             if out.encoding.starts_with("application/octet-stream") {
-                let packet = Packet {
-                    key: self.space.format(&out.key),
-                    encoding: out.encoding.into_owned(),
-                    source: Source::Put,
-                    payload: Ok(out.payload),
-                };
+                let packet = out.into_packet(&self.space);
                 let read = understood(&self.space, &packet);
                 assert!(read.is_ok(), "what is published is refused: {read:?}");
             } else {

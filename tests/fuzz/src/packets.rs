@@ -86,12 +86,7 @@ fn check_message(space: &KeySpace, packet: &Packet, message: &Message) {
 }
 
 fn as_packet(space: &KeySpace, payload: &[u8], encoding: &str, key: &str) -> Message {
-    let packet = Packet {
-        key: key.to_owned(),
-        encoding: encoding.to_owned(),
-        source: Source::Put,
-        payload: Ok(payload.to_vec()),
-    };
+    let packet = Packet::put(key.to_owned(), encoding, payload.to_vec());
     Message::decode(space, &packet).unwrap()
 }
 
@@ -120,6 +115,7 @@ fn foreign(data: &[u8]) -> Option<Packet> {
             _ => Source::Put,
         },
         payload: if *source == b'c' { Err(payload.len() << 10) } else { Ok(payload.to_vec()) },
+        attachment: None,
     })
 }
 
@@ -205,11 +201,6 @@ pub(crate) fn edge_json(data: &[u8]) {
         2 => "rank",
         _ => "relation/thermal",
     };
-    let packet = Packet {
-        key: format!("muster/v1/alpha/robot/r1/{stream}"),
-        encoding: String::new(),
-        source: Source::Put,
-        payload: Ok(json.to_vec()),
-    };
+    let packet = Packet::put(format!("muster/v1/alpha/robot/r1/{stream}"), "", json.to_vec());
     let _ = understood(&space(), &packet);
 }

@@ -221,12 +221,7 @@ impl World {
     ) -> Option<Packet> {
         let name = self.robots.all.get(robot)?.name.clone();
         let key = self.space.format(&Key::Pose(name.clone()));
-        let good = Packet {
-            key: key.clone(),
-            encoding: String::new(),
-            source: Source::Put,
-            payload: Ok(br#"{"x":1,"y":2}"#.to_vec()),
-        };
+        let good = Packet::put(key.clone(), "", br#"{"x":1,"y":2}"#.to_vec());
         let base = key.strip_suffix("/pose")?;
         Some(match kind {
             Rubbish::Noise => {

@@ -11,7 +11,7 @@ use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::observation::{Links, Pose, Rank, Relation};
 use muster_scenario::{Fleet, FleetOptions, RobotObservation, ScenarioKind};
-use muster_wire::{Format, Key, KeySpace, Message, Packet, Source};
+use muster_wire::{Format, Key, KeySpace, Message, Packet};
 use serde_json::Value;
 
 use super::chance::{Chance, Purpose};
@@ -224,12 +224,7 @@ pub(crate) fn read_told(bytes: &[u8]) -> Option<Told> {
 pub(crate) fn packet(space: &KeySpace, message: &Message, format: Format) -> Option<Packet> {
     let (key, _) = message.keys();
     let outbound = message.encode(key, format, muster_model::time::Tick(0)).ok()?;
-    Some(Packet {
-        key: space.format(&outbound.key),
-        encoding: outbound.encoding.into_owned(),
-        source: Source::Put,
-        payload: Ok(outbound.payload),
-    })
+    Some(outbound.into_packet(&space))
 }
 
 impl Robot {
