@@ -49,7 +49,7 @@ struct Cluster {
 /// Divides the robots that the embedding sees.
 pub(crate) fn divide(job: &Job) -> Result<Teams, String> {
     let embedding = &*job.embedding;
-    embedding.check()?;
+    embedding.check().map_err(|error| error.to_string())?;
     let seen: Vec<usize> = (0..embedding.robots.len()).filter(|&i| !embedding.unseen[i]).collect();
     let values = seen.iter().flat_map(|&i| row_of(embedding, i)).copied().collect::<Vec<f64>>();
     let x = DenseMatrix::new(seen.len(), embedding.dimension as usize, values)

@@ -2,8 +2,7 @@
 
 use std::time::Duration;
 
-use muster_model::id::RobotId;
-use muster_model::observation::{Links, Pose, Rank};
+use muster_model::observation::{CheckedReport, Provenance, Report};
 use muster_runtime::bus::{Bus, Token};
 use muster_runtime::clock::Clock;
 use muster_runtime::outbox::Outbox;
@@ -94,16 +93,16 @@ impl FleetOnBus {
             let t = from + elapsed;
             self.sequence += 1;
             let poses = self.fleet.poses(t);
-            self.say(&outbox, &poses, Self::pose)?;
+            self.say(&outbox, &poses)?;
             if t >= links_at {
                 links_at = t + LINKS_EVERY_S;
                 let links = self.fleet.links(t);
-                self.say(&outbox, &links, Self::links)?;
+                self.say(&outbox, &links)?;
             }
             if t >= ranks_at {
                 ranks_at = t + RANKS_EVERY_S;
                 let ranks = self.fleet.ranks(t);
-                self.say(&outbox, &ranks, Self::rank)?;
+                self.say(&outbox, &ranks)?;
             }
         }
         for token in self.tokens {
@@ -113,37 +112,19 @@ impl FleetOnBus {
         Ok(())
     }
 
-    fn say<T: Clone>(
-        &self,
-        outbox: &Outbox,
-        all: &[T],
-        message: impl Fn(&Self, RobotId, T) -> Message,
-    ) -> anyhow::Result<()> {
+    fn say<T: Clone + Into<Report>>(&self, outbox: &Outbox, all: &[T]) -> anyhow::Result<()> {
         let now = self.clock.now();
+        let provenance = Provenance {
+            stamp: Some(now.as_seconds()),
+            boot: Some(self.boot.clone()),
+            seq: Some(self.sequence),
+        };
         for robot in &self.speakers {
             let id = self.fleet.robots()[*robot].clone();
-            let message = message(self, id, all[*robot].clone());
+            let report = all[*robot].clone().into().with_provenance(provenance.clone());
+            let message = Message::Report(CheckedReport::new(id, report)?);
             outbox.push(message.encode(message.keys().0, self.speech.format, now)?);
         }
         Ok(())
-    }
-
-    fn stamp(&self) -> (Option<f64>, Option<String>, Option<u64>) {
-        (Some(self.clock.now().as_seconds()), Some(self.boot.clone()), Some(self.sequence))
-    }
-
-    fn pose(&self, robot: RobotId, pose: Pose) -> Message {
-        let (stamp, boot, seq) = self.stamp();
-        Message::Pose(robot, Pose { stamp, boot, seq, ..pose })
-    }
-
-    fn links(&self, robot: RobotId, links: Links) -> Message {
-        let (stamp, boot, seq) = self.stamp();
-        Message::Links(robot, Links { stamp, boot, seq, ..links })
-    }
-
-    fn rank(&self, robot: RobotId, rank: Rank) -> Message {
-        let (stamp, boot, seq) = self.stamp();
-        Message::Rank(robot, Rank { stamp, boot, seq, ..rank })
     }
 }

@@ -90,7 +90,7 @@ mod voice;
 mod watch;
 
 pub use muster_model as model;
-pub use muster_model::observation::Pose;
+pub use muster_model::observation::{Pose, Report};
 pub use muster_wire::Format;
 
 pub use crate::client::Client;
@@ -99,5 +99,4 @@ pub use crate::error::Error;
 pub use crate::events::Events;
 pub use crate::keeper::{Latest, Staleness, Telling};
 pub use crate::robot::Robot;
-pub use crate::voice::Report;
 pub use crate::watch::Watch;

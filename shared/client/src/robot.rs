@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use muster_bus::{Subscription, Token};
 use muster_model::id::{Modality, RobotId};
-use muster_model::observation::{Link, Links, Observation, Pose, Rank, Relation};
+use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report, Stream};
 use muster_model::teams::RobotTeam;
 use muster_wire::{Key, KeySpace, Message, Packet, Pattern};
 use tokio::sync::watch;
@@ -17,7 +17,7 @@ use crate::client::Client;
 use crate::config::Config;
 use crate::error::Error;
 use crate::outgoing::Outgoing;
-use crate::voice::{Report, Voice};
+use crate::voice::Voice;
 use crate::watch::Watch;
 
 /// How long a token of the same robot may outlive its process: a robot that restarts must not be
@@ -93,7 +93,7 @@ impl Robot {
         let voice = Voice::new(id.clone(), config.format);
         let rival = Arc::<Mutex<Rival>>::default();
         let take = rivals(client.bus().space().clone(), voice.boot().to_owned(), &rival);
-        let pattern = Pattern::One(Key::Pose(id.clone()));
+        let pattern = Pattern::One(Key::Stream(id.clone(), Stream::Pose));
         let rivals = client.bus().listen(&pattern, take).await.map_err(Error::bus)?;
         let team = client.team(&id).await?;
         let token = client.bus().declare_token(&Key::RobotToken(id.clone())).await;
@@ -285,8 +285,8 @@ fn rivals(
 ) -> impl Fn(Packet) + Send + Sync + 'static {
     let rival = Arc::clone(rival);
     move |packet| {
-        let Ok(Message::Pose(robot, pose)) = Message::decode(&space, &packet) else { return };
-        if pose.provenance().boot.as_ref() == Some(&boot) {
+        let Ok(Message::Report(report)) = Message::decode(&space, &packet) else { return };
+        if report.report().provenance().boot.as_ref() == Some(&boot) {
             return;
         }
         let (mut rival, now) = (lock(&rival), Instant::now());
@@ -294,7 +294,10 @@ fn rivals(
         if rival.logged.is_none_or(|logged| now.duration_since(logged) >= RIVAL_SILENCE) {
             rival.logged = Some(now);
             drop(rival);
-            tracing::warn!("another process speaks for {robot}: give one of them another id");
+            tracing::warn!(
+                "another process speaks for {}: give one of them another id",
+                report.robot()
+            );
         }
     }
 }

@@ -19,7 +19,7 @@ use muster_machine::{
 };
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
-use muster_model::observation::Pose;
+use muster_model::observation::{CheckedReport, Pose, Report};
 use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
 use muster_model::status::ServiceStatus;
@@ -59,7 +59,8 @@ impl<const SECOND: bool> Core for Small<SECOND> {
                 self.role.begin_term(now, None, effects);
                 format!("{} messages", messages.len())
             }
-            Event::Received(Message::Pose(robot, pose)) => {
+            Event::Received(Message::Report(report)) => {
+                let (robot, Report::Pose(pose)) = report.into_parts() else { return };
                 assert!(robot.as_str() != "cursed", "a pose that must not be");
                 self.heard += pose.x + f64::from(u8::from(SECOND && pose.x > 40.0));
                 effects.push(Effect::Start(self.heard));
@@ -123,7 +124,7 @@ fn start() -> Start<ClustererSettings> {
 fn pose(robot: &str, x: f64) -> Message {
     let (heading, frame, stamp) = (None, None, None);
     let pose = Pose { x, y: 0.0, z: None, heading, frame, stamp, boot: None, seq: None };
-    Message::Pose(RobotId::new(robot).unwrap(), pose)
+    Message::Report(CheckedReport::new(RobotId::new(robot).unwrap(), pose).unwrap())
 }
 
 /// Runs a core as a shell does, and writes its recording.

@@ -7,11 +7,10 @@ use std::borrow::Cow;
 use std::fmt;
 use std::sync::Arc;
 
-use schemars::{JsonSchema, Schema, SchemaGenerator};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::limits::MAX_ID_LENGTH;
-use crate::schema::id_schema;
 
 /// Why a text is not an id.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -43,6 +42,20 @@ pub fn check_id(text: &str) -> Result<(), IdError> {
         return Err(IdError::TooLong(text.len()));
     }
     Ok(())
+}
+
+/// The rule of all ids as a regular expression. What it refuses stands there a second time, for
+/// validators whose `$` lets a final line feed pass.
+fn id_schema(title: &str, description: &str) -> Schema {
+    json_schema!({
+        "type": "string",
+        "title": title,
+        "description": description,
+        "minLength": 1,
+        "maxLength": MAX_ID_LENGTH,
+        "pattern": format!("^[a-z0-9_-]{{1,{MAX_ID_LENGTH}}}$"),
+        "not": { "pattern": "[^a-z0-9_-]" },
+    })
 }
 
 macro_rules! id {
@@ -134,6 +147,9 @@ id!(
 );
 
 impl Modality {
+    /// The modalities that every fleet has.
+    pub const BUILT_IN: [&str; 3] = ["spatial", "connectivity", "hierarchy"];
+
     /// Where the robots are.
     #[must_use]
     pub fn spatial() -> Self {
@@ -152,10 +168,10 @@ impl Modality {
         Self("hierarchy".into())
     }
 
-    /// Whether this is one of the three modalities that every fleet has.
+    /// Whether every fleet has this modality.
     #[must_use]
     pub fn is_built_in(&self) -> bool {
-        matches!(self.as_str(), "spatial" | "connectivity" | "hierarchy")
+        Self::BUILT_IN.contains(&self.as_str())
     }
 }
 
@@ -178,6 +194,11 @@ impl InstanceId {
         Self(format!("{host}-{process}-{nonce}").trim_start_matches('-').into())
     }
 }
+
+/// The text names no service.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no service is called {0:?}; there are ingest, embedder, clusterer, auditor")]
+pub struct ServiceNameError(pub String);
 
 /// The four services that turn observations into audited teams.
 #[derive(
@@ -218,11 +239,10 @@ impl fmt::Display for ServiceName {
 }
 
 impl std::str::FromStr for ServiceName {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL.into_iter().find(|service| service.as_str() == text).ok_or_else(|| {
-            format!("no service is called {text:?}; there are ingest, embedder, clusterer, auditor")
-        })
+    type Err = ServiceNameError;
+    fn from_str(text: &str) -> Result<Self, ServiceNameError> {
+        let named = Self::ALL.into_iter().find(|service| service.as_str() == text);
+        named.ok_or_else(|| ServiceNameError(text.to_owned()))
     }
 }
 

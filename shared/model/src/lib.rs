@@ -9,6 +9,7 @@
 //! `#[serde(default)]` or `skip_serializing_if`, because the binary codec is positional.
 
 pub mod audit;
+pub mod content;
 pub mod embedding;
 pub mod event;
 pub mod graph;

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::content::{ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{RobotId, TeamId};
 use crate::limits::MAX_MEMBERS_TOLD;
@@ -119,38 +120,38 @@ impl Teams {
     ///
     /// # Errors
     /// Names the part that is wrong.
-    pub fn check(&self) -> Result<(), &'static str> {
+    pub fn check(&self) -> Result<(), ContentError> {
         let mut robots: Vec<_> =
             self.assignments().map(|(robot, _)| robot).chain(&self.unassigned).collect();
         let count = robots.len();
         robots.sort_unstable();
         robots.dedup();
         if robots.len() != count {
-            return Err("teams: a robot stands twice");
+            return refuse("teams", "a robot stands twice");
         }
         let mut ids: Vec<_> = self.teams.iter().map(|team| &team.id).collect();
         ids.sort_unstable();
         ids.dedup();
         if ids.len() != self.teams.len() {
-            return Err("teams.id: a team stands twice");
+            return refuse("teams.id", "a team stands twice");
         }
         let by_name = |members: &[Member]| members.is_sorted_by(|l, r| l.robot < r.robot);
         if !self.teams.iter().all(|team| by_name(&team.members))
             || !self.unassigned.is_sorted()
             || !self.stale.is_sorted()
         {
-            return Err("teams: robots must be ordered by name");
+            return refuse("teams", "robots must be ordered by name");
         }
         for team in &self.teams {
             if !team.members.iter().any(|member| member.robot == team.leader) {
-                return Err("teams.leader: is no member of the team");
+                return refuse("teams.leader", "is no member of the team");
             }
             let mut numbers = team.members.iter().map(|member| member.margin);
             if !numbers.all(f64::is_finite) || !team.centroid.iter().all(|x| x.is_finite()) {
-                return Err("teams: a margin or centroid is not finite");
+                return refuse("teams", "a margin or centroid is not finite");
             }
         }
-        if self.inertia.is_finite() { Ok(()) } else { Err("inertia: must be finite") }
+        if self.inertia.is_finite() { Ok(()) } else { refuse("inertia", "must be finite") }
     }
 }
 
@@ -197,5 +198,31 @@ impl Teams {
             leader: place.map(|(team, _)| team.leader.clone()),
             confidence: place.map_or(0.0, |(_, member)| member.margin.clamp(0.0, 1.0)),
         })
+    }
+}
+
+impl RobotTeam {
+    /// Checks that the team agrees with its members and leader.
+    ///
+    /// # Errors
+    /// Names the first field that contradicts another one, or is out of range.
+    pub fn check(&self) -> Result<(), ContentError> {
+        if !(0.0..=1.0).contains(&self.confidence) {
+            return refuse("confidence", "must be a number from 0 to 1");
+        }
+        if self.team.is_some() != self.leader.is_some() {
+            return refuse("leader", "a team has one, and no team has none");
+        }
+        let Some(members) = &self.members else { return Ok(()) };
+        if members.len() > MAX_MEMBERS_TOLD {
+            return refuse("members", "are more than a robot's team may list");
+        }
+        if !members.is_sorted_by(|left, right| left < right) {
+            return refuse("members", "must be ordered by name, each once");
+        }
+        if self.team.is_some() != members.contains(&self.robot) {
+            return refuse("members", "must hold the robot itself if it has a team");
+        }
+        Ok(())
     }
 }

@@ -426,7 +426,7 @@ impl<C: Core> Shell<C> {
                 self.step(Event::Query { query: id, request });
             }
             Err(problem) => {
-                let problem = Problem::new("(parameters)", &problem).to_json();
+                let problem = Problem::new("(parameters)", &problem.to_string()).to_json();
                 self.errands.reply(query, Err(problem), false);
             }
         }

@@ -8,6 +8,7 @@ use std::fmt;
 
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
+use muster_model::observation::Stream;
 
 use crate::envelope::{MAX_SERVICE_PAYLOAD, MAX_SMALL_PAYLOAD};
 use crate::foreign::{ForeignKey, ForeignPattern};
@@ -20,14 +21,8 @@ const ROOT: &str = "muster/v1";
 pub enum Key {
     /// `robot/{robot}`: liveliness token of a robot.
     RobotToken(RobotId),
-    /// `robot/{robot}/pose`: where the robot is.
-    Pose(RobotId),
-    /// `robot/{robot}/links`: whom the robot hears.
-    Links(RobotId),
-    /// `robot/{robot}/rank`: whom the robot answers to.
-    Rank(RobotId),
-    /// `robot/{robot}/relation/{modality}`: edges of a declared modality.
-    Relation(RobotId, Modality),
+    /// `robot/{robot}/pose`, `links`, `rank` or `relation/{modality}`: one stream of a robot.
+    Stream(RobotId, Stream),
     /// `robot/{robot}/team`: what the robot is told of its team.
     RobotTeam(RobotId),
     /// `graph/{modality}`: one relation of all robots.
@@ -67,13 +62,9 @@ pub enum Key {
 pub enum Pattern {
     /// `robot/*`, of liveliness tokens.
     RobotTokens,
-    /// `robot/*/pose`
-    Poses,
-    /// `robot/*/links`
-    Links,
-    /// `robot/*/rank`
-    Ranks,
-    /// `robot/*/relation/*`
+    /// `robot/*/{stream}`: one stream of all robots.
+    Stream(Stream),
+    /// `robot/*/relation/*`: the relations of all declared modalities.
     Relations,
     /// `robot/*/team`
     RobotTeams,
@@ -154,9 +145,7 @@ impl KeySpace {
     pub fn pattern(&self, pattern: &Pattern) -> String {
         let tail = match pattern {
             Pattern::RobotTokens => "robot/*",
-            Pattern::Poses => "robot/*/pose",
-            Pattern::Links => "robot/*/links",
-            Pattern::Ranks => "robot/*/rank",
+            Pattern::Stream(stream) => return format!("{}robot/*/{stream}", self.prefix),
             Pattern::Relations => "robot/*/relation/*",
             Pattern::RobotTeams => "robot/*/team",
             Pattern::Graphs => "graph/*",
@@ -206,15 +195,12 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("robot"), Some(robot), Some(stream), None, _] => {
             let robot = robot.parse().ok()?;
             match stream {
-                "pose" => Key::Pose(robot),
-                "links" => Key::Links(robot),
-                "rank" => Key::Rank(robot),
                 "team" => Key::RobotTeam(robot),
-                _ => return None,
+                stream => Key::Stream(robot, Stream::built_in(stream)?),
             }
         }
         [Some("robot"), Some(robot), Some("relation"), Some(modality), None] => {
-            Key::Relation(robot.parse().ok()?, modality.parse().ok()?)
+            Key::Stream(robot.parse().ok()?, Stream::Relation(modality.parse().ok()?))
         }
         [Some("service"), Some(service), Some(last), None, _] => {
             let service = service.parse().ok()?;
@@ -230,11 +216,18 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
 }
 
 impl Pattern {
+    /// All streams of all robots.
+    #[must_use]
+    pub fn streams() -> [Self; 4] {
+        let [first, second, third] = Stream::BUILT_IN.map(Self::Stream);
+        [first, second, third, Self::Relations]
+    }
+
     /// Most bytes that may stand on any of the keys.
     #[must_use]
     pub const fn payload_limit(&self) -> usize {
         match self {
-            Self::Poses | Self::Links | Self::Ranks | Self::Relations => MAX_ROBOT_PAYLOAD,
+            Self::Stream(_) | Self::Relations => MAX_ROBOT_PAYLOAD,
             Self::RobotTeams | Self::Statuses => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
             Self::Graphs | Self::Everything | Self::Foreign(_) => MAX_SERVICE_PAYLOAD,
@@ -248,9 +241,7 @@ impl Key {
     #[must_use]
     pub const fn payload_limit(&self) -> usize {
         match self {
-            Self::Pose(_) | Self::Links(_) | Self::Rank(_) | Self::Relation(..) => {
-                MAX_ROBOT_PAYLOAD
-            }
+            Self::Stream(..) => MAX_ROBOT_PAYLOAD,
             Self::RobotTeam(_)
             | Self::Event
             | Self::JsonEvent
@@ -266,12 +257,9 @@ impl Key {
     #[must_use]
     pub fn robot(&self) -> Option<&RobotId> {
         match self {
-            Self::RobotToken(robot)
-            | Self::Pose(robot)
-            | Self::Links(robot)
-            | Self::Rank(robot)
-            | Self::Relation(robot, _)
-            | Self::RobotTeam(robot) => Some(robot),
+            Self::RobotToken(robot) | Self::Stream(robot, _) | Self::RobotTeam(robot) => {
+                Some(robot)
+            }
             _ => None,
         }
     }
@@ -282,12 +270,7 @@ impl fmt::Display for Key {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::RobotToken(robot) => write!(formatter, "robot/{robot}"),
-            Self::Pose(robot) => write!(formatter, "robot/{robot}/pose"),
-            Self::Links(robot) => write!(formatter, "robot/{robot}/links"),
-            Self::Rank(robot) => write!(formatter, "robot/{robot}/rank"),
-            Self::Relation(robot, modality) => {
-                write!(formatter, "robot/{robot}/relation/{modality}")
-            }
+            Self::Stream(robot, stream) => write!(formatter, "robot/{robot}/{stream}"),
             Self::RobotTeam(robot) => write!(formatter, "robot/{robot}/team"),
             Self::Graph(modality) => write!(formatter, "graph/{modality}"),
             Self::Roster => formatter.write_str("roster"),
@@ -324,10 +307,7 @@ mod tests {
         let thermal = Modality::new("thermal").unwrap();
         let mut keys = vec![
             Key::RobotToken(robot.clone()),
-            Key::Pose(robot.clone()),
-            Key::Links(robot.clone()),
-            Key::Rank(robot.clone()),
-            Key::Relation(robot.clone(), thermal.clone()),
+            Key::Stream(robot.clone(), Stream::Relation(thermal.clone())),
             Key::RobotTeam(robot),
             Key::Graph(thermal),
             Key::Roster,
@@ -340,6 +320,8 @@ mod tests {
             Key::JsonEvent,
             Key::Schema,
         ];
+        let robot = RobotId::new("r2").unwrap();
+        keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));
         for service in ServiceName::ALL {
             keys.push(Key::Settings(service));
             keys.push(Key::Status(service));

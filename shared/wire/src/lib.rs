@@ -6,6 +6,7 @@
 //! service is written to a file; [`schema`] describes the JSON. Nothing outside of this crate handles
 //! bytes, and nothing in it knows the bus.
 
+pub mod decode;
 pub mod envelope;
 pub mod foreign;
 pub mod json;
@@ -13,12 +14,14 @@ pub mod key;
 pub mod message;
 pub mod packet;
 pub mod recording;
+pub mod report;
 pub mod request;
 pub mod schema;
 pub mod told;
 
+pub use decode::DecodeError;
 pub use foreign::{Attachment, ForeignKey, ForeignPattern};
 pub use key::{Key, KeySpace, Pattern};
 pub use message::Message;
-pub use packet::{Outbound, Packet, Rejection, Source};
-pub use request::{Format, Request};
+pub use packet::{Format, Outbound, Packet, Rejection, Source};
+pub use request::{Request, RequestError};

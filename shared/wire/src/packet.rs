@@ -5,9 +5,9 @@ use std::borrow::Cow;
 use muster_model::id::RobotId;
 use serde::{Deserialize, Serialize};
 
+use crate::envelope;
 use crate::foreign::Attachment;
 use crate::key::{Key, KeySpace};
-use crate::request::Format;
 
 /// The encoding of JSON.
 pub const JSON: &str = "application/json";
@@ -17,6 +17,15 @@ pub(crate) const BINARY: &str = "application/octet-stream";
 
 /// Longest piece of foreign text that is repeated in an error.
 const MAX_QUOTED: usize = 120;
+
+/// The two forms of a payload.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Format {
+    /// JSON, for the edge.
+    Json,
+    /// The binary envelope, between services.
+    Binary,
+}
 
 /// Where a packet comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -120,6 +129,11 @@ impl Rejection {
 #[must_use]
 pub fn quoted(text: &str) -> String {
     text.chars().take(MAX_QUOTED).map(|c| if c.is_control() { '\u{FFFD}' } else { c }).collect()
+}
+
+/// The encoding of a binary message.
+pub(crate) fn binary_encoding(kind: &str) -> Cow<'static, str> {
+    Cow::Owned(format!("{BINARY};bincode;muster.{kind};{}", envelope::VERSION))
 }
 
 /// Reads an encoding. A missing one is JSON, so that the shortest client works.

@@ -12,10 +12,11 @@ use serde::de::{DeserializeOwned, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::envelope::{self, EnvelopeError};
+
+pub use crate::envelope::MAX_FRAME;
 use crate::key::KeySpace;
 use crate::message::Message;
-use crate::packet::{Outbound, Packet, quoted};
-use crate::request::Format;
+use crate::packet::{Format, Outbound, Packet, quoted};
 
 /// The first bytes of every recording.
 pub const MAGIC: [u8; 8] = *b"\xB7mustrec";
@@ -25,9 +26,6 @@ pub const VERSION: u8 = 1;
 
 /// Length and checksum of a frame.
 const FRAME_HEAD: usize = 8;
-
-/// Largest content of a frame in bytes: a few of the largest messages, which one fetch may bring.
-pub const MAX_FRAME: usize = 4 * envelope::MAX_SERVICE_PAYLOAD;
 
 /// Largest head in bytes: names, settings, and a patch of them.
 const MAX_HEAD: usize = 1024 * 1024;

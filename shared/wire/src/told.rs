@@ -2,15 +2,14 @@
 
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, RobotId, ServiceName, TeamId};
-use muster_model::limits::{MAX_MEMBERS_TOLD, MAX_REVISION};
 use muster_model::teams::RobotTeam;
 use muster_model::time::{Tick, seconds};
 use serde::Deserialize;
 
+use crate::decode::{self, DecodeError};
 use crate::envelope;
 use crate::key::{Key, KeySpace};
-use crate::packet::{Packet, Rejection, Source, format_of};
-use crate::request::Format;
+use crate::packet::{Format, Packet, Rejection, Source};
 
 /// The JSON form. Fields that are not known are passed over, so that a robot understands services
 /// that are newer than itself.
@@ -42,42 +41,30 @@ struct Stage {
 /// A [`Rejection`] if the key is no robot's team or of another fleet, the content does not decode or
 /// contradicts itself, or it speaks of another fleet or robot than the key.
 pub fn decode(space: &KeySpace, packet: &Packet, now: Tick) -> Result<RobotTeam, Rejection> {
-    understand(space, packet, now).map_err(|reason| Rejection::new(space, &packet.key, reason))
+    read(space, packet, now).map_err(|error| Rejection::new(space, &packet.key, error.to_string()))
 }
 
-fn understand(space: &KeySpace, packet: &Packet, now: Tick) -> Result<RobotTeam, String> {
-    let key = space.parse(&packet.key).map_err(|error| error.to_string())?;
-    let limit = key.payload_limit();
-    let Key::RobotTeam(robot) = key else {
-        return Err("no robot is told its team on this key".to_owned());
-    };
+fn read(space: &KeySpace, packet: &Packet, now: Tick) -> Result<RobotTeam, DecodeError> {
+    let key = space.parse(&packet.key)?;
+    let bytes = decode::payload(packet, &key)?;
+    let Key::RobotTeam(robot) = key else { return Err(DecodeError::NotRead) };
     if packet.source != Source::Put {
-        return Err("nothing is deleted on this key".to_owned());
+        return Err(DecodeError::Deleted);
     }
-    let bytes = match &packet.payload {
-        Ok(bytes) if bytes.len() <= limit => bytes,
-        Ok(bytes) => return Err(format!("{} bytes are more than {limit}", bytes.len())),
-        Err(size) => return Err(format!("{size} bytes are more than {limit}")),
+    let team = match decode::format(packet)? {
+        Format::Json => from_json(bytes, now)?,
+        Format::Binary => envelope::decode(bytes)?,
     };
-    let told = match format_of(&packet.encoding) {
-        Some(Format::Json) => from_json(bytes, now)?,
-        Some(Format::Binary) => envelope::decode(bytes).map_err(|error| error.to_string())?,
-        None => return Err("the encoding is unknown".to_owned()),
-    };
-    if told.robot != robot {
-        return Err(format!("robot: the key speaks to {robot}, the message to {}", told.robot));
+    if team.robot != robot {
+        return Err(DecodeError::TeamRobot { key: robot, message: team.robot });
     }
-    if told.header.fleet != *space.fleet() {
-        let (ours, theirs) = (space.fleet(), &told.header.fleet);
-        return Err(format!("fleet: the key speaks for {ours}, the message for {theirs}"));
-    }
-    check(&told)?;
-    Ok(told)
+    decode::check_header(space, &team.header)?;
+    team.check()?;
+    Ok(team)
 }
 
-fn from_json(bytes: &[u8], now: Tick) -> Result<RobotTeam, String> {
-    let form: Form = serde_json::from_slice(bytes)
-        .map_err(|error| format!("this is not the JSON it should be: {error}"))?;
+fn from_json(bytes: &[u8], now: Tick) -> Result<RobotTeam, DecodeError> {
+    let form: Form = serde_json::from_slice(bytes)?;
     let moment = |at: f64| Tick(0).after(seconds(at));
     let oldest = form.data_age_s.map(|age| Tick(now.0.saturating_sub(moment(age).0)));
     let stages = form.stages.into_iter().map(|stage| StageTime {
@@ -99,30 +86,6 @@ fn from_json(bytes: &[u8], now: Tick) -> Result<RobotTeam, String> {
         leader: form.leader,
         confidence: form.confidence,
     })
-}
-
-fn check(told: &RobotTeam) -> Result<(), String> {
-    let revision = told.header.revision;
-    if revision.term.max(revision.epoch) >= MAX_REVISION {
-        return Err(format!("term and epoch must be below {MAX_REVISION}"));
-    }
-    if !(0.0..=1.0).contains(&told.confidence) {
-        return Err("confidence: must be a number from 0 to 1".to_owned());
-    }
-    if told.team.is_some() != told.leader.is_some() {
-        return Err("leader: a team has one, and no team has none".to_owned());
-    }
-    let Some(members) = &told.members else { return Ok(()) };
-    if members.len() > MAX_MEMBERS_TOLD {
-        return Err(format!("members: may be at most {MAX_MEMBERS_TOLD}"));
-    }
-    if !members.is_sorted_by(|left, right| left < right) {
-        return Err("members: must be ordered by name, each once".to_owned());
-    }
-    if told.team.is_some() != members.contains(&told.robot) {
-        return Err("members: must hold the robot itself if it has a team".to_owned());
-    }
-    Ok(())
 }
 
 #[cfg(test)]

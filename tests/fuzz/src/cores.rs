@@ -16,9 +16,10 @@ use muster_model::header::Revision;
 use muster_model::id::{FleetId, InstanceId, Modality};
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
+use muster_wire::report;
 use muster_wire::{Format, Key, KeySpace, Message, Packet, Pattern, Request, Source};
 
-use crate::draw::{Author, Draw};
+use crate::draw::{Author, Draw, Drawn};
 use crate::packets::{BINARY, NOW, space, understood};
 use crate::{allocation, text};
 
@@ -234,9 +235,12 @@ impl<C: Core> World<C> {
     }
 
     /// A message as it crosses the bus.
-    fn drawn(&self, message: &Message) -> Packet {
-        let out = message.encode(message.keys().0, Format::Binary, self.now).unwrap();
-        out.into_packet(&self.space)
+    fn drawn(&self, drawn: &Drawn) -> Packet {
+        let out = match drawn {
+            Drawn::Message(message) => message.encode(message.keys().0, Format::Binary, self.now),
+            Drawn::Report(robot, report) => report::encode_unchecked(robot, report),
+        };
+        out.unwrap().into_packet(&self.space)
     }
 
     fn is_wanted(&self, packet: &Packet, patterns: &[Pattern]) -> bool {

@@ -11,6 +11,7 @@ use muster_ingest::Ingest;
 use muster_machine::recording::{Entry, Head, Input, Output};
 use muster_machine::{Command, Core, Driver, Event, Start, Stopwatch, Stored};
 use muster_model::id::{FleetId, InstanceId};
+use muster_model::observation::{CheckedReport, Report};
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings,
 };
@@ -240,9 +241,10 @@ fn told() -> Vec<Seed> {
     let mut said = Vec::new();
     for second in 0..3 {
         for robot in fleet.observe(f64::from(second)) {
-            said.push(Message::Pose(robot.robot.clone(), robot.pose));
-            said.push(Message::Links(robot.robot.clone(), robot.links));
-            said.push(Message::Rank(robot.robot, robot.rank));
+            let reports = [robot.pose.into(), robot.links.into(), robot.rank.into()];
+            said.extend(reports.map(|report: Report| {
+                Message::Report(CheckedReport::new(robot.robot.clone(), report).unwrap())
+            }));
         }
     }
     let graphs = tell::<Ingest>(&said);

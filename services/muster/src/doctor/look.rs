@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use muster_machine::Delivery;
 use muster_model::event::{Event, EventKind};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
+use muster_model::observation::Stream;
 use muster_model::role::Standing;
 use muster_model::roster::{Presence, Roster};
 use muster_model::settings::{ClustererSettings, IngestSettings};
@@ -265,9 +266,10 @@ async fn listen_to(
     clocks: &Arc<Mutex<BTreeMap<RobotId, f64>>>,
 ) -> anyhow::Result<()> {
     let (space, clocks) = (bus.space().clone(), Arc::clone(clocks));
-    bus.subscribe(&Pattern::One(Key::Pose(robot)), move |packet| {
-        let Ok(Message::Pose(robot, pose)) = Message::decode(&space, &packet) else { return };
-        let Some(stamp) = pose.stamp else { return };
+    bus.subscribe(&Pattern::One(Key::Stream(robot, Stream::Pose)), move |packet| {
+        let Ok(Message::Report(report)) = Message::decode(&space, &packet) else { return };
+        let (robot, report) = report.into_parts();
+        let Some(stamp) = report.provenance().stamp else { return };
         let offset = stamp - clock.now().as_seconds();
         let mut clocks = clocks.lock().unwrap_or_else(PoisonError::into_inner);
         // The way of a message only makes stamps older: the least delayed one tells most.
