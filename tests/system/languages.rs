@@ -16,11 +16,18 @@ use crate::pipeline::FORMED_WITHIN;
 
 pub(crate) const README: &str = include_str!("../../README.md");
 
+/// The description of the protocol.
+pub(crate) const PROTOCOL: &str = include_str!("../../shared/wire/README.md");
+
 /// The text of the fenced block behind a marker, all blocks of that marker in order.
 pub(crate) fn blocks(marker: &str) -> Vec<String> {
+    blocks_of(README, marker)
+}
+
+/// The same of another text.
+pub(crate) fn blocks_of(text: &str, marker: &str) -> Vec<String> {
     let start = format!("<!-- {marker} -->\n```");
-    README
-        .split(&start)
+    text.split(&start)
         .skip(1)
         .map(|part| {
             let (_, part) = part.split_once('\n').unwrap();

@@ -10,7 +10,7 @@ use muster_tests::cluster::{Cluster, SERVICES};
 use muster_tests::process::{python, run};
 use serde_json::{Map, Value, json};
 
-use crate::languages::blocks;
+use crate::languages::{PROTOCOL, blocks, blocks_of};
 use crate::pipeline::{FORMED_WITHIN, formed, truth};
 
 /// What the validator says of each message: none if its schema accepts it.
@@ -90,9 +90,9 @@ async fn every_service_serves_the_schema_that_the_command_prints() {
 }
 
 #[test]
-fn the_messages_of_the_readme_are_valid() {
+fn the_messages_of_the_readmes_are_valid() {
     let mut cases = Vec::new();
-    for block in blocks("messages") {
+    for block in blocks("messages").into_iter().chain(blocks_of(PROTOCOL, "messages")) {
         let starts: Vec<&str> = block.split_inclusive('\n').collect();
         let mut entries: Vec<String> = Vec::new();
         for line in starts {

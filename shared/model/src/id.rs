@@ -29,7 +29,7 @@ pub enum IdError {
 /// Checks the rule of all ids.
 ///
 /// # Errors
-/// Says which part of `[a-z0-9_-]{1,64}` the text breaks.
+/// Names the part of `[a-z0-9_-]{1,64}` the text breaks.
 pub fn check_id(text: &str) -> Result<(), IdError> {
     if text.is_empty() {
         return Err(IdError::Empty);
@@ -68,7 +68,7 @@ macro_rules! id {
             /// Checks and wraps a text.
             ///
             /// # Errors
-            /// Says which part of `[a-z0-9_-]{1,64}` the text breaks.
+            /// Names the part of `[a-z0-9_-]{1,64}` the text breaks.
             pub fn new(text: impl AsRef<str>) -> Result<Self, IdError> {
                 check_id(text.as_ref())?;
                 Ok(Self(text.as_ref().into()))
@@ -150,19 +150,19 @@ impl Modality {
     /// The modalities that every fleet has.
     pub const BUILT_IN: [&str; 3] = ["spatial", "connectivity", "hierarchy"];
 
-    /// Where the robots are.
+    /// Where robots are.
     #[must_use]
     pub fn spatial() -> Self {
         Self("spatial".into())
     }
 
-    /// Who can hear whom.
+    /// Which robots receive which.
     #[must_use]
     pub fn connectivity() -> Self {
         Self("connectivity".into())
     }
 
-    /// Who commands whom.
+    /// Which robots are superior to which.
     #[must_use]
     pub fn hierarchy() -> Self {
         Self("hierarchy".into())
@@ -184,8 +184,8 @@ impl TeamId {
 }
 
 impl InstanceId {
-    /// A name out of that of a host, whatever characters it has, and numbers that tell its processes
-    /// apart. It always ends in a number, so that it is never one of the keys beside it.
+    /// An id made of the name of a host, whatever characters it has, and numbers that distinguish its
+    /// processes. It ends in a number, so that it is never `settings`, `status` or `holder`.
     #[must_use]
     pub fn of_process(host: &str, process: u32, nonce: u32) -> Self {
         let host = host.trim().to_lowercase();

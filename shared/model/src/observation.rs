@@ -34,7 +34,7 @@ fn refuse<T>(field: &'static str, problem: impl Into<String>) -> Result<T, Obser
 pub struct Provenance {
     /// Seconds since the Unix epoch by the robot's clock.
     pub stamp: Option<f64>,
-    /// Names one run of the robot's software; the sequence starts anew with each.
+    /// Names one run of the robot's software; each run has its own sequence.
     pub boot: Option<String>,
     /// Grows with each message of a stream within one boot.
     pub seq: Option<u64>,
@@ -155,13 +155,13 @@ impl fmt::Display for Stream {
 /// What a robot reports on one of its streams.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Report {
-    /// Where it is. It holds for a moment.
+    /// Where it is at one moment.
     Pose(Pose),
-    /// Which robots it receives. It holds until the next report.
+    /// Which robots it receives, until the next report.
     Links(Links),
-    /// Its superior. It holds until the next report.
+    /// Its superior, until the next report.
     Rank(Rank),
-    /// Its edges of a declared modality. They hold until the next report.
+    /// Its edges of a declared modality, until the next report.
     Relation(Modality, Relation),
 }
 
@@ -248,9 +248,9 @@ pub struct CheckedReport {
 }
 
 impl CheckedReport {
-    /// Checks a report of a robot: every field, and that it speaks of no other robot's relations nor of
-    /// one to itself. What depends on the settings of a fleet is not checked here: which frames and
-    /// modalities there are, and the unit of links.
+    /// Checks a report of a robot: every field, that it has only the robot's own relations, and none to
+    /// the robot itself. What depends on the settings of a fleet is not checked here: its frames, its
+    /// modalities and the unit of links.
     ///
     /// # Errors
     /// Names the first field that is wrong.
@@ -387,7 +387,7 @@ pub struct Rank {
 }
 
 impl Rank {
-    /// A tie to a superior, or to nobody at the top; everything else is left out.
+    /// A tie to a superior, none at the top; everything else is left out.
     #[must_use]
     pub const fn under(superior: Option<RobotId>) -> Self {
         Self { superior, weight: None, role: None, stamp: None, boot: None, seq: None }

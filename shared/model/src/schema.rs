@@ -1,7 +1,7 @@
-//! What JSON Schema says of the plain fields that have a rule of their own.
+//! The JSON Schema of plain fields with rules of their own.
 //!
 //! The types derive their schema; where a field is plainer than its rule (a text without control
-//! characters, a weight within a tuple), it names one of these beside its type. They are never made.
+//! characters, a weight within a tuple), it names one of these types, which have no values.
 //! The bounds of numbers stand twice, in the schema and in `check`: a test of whole processes
 //! compares the two at each bound.
 

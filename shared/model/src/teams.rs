@@ -25,7 +25,7 @@ pub struct Team {
     pub id: TeamId,
     /// Its robots, ordered by name.
     pub members: Vec<Member>,
-    /// The robot that commands most of the others; the one before if nobody commands.
+    /// The robot that is superior to most of the others; the previous leader if none is.
     pub leader: RobotId,
     /// The mean of its members' vectors.
     pub centroid: Vec<f64>,
@@ -83,7 +83,7 @@ pub struct Teams {
     pub teams: Vec<Team>,
     /// Robots that belong to no team, ordered by name: nothing relates them to the others.
     pub unassigned: Vec<RobotId>,
-    /// Robots, with or without a team, that have not been heard of lately, ordered by name.
+    /// Stale robots, with or without a team, ordered by name.
     pub stale: Vec<RobotId>,
     /// Sum of squared distances of the members to their centroids.
     pub inertia: f64,
@@ -155,12 +155,12 @@ impl Teams {
     }
 }
 
-/// What one robot is told of its team.
+/// The team of one robot, as it is published to the robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RobotTeam {
     /// The head of the message; its revision is that of the division.
     pub header: Header,
-    /// Who is told.
+    /// The robot.
     pub robot: RobotId,
     /// Its team; none if nothing relates it to the others.
     pub team: Option<TeamId>,
@@ -174,7 +174,7 @@ pub struct RobotTeam {
 }
 
 impl Teams {
-    /// What one robot of the fleet is told; none if the division does not know it.
+    /// The team of one robot; none if the division does not contain the robot.
     #[must_use]
     pub fn robot_team(&self, robot: &RobotId) -> Option<RobotTeam> {
         let place = self.teams.iter().find_map(|team| {

@@ -30,7 +30,7 @@ const HEAD: usize = 3;
 /// Largest message between services in bytes: a graph of 100,000 robots with 30 edges each.
 pub const MAX_SERVICE_PAYLOAD: usize = 64 * 1024 * 1024;
 
-/// Largest event, settings, status or word to a robot of its team in bytes: some names, numbers and one
+/// Largest event, settings, status or robot's team in bytes: some names, numbers and one
 /// reason. 256 members with the longest ids take a third of it.
 pub const MAX_SMALL_PAYLOAD: usize = 64 * 1024;
 
@@ -156,7 +156,7 @@ pub(crate) fn pack<T: Serialize>(content: &T) -> Result<Vec<u8>, EnvelopeError> 
 /// Reads what [`pack`] wrote. No input makes it allocate more than [`MAX_FRAME`].
 ///
 /// # Errors
-/// Says what is wrong with the bytes.
+/// [`EnvelopeError`] names what is wrong with the bytes.
 pub(crate) fn unpack<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, EnvelopeError> {
     let limited = bincode::config::standard().with_limit::<MAX_FRAME>();
     let (content, read) = bincode::serde::decode_from_slice(bytes, limited)
@@ -170,7 +170,7 @@ pub(crate) fn unpack<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, EnvelopeErr
 /// Reads a message of a known kind.
 ///
 /// # Errors
-/// Says what is wrong with the bytes. However much they promise, what is allocated for them stays
+/// [`EnvelopeError`] names what is wrong with the bytes. However much they promise, what is allocated for them stays
 /// within a multiple of their own number.
 pub fn decode<T: BinaryMessage>(bytes: &[u8]) -> Result<T, EnvelopeError> {
     decode_as(T::KIND, bytes)
@@ -204,7 +204,7 @@ pub(crate) fn decode_as<T: DeserializeOwned>(kind: Kind, bytes: &[u8]) -> Result
     }
 }
 
-/// Reads a content under the smallest limit that holds it.
+/// Reads a content under the smallest limit that fits it.
 ///
 /// bincode allocates the whole of a text before it looks whether it is there, as far as the limit
 /// lets it, and a limit is a constant: one of a few is chosen by the size of the content. The limit

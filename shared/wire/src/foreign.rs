@@ -1,7 +1,7 @@
 //! Keys and attachments of other programs on the same bus: a ROS 2 bridge, a dashboard.
 //!
-//! Muster's own keys are typed ([`Key`](crate::Key)). A service that speaks to other programs uses keys
-//! that those programs define, so that only their form is checked here: they are canonical key
+//! Muster's own keys are typed ([`Key`](crate::Key)). A bridge to other programs uses keys that
+//! those programs define, so that only their form is checked here: they are canonical key
 //! expressions, and none stands under `muster/`, where only [`KeySpace`](crate::KeySpace) writes keys.
 
 use std::fmt;

@@ -1,7 +1,7 @@
 //! The key space: every key that Muster uses, typed.
 //!
 //! All keys stand under `muster/v1/{fleet}/`, so that fleets share a bus without seeing each other
-//! and a later version of the key space can live beside this one. The text of a key is canonical
+//! and a later version of the key space can share the bus with this one. The text of a key is canonical
 //! (a test checks that against the bus itself).
 
 use std::fmt;
@@ -23,7 +23,7 @@ pub enum Key {
     RobotToken(RobotId),
     /// `robot/{robot}/pose`, `links`, `rank` or `relation/{modality}`: one stream of a robot.
     Stream(RobotId, Stream),
-    /// `robot/{robot}/team`: what the robot is told of its team.
+    /// `robot/{robot}/team`: the team of the robot.
     RobotTeam(RobotId),
     /// `graph/{modality}`: one relation of all robots.
     Graph(Modality),
@@ -33,13 +33,13 @@ pub enum Key {
     Embedding,
     /// `teams`: the division.
     Teams,
-    /// `audit`: the judgement of the division.
+    /// `audit`: the audit of the division.
     Audit,
     /// `event`: what happens.
     Event,
     /// `json/teams`: the division as JSON.
     JsonTeams,
-    /// `json/audit`: the judgement as JSON.
+    /// `json/audit`: the audit as JSON.
     JsonAudit,
     /// `json/event`: what happens, as JSON.
     JsonEvent,
@@ -47,9 +47,9 @@ pub enum Key {
     Schema,
     /// `service/{service}/settings`: a get answers with the settings, one with a payload changes them.
     Settings(ServiceName),
-    /// `service/{service}/status`: a get answers with what the service tells of itself.
+    /// `service/{service}/status`: a get answers with the status of the service.
     Status(ServiceName),
-    /// `service/{service}/holder`: who of several instances holds the role of the service.
+    /// `service/{service}/holder`: the lease renewals of the leader among several instances.
     Holder(ServiceName),
     /// `service/{service}/{instance}`: liveliness token of a running service.
     ServiceToken(ServiceName, InstanceId),

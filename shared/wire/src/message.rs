@@ -48,7 +48,7 @@ pub enum Message {
     },
     /// What a robot reports on one of its streams.
     Report(CheckedReport),
-    /// What a robot is told of its team.
+    /// The team of a robot.
     RobotTeam(RobotTeam),
     /// A change of one graph, or a snapshot of it.
     Graph(Arc<GraphDelta>),
@@ -58,22 +58,22 @@ pub enum Message {
     Embedding(Arc<Embedding>),
     /// The similarity of two robots: what a get of `embedding?katz=` is answered with.
     Katz(Box<PairSimilarity>),
-    /// The division. `mirror` says whether `json/teams` is told as well.
+    /// The division.
     Teams {
         /// The division.
         teams: Arc<Teams>,
-        /// Whether the JSON mirror is put beside the binary message.
+        /// Whether `json/teams` is published as well.
         mirror: bool,
     },
-    /// The judgement of the division.
+    /// The audit of the division.
     Audit(Arc<Audit>),
     /// Something that happened.
     Event(Event),
-    /// Who holds the role of a service.
+    /// A lease renewal of the leader of a service.
     Claim(Box<Claim>),
     /// The settings of a service.
     Settings(Box<AnnouncedSettings>),
-    /// What a service tells of itself.
+    /// The status of a service.
     Status(Box<ServiceStatus>),
 }
 
@@ -89,11 +89,11 @@ fn agree<T: PartialEq>(key: &T, content: &T, what: &'static str) -> Result<(), D
 }
 
 impl Message {
-    /// Understands a packet.
+    /// Reads and checks a packet.
     ///
     /// # Errors
     /// A [`Rejection`] if the key is unknown or wild, the encoding or content is not what the key
-    /// demands, or the content speaks for another fleet or robot than the key.
+    /// demands, or the content names another fleet or robot than the key.
     pub fn decode(space: &KeySpace, packet: &Packet) -> Result<Self, Rejection> {
         Self::read(space, packet)
             .map_err(|error| Rejection::new(space, &packet.key, error.to_string()))
@@ -222,7 +222,7 @@ impl Message {
 
     /// What a service puts on the bus for this message: the message, and its JSON mirror.
     ///
-    /// Robots are told their team in JSON; everything between services is binary.
+    /// The team of a robot is written in JSON, everything between services in binary form.
     ///
     /// # Errors
     /// [`EnvelopeError`] if the content is larger than its kind may be.
@@ -255,7 +255,7 @@ impl Message {
             _ => Format::Binary,
         };
         let mut all = Vec::new();
-        // Who asks for a pair does not want the embedding, from whomever knows it.
+        // A get of a pair is not answered with the embedding, nor the other way round.
         let of_pair = matches!(self, Self::Katz(_));
         let wanted = key != Key::Embedding || request.katz.is_some() == of_pair;
         if wanted && request.selects(space, &key) {

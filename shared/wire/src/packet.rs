@@ -1,4 +1,4 @@
-//! What crosses the bus before anybody reads it: packets, and what is ready to be sent.
+//! Packets as they are received, and as they are sent.
 
 use std::borrow::Cow;
 
@@ -30,17 +30,17 @@ pub enum Format {
 /// Where a packet comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
-    /// Somebody put it.
+    /// A put.
     Put,
-    /// Somebody deleted the key.
+    /// A deletion of the key.
     Delete,
-    /// The bus says that a liveliness token is there.
+    /// A liveliness token appeared.
     TokenAlive,
-    /// The bus says that a liveliness token is gone.
+    /// A liveliness token was lost.
     TokenGone,
 }
 
-/// Something off the bus that is not understood yet.
+/// A packet from the bus that is not decoded yet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Packet {
     /// The text of its key.
@@ -51,12 +51,12 @@ pub struct Packet {
     pub source: Source,
     /// Its bytes, or how many they were where the limit of the subscription cut them off.
     pub payload: Result<Vec<u8>, usize>,
-    /// Bytes beside the payload; none on Muster's own keys.
+    /// The attachment of a bridged program; none on Muster's own keys.
     pub attachment: Option<Attachment>,
 }
 
 impl Packet {
-    /// A packet that somebody put, as a subscriber receives it.
+    /// A put, as a subscriber receives it.
     #[must_use]
     pub fn put(
         key: impl Into<String>,
@@ -80,7 +80,7 @@ impl Packet {
     }
 }
 
-/// Something that is ready for the bus.
+/// A message that is encoded and ready to be sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Outbound {
     /// Where to.
@@ -89,7 +89,7 @@ pub struct Outbound {
     pub encoding: Cow<'static, str>,
     /// The bytes.
     pub payload: Vec<u8>,
-    /// Bytes beside the payload; none on Muster's own keys.
+    /// The attachment of a bridged program; none on Muster's own keys.
     pub attachment: Option<Attachment>,
 }
 
@@ -105,7 +105,7 @@ impl Outbound {
 /// Why a packet is refused.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Rejection {
-    /// Whom it spoke for, if its key says so.
+    /// The robot in its key, if there is one.
     pub robot: Option<RobotId>,
     /// Its key, cut short, without control characters.
     pub key: String,

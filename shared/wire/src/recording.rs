@@ -1,9 +1,9 @@
-//! The bytes of a recording: a head, then one frame per entry, for as long as the service ran.
+//! The bytes of a recording: a head, then one frame per entry.
 //!
 //! A file begins with [`MAGIC`] and the [`VERSION`] of the entries. Every frame is its length and a
 //! checksum, four bytes each with the lowest first, and its content. The head is JSON, so that a
 //! program of any version can say who wrote a file; entries are bincode. A file may break off
-//! anywhere, as it does when the service is killed; damage is told from that by the checksum.
+//! anywhere, as it does when the service is killed; the checksum distinguishes damage from that.
 
 use std::fmt;
 use std::io::Read;
@@ -93,7 +93,7 @@ impl<'de> Deserialize<'de> for Bytes {
     }
 }
 
-/// Something that was put on the bus, or that a get was answered with.
+/// A message that was published, or with which a get was answered.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Put {
     /// The text of its whole key.
@@ -125,7 +125,7 @@ impl Put {
 /// A message that a service received, in binary form whatever form it came in.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Heard {
-    /// Somebody put it.
+    /// A put.
     Put(Put),
     /// A liveliness token appeared or was lost.
     Token {
@@ -137,8 +137,8 @@ pub enum Heard {
 }
 
 impl Heard {
-    /// A message as it is recorded. Nothing of it is lost: what [`Message::decode`] makes of the
-    /// packet is the same message.
+    /// A message as it is recorded. Nothing of it is lost: [`Message::decode`] reads the same message
+    /// from the packet.
     ///
     /// # Errors
     /// [`EnvelopeError`] if it is larger than its kind may be, or is none that a service receives.
@@ -156,7 +156,7 @@ impl Heard {
         Ok(Self::Put(Put::new(space, outbound)))
     }
 
-    /// The packet that brings the message again.
+    /// The packet of the message.
     #[must_use]
     pub fn into_packet(self) -> Packet {
         match self {

@@ -9,7 +9,7 @@ use crate::key::{Key, KeySpace};
 use crate::packet::{Format, quoted};
 
 /// Longest text of a get's parameters that is read: `format=json` and a few more.
-const MAX_PARAMETERS: usize = 1024;
+pub(crate) const MAX_PARAMETERS: usize = 1024;
 
 /// Why the parameters of a get are refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -1,9 +1,9 @@
 //! The JSON Schema (draft 2020-12) of everything that stands at the edge in JSON.
 //!
-//! It is generated from the types that read and write the messages, so that it says what they do. One
-//! document holds all messages under `$defs`, each by a name in small letters; the parts that they
-//! share stand beside them. What robots and operators say is described as it is read, what services
-//! say as it is written: complete, and closed, so that a field that nobody describes is noticed.
+//! It is generated from the types that read and write the messages. One document has all messages under
+//! `$defs`, each by a name in small letters, and the parts that they share. Messages of robots and
+//! operators are described as they are read, messages of services as they are written: complete and
+//! closed, so that an undescribed field is noticed.
 
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
@@ -34,7 +34,7 @@ const DIALECT: &str = "https://json-schema.org/draft/2020-12/schema";
 /// Where the parts of the document stand.
 const PARTS: &str = "#/$defs/";
 
-/// What the document says of itself.
+/// The description of the document.
 const ABOUT: &str = "\
 Every message of Muster in JSON, by name under $defs. Validate against one of them, such as \
 {\"$ref\": \"#/$defs/pose\"} beside this $defs. x-keys says on which keys below muster/v1/{fleet}/ a \
@@ -264,7 +264,7 @@ fn patch(table: &Value, parts: &Map<String, Value>) -> Map<String, Value> {
     ])
 }
 
-/// Lets null be said for a field as well.
+/// Allows null for a field.
 fn or_null(field: &mut Value) -> Value {
     match field.get("type") {
         Some(Value::String(plain)) => field["type"] = json!([plain, "null"]),
@@ -313,7 +313,7 @@ pub fn names(document: &Value) -> impl Iterator<Item = &str> {
     parts.into_iter().flatten().map(|(name, _)| name.as_str()).filter(|name| is_message(name))
 }
 
-/// The schema of one message of a document, which stands by itself; none if there is no such name.
+/// The schema of one message of a document, by itself; none if there is no such name.
 #[must_use]
 pub fn one(document: &Value, name: &str) -> Option<Value> {
     let name = names(document).find(|known| *known == name)?;

@@ -1,4 +1,4 @@
-//! What a robot is told of its team, as robots read it: in JSON, as it is put, or binary, on request.
+//! The team of a robot, as robots read it: in JSON as it is published, or in binary form.
 
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, RobotId, ServiceName, TeamId};
@@ -11,8 +11,7 @@ use crate::envelope;
 use crate::key::{Key, KeySpace};
 use crate::packet::{Format, Packet, Rejection, Source};
 
-/// The JSON form. Fields that are not known are passed over, so that a robot understands services
-/// that are newer than itself.
+/// The JSON form. Unknown fields are ignored, so that a robot can read newer services.
 #[derive(Deserialize)]
 struct Form {
     fleet: FleetId,
@@ -34,12 +33,12 @@ struct Stage {
     published: f64,
 }
 
-/// Understands what a robot is told of its team. The age of the data that JSON names counts from
+/// Reads and checks the team of a robot. The age of the data in JSON counts back from
 /// `now`, the moment of arrival.
 ///
 /// # Errors
 /// A [`Rejection`] if the key is no robot's team or of another fleet, the content does not decode or
-/// contradicts itself, or it speaks of another fleet or robot than the key.
+/// contradicts itself, or names another fleet or robot than the key.
 pub fn decode(space: &KeySpace, packet: &Packet, now: Tick) -> Result<RobotTeam, Rejection> {
     read(space, packet, now).map_err(|error| Rejection::new(space, &packet.key, error.to_string()))
 }
@@ -123,23 +122,23 @@ mod tests {
 
     fn packet(format: Format) -> Packet {
         let key = Key::RobotTeam(RobotId::new("r1").unwrap());
-        let told = Message::RobotTeam(sample());
-        let outbound = told.encode(key.clone(), format, Tick(10_000_000)).unwrap();
+        let team = Message::RobotTeam(sample());
+        let outbound = team.encode(key.clone(), format, Tick(10_000_000)).unwrap();
         outbound.into_packet(&space())
     }
 
     #[test]
     fn a_robot_reads_what_services_write_in_both_forms() {
         for format in [Format::Json, Format::Binary] {
-            let told = decode(&space(), &packet(format), Tick(10_000_000)).unwrap();
-            assert_eq!(told, sample(), "{format:?}");
+            let team = decode(&space(), &packet(format), Tick(10_000_000)).unwrap();
+            assert_eq!(team, sample(), "{format:?}");
         }
     }
 
     #[test]
     fn the_age_of_the_data_counts_from_the_arrival_whatever_the_clocks_say() {
-        let told = decode(&space(), &packet(Format::Json), Tick(90_000_000)).unwrap();
-        assert_eq!(told.header.data_age_s(Tick(90_500_000)), Some(1.5));
+        let team = decode(&space(), &packet(Format::Json), Tick(90_000_000)).unwrap();
+        assert_eq!(team.header.data_age_s(Tick(90_500_000)), Some(1.5));
     }
 
     fn with(change: impl Fn(&mut Value)) -> Result<RobotTeam, String> {
@@ -152,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_newer_field_is_passed_over_and_nonsense_is_refused_by_name() {
+    fn an_unknown_field_is_ignored_and_a_wrong_one_is_refused_by_name() {
         assert!(with(|value| value["new"] = json!(1)).is_ok());
         let wrong: [(&str, Value, &str); 9] = [
             ("fleet", json!("beta"), "fleet"),

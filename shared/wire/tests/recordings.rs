@@ -14,8 +14,8 @@ fn space() -> KeySpace {
 }
 
 fn again(message: &Message) -> Result<Message, String> {
-    let heard = Heard::new(&space(), message).map_err(|error| error.to_string())?;
-    let bytes = [begin(&"head").unwrap(), frame(&heard).unwrap()].concat();
+    let received = Heard::new(&space(), message).map_err(|error| error.to_string())?;
+    let bytes = [begin(&"head").unwrap(), frame(&received).unwrap()].concat();
     let (mut reader, _): (_, String) = Reader::open(bytes.as_slice()).unwrap();
     let read: Heard = reader.next_entry().unwrap().unwrap();
     assert!(reader.next_entry::<Heard>().unwrap().is_none());
@@ -50,7 +50,7 @@ fn every_message_that_is_received_comes_back_from_a_recording() {
     assert!(again(&Message::Teams { teams: teams.unwrap(), mirror: true }).is_err());
 }
 
-/// What robots say in JSON is recorded in binary: whatever is accepted in JSON must fit, and keep
+/// What robots report in JSON is recorded in binary: whatever is accepted in JSON must fit, and keep
 /// every bit.
 fn through_json(tail: &str, payload: &str) -> Option<Message> {
     let packet = Packet::put(
@@ -93,8 +93,8 @@ proptest! {
     ) {
         let mut bytes = begin(&"head").unwrap();
         for (_, message) in samples::all() {
-            if let Ok(heard) = Heard::new(&space(), &message) {
-                bytes.extend(frame(&heard).unwrap());
+            if let Ok(received) = Heard::new(&space(), &message) {
+                bytes.extend(frame(&received).unwrap());
             }
         }
         let whole = bytes.clone();

@@ -163,7 +163,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ],
         next_team: 3,
     };
-    let told = teams.robot_team(&robot("r1")).unwrap();
+    let robot_team = teams.robot_team(&robot("r1")).unwrap();
     let report = |space, mean| SilhouetteReport {
         space,
         mean,
@@ -216,7 +216,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ("roster", Message::Roster(Arc::new(roster))),
         ("embedding", Message::Embedding(Arc::new(embedding))),
         ("teams", Message::Teams { teams: Arc::new(teams), mirror: false }),
-        ("robot_team", Message::RobotTeam(told)),
+        ("robot_team", Message::RobotTeam(robot_team)),
         ("audit", Message::Audit(Arc::new(audit))),
         ("event", event(quarantined)),
         (
