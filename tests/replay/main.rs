@@ -23,10 +23,10 @@ use muster_machine::replay::{Comparison, Ending, compare};
 use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stopwatch, Stored, Wiring};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
-use muster_model::observation::{Link, Links, Pose, Rank};
+use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Report};
 use muster_model::role::Claim;
 use muster_model::time::Tick;
-use muster_wire::recording::{Bytes, Heard, Reader, begin, frame};
+use muster_wire::recording::{Bytes, Reader, Received, begin, frame};
 use muster_wire::{Key, KeySpace, Message, Pattern, Rejection, Request};
 use proptest::prelude::*;
 
@@ -72,7 +72,7 @@ trait AnyNode {
 
 fn again(message: &Message) -> Option<Message> {
     // What is on the bus is bytes: nothing reaches a core that did not come through them.
-    let packet = Heard::new(&space(), &unmirrored(message)).ok()?.into_packet();
+    let packet = Received::new(&space(), &unmirrored(message)).ok()?.into_packet();
     Message::decode(&space(), &packet).ok()
 }
 
@@ -228,12 +228,16 @@ fn name() -> impl Strategy<Value = RobotId> {
     (0..7_u8).prop_map(|n| RobotId::new(format!("r{n}")).unwrap())
 }
 
+fn report(robot: RobotId, report: impl Into<Report>) -> Message {
+    Message::Report(CheckedReport::new(robot, report).unwrap())
+}
+
 fn message() -> impl Strategy<Value = Message> {
     let (boot, stamp, seq) = (None, None, None);
     let pose = move |(robot, x, y): (RobotId, i16, i16)| {
         let (x, y) = (f64::from(x) * 0.1, f64::from(y) * 0.1);
         let (z, heading, frame, boot) = (None, None, None, boot.clone());
-        Message::Pose(robot, Pose { x, y, z, heading, frame, stamp, boot, seq })
+        report(robot, Pose { x, y, z, heading, frame, stamp, boot, seq })
     };
     prop_oneof![
         6 => (name(), -300..300_i16, -300..300_i16).prop_map(pose),
@@ -246,12 +250,12 @@ fn message() -> impl Strategy<Value = Message> {
                     .collect();
                 links.sort_by(|a, b| a.peer.cmp(&b.peer));
                 links.dedup_by(|a, b| a.peer == b.peer);
-                Message::Links(robot, Links { links, stamp: None, boot: None, seq: None })
+                report(robot, Links { links, stamp: None, boot: None, seq: None })
             },
         ),
         1 => (name(), prop::option::of(name())).prop_map(|(robot, superior)| {
-            let (weight, role, stamp) = (None, None, None);
-            Message::Rank(robot, Rank { superior, weight, role, stamp, boot: None, seq: None })
+            let superior = superior.filter(|superior| *superior != robot);
+            report(robot, Rank::under(superior))
         }),
         1 => (name(), any::<bool>())
             .prop_map(|(robot, alive)| Message::RobotToken { robot, alive }),
@@ -471,7 +475,7 @@ fn a_plain_life_brings_every_core_to_work() {
             let x = f64::from(robot % 2) * 60.0 + f64::from(robot) + f64::from(round) * 0.1;
             let (heading, frame, stamp) = (None, None, None);
             let pose = Pose { x, y: 0.0, z: None, heading, frame, stamp, boot: None, seq: None };
-            world.act(Act::Say(Message::Pose(name, pose)));
+            world.act(Act::Say(report(name, pose)));
         }
         world.act(Act::Wait(100));
     }

@@ -1,7 +1,8 @@
 //! The bus itself agrees with what is said of the keys.
 
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
-use muster_wire::{Key, KeySpace, Pattern, Request};
+use muster_model::observation::Stream;
+use muster_wire::{ForeignKey, ForeignPattern, Key, KeySpace, Pattern, Request};
 use zenoh::key_expr::KeyExpr;
 
 fn every_key() -> Vec<Key> {
@@ -9,10 +10,11 @@ fn every_key() -> Vec<Key> {
     let modality = Modality::new("thermal").unwrap();
     let mut keys = vec![
         Key::RobotToken(robot.clone()),
-        Key::Pose(robot.clone()),
-        Key::Links(robot.clone()),
-        Key::Rank(robot.clone()),
-        Key::Relation(robot.clone(), modality.clone()),
+        Key::Stream(robot.clone(), Stream::Pose),
+        Key::Stream(robot.clone(), Stream::Links),
+        Key::Stream(robot.clone(), Stream::Rank),
+        Key::Stream(robot.clone(), Stream::Relation(modality.clone())),
+        Key::Foreign(ForeignKey::new("@a/0/rt::chatter_").unwrap()),
         Key::RobotTeam(robot),
         Key::Graph(modality),
         Key::Roster,
@@ -47,10 +49,11 @@ fn every_key_and_pattern_is_canonical() {
     }
     for pattern in [
         Pattern::RobotTokens,
-        Pattern::Poses,
-        Pattern::Links,
-        Pattern::Ranks,
+        Pattern::Stream(Stream::Pose),
+        Pattern::Stream(Stream::Links),
+        Pattern::Stream(Stream::Rank),
         Pattern::Relations,
+        Pattern::Foreign(ForeignPattern::new("0/*/**/a$*b").unwrap()),
         Pattern::RobotTeams,
         Pattern::Graphs,
         Pattern::ServiceTokens,

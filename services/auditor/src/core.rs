@@ -171,7 +171,7 @@ impl Auditor {
             return if last == Some(revision) { Taken::Kept } else { Taken::Old };
         }
         if let Err(reason) = teams.check() {
-            self.role.refuse(now, &Key::Teams, reason, effects);
+            self.role.refuse(now, &Key::Teams, &reason.to_string(), effects);
             return Taken::Kept;
         }
         // Divisions go forward through the embeddings: no later one names what lies before this
@@ -189,7 +189,7 @@ impl Auditor {
         effects: &mut Effects<Job>,
     ) -> Taken {
         if let Err(reason) = embedding.check() {
-            self.role.refuse(now, &Key::Embedding, reason, effects);
+            self.role.refuse(now, &Key::Embedding, &reason.to_string(), effects);
             return Taken::Kept;
         }
         self.embeddings.keep(embedding, wanted)

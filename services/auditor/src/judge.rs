@@ -86,7 +86,7 @@ fn positions(teams: &Teams, roster: &Roster) -> BTreeMap<RobotId, [f64; 3]> {
 /// Judges a division in both spaces.
 pub(crate) fn judge(case: &Case) -> Result<Judgement, String> {
     let embedding = &*case.embedding;
-    embedding.check()?;
+    embedding.check().map_err(|error| error.to_string())?;
     let dimension = embedding.dimension as usize;
     let in_embedding = report(Space::Embedding, &case.teams, dimension, |robot| {
         let row = embedding.robots.binary_search(robot).ok()?;

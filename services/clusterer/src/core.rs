@@ -182,7 +182,7 @@ impl Clusterer {
             return;
         }
         if let Err(reason) = embedding.check() {
-            self.role.refuse(now, &Key::Embedding, reason, effects);
+            self.role.refuse(now, &Key::Embedding, &reason.to_string(), effects);
             return;
         }
         self.role.count("embeddings_received");
@@ -200,7 +200,7 @@ impl Clusterer {
             return;
         }
         if let Err(reason) = roster.check() {
-            self.role.refuse(now, &Key::Roster, reason, effects);
+            self.role.refuse(now, &Key::Roster, &reason.to_string(), effects);
             return;
         }
         self.roster = Some(roster);

@@ -45,7 +45,7 @@ struct Cluster {
 /// Divides the robots that have a non-zero embedding.
 pub(crate) fn divide(job: &Job) -> Result<Teams, String> {
     let embedding = &*job.embedding;
-    embedding.check()?;
+    embedding.check().map_err(|error| error.to_string())?;
     let (robots, dimension) = (embedding.robots.len(), embedding.dimension as usize);
     let x = DenseMatrix::new(robots, dimension, embedding.values.clone())
         .map_err(|error| error.to_string())?;

@@ -1,15 +1,14 @@
-//! What is let in: content by the settings of the fleet, order and rate by stream.
+//! What is accepted: content by the settings of the fleet, order and rate by stream.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
 use muster_model::id::{Modality, RobotId};
-use muster_model::observation::{Link, Links, Observation, Pose, Provenance, Rank, Relation};
+use muster_model::observation::{Link, Links, Pose, Provenance, Rank, Relation, Report, Stream};
 use muster_model::settings::{ConnectivitySettings, IngestSettings, LinkUnit};
 use muster_model::time::{Tick, seconds};
 use muster_relation::hierarchy::DEFAULT_TIE;
 use muster_relation::{link_weight, signal_weight};
-use muster_wire::Key;
 
 /// How many runs of a robot's software are remembered as over, per stream. A late message comes from
 /// the run before, or from a few before that if the robot restarts in a loop; more would let a robot
@@ -23,52 +22,35 @@ const BURST_S: f64 = 1.0;
 /// says nothing of the order: age is judged by the receiver's clock.
 const ABSURD_STAMP: Duration = Duration::from_secs(86_400);
 
-/// One stream of one robot; each is the source of one graph.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Stream {
-    /// Poses, for the spatial graph.
-    Pose,
-    /// Link reports, for connectivity.
-    Links,
-    /// Rank reports, for the hierarchy.
-    Rank,
-    /// Edges of a declared modality.
-    Relation(Modality),
-}
-
-impl Stream {
-    /// The key of the stream on the bus.
-    pub(crate) fn key(&self, robot: &RobotId) -> Key {
-        match self {
-            Self::Pose => Key::Pose(robot.clone()),
-            Self::Links => Key::Links(robot.clone()),
-            Self::Rank => Key::Rank(robot.clone()),
-            Self::Relation(modality) => Key::Relation(robot.clone(), modality.clone()),
-        }
-    }
-
-    /// The graph that is made of the stream.
-    pub(crate) fn modality(&self) -> Modality {
-        match self {
-            Self::Pose => Modality::spatial(),
-            Self::Links => Modality::connectivity(),
-            Self::Rank => Modality::hierarchy(),
-            Self::Relation(modality) => modality.clone(),
-        }
-    }
-
-    /// The counter of the messages that were let in.
-    pub(crate) const fn accepted(&self) -> &'static str {
-        match self {
-            Self::Pose => "poses_accepted",
-            Self::Links => "links_accepted",
-            Self::Rank => "ranks_accepted",
-            Self::Relation(_) => "relations_accepted",
-        }
+/// The counter of the messages of a stream that were accepted.
+pub(crate) const fn accepted(stream: &Stream) -> &'static str {
+    match stream {
+        Stream::Pose => "poses_accepted",
+        Stream::Links => "links_accepted",
+        Stream::Rank => "ranks_accepted",
+        Stream::Relation(_) => "relations_accepted",
     }
 }
 
-/// An observation with its content checked and made ready for the graphs.
+/// Where the edges of a report lead, seen from the robot that reports them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Direction {
+    /// To the robot.
+    Incoming,
+    /// From the robot.
+    Outgoing,
+}
+
+/// Where the edges of a stream's reports lead; none if its reports are no lists of edges.
+pub(crate) const fn direction(stream: &Stream) -> Option<Direction> {
+    match stream {
+        Stream::Links => Some(Direction::Incoming),
+        Stream::Relation(_) => Some(Direction::Outgoing),
+        Stream::Pose | Stream::Rank => None,
+    }
+}
+
+/// A report, made ready for the graphs.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Content {
     /// Where the robot is.
@@ -80,26 +62,24 @@ pub(crate) enum Content {
         /// The frame, named.
         frame: String,
     },
-    /// Who is heard and how well, ordered by name and without what is worth nothing whatever is set.
-    Links(Vec<(RobotId, LinkQuality)>),
-    /// Whom the robot answers to.
+    /// Its superior.
     Rank(Tie),
-    /// Where edges of a declared modality lead to, ordered by name and without zeros.
-    Relation(Modality, Vec<(RobotId, f64)>),
+    /// The other ends of edges, ordered by name, without those that have no weight under any settings.
+    Edges(Vec<(RobotId, Strength)>),
 }
 
-/// How well a robot is heard, as it was reported: what a signal is worth follows the settings, which
-/// may change after the report.
+/// The strength of an edge as it was reported: what a signal is worth follows the settings, which may
+/// change after the report.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum LinkQuality {
-    /// A weight from 0 to 1.
+pub(crate) enum Strength {
+    /// A weight.
     Weight(f64),
     /// A signal strength in dBm.
     Signal(f64),
 }
 
-impl LinkQuality {
-    /// What it is worth, from 0 to 1.
+impl Strength {
+    /// The weight of the edge.
     pub(crate) fn weight(self, settings: &ConnectivitySettings) -> f64 {
         match self {
             Self::Weight(weight) => weight,
@@ -112,8 +92,7 @@ impl Content {
     /// How many edges it may lead to.
     pub(crate) fn edge_count(&self) -> usize {
         match self {
-            Self::Links(links) => links.len(),
-            Self::Relation(_, edges) => edges.len(),
+            Self::Edges(edges) => edges.len(),
             Self::Pose { .. } | Self::Rank(_) => 0,
         }
     }
@@ -136,7 +115,7 @@ impl Default for Tie {
     }
 }
 
-/// What a robot said, checked by itself: order and rate are still to be judged.
+/// A report that fits the settings: its order and rate are still to be checked.
 #[derive(Debug)]
 pub(crate) struct Observed {
     /// Where it belongs.
@@ -171,90 +150,67 @@ fn in_order<T>(mut edges: Vec<(RobotId, T)>) -> Vec<(RobotId, T)> {
     edges
 }
 
-fn observed<T: Observation>(
-    stream: Stream,
-    body: T,
-    content: impl FnOnce(T) -> Result<Content, String>,
-) -> Result<Observed, String> {
-    // Packets off the bus were checked as they were decoded; the graphs must also hold in a
-    // simulation that makes messages without bytes.
-    body.check().map_err(|error| error.to_string())?;
-    Ok(Observed { stream, provenance: body.provenance(), content: content(body)? })
+/// Checks a report against the settings.
+///
+/// # Errors
+/// Names the field that does not fit them, and what would.
+pub(crate) fn observed(settings: &IngestSettings, report: Report) -> Result<Observed, String> {
+    let (stream, provenance) = (report.stream(), report.provenance());
+    let content = match report {
+        Report::Pose(pose) => self::pose(settings, pose)?,
+        Report::Links(links) => self::links(settings, links)?,
+        Report::Rank(rank) => self::rank(rank),
+        Report::Relation(modality, relation) => self::relation(settings, &modality, relation)?,
+    };
+    Ok(Observed { stream, provenance, content })
 }
 
-/// Checks a pose.
-pub(crate) fn pose(settings: &IngestSettings, pose: Pose) -> Result<Observed, String> {
-    observed(Stream::Pose, pose, |pose| {
-        let frame = match pose.frame {
-            None => settings.frames.first().cloned().unwrap_or_default(),
-            Some(frame) if settings.frames.contains(&frame) => frame,
-            Some(frame) => {
-                let known = settings.frames.join(", ");
-                return Err(format!("frame: {frame:?} is not known; there are {known}"));
-            }
-        };
-        let position = [pose.x, pose.y, pose.z.unwrap_or(0.0)];
-        Ok(Content::Pose { position, heading: pose.heading, frame })
-    })
-}
-
-/// Checks a link report.
-pub(crate) fn links(
-    settings: &IngestSettings,
-    robot: &RobotId,
-    links: Links,
-) -> Result<Observed, String> {
-    observed(Stream::Links, links, |links| {
-        if links.links.iter().any(|link| link.peer == *robot) {
-            return Err("links.peer: a robot does not report that it hears itself".to_owned());
+/// The content of a pose.
+pub(crate) fn pose(settings: &IngestSettings, pose: Pose) -> Result<Content, String> {
+    let frame = match pose.frame {
+        None => settings.frames.first().cloned().unwrap_or_default(),
+        Some(frame) if settings.frames.contains(&frame) => frame,
+        Some(frame) => {
+            let known = settings.frames.join(", ");
+            return Err(format!("frame: {frame:?} is not known; there are {known}"));
         }
-        let mut reported = Vec::new();
-        for Link { peer, quality } in links.links {
-            let weight = link_weight(&settings.connectivity, quality);
-            match (settings.connectivity.unit, weight.map_err(|error| error.to_string())?) {
-                (LinkUnit::RssiDbm, _) => reported.push((peer, LinkQuality::Signal(quality))),
-                (LinkUnit::Quality | LinkUnit::DeliveryRatio, 0.0) => {}
-                (LinkUnit::Quality | LinkUnit::DeliveryRatio, weight) => {
-                    reported.push((peer, LinkQuality::Weight(weight)));
-                }
+    };
+    let position = [pose.x, pose.y, pose.z.unwrap_or(0.0)];
+    Ok(Content::Pose { position, heading: pose.heading, frame })
+}
+
+fn links(settings: &IngestSettings, links: Links) -> Result<Content, String> {
+    let mut edges = Vec::new();
+    for Link { peer, quality } in links.links {
+        let weight = link_weight(&settings.connectivity, quality);
+        match (settings.connectivity.unit, weight.map_err(|error| error.to_string())?) {
+            (LinkUnit::RssiDbm, _) => edges.push((peer, Strength::Signal(quality))),
+            (LinkUnit::Quality | LinkUnit::DeliveryRatio, 0.0) => {}
+            (LinkUnit::Quality | LinkUnit::DeliveryRatio, weight) => {
+                edges.push((peer, Strength::Weight(weight)));
             }
         }
-        Ok(Content::Links(in_order(reported)))
-    })
+    }
+    Ok(Content::Edges(in_order(edges)))
 }
 
-/// Checks a rank report.
-pub(crate) fn rank(robot: &RobotId, rank: Rank) -> Result<Observed, String> {
-    observed(Stream::Rank, rank, |rank| {
-        if rank.superior.as_ref() == Some(robot) {
-            return Err("superior: a robot does not answer to itself; null is the top".to_owned());
-        }
-        let weight = rank.weight.unwrap_or(DEFAULT_TIE);
-        Ok(Content::Rank(Tie { superior: rank.superior, weight, role: rank.role }))
-    })
+/// The content of a rank.
+pub(crate) fn rank(rank: Rank) -> Content {
+    let weight = rank.weight.unwrap_or(DEFAULT_TIE);
+    Content::Rank(Tie { superior: rank.superior, weight, role: rank.role })
 }
 
-/// Checks the edges of a declared modality.
-pub(crate) fn relation(
+fn relation(
     settings: &IngestSettings,
-    robot: &RobotId,
     modality: &Modality,
     relation: Relation,
-) -> Result<Observed, String> {
+) -> Result<Content, String> {
     if !settings.modalities.contains(modality) {
         return Err(format!("modality {modality} is not declared in the settings of ingest"));
     }
-    observed(Stream::Relation(modality.clone()), relation, |relation| {
-        if let Some((from, ..)) = relation.edges.iter().find(|(from, ..)| from != robot) {
-            return Err(format!("edges: the key speaks for {robot}, an edge for {from}"));
-        }
-        if relation.edges.iter().any(|(from, to, _)| from == to) {
-            return Err("edges: a robot has no edge to itself".to_owned());
-        }
-        let edges = relation.edges.into_iter().map(|(_, to, weight)| (to, weight));
-        let edges = edges.filter(|(_, weight)| *weight > 0.0).collect();
-        Ok(Content::Relation(modality.clone(), in_order(edges)))
-    })
+    let edges = relation.edges.into_iter().filter(|(_, _, weight)| *weight > 0.0);
+    let edges = edges.map(|(_, to, weight)| (to, Strength::Weight(weight)));
+    Ok(Content::Edges(in_order(edges.collect())))
 }
 
 /// Whether a robot's clock was not set when it wrote this.

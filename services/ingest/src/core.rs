@@ -8,6 +8,7 @@ use muster_machine::{
 };
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{RobotId, ServiceName};
+use muster_model::observation::CheckedReport;
 use muster_model::role::Standing;
 use muster_model::settings::IngestSettings;
 use muster_model::status::ServiceStatus;
@@ -44,38 +45,25 @@ pub struct Ingest {
 
 impl Ingest {
     fn receive(&mut self, now: Tick, message: Message, effects: &mut Effects<()>) {
-        let settings = self.role.settings();
-        let (robot, key, observed) = match message {
-            Message::Pose(robot, pose) => {
-                let observed = admission::pose(settings, pose);
-                (robot.clone(), Key::Pose(robot), observed)
-            }
-            Message::Links(robot, links) => {
-                let observed = admission::links(settings, &robot, links);
-                (robot.clone(), Key::Links(robot), observed)
-            }
-            Message::Rank(robot, rank) => {
-                let observed = admission::rank(&robot, rank);
-                (robot.clone(), Key::Rank(robot), observed)
-            }
-            Message::Relation(robot, modality, relation) => {
-                let observed = admission::relation(settings, &robot, &modality, relation);
-                (robot.clone(), Key::Relation(robot, modality), observed)
-            }
+        match message {
+            Message::Report(report) => self.report(now, report, effects),
             Message::RobotToken { robot, alive } => {
-                let outcome = self.fleet.token(now, &robot, alive, settings);
-                match outcome {
+                match self.fleet.token(now, &robot, alive, self.role.settings()) {
                     Ok(change) => self.changed(now, &robot, change, effects),
                     Err(refusal) => self.refuse(now, &Key::RobotToken(robot), refusal, effects),
                 }
-                return;
             }
             // Nothing else is subscribed to.
-            _ => return,
-        };
-        match observed {
+            _ => {}
+        }
+    }
+
+    fn report(&mut self, now: Tick, report: CheckedReport, effects: &mut Effects<()>) {
+        let (robot, report) = report.into_parts();
+        let stream = report.stream();
+        match admission::observed(self.role.settings(), report) {
             Ok(observed) => self.observe(now, &robot, observed, effects),
-            Err(reason) => self.refuse(now, &key, reason.into(), effects),
+            Err(reason) => self.refuse(now, &Key::Stream(robot, stream), reason.into(), effects),
         }
     }
 
@@ -90,14 +78,16 @@ impl Ingest {
         let absurd = admission::has_absurd_stamp(now, &observed.provenance);
         match self.fleet.observe(now, robot, observed, self.role.settings()) {
             Ok(change) => {
-                self.role.count(stream.accepted());
+                self.role.count(admission::accepted(&stream));
                 self.role.count_many("stamps_absurd", u64::from(absurd));
                 if change.graph {
                     self.frames.touch(now, &stream);
                 }
                 self.changed(now, robot, change, effects);
             }
-            Err(refusal) => self.refuse(now, &stream.key(robot), refusal, effects),
+            Err(refusal) => {
+                self.refuse(now, &Key::Stream(robot.clone(), stream), refusal, effects);
+            }
         }
     }
 
@@ -304,10 +294,9 @@ impl Core for Ingest {
     const SERVICE: ServiceName = ServiceName::Ingest;
 
     fn wiring() -> Wiring {
-        let streams = [Pattern::Poses, Pattern::Links, Pattern::Ranks, Pattern::Relations];
         let subscription = |pattern| Subscription { pattern, delivery: Delivery::Latest };
         Wiring {
-            subscriptions: streams.map(subscription).into(),
+            subscriptions: Pattern::streams().map(subscription).into(),
             tokens: vec![Pattern::RobotTokens],
             served: vec![(Pattern::Graphs, true), (Pattern::One(Key::Roster), true)],
         }

@@ -8,12 +8,12 @@ use muster_machine::Role;
 use muster_model::graph::{GraphDelta, GraphRow, Node};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{Modality, RobotId};
+use muster_model::observation::Stream;
 use muster_model::roster::{Presence, Roster};
 use muster_model::settings::IngestSettings;
 use muster_model::time::{Tick, seconds};
 use muster_wire::{Key, KeySpace, Message, Request};
 
-use crate::admission::Stream;
 use crate::graphs::{Places, changed_rows, spatial_rows};
 use crate::robot::Robot;
 use crate::roster::Fleet;
@@ -191,8 +191,7 @@ impl Frames {
     /// Brings the graphs in line with the declared modalities.
     fn step_declared(&mut self, declared: Vec<Modality>) {
         let declared = declared.into_iter().map(Stream::Relation);
-        let streams: BTreeSet<_> =
-            [Stream::Pose, Stream::Links, Stream::Rank].into_iter().chain(declared).collect();
+        let streams: BTreeSet<_> = Stream::BUILT_IN.into_iter().chain(declared).collect();
         self.graphs.retain(|stream, _| streams.contains(stream));
         for stream in streams {
             self.graphs.entry(stream).or_insert_with(|| Graph { dirty: true, ..Graph::default() });

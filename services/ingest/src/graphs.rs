@@ -5,11 +5,12 @@ use std::collections::{BTreeMap, HashMap};
 use muster_model::graph::{GraphRow, Node};
 use muster_model::id::RobotId;
 use muster_model::limits::MAX_WEIGHT;
-use muster_model::settings::IngestSettings;
+use muster_model::observation::Stream;
+use muster_model::settings::{ConnectivitySettings, IngestSettings};
 use muster_relation::edge::{Edge, EdgeError};
 use muster_relation::{connectivity_edges, hierarchy_edges, relation_edges, spatial_edges};
 
-use crate::admission::{LinkQuality, Stream};
+use crate::admission::{Direction, Strength, direction};
 use crate::roster::Fleet;
 
 /// The place of each robot in the order of names, which is the index that relations are made with:
@@ -25,10 +26,15 @@ impl<'a> Places<'a> {
         Self { by_name: fleet.robots().keys().zip(0..).collect(), nodes: nodes_of(fleet) }
     }
 
-    /// Edges to those other robots that are known.
-    fn known<T: Copy>(&self, edges: &[(RobotId, T)], weight: impl Fn(T) -> f64) -> Vec<(u32, f64)> {
-        let place =
-            |(robot, worth): &(RobotId, T)| Some((*self.by_name.get(robot)?, weight(*worth)));
+    /// The other ends of edges that are known, with the weights of the edges.
+    fn known(
+        &self,
+        edges: &[(RobotId, Strength)],
+        settings: &ConnectivitySettings,
+    ) -> Vec<(u32, f64)> {
+        let place = |(robot, strength): &(RobotId, Strength)| {
+            Some((*self.by_name.get(robot)?, strength.weight(settings)))
+        };
         edges.iter().filter_map(place).collect()
     }
 
@@ -40,26 +46,27 @@ impl<'a> Places<'a> {
         settings: &IngestSettings,
     ) -> Result<Vec<GraphRow>, EdgeError> {
         let robots = || (0..).zip(fleet.robots().values());
-        let edges = match stream {
-            Stream::Links => {
-                let weight = |quality: LinkQuality| quality.weight(&settings.connectivity);
-                let reports: Vec<(u32, Vec<_>)> = robots()
-                    .map(|(place, robot)| (place, self.known(&robot.links, weight)))
-                    .collect();
-                connectivity_edges(reports.iter().map(|(place, links)| (*place, links.as_slice())))
+        let reports = || {
+            robots().map(|(place, robot)| {
+                (place, self.known(robot.edges(stream), &settings.connectivity))
+            })
+        };
+        let edges = match (stream, direction(stream)) {
+            (_, Some(Direction::Incoming)) => {
+                let reports: Vec<_> = reports().collect();
+                connectivity_edges(reports.iter().map(|(place, edges)| (*place, edges.as_slice())))
             }
-            Stream::Rank => hierarchy_edges(robots().map(|(place, robot)| {
+            (_, Some(Direction::Outgoing)) => {
+                relation_edges(reports().flat_map(|(place, edges)| {
+                    edges.into_iter().map(move |(to, weight)| (place, to, weight))
+                }))
+            }
+            (Stream::Rank, None) => hierarchy_edges(robots().map(|(place, robot)| {
                 let superior = robot.tie.superior.as_ref();
                 let known = superior.and_then(|superior| self.by_name.get(superior).copied());
                 (place, known, Some(robot.tie.weight))
             })),
-            Stream::Relation(modality) => relation_edges(robots().flat_map(|(place, robot)| {
-                let edges = robot.relations.get(modality).map_or(&[][..], Vec::as_slice);
-                self.known(edges, |weight| weight)
-                    .into_iter()
-                    .map(move |(to, weight)| (place, to, weight))
-            })),
-            Stream::Pose => Ok(Vec::new()),
+            (_, None) => Ok(Vec::new()),
         };
         Ok(rows_of(&edges?, &self.nodes))
     }

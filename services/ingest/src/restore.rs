@@ -10,24 +10,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use muster_model::graph::{GraphDelta, GraphReplica, Node};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
-use muster_model::observation::{Pose, Rank};
+use muster_model::observation::{Observation, Pose, Rank, Stream};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::IngestSettings;
 use muster_model::time::{Tick, seconds};
 use muster_relation::hierarchy::DEFAULT_TIE;
 use muster_wire::Message;
 
-use crate::admission::{self, Content, LinkQuality, Observed, Stream};
+use crate::admission::{self, Content, Direction, Strength, direction};
 use crate::roster::Fleet;
 
-/// Other ends and weights of edges.
-type Edges = Vec<(RobotId, f64)>;
-
-/// The edges that each robot reported.
-type ByRobot = BTreeMap<RobotId, Edges>;
-
-/// One observation.
-type Said = (Stream, Content);
+/// What a robot reported on one stream.
+type Reported = (Stream, Content);
 
 /// The highest revision of any output of the role.
 pub(crate) fn highest_revision(messages: &[Message]) -> Option<Revision> {
@@ -63,7 +57,7 @@ pub(crate) fn restore(
         fleet.hang_quiet(|robot| remembered.contains(robot));
     }
     let graphs = remembered_graphs(messages, roster);
-    let mut said = said_of_graphs(&graphs, settings);
+    let mut reported = reports_of_graphs(&graphs, settings);
     let ties = graphs.get(&Modality::hierarchy()).map(Ties::new);
     let mut restored = BTreeSet::new();
     for entry in &roster.robots {
@@ -74,9 +68,9 @@ pub(crate) fn restore(
             Presence::Active => last_seen,
             Presence::Stale => last_seen.min(told.min(now).before(seconds(settings.stale_after_s))),
         };
-        let mut contents = said.remove(&entry.robot).unwrap_or_default();
-        let observed = pose_of(entry, settings).into_iter().chain(rank_of(entry, ties.as_ref()));
-        contents.extend(observed.map(|observed| (observed.stream, observed.content)));
+        let mut contents = reported.remove(&entry.robot).unwrap_or_default();
+        contents.extend(pose_of(entry, settings).map(|pose| (Stream::Pose, pose)));
+        contents.extend(rank_of(entry, ties.as_ref()).map(|rank| (Stream::Rank, rank)));
         for (stream, content) in contents {
             fleet.recall(received, &entry.robot, stream, content);
         }
@@ -128,39 +122,31 @@ fn remembered_graphs(messages: &[Message], roster: &Roster) -> BTreeMap<Modality
     graphs
 }
 
-/// What the robots must have said for the graphs to be what they are.
-fn said_of_graphs(
+/// What the robots must have reported for the graphs to be what they are.
+fn reports_of_graphs(
     graphs: &BTreeMap<Modality, GraphReplica>,
     settings: &IngestSettings,
-) -> BTreeMap<RobotId, Vec<Said>> {
-    let mut said: BTreeMap<RobotId, Vec<Said>> = BTreeMap::new();
-    let mut say = |edges: ByRobot, stream: Stream, content: &dyn Fn(Edges) -> Content| {
+) -> BTreeMap<RobotId, Vec<Reported>> {
+    let mut reported: BTreeMap<RobotId, Vec<Reported>> = BTreeMap::new();
+    let declared = settings.modalities.iter().cloned().map(Stream::Relation);
+    for stream in Stream::BUILT_IN.into_iter().chain(declared) {
+        let graph = graphs.get(&stream.modality());
+        let Some((graph, direction)) = graph.zip(direction(&stream)) else { continue };
+        let mut edges: BTreeMap<&RobotId, Vec<(RobotId, Strength)>> = BTreeMap::new();
+        for (from, to, weight) in named_edges(graph) {
+            let (robot, other, weight) = match direction {
+                Direction::Incoming => (to, from, weight.min(1.0)),
+                Direction::Outgoing => (from, to, weight),
+            };
+            edges.entry(robot).or_default().push((other.clone(), Strength::Weight(weight)));
+        }
         for (robot, mut edges) in edges {
             edges.sort_unstable_by(|left, right| left.0.cmp(&right.0));
-            said.entry(robot).or_default().push((stream.clone(), content(edges)));
+            let content = (stream.clone(), Content::Edges(edges));
+            reported.entry(robot.clone()).or_default().push(content);
         }
-    };
-    if let Some(graph) = graphs.get(&Modality::connectivity()) {
-        let mut links = ByRobot::new();
-        for (peer, hearer, weight) in named_edges(graph) {
-            links.entry(hearer.clone()).or_default().push((peer.clone(), weight.min(1.0)));
-        }
-        say(links, Stream::Links, &|edges| {
-            let weight = |(peer, weight)| (peer, LinkQuality::Weight(weight));
-            Content::Links(edges.into_iter().map(weight).collect())
-        });
     }
-    for modality in &settings.modalities {
-        let Some(graph) = graphs.get(modality) else { continue };
-        let mut relations = ByRobot::new();
-        for (from, to, weight) in named_edges(graph) {
-            relations.entry(from.clone()).or_default().push((to.clone(), weight));
-        }
-        say(relations, Stream::Relation(modality.clone()), &|edges| {
-            Content::Relation(modality.clone(), edges)
-        });
-    }
-    said
+    reported
 }
 
 /// How strongly robots are tied to their superiors.
@@ -199,7 +185,7 @@ fn named_edges(graph: &GraphReplica) -> impl Iterator<Item = (&RobotId, &RobotId
 }
 
 /// The pose of an entry, if it would be let in today.
-fn pose_of(entry: &RosterEntry, settings: &IngestSettings) -> Option<Observed> {
+fn pose_of(entry: &RosterEntry, settings: &IngestSettings) -> Option<Content> {
     let [x, y, z] = entry.position?;
     let pose = Pose {
         x,
@@ -211,11 +197,12 @@ fn pose_of(entry: &RosterEntry, settings: &IngestSettings) -> Option<Observed> {
         boot: None,
         seq: None,
     };
+    pose.check().ok()?;
     admission::pose(settings, pose).ok()
 }
 
 /// The rank of an entry, if it would be let in today.
-fn rank_of(entry: &RosterEntry, ties: Option<&Ties<'_>>) -> Option<Observed> {
+fn rank_of(entry: &RosterEntry, ties: Option<&Ties<'_>>) -> Option<Content> {
     let superior = entry.superior.as_ref();
     let rank = Rank {
         superior: superior.cloned(),
@@ -225,5 +212,6 @@ fn rank_of(entry: &RosterEntry, ties: Option<&Ties<'_>>) -> Option<Observed> {
         boot: None,
         seq: None,
     };
-    admission::rank(&entry.robot, rank).ok()
+    rank.check().and_then(|()| rank.check_reporter(&entry.robot)).ok()?;
+    Some(admission::rank(rank))
 }

@@ -14,11 +14,12 @@ use std::time::Duration;
 
 use muster_model::graph::Node;
 use muster_model::id::{Modality, RobotId};
+use muster_model::observation::Stream;
 use muster_model::roster::{Presence, RosterEntry};
 use muster_model::settings::IngestSettings;
 use muster_model::time::{Tick, seconds};
 
-use crate::admission::{Content, Gate, LinkQuality, Stream, Tie};
+use crate::admission::{Content, Gate, Strength, Tie};
 
 /// Where a robot is.
 #[derive(Debug, Clone)]
@@ -60,12 +61,9 @@ pub(crate) struct Robot {
     token: Token,
     /// Where it is, if it ever said so.
     pub(crate) pose: Option<Placed>,
-    /// Whom it hears, and how well.
-    pub(crate) links: Vec<(RobotId, LinkQuality)>,
     /// Whom it answers to.
     pub(crate) tie: Tie,
-    /// Its edges of declared modalities.
-    pub(crate) relations: BTreeMap<Modality, Vec<(RobotId, f64)>>,
+    edges: BTreeMap<Stream, Vec<(RobotId, Strength)>>,
     /// What passed on each stream that was heard in this run.
     pub(crate) gates: BTreeMap<Stream, Gate>,
 }
@@ -119,9 +117,8 @@ impl Robot {
             spared_gone: now,
             token,
             pose: None,
-            links: Vec::new(),
             tie: Tie::default(),
-            relations: BTreeMap::new(),
+            edges: BTreeMap::new(),
             gates: BTreeMap::new(),
         }
     }
@@ -250,8 +247,8 @@ impl Robot {
         self.gates.contains_key(stream)
     }
 
-    /// Puts an observation in place of the one before.
-    pub(crate) fn take(&mut self, received: Tick, content: Content) -> Change {
+    /// Puts a report in place of the one before.
+    pub(crate) fn take(&mut self, received: Tick, stream: Stream, content: Content) -> Change {
         let mut change = Change::default();
         match content {
             Content::Pose { position, heading, frame } => {
@@ -260,10 +257,6 @@ impl Robot {
                 change.roster = change.graph || old.is_none_or(|old| old.heading != heading);
                 self.pose = Some(Placed { position, heading, frame, received });
             }
-            Content::Links(links) => {
-                change.graph = self.links != links;
-                self.links = links;
-            }
             Content::Rank(tie) => {
                 let same_superior = self.tie.superior == tie.superior;
                 let weighs = tie.superior.is_some() && self.tie.weight != tie.weight;
@@ -271,22 +264,17 @@ impl Robot {
                 change.roster = !same_superior || self.tie.role != tie.role;
                 self.tie = tie;
             }
-            Content::Relation(modality, edges) => {
-                let old = self.relations.get(&modality).map_or(&[][..], Vec::as_slice);
-                change.graph = old != edges;
-                self.relations.insert(modality, edges);
+            Content::Edges(edges) => {
+                change.graph = self.edges(&stream) != edges;
+                self.edges.insert(stream, edges);
             }
         }
         change
     }
 
-    /// How many edges it has reported on a stream.
-    pub(crate) fn edge_count(&self, stream: &Stream) -> usize {
-        match stream {
-            Stream::Links => self.links.len(),
-            Stream::Relation(modality) => self.relations.get(modality).map_or(0, Vec::len),
-            Stream::Pose | Stream::Rank => 0,
-        }
+    /// The other ends of the edges that it has reported on a stream, ordered by name.
+    pub(crate) fn edges(&self, stream: &Stream) -> &[(RobotId, Strength)] {
+        self.edges.get(stream).map_or(&[], Vec::as_slice)
     }
 
     /// What the roster says of it.
@@ -307,10 +295,11 @@ impl Robot {
 
     /// Forgets what it said of modalities that are not declared any more.
     pub(crate) fn keep_modalities(&mut self, declared: &[Modality]) {
-        self.relations.retain(|modality, _| declared.contains(modality));
-        self.gates.retain(|stream, _| match stream {
+        let is_declared = |stream: &Stream| match stream {
             Stream::Relation(modality) => declared.contains(modality),
-            Stream::Pose | Stream::Links | Stream::Rank => true,
-        });
+            built_in => Stream::BUILT_IN.contains(built_in),
+        };
+        self.edges.retain(|stream, _| is_declared(stream));
+        self.gates.retain(|stream, _| is_declared(stream));
     }
 }

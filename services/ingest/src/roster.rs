@@ -5,11 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use muster_model::graph::Node;
 use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_GRAPH_EDGES;
+use muster_model::observation::Stream;
 use muster_model::roster::{Presence, RosterEntry};
 use muster_model::settings::IngestSettings;
 use muster_model::time::Tick;
 
-use crate::admission::{Content, Gate, Observed, Refusal, Stream};
+use crate::admission::{Content, Gate, Observed, Refusal};
 use crate::robot::{Change, Patience, Robot, Token, Transition};
 
 /// All robots that are known.
@@ -56,12 +57,12 @@ impl Fleet {
         stream: &Stream,
         content: &Content,
     ) -> Result<usize, String> {
-        let before = self.robots.get(name).map_or(0, |robot| robot.edge_count(stream));
+        let before = self.robots.get(name).map_or(0, |robot| robot.edges(stream).len());
         let added = content.edge_count();
         let others = self.edges.get(stream).copied().unwrap_or(0).saturating_sub(before);
         let edges = others.saturating_add(added);
         if added > before && edges as u64 > MAX_GRAPH_EDGES {
-            let field = if *stream == Stream::Links { "links" } else { "edges" };
+            let field = stream.list_field();
             return Err(format!(
                 "{field}: all robots together would report more than {MAX_GRAPH_EDGES}, which fit no \
                  message; let each report only its strongest"
@@ -81,7 +82,7 @@ impl Fleet {
         let Ok(edges) = self.edges_with(name, &stream, &content) else { return };
         let robot = self.robots.get_mut(name).filter(|robot| !robot.has_spoken(&stream));
         if let Some(robot) = robot {
-            robot.take(received, content);
+            robot.take(received, stream.clone(), content);
             self.edges.insert(stream, edges);
         }
     }
@@ -89,7 +90,7 @@ impl Fleet {
     /// Counts reported edges anew: robots have gone, or what they said was forgotten.
     fn count_edges(&mut self) {
         for (stream, edges) in &mut self.edges {
-            *edges = self.robots.values().map(|robot| robot.edge_count(stream)).sum();
+            *edges = self.robots.values().map(|robot| robot.edges(stream).len()).sum();
         }
         self.edges.retain(|_, edges| *edges > 0);
     }
@@ -133,7 +134,7 @@ impl Fleet {
         let (robot, joined) = self.find_or_join(now, name, settings)?;
         robot.gates.entry(stream.clone()).or_insert(fresh);
         robot.hear(now);
-        let change = robot.take(now, content);
+        let change = robot.take(now, stream.clone(), content);
         self.edges.insert(stream, edges);
         self.newest_message = Some(now);
         self.expect(name, settings.into());
@@ -286,7 +287,7 @@ mod tests {
     use muster_model::observation::Provenance;
 
     use super::*;
-    use crate::admission::LinkQuality;
+    use crate::admission::Strength;
 
     const NOW: Tick = Tick(1_000_000_000_000);
 
@@ -297,10 +298,10 @@ mod tests {
     /// Lets a robot report so many links.
     fn report(fleet: &mut Fleet, name: &str, links: usize) -> Result<Change, Refusal> {
         let peers =
-            (0..links).map(|peer| (robot(&format!("p{peer}")), LinkQuality::Weight(0.5))).collect();
+            (0..links).map(|peer| (robot(&format!("p{peer}")), Strength::Weight(0.5))).collect();
         let provenance = Provenance { stamp: None, boot: None, seq: None };
         let observed =
-            Observed { stream: Stream::Links, provenance, content: Content::Links(peers) };
+            Observed { stream: Stream::Links, provenance, content: Content::Edges(peers) };
         fleet.observe(NOW, &robot(name), observed, &IngestSettings::default())
     }
 
@@ -319,7 +320,11 @@ mod tests {
             assert!(reason.starts_with("links: ") && reason.contains("strongest"), "{reason}");
         }
         assert!(!fleet.robots.contains_key(&robot("r3")));
-        assert_eq!(fleet.robots[&robot("r1")].links.len(), 4, "what was let in stays");
+        assert_eq!(
+            fleet.robots[&robot("r1")].edges(&Stream::Links).len(),
+            4,
+            "what was let in stays"
+        );
         report(&mut fleet, "r2", 1).unwrap();
         assert_eq!(fleet.edges[&Stream::Links], most - 1);
     }

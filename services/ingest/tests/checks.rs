@@ -4,12 +4,14 @@
 
 mod bench;
 
-use bench::{Bench, bare_pose, links, modality, pose, rank, relation, robot, token};
+use bench::{
+    Bench, Put, bare_pose, links, links_to, modality, pose, rank, relation, report, robot, token,
+};
 use muster_machine::Event;
-use muster_model::observation::{Observation, Pose, Relation};
+use muster_model::observation::{Links, Observation, Pose, Relation};
 use muster_model::roster::Presence;
 use muster_model::settings::IngestSettings;
-use muster_wire::{Message, Rejection};
+use muster_wire::Rejection;
 use serde_json::json;
 
 fn settings() -> IngestSettings {
@@ -36,7 +38,7 @@ fn three_robots() -> Bench {
 }
 
 /// The event that a message leads to.
-fn refusal(bench: &mut Bench, message: Message) -> String {
+fn refusal(bench: &mut Bench, message: Put) -> String {
     bench.happened();
     bench.say(message);
     let told = bench.happened();
@@ -44,13 +46,13 @@ fn refusal(bench: &mut Bench, message: Message) -> String {
     told[0].clone()
 }
 
-fn ordered(boot: Option<&str>, seq: Option<u64>, stamp: Option<f64>) -> Message {
+fn ordered(boot: Option<&str>, seq: Option<u64>, stamp: Option<f64>) -> Put {
     let boot = boot.map(str::to_owned);
-    Message::Pose(robot("r1"), Pose { boot, seq, stamp, ..bare_pose(0.0, 0.0) })
+    report("r1", Pose { boot, seq, stamp, ..bare_pose(0.0, 0.0) })
 }
 
 /// Whether a message is let in.
-fn passes(bench: &mut Bench, message: Message) -> bool {
+fn passes(bench: &mut Bench, message: Put) -> bool {
     bench.wait(2.5);
     bench.happened();
     bench.say(message);
@@ -67,10 +69,7 @@ fn content_that_does_not_fit_is_refused_with_its_reason() {
         seq: None,
     };
     let cases = [
-        (
-            Message::Pose(robot("r1"), in_frame("mars")),
-            "frame: \"mars\" is not known; there are map",
-        ),
+        (report("r1", in_frame("mars")), "frame: \"mars\" is not known; there are map"),
         (pose("r1", f64::NAN, 0.0), "x: must be a finite number"),
         (links("r1", &[("r2", 1.5)]), "links.quality: must be a quality from 0 to 1"),
         (links("r1", &[("r1", 0.5)]), "hears itself"),
@@ -79,7 +78,7 @@ fn content_that_does_not_fit_is_refused_with_its_reason() {
         (rank("r1", Some("r2"), Some(-1.0)), "weight: must be"),
         (relation("r1", "smell", &[("r2", 1.0)]), "smell is not declared"),
         (relation("r1", "thermal", &[("r1", 1.0)]), "no edge to itself"),
-        (Message::Relation(robot("r1"), modality("thermal"), foreign), "an edge for r2"),
+        (report("r1", (modality("thermal"), foreign)), "an edge for r2"),
         (pose("r4", 0.0, 0.0), "the fleet is full: max_robots is 3"),
         (token("r5", true), "the fleet is full: max_robots is 3"),
     ];
@@ -91,7 +90,7 @@ fn content_that_does_not_fit_is_refused_with_its_reason() {
         assert_eq!(bench.counter("messages_refused"), 1);
     }
     let mut bench = three_robots();
-    bench.say(Message::Pose(robot("r1"), in_frame("odom")));
+    bench.say(report("r1", in_frame("odom")));
     assert!(bench.happened().is_empty());
 }
 
@@ -171,10 +170,8 @@ fn a_boot_that_was_left_does_not_come_back() {
 fn streams_are_ordered_each_by_itself() {
     let mut bench = three_robots();
     assert!(passes(&mut bench, ordered(Some("a"), Some(7), None)));
-    let Message::Links(_, mut report) = links("r1", &[("r2", 0.5)]) else { unreachable!() };
-    report.boot = Some("a".to_owned());
-    report.seq = Some(2);
-    assert!(passes(&mut bench, Message::Links(robot("r1"), report)));
+    let links = Links { boot: Some("a".to_owned()), seq: Some(2), ..links_to(&[("r2", 0.5)]) };
+    assert!(passes(&mut bench, report("r1", links)));
 }
 
 #[test]
@@ -207,7 +204,7 @@ fn an_absurd_stamp_is_counted_and_says_nothing_of_the_order() {
 
 /// Says a message of r1 ten times a second until it is let in, and returns how long that took. The
 /// robot is there all the while.
-fn time_to_pass(bench: &mut Bench, message: impl Fn(u32) -> Message) -> f64 {
+fn time_to_pass(bench: &mut Bench, message: impl Fn(u32) -> Put) -> f64 {
     let since = bench.now;
     for count in 0..100 {
         let accepted = bench.counter("poses_accepted");
@@ -347,7 +344,7 @@ fn refused_messages_change_nothing() {
             moved.boot = Some("a".to_owned());
             moved.seq = Some(u64::from(round) * 2);
             assert!(moved.check().is_ok());
-            bench.say(Message::Pose(robot("r1"), moved));
+            bench.say(report("r1", moved));
             if with_refused {
                 bench.say(ordered(Some("a"), Some(u64::from(round) * 2), None));
             }

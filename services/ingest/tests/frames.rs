@@ -6,7 +6,7 @@ mod bench;
 
 use std::collections::BTreeMap;
 
-use bench::{Bench, bare_pose, links, modality, pose, rank, relation, robot, seconds, token};
+use bench::{Bench, bare_pose, links, modality, pose, rank, relation, report, seconds, token};
 use muster_ingest::Ingest;
 use muster_machine::{Core, Delivery, Event, START_FETCH};
 use muster_model::graph::{GraphDelta, GraphReplica};
@@ -30,7 +30,7 @@ fn the_wiring_takes_every_stream_and_serves_every_output() {
     let wiring = Ingest::wiring();
     let patterns: Vec<_> =
         wiring.subscriptions.iter().map(|subscription| subscription.pattern.clone()).collect();
-    assert_eq!(patterns, [Pattern::Poses, Pattern::Links, Pattern::Ranks, Pattern::Relations]);
+    assert_eq!(patterns, Pattern::streams());
     for subscription in wiring.subscriptions {
         assert_eq!(subscription.delivery, Delivery::Latest);
     }
@@ -300,8 +300,8 @@ fn robots_of_different_frames_and_unplaced_ones_are_not_near() {
     let odom = |x: f64| Pose { frame: Some("odom".to_owned()), ..bare_pose(x, 0.0) };
     bench.say(pose("r1", 0.0, 0.0));
     bench.say(pose("r2", 1.0, 0.0));
-    bench.say(Message::Pose(robot("r3"), odom(0.5)));
-    bench.say(Message::Pose(robot("r4"), odom(1.5)));
+    bench.say(report("r3", odom(0.5)));
+    bench.say(report("r4", odom(1.5)));
     bench.say(token("r5", true));
     bench.wait(0.2);
     let edges: Vec<_> = bench.graph("spatial").into_keys().collect();

@@ -5,7 +5,7 @@
 
 mod bench;
 
-use bench::{Bench, links, modality, named, pose, rank, relation, seconds, token};
+use bench::{Bench, Put, links, modality, named, pose, rank, relation, seconds, token};
 use muster_machine::{Event, Stored};
 use muster_model::graph::GraphReplica;
 use muster_model::roster::{Presence, RosterEntry};
@@ -18,7 +18,7 @@ const NAMES: [&str; 6] = ["a", "b", "c", "d", "e", "f"];
 
 #[derive(Debug, Clone)]
 enum Step {
-    Say(Message),
+    Say(Put),
     Wait(f64),
     Set(Value),
     Link(bool),
@@ -34,7 +34,7 @@ fn peers() -> impl Strategy<Value = Vec<(&'static str, f64)>> {
     prop::collection::vec((name(), weight), 0..4)
 }
 
-fn message() -> impl Strategy<Value = Message> {
+fn message() -> impl Strategy<Value = Put> {
     prop_oneof![
         4 => (name(), 0..5_i32, 0..3_i32).prop_map(|(r, x, y)| pose(r, x.into(), y.into())),
         2 => (name(), peers()).prop_map(|(r, peers)| links(r, &peers)),

@@ -7,11 +7,11 @@ mod bench;
 use std::sync::Arc;
 
 use bench::{
-    Bench, Named, bare_pose, links, modality, pose, rank, relation, robot, seconds, token,
+    Bench, Named, bare_pose, links, modality, pose, rank, relation, report, robot, seconds, token,
 };
 use muster_machine::{Event, START_FETCH, Stored, TERM_FETCH};
 use muster_model::graph::GraphDelta;
-use muster_model::observation::Pose;
+use muster_model::observation::{Pose, Rank};
 use muster_model::roster::Presence::{Active, Stale};
 use muster_model::roster::Roster;
 use muster_model::settings::IngestSettings;
@@ -40,9 +40,8 @@ fn before() -> Bench {
     bench.say(token("r4", true));
     bench.say(links("r1", &[("r2", 0.75), ("r3", 0.25), ("unknown", 1.0)]));
     bench.say(links("r4", &[("r1", 0.5)]));
-    let Message::Rank(name, mut ranked) = rank("r2", Some("r1"), Some(2.0)) else { unreachable!() };
-    ranked.role = Some("scout".to_owned());
-    bench.say(Message::Rank(name, ranked));
+    let (weight, role) = (Some(2.0), Some("scout".to_owned()));
+    bench.say(report("r2", Rank { weight, role, ..Rank::under(Some(robot("r1"))) }));
     bench.say(rank("r3", Some("r2"), Some(0.0)));
     bench.say(rank("r4", Some("unknown"), Some(3.0)));
     bench.say(relation("r3", "thermal", &[("r1", 5.0), ("r4", 6.0)]));
@@ -158,14 +157,11 @@ fn what_was_said_in_this_run_wins_and_the_rest_is_restored() {
 fn restored_observations_know_no_order() {
     let mut old = before();
     let boot = Some("a".to_owned());
-    old.say(Message::Pose(
-        robot("r1"),
-        Pose { boot: boot.clone(), seq: Some(900), ..bare_pose(0.0, 0.0) },
-    ));
+    old.say(report("r1", Pose { boot: boot.clone(), seq: Some(900), ..bare_pose(0.0, 0.0) }));
     old.wait(0.2);
     let mut new = after(old.now, old.remembered());
     let restarted = Pose { boot, seq: Some(3), ..bare_pose(9.0, 0.0) };
-    new.say(Message::Pose(robot("r1"), restarted));
+    new.say(report("r1", restarted));
     new.wait(0.2);
     assert!(new.happened().is_empty());
     assert_eq!(new.entry("r1").unwrap().position, Some([9.0, 0.0, 0.0]));

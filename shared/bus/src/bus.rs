@@ -603,6 +603,7 @@ fn packet(sample: &Sample, limit: usize) -> Packet {
         } else {
             Ok(payload.to_bytes().into_owned())
         },
+        attachment: None,
     }
 }
 

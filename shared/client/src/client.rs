@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use muster_bus::{Bus, Session};
 use muster_model::audit::Audit;
 use muster_model::id::RobotId;
+use muster_model::observation::Stream;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_wire::{Key, KeySpace, Message, Packet, Rejection};
@@ -160,7 +161,8 @@ impl Client {
         &self,
         robots: impl IntoIterator<Item = RobotId>,
     ) -> Result<Feed<ReceivedPose>, Error> {
-        Feed::subscribe(self.bus(), robots.into_iter().map(Key::Pose), feed::pose).await
+        let keys = robots.into_iter().map(|robot| Key::Stream(robot, Stream::Pose));
+        Feed::subscribe(self.bus(), keys, feed::pose).await
     }
 
     /// Whether a router is linked, and every change of it.
@@ -194,7 +196,7 @@ impl Client {
 
     pub(crate) async fn team(&self, robot: &RobotId) -> Result<Watch<RobotTeam>, Error> {
         self.follow(Key::RobotTeam(robot.clone()), |space, packet| {
-            muster_wire::told::decode(space, packet, crate::reporter::wall_clock())
+            muster_wire::robot_team::decode(space, packet, crate::reporter::wall_clock())
         })
         .await
     }

@@ -4,7 +4,7 @@ use futures_util::{Stream, StreamExt as _, stream};
 use muster_bus::{Bus, Subscription};
 use muster_model::event::Event;
 use muster_model::id::RobotId;
-use muster_model::observation::Pose;
+use muster_model::observation::{Pose, Report};
 use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern};
 use tokio::sync::broadcast::error::RecvError;
@@ -110,7 +110,12 @@ pub(crate) fn event(message: Message) -> Option<Event> {
 /// A pose out of a message.
 pub(crate) fn pose(message: Message) -> Option<ReceivedPose> {
     match message {
-        Message::Pose(robot, pose) => Some(ReceivedPose { robot, pose, received: wall_clock() }),
+        Message::Report(report) => match report.into_parts() {
+            (robot, Report::Pose(pose)) => {
+                Some(ReceivedPose { robot, pose, received: wall_clock() })
+            }
+            _ => None,
+        },
         _ => None,
     }
 }

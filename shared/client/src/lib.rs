@@ -108,7 +108,7 @@ mod watch;
 
 pub use muster_bus::Session;
 pub use muster_model as model;
-pub use muster_model::observation::Pose;
+pub use muster_model::observation::{Pose, Report};
 pub use muster_wire::Format;
 
 pub use crate::changes::Change;
@@ -118,6 +118,5 @@ pub use crate::error::Error;
 pub use crate::feed::{Events, Feed, ReceivedPose};
 pub use crate::freshness::{Latest, Publication, Staleness};
 pub use crate::get::{FleetPresence, ServiceInstance};
-pub use crate::reporter::Report;
 pub use crate::robot::{Robot, RobotPublisher};
 pub use crate::watch::Watch;

@@ -6,38 +6,16 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_DECLARED_MODALITIES;
-use muster_model::observation::{Links, Observation, Pose, Rank, Relation};
+use muster_model::observation::{CheckedReport, Provenance, Report, Stream};
 use muster_model::time::Tick;
-use muster_wire::{Format, Key, Message, Outbound};
+use muster_wire::{Format, Message, Outbound};
 
 use crate::error::Error;
-
-/// A report of a robot about itself.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Report {
-    /// Where it is. It is valid for a moment, and never republished.
-    Pose(Pose),
-    /// Which robots it receives by radio. It is valid until the next report.
-    Links(Links),
-    /// Its superior. It is valid until the next report.
-    Rank(Rank),
-    /// Its edges of a declared modality. They are valid until the next report.
-    Relation(Modality, Relation),
-}
-
-/// One stream of a robot: a newer report replaces an older one.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-enum Stream {
-    Pose,
-    Links,
-    Rank,
-    Relation(Modality),
-}
 
 /// A report that is valid until the next one of its stream.
 #[derive(Debug)]
 struct Valid {
-    report: Report,
+    report: CheckedReport,
     published: Instant,
 }
 
@@ -64,70 +42,6 @@ pub(crate) fn wall_clock() -> Tick {
     Tick(0).after(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default())
 }
 
-impl Report {
-    fn stream(&self) -> Stream {
-        match self {
-            Self::Pose(_) => Stream::Pose,
-            Self::Links(_) => Stream::Links,
-            Self::Rank(_) => Stream::Rank,
-            Self::Relation(modality, _) => Stream::Relation(modality.clone()),
-        }
-    }
-
-    fn check(&self, robot: &RobotId) -> Result<(), Error> {
-        match self {
-            Self::Pose(pose) => pose.check()?,
-            Self::Links(links) => {
-                links.check()?;
-                if links.links.iter().any(|link| link.peer == *robot) {
-                    let problem = "a robot does not report a link to itself";
-                    return Err(Error::input("links.peer", problem));
-                }
-            }
-            Self::Rank(rank) => {
-                rank.check()?;
-                if rank.superior.as_ref() == Some(robot) {
-                    let problem = "a robot is not its own superior; None is the top";
-                    return Err(Error::input("superior", problem));
-                }
-            }
-            Self::Relation(modality, relation) => {
-                relation.check()?;
-                if modality.is_built_in() {
-                    let problem = format!(
-                        "{modality} is made from poses, links or ranks; name a declared modality"
-                    );
-                    return Err(Error::input("modality", problem));
-                }
-                if relation.edges.iter().any(|(from, to, _)| from != robot || to == robot) {
-                    let problem = format!("each must lead from {robot} to another robot");
-                    return Err(Error::input("edges", problem));
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// The report as a message: with boot id and sequence number, and with a stamp if it has none.
-    fn message(self, robot: RobotId, stamp: f64, boot: &str, number: u64) -> Message {
-        macro_rules! marked {
-            ($body:expr) => {{
-                let mut body = $body;
-                body.stamp = body.stamp.or(Some(stamp));
-                body.boot = Some(boot.to_owned());
-                body.seq = Some(number);
-                body
-            }};
-        }
-        match self {
-            Self::Pose(body) => Message::Pose(robot, marked!(body)),
-            Self::Links(body) => Message::Links(robot, marked!(body)),
-            Self::Rank(body) => Message::Rank(robot, marked!(body)),
-            Self::Relation(modality, body) => Message::Relation(robot, modality, marked!(body)),
-        }
-    }
-}
-
 impl Reporter {
     pub(crate) fn new(robot: RobotId, format: Format) -> Self {
         Self { robot, format, boot: new_boot(), sequences: BTreeMap::new(), valid: BTreeMap::new() }
@@ -148,17 +62,11 @@ impl Reporter {
     /// # Errors
     /// [`Error::Input`] names the field that is wrong.
     pub(crate) fn publish(&mut self, now: Instant, report: Report) -> Result<Outbound, Error> {
-        report.check(&self.robot)?;
         let stream = report.stream();
-        let relations =
-            self.valid.keys().filter(|stream| matches!(stream, Stream::Relation(_))).count();
-        if matches!(stream, Stream::Relation(_))
-            && relations >= MAX_DECLARED_MODALITIES
-            && !self.valid.contains_key(&stream)
-        {
-            let problem = format!("a fleet declares at most {MAX_DECLARED_MODALITIES}");
-            return Err(Error::input("modality", problem));
+        if let Stream::Relation(modality) = &stream {
+            self.check_modality(&stream, modality)?;
         }
+        let report = CheckedReport::new(self.robot.clone(), report)?;
         let outbound = self.encode(&stream, report.clone())?;
         if stream != Stream::Pose {
             self.valid.insert(stream, Valid { report, published: now });
@@ -166,9 +74,24 @@ impl Reporter {
         Ok(outbound)
     }
 
+    fn check_modality(&self, stream: &Stream, modality: &Modality) -> Result<(), Error> {
+        if modality.is_built_in() {
+            let problem =
+                format!("{modality} is made from poses, links or ranks; name a declared modality");
+            return Err(Error::input("modality", problem));
+        }
+        let is_relation = |stream: &&Stream| matches!(stream, Stream::Relation(_));
+        let relations = self.valid.keys().filter(is_relation).count();
+        if relations >= MAX_DECLARED_MODALITIES && !self.valid.contains_key(stream) {
+            let problem = format!("a fleet declares at most {MAX_DECLARED_MODALITIES}");
+            return Err(Error::input("modality", problem));
+        }
+        Ok(())
+    }
+
     /// The messages of all valid reports that were last published before a moment.
     pub(crate) fn republish(&mut self, now: Instant, before: Instant) -> Vec<Outbound> {
-        let due: Vec<(Stream, Report)> = self
+        let due: Vec<(Stream, CheckedReport)> = self
             .valid
             .iter_mut()
             .filter(|(_, valid)| valid.published <= before)
@@ -185,19 +108,19 @@ impl Reporter {
             .collect()
     }
 
-    fn encode(&mut self, stream: &Stream, report: Report) -> Result<Outbound, Error> {
+    /// The report as a message: with boot id and sequence number, and with a stamp if it has none.
+    fn encode(&mut self, stream: &Stream, report: CheckedReport) -> Result<Outbound, Error> {
         let number = self.sequences.entry(stream.clone()).or_default();
         *number += 1;
         let now = wall_clock();
-        let message = report.message(self.robot.clone(), now.as_seconds(), &self.boot, *number);
-        let key: Key = message.keys().0;
-        let field = match stream {
-            Stream::Pose => "pose",
-            Stream::Links => "links",
-            Stream::Rank => "rank",
-            Stream::Relation(_) => "edges",
+        let provenance = Provenance {
+            stamp: report.report().provenance().stamp.or(Some(now.as_seconds())),
+            boot: Some(self.boot.clone()),
+            seq: Some(*number),
         };
-        let outbound = message.encode(key, self.format, now);
+        let message = Message::Report(report.with_provenance(provenance)?);
+        let field = stream.list_field();
+        let outbound = message.encode(message.keys().0, self.format, now);
         let outbound = outbound.map_err(|error| Error::input(field, error.to_string()))?;
         let (size, limit) = (outbound.payload.len(), outbound.key.payload_limit());
         if size > limit {
@@ -214,8 +137,8 @@ mod tests {
 
     use muster_model::id::FleetId;
     use muster_model::limits::{MAX_ID_LENGTH, MAX_LINKS, MAX_RELATION_EDGES};
-    use muster_model::observation::{Link, Provenance};
-    use muster_wire::{KeySpace, Packet, Source};
+    use muster_model::observation::{Link, Links, Pose, Rank, Relation};
+    use muster_wire::KeySpace;
 
     use super::*;
 
@@ -228,23 +151,14 @@ mod tests {
     }
 
     /// What a service decodes of it.
-    fn decoded(outbound: Outbound) -> (Message, Provenance) {
+    fn decoded(outbound: Outbound) -> (Report, Provenance) {
         let space = KeySpace::new(FleetId::new("f").unwrap());
-        let packet = Packet {
-            key: space.format(&outbound.key),
-            encoding: outbound.encoding.into_owned(),
-            source: Source::Put,
-            payload: Ok(outbound.payload),
-        };
+        let packet = outbound.into_packet(&space);
         let message = Message::decode(&space, &packet).unwrap();
-        let provenance = match &message {
-            Message::Pose(_, body) => body.provenance(),
-            Message::Links(_, body) => body.provenance(),
-            Message::Rank(_, body) => body.provenance(),
-            Message::Relation(_, _, body) => body.provenance(),
-            other => panic!("{other:?}"),
-        };
-        (message, provenance)
+        let Message::Report(report) = message else { panic!("{message:?}") };
+        let report = report.into_parts().1;
+        let provenance = report.provenance();
+        (report, provenance)
     }
 
     fn links(peers: impl IntoIterator<Item = String>) -> Report {
@@ -289,13 +203,13 @@ mod tests {
         reporter.publish(later, links(["r3".to_owned()])).unwrap();
         let due = reporter.republish(later, start);
         assert_eq!(due.len(), 1, "the links are young");
-        let (message, provenance) = decoded(due.into_iter().next().unwrap());
-        assert!(matches!(message, Message::Rank(..)));
+        let (report, provenance) = decoded(due.into_iter().next().unwrap());
+        assert!(matches!(report, Report::Rank(_)));
         assert_eq!(provenance.seq, Some(2));
         let all: Vec<_> = reporter.republish(later, later).into_iter().map(decoded).collect();
         assert_eq!(all.len(), 2);
-        let newest = |(message, _): &(Message, Provenance)| match message {
-            Message::Links(_, links) => links.links[0].peer == id("r3"),
+        let newest = |(report, _): &(Report, Provenance)| match report {
+            Report::Links(links) => links.links[0].peer == id("r3"),
             _ => false,
         };
         assert!(all.iter().any(newest), "the newest is republished");

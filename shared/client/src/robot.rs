@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use muster_bus::{Subscription, Token};
 use muster_model::id::{Modality, RobotId};
-use muster_model::observation::{Link, Links, Observation, Pose, Rank, Relation};
+use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report, Stream};
 use muster_model::teams::RobotTeam;
 use muster_wire::{Key, KeySpace, Message, Packet, Pattern};
 use tokio::sync::watch;
@@ -16,7 +16,7 @@ use tokio::time::{MissedTickBehavior, interval};
 use crate::client::Client;
 use crate::config::Config;
 use crate::error::Error;
-use crate::reporter::{Report, Reporter};
+use crate::reporter::Reporter;
 use crate::send_queue::SendQueue;
 use crate::watch::Watch;
 
@@ -138,7 +138,7 @@ impl Robot {
         let duplicate = Arc::<Mutex<Duplicate>>::default();
         let space = client.bus().space().clone();
         let accept = notice_duplicates(space, reporter.boot().to_owned(), &duplicate);
-        let pattern = Pattern::One(Key::Pose(id.clone()));
+        let pattern = Pattern::One(Key::Stream(id.clone(), Stream::Pose));
         let duplicates = client.bus().listen(&pattern, accept).await.map_err(Error::bus)?;
         let team = client.team(&id).await?;
         let publisher = RobotPublisher::declare(&client, reporter).await?;
@@ -321,8 +321,8 @@ fn notice_duplicates(
 ) -> impl Fn(Packet) + Send + Sync + 'static {
     let duplicate = Arc::clone(duplicate);
     move |packet| {
-        let Ok(Message::Pose(robot, pose)) = Message::decode(&space, &packet) else { return };
-        if pose.provenance().boot.as_ref() == Some(&boot) {
+        let Ok(Message::Report(report)) = Message::decode(&space, &packet) else { return };
+        if report.report().provenance().boot.as_ref() == Some(&boot) {
             return;
         }
         let (mut duplicate, now) = (lock(&duplicate), Instant::now());
@@ -331,6 +331,7 @@ fn notice_duplicates(
         if duplicate.logged.is_none_or(due) {
             duplicate.logged = Some(now);
             drop(duplicate);
+            let robot = report.robot();
             tracing::warn!("another process puts poses of {robot}: give one of them another id");
         }
     }

@@ -118,12 +118,18 @@ mod tests {
     use std::sync::mpsc;
 
     use muster_model::id::RobotId;
+    use muster_model::observation::Stream;
 
     use super::*;
 
     fn pose(robot: usize, byte: u8) -> Outbound {
         let robot = RobotId::new(format!("r{robot}")).unwrap();
-        Outbound { key: Key::Pose(robot), encoding: Cow::Borrowed(""), payload: vec![byte] }
+        Outbound {
+            key: Key::Stream(robot, Stream::Pose),
+            encoding: Cow::Borrowed(""),
+            payload: vec![byte],
+            attachment: None,
+        }
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::content::{ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{Modality, RobotId};
 
@@ -77,23 +78,23 @@ impl Embedding {
     ///
     /// # Errors
     /// Names the part that is wrong.
-    pub fn check(&self) -> Result<(), &'static str> {
+    pub fn check(&self) -> Result<(), ContentError> {
         let robots = self.robots.len();
         if self.unseen.len() != robots {
-            return Err("unseen: must have one entry per robot");
+            return refuse("unseen", "must have one entry per robot");
         }
         if robots.checked_mul(self.dimension as usize) != Some(self.values.len()) {
-            return Err("values: must have one row of the dimension's length per robot");
+            return refuse("values", "must have one row of the dimension's length per robot");
         }
         if !self.robots.is_sorted_by(|left, right| left < right) {
-            return Err("robots: must be ordered by name without repetition");
+            return refuse("robots", "must be ordered by name without repetition");
         }
         if self.centrality.len() != robots || !self.centrality.iter().all(|value| value.is_finite())
         {
-            return Err("centrality: must have one finite entry per robot");
+            return refuse("centrality", "must have one finite entry per robot");
         }
         if !self.values.iter().all(|value| value.is_finite()) {
-            return Err("values: must be finite");
+            return refuse("values", "must be finite");
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! What every message between services carries beside its content.
+//! The head of every message between services.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

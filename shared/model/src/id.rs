@@ -7,11 +7,10 @@ use std::borrow::Cow;
 use std::fmt;
 use std::sync::Arc;
 
-use schemars::{JsonSchema, Schema, SchemaGenerator};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::limits::MAX_ID_LENGTH;
-use crate::schema::id_schema;
 
 /// Why a text is not an id.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -30,7 +29,7 @@ pub enum IdError {
 /// Checks the rule of all ids.
 ///
 /// # Errors
-/// Says which part of `[a-z0-9_-]{1,64}` the text breaks.
+/// Names the part of `[a-z0-9_-]{1,64}` the text breaks.
 pub fn check_id(text: &str) -> Result<(), IdError> {
     if text.is_empty() {
         return Err(IdError::Empty);
@@ -45,6 +44,20 @@ pub fn check_id(text: &str) -> Result<(), IdError> {
     Ok(())
 }
 
+/// The rule of all ids as a regular expression. What it refuses stands there a second time, for
+/// validators whose `$` lets a final line feed pass.
+fn id_schema(title: &str, description: &str) -> Schema {
+    json_schema!({
+        "type": "string",
+        "title": title,
+        "description": description,
+        "minLength": 1,
+        "maxLength": MAX_ID_LENGTH,
+        "pattern": format!("^[a-z0-9_-]{{1,{MAX_ID_LENGTH}}}$"),
+        "not": { "pattern": "[^a-z0-9_-]" },
+    })
+}
+
 macro_rules! id {
     ($doc:literal $name:ident) => {
         #[doc = $doc]
@@ -55,7 +68,7 @@ macro_rules! id {
             /// Checks and wraps a text.
             ///
             /// # Errors
-            /// Says which part of `[a-z0-9_-]{1,64}` the text breaks.
+            /// Names the part of `[a-z0-9_-]{1,64}` the text breaks.
             pub fn new(text: impl AsRef<str>) -> Result<Self, IdError> {
                 check_id(text.as_ref())?;
                 Ok(Self(text.as_ref().into()))
@@ -134,28 +147,31 @@ id!(
 );
 
 impl Modality {
-    /// Where the robots are.
+    /// The modalities that every fleet has.
+    pub const BUILT_IN: [&str; 3] = ["spatial", "connectivity", "hierarchy"];
+
+    /// Where robots are.
     #[must_use]
     pub fn spatial() -> Self {
         Self("spatial".into())
     }
 
-    /// Who can hear whom.
+    /// Which robots receive which.
     #[must_use]
     pub fn connectivity() -> Self {
         Self("connectivity".into())
     }
 
-    /// Who commands whom.
+    /// Which robots are superior to which.
     #[must_use]
     pub fn hierarchy() -> Self {
         Self("hierarchy".into())
     }
 
-    /// Whether this is one of the three modalities that every fleet has.
+    /// Whether every fleet has this modality.
     #[must_use]
     pub fn is_built_in(&self) -> bool {
-        matches!(self.as_str(), "spatial" | "connectivity" | "hierarchy")
+        Self::BUILT_IN.contains(&self.as_str())
     }
 }
 
@@ -168,8 +184,8 @@ impl TeamId {
 }
 
 impl InstanceId {
-    /// A name out of that of a host, whatever characters it has, and numbers that tell its processes
-    /// apart. It always ends in a number, so that it is never one of the keys beside it.
+    /// An id made of the name of a host, whatever characters it has, and numbers that distinguish its
+    /// processes. It ends in a number, so that it is never `settings`, `status` or `holder`.
     #[must_use]
     pub fn of_process(host: &str, process: u32, nonce: u32) -> Self {
         let host = host.trim().to_lowercase();
@@ -178,6 +194,11 @@ impl InstanceId {
         Self(format!("{host}-{process}-{nonce}").trim_start_matches('-').into())
     }
 }
+
+/// The text names no service.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no service is called {0:?}; there are ingest, embedder, clusterer, auditor")]
+pub struct ServiceNameError(pub String);
 
 /// The four services that turn observations into audited teams.
 #[derive(
@@ -218,11 +239,10 @@ impl fmt::Display for ServiceName {
 }
 
 impl std::str::FromStr for ServiceName {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL.into_iter().find(|service| service.as_str() == text).ok_or_else(|| {
-            format!("no service is called {text:?}; there are ingest, embedder, clusterer, auditor")
-        })
+    type Err = ServiceNameError;
+    fn from_str(text: &str) -> Result<Self, ServiceNameError> {
+        let named = Self::ALL.into_iter().find(|service| service.as_str() == text);
+        named.ok_or_else(|| ServiceNameError(text.to_owned()))
     }
 }
 

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::content::{ContentError, refuse};
 use crate::header::Header;
 use crate::id::{Modality, RobotId};
 
@@ -36,4 +37,25 @@ pub struct PairSimilarity {
     /// How exact it is. Cached: ‖M (S + I) z − z‖ / ‖z‖ for a random sign vector z, M = I − α A*.
     /// Column: at most so much is missing of S_ij.
     pub residual: f64,
+}
+
+impl PairSimilarity {
+    /// Checks that no number is negative or missing.
+    ///
+    /// # Errors
+    /// Names the first field that is wrong.
+    pub fn check(&self) -> Result<(), ContentError> {
+        let is_wrong = |number: f64| number.is_nan() || number < 0.0;
+        for (field, number) in
+            [("similarity", self.similarity), ("alpha", self.alpha), ("residual", self.residual)]
+        {
+            if is_wrong(number) {
+                return refuse(field, "must not be negative");
+            }
+        }
+        if self.shares.iter().any(|(_, share)| is_wrong(*share)) {
+            return refuse("shares", "must not be negative");
+        }
+        Ok(())
+    }
 }

@@ -2,8 +2,8 @@
 //!
 //! The data's path reads top to bottom: robots put [`observation`]s, `ingest` turns them into a
 //! [`roster`] and one [`graph`] per modality, `embedder` makes an [`embedding`], `clusterer` makes
-//! [`teams`] and `auditor` an [`audit`]. Every message carries a [`header`]; what happens on the way
-//! is told by [`event`]s, and what may be changed while it runs stands in [`settings`].
+//! [`teams`] and `auditor` an [`audit`]. Every message carries a [`header`]; [`event`]s report
+//! what happens on the way, and [`settings`] are what may be changed while a service runs.
 //!
 //! This crate knows no bytes, no bus, no clock and no file. Its types derive serde, and none uses
 //! `#[serde(default)]` or `skip_serializing_if`, because the binary codec is positional.
@@ -11,6 +11,7 @@
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
 pub mod audit;
+pub mod content;
 pub mod embedding;
 pub mod event;
 pub mod graph;

@@ -1,4 +1,4 @@
-//! Every limit on what a fleet may say, each with its reason.
+//! Every limit on the size of messages and fleets, each with its reason.
 
 /// Longest id in characters: long enough for a serial number with a prefix, short enough that a key
 /// expression with three ids stays readable in a log.
@@ -8,18 +8,18 @@ pub const MAX_ID_LENGTH: usize = 64;
 /// repeated in every roster.
 pub const MAX_TEXT_LENGTH: usize = 64;
 
-/// Most links that one robot may report at once: a radio hears far fewer neighbours, and a report of
+/// Most links that one robot may report at once: a radio receives far fewer neighbours, and a report of
 /// this size still fits [`MAX_ROBOT_PAYLOAD`].
 pub const MAX_LINKS: usize = 1024;
 
 /// Most edges that one robot may report of one further modality, for the same reason.
 pub const MAX_RELATION_EDGES: usize = 1024;
 
-/// Most modalities that a fleet may declare beside the three built-in ones: each is a graph that is
+/// Most modalities that a fleet may declare in addition to the three built-in ones: each is a graph that is
 /// fused in every frame.
 pub const MAX_DECLARED_MODALITIES: usize = 16;
 
-/// Most robots that a fleet may have, whatever its settings say: the dense similarity matrix of a
+/// Most robots that a fleet may have, whatever its settings are: the dense similarity matrix of a
 /// larger fleet does not fit the machines that Muster is made for.
 pub const MAX_ROBOTS: usize = 100_000;
 
@@ -37,14 +37,14 @@ pub const MAX_COORDINATE_M: f64 = 4.0e7;
 pub const MAX_WEIGHT: f64 = 1.0e6;
 
 /// No term or epoch from here on is believed. They count restarts and frames one by one and never come
-/// near it, so that no sum of them overflows. It keeps nobody from forging a high term: only access
+/// near it, so that no sum of them overflows. It does not prevent a forged high term: only access
 /// control on the bus does.
 pub const MAX_REVISION: u64 = 1 << 48;
 
-/// Largest team whose members are all named in what each robot is told: beyond it, telling everybody
-/// of everybody would be more than the rest of the traffic together.
-pub const MAX_MEMBERS_TOLD: usize = 256;
+/// Largest team whose members are all listed to each of its robots: beyond it, these lists would be
+/// more bytes than all other traffic together.
+pub const MAX_MEMBERS_PUBLISHED: usize = 256;
 
-/// Most edges of one graph: at 13 bytes each beside the names of [`MAX_ROBOTS`] robots, as many as fit
+/// Most edges of one graph: at 13 bytes each and with the names of [`MAX_ROBOTS`] robots, as many as fit
 /// a message between services.
 pub const MAX_GRAPH_EDGES: u64 = 4_500_000;

@@ -1,7 +1,7 @@
 //! JSON objects that are nothing else.
 //!
 //! Serde reads a structure from an array too, by the position of its fields. At the edge that would
-//! let in what nobody means and no schema describes.
+//! accept messages that no sender intends and no schema describes.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -32,7 +32,7 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
     }
 }
 
-/// Reads a list of structures: in text each must be an object, in a binary form it stands by position.
+/// Reads a list of structures: in text each must be an object, in binary form its fields stand by position.
 pub(crate) fn list<'de, T, D>(deserializer: D) -> Result<Vec<T>, D::Error>
 where
     T: Deserialize<'de>,

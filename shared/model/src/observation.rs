@@ -1,11 +1,17 @@
-//! What robots say: the four streams, as they stand on the bus.
+//! What robots report: the streams of a robot, what each carries, and its checks.
 //!
-//! One type serves JSON and bincode. Optional fields are plain `Option`s, which JSON may leave out.
+//! [`Stream`] names the streams once, for keys, messages, services and clients; [`Report`] is what a
+//! robot reports on one of them; [`CheckedReport`] is a report whose content was checked, with the robot
+//! that made it. One type serves JSON and bincode. Optional fields are plain `Option`s, which JSON may
+//! leave out.
+
+use std::fmt;
 
 use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::id::RobotId;
+use crate::id::{Modality, RobotId};
 use crate::limits::{MAX_COORDINATE_M, MAX_LINKS, MAX_RELATION_EDGES, MAX_TEXT_LENGTH, MAX_WEIGHT};
 use crate::schema::{RelationEdge, Text};
 
@@ -28,22 +34,267 @@ fn refuse<T>(field: &'static str, problem: impl Into<String>) -> Result<T, Obser
 pub struct Provenance {
     /// Seconds since the Unix epoch by the robot's clock.
     pub stamp: Option<f64>,
-    /// Names one run of the robot's software; the sequence starts anew with each.
+    /// Names one run of the robot's software; each run has its own sequence.
     pub boot: Option<String>,
     /// Grows with each message of a stream within one boot.
     pub seq: Option<u64>,
 }
 
-/// A message of a robot about itself.
-pub trait Observation {
-    /// Checks every field.
+/// What one stream of a robot carries.
+pub trait Observation: Serialize + DeserializeOwned {
+    /// Checks every field by itself.
     ///
     /// # Errors
     /// Names the first field that is wrong.
     fn check(&self) -> Result<(), ObservationError>;
 
+    /// Checks the fields that name robots against the robot that reports.
+    ///
+    /// # Errors
+    /// Names the first field that is wrong.
+    fn check_reporter(&self, robot: &RobotId) -> Result<(), ObservationError>;
+
     /// When and in which order it was made.
     fn provenance(&self) -> Provenance;
+
+    /// The same content, made at another moment or with another number.
+    #[must_use]
+    fn with_provenance(self, provenance: Provenance) -> Self;
+}
+
+/// One stream of a robot. Each is the source of one graph.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Stream {
+    /// Poses, for the spatial graph.
+    Pose,
+    /// Which robots it receives, for the connectivity graph.
+    Links,
+    /// Its superior, for the hierarchy graph.
+    Rank,
+    /// Edges of a declared modality.
+    Relation(Modality),
+}
+
+/// Reads the content of a stream, whichever type it has.
+pub trait ReadObservation {
+    /// Why the content cannot be read.
+    type Error;
+
+    /// Reads the content.
+    ///
+    /// # Errors
+    /// If the content cannot be read.
+    fn read<T: Observation>(&mut self) -> Result<T, Self::Error>;
+}
+
+impl Stream {
+    /// The streams that every robot has. A robot has one more for each declared modality.
+    pub const BUILT_IN: [Self; 3] = [Self::Pose, Self::Links, Self::Rank];
+
+    /// The name of the stream in keys and in the JSON Schema.
+    #[must_use]
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Pose => "pose",
+            Self::Links => "links",
+            Self::Rank => "rank",
+            Self::Relation(_) => "relation",
+        }
+    }
+
+    /// The built-in stream of a name.
+    #[must_use]
+    pub fn built_in(name: &str) -> Option<Self> {
+        Self::BUILT_IN.into_iter().find(|stream| stream.name() == name)
+    }
+
+    /// The modality of the graph that is made from the stream.
+    #[must_use]
+    pub fn modality(&self) -> Modality {
+        match self {
+            Self::Pose => Modality::spatial(),
+            Self::Links => Modality::connectivity(),
+            Self::Rank => Modality::hierarchy(),
+            Self::Relation(modality) => modality.clone(),
+        }
+    }
+
+    /// What errors about the size of a report name: its list, or the stream where it has none.
+    #[must_use]
+    pub const fn list_field(&self) -> &'static str {
+        match self {
+            Self::Pose | Self::Links | Self::Rank => self.name(),
+            Self::Relation(_) => "edges",
+        }
+    }
+
+    /// Reads a report of the stream.
+    ///
+    /// # Errors
+    /// Those of the reader.
+    pub fn read<R: ReadObservation>(&self, reader: &mut R) -> Result<Report, R::Error> {
+        Ok(match self {
+            Self::Pose => Report::Pose(reader.read()?),
+            Self::Links => Report::Links(reader.read()?),
+            Self::Rank => Report::Rank(reader.read()?),
+            Self::Relation(modality) => Report::Relation(modality.clone(), reader.read()?),
+        })
+    }
+}
+
+/// The key of the stream below the robot's.
+impl fmt::Display for Stream {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Relation(modality) => write!(formatter, "{}/{modality}", self.name()),
+            built_in => formatter.write_str(built_in.name()),
+        }
+    }
+}
+
+/// What a robot reports on one of its streams.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Report {
+    /// Where it is at one moment.
+    Pose(Pose),
+    /// Which robots it receives, until the next report.
+    Links(Links),
+    /// Its superior, until the next report.
+    Rank(Rank),
+    /// Its edges of a declared modality, until the next report.
+    Relation(Modality, Relation),
+}
+
+/// Evaluates an expression with the content of a report, whichever type it has.
+macro_rules! with_content {
+    ($report:expr, $content:ident => $value:expr) => {
+        match $report {
+            Report::Pose($content) => $value,
+            Report::Links($content) => $value,
+            Report::Rank($content) => $value,
+            Report::Relation(_, $content) => $value,
+        }
+    };
+}
+
+impl Report {
+    /// The stream of the report.
+    #[must_use]
+    pub fn stream(&self) -> Stream {
+        match self {
+            Self::Pose(_) => Stream::Pose,
+            Self::Links(_) => Stream::Links,
+            Self::Rank(_) => Stream::Rank,
+            Self::Relation(modality, _) => Stream::Relation(modality.clone()),
+        }
+    }
+
+    /// When and in which order it was made.
+    #[must_use]
+    pub fn provenance(&self) -> Provenance {
+        with_content!(self, content => content.provenance())
+    }
+
+    /// The same report, made at another moment or with another number.
+    #[must_use]
+    pub fn with_provenance(self, provenance: Provenance) -> Self {
+        match self {
+            Self::Pose(content) => Self::Pose(content.with_provenance(provenance)),
+            Self::Links(content) => Self::Links(content.with_provenance(provenance)),
+            Self::Rank(content) => Self::Rank(content.with_provenance(provenance)),
+            Self::Relation(modality, content) => {
+                Self::Relation(modality, content.with_provenance(provenance))
+            }
+        }
+    }
+}
+
+/// The content alone: the modality of a relation stands in its key.
+impl Serialize for Report {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        with_content!(self, content => content.serialize(serializer))
+    }
+}
+
+impl From<Pose> for Report {
+    fn from(pose: Pose) -> Self {
+        Self::Pose(pose)
+    }
+}
+
+impl From<Links> for Report {
+    fn from(links: Links) -> Self {
+        Self::Links(links)
+    }
+}
+
+impl From<Rank> for Report {
+    fn from(rank: Rank) -> Self {
+        Self::Rank(rank)
+    }
+}
+
+impl From<(Modality, Relation)> for Report {
+    fn from((modality, relation): (Modality, Relation)) -> Self {
+        Self::Relation(modality, relation)
+    }
+}
+
+/// A report whose content was checked, and the robot that made it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CheckedReport {
+    robot: RobotId,
+    report: Report,
+}
+
+impl CheckedReport {
+    /// Checks a report of a robot: every field, that it has only the robot's own relations, and none to
+    /// the robot itself. What depends on the settings of a fleet is not checked here: its frames, its
+    /// modalities and the unit of links.
+    ///
+    /// # Errors
+    /// Names the first field that is wrong.
+    pub fn new(robot: RobotId, report: impl Into<Report>) -> Result<Self, ObservationError> {
+        let report = report.into();
+        with_content!(&report, content => {
+            content.check()?;
+            content.check_reporter(&robot)?;
+        });
+        Ok(Self { robot, report })
+    }
+
+    /// The robot.
+    #[must_use]
+    pub const fn robot(&self) -> &RobotId {
+        &self.robot
+    }
+
+    /// Its report.
+    #[must_use]
+    pub const fn report(&self) -> &Report {
+        &self.report
+    }
+
+    /// The stream of the report.
+    #[must_use]
+    pub fn stream(&self) -> Stream {
+        self.report.stream()
+    }
+
+    /// The robot and its report.
+    #[must_use]
+    pub fn into_parts(self) -> (RobotId, Report) {
+        (self.robot, self.report)
+    }
+
+    /// The same report, made at another moment or with another number.
+    ///
+    /// # Errors
+    /// Names the field of the provenance that is wrong.
+    pub fn with_provenance(self, provenance: Provenance) -> Result<Self, ObservationError> {
+        check_provenance(&provenance)?;
+        Ok(Self { report: self.report.with_provenance(provenance), ..self })
+    }
 }
 
 /// Where a robot is: metres east, north and up in a named frame.
@@ -136,7 +387,7 @@ pub struct Rank {
 }
 
 impl Rank {
-    /// A tie to a superior, or to nobody at the top; everything else is left out.
+    /// A tie to a superior, none at the top; everything else is left out.
     #[must_use]
     pub const fn under(superior: Option<RobotId>) -> Self {
         Self { superior, weight: None, role: None, stamp: None, boot: None, seq: None }
@@ -201,6 +452,11 @@ macro_rules! provenance {
         fn provenance(&self) -> Provenance {
             Provenance { stamp: self.stamp, boot: self.boot.clone(), seq: self.seq }
         }
+
+        fn with_provenance(self, provenance: Provenance) -> Self {
+            let Provenance { stamp, boot, seq } = provenance;
+            Self { stamp, boot, seq, ..self }
+        }
     };
 }
 
@@ -214,6 +470,10 @@ impl Observation for Pose {
         }
         check_text("frame", self.frame.as_ref())?;
         check_provenance(&self.provenance())
+    }
+
+    fn check_reporter(&self, _: &RobotId) -> Result<(), ObservationError> {
+        Ok(())
     }
 
     provenance!();
@@ -235,6 +495,13 @@ impl Observation for Links {
         check_provenance(&self.provenance())
     }
 
+    fn check_reporter(&self, robot: &RobotId) -> Result<(), ObservationError> {
+        if self.links.iter().any(|link| link.peer == *robot) {
+            return refuse("links.peer", "a robot does not report that it hears itself");
+        }
+        Ok(())
+    }
+
     provenance!();
 }
 
@@ -243,6 +510,13 @@ impl Observation for Rank {
         check_weight("weight", self.weight.unwrap_or(1.0))?;
         check_text("role", self.role.as_ref())?;
         check_provenance(&self.provenance())
+    }
+
+    fn check_reporter(&self, robot: &RobotId) -> Result<(), ObservationError> {
+        if self.superior.as_ref() == Some(robot) {
+            return refuse("superior", "a robot does not answer to itself; null is the top");
+        }
+        Ok(())
     }
 
     provenance!();
@@ -262,6 +536,16 @@ impl Observation for Relation {
             return refuse("edges", format!("{} to {} is named twice", pair[0].0, pair[0].1));
         }
         check_provenance(&self.provenance())
+    }
+
+    fn check_reporter(&self, robot: &RobotId) -> Result<(), ObservationError> {
+        if let Some((from, ..)) = self.edges.iter().find(|(from, ..)| from != robot) {
+            return refuse("edges", format!("the key speaks for {robot}, an edge for {from}"));
+        }
+        if self.edges.iter().any(|(_, to, _)| to == robot) {
+            return refuse("edges", "a robot has no edge to itself");
+        }
+        Ok(())
     }
 
     provenance!();
@@ -300,6 +584,62 @@ mod tests {
         assert!(
             serde_json::from_str::<Links>(by_position).unwrap_err().to_string().contains("object")
         );
+    }
+
+    #[test]
+    fn every_stream_has_a_name_a_modality_and_reads_its_own_content() {
+        struct Json<'a>(&'a str);
+        impl ReadObservation for Json<'_> {
+            type Error = serde_json::Error;
+            fn read<T: Observation>(&mut self) -> Result<T, Self::Error> {
+                serde_json::from_str(self.0)
+            }
+        }
+        let thermal = Stream::Relation(Modality::new("thermal").unwrap());
+        let contents = [
+            r#"{"x":1.0,"y":2.0,"z":null,"heading":null,"frame":null,"stamp":null,"boot":"a","seq":7}"#,
+            r#"{"links":[{"peer":"r2","quality":0.5}],"stamp":null,"boot":"a","seq":7}"#,
+            r#"{"superior":"r2","weight":null,"role":null,"stamp":null,"boot":"a","seq":7}"#,
+            r#"{"edges":[["r1","r2",0.5]],"stamp":null,"boot":"a","seq":7}"#,
+        ];
+        for (stream, content) in Stream::BUILT_IN.into_iter().chain([thermal]).zip(contents) {
+            let report = stream.read(&mut Json(content)).unwrap();
+            assert_eq!(report.stream(), stream);
+            assert_eq!(serde_json::to_string(&report).unwrap(), content);
+            let built_in = Stream::built_in(stream.name());
+            assert_eq!(built_in.is_some(), stream.modality().is_built_in());
+            assert!(built_in.is_none_or(|named| named == stream));
+            let checked = CheckedReport::new(RobotId::new("r1").unwrap(), report.clone()).unwrap();
+            assert_eq!((checked.stream(), checked.report()), (stream, &report));
+            let later = Provenance { seq: Some(8), ..report.provenance() };
+            let checked = checked.with_provenance(later.clone()).unwrap();
+            assert_eq!(checked.report().provenance(), later);
+            let absurd = Provenance { stamp: Some(f64::NAN), ..later };
+            assert_eq!(checked.with_provenance(absurd).unwrap_err().field, "stamp");
+        }
+    }
+
+    #[test]
+    fn a_report_that_relates_a_robot_to_itself_is_refused_by_name() {
+        let me = || RobotId::new("r1").unwrap();
+        let relation = |from: &str, to: &str| Relation {
+            edges: vec![(RobotId::new(from).unwrap(), RobotId::new(to).unwrap(), 1.0)],
+            stamp: None,
+            boot: None,
+            seq: None,
+        };
+        let links = vec![Link { peer: me(), quality: 0.5 }];
+        let thermal = || Modality::new("thermal").unwrap();
+        let wrong: [(Report, &str); 4] = [
+            (Links { links, stamp: None, boot: None, seq: None }.into(), "links.peer"),
+            (Rank::under(Some(me())).into(), "superior"),
+            ((thermal(), relation("r1", "r1")).into(), "edges"),
+            ((thermal(), relation("r2", "r1")).into(), "edges"),
+        ];
+        for (report, field) in wrong {
+            assert_eq!(CheckedReport::new(me(), report).unwrap_err().field, field);
+        }
+        assert!(CheckedReport::new(me(), (thermal(), relation("r1", "r2"))).is_ok());
     }
 
     #[test]

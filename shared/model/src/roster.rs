@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::content::{ContentError, refuse};
 use crate::graph::Node;
 use crate::header::{Header, Revision};
 use crate::id::{Modality, RobotId};
@@ -58,19 +59,19 @@ impl Roster {
     ///
     /// # Errors
     /// Names the part that is wrong.
-    pub fn check(&self) -> Result<(), &'static str> {
+    pub fn check(&self) -> Result<(), ContentError> {
         if !self.robots.is_sorted_by(|left, right| left.robot < right.robot) {
-            return Err("robots: must be ordered by name without repetition");
+            return refuse("robots", "must be ordered by name without repetition");
         }
         let numbers = self
             .robots
             .iter()
             .flat_map(|entry| entry.position.iter().flatten().chain(entry.heading.iter()).copied());
         if !numbers.into_iter().all(f64::is_finite) {
-            return Err("robots.position: must be finite");
+            return refuse("robots.position", "must be finite");
         }
         if !self.graphs.is_sorted_by(|left, right| left.0 < right.0) {
-            return Err("graphs: must be ordered by name without repetition");
+            return refuse("graphs", "must be ordered by name without repetition");
         }
         Ok(())
     }

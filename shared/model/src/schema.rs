@@ -1,7 +1,7 @@
-//! What JSON Schema says of the plain fields that have a rule of their own.
+//! The JSON Schema of plain fields with rules of their own.
 //!
 //! The types derive their schema; where a field is plainer than its rule (a text without control
-//! characters, a weight within a tuple), it names one of these beside its type. They are never made.
+//! characters, a weight within a tuple), it names one of these types, which have no values.
 //! The bounds of numbers stand twice, in the schema and in `check`: a test of whole processes
 //! compares the two at each bound.
 
@@ -10,21 +10,7 @@ use std::borrow::Cow;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 
 use crate::id::{Modality, RobotId};
-use crate::limits::{MAX_ID_LENGTH, MAX_TEXT_LENGTH, MAX_WEIGHT};
-
-/// The rule of all ids as a regular expression. What it refuses stands there a second time, for
-/// validators whose `$` lets a final line feed pass.
-pub(crate) fn id_schema(title: &str, description: &str) -> Schema {
-    json_schema!({
-        "type": "string",
-        "title": title,
-        "description": description,
-        "minLength": 1,
-        "maxLength": MAX_ID_LENGTH,
-        "pattern": format!("^[a-z0-9_-]{{1,{MAX_ID_LENGTH}}}$"),
-        "not": { "pattern": "[^a-z0-9_-]" },
-    })
-}
+use crate::limits::{MAX_TEXT_LENGTH, MAX_WEIGHT};
 
 fn text_schema(shortest: usize) -> Schema {
     json_schema!({
@@ -84,7 +70,7 @@ impl JsonSchema for DeclaredModality {
     }
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        let built_in = [Modality::spatial(), Modality::connectivity(), Modality::hierarchy()];
+        let built_in = Modality::BUILT_IN;
         json_schema!({
             "description": "A modality that is not built in.",
             "allOf": [generator.subschema_for::<Modality>()],

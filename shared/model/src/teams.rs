@@ -3,9 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::content::{ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{RobotId, TeamId};
-use crate::limits::MAX_MEMBERS_TOLD;
+use crate::limits::MAX_MEMBERS_PUBLISHED;
 
 /// One robot within its team.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,7 +25,7 @@ pub struct Team {
     pub id: TeamId,
     /// Its robots, ordered by name.
     pub members: Vec<Member>,
-    /// The robot that commands most of the others; the one before if nobody commands.
+    /// The robot that is superior to most of the others; the previous leader if none is.
     pub leader: RobotId,
     /// The mean of its members' vectors.
     pub centroid: Vec<f64>,
@@ -82,7 +83,7 @@ pub struct Teams {
     pub teams: Vec<Team>,
     /// Robots that belong to no team, ordered by name: nothing relates them to the others.
     pub unassigned: Vec<RobotId>,
-    /// Robots, with or without a team, that have not been heard of lately, ordered by name.
+    /// Stale robots, with or without a team, ordered by name.
     pub stale: Vec<RobotId>,
     /// Sum of squared distances of the members to their centroids.
     pub inertia: f64,
@@ -119,52 +120,52 @@ impl Teams {
     ///
     /// # Errors
     /// Names the part that is wrong.
-    pub fn check(&self) -> Result<(), &'static str> {
+    pub fn check(&self) -> Result<(), ContentError> {
         let mut robots: Vec<_> =
             self.assignments().map(|(robot, _)| robot).chain(&self.unassigned).collect();
         let count = robots.len();
         robots.sort_unstable();
         robots.dedup();
         if robots.len() != count {
-            return Err("teams: a robot stands twice");
+            return refuse("teams", "a robot stands twice");
         }
         let mut ids: Vec<_> = self.teams.iter().map(|team| &team.id).collect();
         ids.sort_unstable();
         ids.dedup();
         if ids.len() != self.teams.len() {
-            return Err("teams.id: a team stands twice");
+            return refuse("teams.id", "a team stands twice");
         }
         let by_name = |members: &[Member]| members.is_sorted_by(|l, r| l.robot < r.robot);
         if !self.teams.iter().all(|team| by_name(&team.members))
             || !self.unassigned.is_sorted()
             || !self.stale.is_sorted()
         {
-            return Err("teams: robots must be ordered by name");
+            return refuse("teams", "robots must be ordered by name");
         }
         for team in &self.teams {
             if !team.members.iter().any(|member| member.robot == team.leader) {
-                return Err("teams.leader: is no member of the team");
+                return refuse("teams.leader", "is no member of the team");
             }
             let mut numbers = team.members.iter().map(|member| member.margin);
             if !numbers.all(f64::is_finite) || !team.centroid.iter().all(|x| x.is_finite()) {
-                return Err("teams: a margin or centroid is not finite");
+                return refuse("teams", "a margin or centroid is not finite");
             }
         }
-        if self.inertia.is_finite() { Ok(()) } else { Err("inertia: must be finite") }
+        if self.inertia.is_finite() { Ok(()) } else { refuse("inertia", "must be finite") }
     }
 }
 
-/// What one robot is told of its team.
+/// The team of one robot, as it is published to the robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RobotTeam {
     /// The head of the message; its revision is that of the division.
     pub header: Header,
-    /// Who is told.
+    /// The robot.
     pub robot: RobotId,
     /// Its team; none if nothing relates it to the others.
     pub team: Option<TeamId>,
     /// All robots of the team, itself among them, ordered by name; none if they are more than
-    /// [`MAX_MEMBERS_TOLD`], whom the division names.
+    /// [`MAX_MEMBERS_PUBLISHED`], whom the division names.
     pub members: Option<Vec<RobotId>>,
     /// Who leads the team.
     pub leader: Option<RobotId>,
@@ -173,7 +174,7 @@ pub struct RobotTeam {
 }
 
 impl Teams {
-    /// What one robot of the fleet is told; none if the division does not know it.
+    /// The team of one robot; none if the division does not contain the robot.
     #[must_use]
     pub fn robot_team(&self, robot: &RobotId) -> Option<RobotTeam> {
         let place = self.teams.iter().find_map(|team| {
@@ -189,7 +190,7 @@ impl Teams {
             team: place.map(|(team, _)| team.id.clone()),
             members: match place {
                 None => Some(Vec::new()),
-                Some((team, _)) if team.members.len() > MAX_MEMBERS_TOLD => None,
+                Some((team, _)) if team.members.len() > MAX_MEMBERS_PUBLISHED => None,
                 Some((team, _)) => {
                     Some(team.members.iter().map(|member| member.robot.clone()).collect())
                 }
@@ -197,5 +198,31 @@ impl Teams {
             leader: place.map(|(team, _)| team.leader.clone()),
             confidence: place.map_or(0.0, |(_, member)| member.margin.clamp(0.0, 1.0)),
         })
+    }
+}
+
+impl RobotTeam {
+    /// Checks that the team agrees with its members and leader.
+    ///
+    /// # Errors
+    /// Names the first field that contradicts another one, or is out of range.
+    pub fn check(&self) -> Result<(), ContentError> {
+        if !(0.0..=1.0).contains(&self.confidence) {
+            return refuse("confidence", "must be a number from 0 to 1");
+        }
+        if self.team.is_some() != self.leader.is_some() {
+            return refuse("leader", "a team has one, and no team has none");
+        }
+        let Some(members) = &self.members else { return Ok(()) };
+        if members.len() > MAX_MEMBERS_PUBLISHED {
+            return refuse("members", "are more than a robot's team may list");
+        }
+        if !members.is_sorted_by(|left, right| left < right) {
+            return refuse("members", "must be ordered by name, each once");
+        }
+        if self.team.is_some() != members.contains(&self.robot) {
+            return refuse("members", "must hold the robot itself if it has a team");
+        }
+        Ok(())
     }
 }

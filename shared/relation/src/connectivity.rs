@@ -1,11 +1,11 @@
-//! Who can hear whom: link reports to edges from those who are heard to those who hear.
+//! Connectivity: link reports to edges from senders to receivers.
 
 use muster_model::observation::ObservationError;
 use muster_model::settings::{ConnectivitySettings, LinkUnit};
 
 use crate::edge::{Edge, EdgeError, checked_edges};
 
-/// What a reported link is worth, from 0 (nothing) to 1.
+/// The weight of a reported link, from 0 (no link) to 1.
 ///
 /// Qualities and delivery ratios are taken as they are; signal strengths in dBm are mapped linearly
 /// from the floor (0) to the ceiling (1) of the settings and held within these bounds.
@@ -30,7 +30,7 @@ pub fn link_weight(settings: &ConnectivitySettings, quality: f64) -> Result<f64,
     }
 }
 
-/// What a link of a signal strength in dBm is worth, whatever the unit of the settings.
+/// The weight of a link of a signal strength in dBm, whatever the unit of the settings.
 #[must_use]
 pub fn signal_weight(settings: &ConnectivitySettings, dbm: f64) -> f64 {
     // Checked settings have a span of at least 1 dB; the bound keeps any others from 0/0.
@@ -42,20 +42,19 @@ fn refuse<T>(problem: String) -> Result<T, ObservationError> {
     Err(ObservationError { field: "links.quality", problem })
 }
 
-/// One edge from each robot that is heard to each robot that hears it.
+/// One edge from each sender to each robot that receives it.
 ///
-/// Each report is the robot that hears, and the robots that it hears with what the link is worth
-/// (0 to 1, see [`link_weight`]). Links that are worth 0 are dropped. A single report may be given
-/// to check it alone.
+/// Each report is the receiver, and its senders with the weight of each link (0 to 1, see
+/// [`link_weight`]). Links of weight 0 are dropped. A single report may be given to check it alone.
 ///
 /// # Errors
-/// Names the first robot that hears itself, the first link that is worth less than 0 or more than 1,
-/// or that is reported twice.
+/// Names the first robot that receives itself, the first link of a weight below 0 or above 1, or that
+/// is reported twice.
 pub fn connectivity_edges<'a>(
     reports: impl IntoIterator<Item = (u32, &'a [(u32, f64)])>,
 ) -> Result<Vec<Edge>, EdgeError> {
-    let edges = reports.into_iter().flat_map(|(hearer, links)| {
-        links.iter().map(move |&(peer, weight)| (peer, hearer, weight))
+    let edges = reports.into_iter().flat_map(|(receiver, links)| {
+        links.iter().map(move |&(peer, weight)| (peer, receiver, weight))
     });
     checked_edges(edges, 1.0)
 }
@@ -107,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn edges_run_to_the_robot_that_hears() {
+    fn edges_run_to_the_receiver() {
         let reports: [(u32, &[(u32, f64)]); 3] =
             [(1, &[(2, 0.5), (0, 0.25)]), (0, &[(1, 1.0), (2, 0.0)]), (2, &[])];
         assert_eq!(connectivity_edges(reports), Ok(vec![(0, 1, 0.25), (1, 0, 1.0), (2, 1, 0.5)]));
@@ -125,7 +124,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_signal_strength_is_worth_zero_to_one_and_more_is_worth_more(
+        fn any_signal_strength_has_a_weight_of_zero_to_one_that_grows_with_it(
             low in -1e3..1e3f64, more in 0.0..1e3f64,
         ) {
             let settings = settings(LinkUnit::RssiDbm);

@@ -8,7 +8,7 @@ pub type Edge = (u32, u32, f64);
 /// Why reported edges are refused. Robots are named by index.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum EdgeError {
-    /// An edge starts where it ends: no robot hears, commands or otherwise relates to itself.
+    /// An edge starts where it ends: no robot relates to itself.
     #[error("robot {robot} is related to itself")]
     SelfRelation {
         /// The robot.
@@ -38,8 +38,8 @@ pub enum EdgeError {
     },
 }
 
-/// Checks and orders the edges of a declared modality. Edges of weight 0 are dropped: they say that
-/// there is no relation. Weights are dimensionless.
+/// Checks and orders the edges of a declared modality. Edges of weight 0 are dropped: they
+/// mean no relation. Weights are dimensionless.
 ///
 /// # Errors
 /// Names the first edge that relates a robot to itself, that has a weight outside of

@@ -1,15 +1,15 @@
-//! Who commands whom: rank reports to edges from superiors to their subordinates.
+//! Hierarchy: rank reports to edges from superiors to their subordinates.
 
 use crate::edge::{Edge, EdgeError, relation_edges};
 
 /// Strength of a tie whose report gives none.
 pub const DEFAULT_TIE: f64 = 1.0;
 
-/// One edge from each superior to each robot that answers to it.
+/// One edge from each superior to each of its subordinates.
 ///
 /// Each report is a robot, its superior (none at the top) and the strength of the tie
 /// (dimensionless, 0 to 1e6, [`DEFAULT_TIE`] if left out). Ties of strength 0 are dropped. Robots
-/// may command each other in a circle: an order of command is not ours to judge.
+/// may be superior to each other in a circle: hierarchies are not checked.
 ///
 /// # Errors
 /// Names the first robot that is its own superior, that has a tie out of range, or that reports the
@@ -34,7 +34,7 @@ mod tests {
     }
 
     #[test]
-    fn circles_are_allowed_but_nobody_commands_himself() {
+    fn circles_are_allowed_but_no_robot_is_its_own_superior() {
         assert!(hierarchy_edges([(0, Some(1), None), (1, Some(0), None)]).is_ok());
         assert_eq!(
             hierarchy_edges([(4, Some(4), None)]),

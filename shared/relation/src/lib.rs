@@ -1,7 +1,7 @@
 //! From observations of robots to one weighted directed graph per modality.
 //!
 //! Robots are indices from 0 here; whoever calls knows their names. Every function is pure, so that
-//! the live fleet and a fleet in a file are judged by the same rules. All edge lists are ordered by
+//! the live fleet and a fleet in a file have the same rules. All edge lists are ordered by
 //! source, then target, and name no edge twice.
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]

@@ -161,7 +161,12 @@ mod tests {
     use super::*;
 
     fn message(byte: u8) -> Outbound {
-        Outbound { key: Key::Teams, encoding: Cow::Borrowed(""), payload: vec![byte] }
+        Outbound {
+            key: Key::Teams,
+            encoding: Cow::Borrowed(""),
+            payload: vec![byte],
+            attachment: None,
+        }
     }
 
     #[test]

@@ -415,6 +415,7 @@ impl<C: Core> Shell<C> {
                         key: Key::Schema,
                         encoding: JSON.into(),
                         payload: schema::text().to_vec(),
+                        attachment: None,
                     };
                     self.errands.reply(query, Ok(vec![schema]), false);
                     return;
@@ -425,7 +426,7 @@ impl<C: Core> Shell<C> {
                 self.step(Event::Query { query: id, request });
             }
             Err(problem) => {
-                let problem = Problem::new("(parameters)", &problem).to_json();
+                let problem = Problem::new("(parameters)", &problem.to_string()).to_json();
                 self.errands.reply(query, Err(problem), false);
             }
         }

@@ -10,6 +10,7 @@ use muster_machine::{
     Core, Delivery, Effects, Event, Role, Start, Stopwatch, Subscription, Wiring,
 };
 use muster_model::id::{InstanceId, RobotId, ServiceName};
+use muster_model::observation::Stream;
 use muster_model::role::Standing;
 use muster_model::settings::IngestSettings;
 use muster_model::status::ServiceStatus;
@@ -38,7 +39,8 @@ impl Core for Sleeper {
     const SERVICE: ServiceName = ServiceName::Ingest;
 
     fn wiring() -> Wiring {
-        let poses = Subscription { pattern: Pattern::Poses, delivery: Delivery::Latest };
+        let poses =
+            Subscription { pattern: Pattern::Stream(Stream::Pose), delivery: Delivery::Latest };
         Wiring { subscriptions: vec![poses], ..Wiring::default() }
     }
 
@@ -49,7 +51,7 @@ impl Core for Sleeper {
     fn handle(&mut self, now: Tick, event: Event<()>, effects: &mut Effects<()>) {
         match event {
             Event::Started => self.0.begin_term(now, None, effects),
-            Event::Received(Message::Pose(..)) => std::thread::sleep(HANGS),
+            Event::Received(Message::Report(_)) => std::thread::sleep(HANGS),
             _ => {}
         }
     }
@@ -136,9 +138,9 @@ async fn a_core_that_hangs_is_told_by_healthz_and_one_that_goes_on_as_well() {
     until("it becomes ready", || get(address, "/readyz").0 == 200);
     assert_eq!(get(address, "/healthz").0, 200);
 
-    let key = Key::Pose(RobotId::new("r1").unwrap());
+    let key = Key::Stream(RobotId::new("r1").unwrap(), Stream::Pose);
     let payload = br#"{"x":1,"y":2}"#.to_vec();
-    router.put(Outbound { key, encoding: "".into(), payload }).unwrap();
+    router.put(Outbound { key, encoding: "".into(), payload, attachment: None }).unwrap();
     until("a loop that hangs is dead", || get(address, "/healthz").0 == 503);
     let (code, body) = get(address, "/readyz");
     assert_eq!(code, 503);

@@ -14,6 +14,7 @@ use muster_machine::{
 };
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{InstanceId, ServiceName};
+use muster_model::observation::Stream;
 use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
 use muster_model::status::ServiceStatus;
@@ -48,7 +49,7 @@ impl Core for Probe {
     fn wiring() -> Wiring {
         Wiring {
             subscriptions: vec![Subscription {
-                pattern: Pattern::Poses,
+                pattern: Pattern::Stream(Stream::Pose),
                 delivery: Delivery::Latest,
             }],
             ..Wiring::default()
@@ -68,8 +69,8 @@ impl Core for Probe {
     ) {
         match event {
             Event::Started => self.role.begin_term(now, None, effects),
-            Event::Received(Message::Pose(robot, _)) => {
-                assert!(robot.as_str() != "cursed", "a pose that must not be");
+            Event::Received(Message::Report(report)) => {
+                assert!(report.robot().as_str() != "cursed", "a pose that must not be");
                 self.role.count("poses");
             }
             Event::Timeout => {
@@ -215,8 +216,9 @@ async fn deadlines_are_met_under_steady_traffic() {
     let talk = tokio::task::spawn_blocking(move || {
         let pose = br#"{"x":1,"y":2}"#.to_vec();
         while start.elapsed() < Duration::from_secs(3) {
-            let key = Key::Pose(muster_model::id::RobotId::new("r1").unwrap());
-            let message = Outbound { key, encoding: "".into(), payload: pose.clone() };
+            let key = Key::Stream(muster_model::id::RobotId::new("r1").unwrap(), Stream::Pose);
+            let message =
+                Outbound { key, encoding: "".into(), payload: pose.clone(), attachment: None };
             talking.put(message).unwrap();
             std::thread::sleep(Duration::from_micros(700));
         }
@@ -281,9 +283,9 @@ async fn what_a_core_panicked_at_stands_in_its_recording() {
         assert!(start.elapsed() < Duration::from_secs(10));
     }
     for robot in ["r1", "cursed"] {
-        let key = Key::Pose(muster_model::id::RobotId::new(robot).unwrap());
+        let key = Key::Stream(muster_model::id::RobotId::new(robot).unwrap(), Stream::Pose);
         let payload = br#"{"x":1,"y":2}"#.to_vec();
-        talker.put(Outbound { key, encoding: "".into(), payload }).unwrap();
+        talker.put(Outbound { key, encoding: "".into(), payload, attachment: None }).unwrap();
         tokio::time::sleep(Duration::from_millis(300)).await;
     }
     let ended = tokio::time::timeout(Duration::from_secs(10), service).await.unwrap();

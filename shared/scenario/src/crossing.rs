@@ -100,7 +100,7 @@ struct Slot {
     /// Its place in the formation, in metres east and north of the point that all march around.
     home: Point,
     command: Command,
-    /// Whom it belongs to while the platoons are apart.
+    /// Its team while the platoons are apart.
     apart: Command,
 }
 
@@ -141,7 +141,7 @@ impl Crossing {
 struct Draft {
     crossing: Crossing,
     chance: ChaCha8Rng,
-    /// The leader of the second platoon, to whom the lent squad answers.
+    /// The leader of the second platoon, superior to the lent squad.
     host: usize,
 }
 

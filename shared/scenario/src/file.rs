@@ -1,4 +1,4 @@
-//! Fleets that stand in files: who is where, who answers to whom, and how the fleet is truly divided.
+//! Fleets in files: positions, superiors, and how the fleet is truly divided.
 //!
 //! A file is one JSON object:
 //!
@@ -18,8 +18,8 @@
 //!
 //! Positions are metres east and north. `velocity` (metres per second, 0 if left out) is that of the whole
 //! fleet, which marches for a minute and back, again and again. `nets` (none if left out) are the radio nets
-//! of the fleet: all members of one hear each other. Each of `divisions`, of which there is one at least,
-//! names teams that the fleet truly forms; robots that stand in no team of it are not counted in it.
+//! of the fleet: all members of one receive each other. Each of `divisions`, of which there is one at least,
+//! names teams that the fleet truly forms; robots that are in no team of it do not count in it.
 
 use std::collections::BTreeMap;
 
@@ -46,7 +46,7 @@ pub struct FileRobot {
     pub id: RobotId,
     /// What it is in its unit.
     pub role: String,
-    /// Whom it answers to; none at the top.
+    /// Its superior; none at the top.
     pub superior: Option<RobotId>,
     /// Metres east and north.
     pub at: [f64; 2],
@@ -66,7 +66,7 @@ pub struct ScenarioFile {
     pub velocity: [f64; 2],
     /// The robots.
     pub robots: Vec<FileRobot>,
-    /// Robots that hear each other.
+    /// Robots that receive each other.
     #[serde(default)]
     pub nets: Vec<Vec<RobotId>>,
     /// How the fleet is truly divided: teams of robots, in one or more ways.
@@ -100,11 +100,11 @@ pub struct Layout {
     pub roles: Vec<String>,
     /// Metres east and north.
     pub places: Vec<[f64; 2]>,
-    /// Whom each answers to; none at the top.
+    /// The superior of each; none at the top.
     pub superiors: Vec<Option<usize>>,
-    /// Robots that hear each other.
+    /// Robots that receive each other.
     pub nets: Vec<Vec<usize>>,
-    /// The team of each robot in each division, none where it is not counted.
+    /// The team of each robot in each division, none where it does not count.
     pub divisions: Vec<Vec<Option<usize>>>,
 }
 
@@ -232,8 +232,8 @@ pub(crate) struct March {
 impl March {
     pub(crate) fn new(layout: &Layout) -> Self {
         // The division that counts the most robots; who is in none of its teams is in one more.
-        let counted = |labels: &&Vec<Option<usize>>| labels.iter().flatten().count();
-        let labels = layout.divisions.iter().max_by_key(counted);
+        let labelled_count = |labels: &&Vec<Option<usize>>| labels.iter().flatten().count();
+        let labels = layout.divisions.iter().max_by_key(labelled_count);
         let teams = labels.into_iter().flatten().flatten().max().map_or(0, |team| team + 1);
         let team = |robot: usize| labels.and_then(|labels| labels[robot]).unwrap_or(teams);
         let named = layout.robots.iter().zip(&layout.roles);

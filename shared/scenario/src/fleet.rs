@@ -17,7 +17,7 @@ use crate::random::Random;
 /// The frame of all positions.
 const FRAME: &str = "map";
 
-/// What one robot says at one moment. Stamps, boot ids and sequence numbers are for the sender to fill
+/// The reports of one robot at one moment. Stamps, boot ids and sequence numbers are for the sender to fill
 /// in.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotObservation {
@@ -25,9 +25,9 @@ pub struct RobotObservation {
     pub robot: RobotId,
     /// Where it is.
     pub pose: Pose,
-    /// Whom it hears.
+    /// Which robots it receives.
     pub links: Links,
-    /// Whom it answers to.
+    /// Its superior.
     pub rank: Rank,
 }
 
@@ -58,7 +58,7 @@ impl Fleet {
         Ok(Self::of(formation, options))
     }
 
-    /// Makes the fleet of a file. The options say how noisy it is, how far its radios reach, and what chance
+    /// Makes the fleet of a file. The options set how noisy it is, how far its radios reach, and what chance
     /// follows from; robots and teams are those of the file.
     ///
     /// # Errors
@@ -103,21 +103,21 @@ impl Fleet {
         self.formation.places(t).into_iter().map(pose).collect()
     }
 
-    /// Whom the robots hear, with the quality of each link from 0 to 1, ordered as the robots are.
+    /// Which robots each robot receives, with the quality of each link from 0 to 1, ordered as the robots are.
     #[must_use]
     pub fn links(&self, t_seconds: f64) -> Vec<Links> {
         let places = self.formation.places(finite(t_seconds));
         let positions: Vec<_> = places.into_iter().map(|place| place.at).collect();
-        let report = |heard: Vec<(usize, f64)>| {
-            let links = heard.into_iter().filter_map(|(peer, quality)| {
+        let report = |senders: Vec<(usize, f64)>| {
+            let links = senders.into_iter().filter_map(|(peer, quality)| {
                 Some(Link { peer: self.robots.get(peer)?.clone(), quality })
             });
             Links { links: links.collect(), stamp: None, boot: None, seq: None }
         };
-        self.radio.heard(&positions).into_iter().map(report).collect()
+        self.radio.received(&positions).into_iter().map(report).collect()
     }
 
-    /// Whom the robots answer to.
+    /// The superiors of the robots.
     #[must_use]
     pub fn ranks(&self, t_seconds: f64) -> Vec<Rank> {
         let commands = self.formation.commands(finite(t_seconds));
@@ -140,18 +140,19 @@ impl Fleet {
         commands.into_iter().map(|command| command.team).collect()
     }
 
-    /// All that the robots say.
+    /// All reports of all robots.
     #[must_use]
     pub fn observe(&self, t_seconds: f64) -> Vec<RobotObservation> {
-        let said = self.poses(t_seconds).into_iter().zip(self.links(t_seconds));
-        let said = said.zip(self.ranks(t_seconds)).zip(&self.robots);
-        said.map(|(((pose, links), rank), robot)| RobotObservation {
-            robot: robot.clone(),
-            pose,
-            links,
-            rank,
-        })
-        .collect()
+        let reports = self.poses(t_seconds).into_iter().zip(self.links(t_seconds));
+        let reports = reports.zip(self.ranks(t_seconds)).zip(&self.robots);
+        reports
+            .map(|(((pose, links), rank), robot)| RobotObservation {
+                robot: robot.clone(),
+                pose,
+                links,
+                rank,
+            })
+            .collect()
     }
 }
 

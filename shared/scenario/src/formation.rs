@@ -1,4 +1,4 @@
-//! What every scenario says about its robots.
+//! What every scenario knows about its robots.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -31,7 +31,7 @@ pub(crate) struct Place {
     pub(crate) velocity: Option<Point>,
 }
 
-/// Whom a robot belongs to.
+/// The team that a robot belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Command {
     /// The robot that it answers to, by index; none at the top.
@@ -48,7 +48,7 @@ pub(crate) trait Formation: fmt::Debug + Send + Sync {
     /// Where they are after finite seconds.
     fn places(&self, t_seconds: f64) -> Vec<Place>;
 
-    /// Whom they belong to after finite seconds.
+    /// Their teams after finite seconds.
     fn commands(&self, t_seconds: f64) -> Vec<Command>;
 }
 
@@ -62,7 +62,7 @@ pub(crate) fn evenly(count: usize, parts: usize) -> impl Iterator<Item = Range<u
     })
 }
 
-/// Columns of the smallest square that holds so many.
+/// Columns of the smallest square that fits so many.
 pub(crate) fn columns(count: usize) -> usize {
     let root = count.isqrt();
     if root * root < count { root + 1 } else { root.max(1) }

@@ -1,8 +1,8 @@
-//! Seeded fleets for demonstrations and tests: where robots are, whom they hear and whom they answer
+//! Seeded fleets for demonstrations and tests: where robots are, which robots they receive and who is superior
 //! to, at any moment, and the teams that they truly form. Fleets may also stand in files ([`Layout`]).
 //!
 //! There is no clock and no input or output here. Everything follows from the options and the moment
-//! that is asked for, so that the same seed tells the same story again, from any moment on, and in
+//! that is asked for, so that the same seed gives the same fleet again, from any moment on, and in
 //! several processes at once.
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]

@@ -69,7 +69,7 @@ pub struct FleetOptions {
     pub seed: u64,
     /// Standard deviation of the noise of positions, in metres along each axis.
     pub noise_m: f64,
-    /// How far a robot with an average antenna is heard, in metres.
+    /// The range of a robot with an average antenna, in metres.
     pub radio_range_m: f64,
 }
 
@@ -86,7 +86,7 @@ pub enum ScenarioError {
     /// The name is that of no scenario.
     #[error("no scenario is called {0:?}; there are crossing, clusters, random")]
     Kind(String),
-    /// A scenario without enough teams to tell its story.
+    /// The scenario has fewer teams than it needs.
     #[error("teams: {kind} needs {least} to {MAX_TEAMS}, not {teams}")]
     Teams {
         /// The scenario.

@@ -1,4 +1,4 @@
-//! Who hears whom.
+//! Which robots receive which.
 
 use std::cmp::Ordering;
 use std::collections::HashMap;
@@ -11,14 +11,14 @@ use crate::noise::{Purpose, between, chance};
 /// By how much an antenna may differ from the average one, as a factor on the range.
 const GAIN: (f64, f64) = (0.9, 1.1);
 
-/// A robot that is heard worse than this is not reported: its messages do not come through.
+/// A robot that is received worse than this is not reported: its messages do not arrive.
 const FLOOR: f64 = 0.05;
 
 /// One antenna, as factors on the range.
 #[derive(Debug, Clone, Copy)]
 struct Antenna {
     sends: f64,
-    hears: f64,
+    gain_in: f64,
 }
 
 /// The radios of a fleet.
@@ -29,37 +29,37 @@ pub(crate) struct Radio {
 }
 
 impl Radio {
-    /// Radios that are heard up to about `range_m` metres.
+    /// Radios with a range of about `range_m` metres.
     pub(crate) fn new(robots: usize, range_m: f64, seed: u64) -> Self {
         let mut chance = chance(seed, Purpose::Radio, 0.0);
         let mut gain = || between(&mut chance, GAIN.0, GAIN.1);
-        let antennas = (0..robots).map(|_| Antenna { sends: gain(), hears: gain() }).collect();
+        let antennas = (0..robots).map(|_| Antenna { sends: gain(), gain_in: gain() }).collect();
         Self { range_m, antennas }
     }
 
-    /// For each robot the robots that it hears, by index, with the quality of the link from 0 to 1;
+    /// For each robot the robots that it receives, by index, with the quality of the link from 0 to 1;
     /// the best [`MAX_LINKS`] where there are more. Positions are in metres.
-    pub(crate) fn heard(&self, positions: &[Point]) -> Vec<Vec<(usize, f64)>> {
-        // Nobody is heard beyond one cell, so that a cell and those around it hold all who are heard.
+    pub(crate) fn received(&self, positions: &[Point]) -> Vec<Vec<(usize, f64)>> {
+        // No robot is received beyond one cell, so that a cell and those around it contain all senders.
         let cell_m = self.range_m * GAIN.1 * GAIN.1;
         let cell = |at: &Point| at.map(|metres| (metres / cell_m).floor() as i64);
         let mut cells: HashMap<[i64; 2], Vec<usize>> = HashMap::new();
         for (robot, at) in positions.iter().enumerate() {
             cells.entry(cell(at)).or_default().push(robot);
         }
-        let hear = |(robot, (at, antenna)): (usize, (&Point, &Antenna))| {
+        let received = |(robot, (at, antenna)): (usize, (&Point, &Antenna))| {
             let [x, y] = cell(at);
             let around = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| [x + dx, y + dy]));
             let peers = around.filter_map(|cell| cells.get(&cell)).flatten();
             let links = peers.filter(|&&peer| peer != robot).filter_map(|&peer| {
                 let (place, sender) = (positions.get(peer)?, self.antennas.get(peer)?);
-                let reach_m = self.range_m * sender.sends * antenna.hears;
+                let reach_m = self.range_m * sender.sends * antenna.gain_in;
                 let quality = quality((at[0] - place[0]).hypot(at[1] - place[1]) / reach_m);
                 (quality >= FLOOR).then_some((peer, quality))
             });
             strongest(links.collect())
         };
-        positions.iter().zip(&self.antennas).enumerate().map(hear).collect()
+        positions.iter().zip(&self.antennas).enumerate().map(received).collect()
     }
 }
 
@@ -101,10 +101,10 @@ mod tests {
     fn the_grid_finds_all_who_are_heard() {
         let positions = in_a_row(60, 7.3);
         let radio = Radio::new(60, 40.0, 3);
-        for (robot, links) in radio.heard(&positions).iter().enumerate() {
+        for (robot, links) in radio.received(&positions).iter().enumerate() {
             let expected: Vec<usize> = (0..60)
                 .filter(|&peer| {
-                    let reach = 40.0 * radio.antennas[peer].sends * radio.antennas[robot].hears;
+                    let reach = 40.0 * radio.antennas[peer].sends * radio.antennas[robot].gain_in;
                     let metres = (positions[peer][0] - positions[robot][0]).abs();
                     peer != robot && quality(metres / reach) >= FLOOR
                 })
@@ -115,21 +115,21 @@ mod tests {
 
     #[test]
     fn links_are_directed() {
-        let heard = Radio::new(2, 40.0, 3).heard(&in_a_row(2, 20.0));
-        assert_ne!(heard[0][0].1, heard[1][0].1);
+        let links = Radio::new(2, 40.0, 3).received(&in_a_row(2, 20.0));
+        assert_ne!(links[0][0].1, links[1][0].1);
     }
 
     #[test]
     fn a_crowd_keeps_its_strongest_links() {
         let positions = in_a_row(1300, 0.01);
-        let heard = Radio::new(1300, 40.0, 3).heard(&positions);
-        assert!(heard.iter().all(|links| links.len() == MAX_LINKS));
-        assert!(heard.iter().all(|links| links.is_sorted_by_key(|link| link.0)));
+        let links = Radio::new(1300, 40.0, 3).received(&positions);
+        assert!(links.iter().all(|links| links.len() == MAX_LINKS));
+        assert!(links.iter().all(|links| links.is_sorted_by_key(|link| link.0)));
     }
 
     #[test]
     fn nobody_hears_himself_and_a_lost_robot_hears_nobody() {
-        let heard = Radio::new(3, 40.0, 3).heard(&[[0.0; 2], [0.0; 2], [4e7, -4e7]]);
-        assert_eq!(heard, [vec![(1, 1.0)], vec![(0, 1.0)], vec![]]);
+        let links = Radio::new(3, 40.0, 3).received(&[[0.0; 2], [0.0; 2], [4e7, -4e7]]);
+        assert_eq!(links, [vec![(1, 1.0)], vec![(0, 1.0)], vec![]]);
     }
 }

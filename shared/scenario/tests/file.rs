@@ -48,8 +48,8 @@ fn it_marches_and_comes_back_while_all_keep_their_places() {
     }
     assert_eq!(fleet.truth(7.0), [0, 0, 1, 1, 2]);
     assert_eq!(fleet.ranks(0.0)[4].role.as_deref(), Some("leader"));
-    let heard: Vec<usize> = fleet.links(5.0).iter().map(|links| links.links.len()).collect();
-    assert_eq!(heard, [1, 1, 1, 1, 0], "the leader is out of everybody's range");
+    let counts: Vec<usize> = fleet.links(5.0).iter().map(|links| links.links.len()).collect();
+    assert_eq!(counts, [1, 1, 1, 1, 0], "the leader is out of range of all");
 }
 
 #[test]
@@ -57,8 +57,8 @@ fn what_is_wrong_is_named_with_the_remedy() {
     let problem =
         |what: &str, change: &str| Layout::read(&text(what, change)).unwrap_err().to_string();
     assert_eq!(problem("\"id\": \"b\"", "\"id\": \"a\""), "robots[1].id: a stands twice");
-    let nobody = problem("\"superior\": \"c\"", "\"superior\": \"x\"");
-    assert_eq!(nobody, "robots[3].superior: x is none of the robots");
+    let unknown = problem("\"superior\": \"c\"", "\"superior\": \"x\"");
+    assert_eq!(unknown, "robots[3].superior: x is none of the robots");
     let itself = problem("\"superior\": \"c\"", "\"superior\": \"d\"");
     assert_eq!(itself, "robots[3].superior: d cannot answer to itself");
     assert!(problem("[50.0, 0.0]", "[5e9, 0.0]").starts_with("robots[2].at: must be within"));

@@ -51,22 +51,25 @@ fn robots_have_names_of_their_own_and_say_what_is_allowed() {
         let names: BTreeSet<_> = fleet.robots().iter().collect();
         assert_eq!(names.len(), fleet.robots().len());
         for t in MOMENTS {
-            let said = fleet.observe(t);
-            assert_eq!(said.len(), names.len());
-            for (said, robot) in said.iter().zip(fleet.robots()) {
-                assert_eq!(&said.robot, robot);
-                said.pose.check().unwrap();
-                said.links.check().unwrap();
-                said.rank.check().unwrap();
-                assert_eq!(said.pose.frame.as_deref(), Some("map"));
-                assert_eq!((said.pose.stamp, &said.pose.boot, said.pose.seq), (None, &None, None));
-                assert!(said.links.links.len() <= MAX_LINKS);
-                for link in &said.links.links {
+            let reports = fleet.observe(t);
+            assert_eq!(reports.len(), names.len());
+            for (report, robot) in reports.iter().zip(fleet.robots()) {
+                assert_eq!(&report.robot, robot);
+                report.pose.check().unwrap();
+                report.links.check().unwrap();
+                report.rank.check().unwrap();
+                assert_eq!(report.pose.frame.as_deref(), Some("map"));
+                assert_eq!(
+                    (report.pose.stamp, &report.pose.boot, report.pose.seq),
+                    (None, &None, None)
+                );
+                assert!(report.links.links.len() <= MAX_LINKS);
+                for link in &report.links.links {
                     assert!((0.0..=1.0).contains(&link.quality));
-                    assert!(names.contains(&link.peer) && link.peer != said.robot);
+                    assert!(names.contains(&link.peer) && link.peer != report.robot);
                 }
-                let superior = said.rank.superior.as_ref();
-                assert!(superior.is_none_or(|name| names.contains(name) && *name != said.robot));
+                let superior = report.rank.superior.as_ref();
+                assert!(superior.is_none_or(|name| names.contains(name) && *name != report.robot));
             }
         }
     }
@@ -75,14 +78,14 @@ fn robots_have_names_of_their_own_and_say_what_is_allowed() {
 #[test]
 fn the_same_seed_tells_the_same_and_another_one_something_else() {
     for kind in ScenarioKind::ALL {
-        let said = |seed, t| fleet(kind, 30, 2, seed).observe(t);
-        assert_eq!(said(5, 12.3), said(5, 12.3));
-        assert_ne!(said(5, 12.3), said(6, 12.3));
-        assert_ne!(said(5, 12.3), said(5, 12.4));
+        let observed = |seed, t| fleet(kind, 30, 2, seed).observe(t);
+        assert_eq!(observed(5, 12.3), observed(5, 12.3));
+        assert_ne!(observed(5, 12.3), observed(6, 12.3));
+        assert_ne!(observed(5, 12.3), observed(5, 12.4));
         let (one, other) = (fleet(kind, 30, 2, 5), fleet(kind, 30, 2, 6));
         assert_ne!(one.links(3.0), other.links(3.0), "antennas differ");
         let _ = one.observe(99.0);
-        assert_eq!(one.observe(12.3), said(5, 12.3), "what was asked before does not matter");
+        assert_eq!(one.observe(12.3), observed(5, 12.3), "what was asked before does not matter");
         let parts = one.observe(12.3);
         assert!(parts.iter().map(|part| &part.pose).eq(&one.poses(12.3)));
         assert!(parts.iter().map(|part| &part.links).eq(&one.links(12.3)));
@@ -98,9 +101,9 @@ fn moments_that_are_none_do_no_harm() {
             assert_eq!(fleet.observe(t), fleet.observe(0.0));
         }
         for t in [-1e-300, -13.0, -1e9, 1e18, f64::MAX, f64::MIN] {
-            for said in fleet.observe(t) {
-                said.pose.check().unwrap();
-                assert!(said.pose.x.abs() < 1e3 && said.pose.y.abs() < 1e3);
+            for report in fleet.observe(t) {
+                report.pose.check().unwrap();
+                assert!(report.pose.x.abs() < 1e3 && report.pose.y.abs() < 1e3);
             }
         }
     }

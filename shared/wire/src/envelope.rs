@@ -11,16 +11,12 @@ use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Header;
-use muster_model::id::{RobotId, ServiceName};
-use muster_model::limits::MAX_ROBOT_PAYLOAD;
-use muster_model::observation::{Links, Pose, Rank, Relation};
+use muster_model::id::ServiceName;
 use muster_model::role::Claim;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-
-use crate::recording::MAX_FRAME;
 
 /// First byte of every binary message: no text and no JSON begins with it.
 pub const MAGIC: u8 = 0xB7;
@@ -34,9 +30,12 @@ const HEAD: usize = 3;
 /// Largest message between services in bytes: a graph of 100,000 robots with 30 edges each.
 pub const MAX_SERVICE_PAYLOAD: usize = 64 * 1024 * 1024;
 
-/// Largest event, settings, status or word to a robot of its team in bytes: some names, numbers and one
+/// Largest event, settings, status or robot's team in bytes: some names, numbers and one
 /// reason. 256 members with the longest ids take a third of it.
 pub const MAX_SMALL_PAYLOAD: usize = 64 * 1024;
+
+/// Largest frame of a recording in bytes: a few of the largest messages, which one fetch may bring.
+pub const MAX_FRAME: usize = 4 * MAX_SERVICE_PAYLOAD;
 
 /// Why bytes are not the message that they should be.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -74,24 +73,21 @@ pub enum EnvelopeError {
     Encode(String),
 }
 
-/// A content that has a binary form.
-pub trait BinaryMessage: Serialize + DeserializeOwned {
-    /// The number of the kind; never given twice.
-    const KIND: u8;
-    /// The name of the kind, as it stands in the encoding's schema.
-    const NAME: &'static str;
-    /// Most bytes of a message of the kind.
-    const LIMIT: usize;
+/// A kind of binary message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Kind {
+    /// Its number; never given twice. Robots' reports have 1 to 4.
+    pub number: u8,
+    /// Its name in the schema of the encoding.
+    pub name: &'static str,
+    /// Most bytes of a message.
+    pub limit_bytes: usize,
 }
 
-/// A robot's own words in binary form. The robot stands inside as well as in the key, so that a
-/// message that is put to another robot's key is seen.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct FromRobot<T> {
-    /// Who says it.
-    pub robot: RobotId,
-    /// What it says.
-    pub body: T,
+/// A content that has a binary form.
+pub trait BinaryMessage: Serialize + DeserializeOwned {
+    /// The kind of its messages.
+    const KIND: Kind;
 }
 
 /// Settings as they are announced to the other services.
@@ -106,20 +102,14 @@ pub struct AnnouncedSettings {
 }
 
 macro_rules! kinds {
-    ($($kind:literal $type:ty, $name:literal, $limit:expr;)*) => {
+    ($($number:literal $type:ty, $name:literal, $limit_bytes:expr;)*) => {
         $(impl BinaryMessage for $type {
-            const KIND: u8 = $kind;
-            const NAME: &'static str = $name;
-            const LIMIT: usize = $limit;
+            const KIND: Kind = Kind { number: $number, name: $name, limit_bytes: $limit_bytes };
         })*
     };
 }
 
 kinds! {
-    1 FromRobot<Pose>, "Pose", MAX_ROBOT_PAYLOAD;
-    2 FromRobot<Links>, "Links", MAX_ROBOT_PAYLOAD;
-    3 FromRobot<Rank>, "Rank", MAX_ROBOT_PAYLOAD;
-    4 FromRobot<Relation>, "Relation", MAX_ROBOT_PAYLOAD;
     5 GraphDelta, "GraphDelta", MAX_SERVICE_PAYLOAD;
     6 Roster, "Roster", MAX_SERVICE_PAYLOAD;
     7 Embedding, "Embedding", MAX_SERVICE_PAYLOAD;
@@ -137,11 +127,19 @@ kinds! {
 /// [`EnvelopeError::TooLarge`] past the limit of the kind, [`EnvelopeError::Encode`] if bincode
 /// refuses the content.
 pub fn encode<T: BinaryMessage>(content: &T) -> Result<Vec<u8>, EnvelopeError> {
-    let mut bytes = vec![MAGIC, VERSION, T::KIND];
+    encode_as(T::KIND, content)
+}
+
+/// Writes a message of a kind.
+///
+/// # Errors
+/// As [`encode`].
+pub(crate) fn encode_as<T: Serialize>(kind: Kind, content: &T) -> Result<Vec<u8>, EnvelopeError> {
+    let mut bytes = vec![MAGIC, VERSION, kind.number];
     bincode::serde::encode_into_std_write(content, &mut bytes, bincode::config::standard())
         .map_err(|error| EnvelopeError::Encode(error.to_string()))?;
-    if bytes.len() > T::LIMIT {
-        return Err(EnvelopeError::TooLarge { size: bytes.len(), limit: T::LIMIT });
+    if bytes.len() > kind.limit_bytes {
+        return Err(EnvelopeError::TooLarge { size: bytes.len(), limit: kind.limit_bytes });
     }
     Ok(bytes)
 }
@@ -158,7 +156,7 @@ pub(crate) fn pack<T: Serialize>(content: &T) -> Result<Vec<u8>, EnvelopeError> 
 /// Reads what [`pack`] wrote. No input makes it allocate more than [`MAX_FRAME`].
 ///
 /// # Errors
-/// Says what is wrong with the bytes.
+/// [`EnvelopeError`] names what is wrong with the bytes.
 pub(crate) fn unpack<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, EnvelopeError> {
     let limited = bincode::config::standard().with_limit::<MAX_FRAME>();
     let (content, read) = bincode::serde::decode_from_slice(bytes, limited)
@@ -172,13 +170,21 @@ pub(crate) fn unpack<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, EnvelopeErr
 /// Reads a message of a known kind.
 ///
 /// # Errors
-/// Says what is wrong with the bytes. However much they promise, what is allocated for them stays
+/// [`EnvelopeError`] names what is wrong with the bytes. However much they promise, what is allocated for them stays
 /// within a multiple of their own number.
 pub fn decode<T: BinaryMessage>(bytes: &[u8]) -> Result<T, EnvelopeError> {
-    if bytes.len() > T::LIMIT {
-        return Err(EnvelopeError::TooLarge { size: bytes.len(), limit: T::LIMIT });
+    decode_as(T::KIND, bytes)
+}
+
+/// Reads a message of a kind.
+///
+/// # Errors
+/// As [`decode`].
+pub(crate) fn decode_as<T: DeserializeOwned>(kind: Kind, bytes: &[u8]) -> Result<T, EnvelopeError> {
+    if bytes.len() > kind.limit_bytes {
+        return Err(EnvelopeError::TooLarge { size: bytes.len(), limit: kind.limit_bytes });
     }
-    let &[magic, version, kind, ref content @ ..] = bytes else {
+    let &[magic, version, number, ref content @ ..] = bytes else {
         return Err(EnvelopeError::NotMuster);
     };
     if magic != MAGIC {
@@ -187,8 +193,8 @@ pub fn decode<T: BinaryMessage>(bytes: &[u8]) -> Result<T, EnvelopeError> {
     if version != VERSION {
         return Err(EnvelopeError::Version(version));
     }
-    if kind != T::KIND {
-        return Err(EnvelopeError::Kind { got: kind, expected: T::KIND });
+    if number != kind.number {
+        return Err(EnvelopeError::Kind { got: number, expected: kind.number });
     }
     let (message, read) =
         read(content).map_err(|error| EnvelopeError::Content(error.to_string()))?;
@@ -198,7 +204,7 @@ pub fn decode<T: BinaryMessage>(bytes: &[u8]) -> Result<T, EnvelopeError> {
     }
 }
 
-/// Reads a content under the smallest limit that holds it.
+/// Reads a content under the smallest limit that fits it.
 ///
 /// bincode allocates the whole of a text before it looks whether it is there, as far as the limit
 /// lets it, and a limit is a constant: one of a few is chosen by the size of the content. The limit

@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName};
 use muster_model::katz::{PairMethod, PairSimilarity};
-use muster_model::limits::MAX_REVISION;
 use muster_model::time::{Tick, seconds};
 use serde::Deserialize;
 
+use crate::decode::{self, DecodeError};
 use crate::key::{Key, KeySpace};
-use crate::message::{Packet, Rejection};
+use crate::packet::{Packet, Rejection};
 
 /// The JSON form. Unknown fields are ignored, so that a console reads what newer services send.
 #[derive(Deserialize)]
@@ -43,30 +43,23 @@ struct Stage {
 /// A [`Rejection`] if the key is not the embedding of this fleet, the content is not of this form, or a
 /// number is not finite or negative.
 pub fn decode(space: &KeySpace, packet: &Packet, now: Tick) -> Result<PairSimilarity, Rejection> {
-    read(space, packet, now).map_err(|reason| Rejection::new(space, &packet.key, reason))
+    read(space, packet, now).map_err(|error| Rejection::new(space, &packet.key, error.to_string()))
 }
 
-fn read(space: &KeySpace, packet: &Packet, now: Tick) -> Result<PairSimilarity, String> {
-    if space.parse(&packet.key).map_err(|error| error.to_string())? != Key::Embedding {
-        return Err("similarities stand on the key of the embedding".to_owned());
+fn read(space: &KeySpace, packet: &Packet, now: Tick) -> Result<PairSimilarity, DecodeError> {
+    let key = space.parse(&packet.key)?;
+    let bytes = decode::payload(packet, &key)?;
+    if key != Key::Embedding {
+        return Err(DecodeError::NotRead);
     }
-    let bytes = packet.payload.as_ref().map_err(|size| format!("{size} bytes are too many"))?;
-    let form: Form = serde_json::from_slice(bytes)
-        .map_err(|error| format!("this is not the JSON it should be: {error}"))?;
-    if form.fleet != *space.fleet() {
-        return Err(format!(
-            "fleet: the key is of {}, the message of {}",
-            space.fleet(),
-            form.fleet
-        ));
-    }
-    if form.term.max(form.epoch) >= MAX_REVISION {
-        return Err(format!("term and epoch must be below {MAX_REVISION}"));
-    }
-    let numbers = [form.similarity, form.alpha, form.residual];
-    if !numbers.iter().chain(form.shares.values()).all(|number| *number >= 0.0) {
-        return Err("similarity, shares, alpha, residual: must not be negative".to_owned());
-    }
+    let pair = from_json(bytes, now)?;
+    decode::check_header(space, &pair.header)?;
+    pair.check()?;
+    Ok(pair)
+}
+
+fn from_json(bytes: &[u8], now: Tick) -> Result<PairSimilarity, DecodeError> {
+    let form: Form = serde_json::from_slice(bytes)?;
     let moment = |at: f64| Tick(0).after(seconds(at));
     let stages = form.stages.into_iter().map(|stage| StageTime {
         stage: stage.stage,
@@ -97,7 +90,7 @@ mod tests {
 
     use super::*;
     use crate::json::EdgeJson;
-    use crate::message::{JSON, Source};
+    use crate::packet::JSON;
 
     fn space() -> KeySpace {
         KeySpace::new(FleetId::new("alpha").unwrap())
@@ -130,12 +123,7 @@ mod tests {
         let now = Tick(10_000_000);
         let mut value: Value = serde_json::from_slice(&sample().to_json(now).unwrap()).unwrap();
         change(&mut value);
-        let packet = Packet {
-            key: "muster/v1/alpha/embedding".to_owned(),
-            encoding: JSON.to_owned(),
-            source: Source::Put,
-            payload: Ok(value.to_string().into_bytes()),
-        };
+        let packet = Packet::put("muster/v1/alpha/embedding", JSON, value.to_string());
         decode(&space(), &packet, now).map_err(|refused| refused.reason)
     }
 
@@ -164,8 +152,7 @@ mod tests {
             ("muster/v1/alpha/embedding", Ok(b"{}".to_vec())),
             ("muster/v1/alpha/embedding", Err(1 << 30)),
         ] {
-            let key = key.to_owned();
-            let packet = Packet { key, encoding: String::new(), source: Source::Put, payload };
+            let packet = Packet { payload, ..Packet::put(key, "", []) };
             assert!(decode(&space(), &packet, Tick(0)).is_err());
         }
     }

@@ -1,15 +1,17 @@
 //! The key space: every key that Muster uses, typed.
 //!
 //! All keys stand under `muster/v1/{fleet}/`, so that fleets share a bus without seeing each other
-//! and a later version of the key space can live beside this one. The text of a key is canonical
+//! and a later version of the key space can share the bus with this one. The text of a key is canonical
 //! (a test checks that against the bus itself).
 
 use std::fmt;
 
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
+use muster_model::observation::Stream;
 
 use crate::envelope::{MAX_SERVICE_PAYLOAD, MAX_SMALL_PAYLOAD};
+use crate::foreign::{ForeignKey, ForeignPattern};
 
 /// What stands before the fleet in every key.
 const ROOT: &str = "muster/v1";
@@ -19,15 +21,9 @@ const ROOT: &str = "muster/v1";
 pub enum Key {
     /// `robot/{robot}`: liveliness token of a robot.
     RobotToken(RobotId),
-    /// `robot/{robot}/pose`: where the robot is.
-    Pose(RobotId),
-    /// `robot/{robot}/links`: whom the robot hears.
-    Links(RobotId),
-    /// `robot/{robot}/rank`: whom the robot answers to.
-    Rank(RobotId),
-    /// `robot/{robot}/relation/{modality}`: edges of a declared modality.
-    Relation(RobotId, Modality),
-    /// `robot/{robot}/team`: what the robot is told of its team.
+    /// `robot/{robot}/pose`, `links`, `rank` or `relation/{modality}`: one stream of a robot.
+    Stream(RobotId, Stream),
+    /// `robot/{robot}/team`: the team of the robot.
     RobotTeam(RobotId),
     /// `graph/{modality}`: one relation of all robots.
     Graph(Modality),
@@ -37,13 +33,13 @@ pub enum Key {
     Embedding,
     /// `teams`: the division.
     Teams,
-    /// `audit`: the judgement of the division.
+    /// `audit`: the audit of the division.
     Audit,
     /// `event`: what happens.
     Event,
     /// `json/teams`: the division as JSON.
     JsonTeams,
-    /// `json/audit`: the judgement as JSON.
+    /// `json/audit`: the audit as JSON.
     JsonAudit,
     /// `json/event`: what happens, as JSON.
     JsonEvent,
@@ -51,12 +47,14 @@ pub enum Key {
     Schema,
     /// `service/{service}/settings`: a get answers with the settings, one with a payload changes them.
     Settings(ServiceName),
-    /// `service/{service}/status`: a get answers with what the service tells of itself.
+    /// `service/{service}/status`: a get answers with the status of the service.
     Status(ServiceName),
-    /// `service/{service}/holder`: who of several instances holds the role of the service.
+    /// `service/{service}/holder`: the lease renewals of the leader among several instances.
     Holder(ServiceName),
     /// `service/{service}/{instance}`: liveliness token of a running service.
     ServiceToken(ServiceName, InstanceId),
+    /// A key of another program, outside of the fleet's keys. [`KeySpace::parse`] never returns it.
+    Foreign(ForeignKey),
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -64,13 +62,9 @@ pub enum Key {
 pub enum Pattern {
     /// `robot/*`, of liveliness tokens.
     RobotTokens,
-    /// `robot/*/pose`
-    Poses,
-    /// `robot/*/links`
-    Links,
-    /// `robot/*/rank`
-    Ranks,
-    /// `robot/*/relation/*`
+    /// `robot/*/{stream}`: one stream of all robots.
+    Stream(Stream),
+    /// `robot/*/relation/*`: the relations of all declared modalities.
     Relations,
     /// `robot/*/team`
     RobotTeams,
@@ -86,6 +80,8 @@ pub enum Pattern {
     Everything,
     /// One key.
     One(Key),
+    /// Keys of other programs, outside of the fleet's keys.
+    Foreign(ForeignPattern),
 }
 
 /// Why a text is not a key of the fleet.
@@ -138,7 +134,10 @@ impl KeySpace {
     /// The text of a key on the bus.
     #[must_use]
     pub fn format(&self, key: &Key) -> String {
-        format!("{}{key}", self.prefix)
+        match key {
+            Key::Foreign(key) => key.to_string(),
+            key => format!("{}{key}", self.prefix),
+        }
     }
 
     /// The key expression of a set of keys.
@@ -146,9 +145,7 @@ impl KeySpace {
     pub fn pattern(&self, pattern: &Pattern) -> String {
         let tail = match pattern {
             Pattern::RobotTokens => "robot/*",
-            Pattern::Poses => "robot/*/pose",
-            Pattern::Links => "robot/*/links",
-            Pattern::Ranks => "robot/*/rank",
+            Pattern::Stream(stream) => return format!("{}robot/*/{stream}", self.prefix),
             Pattern::Relations => "robot/*/relation/*",
             Pattern::RobotTeams => "robot/*/team",
             Pattern::Graphs => "graph/*",
@@ -159,6 +156,7 @@ impl KeySpace {
             Pattern::Statuses => "service/*/status",
             Pattern::Everything => "**",
             Pattern::One(key) => return self.format(key),
+            Pattern::Foreign(pattern) => return pattern.to_string(),
         };
         format!("{}{tail}", self.prefix)
     }
@@ -197,15 +195,12 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("robot"), Some(robot), Some(stream), None, _] => {
             let robot = robot.parse().ok()?;
             match stream {
-                "pose" => Key::Pose(robot),
-                "links" => Key::Links(robot),
-                "rank" => Key::Rank(robot),
                 "team" => Key::RobotTeam(robot),
-                _ => return None,
+                stream => Key::Stream(robot, Stream::built_in(stream)?),
             }
         }
         [Some("robot"), Some(robot), Some("relation"), Some(modality), None] => {
-            Key::Relation(robot.parse().ok()?, modality.parse().ok()?)
+            Key::Stream(robot.parse().ok()?, Stream::Relation(modality.parse().ok()?))
         }
         [Some("service"), Some(service), Some(last), None, _] => {
             let service = service.parse().ok()?;
@@ -221,14 +216,21 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
 }
 
 impl Pattern {
+    /// All streams of all robots.
+    #[must_use]
+    pub fn streams() -> [Self; 4] {
+        let [first, second, third] = Stream::BUILT_IN.map(Self::Stream);
+        [first, second, third, Self::Relations]
+    }
+
     /// Most bytes that may stand on any of the keys.
     #[must_use]
     pub const fn payload_limit(&self) -> usize {
         match self {
-            Self::Poses | Self::Links | Self::Ranks | Self::Relations => MAX_ROBOT_PAYLOAD,
+            Self::Stream(_) | Self::Relations => MAX_ROBOT_PAYLOAD,
             Self::RobotTeams | Self::Statuses => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
-            Self::Graphs | Self::Everything => MAX_SERVICE_PAYLOAD,
+            Self::Graphs | Self::Everything | Self::Foreign(_) => MAX_SERVICE_PAYLOAD,
             Self::One(key) => key.payload_limit(),
         }
     }
@@ -239,9 +241,7 @@ impl Key {
     #[must_use]
     pub const fn payload_limit(&self) -> usize {
         match self {
-            Self::Pose(_) | Self::Links(_) | Self::Rank(_) | Self::Relation(..) => {
-                MAX_ROBOT_PAYLOAD
-            }
+            Self::Stream(..) => MAX_ROBOT_PAYLOAD,
             Self::RobotTeam(_)
             | Self::Event
             | Self::JsonEvent
@@ -257,28 +257,20 @@ impl Key {
     #[must_use]
     pub fn robot(&self) -> Option<&RobotId> {
         match self {
-            Self::RobotToken(robot)
-            | Self::Pose(robot)
-            | Self::Links(robot)
-            | Self::Rank(robot)
-            | Self::Relation(robot, _)
-            | Self::RobotTeam(robot) => Some(robot),
+            Self::RobotToken(robot) | Self::Stream(robot, _) | Self::RobotTeam(robot) => {
+                Some(robot)
+            }
             _ => None,
         }
     }
 }
 
-/// The text of the key below the fleet's prefix.
+/// The text of the key below the fleet's prefix; of a foreign key, the whole text.
 impl fmt::Display for Key {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::RobotToken(robot) => write!(formatter, "robot/{robot}"),
-            Self::Pose(robot) => write!(formatter, "robot/{robot}/pose"),
-            Self::Links(robot) => write!(formatter, "robot/{robot}/links"),
-            Self::Rank(robot) => write!(formatter, "robot/{robot}/rank"),
-            Self::Relation(robot, modality) => {
-                write!(formatter, "robot/{robot}/relation/{modality}")
-            }
+            Self::Stream(robot, stream) => write!(formatter, "robot/{robot}/{stream}"),
             Self::RobotTeam(robot) => write!(formatter, "robot/{robot}/team"),
             Self::Graph(modality) => write!(formatter, "graph/{modality}"),
             Self::Roster => formatter.write_str("roster"),
@@ -296,6 +288,7 @@ impl fmt::Display for Key {
             Self::ServiceToken(service, instance) => {
                 write!(formatter, "service/{service}/{instance}")
             }
+            Self::Foreign(key) => key.fmt(formatter),
         }
     }
 }
@@ -314,10 +307,7 @@ mod tests {
         let thermal = Modality::new("thermal").unwrap();
         let mut keys = vec![
             Key::RobotToken(robot.clone()),
-            Key::Pose(robot.clone()),
-            Key::Links(robot.clone()),
-            Key::Rank(robot.clone()),
-            Key::Relation(robot.clone(), thermal.clone()),
+            Key::Stream(robot.clone(), Stream::Relation(thermal.clone())),
             Key::RobotTeam(robot),
             Key::Graph(thermal),
             Key::Roster,
@@ -330,6 +320,8 @@ mod tests {
             Key::JsonEvent,
             Key::Schema,
         ];
+        let robot = RobotId::new("r2").unwrap();
+        keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));
         for service in ServiceName::ALL {
             keys.push(Key::Settings(service));
             keys.push(Key::Status(service));

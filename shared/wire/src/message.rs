@@ -7,32 +7,25 @@ use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
-use muster_model::id::{InstanceId, Modality, RobotId, ServiceName};
+use muster_model::header::Header;
+use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::katz::PairSimilarity;
-use muster_model::limits::MAX_REVISION;
-use muster_model::object::Object;
-use muster_model::observation::{Links, Observation, Pose, Rank, Relation};
+use muster_model::observation::CheckedReport;
 use muster_model::role::Claim;
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
 
-use crate::envelope::{self, AnnouncedSettings, BinaryMessage, EnvelopeError, FromRobot};
+use crate::decode::{DecodeError, check_header, format, payload};
+use crate::envelope::{self, AnnouncedSettings, BinaryMessage, EnvelopeError};
 use crate::json::EdgeJson;
 use crate::key::{Key, KeySpace};
-use crate::request::{Format, Request};
+use crate::packet::{Format, Outbound, Packet, Rejection, Source, binary_encoding};
+use crate::report;
+use crate::request::Request;
 
-/// The encoding of JSON.
-pub const JSON: &str = "application/json";
-
-/// What the encoding of every binary message begins with; the kind and version follow.
-const BINARY: &str = "application/octet-stream";
-
-/// Longest piece of foreign text that is repeated in an error.
-const MAX_QUOTED: usize = 120;
+pub use crate::packet::{JSON, quoted};
 
 /// What stands, or is to stand, on the bus.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,15 +46,9 @@ pub enum Message {
         /// Whether the token is there.
         alive: bool,
     },
-    /// Where a robot is.
-    Pose(RobotId, Pose),
-    /// Whom a robot hears.
-    Links(RobotId, Links),
-    /// Whom a robot answers to.
-    Rank(RobotId, Rank),
-    /// Edges of a declared modality.
-    Relation(RobotId, Modality, Relation),
-    /// What a robot is told of its team.
+    /// What a robot reports on one of its streams.
+    Report(CheckedReport),
+    /// The team of a robot.
     RobotTeam(RobotTeam),
     /// A change of one graph, or a snapshot of it.
     Graph(Arc<GraphDelta>),
@@ -71,201 +58,83 @@ pub enum Message {
     Embedding(Arc<Embedding>),
     /// The similarity of two robots: what a get of `embedding?katz=` is answered with.
     Katz(Box<PairSimilarity>),
-    /// The division. `mirror` says whether `json/teams` is told as well.
+    /// The division.
     Teams {
         /// The division.
         teams: Arc<Teams>,
-        /// Whether the JSON mirror is put beside the binary message.
+        /// Whether `json/teams` is published as well.
         mirror: bool,
     },
-    /// The judgement of the division.
+    /// The audit of the division.
     Audit(Arc<Audit>),
     /// Something that happened.
     Event(Event),
-    /// Who holds the role of a service.
+    /// A lease renewal of the leader of a service.
     Claim(Box<Claim>),
     /// The settings of a service.
     Settings(Box<AnnouncedSettings>),
-    /// What a service tells of itself.
+    /// The status of a service.
     Status(Box<ServiceStatus>),
 }
 
-/// Where a packet comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Source {
-    /// Somebody put it.
-    Put,
-    /// Somebody deleted the key.
-    Delete,
-    /// The bus says that a liveliness token is there.
-    TokenAlive,
-    /// The bus says that a liveliness token is gone.
-    TokenGone,
-}
-
-/// Something off the bus that is not understood yet.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Packet {
-    /// The text of its key.
-    pub key: String,
-    /// The text of its encoding; may be empty.
-    pub encoding: String,
-    /// Where it comes from.
-    pub source: Source,
-    /// Its bytes, or how many they were where the limit of the subscription cut them off.
-    pub payload: Result<Vec<u8>, usize>,
-}
-
-/// Why a packet is refused.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Rejection {
-    /// Whom it spoke for, if its key says so.
-    pub robot: Option<RobotId>,
-    /// Its key, cut short, without control characters.
-    pub key: String,
-    /// What is wrong and what would be right, cut short, without control characters.
-    pub reason: String,
-}
-
-/// Something that is ready for the bus.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Outbound {
-    /// Where to.
-    pub key: Key,
-    /// The text of the encoding.
-    pub encoding: Cow<'static, str>,
-    /// The bytes.
-    pub payload: Vec<u8>,
-}
-
-/// Makes foreign text fit for a log line or an event: short, and without control characters.
-#[must_use]
-pub fn quoted(text: &str) -> String {
-    text.chars().take(MAX_QUOTED).map(|c| if c.is_control() { '\u{FFFD}' } else { c }).collect()
-}
-
-/// Reads an encoding. A missing one is JSON, so that the shortest client works.
-pub(crate) fn format_of(encoding: &str) -> Option<Format> {
-    let name = encoding.split(';').next().unwrap_or_default().trim();
-    match name {
-        "" | "zenoh/bytes" | "zenoh/string" | "text/plain" | "text/json" | "application/json" => {
-            Some(Format::Json)
-        }
-        BINARY | "application/bincode" => Some(Format::Binary),
-        _ => None,
-    }
-}
-
-impl Rejection {
-    /// A refusal of a packet with a key.
-    #[must_use]
-    pub fn new(space: &KeySpace, key: &str, reason: impl AsRef<str>) -> Self {
-        Self {
-            robot: space.parse(key).ok().and_then(|key| key.robot().cloned()),
-            key: quoted(key),
-            reason: quoted(reason.as_ref()),
-        }
-    }
-}
-
-fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
-    serde_json::from_slice::<Object<T>>(bytes)
-        .map(|object| object.0)
-        .map_err(|error| format!("this is not the JSON it should be: {error}"))
-}
-
-fn from_robot<T>(robot: &RobotId, format: Format, bytes: &[u8]) -> Result<T, String>
-where
-    T: DeserializeOwned + Observation,
-    FromRobot<T>: BinaryMessage,
-{
-    let body: T = match format {
-        Format::Json => from_json(bytes)?,
-        Format::Binary => {
-            let FromRobot { robot: inside, body } =
-                envelope::decode(bytes).map_err(|error| error.to_string())?;
-            if inside != *robot {
-                return Err(format!("the key speaks for {robot}, the message for {inside}"));
-            }
-            body
-        }
-    };
-    body.check().map_err(|error| error.to_string())?;
-    Ok(body)
-}
-
-fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, String> {
+fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
     match format {
-        Format::Binary => envelope::decode(bytes).map_err(|error| error.to_string()),
-        Format::Json => Err(format!(
-            "this key takes binary messages between services, with an encoding of {BINARY}"
-        )),
+        Format::Binary => Ok(envelope::decode(bytes)?),
+        Format::Json => Err(DecodeError::NotBinary),
     }
+}
+
+fn agree<T: PartialEq>(key: &T, content: &T, what: &'static str) -> Result<(), DecodeError> {
+    if key == content { Ok(()) } else { Err(DecodeError::Mismatch(what)) }
 }
 
 impl Message {
-    /// Understands a packet.
+    /// Reads and checks a packet.
     ///
     /// # Errors
     /// A [`Rejection`] if the key is unknown or wild, the encoding or content is not what the key
-    /// demands, or the content speaks for another fleet or robot than the key.
+    /// demands, or the content names another fleet or robot than the key.
     pub fn decode(space: &KeySpace, packet: &Packet) -> Result<Self, Rejection> {
-        Self::understand(space, packet).map_err(|reason| Rejection::new(space, &packet.key, reason))
+        Self::read(space, packet)
+            .map_err(|error| Rejection::new(space, &packet.key, error.to_string()))
     }
 
-    fn understand(space: &KeySpace, packet: &Packet) -> Result<Self, String> {
-        let key = space.parse(&packet.key).map_err(|error| error.to_string())?;
+    fn read(space: &KeySpace, packet: &Packet) -> Result<Self, DecodeError> {
+        let key = space.parse(&packet.key)?;
         let alive = match packet.source {
-            Source::TokenAlive => Some(true),
-            Source::TokenGone => Some(false),
-            Source::Put => None,
-            Source::Delete => return Err("nothing is deleted on this key".to_owned()),
+            Source::TokenAlive => true,
+            Source::TokenGone => false,
+            Source::Put => return Self::read_put(space, packet, key),
+            Source::Delete => return Err(DecodeError::Deleted),
         };
-        if let Some(alive) = alive {
-            return match key {
-                Key::RobotToken(robot) => Ok(Self::RobotToken { robot, alive }),
-                Key::ServiceToken(service, instance) => {
-                    Ok(Self::ServiceToken { service, instance, alive })
-                }
-                _ => Err("no liveliness token belongs on this key".to_owned()),
-            };
+        match key {
+            Key::RobotToken(robot) => Ok(Self::RobotToken { robot, alive }),
+            Key::ServiceToken(service, instance) => {
+                Ok(Self::ServiceToken { service, instance, alive })
+            }
+            _ => Err(DecodeError::Token),
         }
-        let bytes = match &packet.payload {
-            Ok(bytes) if bytes.len() <= key.payload_limit() => bytes.as_slice(),
-            Ok(bytes) => return Err(too_large(bytes.len(), key.payload_limit())),
-            Err(size) => return Err(too_large(*size, key.payload_limit())),
-        };
-        let format = format_of(&packet.encoding).ok_or_else(|| {
-            format!(
-                "the encoding {:?} is unknown; use {JSON} or {BINARY}",
-                quoted(&packet.encoding)
-            )
-        })?;
-        let message = match key {
-            Key::Pose(robot) => {
-                let pose = from_robot(&robot, format, bytes)?;
-                Self::Pose(robot, pose)
-            }
-            Key::Links(robot) => {
-                let links = from_robot(&robot, format, bytes)?;
-                Self::Links(robot, links)
-            }
-            Key::Rank(robot) => {
-                let rank = from_robot(&robot, format, bytes)?;
-                Self::Rank(robot, rank)
-            }
-            Key::Relation(robot, modality) => {
-                let relation: Relation = from_robot(&robot, format, bytes)?;
-                if let Some((from, ..)) = relation.edges.iter().find(|(from, ..)| *from != robot) {
-                    return Err(format!("edges: the key speaks for {robot}, an edge for {from}"));
-                }
-                Self::Relation(robot, modality, relation)
-            }
+    }
+
+    fn read_put(space: &KeySpace, packet: &Packet, key: Key) -> Result<Self, DecodeError> {
+        let bytes = payload(packet, &key)?;
+        let format = format(packet)?;
+        if let Key::Stream(robot, stream) = key {
+            return Ok(Self::Report(report::decode(robot, &stream, format, bytes)?));
+        }
+        let message = Self::read_service(key, format, bytes)?;
+        if let Some(header) = message.header() {
+            check_header(space, header)?;
+        }
+        Ok(message)
+    }
+
+    /// Reads a message between services.
+    fn read_service(key: Key, format: Format, bytes: &[u8]) -> Result<Self, DecodeError> {
+        Ok(match key {
             Key::Graph(modality) => {
                 let delta: GraphDelta = binary(format, bytes)?;
-                if delta.modality != modality {
-                    return Err("the key and the content name different modalities".to_owned());
-                }
+                agree(&modality, &delta.modality, "modalities")?;
                 Self::Graph(Arc::new(delta))
             }
             Key::Roster => {
@@ -284,51 +153,38 @@ impl Message {
                 Self::Teams { teams: Arc::new(teams), mirror: false }
             }
             Key::RobotTeam(robot) => {
-                let told: RobotTeam = binary(format, bytes)?;
-                if told.robot != robot {
-                    return Err("the key and the content name different robots".to_owned());
-                }
-                Self::RobotTeam(told)
+                let team: RobotTeam = binary(format, bytes)?;
+                agree(&robot, &team.robot, "robots")?;
+                Self::RobotTeam(team)
             }
             Key::Audit => Self::Audit(Arc::new(binary(format, bytes)?)),
             Key::Event => Self::Event(binary(format, bytes)?),
             Key::Settings(service) => {
                 let announced: AnnouncedSettings = binary(format, bytes)?;
-                if announced.service != service {
-                    return Err("the key and the content name different services".to_owned());
-                }
+                agree(&service, &announced.service, "services")?;
                 Self::Settings(Box::new(announced))
             }
             Key::Holder(service) => {
                 let claim: Claim = binary(format, bytes)?;
-                if claim.service != service {
-                    return Err("the key and the content name different services".to_owned());
-                }
+                agree(&service, &claim.service, "services")?;
                 Self::Claim(Box::new(claim))
             }
-            Key::RobotToken(_) | Key::ServiceToken(..) => {
-                return Err("this key takes liveliness tokens and no messages".to_owned());
-            }
-            Key::JsonTeams | Key::JsonAudit | Key::JsonEvent | Key::Status(_) | Key::Schema => {
-                return Err("no service reads this key".to_owned());
-            }
-        };
-        let Some(header) = message.header() else { return Ok(message) };
-        if header.fleet != *space.fleet() {
-            let (ours, theirs) = (space.fleet(), &header.fleet);
-            return Err(format!("the key speaks for fleet {ours}, the message for {theirs}"));
-        }
-        if header.revision.term.max(header.revision.epoch) >= MAX_REVISION {
-            return Err(format!("term and epoch must be below {MAX_REVISION}"));
-        }
-        Ok(message)
+            Key::RobotToken(_) | Key::ServiceToken(..) => return Err(DecodeError::OnlyTokens),
+            Key::JsonTeams
+            | Key::JsonAudit
+            | Key::JsonEvent
+            | Key::Status(_)
+            | Key::Schema
+            | Key::Stream(..)
+            | Key::Foreign(_) => return Err(DecodeError::NotRead),
+        })
     }
 
     /// The head of a message between services.
     #[must_use]
-    pub fn header(&self) -> Option<&muster_model::header::Header> {
+    pub fn header(&self) -> Option<&Header> {
         match self {
-            Self::RobotTeam(told) => Some(&told.header),
+            Self::RobotTeam(team) => Some(&team.header),
             Self::Graph(delta) => Some(&delta.header),
             Self::Roster(roster) => Some(&roster.header),
             Self::Embedding(embedding) => Some(&embedding.header),
@@ -350,13 +206,8 @@ impl Message {
             Self::ServiceToken { service, instance, .. } => {
                 (Key::ServiceToken(*service, instance.clone()), None)
             }
-            Self::Pose(robot, _) => (Key::Pose(robot.clone()), None),
-            Self::Links(robot, _) => (Key::Links(robot.clone()), None),
-            Self::Rank(robot, _) => (Key::Rank(robot.clone()), None),
-            Self::Relation(robot, modality, _) => {
-                (Key::Relation(robot.clone(), modality.clone()), None)
-            }
-            Self::RobotTeam(told) => (Key::RobotTeam(told.robot.clone()), None),
+            Self::Report(report) => (Key::Stream(report.robot().clone(), report.stream()), None),
+            Self::RobotTeam(team) => (Key::RobotTeam(team.robot.clone()), None),
             Self::Graph(delta) => (Key::Graph(delta.modality.clone()), None),
             Self::Roster(_) => (Key::Roster, None),
             Self::Embedding(_) | Self::Katz(_) => (Key::Embedding, None),
@@ -371,7 +222,7 @@ impl Message {
 
     /// What a service puts on the bus for this message: the message, and its JSON mirror.
     ///
-    /// Robots are told their team in JSON; everything between services is binary.
+    /// The team of a robot is written in JSON, everything between services in binary form.
     ///
     /// # Errors
     /// [`EnvelopeError`] if the content is larger than its kind may be.
@@ -404,7 +255,7 @@ impl Message {
             _ => Format::Binary,
         };
         let mut all = Vec::new();
-        // Who asks for a pair does not want the embedding, from whomever knows it.
+        // A get of a pair is not answered with the embedding, nor the other way round.
         let of_pair = matches!(self, Self::Katz(_));
         let wanted = key != Key::Embedding || request.katz.is_some() == of_pair;
         if wanted && request.selects(space, &key) {
@@ -425,13 +276,12 @@ impl Message {
             Format::Json => {
                 let payload =
                     self.json(now).map_err(|error| EnvelopeError::Encode(error.to_string()))?;
-                Ok(Outbound { key, encoding: Cow::Borrowed(JSON), payload })
+                Ok(Outbound { key, encoding: Cow::Borrowed(JSON), payload, attachment: None })
             }
             Format::Binary => {
                 let (name, payload) = self.binary()?;
-                let encoding =
-                    Cow::Owned(format!("{BINARY};bincode;muster.{name};{}", envelope::VERSION));
-                Ok(Outbound { key, encoding, payload })
+                let encoding = binary_encoding(name);
+                Ok(Outbound { key, encoding, payload, attachment: None })
             }
         }
     }
@@ -439,11 +289,8 @@ impl Message {
     fn json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
         match self {
             Self::RobotToken { .. } | Self::ServiceToken { .. } => Ok(Vec::new()),
-            Self::Pose(_, body) => serde_json::to_vec(body),
-            Self::Links(_, body) => serde_json::to_vec(body),
-            Self::Rank(_, body) => serde_json::to_vec(body),
-            Self::Relation(_, _, body) => serde_json::to_vec(body),
-            Self::RobotTeam(told) => told.to_json(now),
+            Self::Report(report) => serde_json::to_vec(report.report()),
+            Self::RobotTeam(team) => team.to_json(now),
             Self::Graph(delta) => delta.to_json(now),
             Self::Roster(roster) => roster.to_json(now),
             Self::Embedding(embedding) => embedding.to_json(now),
@@ -459,17 +306,11 @@ impl Message {
 
     fn binary(&self) -> Result<(&'static str, Vec<u8>), EnvelopeError> {
         fn named<T: BinaryMessage>(content: &T) -> Result<(&'static str, Vec<u8>), EnvelopeError> {
-            Ok((T::NAME, envelope::encode(content)?))
-        }
-        fn said<T: Clone>(robot: &RobotId, body: &T) -> FromRobot<T> {
-            FromRobot { robot: robot.clone(), body: body.clone() }
+            Ok((T::KIND.name, envelope::encode(content)?))
         }
         match self {
-            Self::Pose(robot, body) => named(&said(robot, body)),
-            Self::Links(robot, body) => named(&said(robot, body)),
-            Self::Rank(robot, body) => named(&said(robot, body)),
-            Self::Relation(robot, _, body) => named(&said(robot, body)),
-            Self::RobotTeam(told) => named(told),
+            Self::Report(report) => report::encode(report.robot(), report.report()),
+            Self::RobotTeam(team) => named(team),
             Self::Graph(delta) => named(delta.as_ref()),
             Self::Roster(roster) => named(roster.as_ref()),
             Self::Embedding(embedding) => named(embedding.as_ref()),
@@ -486,8 +327,4 @@ impl Message {
             )),
         }
     }
-}
-
-fn too_large(size: usize, limit: usize) -> String {
-    format!("{size} bytes are more than the limit of {limit} for this key")
 }

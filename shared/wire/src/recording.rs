@@ -1,9 +1,9 @@
-//! The bytes of a recording: a head, then one frame per entry, for as long as the service ran.
+//! The bytes of a recording: a head, then one frame per entry.
 //!
 //! A file begins with [`MAGIC`] and the [`VERSION`] of the entries. Every frame is its length and a
 //! checksum, four bytes each with the lowest first, and its content. The head is JSON, so that a
 //! program of any version can say who wrote a file; entries are bincode. A file may break off
-//! anywhere, as it does when the service is killed; damage is told from that by the checksum.
+//! anywhere, as it does when the service is killed; the checksum distinguishes damage from that.
 
 use std::fmt;
 use std::io::Read;
@@ -12,9 +12,11 @@ use serde::de::{DeserializeOwned, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::envelope::{self, EnvelopeError};
+
+pub use crate::envelope::MAX_FRAME;
 use crate::key::KeySpace;
-use crate::message::{Message, Outbound, Packet, Source, quoted};
-use crate::request::Format;
+use crate::message::Message;
+use crate::packet::{Format, Outbound, Packet, quoted};
 
 /// The first bytes of every recording.
 pub const MAGIC: [u8; 8] = *b"\xB7mustrec";
@@ -24,9 +26,6 @@ pub const VERSION: u8 = 1;
 
 /// Length and checksum of a frame.
 const FRAME_HEAD: usize = 8;
-
-/// Largest content of a frame in bytes: a few of the largest messages, which one fetch may bring.
-pub const MAX_FRAME: usize = 4 * envelope::MAX_SERVICE_PAYLOAD;
 
 /// Largest head in bytes: names, settings, and a patch of them.
 const MAX_HEAD: usize = 1024 * 1024;
@@ -94,7 +93,7 @@ impl<'de> Deserialize<'de> for Bytes {
     }
 }
 
-/// Something that was put on the bus, or that a get was answered with.
+/// A message that was published, or with which a get was answered.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Put {
     /// The text of its whole key.
@@ -119,19 +118,14 @@ impl Put {
     /// The packet that a subscriber would receive.
     #[must_use]
     pub fn into_packet(self) -> Packet {
-        Packet {
-            key: self.key,
-            encoding: self.encoding,
-            source: Source::Put,
-            payload: Ok(self.payload.0),
-        }
+        Packet::put(self.key, self.encoding, self.payload.0)
     }
 }
 
 /// A message that a service received, in binary form whatever form it came in.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Heard {
-    /// Somebody put it.
+pub enum Received {
+    /// A put.
     Put(Put),
     /// A liveliness token appeared or was lost.
     Token {
@@ -142,9 +136,9 @@ pub enum Heard {
     },
 }
 
-impl Heard {
-    /// A message as it is recorded. Nothing of it is lost: what [`Message::decode`] makes of the
-    /// packet is the same message.
+impl Received {
+    /// A message as it is recorded. Nothing of it is lost: [`Message::decode`] reads the same message
+    /// from the packet.
     ///
     /// # Errors
     /// [`EnvelopeError`] if it is larger than its kind may be, or is none that a service receives.
@@ -162,17 +156,12 @@ impl Heard {
         Ok(Self::Put(Put::new(space, outbound)))
     }
 
-    /// The packet that brings the message again.
+    /// The packet of the message.
     #[must_use]
     pub fn into_packet(self) -> Packet {
         match self {
             Self::Put(put) => put.into_packet(),
-            Self::Token { key, alive } => Packet {
-                key,
-                encoding: String::new(),
-                source: if alive { Source::TokenAlive } else { Source::TokenGone },
-                payload: Ok(Vec::new()),
-            },
+            Self::Token { key, alive } => Packet::token(key, alive),
         }
     }
 }

@@ -6,18 +6,23 @@ use muster_model::id::RobotId;
 use serde::{Deserialize, Serialize};
 
 use crate::key::{Key, KeySpace};
-use crate::message::quoted;
+use crate::packet::{Format, quoted};
 
 /// Longest text of a get's parameters that is read: `format=json` and a few more.
-const MAX_PARAMETERS: usize = 1024;
+pub(crate) const MAX_PARAMETERS: usize = 1024;
 
-/// In which form an answer is wanted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Format {
-    /// JSON, for the edge.
-    Json,
-    /// The binary envelope, between services.
-    Binary,
+/// Why the parameters of a get are refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RequestError {
+    /// They are longer than is read.
+    #[error("parameters may have at most {MAX_PARAMETERS} bytes")]
+    TooLong,
+    /// The form of the answer is unknown.
+    #[error("format {0:?} is unknown; ask for json or bincode")]
+    Format(String),
+    /// `katz` does not name two robots.
+    #[error("katz: {0:?} must name two robots, as in katz=r1,r2")]
+    Katz(String),
 }
 
 /// A get as a service receives it.
@@ -43,9 +48,9 @@ impl Request {
         selector: impl Into<String>,
         parameters: &str,
         payload: Option<Vec<u8>>,
-    ) -> Result<Self, String> {
+    ) -> Result<Self, RequestError> {
         if parameters.len() > MAX_PARAMETERS {
-            return Err(format!("parameters may have at most {MAX_PARAMETERS} bytes"));
+            return Err(RequestError::TooLong);
         }
         let (mut format, mut katz) = (None, None);
         for parameter in parameters.split([';', '&']) {
@@ -53,8 +58,7 @@ impl Request {
                 Some(("format", "json")) => format = Some(Format::Json),
                 Some(("format", "bincode" | "binary")) => format = Some(Format::Binary),
                 Some(("format", other)) => {
-                    let other: String = other.chars().take(32).collect();
-                    return Err(format!("format {other:?} is unknown; ask for json or bincode"));
+                    return Err(RequestError::Format(other.chars().take(32).collect()));
                 }
                 Some(("katz", names)) => katz = Some(pair(names)?),
                 _ => {}
@@ -113,10 +117,10 @@ impl fmt::Display for Request {
 }
 
 /// Two names with a comma between them.
-fn pair(names: &str) -> Result<[RobotId; 2], String> {
+fn pair(names: &str) -> Result<[RobotId; 2], RequestError> {
     let id = |name: &str| name.parse::<RobotId>().ok();
     let pair = names.split_once(',').and_then(|(from, to)| Some([id(from)?, id(to)?]));
-    pair.ok_or_else(|| format!("katz: {:?} must name two robots, as in katz=r1,r2", quoted(names)))
+    pair.ok_or_else(|| RequestError::Katz(quoted(names)))
 }
 
 /// Whether a key expression of chunks, `*` (one chunk) and `**` (any number) matches a plain key.
@@ -201,7 +205,7 @@ mod tests {
         assert_eq!(format(""), Ok(None));
         assert_eq!(format("format=json"), Ok(Some(Format::Json)));
         assert_eq!(format("x=1;format=bincode"), Ok(Some(Format::Binary)));
-        assert!(format("format=xml").unwrap_err().contains("json"));
+        assert!(format("format=xml").unwrap_err().to_string().contains("json"));
     }
 
     #[test]
@@ -211,7 +215,7 @@ mod tests {
         assert_eq!(pair("format=json"), Ok(None));
         assert_eq!(pair("format=json;katz=r1,r2"), Ok(Some([r1, r2])));
         for wrong in ["katz=", "katz=r1", "katz=r1,", "katz=r1,r2,r3", "katz=R 1,r2"] {
-            let error = pair(wrong).unwrap_err();
+            let error = pair(wrong).unwrap_err().to_string();
             assert!(error.starts_with("katz: ") && error.contains("katz=r1,r2"), "{error}");
         }
     }

@@ -1,16 +1,16 @@
 //! The JSON Schema (draft 2020-12) of everything that stands at the edge in JSON.
 //!
-//! It is generated from the types that read and write the messages, so that it says what they do. One
-//! document holds all messages under `$defs`, each by a name in small letters; the parts that they
-//! share stand beside them. What robots and operators say is described as it is read, what services
-//! say as it is written: complete, and closed, so that a field that nobody describes is noticed.
+//! It is generated from the types that read and write the messages. One document has all messages under
+//! `$defs`, each by a name in small letters, and the parts that they share. Messages of robots and
+//! operators are described as they are read, messages of services as they are written: complete and
+//! closed, so that an undescribed field is noticed.
 
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
-use muster_model::id::ServiceName;
+use muster_model::id::{Modality, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
-use muster_model::observation::{Links, Pose, Rank, Relation};
+use muster_model::observation::Stream;
 use muster_model::role::Claim;
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, Settings,
@@ -26,6 +26,7 @@ use crate::json::{
     AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RobotTeamForm, RosterForm,
     TeamsForm,
 };
+use crate::report;
 
 /// The version of JSON Schema.
 const DIALECT: &str = "https://json-schema.org/draft/2020-12/schema";
@@ -33,7 +34,7 @@ const DIALECT: &str = "https://json-schema.org/draft/2020-12/schema";
 /// Where the parts of the document stand.
 const PARTS: &str = "#/$defs/";
 
-/// What the document says of itself.
+/// The description of the document.
 const ABOUT: &str = "\
 Every message of Muster in JSON, by name under $defs. Validate against one of them, such as \
 {\"$ref\": \"#/$defs/pose\"} beside this $defs. x-keys says on which keys below muster/v1/{fleet}/ a \
@@ -42,10 +43,6 @@ refuses what JSON Schema cannot say, and the description of a message tells what
 messages to a service: numbers are finite and within double precision (NaN and Infinity are no JSON), \
 whole numbers are written without a fraction (17, not 17.0), and no key stands twice in an object of \
 a robot. What services write has exactly these fields in this version; a later one may have more.";
-
-/// What ingest demands of each stream beyond the schema.
-const BEYOND_STREAM: &str = "messages that are older than one before by boot and seq, more of them per \
-                             second than max_rate_hz, and robots beyond max_robots.";
 
 /// Everything that is described so far.
 #[derive(Debug)]
@@ -122,34 +119,7 @@ impl Schemas {
     #[must_use]
     pub fn edge() -> Self {
         let mut all = Self::default();
-        let size = MAX_ROBOT_PAYLOAD;
-        let also = format!("more than {size} bytes, {BEYOND_STREAM}");
-        all.read::<Pose>(
-            "pose",
-            &["robot/{robot}/pose"],
-            &format!("a frame that the settings of ingest do not name, {also}"),
-        );
-        all.read::<Links>(
-            "links",
-            &["robot/{robot}/links"],
-            &format!(
-                "a peer that is named twice or is the robot itself, a quality outside of the unit that \
-                 the settings of ingest name (0 to 1 by default), {also}"
-            ),
-        );
-        all.read::<Rank>(
-            "rank",
-            &["robot/{robot}/rank"],
-            &format!("a superior that is the robot itself, {also}"),
-        );
-        all.read::<Relation>(
-            "relation",
-            &["robot/{robot}/relation/{modality}"],
-            &format!(
-                "edges from another robot, to the robot itself, or named twice, a modality that the \
-                 settings of ingest do not declare, {also}"
-            ),
-        );
+        all.streams();
         all.written::<RobotTeamForm<'_>>("robot_team", &["robot/{robot}/team"]);
         all.written::<TeamsForm<'_>>("teams", &["json/teams", "teams?format=json"]);
         all.written::<AuditForm<'_>>("audit", &["json/audit", "audit?format=json"]);
@@ -176,10 +146,32 @@ impl Schemas {
         all
     }
 
+    /// Adds the reports of robots, with what `ingest` refuses of every stream.
+    fn streams(&mut self) {
+        let declared = Modality::new("declared").map(Stream::Relation);
+        let also = format!(
+            "more than {MAX_ROBOT_PAYLOAD} bytes, messages that are older than one before by boot and \
+             seq, more of them per second than max_rate_hz, and robots beyond max_robots."
+        );
+        for stream in Stream::BUILT_IN.iter().chain(&declared) {
+            let key = match stream {
+                Stream::Relation(_) => "robot/{robot}/relation/{modality}".to_owned(),
+                built_in => format!("robot/{{robot}}/{built_in}"),
+            };
+            let schema = report::json_schema(stream, &mut self.read);
+            let beyond = format!("{}, {also}", report::beyond_schema(stream));
+            self.add_read(schema, stream.name(), &[&key], &beyond);
+        }
+    }
+
     /// Adds a message that is read, with the keys that it stands on and what is refused beyond its
     /// schema, as a list that ends a sentence; either may be empty.
     pub fn read<T: JsonSchema>(&mut self, name: &str, keys: &[&str], beyond: &str) {
-        let mut schema = T::json_schema(&mut self.read);
+        let schema = T::json_schema(&mut self.read);
+        self.add_read(schema, name, keys, beyond);
+    }
+
+    fn add_read(&mut self, mut schema: Schema, name: &str, keys: &[&str], beyond: &str) {
         for transform in self.read.transforms_mut() {
             transform.transform(&mut schema);
         }
@@ -272,7 +264,7 @@ fn patch(table: &Value, parts: &Map<String, Value>) -> Map<String, Value> {
     ])
 }
 
-/// Lets null be said for a field as well.
+/// Allows null for a field.
 fn or_null(field: &mut Value) -> Value {
     match field.get("type") {
         Some(Value::String(plain)) => field["type"] = json!([plain, "null"]),
@@ -321,7 +313,7 @@ pub fn names(document: &Value) -> impl Iterator<Item = &str> {
     parts.into_iter().flatten().map(|(name, _)| name.as_str()).filter(|name| is_message(name))
 }
 
-/// The schema of one message of a document, which stands by itself; none if there is no such name.
+/// The schema of one message of a document, by itself; none if there is no such name.
 #[must_use]
 pub fn one(document: &Value, name: &str) -> Option<Value> {
     let name = names(document).find(|known| *known == name)?;

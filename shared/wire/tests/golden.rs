@@ -9,7 +9,7 @@ mod samples;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use muster_wire::{Format, KeySpace, Message, Packet, Source};
+use muster_wire::{Format, KeySpace, Message, Packet};
 
 fn check(name: &str, content: &str) {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name);
@@ -40,12 +40,7 @@ fn the_binary_form_of_every_message_is_frozen_and_read_back() {
         }
         let outbound = message.encode(message.keys().0, Format::Binary, samples::NOW).unwrap();
         check(&format!("{name}.hex"), &hex(&outbound.payload));
-        let packet = Packet {
-            key: space.format(&outbound.key),
-            encoding: outbound.encoding.into_owned(),
-            source: Source::Put,
-            payload: Ok(outbound.payload),
-        };
+        let packet = outbound.into_packet(&space);
         assert_eq!(Message::decode(&space, &packet), Ok(message), "{name}");
     }
 }
@@ -68,12 +63,8 @@ fn robots_are_understood_in_json() {
     for (name, message) in samples::all().into_iter().take(4) {
         let outbound = message.encode(message.keys().0, Format::Json, samples::NOW).unwrap();
         for encoding in ["application/json", "", "zenoh/bytes", "zenoh/string", "text/plain"] {
-            let packet = Packet {
-                key: space.format(&outbound.key),
-                encoding: encoding.to_owned(),
-                source: Source::Put,
-                payload: Ok(outbound.payload.clone()),
-            };
+            let packet =
+                Packet::put(space.format(&outbound.key), encoding, outbound.payload.clone());
             assert_eq!(
                 Message::decode(&space, &packet).as_ref(),
                 Ok(&message),

@@ -1,4 +1,4 @@
-//! Whatever stands on the bus, decoding says what is wrong and does nothing else.
+//! Whatever is on the bus, decoding names what is wrong and does nothing else.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -14,12 +14,7 @@ fn space() -> KeySpace {
 }
 
 fn packet(key: &str, encoding: &str, payload: Vec<u8>) -> Packet {
-    Packet {
-        key: format!("muster/v1/alpha/{key}"),
-        encoding: encoding.to_owned(),
-        source: Source::Put,
-        payload: Ok(payload),
-    }
+    Packet::put(format!("muster/v1/alpha/{key}"), encoding, payload)
 }
 
 fn reason(packet: &Packet) -> String {
@@ -111,7 +106,7 @@ fn deep_nesting_huge_payloads_and_numbers_out_of_range_are_refused() {
 }
 
 #[test]
-fn who_speaks_for_another_is_refused() {
+fn a_message_in_the_name_of_another_is_refused() {
     let as_other = |good: &Packet, key: &str| {
         reason(&Packet { key: format!("muster/v1/alpha/{key}"), ..good.clone() })
     };

@@ -5,8 +5,8 @@
 mod samples;
 
 use muster_model::id::{InstanceId, ServiceName};
-use muster_wire::recording::{Heard, MAGIC, Put, Reader, RecordingError, begin, frame};
-use muster_wire::{Format, KeySpace, Message, Packet, Source};
+use muster_wire::recording::{MAGIC, Put, Reader, Received, RecordingError, begin, frame};
+use muster_wire::{Format, KeySpace, Message, Packet};
 use proptest::prelude::*;
 
 fn space() -> KeySpace {
@@ -14,11 +14,11 @@ fn space() -> KeySpace {
 }
 
 fn again(message: &Message) -> Result<Message, String> {
-    let heard = Heard::new(&space(), message).map_err(|error| error.to_string())?;
-    let bytes = [begin(&"head").unwrap(), frame(&heard).unwrap()].concat();
+    let received = Received::new(&space(), message).map_err(|error| error.to_string())?;
+    let bytes = [begin(&"head").unwrap(), frame(&received).unwrap()].concat();
     let (mut reader, _): (_, String) = Reader::open(bytes.as_slice()).unwrap();
-    let read: Heard = reader.next_entry().unwrap().unwrap();
-    assert!(reader.next_entry::<Heard>().unwrap().is_none());
+    let read: Received = reader.next_entry().unwrap().unwrap();
+    assert!(reader.next_entry::<Received>().unwrap().is_none());
     Message::decode(&space(), &read.into_packet()).map_err(|refused| refused.reason)
 }
 
@@ -50,15 +50,14 @@ fn every_message_that_is_received_comes_back_from_a_recording() {
     assert!(again(&Message::Teams { teams: teams.unwrap(), mirror: true }).is_err());
 }
 
-/// What robots say in JSON is recorded in binary: whatever is accepted in JSON must fit, and keep
+/// What robots report in JSON is recorded in binary: whatever is accepted in JSON must fit, and keep
 /// every bit.
 fn through_json(tail: &str, payload: &str) -> Option<Message> {
-    let packet = Packet {
-        key: format!("muster/v1/alpha/robot/r1/{tail}"),
-        encoding: "application/json".to_owned(),
-        source: Source::Put,
-        payload: Ok(payload.as_bytes().to_vec()),
-    };
+    let packet = Packet::put(
+        format!("muster/v1/alpha/robot/r1/{tail}"),
+        "application/json",
+        payload.as_bytes().to_vec(),
+    );
     Message::decode(&space(), &packet).ok()
 }
 
@@ -94,8 +93,8 @@ proptest! {
     ) {
         let mut bytes = begin(&"head").unwrap();
         for (_, message) in samples::all() {
-            if let Ok(heard) = Heard::new(&space(), &message) {
-                bytes.extend(frame(&heard).unwrap());
+            if let Ok(received) = Received::new(&space(), &message) {
+                bytes.extend(frame(&received).unwrap());
             }
         }
         let whole = bytes.clone();
@@ -110,7 +109,7 @@ proptest! {
         let Ok((mut reader, _)) = Reader::open::<String>(bytes.as_slice()) else { return Ok(()) };
         loop {
             let before = reader.offset();
-            match reader.next_entry::<Heard>() {
+            match reader.next_entry::<Received>() {
                 Ok(Some(_)) => prop_assert!(reader.offset() as usize <= intact, "damage is seen"),
                 Ok(None) => break,
                 Err(error) => {
@@ -144,12 +143,12 @@ fn what_is_wrong_with_a_file_is_told() {
     assert!(matches!(open(&good[..good.len() - 1]), RecordingError::BreaksOff(9)));
     let huge = [good.as_slice(), &u32::MAX.to_le_bytes(), &[0; 4]].concat();
     let (mut reader, _) = Reader::open::<String>(huge.as_slice()).unwrap();
-    let error = reader.next_entry::<Heard>().unwrap_err();
+    let error = reader.next_entry::<Received>().unwrap_err();
     assert!(matches!(error, RecordingError::Damaged { .. }), "{error}");
     // A length that promises what does not come must not be allocated for.
     let promised = [good.as_slice(), &200_000_000_u32.to_le_bytes(), &[0; 9]].concat();
     let (mut reader, _) = Reader::open::<String>(promised.as_slice()).unwrap();
-    assert!(matches!(reader.next_entry::<Heard>(), Err(RecordingError::BreaksOff(_))));
+    assert!(matches!(reader.next_entry::<Received>(), Err(RecordingError::BreaksOff(_))));
 }
 
 /// The largest messages of robots that are accepted in JSON fit their binary form as well.

@@ -1,7 +1,7 @@
 //! The schema of the edge is frozen, so that every change of it is seen, and describes the samples'
 //! fields one by one.
 //!
-//! Whether it says what services do is tested against whole processes, with a validator that
+//! Whether it describes what services write is tested against whole processes, with a validator that
 //! somebody else wrote.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]

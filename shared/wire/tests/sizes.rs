@@ -1,4 +1,4 @@
-//! The largest that services may tell each other fits a message.
+//! The largest content of services fits a message.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 

@@ -9,7 +9,7 @@ use muster_experiments::moving::pipeline::{AllSettings, Pipeline};
 use muster_experiments::system::MODALITIES;
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, Modality, RobotId};
-use muster_model::observation::{Link, Links, Pose, Rank};
+use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Report};
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
 use muster_numeric::matrix::SparseMatrix;
@@ -32,6 +32,10 @@ struct Reports {
     messages: Vec<Message>,
     teams: u32,
     groups: usize,
+}
+
+fn report(robot: &RobotId, report: impl Into<Report>) -> Message {
+    Message::Report(CheckedReport::new(robot.clone(), report).unwrap())
 }
 
 /// A fleet of 2 to 300 robots in some groups, each of which reports some of the three modalities.
@@ -59,8 +63,7 @@ fn reports(seed: u64) -> Reports {
         let mut reports = |has: bool| has && chance.random_bool(0.96);
         let (pose, links, rank) = (reports(has[0]), reports(has[1]), reports(has[2]));
         if pose {
-            messages
-                .push(Message::Pose(name.clone(), Pose::at(places[robot][0], places[robot][1])));
+            messages.push(report(name, Pose::at(places[robot][0], places[robot][1])));
         }
         if links {
             let mut peers = BTreeSet::new();
@@ -74,7 +77,7 @@ fn reports(seed: u64) -> Reports {
                 .map(|peer| Link { peer: robots[peer].clone(), quality: chance.random::<f64>() })
                 .collect();
             let links = Links { links, stamp: None, boot: None, seq: None };
-            messages.push(Message::Links(name.clone(), links));
+            messages.push(report(name, links));
         }
         if rank {
             let superior = (robot >= groups).then(|| {
@@ -82,7 +85,7 @@ fn reports(seed: u64) -> Reports {
                 robots[groups * chance.random_range(0..rounds) + group(robot)].clone()
             });
             let weight = Some(0.5 + chance.random::<f64>());
-            messages.push(Message::Rank(name.clone(), Rank { weight, ..Rank::under(superior) }));
+            messages.push(report(name, Rank { weight, ..Rank::under(superior) }));
         }
     }
     Reports { robots, messages, teams, groups }

@@ -16,9 +16,10 @@ use muster_model::header::Revision;
 use muster_model::id::{FleetId, InstanceId, Modality};
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
+use muster_wire::report;
 use muster_wire::{Format, Key, KeySpace, Message, Packet, Pattern, Request, Source};
 
-use crate::draw::{Author, Draw};
+use crate::draw::{Author, Draw, Drawn};
 use crate::packets::{BINARY, NOW, space, understood};
 use crate::{allocation, text};
 
@@ -217,7 +218,7 @@ impl<C: Core> World<C> {
                     if draw.below(2) == 0 { Source::TokenAlive } else { Source::TokenGone };
                 let key = format!("muster/v1/alpha/robot/r{}", draw.below(8));
                 let (encoding, payload) = (String::new(), Ok(Vec::new()));
-                self.receive(&Packet { key, encoding, source, payload });
+                self.receive(&Packet { key, encoding, source, payload, attachment: None });
             }
         }
     }
@@ -226,23 +227,20 @@ impl<C: Core> World<C> {
     fn raw(&self, draw: &mut Draw<'_>) -> Packet {
         let choice = draw.byte();
         let encoding = if choice & 16 == 0 { BINARY } else { "" };
-        Packet {
-            key: format!("muster/v1/alpha/{}", KEYS[usize::from(choice % 16)]),
-            encoding: encoding.to_owned(),
-            source: Source::Put,
-            payload: Ok(draw.block().to_vec()),
-        }
+        Packet::put(
+            format!("muster/v1/alpha/{}", KEYS[usize::from(choice % 16)]),
+            encoding,
+            draw.block().to_vec(),
+        )
     }
 
     /// A message as it crosses the bus.
-    fn drawn(&self, message: &Message) -> Packet {
-        let out = message.encode(message.keys().0, Format::Binary, self.now).unwrap();
-        Packet {
-            key: self.space.format(&out.key),
-            encoding: out.encoding.into_owned(),
-            source: Source::Put,
-            payload: Ok(out.payload),
-        }
+    fn drawn(&self, drawn: &Drawn) -> Packet {
+        let out = match drawn {
+            Drawn::Message(message) => message.encode(message.keys().0, Format::Binary, self.now),
+            Drawn::Report(robot, report) => report::encode_unchecked(robot, report),
+        };
+        out.unwrap().into_packet(&self.space)
     }
 
     fn is_wanted(&self, packet: &Packet, patterns: &[Pattern]) -> bool {
@@ -351,12 +349,7 @@ impl<C: Core> World<C> {
         let (key, _) = message.keys();
         for out in message.publish(self.now).unwrap() {
             if out.encoding.starts_with("application/octet-stream") {
-                let packet = Packet {
-                    key: self.space.format(&out.key),
-                    encoding: out.encoding.into_owned(),
-                    source: Source::Put,
-                    payload: Ok(out.payload),
-                };
+                let packet = out.into_packet(&self.space);
                 let read = understood(&self.space, &packet);
                 assert!(read.is_ok(), "what is published is refused: {read:?}");
             } else {

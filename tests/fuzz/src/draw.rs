@@ -9,7 +9,7 @@ use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
-use muster_model::observation::{Link, Links, Pose, Rank, Relation};
+use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::teams::{Member, Team, Teams};
 use muster_model::time::Tick;
@@ -134,6 +134,13 @@ impl<'a> Draw<'a> {
     }
 }
 
+/// What was drawn: reports may have any content, also one that no service accepts.
+#[derive(Debug)]
+pub(crate) enum Drawn {
+    Report(RobotId, Report),
+    Message(Message),
+}
+
 /// Draws messages that go on from those before.
 #[derive(Debug, Default)]
 pub(crate) struct Author {
@@ -146,23 +153,29 @@ pub(crate) struct Author {
 
 impl Author {
     /// A message of any kind that a core reads.
-    pub(crate) fn message(&mut self, now: Tick, draw: &mut Draw<'_>) -> Message {
-        match draw.below(10) {
-            0 => Message::Pose(draw.robot(), pose(draw)),
-            1 => Message::Links(draw.robot(), links(draw)),
-            2 => Message::Rank(draw.robot(), rank(draw)),
-            3 => {
-                let robot = draw.robot();
-                let relation = relation(&robot, draw);
-                Message::Relation(robot, draw.modality(), relation)
-            }
+    pub(crate) fn message(&mut self, now: Tick, draw: &mut Draw<'_>) -> Drawn {
+        let which = draw.below(10);
+        if which < 4 {
+            let robot = draw.robot();
+            let report = match which {
+                0 => pose(draw).into(),
+                1 => links(draw).into(),
+                2 => rank(draw).into(),
+                _ => {
+                    let relation = relation(&robot, draw);
+                    (draw.modality(), relation).into()
+                }
+            };
+            return Drawn::Report(robot, report);
+        }
+        Drawn::Message(match which {
             4 => Message::Graph(Arc::new(self.graph(now, draw))),
             5 => Message::Roster(Arc::new(self.roster(now, draw))),
             6 => Message::Embedding(Arc::new(self.embedding(now, draw))),
             7 => Message::Teams { teams: Arc::new(self.teams(now, draw)), mirror: false },
             8 => Message::Audit(Arc::new(self.audit(now, draw))),
             _ => Message::Settings(Box::new(self.settings(now, draw))),
-        }
+        })
     }
 
     /// Mostly the next one, sometimes any.

@@ -53,7 +53,7 @@ pub(crate) fn request(data: &[u8]) {
     let parameters = String::from_utf8_lossy(parameters);
     let request = match Request::new(selector.clone(), &parameters, Some(payload.to_vec())) {
         Ok(request) => request,
-        Err(error) => return text::check(&error, MAX_TOLD),
+        Err(error) => return text::check(&error.to_string(), MAX_TOLD),
     };
     let named = |form: &str| parameters.split([';', '&']).any(|part| part == form);
     assert!(request.format != Some(Format::Json) || named("format=json"));

@@ -5,14 +5,14 @@ use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::id::FleetId;
-use muster_model::observation::{Links, Pose, Rank, Relation};
+use muster_model::id::Modality;
+use muster_model::observation::Stream;
 use muster_model::role::Claim;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
-use muster_wire::envelope::{
-    AnnouncedSettings, BinaryMessage, FromRobot, MAGIC, VERSION, decode, encode,
-};
+use muster_wire::envelope::{AnnouncedSettings, BinaryMessage, MAGIC, VERSION, decode, encode};
+use muster_wire::report::{decode_unchecked, encode_unchecked};
 use muster_wire::{Format, Key, KeySpace, Message, Packet, Rejection, Source};
 
 use crate::{allocation, text};
@@ -86,12 +86,7 @@ fn check_message(space: &KeySpace, packet: &Packet, message: &Message) {
 }
 
 fn as_packet(space: &KeySpace, payload: &[u8], encoding: &str, key: &str) -> Message {
-    let packet = Packet {
-        key: key.to_owned(),
-        encoding: encoding.to_owned(),
-        source: Source::Put,
-        payload: Ok(payload.to_vec()),
-    };
+    let packet = Packet::put(key.to_owned(), encoding, payload.to_vec());
     Message::decode(space, &packet).unwrap()
 }
 
@@ -120,6 +115,7 @@ fn foreign(data: &[u8]) -> Option<Packet> {
             _ => Source::Put,
         },
         payload: if *source == b'c' { Err(payload.len() << 10) } else { Ok(payload.to_vec()) },
+        attachment: None,
     })
 }
 
@@ -135,7 +131,7 @@ pub(crate) fn told(data: &[u8]) {
     let Some(packet) = foreign(data) else { return };
     let space = space();
     let length = packet.payload.as_ref().map_or(0, Vec::len) + packet.key.len();
-    let read = |packet: &Packet| muster_wire::told::decode(&space, packet, NOW);
+    let read = |packet: &Packet| muster_wire::robot_team::decode(&space, packet, NOW);
     let told = allocation::at_most(may_hold(length), "what a robot is told", || read(&packet));
     let told = match told {
         Err(rejection) => return check_rejection(&rejection),
@@ -165,7 +161,7 @@ pub(crate) fn told(data: &[u8]) {
 /// A kind, and a content in bincode.
 pub(crate) fn envelope(data: &[u8]) {
     fn of<T: BinaryMessage>(bytes: &[u8]) {
-        let read = allocation::at_most(may_hold(bytes.len()), T::NAME, || decode::<T>(bytes));
+        let read = allocation::at_most(may_hold(bytes.len()), T::KIND.name, || decode::<T>(bytes));
         match read {
             Err(error) => assert!(error.to_string().chars().count() <= 1024, "{error}"),
             Ok(content) => {
@@ -174,14 +170,27 @@ pub(crate) fn envelope(data: &[u8]) {
             }
         }
     }
+    fn of_stream(stream: &Stream, bytes: &[u8]) {
+        let read = allocation::at_most(may_hold(bytes.len()), stream.name(), || {
+            decode_unchecked(stream, bytes)
+        });
+        match read {
+            Err(error) => assert!(error.to_string().chars().count() <= 1024, "{error}"),
+            Ok((robot, report)) => {
+                let again = encode_unchecked(&robot, &report).unwrap().payload;
+                let (robot, report) = decode_unchecked(stream, &again).unwrap();
+                assert_eq!(encode_unchecked(&robot, &report).unwrap().payload, again);
+            }
+        }
+    }
     let Some((kind, content)) = data.split_first() else { return };
     let kind = kind % 14;
     let bytes = [&[MAGIC, VERSION, kind], content].concat();
     match kind {
-        1 => of::<FromRobot<Pose>>(&bytes),
-        2 => of::<FromRobot<Links>>(&bytes),
-        3 => of::<FromRobot<Rank>>(&bytes),
-        4 => of::<FromRobot<Relation>>(&bytes),
+        1 => of_stream(&Stream::Pose, &bytes),
+        2 => of_stream(&Stream::Links, &bytes),
+        3 => of_stream(&Stream::Rank, &bytes),
+        4 => of_stream(&Stream::Relation(Modality::spatial()), &bytes),
         5 => of::<GraphDelta>(&bytes),
         6 => of::<Roster>(&bytes),
         7 => of::<Embedding>(&bytes),
@@ -205,11 +214,6 @@ pub(crate) fn edge_json(data: &[u8]) {
         2 => "rank",
         _ => "relation/thermal",
     };
-    let packet = Packet {
-        key: format!("muster/v1/alpha/robot/r1/{stream}"),
-        encoding: String::new(),
-        source: Source::Put,
-        payload: Ok(json.to_vec()),
-    };
+    let packet = Packet::put(format!("muster/v1/alpha/robot/r1/{stream}"), "", json.to_vec());
     let _ = understood(&space(), &packet);
 }

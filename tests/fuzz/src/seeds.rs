@@ -11,12 +11,13 @@ use muster_ingest::Ingest;
 use muster_machine::recording::{Entry, Head, Input, Output};
 use muster_machine::{Command, Core, Driver, Event, Start, Stopwatch, Stored};
 use muster_model::id::{FleetId, InstanceId};
+use muster_model::observation::{CheckedReport, Report};
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings,
 };
 use muster_model::time::Tick;
 use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
-use muster_wire::recording::{Bytes, Heard, Put, begin, frame};
+use muster_wire::recording::{Bytes, Put, Received, begin, frame};
 use muster_wire::{Format, Message, Rejection, Request};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -129,11 +130,11 @@ fn recordings() -> Vec<Seed> {
         encoding: BINARY.to_owned(),
         payload: Bytes(vec![1, 2, 3]),
     };
-    let token = Heard::Token { key: "muster/v1/alpha/robot/r1".to_owned(), alive: true };
+    let token = Received::Token { key: "muster/v1/alpha/robot/r1".to_owned(), alive: true };
     let request = Request::new("muster/v1/alpha/teams", "format=json", None).unwrap();
     let inputs = [
         Input::Started,
-        Input::Received(Heard::Put(put.clone())),
+        Input::Received(Received::Put(put.clone())),
         Input::Rejected(Rejection::new(&space(), "k", "r")),
         Input::Timeout,
         Input::Done(vec![5, 9]),
@@ -240,9 +241,10 @@ fn told() -> Vec<Seed> {
     let mut said = Vec::new();
     for second in 0..3 {
         for robot in fleet.observe(f64::from(second)) {
-            said.push(Message::Pose(robot.robot.clone(), robot.pose));
-            said.push(Message::Links(robot.robot.clone(), robot.links));
-            said.push(Message::Rank(robot.robot, robot.rank));
+            let reports = [robot.pose.into(), robot.links.into(), robot.rank.into()];
+            said.extend(reports.map(|report: Report| {
+                Message::Report(CheckedReport::new(robot.robot.clone(), report).unwrap())
+            }));
         }
     }
     let graphs = tell::<Ingest>(&said);

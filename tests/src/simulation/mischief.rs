@@ -5,7 +5,7 @@ use std::sync::Arc;
 use muster_machine::Stored;
 use muster_model::header::Header;
 use muster_model::id::{RobotId, ServiceName};
-use muster_model::observation::Pose;
+use muster_model::observation::{CheckedReport, Pose, Stream};
 use muster_wire::{Format, Key, Message, Packet, Source};
 
 use super::chance::{Chance, Purpose};
@@ -128,8 +128,10 @@ impl World {
                     else {
                         continue;
                     };
-                    let message = Message::Pose(name, pose(&mut chance));
-                    if let Some(packet) = packet(&self.space, &message, Format::Json) {
+                    if let Ok(report) = CheckedReport::new(name, pose(&mut chance))
+                        && let Some(packet) =
+                            packet(&self.space, &Message::Report(report), Format::Json)
+                    {
                         self.put(self.stranger(), packet);
                     }
                 }
@@ -220,13 +222,8 @@ impl World {
         number: usize,
     ) -> Option<Packet> {
         let name = self.robots.all.get(robot)?.name.clone();
-        let key = self.space.format(&Key::Pose(name.clone()));
-        let good = Packet {
-            key: key.clone(),
-            encoding: String::new(),
-            source: Source::Put,
-            payload: Ok(br#"{"x":1,"y":2}"#.to_vec()),
-        };
+        let key = self.space.format(&Key::Stream(name.clone(), Stream::Pose));
+        let good = Packet::put(key.clone(), "", br#"{"x":1,"y":2}"#.to_vec());
         let base = key.strip_suffix("/pose")?;
         Some(match kind {
             Rubbish::Noise => {
@@ -276,7 +273,8 @@ impl World {
                     pose.boot = Some("forged".to_owned());
                     pose.seq = Some(u64::MAX);
                 }
-                packet(&self.space, &Message::Pose(name, pose), Format::Binary)?
+                let report = CheckedReport::new(name, pose).ok()?;
+                packet(&self.space, &Message::Report(report), Format::Binary)?
             }
             Rubbish::AsService => {
                 let keys = [

@@ -11,7 +11,7 @@ use muster_machine::{QueryId, Stored, Wiring};
 use muster_model::id::ServiceName;
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_runtime::inbox::Inbox;
-use muster_wire::{KeySpace, Message, Packet, Rejection, Request, Source};
+use muster_wire::{KeySpace, Message, Packet, Rejection, Request};
 
 use super::chance::Chance;
 use super::clock::{HostClock, MS, Micros, ProcessClock};
@@ -221,13 +221,7 @@ impl Node {
         if !is_new {
             return;
         }
-        let source = if alive { Source::TokenAlive } else { Source::TokenGone };
-        let packet = Packet {
-            key: key.to_string(),
-            encoding: String::new(),
-            source,
-            payload: Ok(Vec::new()),
-        };
+        let packet = Packet::token(key.to_string(), alive);
         process.waiting += 1;
         let latest = muster_machine::Delivery::Latest;
         take_in(process, self.kind.understand, space, &packet, key.len(), latest);

@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
-use muster_model::observation::{Links, Pose, Rank, Relation};
+use muster_model::observation::{CheckedReport, Links, Pose, Rank, Relation, Report};
 use muster_scenario::{Fleet, FleetOptions, RobotObservation, ScenarioKind};
-use muster_wire::{Format, Key, KeySpace, Message, Packet, Source};
+use muster_wire::{Format, Key, KeySpace, Message, Packet};
 use serde_json::Value;
 
 use super::chance::{Chance, Purpose};
@@ -149,19 +149,19 @@ impl Robots {
         let stamp = speaker.stamps.then(|| speaker.host.wall(now).as_seconds());
         let boot = speaker.boots.then(|| format!("run{}", speaker.life));
         let seq = speaker.counts.then_some(speaker.seq);
-        let message = match speech {
+        let report: Report = match speech {
             Speech::Pose => {
                 let [x, y, z] = place;
                 let pose = observed.pose.clone();
-                Message::Pose(name, Pose { x, y, z: Some(z), stamp, boot, seq, ..pose })
+                Pose { x, y, z: Some(z), stamp, boot, seq, ..pose }.into()
             }
             Speech::Links => {
                 let links = observed.links.links.clone();
-                Message::Links(name, Links { links, stamp, boot, seq })
+                Links { links, stamp, boot, seq }.into()
             }
             Speech::Rank => {
                 let rank = observed.rank.clone();
-                Message::Rank(name, Rank { superior, stamp, boot, seq, ..rank })
+                Rank { superior, stamp, boot, seq, ..rank }.into()
             }
             Speech::Relation => {
                 let edges = if speaker.relates && peer != name {
@@ -170,9 +170,10 @@ impl Robots {
                     vec![]
                 };
                 let modality = Modality::new("thermal").ok()?;
-                Message::Relation(name, modality, Relation { edges, stamp, boot, seq })
+                (modality, Relation { edges, stamp, boot, seq }).into()
             }
         };
+        let message = Message::Report(CheckedReport::new(name, report).ok()?);
         packet(space, &message, if speaker.json { Format::Json } else { Format::Binary })
     }
 
@@ -224,12 +225,7 @@ pub(crate) fn read_told(bytes: &[u8]) -> Option<Told> {
 pub(crate) fn packet(space: &KeySpace, message: &Message, format: Format) -> Option<Packet> {
     let (key, _) = message.keys();
     let outbound = message.encode(key, format, muster_model::time::Tick(0)).ok()?;
-    Some(Packet {
-        key: space.format(&outbound.key),
-        encoding: outbound.encoding.into_owned(),
-        source: Source::Put,
-        payload: Ok(outbound.payload),
-    })
+    Some(outbound.into_packet(space))
 }
 
 impl Robot {

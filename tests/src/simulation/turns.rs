@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use muster_model::id::{ServiceName, TeamId};
 use muster_model::time::Tick;
-use muster_wire::{Message, Packet, Source};
+use muster_wire::Message;
 
 use super::clock::{MS, Micros};
 use super::link::Way;
@@ -106,12 +106,9 @@ impl World {
                     for message in messages {
                         let outbound = message.answer(&self.space, &request, now);
                         let outbound = outbound.map_err(|error| error.to_string())?;
-                        packets.extend(outbound.into_iter().map(|outbound| Packet {
-                            key: self.space.format(&outbound.key),
-                            encoding: outbound.encoding.into_owned(),
-                            source: Source::Put,
-                            payload: Ok(outbound.payload),
-                        }));
+                        packets.extend(
+                            outbound.into_iter().map(|outbound| outbound.into_packet(&self.space)),
+                        );
                     }
                     Ok(packets)
                 });
@@ -185,12 +182,7 @@ impl World {
                     self.judged(breach("a robot can read what it is told", seen));
                 }
             }
-            let packet = Packet {
-                key: self.space.format(&outbound.key),
-                encoding: outbound.encoding.into_owned(),
-                source: Source::Put,
-                payload: Ok(outbound.payload),
-            };
+            let packet = outbound.into_packet(&self.space);
             let packet = self.saboteur.bus(&self.space, packet, now);
             self.send(link, Way::Up, &Carried::Put(Arc::new(packet)));
         }
@@ -203,12 +195,7 @@ impl World {
         let bytes = message.encode(key, muster_wire::Format::Binary, Tick(0));
         let decoded = match bytes {
             Ok(outbound) => {
-                let packet = Packet {
-                    key: self.space.format(&outbound.key),
-                    encoding: outbound.encoding.into_owned(),
-                    source: Source::Put,
-                    payload: Ok(outbound.payload),
-                };
+                let packet = outbound.into_packet(&self.space);
                 match Message::decode(&self.space, &packet) {
                     Ok(decoded) => decoded,
                     Err(refused) => {

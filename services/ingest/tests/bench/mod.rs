@@ -13,12 +13,12 @@ use muster_model::event::EventKind;
 use muster_model::graph::GraphReplica;
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
-use muster_model::observation::{Link, Links, Pose, Rank, Relation};
+use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::IngestSettings;
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
-use muster_wire::{KeySpace, Message, Pattern, Request};
+use muster_wire::{Key, KeySpace, Message, Pattern, Rejection, Request};
 use serde_json::Value;
 
 /// Some moment: cores know no absolute time.
@@ -44,30 +44,42 @@ pub(crate) fn bare_pose(x: f64, y: f64) -> Pose {
     Pose { x, y, z: None, heading: None, frame: None, stamp: None, boot: None, seq: None }
 }
 
-pub(crate) fn pose(name: &str, x: f64, y: f64) -> Message {
-    Message::Pose(robot(name), bare_pose(x, y))
+/// Something that a robot puts on the bus.
+#[derive(Debug, Clone)]
+pub(crate) enum Put {
+    Report(RobotId, Report),
+    Token(RobotId, bool),
 }
 
-pub(crate) fn links(name: &str, peers: &[(&str, f64)]) -> Message {
+pub(crate) fn report(name: &str, report: impl Into<Report>) -> Put {
+    Put::Report(robot(name), report.into())
+}
+
+pub(crate) fn pose(name: &str, x: f64, y: f64) -> Put {
+    report(name, bare_pose(x, y))
+}
+
+pub(crate) fn links(name: &str, peers: &[(&str, f64)]) -> Put {
+    report(name, links_to(peers))
+}
+
+pub(crate) fn links_to(peers: &[(&str, f64)]) -> Links {
     let links = peers.iter().map(|(peer, quality)| Link { peer: robot(peer), quality: *quality });
-    let links = Links { links: links.collect(), stamp: None, boot: None, seq: None };
-    Message::Links(robot(name), links)
+    Links { links: links.collect(), stamp: None, boot: None, seq: None }
 }
 
-pub(crate) fn rank(name: &str, superior: Option<&str>, weight: Option<f64>) -> Message {
-    let superior = superior.map(robot);
-    let rank = Rank { superior, weight, role: None, stamp: None, boot: None, seq: None };
-    Message::Rank(robot(name), rank)
+pub(crate) fn rank(name: &str, superior: Option<&str>, weight: Option<f64>) -> Put {
+    report(name, Rank { weight, ..Rank::under(superior.map(robot)) })
 }
 
-pub(crate) fn relation(name: &str, of: &str, edges: &[(&str, f64)]) -> Message {
+pub(crate) fn relation(name: &str, of: &str, edges: &[(&str, f64)]) -> Put {
     let edges = edges.iter().map(|(to, weight)| (robot(name), robot(to), *weight)).collect();
     let relation = Relation { edges, stamp: None, boot: None, seq: None };
-    Message::Relation(robot(name), modality(of), relation)
+    report(name, (modality(of), relation))
 }
 
-pub(crate) fn token(name: &str, alive: bool) -> Message {
-    Message::RobotToken { robot: robot(name), alive }
+pub(crate) fn token(name: &str, alive: bool) -> Put {
+    Put::Token(robot(name), alive)
 }
 
 /// What a roster says of a robot that said nothing but that it is there.
@@ -163,8 +175,7 @@ impl Bench {
         for command in self.driver.step(self.now, event) {
             match command {
                 Command::Fetch { fetch, patterns }
-                    if patterns
-                        == [Pattern::One(muster_wire::Key::Holder(ServiceName::Ingest))] =>
+                    if patterns == [Pattern::One(Key::Holder(ServiceName::Ingest))] =>
                 {
                     in_doubt = Some(fetch);
                 }
@@ -213,8 +224,21 @@ impl Bench {
         self.published.push((self.now, message));
     }
 
-    pub(crate) fn say(&mut self, message: Message) {
-        self.step(Event::Received(message));
+    /// Brings something that a robot puts to the core as decoding does: checked, or refused.
+    pub(crate) fn say(&mut self, put: Put) {
+        self.step(match put {
+            Put::Token(robot, alive) => Event::Received(Message::RobotToken { robot, alive }),
+            Put::Report(robot, report) => {
+                let key = Key::Stream(robot.clone(), report.stream());
+                match CheckedReport::new(robot, report) {
+                    Ok(report) => Event::Received(Message::Report(report)),
+                    Err(error) => {
+                        let (space, reason) = (space(), error.to_string());
+                        Event::Rejected(Rejection::new(&space, &space.format(&key), reason))
+                    }
+                }
+            }
+        });
     }
 
     /// Lets time pass, with every deadline met.

@@ -10,6 +10,7 @@ use muster_embedder::Embedder;
 use muster_ingest::Ingest;
 use muster_machine::Wiring;
 use muster_model::id::{RobotId, ServiceName};
+use muster_model::observation::Stream;
 use muster_wire::{Key, KeySpace, Pattern};
 
 use super::fleet::{FleetFile, Identity, Kind};
@@ -103,19 +104,18 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
 fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
     let key = |key: Key| space.format(&key);
     let team = key(Key::RobotTeam(robot.clone()));
-    let (pose, token) = (key(Key::Pose(robot.clone())), key(Key::RobotToken(robot.clone())));
+    let token = key(Key::RobotToken(robot.clone()));
+    let declared = fleet.modalities.iter().cloned().map(Stream::Relation);
+    let streams = Stream::BUILT_IN.into_iter().chain(declared);
     let mut rights = Rights {
-        put: vec![pose.clone(), key(Key::Links(robot.clone())), key(Key::Rank(robot.clone()))],
+        put: streams.map(|stream| key(Key::Stream(robot.clone(), stream))).collect(),
         // It checks whether another process uses its id: one with a copy of its certificate.
-        subscribe: vec![team.clone(), pose],
+        subscribe: vec![team.clone(), key(Key::Stream(robot.clone(), Stream::Pose))],
         get: vec![team, schema(space)],
         declare_token: vec![token.clone()],
         watch_token: vec![token],
         ..Rights::default()
     };
-    rights.put.extend(
-        fleet.modalities.iter().map(|name| key(Key::Relation(robot.clone(), name.clone()))),
-    );
     if fleet.robots_read_json {
         let json = [Key::JsonTeams, Key::JsonAudit, Key::JsonEvent].map(key);
         rights.subscribe.extend_from_slice(&json);

@@ -12,7 +12,7 @@ use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
-use muster_model::observation::{Link, Links, Pose, Rank, Relation};
+use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
 use muster_model::role::{Claim, Standing};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::status::ServiceStatus;
@@ -52,6 +52,10 @@ pub fn header(epoch: u64) -> Header {
             StageTime { stage: ServiceName::Embedder, received: tick(101), published: tick(110) },
         ],
     }
+}
+
+fn from_robot(name: &str, report: impl Into<Report>) -> Message {
+    Message::Report(CheckedReport::new(robot(name), report).unwrap())
 }
 
 fn provenance() -> (Option<f64>, Option<String>, Option<u64>) {
@@ -159,7 +163,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ],
         next_team: 3,
     };
-    let told = teams.robot_team(&robot("r1")).unwrap();
+    let robot_team = teams.robot_team(&robot("r1")).unwrap();
     let report = |space, mean| SilhouetteReport {
         space,
         mean,
@@ -204,15 +208,15 @@ pub fn all() -> Vec<(&'static str, Message)> {
         counters: BTreeMap::from([("poses_accepted".to_owned(), 600)]),
     };
     vec![
-        ("pose", Message::Pose(robot("r1"), pose)),
-        ("links", Message::Links(robot("r1"), links)),
-        ("rank", Message::Rank(robot("r2"), rank)),
-        ("relation", Message::Relation(robot("r1"), Modality::new("thermal").unwrap(), relation)),
+        ("pose", from_robot("r1", pose)),
+        ("links", from_robot("r1", links)),
+        ("rank", from_robot("r2", rank)),
+        ("relation", from_robot("r1", (Modality::new("thermal").unwrap(), relation))),
         ("graph", Message::Graph(Arc::new(graph))),
         ("roster", Message::Roster(Arc::new(roster))),
         ("embedding", Message::Embedding(Arc::new(embedding))),
         ("teams", Message::Teams { teams: Arc::new(teams), mirror: false }),
-        ("robot_team", Message::RobotTeam(told)),
+        ("robot_team", Message::RobotTeam(robot_team)),
         ("audit", Message::Audit(Arc::new(audit))),
         ("event", event(quarantined)),
         (

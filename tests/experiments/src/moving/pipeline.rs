@@ -185,7 +185,8 @@ impl Pipeline {
     pub fn order_teams(&mut self, teams: usize) -> Result<(), PipelineError> {
         let key = self.space.format(&Key::Settings(ServiceName::Clusterer));
         let patch = format!("{{\"teams\": {teams}}}").into_bytes();
-        let request = Request::new(key, "", Some(patch)).map_err(PipelineError::Refused)?;
+        let request = Request::new(key, "", Some(patch))
+            .map_err(|error| PipelineError::Refused(error.to_string()))?;
         self.queries += 1;
         let query = QueryId(self.queries);
         self.clusterer.step(self.now, Event::Query { query, request }, &mut self.queue);
@@ -256,7 +257,7 @@ impl Pipeline {
 #[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 mod tests {
     use muster_model::id::RobotId;
-    use muster_model::observation::Pose;
+    use muster_model::observation::{CheckedReport, Pose};
 
     use super::*;
 
@@ -267,7 +268,8 @@ mod tests {
             for robot in 0..12_u32 {
                 let name = RobotId::new(format!("r{robot:02}")).unwrap();
                 let x = f64::from(robot / 4) * 100.0 + f64::from(robot % 4);
-                pipeline.hear(Message::Pose(name, Pose::at(x, 0.1 * step as f64)));
+                let pose = CheckedReport::new(name, Pose::at(x, 0.1 * step as f64)).unwrap();
+                pipeline.hear(Message::Report(pose));
             }
             pipeline.advance(Tick((step + 1) * 100_000));
             if step == 25 {

@@ -1,6 +1,7 @@
 //! What the robots of a mission say, each at its own moments.
 
-use muster_model::observation::{Link, Links, Pose, Rank};
+use muster_model::id::RobotId;
+use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Report};
 use muster_wire::Message;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -90,7 +91,7 @@ impl<'a> Reports<'a> {
             if let Some(of) = self.subject(Sense::Spatial, robot) {
                 let error = normal_pair(&mut self.chance).map(|error| error * self.mission.noise_m);
                 let at = [0, 1].map(|axis| places[of][axis] + error[axis]);
-                said.push(Message::Pose(name(), Pose::at(at[0], at[1])));
+                said.extend(report(name(), Pose::at(at[0], at[1])));
             }
             if turn(LINK_STEPS)
                 && let Some(of) = self.subject(Sense::Connectivity, robot)
@@ -103,10 +104,8 @@ impl<'a> Reports<'a> {
                     quality,
                 };
                 let links = heard.into_iter().map(link).collect();
-                said.push(Message::Links(
-                    name(),
-                    Links { links, stamp: None, boot: None, seq: None },
-                ));
+                let links = Links { links, stamp: None, boot: None, seq: None };
+                said.extend(report(name(), links));
             }
             if let Some(of) = self.subject(Sense::Hierarchy, robot) {
                 let superior = self.mission.superior(of, ranks_t);
@@ -115,7 +114,7 @@ impl<'a> Reports<'a> {
                     self.said[robot] = Some(superior);
                     let superior =
                         superior.map(|superior| self.mission.fleet.robots[superior].name.clone());
-                    said.push(Message::Rank(name(), Rank::under(superior)));
+                    said.extend(report(name(), Rank::under(superior)));
                 }
             }
         }
@@ -140,6 +139,11 @@ impl<'a> Reports<'a> {
     }
 }
 
+/// The message of a report; none if its content is wrong, which a simulated robot never reports.
+fn report(robot: RobotId, report: impl Into<Report>) -> Option<Message> {
+    CheckedReport::new(robot, report).ok().map(Message::Report)
+}
+
 /// Two independent numbers of the standard normal distribution (Box and Muller 1958).
 fn normal_pair(chance: &mut ChaCha8Rng) -> [f64; 2] {
     // Within (0, 1], so that the logarithm is finite.
@@ -152,6 +156,8 @@ fn normal_pair(chance: &mut ChaCha8Rng) -> [f64; 2] {
 #[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 mod tests {
     use super::*;
+    use muster_model::observation::Stream;
+
     use crate::moving::fleet::Fleet;
     use crate::moving::mission::Case;
 
@@ -161,9 +167,12 @@ mod tests {
         let mut counts = [0; 4];
         for message in (0..seconds * STEPS_HZ).flat_map(|step| reports.step(step)) {
             let kind = match message {
-                Message::Pose(..) => 0,
-                Message::Links(..) => 1,
-                Message::Rank(..) => 2,
+                Message::Report(report) => match report.stream() {
+                    Stream::Pose => 0,
+                    Stream::Links => 1,
+                    Stream::Rank => 2,
+                    Stream::Relation(_) => 3,
+                },
                 _ => 3,
             };
             counts[kind] += 1;

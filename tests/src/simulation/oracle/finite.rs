@@ -16,10 +16,7 @@ use super::{Verdict, breach};
 pub(crate) fn check(message: &Message) -> Verdict {
     let walked = match message {
         Message::RobotToken { .. } | Message::ServiceToken { .. } => Ok(()),
-        Message::Pose(_, body) => body.serialize(Walker),
-        Message::Links(_, body) => body.serialize(Walker),
-        Message::Rank(_, body) => body.serialize(Walker),
-        Message::Relation(_, _, body) => body.serialize(Walker),
+        Message::Report(report) => report.report().serialize(Walker),
         Message::RobotTeam(told) => told.serialize(Walker),
         Message::Graph(delta) => delta.serialize(Walker),
         Message::Roster(roster) => roster.serialize(Walker),

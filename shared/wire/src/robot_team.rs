@@ -1,19 +1,17 @@
-//! What a robot is told of its team, as robots read it: in JSON, as it is put, or binary, on request.
+//! The team of a robot, as robots read it: in JSON as it is published, or in binary form.
 
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, RobotId, ServiceName, TeamId};
-use muster_model::limits::{MAX_MEMBERS_TOLD, MAX_REVISION};
 use muster_model::teams::RobotTeam;
 use muster_model::time::{Tick, seconds};
 use serde::Deserialize;
 
+use crate::decode::{self, DecodeError};
 use crate::envelope;
 use crate::key::{Key, KeySpace};
-use crate::message::{Packet, Rejection, Source, format_of};
-use crate::request::Format;
+use crate::packet::{Format, Packet, Rejection, Source};
 
-/// The JSON form. Fields that are not known are passed over, so that a robot understands services
-/// that are newer than itself.
+/// The JSON form. Unknown fields are ignored, so that a robot can read newer services.
 #[derive(Deserialize)]
 struct Form {
     fleet: FleetId,
@@ -35,49 +33,37 @@ struct Stage {
     published: f64,
 }
 
-/// Understands what a robot is told of its team. The age of the data that JSON names counts from
+/// Reads and checks the team of a robot. The age of the data in JSON counts back from
 /// `now`, the moment of arrival.
 ///
 /// # Errors
 /// A [`Rejection`] if the key is no robot's team or of another fleet, the content does not decode or
-/// contradicts itself, or it speaks of another fleet or robot than the key.
+/// contradicts itself, or names another fleet or robot than the key.
 pub fn decode(space: &KeySpace, packet: &Packet, now: Tick) -> Result<RobotTeam, Rejection> {
-    understand(space, packet, now).map_err(|reason| Rejection::new(space, &packet.key, reason))
+    read(space, packet, now).map_err(|error| Rejection::new(space, &packet.key, error.to_string()))
 }
 
-fn understand(space: &KeySpace, packet: &Packet, now: Tick) -> Result<RobotTeam, String> {
-    let key = space.parse(&packet.key).map_err(|error| error.to_string())?;
-    let limit = key.payload_limit();
-    let Key::RobotTeam(robot) = key else {
-        return Err("no robot is told its team on this key".to_owned());
-    };
+fn read(space: &KeySpace, packet: &Packet, now: Tick) -> Result<RobotTeam, DecodeError> {
+    let key = space.parse(&packet.key)?;
+    let bytes = decode::payload(packet, &key)?;
+    let Key::RobotTeam(robot) = key else { return Err(DecodeError::NotRead) };
     if packet.source != Source::Put {
-        return Err("nothing is deleted on this key".to_owned());
+        return Err(DecodeError::Deleted);
     }
-    let bytes = match &packet.payload {
-        Ok(bytes) if bytes.len() <= limit => bytes,
-        Ok(bytes) => return Err(format!("{} bytes are more than {limit}", bytes.len())),
-        Err(size) => return Err(format!("{size} bytes are more than {limit}")),
+    let team = match decode::format(packet)? {
+        Format::Json => from_json(bytes, now)?,
+        Format::Binary => envelope::decode(bytes)?,
     };
-    let told = match format_of(&packet.encoding) {
-        Some(Format::Json) => from_json(bytes, now)?,
-        Some(Format::Binary) => envelope::decode(bytes).map_err(|error| error.to_string())?,
-        None => return Err("the encoding is unknown".to_owned()),
-    };
-    if told.robot != robot {
-        return Err(format!("robot: the key speaks to {robot}, the message to {}", told.robot));
+    if team.robot != robot {
+        return Err(DecodeError::TeamRobot { key: robot, message: team.robot });
     }
-    if told.header.fleet != *space.fleet() {
-        let (ours, theirs) = (space.fleet(), &told.header.fleet);
-        return Err(format!("fleet: the key speaks for {ours}, the message for {theirs}"));
-    }
-    check(&told)?;
-    Ok(told)
+    decode::check_header(space, &team.header)?;
+    team.check()?;
+    Ok(team)
 }
 
-fn from_json(bytes: &[u8], now: Tick) -> Result<RobotTeam, String> {
-    let form: Form = serde_json::from_slice(bytes)
-        .map_err(|error| format!("this is not the JSON it should be: {error}"))?;
+fn from_json(bytes: &[u8], now: Tick) -> Result<RobotTeam, DecodeError> {
+    let form: Form = serde_json::from_slice(bytes)?;
     let moment = |at: f64| Tick(0).after(seconds(at));
     let oldest = form.data_age_s.map(|age| Tick(now.0.saturating_sub(moment(age).0)));
     let stages = form.stages.into_iter().map(|stage| StageTime {
@@ -101,34 +87,11 @@ fn from_json(bytes: &[u8], now: Tick) -> Result<RobotTeam, String> {
     })
 }
 
-fn check(told: &RobotTeam) -> Result<(), String> {
-    let revision = told.header.revision;
-    if revision.term.max(revision.epoch) >= MAX_REVISION {
-        return Err(format!("term and epoch must be below {MAX_REVISION}"));
-    }
-    if !(0.0..=1.0).contains(&told.confidence) {
-        return Err("confidence: must be a number from 0 to 1".to_owned());
-    }
-    if told.team.is_some() != told.leader.is_some() {
-        return Err("leader: a team has one, and no team has none".to_owned());
-    }
-    let Some(members) = &told.members else { return Ok(()) };
-    if members.len() > MAX_MEMBERS_TOLD {
-        return Err(format!("members: may be at most {MAX_MEMBERS_TOLD}"));
-    }
-    if !members.is_sorted_by(|left, right| left < right) {
-        return Err("members: must be ordered by name, each once".to_owned());
-    }
-    if told.team.is_some() != members.contains(&told.robot) {
-        return Err("members: must hold the robot itself if it has a team".to_owned());
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::message::{JSON, Message};
+    use crate::message::Message;
+    use crate::packet::JSON;
     use serde_json::{Value, json};
 
     fn space() -> KeySpace {
@@ -159,28 +122,23 @@ mod tests {
 
     fn packet(format: Format) -> Packet {
         let key = Key::RobotTeam(RobotId::new("r1").unwrap());
-        let told = Message::RobotTeam(sample());
-        let outbound = told.encode(key.clone(), format, Tick(10_000_000)).unwrap();
-        Packet {
-            key: space().format(&key),
-            encoding: outbound.encoding.into_owned(),
-            source: Source::Put,
-            payload: Ok(outbound.payload),
-        }
+        let team = Message::RobotTeam(sample());
+        let outbound = team.encode(key.clone(), format, Tick(10_000_000)).unwrap();
+        outbound.into_packet(&space())
     }
 
     #[test]
     fn a_robot_reads_what_services_write_in_both_forms() {
         for format in [Format::Json, Format::Binary] {
-            let told = decode(&space(), &packet(format), Tick(10_000_000)).unwrap();
-            assert_eq!(told, sample(), "{format:?}");
+            let team = decode(&space(), &packet(format), Tick(10_000_000)).unwrap();
+            assert_eq!(team, sample(), "{format:?}");
         }
     }
 
     #[test]
     fn the_age_of_the_data_counts_from_the_arrival_whatever_the_clocks_say() {
-        let told = decode(&space(), &packet(Format::Json), Tick(90_000_000)).unwrap();
-        assert_eq!(told.header.data_age_s(Tick(90_500_000)), Some(1.5));
+        let team = decode(&space(), &packet(Format::Json), Tick(90_000_000)).unwrap();
+        assert_eq!(team.header.data_age_s(Tick(90_500_000)), Some(1.5));
     }
 
     fn with(change: impl Fn(&mut Value)) -> Result<RobotTeam, String> {
@@ -193,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_newer_field_is_passed_over_and_nonsense_is_refused_by_name() {
+    fn an_unknown_field_is_ignored_and_a_wrong_one_is_refused_by_name() {
         assert!(with(|value| value["new"] = json!(1)).is_ok());
         let wrong: [(&str, Value, &str); 9] = [
             ("fleet", json!("beta"), "fleet"),
