@@ -26,7 +26,7 @@ use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Report};
 use muster_model::role::Claim;
 use muster_model::time::Tick;
-use muster_wire::recording::{Bytes, Heard, Reader, begin, frame};
+use muster_wire::recording::{Bytes, Reader, Received, begin, frame};
 use muster_wire::{Key, KeySpace, Message, Pattern, Rejection, Request};
 use proptest::prelude::*;
 
@@ -72,7 +72,7 @@ trait AnyNode {
 
 fn again(message: &Message) -> Option<Message> {
     // What is on the bus is bytes: nothing reaches a core that did not come through them.
-    let packet = Heard::new(&space(), &unmirrored(message)).ok()?.into_packet();
+    let packet = Received::new(&space(), &unmirrored(message)).ok()?.into_packet();
     Message::decode(&space(), &packet).ok()
 }
 

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use muster_machine::recording::{Entry, Head, Input, Output};
 use muster_tests::cluster::{Cluster, SERVICES};
 use muster_tests::process::run;
-use muster_wire::recording::{Bytes, Heard, Reader, RecordingError, begin, frame};
+use muster_wire::recording::{Bytes, Reader, Received, RecordingError, begin, frame};
 use serde_json::{Value, json};
 
 const SOON: Duration = Duration::from_secs(20);
@@ -148,14 +148,14 @@ fn everything_happened(entries: &[Entry]) {
         entries.iter().filter(is).count()
     };
     assert!(count(&|input| matches!(input, Input::Started)) == 5);
-    assert!(count(&|input| matches!(input, Input::Received(Heard::Put(_)))) > 500);
+    assert!(count(&|input| matches!(input, Input::Received(Received::Put(_)))) > 500);
     for (what, name) in [
         (
-            count(&|input| matches!(input, Input::Received(Heard::Token { alive: true, .. }))),
+            count(&|input| matches!(input, Input::Received(Received::Token { alive: true, .. }))),
             "token",
         ),
         (
-            count(&|input| matches!(input, Input::Received(Heard::Token { alive: false, .. }))),
+            count(&|input| matches!(input, Input::Received(Received::Token { alive: false, .. }))),
             "gone",
         ),
         (count(&|input| matches!(input, Input::Rejected(_))), "refusal"),

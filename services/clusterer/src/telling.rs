@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use muster_model::id::RobotId;
-use muster_model::limits::MAX_MEMBERS_TOLD;
+use muster_model::limits::MAX_MEMBERS_PUBLISHED;
 use muster_model::teams::{Team, Teams};
 use muster_model::time::Tick;
 
@@ -89,7 +89,7 @@ pub(crate) fn robots_to_tell<'a>(teams: &'a Teams, before: Option<&Teams>) -> Ve
 
 /// Whether those who are in a team before and after are told the same.
 fn same_for_members(old: &Team, new: &Team) -> bool {
-    let is_large = |team: &Team| team.members.len() > MAX_MEMBERS_TOLD;
+    let is_large = |team: &Team| team.members.len() > MAX_MEMBERS_PUBLISHED;
     let same_names = || {
         old.members.len() == new.members.len()
             && old.members.iter().zip(&new.members).all(|(old, new)| old.robot == new.robot)

@@ -16,7 +16,7 @@ use muster_model::id::ServiceName;
 use muster_model::time::Tick;
 use muster_runtime::exit::ExitError;
 use muster_runtime::recording::host_facts;
-use muster_wire::recording::{Heard, Put, Reader};
+use muster_wire::recording::{Put, Reader, Received};
 use muster_wire::{Format, KeySpace, Message};
 use serde_json::{Value, json};
 
@@ -258,10 +258,10 @@ impl Show {
         }
     }
 
-    fn heard(&self, heard: &Heard) -> String {
+    fn heard(&self, heard: &Received) -> String {
         match heard {
-            Heard::Put(put) => self.put(put),
-            Heard::Token { key, alive } => {
+            Received::Put(put) => self.put(put),
+            Received::Token { key, alive } => {
                 format!("{} {}", self.key(key), if *alive { "is there" } else { "is gone" })
             }
         }

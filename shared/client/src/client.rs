@@ -177,7 +177,7 @@ impl Client {
 
     pub(crate) async fn team(&self, robot: &RobotId) -> Result<Watch<RobotTeam>, Error> {
         self.follow(Key::RobotTeam(robot.clone()), |space, packet| {
-            muster_wire::told::decode(space, packet, crate::voice::wall_clock())
+            muster_wire::robot_team::decode(space, packet, crate::voice::wall_clock())
         })
         .await
     }

@@ -7,7 +7,7 @@
 use muster_model::id::{FleetId, InstanceId, ServiceName};
 use muster_model::time::Tick;
 use muster_wire::envelope::EnvelopeError;
-use muster_wire::recording::{Heard, Put};
+use muster_wire::recording::{Put, Received};
 use muster_wire::{KeySpace, Message, Rejection, Request};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -77,7 +77,7 @@ pub enum Input {
     /// [`Event::Started`]
     Started,
     /// [`Event::Received`]
-    Received(Heard),
+    Received(Received),
     /// [`Event::Rejected`]
     Rejected(Rejection),
     /// [`Event::Timeout`]
@@ -87,7 +87,7 @@ pub enum Input {
     /// [`Event::JobFailed`], with the laps until then and what the panic said.
     JobFailed(Vec<u64>, String),
     /// [`Event::Fetched`]
-    Fetched(u32, Vec<Heard>),
+    Fetched(u32, Vec<Received>),
     /// [`Event::Query`]
     Query(u64, Request),
     /// [`Event::LinkLost`]
@@ -124,13 +124,13 @@ impl Entry {
     ) -> Result<Self, EnvelopeError> {
         let input = match event {
             Event::Started => Input::Started,
-            Event::Received(message) => Input::Received(Heard::new(space, message)?),
+            Event::Received(message) => Input::Received(Received::new(space, message)?),
             Event::Rejected(rejection) => Input::Rejected(rejection.clone()),
             Event::Timeout => Input::Timeout,
             Event::Done(_) => Input::Done(laps.to_vec()),
             Event::JobFailed(said) => Input::JobFailed(laps.to_vec(), said.clone()),
             Event::Fetched { fetch, messages } => {
-                let heard = messages.iter().map(|message| Heard::new(space, message));
+                let heard = messages.iter().map(|message| Received::new(space, message));
                 Input::Fetched(*fetch, heard.collect::<Result<_, _>>()?)
             }
             Event::Query { query, request } => Input::Query(query.0, request.clone()),

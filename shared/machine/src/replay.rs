@@ -9,7 +9,7 @@ use std::panic::AssertUnwindSafe;
 
 use muster_model::time::Tick;
 use muster_wire::message::quoted;
-use muster_wire::recording::{Heard, RecordingError};
+use muster_wire::recording::{Received, RecordingError};
 use muster_wire::{KeySpace, Message, Rejection};
 
 use crate::core::{Core, Event, QueryId, Start};
@@ -123,7 +123,7 @@ impl<C: Core> Replay<C> {
         })
     }
 
-    fn understand(&self, heard: Heard) -> Result<Message, ReplayError> {
+    fn understand(&self, heard: Received) -> Result<Message, ReplayError> {
         C::understand(&self.space, &heard.into_packet()).map_err(|rejection| {
             let Rejection { key, reason, .. } = rejection;
             ReplayError::Unreadable(format!("a message on {key} is not understood: {reason}"))

@@ -56,7 +56,7 @@ fn selected<'a>(
         .teams
         .iter()
         .flat_map(|team| {
-            let names = if team.members.len() > muster_model::limits::MAX_MEMBERS_TOLD {
+            let names = if team.members.len() > muster_model::limits::MAX_MEMBERS_PUBLISHED {
                 1
             } else {
                 team.members.len()

@@ -24,7 +24,7 @@ use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
-use muster_wire::recording::{Bytes, Heard, Put, Reader, begin, frame};
+use muster_wire::recording::{Bytes, Put, Reader, Received, begin, frame};
 use muster_wire::{Key, KeySpace, Message, Pattern, Rejection, Request};
 use proptest::prelude::*;
 
@@ -331,7 +331,7 @@ fn jobs_that_end_otherwise_are_told() {
     assert!(why(&mut new(), Input::Done(vec![1, 2])).contains("none was started"));
     let after = |x: f64, input: Input| {
         let mut replay = new();
-        let heard = Heard::new(&space(), &pose("r1", x)).unwrap();
+        let heard = Received::new(&space(), &pose("r1", x)).unwrap();
         assert_eq!(replay.step(Tick(1), Input::Received(heard)), Ok(vec![Output::Ran]));
         why(&mut replay, input)
     };
@@ -361,7 +361,7 @@ fn what_does_not_fit_together_is_unreadable() {
         encoding: "application/json".to_owned(),
         payload: Bytes(b"{\"x\":1}".to_vec()),
     };
-    let strange = [Entry::Event { tick: Tick(1), input: Input::Received(Heard::Put(strange)) }];
+    let strange = [Entry::Event { tick: Tick(1), input: Input::Received(Received::Put(strange)) }];
     assert!(why(&head, &strange).contains("not understood"));
 }
 
@@ -374,19 +374,19 @@ fn the_bytes_of_entries_are_frozen() {
         encoding: "application/json".to_owned(),
         payload: Bytes(b"{}".to_vec()),
     };
-    let token = Heard::Token { key: "muster/v1/alpha/robot/r1".to_owned(), alive: true };
+    let token = Received::Token { key: "muster/v1/alpha/robot/r1".to_owned(), alive: true };
     let robot = Some(RobotId::new("r1").unwrap());
     let rejection = Rejection { robot, key: "k".to_owned(), reason: "wrong".to_owned() };
     let ask = |parameters| Request::new("a/*", parameters, Some(vec![7])).unwrap().narrowed("a/b");
     let inputs = [
         Input::Started,
-        Input::Received(Heard::Put(put())),
+        Input::Received(Received::Put(put())),
         Input::Received(token.clone()),
         Input::Rejected(rejection),
         Input::Timeout,
         Input::Done(vec![1, 300, 70_000]),
         Input::JobFailed(vec![2], "said".to_owned()),
-        Input::Fetched(3, vec![token, Heard::Put(put())]),
+        Input::Fetched(3, vec![token, Received::Put(put())]),
         Input::Query(4, ask("format=json")),
         Input::Query(5, ask("format=bincode")),
         Input::Query(6, ask("")),

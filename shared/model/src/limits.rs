@@ -43,7 +43,7 @@ pub const MAX_REVISION: u64 = 1 << 48;
 
 /// Largest team whose members are all listed to each of its robots: beyond it, these lists would be
 /// more bytes than all other traffic together.
-pub const MAX_MEMBERS_TOLD: usize = 256;
+pub const MAX_MEMBERS_PUBLISHED: usize = 256;
 
 /// Most edges of one graph: at 13 bytes each and with the names of [`MAX_ROBOTS`] robots, as many as fit
 /// a message between services.

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::content::{ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{RobotId, TeamId};
-use crate::limits::MAX_MEMBERS_TOLD;
+use crate::limits::MAX_MEMBERS_PUBLISHED;
 
 /// One robot within its team.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -165,7 +165,7 @@ pub struct RobotTeam {
     /// Its team; none if nothing relates it to the others.
     pub team: Option<TeamId>,
     /// All robots of the team, itself among them, ordered by name; none if they are more than
-    /// [`MAX_MEMBERS_TOLD`], whom the division names.
+    /// [`MAX_MEMBERS_PUBLISHED`], whom the division names.
     pub members: Option<Vec<RobotId>>,
     /// Who leads the team.
     pub leader: Option<RobotId>,
@@ -190,7 +190,7 @@ impl Teams {
             team: place.map(|(team, _)| team.id.clone()),
             members: match place {
                 None => Some(Vec::new()),
-                Some((team, _)) if team.members.len() > MAX_MEMBERS_TOLD => None,
+                Some((team, _)) if team.members.len() > MAX_MEMBERS_PUBLISHED => None,
                 Some((team, _)) => {
                     Some(team.members.iter().map(|member| member.robot.clone()).collect())
                 }
@@ -214,7 +214,7 @@ impl RobotTeam {
             return refuse("leader", "a team has one, and no team has none");
         }
         let Some(members) = &self.members else { return Ok(()) };
-        if members.len() > MAX_MEMBERS_TOLD {
+        if members.len() > MAX_MEMBERS_PUBLISHED {
             return refuse("members", "are more than a robot's team may list");
         }
         if !members.is_sorted_by(|left, right| left < right) {

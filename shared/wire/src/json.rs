@@ -14,7 +14,7 @@ use muster_model::graph::GraphDelta;
 use muster_model::header::Header;
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
-use muster_model::limits::MAX_MEMBERS_TOLD;
+use muster_model::limits::MAX_MEMBERS_PUBLISHED;
 use muster_model::roster::{Presence, Roster};
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
@@ -141,7 +141,7 @@ pub(crate) struct RobotTeamForm<'a> {
     team: Option<&'a TeamId>,
     /// All robots of the team, itself among them, ordered by name; null if they are more than can be
     /// told, whom the division names.
-    #[schemars(length(max = MAX_MEMBERS_TOLD))]
+    #[schemars(length(max = MAX_MEMBERS_PUBLISHED))]
     members: Option<&'a [RobotId]>,
     /// Who leads the team; null if there is none.
     leader: Option<&'a RobotId>,

@@ -4,7 +4,7 @@
 //!
 //! [`key`] has every key, typed; [`packet`] is what crosses the bus before it is decoded; [`message`] ties a
 //! key to a content and its two forms: [`envelope`] (binary) and [`json`]. [`report`] reads and writes the
-//! reports of robots, [`told`] the team that a robot reads, [`request`] gets; [`decode`] has the reasons for
+//! reports of robots, [`robot_team`] the team that a robot reads, [`request`] gets; [`decode`] has the reasons for
 //! refusals. [`foreign`] has the keys of other programs, [`recording`] the files of recordings, [`schema`] the
 //! JSON Schema. Nothing outside of this crate handles bytes, and nothing in it knows the bus.
 
@@ -18,8 +18,8 @@ pub mod packet;
 pub mod recording;
 pub mod report;
 pub mod request;
+pub mod robot_team;
 pub mod schema;
-pub mod told;
 
 pub use decode::DecodeError;
 pub use foreign::{Attachment, ForeignKey, ForeignPattern};
@@ -48,7 +48,7 @@ mod tests {
             format!("| edges in one relation | {} |", limits::MAX_RELATION_EDGES),
             format!("| declared modalities of a fleet | {} |", limits::MAX_DECLARED_MODALITIES),
             format!("| robots of a fleet | {} |", limits::MAX_ROBOTS),
-            format!("| members listed in a robot's team | {} |", limits::MAX_MEMBERS_TOLD),
+            format!("| members listed in a robot's team | {} |", limits::MAX_MEMBERS_PUBLISHED),
             format!("| id | {} characters |", limits::MAX_ID_LENGTH),
             format!("`boot`) | {} bytes, no control characters |", limits::MAX_TEXT_LENGTH),
             format!("| coordinate | ±{} m |", limits::MAX_COORDINATE_M),

@@ -124,7 +124,7 @@ impl Put {
 
 /// A message that a service received, in binary form whatever form it came in.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Heard {
+pub enum Received {
     /// A put.
     Put(Put),
     /// A liveliness token appeared or was lost.
@@ -136,7 +136,7 @@ pub enum Heard {
     },
 }
 
-impl Heard {
+impl Received {
     /// A message as it is recorded. Nothing of it is lost: [`Message::decode`] reads the same message
     /// from the packet.
     ///

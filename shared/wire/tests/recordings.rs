@@ -5,7 +5,7 @@
 mod samples;
 
 use muster_model::id::{InstanceId, ServiceName};
-use muster_wire::recording::{Heard, MAGIC, Put, Reader, RecordingError, begin, frame};
+use muster_wire::recording::{MAGIC, Put, Reader, Received, RecordingError, begin, frame};
 use muster_wire::{Format, KeySpace, Message, Packet};
 use proptest::prelude::*;
 
@@ -14,11 +14,11 @@ fn space() -> KeySpace {
 }
 
 fn again(message: &Message) -> Result<Message, String> {
-    let received = Heard::new(&space(), message).map_err(|error| error.to_string())?;
+    let received = Received::new(&space(), message).map_err(|error| error.to_string())?;
     let bytes = [begin(&"head").unwrap(), frame(&received).unwrap()].concat();
     let (mut reader, _): (_, String) = Reader::open(bytes.as_slice()).unwrap();
-    let read: Heard = reader.next_entry().unwrap().unwrap();
-    assert!(reader.next_entry::<Heard>().unwrap().is_none());
+    let read: Received = reader.next_entry().unwrap().unwrap();
+    assert!(reader.next_entry::<Received>().unwrap().is_none());
     Message::decode(&space(), &read.into_packet()).map_err(|refused| refused.reason)
 }
 
@@ -93,7 +93,7 @@ proptest! {
     ) {
         let mut bytes = begin(&"head").unwrap();
         for (_, message) in samples::all() {
-            if let Ok(received) = Heard::new(&space(), &message) {
+            if let Ok(received) = Received::new(&space(), &message) {
                 bytes.extend(frame(&received).unwrap());
             }
         }
@@ -109,7 +109,7 @@ proptest! {
         let Ok((mut reader, _)) = Reader::open::<String>(bytes.as_slice()) else { return Ok(()) };
         loop {
             let before = reader.offset();
-            match reader.next_entry::<Heard>() {
+            match reader.next_entry::<Received>() {
                 Ok(Some(_)) => prop_assert!(reader.offset() as usize <= intact, "damage is seen"),
                 Ok(None) => break,
                 Err(error) => {
@@ -143,12 +143,12 @@ fn what_is_wrong_with_a_file_is_told() {
     assert!(matches!(open(&good[..good.len() - 1]), RecordingError::BreaksOff(9)));
     let huge = [good.as_slice(), &u32::MAX.to_le_bytes(), &[0; 4]].concat();
     let (mut reader, _) = Reader::open::<String>(huge.as_slice()).unwrap();
-    let error = reader.next_entry::<Heard>().unwrap_err();
+    let error = reader.next_entry::<Received>().unwrap_err();
     assert!(matches!(error, RecordingError::Damaged { .. }), "{error}");
     // A length that promises what does not come must not be allocated for.
     let promised = [good.as_slice(), &200_000_000_u32.to_le_bytes(), &[0; 9]].concat();
     let (mut reader, _) = Reader::open::<String>(promised.as_slice()).unwrap();
-    assert!(matches!(reader.next_entry::<Heard>(), Err(RecordingError::BreaksOff(_))));
+    assert!(matches!(reader.next_entry::<Received>(), Err(RecordingError::BreaksOff(_))));
 }
 
 /// The largest messages of robots that are accepted in JSON fit their binary form as well.

@@ -131,7 +131,7 @@ pub(crate) fn told(data: &[u8]) {
     let Some(packet) = foreign(data) else { return };
     let space = space();
     let length = packet.payload.as_ref().map_or(0, Vec::len) + packet.key.len();
-    let read = |packet: &Packet| muster_wire::told::decode(&space, packet, NOW);
+    let read = |packet: &Packet| muster_wire::robot_team::decode(&space, packet, NOW);
     let told = allocation::at_most(may_hold(length), "what a robot is told", || read(&packet));
     let told = match told {
         Err(rejection) => return check_rejection(&rejection),

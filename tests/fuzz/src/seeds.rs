@@ -17,7 +17,7 @@ use muster_model::settings::{
 };
 use muster_model::time::Tick;
 use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
-use muster_wire::recording::{Bytes, Heard, Put, begin, frame};
+use muster_wire::recording::{Bytes, Put, Received, begin, frame};
 use muster_wire::{Format, Message, Rejection, Request};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -130,11 +130,11 @@ fn recordings() -> Vec<Seed> {
         encoding: BINARY.to_owned(),
         payload: Bytes(vec![1, 2, 3]),
     };
-    let token = Heard::Token { key: "muster/v1/alpha/robot/r1".to_owned(), alive: true };
+    let token = Received::Token { key: "muster/v1/alpha/robot/r1".to_owned(), alive: true };
     let request = Request::new("muster/v1/alpha/teams", "format=json", None).unwrap();
     let inputs = [
         Input::Started,
-        Input::Received(Heard::Put(put.clone())),
+        Input::Received(Received::Put(put.clone())),
         Input::Rejected(Rejection::new(&space(), "k", "r")),
         Input::Timeout,
         Input::Done(vec![5, 9]),
