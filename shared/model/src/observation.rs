@@ -497,7 +497,7 @@ impl Observation for Links {
 
     fn check_reporter(&self, robot: &RobotId) -> Result<(), ObservationError> {
         if self.links.iter().any(|link| link.peer == *robot) {
-            return refuse("links.peer", "a robot does not report that it hears itself");
+            return refuse("links.peer", "a robot does not report a link to itself");
         }
         Ok(())
     }
@@ -514,7 +514,7 @@ impl Observation for Rank {
 
     fn check_reporter(&self, robot: &RobotId) -> Result<(), ObservationError> {
         if self.superior.as_ref() == Some(robot) {
-            return refuse("superior", "a robot does not answer to itself; null is the top");
+            return refuse("superior", "a robot is not its own superior; null is the top");
         }
         Ok(())
     }
