@@ -162,7 +162,7 @@ mod tests {
     fn margins_are_of_the_robots_with_a_team() {
         let rows = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.4, 0.6]];
         let found = divided(&rows, &[true, false, false, false], 2);
-        let x = DenseMatrix::from_rows(&rows.map(|row| row.to_vec()).to_vec()).unwrap();
+        let x = DenseMatrix::from_rows(&rows.map(Vec::from)).unwrap();
         let margins = found.margins(&x).unwrap();
         assert_eq!(margins[0], 0.0);
         assert!(margins[1] > margins[3], "{margins:?}");

@@ -334,7 +334,8 @@ mod tests {
 
     #[test]
     fn each_wrong_field_has_an_error_of_its_own() {
-        let spoil: [(fn(&mut EmbeddingParams), &str); 9] = [
+        type Spoil<P> = (fn(&mut P), &'static str);
+        let spoil: [Spoil<EmbeddingParams>; 9] = [
             (|p| _ = p.weights.insert(Modality::spatial(), -1.0), "weights.spatial: "),
             (|p| _ = p.reciprocity.insert(Modality::spatial(), 1.5), "reciprocity.spatial: "),
             (|p| p.alpha = Alpha::Value(f64::INFINITY), "alpha: "),
@@ -351,7 +352,7 @@ mod tests {
             let error = params.check().unwrap_err().to_string();
             assert!(error.starts_with(start), "{error}");
         }
-        let spoil: [(fn(&mut DivisionParams), &str); 4] = [
+        let spoil: [Spoil<DivisionParams>; 4] = [
             (|p| p.teams = 0, "teams: "),
             (|p| p.restarts = 0, "restarts: "),
             (|p| p.max_iterations = 0, "max_iterations: "),

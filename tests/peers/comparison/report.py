@@ -339,9 +339,9 @@ def decomposition_parts(results):
         "links and an 8-ary tree; *smooth*: a kernel that falls to zero at its radius, and the tree. "
         f"*All moved*: every robot goes {decomposition.TICK} mean spacings ahead and turns by up to 6°, "
         "and Muster begins with the frame before. *One moved*: any robot goes as far, *one jumped*: "
-        f"{decomposition.JUMP} mean spacings; Muster is told which rows of the graph differ, and its "
-        "time is until singular values and a certified residual are there, as U and V are made for "
-        "those who ask. scipy is "
+        f"{decomposition.JUMP} mean spacings. Muster's time is that of the function that the "
+        "services call (`LeadingTriplets::advance`), which finds the rows of the graph that differ, until "
+        "singular values and a certified residual are there; U and V are computed on request. scipy is "
         '`splu(permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})` and '
         '`svds(solver="propack")`, with the matrix I − αA ready, while Muster begins with the graph.',
         "Residuals are max ‖Sᵀu − σv‖, ‖Sv − σu‖ relative to σ₁, measured by refined solves, the largest "

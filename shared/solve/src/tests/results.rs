@@ -124,3 +124,30 @@ fn rounded_numbers_keep_six_digits() {
         assert_eq!(output::rounded(value), text);
     }
 }
+
+#[test]
+fn the_help_names_the_defaults_that_hold() {
+    let embedder = json!(muster_model::settings::EmbedderSettings::default());
+    let clusterer = json!(muster_model::settings::ClustererSettings::default());
+    let line = |key: &str| {
+        let mut lines = crate::AFTER_HELP.lines();
+        lines.find(|line| line.starts_with(&format!("  {key} "))).unwrap()
+    };
+    for (settings, key) in [
+        (&embedder, "normalize"),
+        (&embedder, "alpha"),
+        (&embedder, "dimension"),
+        (&embedder, "scale"),
+        (&embedder, "rows"),
+        (&clusterer, "init"),
+    ] {
+        let value = settings[key].to_string().replace(':', ": ");
+        let line = line(key);
+        let (before, _) = line.split_once("(default)").unwrap();
+        assert!(before.contains(&value), "{key}: {value} in {line}");
+    }
+    for key in ["restarts", "seed"] {
+        let wanted = format!("{key} ({})", clusterer[key]);
+        assert!(line("init").contains(&wanted), "{wanted}");
+    }
+}
