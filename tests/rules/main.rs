@@ -127,6 +127,7 @@ fn the_console_talks_to_a_fleet_through_the_client_alone() {
         "muster_runtime::shell",
     ];
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../services/muster/src");
+    let root = root.canonicalize().unwrap();
     let mut exempt = 0;
     for (name, text) in sources(&root, "/deploy/") {
         if WITH_A_BUS.iter().any(|file| name.ends_with(file)) {
