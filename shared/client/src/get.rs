@@ -163,19 +163,17 @@ impl Client {
             within: SIMILARITY_TIMEOUT,
             everybody: false,
         };
-        for answer in self.get(&Pattern::One(Key::Embedding), ask).await? {
-            match answer {
-                Answer::Packet(packet) => {
-                    let pair = muster_wire::katz::decode(self.bus().space(), &packet, wall_clock());
-                    return pair.map_err(|refused| Error::bus(refused.reason));
-                }
-                Answer::Error(error) => {
-                    let service = ServiceName::Embedder;
-                    return Err(Error::Refused { service, reason: reason(&error) });
-                }
+        match self.get(&Pattern::One(Key::Embedding), ask).await?.into_iter().next() {
+            Some(Answer::Packet(packet)) => {
+                let pair = muster_wire::katz::decode(self.bus().space(), &packet, wall_clock());
+                pair.map_err(|refused| Error::bus(refused.reason))
             }
+            Some(Answer::Error(error)) => {
+                let service = ServiceName::Embedder;
+                Err(Error::Refused { service, reason: reason(&error) })
+            }
+            None => Err(self.unanswered("similarities")),
         }
-        Err(self.unanswered("similarities"))
     }
 
     /// The status of each running instance of one service, or of all, ordered by service and instance.

@@ -11,6 +11,9 @@ use muster_model::time::Tick;
 /// Most names in one cell of a table; all are in `--json`.
 const MAX_NAMES: usize = 24;
 
+/// Most characters of a cell that count when columns are dropped: longer texts are rather wrapped.
+const MAX_UNWRAPPED: usize = 32;
+
 /// Columns that a table's borders and padding take: three for each column, and one at the end.
 const BORDER_WIDTH: usize = 3;
 
@@ -139,11 +142,12 @@ pub(crate) struct Frame {
     pub(crate) lines: usize,
 }
 
-/// How wide a table of these columns is without wrapping.
+/// How wide a table of these columns is, with only long texts wrapped.
 fn natural_width(rows: &[Vec<String>], columns: &[usize]) -> usize {
     let widest =
         |column: &usize| rows.iter().map(|row| row[*column].chars().count()).max().unwrap_or(0);
-    columns.iter().map(|column| widest(column) + BORDER_WIDTH).sum::<usize>() + 1
+    let width = |column| widest(column).min(MAX_UNWRAPPED) + BORDER_WIDTH;
+    columns.iter().map(width).sum::<usize>() + 1
 }
 
 fn cut(text: &str, width: Option<u16>) -> String {
