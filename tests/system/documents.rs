@@ -8,7 +8,7 @@ use muster_model::id::Modality;
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, default_weight,
 };
-use muster_tests::cluster::SERVICES;
+use muster_tests::cluster::{SERVICES, free_endpoint};
 use muster_tests::hosts::fault::FAULTS;
 use muster_tests::hosts::run_plan::Measured;
 use muster_tests::process::run;
@@ -94,6 +94,23 @@ fn every_link_between_documents_leads_somewhere() {
 fn the_readme_is_short() {
     let lines = read("README.md").lines().count();
     assert!(lines <= README_LINES, "{lines} lines");
+}
+
+#[test]
+fn the_demo_prints_the_teams_that_the_readme_shows() {
+    let endpoint = free_endpoint().unwrap();
+    let arguments = ["demo", "--seconds", "8", "--listen", &endpoint, "--state-directory", "none"];
+    let (code, out, err) = run("muster", &arguments, COMMAND_WITHIN).unwrap();
+    assert_eq!(code, Some(0), "{err}");
+    let shown = &blocks("README.md", "demo")[0];
+    // The names of the robots, and nothing that a clock decides.
+    let rows: Vec<&str> = shown.lines().filter(|line| line.contains("-lead")).collect();
+    assert_eq!(rows.len(), 2);
+    for row in rows {
+        let words: Vec<&str> = row.split_whitespace().collect();
+        let printed = out.lines().any(|line| line.split_whitespace().eq(words.iter().copied()));
+        assert!(printed, "{row} is not printed:\n{out}");
+    }
 }
 
 /// The rows of the table behind a marker, or the first one behind it: each as its cells.
