@@ -1,7 +1,7 @@
-//! Random lives of all four cores on a bus that loses messages: each is recorded, and lives again.
+//! Random lives of all four services on a bus that loses messages: each is recorded, and replayed.
 //!
-//! No process and no socket: the recordings are made as the shell makes them, of events that could
-//! have come in any order. What is shown is that no core depends on anything but its events.
+//! No process and no socket: the recordings are made as the shell makes them, of inputs that could have
+//! come in any order. They show that no host depends on anything but its inputs.
 
 #![allow(
     clippy::unwrap_used,
@@ -18,69 +18,60 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::recording::{Entry, Head, Output};
-use muster_machine::replay::{Comparison, Ending, compare};
-use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stopwatch, Stored, Wiring};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Report};
-use muster_model::role::Claim;
+use muster_model::role::LeaseRenewal;
 use muster_model::time::Tick;
-use muster_wire::recording::{Bytes, Reader, Received, begin, frame};
-use muster_wire::{Key, KeySpace, Message, Pattern, Rejection, Request};
+use muster_service::recording::{Entry, Head, commands_frame, input_frame};
+use muster_service::replay::{Comparison, Ending, compare};
+use muster_service::{
+    Arrival, Ask, AskId, Command, Core, GetId, Host, IncomingGet, Input, Start, Stopwatch, Stored,
+    Wiring,
+};
+use muster_wire::recording::{Reader, begin, frame};
+use muster_wire::{Key, KeySpace, Message, Packet, Pattern, Request};
 use proptest::prelude::*;
 
 fn space() -> KeySpace {
     KeySpace::new(FleetId::new("alpha").unwrap())
 }
 
-/// A core as a shell runs and records it.
+/// A host as a shell runs and records it.
 struct Node<C: Core> {
-    driver: Driver<C>,
+    host: Host<C>,
     job: Option<C::Job>,
     recording: Vec<u8>,
     stored: Stored,
-    queries: u64,
-    jobs_run: u64,
+    gets: u64,
     out: Out,
 }
 
-/// What a core wants of others.
+/// What a host wants of others.
 #[derive(Default)]
 struct Out {
-    published: Vec<Message>,
-    fetches: VecDeque<(u32, Vec<Pattern>)>,
-    answers: Vec<Message>,
+    published: Vec<Packet>,
+    asks: VecDeque<Ask>,
+    answers: Vec<Packet>,
+    /// How many stores are not confirmed yet.
+    stores: u32,
 }
 
 /// A node whatever its service.
 trait AnyNode {
-    fn started(&mut self, now: Tick);
-    fn hear(&mut self, now: Tick, message: &Message);
+    fn start(&mut self, now: Tick);
+    fn receive(&mut self, now: Tick, packet: &Packet);
     fn refuse(&mut self, now: Tick);
-    fn link(&mut self, now: Tick, up: bool);
+    fn link(&mut self, now: Tick, is_up: bool);
     fn wake(&mut self, now: Tick);
     fn run_job(&mut self, now: Tick);
-    fn ask(&mut self, now: Tick, request: Request) -> Vec<Message>;
-    fn fetched(&mut self, now: Tick, fetch: u32, messages: &[Message]);
+    fn get(&mut self, now: Tick, get: IncomingGet) -> Vec<Packet>;
+    fn answer(&mut self, now: Tick, ask: AskId, packets: Vec<Packet>);
     fn serves(&self, pattern: &Pattern) -> bool;
     fn out(&mut self) -> &mut Out;
     /// Ends the run, gives its recording, and begins the next.
     fn restart(&mut self, now: Tick, run: u32) -> Vec<u8>;
     fn replay(&self, recording: &[u8]) -> Comparison;
-}
-
-fn again(message: &Message) -> Option<Message> {
-    // What is on the bus is bytes: nothing reaches a core that did not come through them.
-    let packet = Received::new(&space(), &unmirrored(message)).ok()?.into_packet();
-    Message::decode(&space(), &packet).ok()
-}
-
-fn unmirrored(message: &Message) -> Message {
-    match message {
-        Message::Teams { teams, .. } => Message::Teams { teams: teams.clone(), mirror: false },
-        other => other.clone(),
-    }
 }
 
 impl<C: Core> Node<C> {
@@ -93,100 +84,106 @@ impl<C: Core> Node<C> {
             stored: stored.clone(),
         };
         let head = Head::new::<C>(&start, String::new()).unwrap();
-        Self {
-            driver: Driver::new(start),
-            job: None,
-            recording: begin(&head).unwrap(),
-            stored,
-            queries: 0,
-            jobs_run: 0,
-            out: Out::default(),
+        let (host, recording) = (Host::new(start), begin(&head).unwrap());
+        Self { host, job: None, recording, stored, gets: 0, out: Out::default() }
+    }
+
+    fn handle(&mut self, now: Tick, input: Input) {
+        self.recording.extend(input_frame(now, &input).unwrap());
+        let commands = self.host.handle(now, input);
+        self.recording.extend(commands_frame(&commands).unwrap());
+        for command in commands {
+            match command {
+                Command::Publish(publication) => self.out.published.extend(publication.packets),
+                Command::Reply(reply) => self.out.answers.extend(reply.answer.unwrap_or_default()),
+                Command::RunJob => {
+                    let job = self.host.take_job().expect("a job is to be run");
+                    assert!(self.job.replace(job).is_none(), "one job at a time");
+                }
+                Command::Ask(ask) => self.out.asks.push_back(ask),
+                Command::Store(stored) => {
+                    self.stored = stored;
+                    self.out.stores += 1;
+                }
+                Command::ReplicaState(_) => {}
+                other => panic!("{} wants {other:?}", C::SERVICE),
+            }
         }
     }
 
-    fn step(&mut self, now: Tick, event: Event<C::Done>, laps: &[u64]) {
-        let entry = Entry::event(&space(), now, &event, laps).unwrap();
-        self.recording.extend(frame(&entry).unwrap());
-        let commands = self.driver.step(now, event);
-        self.recording.extend(frame(&Entry::outputs(&space(), now, &commands)).unwrap());
-        for command in commands {
-            match command {
-                Command::Publish(message) => self.out.published.push(message),
-                Command::Reply { request, answer, .. } => {
-                    let selected = answer.unwrap_or_default().into_iter();
-                    let selected = selected.filter(|m| request.selects(&space(), &m.keys().0));
-                    self.out.answers.extend(selected);
-                }
-                Command::Run(job) => {
-                    assert!(self.job.replace(job).is_none(), "one job at a time");
-                }
-                Command::Fetch { fetch, patterns } => self.out.fetches.push_back((fetch, patterns)),
-                Command::Store(stored) => self.stored = stored,
-            }
+    /// Confirms what was stored, which ends what waits for it.
+    fn confirm_stores(&mut self, now: Tick) {
+        for _ in 0..std::mem::take(&mut self.out.stores) {
+            // Whether a disk is full decides over answers; a core must not depend on it otherwise.
+            let error = (now.0 / 100).is_multiple_of(5).then(|| "the disk is full".to_owned());
+            self.handle(now, Input::Stored { error });
         }
     }
 }
 
 impl<C: Core> AnyNode for Node<C> {
-    fn started(&mut self, now: Tick) {
-        self.step(now, Event::Started, &[]);
+    fn start(&mut self, now: Tick) {
+        self.handle(now, Input::Started { linked: true });
     }
 
-    fn hear(&mut self, now: Tick, message: &Message) {
-        let Some(message) = again(message) else { return };
+    fn receive(&mut self, now: Tick, packet: &Packet) {
+        let Ok(message) = Message::decode(&space(), packet) else { return };
         let wiring = Wiring::of::<C>();
         let subscribed = wiring.subscriptions.iter().map(|subscription| &subscription.pattern);
         let token = matches!(message, Message::RobotToken { .. } | Message::ServiceToken { .. });
         let wanted = wiring.tokens.iter().filter(|_| token).chain(subscribed.filter(|_| !token));
         if wanted.into_iter().any(|pattern| selects(pattern, &message.keys().0)) {
-            self.step(now, Event::Received(message), &[]);
+            self.handle(now, Input::Arrived(Arrival::encoded(packet.clone())));
         }
     }
 
     fn refuse(&mut self, now: Tick) {
-        let rejection = Rejection::new(&space(), "muster/v1/alpha/robot/r0/pose", "x: wrong");
-        self.step(now, Event::Rejected(rejection), &[]);
+        let packet = Packet::put("muster/v1/alpha/robot/r0/pose", "", b"{\"x\":\"wrong\"}");
+        let arrival = Arrival::decoded(&space(), packet);
+        assert!(arrival.is_refused());
+        self.handle(now, Input::Arrived(arrival));
     }
 
-    fn link(&mut self, now: Tick, up: bool) {
-        self.step(now, if up { Event::LinkRestored } else { Event::LinkLost }, &[]);
+    fn link(&mut self, now: Tick, is_up: bool) {
+        self.handle(now, if is_up { Input::LinkRestored } else { Input::LinkLost });
     }
 
     fn wake(&mut self, now: Tick) {
-        if self.driver.deadline().is_some_and(|due| due <= now) {
-            self.step(now, Event::Timeout, &[]);
+        if self.host.deadline().is_some_and(|due| due <= now) {
+            self.handle(now, Input::Timer);
         }
+        self.confirm_stores(now);
     }
 
     fn run_job(&mut self, now: Tick) {
         let Some(job) = self.job.take() else { return };
-        self.jobs_run += 1;
         let mut time = now.0;
         let mut stopwatch = Stopwatch::reading(move || {
             time += 17 + time % 31;
             time
         });
         let done = C::run(job, &mut stopwatch);
-        self.step(now, Event::Done(done), stopwatch.laps());
+        self.host.finish_job(done);
+        self.handle(now, Input::JobEnded { laps: stopwatch.laps().to_vec(), panic: None });
     }
 
-    fn ask(&mut self, now: Tick, request: Request) -> Vec<Message> {
-        self.queries += 1;
+    fn get(&mut self, now: Tick, get: IncomingGet) -> Vec<Packet> {
+        self.gets += 1;
         self.out.answers.clear();
-        self.step(now, Event::Query { query: QueryId(self.queries), request }, &[]);
+        self.handle(now, Input::Get(IncomingGet { get: GetId(self.gets), ..get }));
+        self.confirm_stores(now);
         std::mem::take(&mut self.out.answers)
     }
 
-    fn fetched(&mut self, now: Tick, fetch: u32, messages: &[Message]) {
-        let messages = messages.iter().filter_map(again).collect();
-        self.step(now, Event::Fetched { fetch, messages }, &[]);
+    fn answer(&mut self, now: Tick, ask: AskId, packets: Vec<Packet>) {
+        let answers = packets.into_iter().map(Arrival::encoded).collect();
+        self.handle(now, Input::Answered { ask, answers });
     }
 
     fn serves(&self, pattern: &Pattern) -> bool {
         let text = space().pattern(pattern);
-        let own = [(Pattern::One(Key::Settings(C::SERVICE)), true)];
-        let served = C::wiring().served.into_iter().chain(own);
-        served.into_iter().any(|(served, _)| space().pattern(&served) == text)
+        let served = Wiring::of::<C>().served;
+        served.into_iter().any(|served| space().pattern(&served.pattern) == text)
     }
 
     fn out(&mut self) -> &mut Out {
@@ -211,9 +208,17 @@ fn selects(pattern: &Pattern, key: &Key) -> bool {
     Request::new(space().pattern(pattern), "", None).unwrap().selects(&space(), key)
 }
 
+/// A get by a peer or console; the node that takes it numbers it.
+fn incoming(selector: String, parameters: &str, payload: Option<&str>) -> IncomingGet {
+    let payload = payload.map(|text| text.as_bytes().to_vec());
+    let parameters = parameters.to_owned();
+    IncomingGet { get: GetId(0), selector, narrowed: None, parameters, payload }
+}
+
 #[derive(Debug, Clone)]
 enum Act {
-    Say(Message),
+    /// A robot, or another instance of a service.
+    Publish(Message),
     Wait(u64),
     /// The messages and answers of one service are lost until the next such act.
     Lose(usize),
@@ -221,7 +226,7 @@ enum Act {
     Restart(usize),
     Link(usize, bool),
     Refuse(usize),
-    Ask(usize, &'static str, Option<&'static str>),
+    Get(usize, &'static str, Option<&'static str>),
 }
 
 fn name() -> impl Strategy<Value = RobotId> {
@@ -271,7 +276,7 @@ fn message() -> impl Strategy<Value = Message> {
                 newest: None,
                 stages: Vec::new(),
             };
-            Message::Claim(Box::new(Claim { header, service, instance }))
+            Message::LeaseRenewal(Box::new(LeaseRenewal { header, service, instance }))
         }),
     ]
 }
@@ -287,21 +292,21 @@ fn act() -> impl Strategy<Value = Act> {
         ("muster/v1/alpha/service/auditor/settings", Some("{\"good\":0.9}")),
     ]);
     prop_oneof![
-        30 => message().prop_map(Act::Say),
+        30 => message().prop_map(Act::Publish),
         20 => (1..400_u64).prop_map(|ms| Act::Wait(ms * ms / 100 + 1)),
         1 => (0..5_usize).prop_map(Act::Lose),
         2 => any::<bool>().prop_map(Act::Jobs),
         1 => (0..4_usize).prop_map(Act::Restart),
         1 => (0..4_usize, any::<bool>()).prop_map(|(at, up)| Act::Link(at, up)),
         1 => (0..4_usize).prop_map(Act::Refuse),
-        2 => (0..4_usize, asked).prop_map(|(at, (key, payload))| Act::Ask(at, key, payload)),
+        2 => (0..4_usize, asked).prop_map(|(at, (key, payload))| Act::Get(at, key, payload)),
     ]
 }
 
 struct World {
     now: Tick,
     nodes: Vec<Box<dyn AnyNode>>,
-    /// Whose messages are lost; nobody's if it is no service's number.
+    /// Which node's messages are lost; none if there is no such node.
     lost: usize,
     jobs_run: bool,
     runs: u32,
@@ -320,13 +325,13 @@ impl World {
         let mut world =
             Self { now, nodes, lost: 9, jobs_run: true, runs: 0, recordings: Vec::new() };
         for at in 0..world.nodes.len() {
-            world.nodes[at].started(now);
+            world.nodes[at].start(now);
         }
         world.settle();
         world
     }
 
-    /// Carries messages, answers and jobs until nobody wants anything at this moment.
+    /// Carries messages, answers and jobs until no host wants anything at this moment.
     fn settle(&mut self) {
         // A core that names a past moment again and again must not keep the world from going on.
         for _ in 0..50 {
@@ -338,15 +343,15 @@ impl World {
                     self.nodes[at].run_job(self.now);
                 }
                 let published = std::mem::take(&mut self.nodes[at].out().published);
-                let fetches = std::mem::take(&mut self.nodes[at].out().fetches);
-                is_quiet &= published.is_empty() && fetches.is_empty();
+                let asks = std::mem::take(&mut self.nodes[at].out().asks);
+                is_quiet &= published.is_empty() && asks.is_empty();
                 if at != self.lost {
-                    for message in &published {
-                        self.nodes.iter_mut().for_each(|node| node.hear(self.now, message));
+                    for packet in &published {
+                        self.nodes.iter_mut().for_each(|node| node.receive(self.now, packet));
                     }
                 }
-                for (fetch, patterns) in fetches {
-                    self.answer(at, fetch, &patterns);
+                for ask in asks {
+                    self.answer(at, &ask);
                 }
             }
             if is_quiet {
@@ -355,24 +360,22 @@ impl World {
         }
     }
 
-    fn answer(&mut self, at: usize, fetch: u32, patterns: &[Pattern]) {
-        let mut messages = Vec::new();
-        for pattern in patterns {
-            for other in (0..self.nodes.len()).filter(|other| *other != at && *other != self.lost) {
-                if self.nodes[other].serves(pattern) {
-                    let selector = space().pattern(pattern);
-                    let request = Request::new(selector, "format=bincode", None).unwrap();
-                    messages.extend(self.nodes[other].ask(self.now, request));
-                }
+    fn answer(&mut self, at: usize, ask: &Ask) {
+        let mut packets = Vec::new();
+        for other in (0..self.nodes.len()).filter(|other| *other != at && *other != self.lost) {
+            if self.nodes[other].serves(&ask.pattern) {
+                let get = incoming(space().pattern(&ask.pattern), "format=bincode", None);
+                packets.extend(self.nodes[other].get(self.now, get));
             }
         }
-        self.nodes[at].fetched(self.now, fetch, &messages);
+        self.nodes[at].answer(self.now, ask.ask, packets);
     }
 
     fn act(&mut self, act: Act) {
         match act {
-            Act::Say(message) => {
-                self.nodes.iter_mut().for_each(|node| node.hear(self.now, &message));
+            Act::Publish(message) => {
+                let packet = message.to_packet(&space());
+                self.nodes.iter_mut().for_each(|node| node.receive(self.now, &packet));
             }
             Act::Wait(ms) => self.now = self.now.after(Duration::from_millis(ms)),
             Act::Lose(at) => self.lost = at,
@@ -381,14 +384,12 @@ impl World {
                 self.runs += 1;
                 let recording = self.nodes[at].restart(self.now, self.runs);
                 self.recordings.push((at, recording));
-                self.nodes[at].started(self.now);
+                self.nodes[at].start(self.now);
             }
             Act::Link(at, up) => self.nodes[at].link(self.now, up),
             Act::Refuse(at) => self.nodes[at].refuse(self.now),
-            Act::Ask(at, key, payload) => {
-                let payload = payload.map(|text| text.as_bytes().to_vec());
-                let request = Request::new(key, "", payload).unwrap();
-                self.nodes[at].ask(self.now, request);
+            Act::Get(at, key, payload) => {
+                self.nodes[at].get(self.now, incoming(key.to_owned(), "", payload));
             }
         }
         self.settle();
@@ -409,33 +410,28 @@ struct Ended {
     recordings: Vec<(usize, Vec<u8>)>,
 }
 
-/// Changes one bit of what was published in the middle of a recording. The number of its event; none
+/// Changes one bit of what was published in the middle of a recording. The number of its input; none
 /// if nothing was published.
 fn tamper(recording: &[u8]) -> Option<(u64, Vec<u8>)> {
     let (mut reader, head) = Reader::open::<Head>(recording).unwrap();
-    let entries: Vec<Entry> = std::iter::from_fn(|| reader.next_entry().unwrap()).collect();
+    let mut entries: Vec<Entry> = std::iter::from_fn(|| reader.next_entry().unwrap()).collect();
     let publishes = |entry: &Entry| match entry {
-        Entry::Outputs(outputs) => {
-            outputs.iter().any(|output| matches!(output, Output::Published(Ok(_))))
+        Entry::Commands(commands) => {
+            commands.iter().any(|command| matches!(command, Command::Publish(_)))
         }
         _ => false,
     };
     let places: Vec<_> = (0..entries.len()).filter(|at| publishes(&entries[*at])).collect();
     let at = *places.get(places.len() / 2)?;
-    let mut bytes = begin(&head).unwrap();
-    for (number, mut entry) in entries.into_iter().enumerate() {
-        if let Entry::Outputs(outputs) = &mut entry
-            && number == at
-        {
-            for output in outputs {
-                if let Output::Published(Ok(puts)) = output {
-                    let Bytes(payload) = &mut puts[0].payload;
-                    *payload.last_mut().unwrap() ^= 1;
-                }
+    if let Entry::Commands(commands) = &mut entries[at] {
+        for command in commands {
+            if let Command::Publish(publication) = command {
+                *publication.packets[0].payload.as_mut().unwrap().last_mut().unwrap() ^= 1;
             }
         }
-        bytes.extend(frame(&entry).unwrap());
     }
+    let mut bytes = begin(&head).unwrap();
+    bytes.extend(entries.iter().flat_map(|entry| frame(entry).unwrap()));
     Some((at as u64 / 2 + 1, bytes))
 }
 
@@ -445,7 +441,7 @@ proptest! {
     })]
 
     #[test]
-    fn every_life_of_every_core_comes_out_the_same(
+    fn every_life_of_every_service_comes_out_the_same(
         acts in prop::collection::vec(act(), 40..200),
     ) {
         let mut world = World::new();
@@ -456,10 +452,10 @@ proptest! {
         for (at, recording) in recordings {
             let compared = nodes[at].replay(&recording);
             prop_assert_eq!(&compared.difference, &None, "{:?}", ServiceName::ALL[at]);
-            prop_assert_eq!(compared.ending, Ending::Told("restart".to_owned()));
-            if let Some((event, tampered)) = tamper(&recording) {
+            prop_assert_eq!(compared.ending, Ending::Stated("restart".to_owned()));
+            if let Some((input, tampered)) = tamper(&recording) {
                 let found = nodes[at].replay(&tampered).difference.map(|found| found.step.number);
-                prop_assert_eq!(found, Some(event));
+                prop_assert_eq!(found, Some(input));
             }
         }
     }
@@ -475,7 +471,7 @@ fn a_plain_life_brings_every_core_to_work() {
             let x = f64::from(robot % 2) * 60.0 + f64::from(robot) + f64::from(round) * 0.1;
             let (heading, frame, stamp) = (None, None, None);
             let pose = Pose { x, y: 0.0, z: None, heading, frame, stamp, boot: None, seq: None };
-            world.act(Act::Say(report(name, pose)));
+            world.act(Act::Publish(report(name, pose)));
         }
         world.act(Act::Wait(100));
     }
@@ -484,7 +480,7 @@ fn a_plain_life_brings_every_core_to_work() {
         let compared = nodes[at].replay(&recording);
         assert_eq!(compared.difference, None);
         let service = ServiceName::ALL[at];
-        assert!(compared.outputs > 20, "{service}: {compared:?}");
+        assert!(compared.commands > 20, "{service}: {compared:?}");
         assert!(compared.jobs > 5 || service == ServiceName::Ingest, "{service}: {compared:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! Seeds of the whole-fleet simulation, and proof that it finds what is broken.
+//! Seeds of the whole-fleet simulation, and proof that it finds faults of the code.
 
 #![allow(
     clippy::unwrap_used,
@@ -14,10 +14,9 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::Core;
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
-
-use muster_tests::simulation::{Batch, Options, Sabotage, Summary, run_batch, shrink, simulate};
+use muster_service::Core;
+use muster_tests::simulation::{Batch, Mutant, Options, Summary, run_batch, shrink, simulate};
 use muster_wire::{Key, Pattern};
 
 /// How many seeds the test command runs; `simulate --seeds` runs any number.
@@ -29,7 +28,7 @@ fn batch(first: u64, seeds: u64) -> Batch {
         seeds,
         jobs: std::thread::available_parallelism().map_or(1, usize::from),
         options: Options::default(),
-        sabotage: None,
+        mutant: None,
         shrink_within: Duration::from_secs(30),
     }
 }
@@ -58,7 +57,7 @@ fn every_promise_holds_for_three_hundred_seeds() {
         "kill",
         "lost disk",
         "blackout",
-        "usurper",
+        "forged term",
         "hang",
         "slow service",
         "slow jobs",
@@ -75,48 +74,48 @@ fn every_promise_holds_for_three_hundred_seeds() {
         "settings",
         "bad alpha",
     ] {
-        let many = summary.total.faults.get(kind).copied().unwrap_or(0);
-        assert!(many > 0, "no fault of the kind {kind:?} has happened");
+        let count = summary.total.faults.get(kind).copied().unwrap_or(0);
+        assert!(count > 0, "no fault of the kind {kind:?} has happened");
     }
     let total = &summary.total;
     assert!(total.lost > 0 && total.repeated > 0 && total.mixed > 0 && total.panics > 0);
-    // Neither would rules that never had anything to judge.
+    // Rules that never had anything to judge would prove nothing either.
     assert!(total.takeovers > 0 && total.joined > SEEDS, "{}", summary.text());
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
 /// A clusterer remembers robots that left for a minute, and no longer: in a run that outlasts that, with
-/// hundreds of robots that come and go, it never holds more than those of that time.
+/// hundreds of robots that come and go, it never remembers more than those of that time.
 #[test]
 fn what_is_remembered_of_robots_that_left_is_forgotten_again() {
     let options = Options { robots: Some(4), steps: 12_000, ghosts: 3, ..Options::default() };
     let ghosts = 3 * 120;
-    let story = simulate(1, &options, None, false);
-    assert_eq!(story.failure, None);
-    let most = story.stats.remembered;
+    let outcome = simulate(1, &options, None, false);
+    assert_eq!(outcome.failure, None);
+    let most = outcome.stats.remembered;
     println!("{ghosts} ghosts, at most {most} robots remembered");
     assert!(most > 60 && most < ghosts, "{most} robots are remembered");
 }
 
-/// A holder that has forgotten its terms asks its readers, and each must answer for what it goes by:
-/// one that does not would drop all that the holder says until the epochs have passed what it knows.
+/// A leader that has lost its terms asks its readers, and each must answer for what it goes by: one that
+/// does not would drop all that the leader publishes until the epochs have passed what it knows.
 #[test]
-fn every_reader_repeats_what_it_reads() {
+fn every_reader_serves_what_it_reads() {
     let wirings = [Ingest::wiring(), Embedder::wiring(), Clusterer::wiring(), Auditor::wiring()];
     for wiring in wirings {
         for subscription in wiring.subscriptions {
             let pattern = subscription.pattern;
-            // Robots have no terms, and settings are believed when they contradict twice.
+            // Robots have no terms, and settings are accepted when they contradict twice.
             let exempt = pattern.payload_limit() == MAX_ROBOT_PAYLOAD
                 || matches!(pattern, Pattern::One(Key::Settings(_)));
-            let served = wiring.served.iter().any(|(served, _)| *served == pattern);
-            assert!(exempt || served, "{pattern:?} is read and not repeated");
+            let served = wiring.served.iter().any(|served| served.pattern == pattern);
+            assert!(exempt || served, "{pattern:?} is read and not served");
         }
     }
 }
 
 #[test]
-fn the_same_seed_tells_the_same_story() {
+fn the_same_seed_leads_to_the_same_run() {
     for seed in [1, 2, 3, 8] {
         let first = simulate(seed, &Options::default(), None, true);
         let again = simulate(seed, &Options::default(), None, true);
@@ -132,46 +131,49 @@ fn the_same_seed_tells_the_same_story() {
 }
 
 #[test]
-fn what_is_broken_on_purpose_is_found_and_made_short() {
+fn every_mutant_is_found_and_its_run_made_short() {
     let settle = "after the last fault all agree within the stated time";
-    for (sabotage, promises) in [
-        (Sabotage::RobotTwice, vec!["what a service publishes, others understand"]),
-        (Sabotage::RobotForgotten, vec!["a robot is in exactly one team, or in none"]),
-        (Sabotage::WrongSilhouette, vec!["silhouettes are those of the definition"]),
-        (Sabotage::NotANumber, vec!["every number that is published is finite"]),
-        (Sabotage::OldTermAsNewest, vec!["every division names an embedding that was published"]),
-        (Sabotage::DeafAuditor, vec![settle]),
-        // The core does not know of it, and answers with what it has not published.
-        (Sabotage::Restless, vec![settle, "who joins late is told what was published last"]),
-        (Sabotage::Fickle, vec!["unchanged input leaves the teams unchanged"]),
-        (Sabotage::RevisionTwice, vec!["epochs grow within a term, and terms never go back"]),
-        (Sabotage::TermTwice, vec!["who takes a role over begins above every term of it"]),
-        (Sabotage::OlderRoster, vec!["a reader never goes back to a lower term or epoch"]),
-        (Sabotage::NoPositions, vec![settle]),
+    for (mutant, promises) in [
+        (Mutant::RobotTwice, vec!["what a service publishes, others understand"]),
+        (Mutant::RobotForgotten, vec!["a robot is in exactly one team, or in none"]),
+        (Mutant::WrongSilhouette, vec!["silhouettes are those of the definition"]),
+        (Mutant::NotANumber, vec!["every number that is published is finite"]),
+        (Mutant::OldTermAsNewest, vec!["every division names an embedding that was published"]),
+        (Mutant::IsolatedAuditor, vec![settle]),
+        // The core does not know of it, and answers with what was not published.
+        (
+            Mutant::Restless,
+            vec![settle, "a console that joins late receives what was published last"],
+        ),
+        (Mutant::Fickle, vec!["unchanged input leaves the teams unchanged"]),
+        (Mutant::RevisionTwice, vec!["epochs grow within a term, and terms never go back"]),
+        (Mutant::TermTwice, vec!["a new leader begins above every term of its service"]),
+        (Mutant::OlderRoster, vec!["a reader never goes back to a lower term or epoch"]),
+        (Mutant::NoPositions, vec![settle]),
     ] {
         let options = Options { robots: Some(6), ..Options::default() };
-        let stories = (0..200).map(|seed| simulate(seed, &options, Some(sabotage), false));
-        let found = stories
-            .filter_map(|story| Some((story.seed, story.failure?)))
+        let outcomes = (0..200).map(|seed| simulate(seed, &options, Some(mutant), false));
+        let found = outcomes
+            .filter_map(|outcome| Some((outcome.seed, outcome.failure?)))
             .find(|(_, failure)| promises.contains(&failure.promise) && failure.happened.len() > 3);
-        let (seed, failure) = found.unwrap_or_else(|| panic!("{sabotage:?} is not found"));
+        let (seed, failure) = found.unwrap_or_else(|| panic!("{mutant:?} is not found"));
         let within = Duration::from_secs(30);
-        let shrunk = shrink(seed, &options, Some(sabotage), &failure, within);
-        let left = shrunk.story.failure.as_ref().unwrap();
-        assert_eq!(left.promise, failure.promise, "{sabotage:?}");
+        let shrunk = shrink(seed, &options, Some(mutant), &failure, within);
+        let left = shrunk.outcome.failure.as_ref().unwrap();
+        assert_eq!(left.promise, failure.promise, "{mutant:?}");
         assert_eq!(
             shrunk.faults.len(),
             1,
-            "{sabotage:?} of seed {seed}: {:#?}",
-            shrunk.story.faults
+            "{mutant:?} of seed {seed}: {:#?}",
+            shrunk.outcome.faults
         );
-        let fault = &shrunk.story.faults[0];
+        let fault = &shrunk.outcome.faults[0];
         assert!(
-            sabotage.after().iter().any(|kind| fault.contains(&format!(": {kind}: "))),
+            mutant.after().iter().any(|kind| fault.contains(&format!(": {kind}: "))),
             "{fault}"
         );
-        assert!(shrunk.story.log.last().unwrap().contains("BROKEN"), "{sabotage:?}");
-        // Without the sabotage the same story breaks no promise.
-        assert_eq!(simulate(seed, &shrunk.options, None, false).failure, None, "{sabotage:?}");
+        assert!(shrunk.outcome.log.last().unwrap().contains("BROKEN"), "{mutant:?}");
+        // Without the mutant the same run breaks no promise.
+        assert_eq!(simulate(seed, &shrunk.options, None, false).failure, None, "{mutant:?}");
     }
 }

@@ -10,6 +10,7 @@ use zenoh::Session;
 use zenoh::bytes::Encoding;
 use zenoh::handlers::FifoChannelHandler;
 use zenoh::liveliness::LivelinessToken;
+use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 
 /// How often a waiting test looks again.
@@ -153,8 +154,9 @@ impl Client {
         bytes: Vec<u8>,
         encoding: &str,
     ) -> anyhow::Result<()> {
-        let encoding = Encoding::from(encoding);
-        self.session.put(self.key(tail), bytes).encoding(encoding).await.map_err(fail)
+        let put = self.session.put(self.key(tail), bytes).encoding(Encoding::from(encoding));
+        // A test asks what becomes of a message; one that the link drops would say nothing.
+        put.congestion_control(CongestionControl::Block).await.map_err(fail)
     }
 
     /// Declares a liveliness token.

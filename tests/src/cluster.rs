@@ -104,7 +104,7 @@ impl Cluster {
         self.folder.path()
     }
 
-    /// Starts a service, anew if it ran before.
+    /// Starts a service; it may have run before.
     ///
     /// # Errors
     /// If it does not start.
@@ -155,7 +155,7 @@ impl Cluster {
         self.router.kill()
     }
 
-    /// Starts the router anew.
+    /// Starts the router again.
     ///
     /// # Errors
     /// If it does not listen in time.

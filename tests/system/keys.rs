@@ -30,7 +30,7 @@ fn every_key() -> Vec<Key> {
     for service in ServiceName::ALL {
         keys.push(Key::Settings(service));
         keys.push(Key::Status(service));
-        keys.push(Key::Holder(service));
+        keys.push(Key::Lease(service));
         keys.push(Key::ServiceToken(service, InstanceId::new("host-1").unwrap()));
     }
     keys

@@ -159,9 +159,9 @@ fn an_instance_that_stands_by_is_ready() {
     };
     let (first, second) = (free_address(), free_address());
     let mut holder = start(&first);
-    until("the first one holds the role", || stands(&first, "holding"));
+    until("the first one leads", || stands(&first, "holding"));
     let _standby = start(&second);
-    until("the second one stands by", || stands(&second, "standby"));
+    until("the second one is a standby", || stands(&second, "standby"));
     holder.kill().unwrap();
     until("the second one takes over", || stands(&second, "holding"));
 }
@@ -326,7 +326,7 @@ fn logs_name_service_instance_and_fleet_and_follow_its_life() {
         ["--connect", &endpoint, "--fleet", "alpha", "--state-directory", "none", "--log-json"];
     let mut ingest = Process::start("muster-ingest", &arguments, &[], folder.path()).unwrap();
     let says = |ingest: &Process, what: &str| ingest.output().contains(what);
-    until("it holds its role", || says(&ingest, "ingest holds the role"));
+    until("it leads", || says(&ingest, "ingest leads"));
     router.kill().unwrap();
     until("it has lost its link", || says(&ingest, "link to the router is lost"));
     let _router = start_router(&endpoint, folder.path()).unwrap();
@@ -340,7 +340,7 @@ fn logs_name_service_instance_and_fleet_and_follow_its_life() {
     for (step, at_most) in [
         ("ingest serves fleet alpha", 1),
         // Once more when a holder that was cut off is certain again.
-        ("ingest holds the role", 2),
+        ("ingest leads", 2),
         ("the link to the router is lost", 1),
         ("the link to the router is back", 1),
         ("ingest ends", 1),

@@ -3,10 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use muster_machine::recording::{Entry, Head, Input, Output};
+use muster_service::recording::{Entry, Head};
+use muster_service::{Command, Input};
 use muster_tests::cluster::{Cluster, SERVICES};
 use muster_tests::process::run;
-use muster_wire::recording::{Bytes, Reader, Received, RecordingError, begin, frame};
+use muster_wire::recording::{Reader, RecordingError, begin, frame};
+use muster_wire::{KeySpace, Message, Source};
 use serde_json::{Value, json};
 
 const SOON: Duration = Duration::from_secs(20);
@@ -143,29 +145,40 @@ async fn the_recordings_of_a_live_run_come_out_the_same() {
 
 /// A life in which little happens would show little.
 fn everything_happened(entries: &[Entry]) {
+    let space = KeySpace::new("alpha".parse().unwrap());
     let count = |what: &dyn Fn(&Input) -> bool| {
-        let is = |entry: &&Entry| matches!(entry, Entry::Event { input, .. } if what(input));
+        let is = |entry: &&Entry| matches!(entry, Entry::Input { input, .. } if what(input));
         entries.iter().filter(is).count()
     };
-    assert!(count(&|input| matches!(input, Input::Started)) == 5);
-    assert!(count(&|input| matches!(input, Input::Received(Received::Put(_)))) > 500);
+    let arrived = |source: Source| {
+        count(&|input| match input {
+            Input::Arrived(arrival) => arrival.packet().source == source,
+            _ => false,
+        })
+    };
+    let is_refused = |input: &Input| match input {
+        Input::Arrived(arrival) => Message::decode(&space, arrival.packet()).is_err(),
+        _ => false,
+    };
+    let took_time = |input: &Input| match input {
+        Input::JobEnded { laps, panic: None } => laps.iter().any(|lap| *lap > 0),
+        _ => false,
+    };
+    let was_answered = |input: &Input| match input {
+        Input::Answered { answers, .. } => !answers.is_empty(),
+        _ => false,
+    };
+    assert_eq!(count(&|input| matches!(input, Input::Started { .. })), 5);
+    assert!(arrived(Source::Put) > 500);
     for (what, name) in [
-        (
-            count(&|input| matches!(input, Input::Received(Received::Token { alive: true, .. }))),
-            "token",
-        ),
-        (
-            count(&|input| matches!(input, Input::Received(Received::Token { alive: false, .. }))),
-            "gone",
-        ),
-        (count(&|input| matches!(input, Input::Rejected(_))), "refusal"),
-        (count(&|input| matches!(input, Input::Timeout)), "timeout"),
-        (
-            count(&|input| matches!(input, Input::Done(laps) if laps.iter().any(|lap| *lap > 0))),
-            "job",
-        ),
-        (count(&|input| matches!(input, Input::Fetched(_, heard) if !heard.is_empty())), "fetch"),
-        (count(&|input| matches!(input, Input::Query(..))), "get"),
+        (arrived(Source::TokenAlive), "token"),
+        (arrived(Source::TokenGone), "lost token"),
+        (count(&is_refused), "refusal"),
+        (count(&|input| matches!(input, Input::Timer)), "timer"),
+        (count(&took_time), "job"),
+        (count(&was_answered), "answer"),
+        (count(&|input| matches!(input, Input::Get(..))), "get"),
+        (count(&|input| matches!(input, Input::Stored { error: None })), "stored state"),
         (count(&|input| matches!(input, Input::LinkLost)), "lost link"),
         (count(&|input| matches!(input, Input::LinkRestored)), "link"),
     ] {
@@ -178,37 +191,35 @@ fn tampering_is_found(folder: &Path) {
     let tampered = folder.join("tampered");
     for service in SERVICES {
         let (head, mut entries, _) = read(&recordings(folder, service)[0]);
+        let is_publication = |command: &Command| matches!(command, Command::Publish(_));
         let published = entries.iter().enumerate().filter_map(|(at, entry)| match entry {
-            Entry::Outputs(outputs) => {
-                let is = |output: &Output| matches!(output, Output::Published(Ok(_)));
-                Some((at, outputs.iter().position(is)?))
-            }
+            Entry::Commands(commands) => Some((at, commands.iter().position(is_publication)?)),
             _ => None,
         });
         let published: Vec<_> = published.collect();
-        let (at, output) = published[published.len() / 2];
-        if let Entry::Outputs(outputs) = &mut entries[at]
-            && let Output::Published(Ok(puts)) = &mut outputs[output]
+        let (at, command) = published[published.len() / 2];
+        if let Entry::Commands(commands) = &mut entries[at]
+            && let Command::Publish(publication) = &mut commands[command]
         {
-            let Bytes(payload) = &mut puts[0].payload;
+            let payload = publication.packets[0].payload.as_mut().unwrap();
             let middle = payload.len() / 2;
             payload[middle] ^= 1;
         }
         write(&tampered, &head, &entries);
         let (code, out, err) = replay(&tampered, &[]);
         assert_eq!(code, Some(1), "{service}: {out}{err}");
-        let event = at / 2 + 1;
+        let input = at / 2 + 1;
         assert!(out.contains("different:"), "{out}");
-        assert!(err.contains(&format!("event {event} at")), "{service}: {event}: {err}");
+        assert!(err.contains(&format!("input {input} at")), "{service}: {input}: {err}");
         assert!(err.contains("recorded: publish") && err.contains("now:      publish"), "{err}");
         let (code, out, _) = replay(&tampered, &["--json"]);
         assert_eq!(code, Some(1));
         let report: Value = serde_json::from_str(&out).unwrap();
         assert_eq!(report["equal"], false);
-        assert_eq!(report["difference"]["event"], event);
+        assert_eq!(report["difference"]["event"], input);
         assert_ne!(report["difference"]["recorded"], report["difference"]["now"]);
         // Before it, nothing differs.
-        let before = (event - 1).to_string();
+        let before = (input - 1).to_string();
         let (code, ..) = replay(&tampered, &["--until", &before]);
         assert_eq!(code, Some(0));
     }
@@ -216,10 +227,10 @@ fn tampering_is_found(folder: &Path) {
     let (head, mut entries, _) = read(&recordings(folder, "clusterer")[0]);
     let mut changed = 0;
     for entry in &mut entries {
-        if let Entry::Event { input: Input::Query(_, request), .. } = entry
-            && request.payload.as_deref() == Some(b"{\"teams\":3}")
+        if let Entry::Input { input: Input::Get(get), .. } = entry
+            && get.payload.as_deref() == Some(b"{\"teams\":3}")
         {
-            request.payload = Some(b"{\"teams\":2}".to_vec());
+            get.payload = Some(b"{\"teams\":2}".to_vec());
             changed += 1;
         }
     }
@@ -228,10 +239,10 @@ fn tampering_is_found(folder: &Path) {
     let (code, _, err) = replay(&tampered, &[]);
     assert_eq!(code, Some(1));
     assert!(err.contains("teams"), "{err}");
-    // A job that took other times leads to other numbers in what is told of it.
+    // A job that took other times leads to other published numbers.
     let (head, mut entries, _) = read(&recordings(folder, "embedder")[0]);
     for entry in &mut entries {
-        if let Entry::Event { input: Input::Done(laps), .. } = entry {
+        if let Entry::Input { input: Input::JobEnded { laps, panic: None }, .. } = entry {
             laps[0] += 1;
         }
     }

@@ -51,13 +51,13 @@ mod tests {
         AuditorSettings { good: 0.5, poor: 0.25, alert_after_s: 3.0, alert_clearance: 0.05 }
     }
 
-    /// The event of each second for a series of means: `!` low, `o` recovered, `.` none.
-    fn events(means: &[Option<f64>]) -> String {
+    /// What is reported at each second for a series of means.
+    fn reported(means: &[Option<f64>]) -> String {
         let mut alert = Alert::default();
         let mut at = Tick(0);
-        let mut events = String::new();
+        let mut reported = String::new();
         for mean in means {
-            events.push(match alert.observe(at, *mean, &settings()) {
+            reported.push(match alert.observe(at, *mean, &settings()) {
                 Some(EventKind::QualityLow { .. }) => '!',
                 Some(EventKind::QualityRecovered { .. }) => 'o',
                 Some(_) => '?',
@@ -65,32 +65,32 @@ mod tests {
             });
             at = at.after(seconds(1.0));
         }
-        events
+        reported
     }
 
     #[test]
     fn an_alert_needs_quality_that_stays_low() {
         let (low, high) = (Some(0.1), Some(0.4));
-        assert_eq!(events(&[low, low, low, low, low, low]), "...!..");
-        assert_eq!(events(&[low, low, high, low, low, low, low]), "......!");
-        assert_eq!(events(&[low, low, None, low, low, low, low]), "......!");
-        assert_eq!(events(&[Some(0.25); 9]), ".........");
+        assert_eq!(reported(&[low, low, low, low, low, low]), "...!..");
+        assert_eq!(reported(&[low, low, high, low, low, low, low]), "......!");
+        assert_eq!(reported(&[low, low, None, low, low, low, low]), "......!");
+        assert_eq!(reported(&[Some(0.25); 9]), ".........");
     }
 
     #[test]
     fn it_ends_once_the_quality_is_clearly_better() {
         let (low, border, high) = (Some(0.1), Some(0.28), Some(0.31));
-        assert_eq!(events(&[low, low, low, low, border, low, border, high, low]), "...!...o.");
-        assert_eq!(events(&[low, low, low, low, None, None, high, high]), "...!..o.");
-        assert_eq!(events(&[low, low, low, low, high, low, low, low, low]), "...!o...!");
+        assert_eq!(reported(&[low, low, low, low, border, low, border, high, low]), "...!...o.");
+        assert_eq!(reported(&[low, low, low, low, None, None, high, high]), "...!..o.");
+        assert_eq!(reported(&[low, low, low, low, high, low, low, low, low]), "...!o...!");
     }
 
     #[test]
     fn an_alert_without_delay_is_raised_at_once() {
         let settings = AuditorSettings { alert_after_s: 0.0, ..settings() };
         let mut alert = Alert::default();
-        let event = alert.observe(Tick(7), Some(-0.5), &settings);
-        assert_eq!(event, Some(EventKind::QualityLow { mean: -0.5 }));
+        let reported = alert.observe(Tick(7), Some(-0.5), &settings);
+        assert_eq!(reported, Some(EventKind::QualityLow { mean: -0.5 }));
         assert_eq!(alert.due(&settings), None);
     }
 }

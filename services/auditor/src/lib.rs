@@ -22,5 +22,5 @@ mod core;
 mod history;
 mod judge;
 
-pub use crate::core::Auditor;
+pub use crate::core::{Auditor, MissingInputs};
 pub use crate::judge::{Job, Judgement, Outcome};

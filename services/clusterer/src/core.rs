@@ -1,224 +1,166 @@
-//! What is divided when, and what is told of it.
+//! What is divided when, and what is published of it.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, Footprint, JobGate, QueryId, Role,
-    START_FETCH, Start, Stopwatch, Subscription, TERM_FETCH, Turn, Wiring, answer_teams,
-};
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{RobotId, ServiceName};
-use muster_model::role::Standing;
 use muster_model::roster::{Presence, Roster};
 use muster_model::settings::ClustererSettings;
-use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
 use muster_model::time::{Tick, seconds};
+use muster_service::{
+    Connectivity, Core, Delivery, Get, JobEnd, MemoryUse, ServedKey, SingleFlight, Stopwatch,
+    Subscription, Wiring, answer_teams,
+};
 use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::division::{Job, Outcome, divide, same_data};
 use crate::identity::Memory;
 use crate::leader::leaders;
-use crate::telling::{Turn as Turns, counted, robots_to_tell, shortage};
+use crate::publishing::{Rotation, plural, robots_to_inform, shortage};
 
-/// The number of the fetch that is made when a lost link is back: what came meanwhile was missed.
-const LINK_FETCH: u32 = 1;
+type Context<'a> = muster_service::Context<'a, Clusterer>;
+type View<'a> = muster_service::View<'a, Clusterer>;
 
-/// Most changes of one division that are told as events: when a whole fleet is divided anew, the
+/// Most changes of one division that are published as events: when a whole fleet is divided anew, the
 /// division itself says it better than one event per robot. The others are counted.
 const MAX_CHANGE_EVENTS: usize = 64;
 
-/// An embedding, and when it was heard of.
+/// Names the one fetch of the service: what was missed while the link was lost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MissedInputs;
+
+/// An embedding, and when it was received.
 #[derive(Debug, Clone)]
-struct Heard {
+struct Received {
     embedding: Arc<Embedding>,
-    received: Tick,
+    at: Tick,
 }
 
 /// What a division is made of.
 #[derive(Debug, Clone)]
 struct Task {
-    heard: Heard,
+    source: Received,
     /// The settings without those that change no division.
     settings: ClustererSettings,
 }
 
 impl PartialEq for Task {
     fn eq(&self, other: &Self) -> bool {
-        self.settings == other.settings && same_data(&self.heard.embedding, &other.heard.embedding)
+        self.settings == other.settings
+            && same_data(&self.source.embedding, &other.source.embedding)
     }
 }
 
-/// What this holder of the role has told.
+/// What this leader has published.
 #[derive(Debug)]
-struct Told {
+struct Published {
     /// The newest embedding with the data of the division.
-    source: Heard,
-    /// When the division was last told.
-    published: Tick,
-    /// When its JSON mirror was last told.
+    source: Received,
+    /// When the division was last published.
+    at: Tick,
+    /// When its JSON mirror was last published.
     mirrored: Tick,
 }
 
 /// Divides embeddings into teams.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Clusterer {
-    role: Role<ClustererSettings>,
-    newest: Option<Heard>,
+    newest: Option<Received>,
     roster: Option<Arc<Roster>>,
-    /// What the auditor last said, for the case that it is gone.
+    /// What the auditor last published, in case it is gone.
     audit: Option<Arc<Audit>>,
-    gate: JobGate<Task>,
-    /// The last good answer; of the holder before until this one has its own.
+    flight: SingleFlight<Task>,
+    /// The last good answer; of the leader before until this one has its own.
     division: Option<Arc<Teams>>,
-    /// The division that others have heard last: what is told while the role is in doubt is heard by
-    /// nobody, and its changes are told with the next one.
-    heard: Option<Arc<Teams>>,
+    /// The division that others have received last: the output of a suspect is suppressed, and its
+    /// changes are published with the next one.
+    received_by_others: Option<Arc<Teams>>,
     /// The embedding that the division names.
     divided: Option<Arc<Embedding>>,
     /// Teams that robots had before the division.
     memory: Arc<Memory>,
-    told: Option<Told>,
-    turn: Turns,
-    /// How many teams were asked for and formed when that was last told to be too few.
+    published: Option<Published>,
+    rotation: Rotation,
+    /// How many teams were asked for and formed when that was last reported to be too few.
     fewer: Option<(u32, u32)>,
 }
 
 impl Clusterer {
-    /// An instance that has told nothing yet.
-    fn following(role: Role<ClustererSettings>, gate: JobGate<Task>) -> Self {
-        Self {
-            role,
-            newest: None,
-            roster: None,
-            audit: None,
-            gate,
-            division: None,
-            heard: None,
-            divided: None,
-            memory: Arc::default(),
-            told: None,
-            turn: Turns::default(),
-            fewer: None,
-        }
-    }
-
-    fn take_event(&mut self, now: Tick, event: Event<Outcome>, effects: &mut Effects<Job>) {
-        match event {
-            Event::Started => {
-                let wanted = [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One);
-                self.role.ask(wanted.to_vec(), effects);
-            }
-            Event::Fetched { fetch: START_FETCH, messages } if self.role.is_beginning() => {
-                self.begin(now, messages, effects);
-            }
-            Event::Fetched { fetch: TERM_FETCH, messages } => {
-                self.check_term(now, &messages, effects);
-            }
-            Event::Fetched { messages, .. } => self.take_all(now, messages, effects),
-            Event::Received(message) => self.take_in(now, message, effects),
-            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
-            Event::Timeout => self.expire(now, effects),
-            Event::Done(_) | Event::JobFailed(_) if self.gate.was_abandoned() => {
-                self.consider(now, effects);
-            }
-            Event::Done(Outcome(result)) => self.finish(now, result, effects),
-            Event::JobFailed(said) => {
-                let told = self.gate.panicked(now, &said);
-                self.fail(now, told, effects);
-                self.consider(now, effects);
-            }
-            Event::Query { query, request } => self.answer(now, query, request, effects),
-            Event::LinkLost => {}
-            Event::LinkRestored => {
-                self.role.link_restored(now);
-                effects.push(Effect::Fetch {
-                    fetch: LINK_FETCH,
-                    patterns: vec![Pattern::One(Key::Embedding), Pattern::One(Key::Roster)],
-                });
-                self.turn.hurry();
-                self.tell_again(now, effects);
-                self.consider(now, effects);
-            }
-        }
-    }
-
-    fn take_in(&mut self, now: Tick, message: Message, effects: &mut Effects<Job>) {
+    fn accept_message(&mut self, context: &mut Context<'_>, message: Message) {
         match message {
-            Message::Embedding(embedding) => self.take_embedding(now, embedding, effects),
-            Message::Roster(roster) => self.take_roster(now, roster, effects),
-            Message::Audit(audit) => self.take_audit(audit),
+            Message::Embedding(embedding) => self.accept_embedding(context, embedding),
+            Message::Roster(roster) => self.accept_roster(context, roster),
+            Message::Audit(audit) => self.accept_audit(audit),
             _ => {}
         }
     }
 
-    /// Takes answers in, the newest first, so that no older one is divided before it.
-    fn take_all(&mut self, now: Tick, mut messages: Vec<Message>, effects: &mut Effects<Job>) {
+    /// Takes answers, the newest first, so that no older one is divided before it.
+    fn accept_all(&mut self, context: &mut Context<'_>, mut messages: Vec<Message>) {
         let revision = |message: &Message| message.header().map(|header| header.revision);
         messages.sort_by_key(|message| std::cmp::Reverse(revision(message)));
         for message in messages {
-            self.take_in(now, message, effects);
+            self.accept_message(context, message);
         }
     }
 
-    fn take_audit(&mut self, audit: Arc<Audit>) {
+    fn accept_audit(&mut self, audit: Arc<Audit>) {
         let last = self.audit.as_ref().map(|audit| audit.header.revision);
         if last.is_none_or(|last| audit.header.revision > last) {
             self.audit = Some(audit);
         }
     }
 
-    fn take_embedding(&mut self, now: Tick, embedding: Arc<Embedding>, effects: &mut Effects<Job>) {
+    fn accept_embedding(&mut self, context: &mut Context<'_>, embedding: Arc<Embedding>) {
         let revision = embedding.header.revision;
-        let last = self.newest.as_ref().map(|heard| heard.embedding.header.revision);
+        let last = self.newest.as_ref().map(|newest| newest.embedding.header.revision);
         if last.is_some_and(|last| revision <= last) {
             // The same one may well come twice: by subscription and by fetch.
             if last != Some(revision) {
-                self.role.count("messages_old");
+                context.count("messages_old");
             }
             return;
         }
         if let Err(reason) = embedding.check() {
-            self.role.refuse(now, &Key::Embedding, &reason.to_string(), effects);
-            return;
+            return context.refuse(&Key::Embedding, reason.to_string());
         }
-        self.role.count("embeddings_received");
-        self.newest = Some(Heard { embedding, received: now });
-        self.consider(now, effects);
+        context.count("embeddings_received");
+        self.newest = Some(Received { embedding, at: context.now() });
+        self.consider(context);
     }
 
-    fn take_roster(&mut self, now: Tick, roster: Arc<Roster>, effects: &mut Effects<Job>) {
+    fn accept_roster(&mut self, context: &mut Context<'_>, roster: Arc<Roster>) {
         let revision = roster.header.revision;
         let last = self.roster.as_ref().map(|roster| roster.header.revision);
         if last.is_some_and(|last| revision <= last) {
             if last != Some(revision) {
-                self.role.count("messages_old");
+                context.count("messages_old");
             }
             return;
         }
         if let Err(reason) = roster.check() {
-            self.role.refuse(now, &Key::Roster, &reason.to_string(), effects);
-            return;
+            return context.refuse(&Key::Roster, reason.to_string());
         }
         self.roster = Some(roster);
-        // Robots went silent, left, or command others now: the same labels, told anew.
-        if let (Some(told), Some(division)) = (&self.told, &self.division) {
-            let (leaders, stale) = self.roster_view(division, &told.source.embedding);
+        // Robots went silent, left, or command others now: the same labels, published again.
+        if let (Some(published), Some(division)) = (&self.published, &self.division) {
+            let (leaders, stale) = self.roster_view(division, &published.source.embedding);
             let led = division.teams.iter().zip(leaders);
             if stale != division.stale
                 || led.into_iter().any(|(team, leader)| leader.is_some_and(|l| l != team.leader))
             {
-                let source = told.source.clone();
-                self.repeat(now, source, effects);
+                let source = published.source.clone();
+                self.republish_from(context, source);
             }
         }
     }
 
     /// What the newest roster says of the division of an embedding: the leader of each team, and who
-    /// is stale. Who is missing from a roster that is not older than the embedding's is about to go.
+    /// is stale. A robot that is missing from a roster that is not older than the embedding's is about to go.
     fn roster_view(
         &self,
         teams: &Teams,
@@ -247,18 +189,17 @@ impl Clusterer {
     }
 
     /// Starts a job if there is something to divide that is neither divided nor failed.
-    fn consider(&mut self, now: Tick, effects: &mut Effects<Job>) {
-        if !self.role.is_holding() || self.gate.is_running() {
-            return;
-        }
+    fn consider(&mut self, context: &mut Context<'_>) {
+        let Some(slot) = context.free_job_slot() else { return };
         let Some(newest) = &self.newest else { return };
-        let settings = ClustererSettings { heartbeat_s: 1.0, ..self.role.settings().clone() };
-        let task = Task { heard: newest.clone(), settings };
-        if !self.gate.wants(now, &task) {
-            if self.gate.standing_failure().is_none()
-                && let Some(told) = &mut self.told
+        let now = context.now();
+        let settings = ClustererSettings { heartbeat_s: 1.0, ..context.settings().clone() };
+        let task = Task { source: newest.clone(), settings };
+        if !self.flight.should_start(now, &task) {
+            if self.flight.failure().is_none()
+                && let Some(published) = &mut self.published
             {
-                told.source = newest.clone();
+                published.source = newest.clone();
             }
             return;
         }
@@ -271,75 +212,65 @@ impl Clusterer {
             previous: self.division.clone(),
             memory: Arc::clone(&self.memory),
         };
-        self.gate.started(task);
-        self.role.count("jobs_started");
-        effects.push(Effect::Start(job));
+        self.flight.started(task);
+        context.count("jobs_started");
+        context.start_job(slot, job);
     }
 
-    fn finish(&mut self, now: Tick, result: Result<Teams, String>, effects: &mut Effects<Job>) {
-        match result {
-            Ok(teams) => {
-                self.gate.succeeded();
-                self.accept(now, teams, effects);
-            }
-            Err(reason) => {
-                let told = self.gate.refused(now, "division", reason);
-                self.fail(now, told, effects);
-            }
-        }
-        self.consider(now, effects);
-    }
-
-    fn fail(&mut self, now: Tick, told: Option<String>, effects: &mut Effects<Job>) {
-        self.role.count("jobs_failed");
-        if let Some(reason) = told {
-            let kind = EventKind::JobFailed { reason };
-            self.role.tell(now, Severity::Error, kind, effects);
-        }
-    }
-
-    fn accept(&mut self, now: Tick, teams: Teams, effects: &mut Effects<Job>) {
-        let Some(task) = self.gate.settled() else { return };
+    fn accept_division(&mut self, context: &mut Context<'_>, teams: Teams) {
+        self.flight.succeeded();
+        let Some(task) = self.flight.completed() else { return };
         // An embedding with the same data may have come while the job ran.
-        let newer = self.newest.as_ref().filter(|h| same_data(&h.embedding, &task.heard.embedding));
-        let source = newer.unwrap_or(&task.heard).clone();
-        Arc::make_mut(&mut self.memory).follow(now, self.division.as_deref(), &teams);
-        self.publish(now, teams, source, effects);
+        let is_same = |newest: &&Received| same_data(&newest.embedding, &task.source.embedding);
+        let source = self.newest.as_ref().filter(is_same).unwrap_or(&task.source).clone();
+        let division = self.division.as_deref();
+        Arc::make_mut(&mut self.memory).follow(context.now(), division, &teams);
+        self.publish(context, teams, source);
     }
 
-    /// Tells what a division has changed.
-    fn tell_changes(&mut self, now: Tick, teams: &Teams, effects: &mut Effects<Job>) {
+    /// Publishes what a division has changed.
+    fn report_changes(&mut self, context: &mut Context<'_>, teams: &Teams) {
         let changes = teams.changes.clone();
-        let many = changes.len();
-        self.role.count_many("team_changes", many as u64);
+        let count = changes.len();
+        context.add("team_changes", count as u64);
         for change in changes.into_iter().take(MAX_CHANGE_EVENTS) {
-            self.role.tell(now, Severity::Info, EventKind::TeamChanged(change), effects);
+            context.publish_event(Severity::Info, EventKind::TeamChanged(change));
         }
-        if let Some(untold) = many.checked_sub(MAX_CHANGE_EVENTS).filter(|untold| *untold > 0) {
-            self.role.count_many("team_changes_untold", untold as u64);
+        let unreported = count.saturating_sub(MAX_CHANGE_EVENTS);
+        if unreported > 0 {
+            context.add("team_changes_untold", unreported as u64);
         }
         match shortage(teams) {
             Some((requested, formed, reason)) if self.fewer != Some((requested, formed)) => {
                 self.fewer = Some((requested, formed));
                 let kind = EventKind::FewerTeams { requested, formed, reason };
-                self.role.tell(now, Severity::Warning, kind, effects);
+                context.publish_event(Severity::Warning, kind);
             }
             Some(_) => {}
             None => self.fewer = None,
         }
     }
 
-    /// Tells the last division anew, as it stands by the newest roster.
-    fn repeat(&mut self, now: Tick, source: Heard, effects: &mut Effects<Job>) {
-        let Some(division) = &self.division else { return };
-        let mut teams = Teams::clone(division);
-        if self.heard.as_ref().is_some_and(|heard| Arc::ptr_eq(heard, division)) {
-            teams.changes.clear();
+    /// Publishes the last division of this leader again, if there is one.
+    fn republish(&mut self, context: &mut Context<'_>) {
+        if let Some(published) = &self.published {
+            let source = published.source.clone();
+            self.republish_from(context, source);
         }
-        self.publish(now, teams, source, effects);
     }
 
-    fn publish(&mut self, now: Tick, teams: Teams, source: Heard, effects: &mut Effects<Job>) {
+    /// Publishes the last division again, as it stands by the newest roster.
+    fn republish_from(&mut self, context: &mut Context<'_>, source: Received) {
+        let Some(division) = &self.division else { return };
+        let mut teams = Teams::clone(division);
+        if self.received_by_others.as_ref().is_some_and(|last| Arc::ptr_eq(last, division)) {
+            teams.changes.clear();
+        }
+        self.publish(context, teams, source);
+    }
+
+    fn publish(&mut self, context: &mut Context<'_>, teams: Teams, source: Received) {
+        let now = context.now();
         let (leaders, stale) = self.roster_view(&teams, &source.embedding);
         let mut teams = Teams { stale, ..teams };
         for (team, leader) in teams.teams.iter_mut().zip(leaders) {
@@ -347,64 +278,65 @@ impl Clusterer {
                 team.leader = leader;
             }
         }
-        let revision = self.role.next_revision();
-        let stage = self.role.stage(source.received, now);
+        let revision = context.next_revision();
+        let stage = context.stage(source.at);
         teams.embedding = source.embedding.header.revision;
         // A restart goes by the division alone, so that it says which numbers others have given.
         teams.next_team = teams.next_team.max(self.memory.next_team);
         teams.header = source.embedding.header.next_stage(revision, stage);
 
-        let heartbeat = seconds(self.role.settings().heartbeat_s);
-        let before = self.heard.as_deref();
-        let mirrored = self.told.as_ref().map(|told| told.mirrored);
+        let heartbeat = seconds(context.settings().heartbeat_s);
+        let before = self.received_by_others.as_deref();
+        let mirrored = self.published.as_ref().map(|published| published.mirrored);
         let mirror = mirrored.is_none_or(|last| now.since(last) >= heartbeat)
             || before.is_none_or(|before| !before.same_division(&teams));
         let teams = Arc::new(teams);
-        effects.publish(Message::Teams { teams: Arc::clone(&teams), mirror });
-        self.role.count("divisions_published");
+        context.publish(Message::Teams { teams: Arc::clone(&teams), mirror });
+        context.count("divisions_published");
 
-        let changed = robots_to_tell(&teams, before);
+        let changed = robots_to_inform(&teams, before);
         for robot in &changed {
-            if let Some(told) = teams.robot_team(robot) {
-                effects.publish(Message::RobotTeam(told));
+            if let Some(team) = teams.robot_team(robot) {
+                context.publish(Message::RobotTeam(team));
             }
         }
         let changed: BTreeSet<&RobotId> = changed.into_iter().collect();
         let mirrored = if mirror { now } else { mirrored.unwrap_or(now) };
         self.divided = Some(Arc::clone(&source.embedding));
-        self.told = Some(Told { source, published: now, mirrored });
+        self.published = Some(Published { source, at: now, mirrored });
         self.division = Some(Arc::clone(&teams));
-        self.retell(now, &changed, effects);
-        if self.role.is_holding() {
-            self.heard = Some(Arc::clone(&teams));
-            self.tell_changes(now, &teams, effects);
+        self.inform_in_rotation(context, &changed);
+        if context.is_leading() {
+            self.received_by_others = Some(Arc::clone(&teams));
+            self.report_changes(context, &teams);
         }
     }
 
-    /// When the next robots are to be told again.
-    fn retell_at(&self) -> Option<Tick> {
-        self.told.as_ref().filter(|_| self.role.is_holding())?;
-        Some(self.turn.due(seconds(self.role.settings().heartbeat_s)))
+    /// When the next robots are to be informed again.
+    fn rotation_at(&self, view: &View<'_>) -> Option<Tick> {
+        self.published.as_ref().filter(|_| view.is_leading())?;
+        Some(self.rotation.due(seconds(view.settings().heartbeat_s)))
     }
 
-    /// Tells the robots whose turn it is of their team again, if it is time, but for those that have
-    /// just been told.
-    fn retell(&mut self, now: Tick, just_told: &BTreeSet<&RobotId>, effects: &mut Effects<Job>) {
-        if self.retell_at().is_none_or(|due| now < due) {
+    /// Publishes the team of those robots again whose turn it is, if it is time, but for those that
+    /// were just informed.
+    fn inform_in_rotation(&mut self, context: &mut Context<'_>, informed: &BTreeSet<&RobotId>) {
+        let now = context.now();
+        if self.rotation_at(&context.view()).is_none_or(|due| now < due) {
             return;
         }
-        let (Some(told), Some(teams)) = (&self.told, &self.division) else { return };
+        let (Some(published), Some(teams)) = (&self.published, &self.division) else { return };
         // The embedding has the robots of the division, ordered by name.
-        for robot in self.turn.next(now, &told.source.embedding.robots) {
-            if !just_told.contains(&robot)
-                && let Some(told) = teams.robot_team(&robot)
+        for robot in self.rotation.next(now, &published.source.embedding.robots) {
+            if !informed.contains(&robot)
+                && let Some(team) = teams.robot_team(&robot)
             {
-                effects.publish(Message::RobotTeam(told));
+                context.publish(Message::RobotTeam(team));
             }
         }
     }
 
-    /// Takes over the newest division of an earlier holder among messages. Whatever is told was
+    /// Takes over the newest division of an earlier leader among messages. Whatever is published was
     /// checked, but a division that contradicts itself would spoil every later one.
     fn inherit(&mut self, messages: &[Message]) {
         for message in messages {
@@ -423,85 +355,23 @@ impl Clusterer {
                 self.divided = Some(Arc::clone(embedding));
             }
         }
-        self.heard = self.division.clone();
+        self.received_by_others = self.division.clone();
     }
 
-    fn begin(&mut self, now: Tick, messages: Vec<Message>, effects: &mut Effects<Job>) {
-        self.inherit(&messages);
-        let seen = self.division.as_ref().map(|division| division.header.revision);
-        self.role.begin_term(now, seen, effects);
-        self.take_all(now, messages, effects);
-        self.consider(now, effects);
+    fn heartbeat_at(&self, view: &View<'_>) -> Option<Tick> {
+        let published = self.published.as_ref()?;
+        Some(published.at.after(seconds(view.settings().heartbeat_s)))
     }
 
-    /// Looks whether readers hold a higher revision, and if so, tells everything under a new term.
-    fn check_term(&mut self, now: Tick, messages: &[Message], effects: &mut Effects<Job>) {
-        if !self.role.checked(now, messages, effects) {
-            return;
-        }
-        for message in messages {
-            if let Message::Teams { teams, .. } = message {
-                // The numbers of that division are taken, whoever has given them.
-                let memory = Arc::make_mut(&mut self.memory);
-                memory.next_team = memory.next_team.max(teams.next_team);
-            }
-        }
-        // The job that runs knows neither those numbers nor, at first, that division.
-        if self.gate.is_running() {
-            self.gate = self.gate.abandoned();
-        }
-        self.turn.hurry();
-        if self.told.is_some() {
-            self.tell_again(now, effects);
-        } else {
-            self.inherit(messages);
-        }
-    }
-
-    /// Tells the last division of this holder anew, if there is one.
-    fn tell_again(&mut self, now: Tick, effects: &mut Effects<Job>) {
-        if let Some(told) = &self.told {
-            let source = told.source.clone();
-            self.repeat(now, source, effects);
-        }
-    }
-
-    fn expire(&mut self, now: Tick, effects: &mut Effects<Job>) {
-        if self.heartbeat_at().is_some_and(|due| now >= due) {
-            self.tell_again(now, effects);
-        }
-        self.retell(now, &BTreeSet::new(), effects);
-        if self.gate.deadline().is_some_and(|due| now >= due) {
-            self.consider(now, effects);
-        }
-    }
-
-    fn heartbeat_at(&self) -> Option<Tick> {
-        let told = self.told.as_ref()?;
-        Some(told.published.after(seconds(self.role.settings().heartbeat_s)))
-    }
-
-    fn answer(&mut self, now: Tick, query: QueryId, request: Request, effects: &mut Effects<Job>) {
-        let state = self.state();
-        match self.role.answer(now, query, request, &state, effects) {
-            Answered::Done => {}
-            Answered::SettingsChanged => self.consider(now, effects),
-            Answered::NotOurs(query, request) => {
-                let answer = self.select(&request);
-                effects.push(Effect::Reply { query, request, answer });
-            }
-        }
-    }
-
-    fn select(&self, request: &Request) -> Result<Vec<Message>, String> {
-        let space = self.role.space();
+    fn select(&self, context: &Context<'_>, request: &Request) -> Result<Vec<Message>, String> {
+        let space = context.space();
         let selects = |key: &Key| request.selects(space, key);
         let mut messages = Vec::new();
         if let Some(teams) = &self.division {
             messages.extend(answer_teams(space, request, teams)?);
         }
         if selects(&Key::Embedding) {
-            // Whoever judges the division needs the embedding that it names, however old it is.
+            // The auditor of the division needs the embedding that it names, however old it is.
             let newest = self.newest.as_ref().map(|newest| &newest.embedding);
             let named = self.divided.as_ref().filter(|named| {
                 newest.is_none_or(|newest| newest.header.revision != named.header.revision)
@@ -520,23 +390,11 @@ impl Clusterer {
         }
         Ok(messages)
     }
-
-    fn state(&self) -> String {
-        match (&self.division, &self.newest) {
-            (Some(division), Some(_)) => {
-                let teams = division.teams.len();
-                let assigned: usize = division.teams.iter().map(|team| team.members.len()).sum();
-                let robots = assigned + division.unassigned.len();
-                format!("{} of {}", counted(teams, "team"), counted(robots, "robot"))
-            }
-            (None, Some(_)) => "dividing the first embedding".to_owned(),
-            (_, None) => "waiting for an embedding".to_owned(),
-        }
-    }
 }
 
 impl Core for Clusterer {
     type Settings = ClustererSettings;
+    type Fetch = MissedInputs;
     type Job = Job;
     type Done = Outcome;
     const SERVICE: ServiceName = ServiceName::Clusterer;
@@ -544,68 +402,160 @@ impl Core for Clusterer {
     fn wiring() -> Wiring {
         let subscription =
             |key| Subscription { pattern: Pattern::One(key), delivery: Delivery::Latest };
+        let cached = [Key::Embedding, Key::Roster, Key::Audit, Key::JsonAudit].map(Pattern::One);
+        let own = [Pattern::One(Key::Teams), Pattern::One(Key::JsonTeams), Pattern::RobotTeams];
+        let served = own.map(ServedKey::own).into_iter().chain(cached.map(ServedKey::cached));
         Wiring {
             subscriptions: [Key::Embedding, Key::Roster, Key::Audit].map(subscription).to_vec(),
             tokens: vec![],
-            served: vec![
-                (Pattern::One(Key::Teams), true),
-                (Pattern::One(Key::JsonTeams), true),
-                (Pattern::RobotTeams, true),
-                (Pattern::One(Key::Embedding), false),
-                (Pattern::One(Key::Roster), false),
-                (Pattern::One(Key::Audit), false),
-                (Pattern::One(Key::JsonAudit), false),
-            ],
+            served: served.collect(),
         }
     }
 
-    fn new(start: Start<ClustererSettings>) -> Self {
-        Self::following(Role::new(Self::SERVICE, start), JobGate::default())
+    fn initial() -> Vec<Pattern> {
+        [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One).to_vec()
     }
 
-    fn handle(&mut self, now: Tick, event: Event<Outcome>, effects: &mut Effects<Job>) {
-        match self.role.attend(now, event, effects) {
-            Turn::Events(events) => {
-                events.into_iter().for_each(|event| self.take_event(now, event, effects));
-            }
-            Turn::StandDown => {
-                *self = Self::following(self.role.clone(), self.gate.abandoned());
-                self.take_event(now, Event::Started, effects);
+    fn output() -> Key {
+        Key::Teams
+    }
+
+    fn is_output(message: &Message) -> bool {
+        matches!(message, Message::Teams { .. })
+    }
+
+    fn new(_now: Tick, _settings: &ClustererSettings) -> Self {
+        Self::default()
+    }
+
+    fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
+        self.inherit(&answers);
+        self.accept_all(context, answers);
+        self.consider(context);
+    }
+
+    fn on_follow(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
+        self.accept_all(context, answers);
+    }
+
+    fn on_stand_down(&mut self, _context: &mut Context<'_>) {
+        *self = Self::default();
+    }
+
+    fn on_new_term(&mut self, context: &mut Context<'_>, found: Vec<Message>) {
+        for message in &found {
+            if let Message::Teams { teams, .. } = message {
+                // The numbers of that division are taken, whichever instance has given them.
+                let memory = Arc::make_mut(&mut self.memory);
+                memory.next_team = memory.next_team.max(teams.next_team);
             }
         }
-        self.role.advance(now, Pattern::One(Key::Teams), effects);
+        // The job that runs knows neither those numbers nor, at first, that division.
+        if context.view().is_job_running() {
+            context.abandon_job();
+            self.flight = SingleFlight::default();
+        }
+        self.rotation.hurry();
+        if self.published.is_some() {
+            self.republish(context);
+        } else {
+            self.inherit(&found);
+        }
     }
 
-    fn standing(&self) -> Standing {
-        self.role.standing()
+    fn on_message(&mut self, context: &mut Context<'_>, message: Message) {
+        self.accept_message(context, message);
     }
 
-    fn deadline(&self) -> Option<Tick> {
-        // Nothing is divided by who may not tell of it.
-        let retry = self.gate.deadline().filter(|_| self.role.is_holding());
-        let times = [self.heartbeat_at(), self.retell_at(), retry, self.role.deadline()];
-        times.into_iter().flatten().min()
+    fn on_answers(&mut self, context: &mut Context<'_>, _: MissedInputs, answers: Vec<Message>) {
+        self.accept_all(context, answers);
     }
 
-    fn status(&self, now: Tick) -> ServiceStatus {
-        self.role.status(now, &self.state())
+    fn on_get(&mut self, context: &mut Context<'_>, get: Get) {
+        match self.select(context, &get.request) {
+            Ok(answer) => context.reply(get, answer),
+            Err(problem) => context.reply_error(get, problem.to_string()),
+        }
     }
 
-    fn footprint(&self) -> Footprint {
+    fn on_settings(&mut self, context: &mut Context<'_>) {
+        self.consider(context);
+    }
+
+    fn on_connectivity(&mut self, context: &mut Context<'_>, connectivity: Connectivity) {
+        if connectivity == Connectivity::Online {
+            let patterns = [Key::Embedding, Key::Roster].map(Pattern::One);
+            context.fetch(MissedInputs, patterns.to_vec());
+            self.rotation.hurry();
+            self.republish(context);
+            self.consider(context);
+        }
+    }
+
+    fn on_timer(&mut self, context: &mut Context<'_>) {
+        let now = context.now();
+        if self.heartbeat_at(&context.view()).is_some_and(|due| now >= due) {
+            self.republish(context);
+        }
+        self.inform_in_rotation(context, &BTreeSet::new());
+        if self.flight.retry_at().is_some_and(|due| now >= due) {
+            self.consider(context);
+        }
+    }
+
+    fn on_job(&mut self, context: &mut Context<'_>, end: JobEnd<Outcome>) {
+        match end {
+            JobEnd::Finished(Outcome(Ok(teams))) => self.accept_division(context, teams),
+            JobEnd::Finished(Outcome(Err(reason))) => {
+                context.report_job_failure("division", &reason);
+                self.flight.refused(reason);
+            }
+            JobEnd::Panicked(reason) => {
+                context.report_job_failure("panic", &reason);
+                self.flight.panicked(context.now(), reason);
+            }
+        }
+        self.consider(context);
+    }
+
+    fn on_job_slot_free(&mut self, context: &mut Context<'_>) {
+        self.consider(context);
+    }
+
+    fn deadline(&self, view: &View<'_>) -> Option<Tick> {
+        // An instance whose output is suppressed divides nothing.
+        let retry = self.flight.retry_at();
+        let retry = retry.filter(|_| view.is_leading() && !view.is_job_running());
+        [self.heartbeat_at(view), self.rotation_at(view), retry].into_iter().flatten().min()
+    }
+
+    fn state(&self, _view: &View<'_>) -> String {
+        match (&self.division, &self.newest) {
+            (Some(division), Some(_)) => {
+                let teams = division.teams.len();
+                let assigned: usize = division.teams.iter().map(|team| team.members.len()).sum();
+                let robots = assigned + division.unassigned.len();
+                format!("{} of {}", plural(teams, "team"), plural(robots, "robot"))
+            }
+            (None, Some(_)) => "dividing the first embedding".to_owned(),
+            (_, None) => "waiting for an embedding".to_owned(),
+        }
+    }
+
+    fn memory_use(&self) -> MemoryUse {
         let held = [
             self.newest.is_some(),
             self.roster.is_some(),
             self.audit.is_some(),
             self.division.is_some(),
-            self.heard.is_some(),
+            self.received_by_others.is_some(),
             self.divided.is_some(),
-            self.told.is_some(),
+            self.published.is_some(),
         ];
-        Footprint {
+        MemoryUse {
             robots: self.memory.robot_count(),
-            edges: 0,
             messages: held.into_iter().filter(|held| *held).count(),
-            offenders: self.role.offender_count(),
+            ..MemoryUse::default()
         }
     }
 

@@ -1,24 +1,24 @@
 //! `clusterer`: divides the embedded robots into teams with lasting identities.
 //!
-//! Read in the order of the data's path: [`Clusterer`] takes events in and decides what is told
+//! Read in the order of the data's path: [`Clusterer`] receives embeddings and decides what is published
 //! when; `division` is the job, k-means on the rows of an embedding, started from the teams before;
 //! `identity` gives each cluster a team id that lives on, and names what changed, with the help of
-//! `memory`, who was in which team lately; `leader` finds who commands each team;
-//! `telling` says who is to hear of it.
+//! `memory`, which robot was in which team lately; `leader` finds the commander of each team;
+//! `publishing` says which robots are informed.
 //!
 //! What holds at all times:
 //! - A robot of the embedding stands in exactly one team, or among those without one.
 //! - A team keeps its id for as long as it shares most with itself, and gets it back if it ended and
 //!   is formed again by the same robots within a minute; an id is never given to another team, also
 //!   over restarts, as long as any service remembers the last division.
-//! - The same embedding under the same settings is divided once. What is told again is the same
+//! - The same embedding under the same settings is divided once. What is published again is the same
 //!   division with a new revision, and its data grows older honestly.
-//! - A job that fails changes nothing: the last division stands and is told on. One that panics is
+//! - A job that fails changes nothing: the last division stands and is published on. One that panics is
 //!   tried again.
-//! - A robot is told of its team when that changes. Beside that all robots are told again in turn, a
-//!   bounded number in each heartbeat, so that a message that was lost is repaired without a burst.
-//! - A robot that has left the fleet counts as stale until the next embedding, and leads nobody
-//!   while anybody else can.
+//! - A robot is informed of its team when that changes. All robots are also informed again in rotation, a
+//!   bounded number in each heartbeat, so that a lost message is repaired without a burst.
+//! - A robot that has left the fleet counts as stale until the next embedding, and leads no team
+//!   while another member can.
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
@@ -27,7 +27,7 @@ mod division;
 mod identity;
 mod leader;
 mod memory;
-mod telling;
+mod publishing;
 
-pub use crate::core::Clusterer;
+pub use crate::core::{Clusterer, MissedInputs};
 pub use crate::division::{Job, Outcome};

@@ -6,7 +6,6 @@
 
 use std::sync::Arc;
 
-use muster_machine::Stopwatch;
 use muster_method::embedding::{Embedded, Frames};
 use muster_method::pairs::{Pair, PairError};
 use muster_method::params::{EmbeddingParams, Pace};
@@ -16,6 +15,7 @@ use muster_model::embedding::{Embedding, EmbeddingQuality};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::EmbedderSettings;
+use muster_service::Stopwatch;
 
 use crate::follow::Frame;
 

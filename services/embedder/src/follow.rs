@@ -9,16 +9,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_machine::{Footprint, START_FETCH};
 use muster_model::graph::{GraphDelta, GraphError, GraphReplica};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId, ServiceName};
 use muster_model::limits::{MAX_DECLARED_MODALITIES, MAX_ROBOTS};
 use muster_model::roster::Roster;
 use muster_model::time::Tick;
+use muster_service::MemoryUse;
 use muster_wire::{Key, KeySpace, Message, Pattern, Request};
-
-use crate::teams::SETTINGS_FETCH;
 
 /// Most graphs that are followed: the declared modalities and the three built-in ones.
 const MAX_GRAPHS: usize = MAX_DECLARED_MODALITIES + 3;
@@ -35,7 +33,7 @@ const AHEAD_GRACE: Duration = Duration::from_secs(1);
 
 /// How often a roster is asked for while none is known: `ingest` may be gone, and the readers that answer
 /// in its place publish nothing by themselves.
-const ROSTER_INTERVAL: Duration = Duration::from_secs(2);
+const ROSTER_FETCH_INTERVAL: Duration = Duration::from_secs(2);
 
 /// One consistent state of the fleet.
 #[derive(Debug)]
@@ -90,9 +88,8 @@ pub(crate) struct Follower {
     frame: Option<Arc<Frame>>,
     /// Since when the graphs have not been those of the newest roster.
     apart_since: Option<Tick>,
-    /// The fetch that is under way.
-    in_flight: Option<u32>,
-    last_fetch: u32,
+    /// Whether a fetch is under way.
+    is_fetching: bool,
     fetched: Tick,
     /// Whether everything is to be fetched, whatever is known.
     refresh: bool,
@@ -105,13 +102,13 @@ impl Follower {
     }
 
     /// What is held of rosters and graphs, with those of the newest frame.
-    pub(crate) fn footprint(&self) -> Footprint {
+    pub(crate) fn memory_use(&self) -> MemoryUse {
         let frame = self.frame.as_deref();
         let framed = frame.into_iter().flat_map(|frame| &frame.graphs).map(|(_, graph)| graph);
         let graphs = self.graphs.values().map(|followed| &followed.graph).chain(framed);
         let rosters = self.roster.as_ref().into_iter().chain(frame.map(|frame| &frame.roster));
         let sizes: Vec<usize> = rosters.map(|roster| roster.robots.len()).collect();
-        Footprint {
+        MemoryUse {
             robots: sizes.iter().sum(),
             edges: graphs.map(|graph| graph.edge_count()).sum(),
             messages: sizes.len(),
@@ -261,18 +258,16 @@ impl Follower {
         true
     }
 
-    /// Counts a fetch of the caller's own as under way.
-    pub(crate) fn fetch_begun(&mut self, now: Tick, fetch: u32) {
-        self.in_flight = Some(fetch);
-        self.last_fetch = fetch;
+    /// A fetch begins: one of [`Follower::fetch`], or the inquiry of the service.
+    pub(crate) fn fetch_begun(&mut self, now: Tick) {
+        self.is_fetching = true;
         self.fetched = now;
     }
 
-    /// The fetch has ended and its answers have been taken. What it did not mend shows by the
+    /// The fetch has ended and its answers have been accepted. What it did not repair shows by the
     /// revisions that the roster lists.
-    pub(crate) fn fetch_ended(&mut self, fetch: u32) {
-        if self.in_flight == Some(fetch) {
-            self.in_flight = None;
+    pub(crate) fn fetch_ended(&mut self) {
+        if std::mem::take(&mut self.is_fetching) {
             self.graphs.values_mut().for_each(|followed| followed.gap = false);
         }
     }
@@ -280,18 +275,20 @@ impl Follower {
     /// Fetches everything again: messages of the meantime were not received.
     pub(crate) fn refresh(&mut self) {
         self.refresh = true;
-        self.in_flight = None;
+        self.is_fetching = false;
     }
 
     /// When a fetch is wanted; none while all is well or one is under way.
     pub(crate) fn fetch_due(&self) -> Option<Tick> {
-        if self.in_flight.is_some() {
+        if self.is_fetching {
             return None;
         }
         if self.refresh {
             return Some(Tick::default());
         }
-        let Some(roster) = &self.roster else { return Some(self.fetched.after(ROSTER_INTERVAL)) };
+        let Some(roster) = &self.roster else {
+            return Some(self.fetched.after(ROSTER_FETCH_INTERVAL));
+        };
         let worst = roster.graphs.iter().map(|(name, at)| self.distance(name, *at)).max_by_key(
             |distance| match distance {
                 Distance::None => 0,
@@ -310,8 +307,8 @@ impl Follower {
         Some(wanted.max(self.fetched.after(FETCH_INTERVAL)))
     }
 
-    /// The fetch that is due: its number and what it asks for.
-    pub(crate) fn fetch(&mut self, now: Tick) -> Option<(u32, Vec<Pattern>)> {
+    /// What the fetch asks for that is due; it counts as begun.
+    pub(crate) fn fetch(&mut self, now: Tick) -> Option<Vec<Pattern>> {
         if self.fetch_due()? > now {
             return None;
         }
@@ -329,10 +326,8 @@ impl Follower {
             }
         }
         self.refresh = false;
-        // Between the numbers of the fetches that are not made here.
-        let next = self.last_fetch + 1;
-        self.fetch_begun(now, if next < SETTINGS_FETCH { next } else { START_FETCH + 1 });
-        Some((self.last_fetch, patterns))
+        self.fetch_begun(now);
+        Some(patterns)
     }
 
     fn distance(&self, name: &Modality, listed: Revision) -> Distance {

@@ -2,15 +2,15 @@
 //!
 //! `embedder` follows the graphs of all modalities into frames that belong together (module
 //! `follow`), embeds each frame by `muster-method`, beginning with what is kept of the last one (module
-//! `compute`), and publishes the vectors as [`muster_model::embedding::Embedding`]. Gets of the similarity of two robots are answered by module
-//! `pairs`. When it does so is decided by module `core`; how many
-//! teams are wanted, on which the dimension depends, is heard by module `teams`.
+//! `compute`), and publishes the vectors as [`muster_model::embedding::Embedding`]. Module `pairs`
+//! answers gets of the similarity of two robots, module `teams` follows how many teams are wanted, on
+//! which the dimension depends. Module `core` decides when.
 //!
 //! | comes in | goes out |
 //! | --- | --- |
 //! | `graph/*`, `roster`, `service/clusterer/settings` | `embedding`, `event`, `service/embedder/settings` |
 //!
-//! For an `ingest` that restarts it also repeats the last `roster` and the graphs that this lists.
+//! It also answers gets of the last `roster` and its graphs, for an `ingest` that restarts.
 //! The last good embedding stands through every fault: it is served until a newer one exists.
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
@@ -22,4 +22,4 @@ mod pairs;
 mod teams;
 
 pub use crate::compute::{Done, Job};
-pub use crate::core::Embedder;
+pub use crate::core::{Embedder, EmbedderFetch};

@@ -1,14 +1,14 @@
 //! Gets of the Katz similarity of two robots: a bounded queue, and the answers.
 
-use muster_machine::{Effect, Effects, QueryId};
 use muster_method::pairs::{Pair, PairError};
 use muster_model::header::Header;
 use muster_model::id::RobotId;
 use muster_model::katz::PairSimilarity;
+use muster_service::{Context, Get};
+use muster_wire::Message;
 use muster_wire::json::Problem;
-use muster_wire::{Message, Request};
 
-use crate::compute::Job;
+use crate::Embedder;
 
 /// Most gets that wait for their answers: a dashboard that asks for all pairs of a dozen robots at once
 /// is served, and no flood of gets takes memory.
@@ -29,15 +29,18 @@ pub(crate) struct Questions {
 
 #[derive(Debug)]
 struct Question {
-    query: QueryId,
-    request: Request,
+    get: Get,
     pair: [RobotId; 2],
 }
 
 impl Question {
-    fn answer(self, answer: Result<Vec<Message>, String>, effects: &mut Effects<Job>) {
-        let answer = answer.map_err(|problem| Problem::new("katz", &problem).to_json());
-        effects.push(Effect::Reply { query: self.query, request: self.request, answer });
+    fn answer(self, answer: Result<Vec<Message>, String>, context: &mut Context<'_, Embedder>) {
+        match answer {
+            Ok(messages) => context.reply(self.get, messages),
+            Err(problem) => {
+                context.reply_error(self.get, Problem::new("katz", &problem).to_json());
+            }
+        }
     }
 }
 
@@ -48,19 +51,18 @@ impl Questions {
     }
 
     /// Queues a get, or refuses it where too many wait.
-    pub(crate) fn take(
+    pub(crate) fn accept(
         &mut self,
-        query: QueryId,
-        request: Request,
+        get: Get,
         pair: [RobotId; 2],
-        effects: &mut Effects<Job>,
+        context: &mut Context<'_, Embedder>,
     ) {
-        let question = Question { query, request, pair };
+        let question = Question { get, pair };
         if self.waiting.len() < MAX_WAITING_GETS {
             self.waiting.push(question);
         } else {
             let problem = format!("{MAX_WAITING_GETS} questions wait already; ask again later");
-            question.answer(Err(problem), effects);
+            question.answer(Err(problem), context);
         }
     }
 
@@ -76,7 +78,7 @@ impl Questions {
     pub(crate) fn answered(
         &mut self,
         answers: Vec<Result<Pair, PairError>>,
-        effects: &mut Effects<Job>,
+        context: &mut Context<'_, Embedder>,
     ) {
         let Some(header) = self.head.take() else { return };
         for (question, compared) in std::mem::take(&mut self.asked).into_iter().zip(answers) {
@@ -96,16 +98,16 @@ impl Questions {
                 };
                 vec![Message::Katz(Box::new(pair))]
             });
-            question.answer(answer, effects);
+            question.answer(answer, context);
         }
     }
 
     /// Answers every waiting get with the reason why there is no answer.
-    pub(crate) fn refuse(&mut self, reason: &str, effects: &mut Effects<Job>) {
+    pub(crate) fn refuse(&mut self, reason: &str, context: &mut Context<'_, Embedder>) {
         self.head = None;
         let waiting = std::mem::take(&mut self.waiting);
         for question in std::mem::take(&mut self.asked).into_iter().chain(waiting) {
-            question.answer(Err(reason.to_owned()), effects);
+            question.answer(Err(reason.to_owned()), context);
         }
     }
 }

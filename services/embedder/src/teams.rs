@@ -2,14 +2,10 @@
 
 use std::time::Duration;
 
-use muster_machine::TERM_FETCH;
 use muster_model::header::Revision;
 use muster_model::settings::{ClustererSettings, Settings, SettingsError, from_value};
 use muster_model::time::Tick;
 use muster_wire::envelope::AnnouncedSettings;
-
-/// The number of the fetch that asks for the settings alone.
-pub(crate) const SETTINGS_FETCH: u32 = TERM_FETCH - 1;
 
 /// How often the settings are asked for. `clusterer` announces them repeatedly, but a forged announcement
 /// of a later revision would shut those out, and only answers can contradict it. Seldom is enough: the

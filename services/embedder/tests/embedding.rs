@@ -7,12 +7,12 @@ mod common;
 use std::sync::Arc;
 
 use common::{Bench, Ingest, announced, announced_at, dot, robot, row};
-use muster_machine::{Event, TERM_FETCH};
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::settings::{Alpha, Dimension, EmbedderSettings, MAX_DIMENSION};
+use muster_service::Input;
 use muster_wire::{Message, Rejection};
 
 const NAMES: [&str; 3] = ["connectivity", "hierarchy", "spatial"];
@@ -29,7 +29,7 @@ fn following() -> (Bench, Ingest) {
 }
 
 fn learned(bench: &mut Bench) -> Vec<Message> {
-    bench.ask("embedding", None).unwrap()
+    bench.get("embedding", None).unwrap()
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn small_and_empty_fleets_have_an_answer_or_none() {
 }
 
 #[test]
-fn an_unchanged_frame_is_not_computed_again_but_told_at_intervals() {
+fn an_unchanged_frame_is_not_computed_again_but_published_at_intervals() {
     let (mut bench, mut ingest) = following();
     let first = bench.last().clone();
     for _ in 0..25 {
@@ -102,17 +102,17 @@ fn an_unchanged_frame_is_not_computed_again_but_told_at_intervals() {
     assert_eq!(again.quality.mode, EmbeddingMode::Cached);
     assert_eq!(learned(&mut bench), [Message::Embedding(bench.published[2].clone())]);
     // Without rosters the data ages, and nothing says otherwise.
-    bench.pass(1.0);
+    bench.wait(1.0);
     let count = bench.published.len();
-    bench.pass(5.0);
+    bench.wait(5.0);
     assert_eq!(bench.published.len(), count);
 }
 
 #[test]
-fn a_repetition_that_no_roster_triggers_is_told_by_the_deadline() {
+fn a_repetition_that_no_roster_triggers_is_published_by_the_deadline() {
     let (mut bench, mut ingest) = following();
     bench.frame(&mut ingest);
-    bench.pass(2.0);
+    bench.wait(2.0);
     assert_eq!(bench.published.len(), 2);
 }
 
@@ -133,12 +133,12 @@ fn the_newest_frame_follows_a_long_job() {
         ingest.edge("spatial", "a0", "a1", weight);
         bench.frame(&mut ingest);
     }
-    let told = ingest.frame(bench.now);
-    bench.deliver(&told);
+    let frame = ingest.frame(bench.now);
+    bench.deliver(&frame);
     bench.hold_jobs = false;
     bench.run_job();
-    assert_eq!(bench.published.len(), 3, "the frame that was begun, and the newest");
-    assert_eq!(bench.last().roster, told.roster.header.revision);
+    assert_eq!(bench.published.len(), 3, "the frame that was started, and the newest");
+    assert_eq!(bench.last().roster, frame.roster.header.revision);
     assert_eq!(bench.counter("jobs_started"), 3);
 }
 
@@ -153,7 +153,7 @@ fn settings_recompute_the_frame_and_keep_the_similarity() {
     bench.set(r#"{"weights": {"spatial": 0.5, "thermal": 0.5}}"#);
     let weights: Vec<_> = bench.last().graphs.iter().map(|(_, _, weight)| *weight).collect();
     assert_eq!(weights, [0.0, 0.0, 1.0], "the fleet has no thermal modality");
-    assert!(bench.ask("service/embedder/settings", Some(r#"{"dimension": 3}"#)).is_err());
+    assert!(bench.get("service/embedder/settings", Some(r#"{"dimension": 3}"#)).is_err());
     assert_eq!(bench.published.len(), 4);
 }
 
@@ -163,19 +163,19 @@ fn the_number_of_teams_reaches_the_rule_for_the_dimension() {
     let mut bench = Bench::fresh();
     bench.frame(&mut ingest);
     assert_eq!(bench.last().dimension, 4);
-    bench.told_teams(&teams(3));
+    bench.receive_teams(&teams(3));
     assert_eq!(bench.last().dimension, 6);
     assert_eq!(bench.last().quality.mode, EmbeddingMode::Cached);
-    bench.told_teams(&teams(3));
+    bench.receive_teams(&teams(3));
     assert_eq!(bench.published.len(), 2);
     for bad in ["{", r#"{"teams": 3}"#, &teams(0)] {
-        bench.told_teams(bad);
+        bench.receive_teams(bad);
     }
     assert_eq!(bench.counter("messages_refused"), 3);
     assert_eq!(bench.published.len(), 2);
     // A dimension that is set does not ask for the teams.
     bench.set(r#"{"dimension": 4}"#);
-    bench.told_teams(&teams(5));
+    bench.receive_teams(&teams(5));
     assert_eq!(bench.published.len(), 3);
 }
 
@@ -226,13 +226,13 @@ fn an_announcement_that_was_overtaken_does_not_count() {
 fn a_lost_announcement_is_asked_for_again() {
     let (mut bench, mut ingest) = (Bench::fresh(), three_bridged_cliques());
     bench.frame(&mut ingest);
-    bench.pass(9.8);
+    bench.wait(7.8);
     assert!(bench.settings_fetches.is_empty());
-    bench.pass(0.2);
+    bench.wait(0.2);
     let fetch = bench.settings_fetches.pop_front().unwrap();
-    bench.step(Event::Fetched { fetch, messages: vec![announced(&teams(3))] });
+    bench.answer_fetch(fetch, vec![announced(&teams(3))]);
     assert_eq!(bench.last().dimension, 6);
-    bench.pass(30.0);
+    bench.wait(30.0);
     assert_eq!(bench.settings_fetches.len(), 3, "whether anybody answers or not");
 }
 
@@ -243,9 +243,9 @@ fn a_forged_announcement_lasts_until_the_clusterer_has_contradicted_twice() {
     bench.receive(announced_at(Revision { term: 900, epoch: 1 }, &teams(3)));
     let mut dimensions = Vec::new();
     for _ in 0..2 {
-        bench.pass(10.0);
+        bench.wait(10.0);
         let fetch = bench.settings_fetches.pop_front().unwrap();
-        bench.step(Event::Fetched { fetch, messages: vec![announced(&teams(2))] });
+        bench.answer_fetch(fetch, vec![announced(&teams(2))]);
         dimensions.push(bench.last().dimension);
     }
     assert_eq!(dimensions, [6, 4]);
@@ -301,7 +301,7 @@ fn where_two_dimensions_are_as_good_the_larger_is_taken_and_kept() {
     let &[below, above] = turn.unwrap() else { panic!() };
     let (low, high) = (settled(&[below])[0], settled(&[above])[0]);
     assert_ne!(low, high);
-    // What is told apart anew is followed at once, and does not vanish with the next change of a weight.
+    // A difference that is seen again is followed at once, and does not vanish with the next change of a weight.
     let larger = low.max(high);
     assert_eq!(settled(&[below, above, below]), [low, larger, larger]);
     assert_eq!(settled(&[above, below, above]), [high, larger, larger]);
@@ -312,20 +312,20 @@ fn a_fleet_that_has_left_leaves_an_empty_embedding() {
     let (mut bench, mut ingest) = following();
     let names: Vec<_> = bench.last().robots.iter().map(|name| name.as_str().to_owned()).collect();
     names.iter().for_each(|name| ingest.leave(name));
-    let told = bench.frame(&mut ingest);
+    let frame = bench.frame(&mut ingest);
     let empty = bench.last().clone();
     assert_eq!((empty.robots.len(), empty.dimension, empty.values.len()), (0, 2, 0));
-    assert_eq!(empty.roster, told.roster.header.revision);
+    assert_eq!(empty.roster, frame.roster.header.revision);
     assert_eq!(bench.state(), "no robots");
     let count = bench.published.len();
-    bench.pass(3.0);
+    bench.wait(3.0);
     assert_eq!(bench.published.len(), count);
-    // So it is for a holder that only learned of the fleet, and not for one that knows an empty one.
+    // So it is for a leader that only learned of the fleet, and not for one that knows an empty one.
     for (known, published) in [(bench.published[0].clone(), 1), (Arc::new(empty), 0)] {
         let answers = vec![Message::Embedding(known)];
         let mut next = Bench::started(EmbedderSettings::default(), answers);
-        told.messages().for_each(|message| next.receive(message));
-        next.step(Event::LinkRestored);
+        frame.messages().for_each(|message| next.receive(message));
+        next.input(Input::LinkRestored);
         next.answer_fetches(&ingest);
         assert_eq!(next.published.len(), published);
     }
@@ -339,26 +339,28 @@ fn a_fleet_that_has_left_leaves_an_empty_embedding() {
 }
 
 #[test]
-fn a_term_that_readers_have_passed_is_begun_anew() {
+fn a_term_that_readers_have_passed_is_followed_by_a_new_one() {
     let (mut bench, mut ingest) = following();
     let values = bench.last().values.clone();
-    bench.pass(5.5);
-    assert_eq!(bench.term_fetches, 1);
+    bench.wait(5.5);
+    assert_eq!(bench.term_checks.len(), 1);
     let mut other = Embedding::clone(bench.last());
     other.header.revision = Revision { term: 6, epoch: 3 };
     let found = || vec![Message::Embedding(Arc::new(other.clone()))];
-    bench.step(Event::Fetched { fetch: TERM_FETCH, messages: found() });
+    let check = bench.term_checks.pop_front().unwrap();
+    bench.answer_fetch(check, found());
     assert_eq!(bench.published.len(), 1, "the other may be alive");
-    bench.pass(1.5);
-    assert_eq!(bench.term_fetches, 2);
-    bench.step(Event::Fetched { fetch: TERM_FETCH, messages: found() });
+    bench.wait(1.5);
+    assert_eq!(bench.term_checks.len(), 1);
+    let check = bench.term_checks.pop_front().unwrap();
+    bench.answer_fetch(check, found());
     assert_eq!(bench.published.len(), 2);
     assert_eq!(bench.last().header.revision, Revision { term: 7, epoch: 1 });
     assert_eq!(bench.last().values, values);
     assert_eq!(bench.last().header.stages.last().unwrap().published, bench.now);
     assert_eq!(bench.last().header.stages.len(), 1);
     bench.frame(&mut ingest);
-    bench.pass(1.5);
+    bench.wait(1.5);
     assert_eq!(bench.last().header.revision, Revision { term: 7, epoch: 2 });
     assert_eq!(bench.counter("jobs_started"), 2, "and one at rest");
 }
@@ -391,8 +393,8 @@ fn a_decay_that_is_too_large_is_refused_and_the_last_embedding_stands() {
     assert!((limit - 1.0).abs() < 1e-8, "{reason}");
     assert_eq!(learned(&mut bench), good);
     assert!(bench.state().contains("the newest frame failed: alpha"));
-    // The same input is not tried again; frames that change are, and are told of only seldom.
-    bench.pass(5.0);
+    // The same input is not tried again; frames that change are, and are reported only seldom.
+    bench.wait(5.0);
     assert_eq!(bench.counter("jobs_failed"), 1);
     for number in 1..=30_u32 {
         ingest.edge("spatial", "a0", "a1", f64::from(number) / 40.0);
@@ -420,24 +422,22 @@ fn a_panic_costs_the_cache_and_nothing_else() {
     let (mut bench, mut ingest) = following();
     bench.hold_jobs = true;
     bench.set(r#"{"dimension": 2}"#);
-    drop(bench.jobs.pop_front().unwrap());
-    bench.step(Event::JobFailed("index out of bounds\n".to_owned()));
-    assert_eq!((bench.failures(), bench.jobs.len()), (1, 0));
+    bench.panic_job("index out of bounds\n");
+    assert_eq!((bench.failures(), bench.job.is_some()), (1, false));
     assert!(bench.state().contains("panicked"));
     // The same frame is tried again after a while, not at once.
-    bench.pass(0.9);
-    assert!(bench.jobs.is_empty());
-    bench.pass(0.2);
-    bench.step(Event::JobFailed("index out of bounds\n".to_owned()));
-    drop(bench.jobs.pop_front().unwrap());
-    assert_eq!(bench.failures(), 1, "it was told just now");
+    bench.wait(0.9);
+    assert!(bench.job.is_none());
+    bench.wait(0.2);
+    bench.panic_job("index out of bounds\n");
+    assert_eq!(bench.failures(), 1, "it was reported just now");
     // A frame that differs is tried at once.
     bench.hold_jobs = false;
     ingest.edge("spatial", "a0", "a1", 0.5);
     bench.frame(&mut ingest);
     assert_eq!(bench.last().quality.mode, EmbeddingMode::Dense);
     assert_eq!((bench.published.len(), bench.counter("jobs_failed")), (2, 2));
-    bench.pass(5.0);
+    bench.wait(5.0);
     assert_eq!(bench.counter("jobs_started"), 5, "and one at rest");
 }
 
@@ -446,22 +446,21 @@ fn a_panic_in_a_fleet_that_is_gone_asks_for_nothing() {
     let (mut bench, mut ingest) = (Bench::fresh(), fleet());
     bench.hold_jobs = true;
     bench.frame(&mut ingest);
-    drop(bench.jobs.pop_front().unwrap());
-    bench.step(Event::JobFailed("out of memory".to_owned()));
+    bench.panic_job("out of memory");
     for name in ["a0", "a1", "a2", "a3", "b0", "b1", "b2", "b3"] {
         ingest.leave(name);
     }
     bench.frame(&mut ingest);
     // It asks for timeouts, but not without end.
-    bench.pass(4.0);
-    assert_eq!((bench.jobs.len(), bench.published.len()), (0, 0));
+    bench.wait(4.0);
+    assert_eq!((bench.job.is_some(), bench.published.len()), (false, 0));
 }
 
 #[test]
 fn a_restart_goes_on_from_the_embedding_that_others_remember() {
     let (mut first, mut ingest) = following();
     let Some(Message::Embedding(old)) = learned(&mut first).pop() else { panic!() };
-    // Signs are arbitrary: the next holder keeps to those that it finds.
+    // Signs are arbitrary: the next leader keeps to those that it finds.
     let mut flipped = Embedding::clone(&old);
     flipped.header.revision = Revision { term: 7, epoch: 900 };
     flipped.values.iter_mut().for_each(|value| *value = -*value);
@@ -469,17 +468,17 @@ fn a_restart_goes_on_from_the_embedding_that_others_remember() {
     let older = Message::Embedding(old);
     let answers = vec![older, Message::Embedding(flipped.clone())];
     let mut bench = Bench::started(EmbedderSettings::default(), answers);
-    assert_eq!(bench.stored.last().unwrap().term, 8);
+    assert_eq!(bench.stored.term, 8);
     assert_eq!(learned(&mut bench), [Message::Embedding(flipped.clone())]);
-    bench.pass(3.0);
+    bench.wait(3.0);
     assert!(bench.published.is_empty(), "what was learned is served and not repeated");
 
     bench.fetches.clear();
     ingest.join("c0");
     ingest.edge("spatial", "c0", "a0", 0.01);
-    let told = ingest.frame(bench.now);
-    bench.deliver(&told);
-    bench.step(Event::LinkRestored);
+    let frame = ingest.frame(bench.now);
+    bench.deliver(&frame);
+    bench.input(Input::LinkRestored);
     bench.answer_fetches(&ingest);
     assert_eq!(bench.last().header.revision, Revision { term: 8, epoch: 1 });
     for (at, name) in flipped.robots.iter().enumerate() {
@@ -491,7 +490,7 @@ fn a_restart_goes_on_from_the_embedding_that_others_remember() {
 }
 
 #[test]
-fn an_embedding_of_the_holder_before_that_cannot_be_used_does_no_harm() {
+fn an_embedding_of_the_leader_before_that_cannot_be_used_does_no_harm() {
     let (mut first, mut ingest) = following();
     let Some(Message::Embedding(old)) = learned(&mut first).pop() else { panic!() };
     let mut bad = Embedding::clone(&old);
@@ -499,9 +498,9 @@ fn an_embedding_of_the_holder_before_that_cannot_be_used_does_no_harm() {
     bad.values.pop();
     let answers = vec![Message::Embedding(Arc::new(bad))];
     let mut bench = Bench::started(EmbedderSettings::default(), answers);
-    assert_eq!(bench.stored.last().unwrap().term, 5);
+    assert_eq!(bench.stored.term, 5);
     let _unheard = ingest.frame(bench.now);
-    bench.pass(2.0);
+    bench.wait(2.0);
     bench.answer_fetches(&ingest);
     assert_eq!(bench.last().dimension, 4);
 }
@@ -512,21 +511,21 @@ fn every_get_is_answered_once() {
     let keys = ["embedding", "roster", "graph/*", "graph/spatial", "teams", "service/*/status"];
     for key in keys.into_iter().chain(["service/embedder/settings", "no/such/key"]) {
         let empty = !key.starts_with("service");
-        assert_eq!(bench.ask(key, None).unwrap().is_empty(), empty, "{key}");
+        assert_eq!(bench.get(key, None).unwrap().is_empty(), empty, "{key}");
     }
     let (mut bench, _) = following();
     for (key, count) in keys.into_iter().zip([1, 1, 3, 1, 0, 1]) {
-        assert_eq!(bench.ask(key, None).unwrap().len(), count, "{key}");
+        assert_eq!(bench.get(key, None).unwrap().len(), count, "{key}");
     }
-    assert_eq!(bench.ask("*", None).unwrap().len(), 2);
+    assert_eq!(bench.get("*", None).unwrap().len(), 2);
 }
 
 #[test]
-fn refused_packets_are_told_of() {
+fn refused_packets_are_reported() {
     let mut bench = Bench::fresh();
-    let key = common::space().format(&muster_wire::Key::Roster);
-    let rejection = Rejection::new(&common::space(), &key, "cut off");
-    bench.step(Event::Rejected(rejection));
+    let key = bench.space().format(&muster_wire::Key::Roster);
+    let rejection = Rejection::new(bench.space(), &key, "cut off");
+    bench.receive_refused(rejection);
     assert_eq!(bench.quarantined().len(), 1);
 }
 
@@ -549,7 +548,7 @@ fn reciprocity_is_a_setting_that_holds_at_once() {
     assert!(radius(&bench) < 1e-6, "orders that lead down have no circle: {}", radius(&bench));
     assert!(
         bench
-            .ask("service/embedder/settings", Some(r#"{"reciprocity": {"hierarchy": 2}}"#))
+            .get("service/embedder/settings", Some(r#"{"reciprocity": {"hierarchy": 2}}"#))
             .is_err()
     );
 }

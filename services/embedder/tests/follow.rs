@@ -6,12 +6,12 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Bench, Ingest, Told, difference_of_shape, modality, settings};
-use muster_machine::{Core, Event};
+use common::{Bench, Ingest, Published, difference_of_shape, modality, patterns, settings};
 use muster_model::event::EventKind;
 use muster_model::graph::{GraphReplica, GraphRow};
 use muster_model::header::Revision;
 use muster_model::settings::{Dimension, EmbedderSettings};
+use muster_service::{Authority, Core, Input, testkit};
 use muster_wire::{Key, Message, Pattern};
 use proptest::prelude::*;
 
@@ -30,7 +30,7 @@ fn following() -> (Bench, Ingest) {
 }
 
 /// A frame that changes one modality, not delivered yet.
-fn changed(bench: &Bench, ingest: &mut Ingest, name: &str, weight: f64) -> Told {
+fn changed(bench: &Bench, ingest: &mut Ingest, name: &str, weight: f64) -> Published {
     ingest.edge(name, "a0", "a1", weight);
     ingest.frame(bench.now)
 }
@@ -42,23 +42,27 @@ fn revision_of(bench: &Bench, name: &str) -> Revision {
 #[test]
 fn nothing_is_published_before_the_first_fetch_has_ended() {
     let (mut bench, mut ingest) = (Bench::new(EmbedderSettings::default()), fleet());
-    bench.step(Event::Started);
+    bench.now = bench.now.before(testkit::START_RETRY_TIME);
+    bench.input(Input::Started { linked: true });
+    bench.now = bench.now.after(testkit::START_RETRY_TIME);
     assert_eq!(bench.state(), "starting");
     bench.frame(&mut ingest);
     assert!(bench.published.is_empty() && bench.events.is_empty());
-    bench.step(Event::Fetched { fetch: 0, messages: Vec::new() });
+    for questions in std::mem::take(&mut bench.fetches) {
+        bench.answer_fetch(questions, Vec::new());
+    }
     assert_eq!(bench.published.len(), 1);
 }
 
 #[test]
 fn the_answers_of_the_first_fetch_are_a_frame() {
     let mut ingest = fleet();
-    let told = ingest.frame(muster_model::time::Tick(7));
+    let frame = ingest.frame(muster_model::time::Tick(7));
     // The roster first: answers come in no particular order.
-    let mut answers: Vec<_> = told.messages().collect();
+    let mut answers: Vec<_> = frame.messages().collect();
     answers.reverse();
     let bench = Bench::started(EmbedderSettings::default(), answers);
-    assert_eq!(bench.last().roster, told.roster.header.revision);
+    assert_eq!(bench.last().roster, frame.roster.header.revision);
 }
 
 #[test]
@@ -66,51 +70,52 @@ fn a_frame_is_complete_only_with_all_its_graphs() {
     let (mut bench, mut ingest) = following();
     ingest.edge("spatial", "a0", "a1", 0.3);
     ingest.edge("hierarchy", "a0", "a1", 0.4);
-    let told = ingest.frame(bench.now);
-    bench.receive(told.graph("spatial"));
-    bench.receive(told.roster());
+    let frame = ingest.frame(bench.now);
+    bench.receive(frame.graph("spatial"));
+    bench.receive(frame.roster());
     assert_eq!(bench.published.len(), 1);
-    bench.receive(told.graph("hierarchy"));
+    bench.receive(frame.graph("hierarchy"));
     assert_eq!(bench.published.len(), 2);
-    assert_eq!(bench.last().roster, told.roster.header.revision);
+    assert_eq!(bench.last().roster, frame.roster.header.revision);
     assert_eq!(bench.fetches.len(), 0, "a roster that overtakes its graphs is no reason to fetch");
     let revisions: Vec<_> = bench.last().graphs.iter().map(|(n, r, _)| (n.clone(), *r)).collect();
-    assert_eq!(revisions, told.roster.graphs);
+    assert_eq!(revisions, frame.roster.graphs);
 }
 
 #[test]
 fn a_gap_is_mended_by_a_fetch_of_that_graph() {
     let (mut bench, mut ingest) = following();
-    bench.pass(1.0);
+    let before = bench.counter("fetches");
+    bench.wait(1.0);
     let _lost = changed(&bench, &mut ingest, "spatial", 0.3);
-    let told = changed(&bench, &mut ingest, "spatial", 0.4);
-    bench.receive(told.graph("spatial"));
-    bench.receive(told.roster());
+    let frame = changed(&bench, &mut ingest, "spatial", 0.4);
+    bench.receive(frame.graph("spatial"));
+    bench.receive(frame.roster());
     assert_eq!(bench.counter("gaps"), 1);
     assert_eq!(bench.published.len(), 1);
     let wanted = vec![Pattern::One(Key::Roster), Pattern::One(Key::Graph(modality("spatial")))];
-    assert!(bench.fetches.iter().map(|(_, patterns)| patterns).eq([&wanted]));
+    assert!(bench.fetches.iter().map(|fetch| patterns(fetch)).eq([wanted]));
     bench.answer_fetches(&ingest);
-    assert_eq!(revision_of(&bench, "spatial"), told.roster.header.revision);
-    assert_eq!((bench.counter("fetches"), bench.counter("frames_consistent")), (1, 2));
+    assert_eq!(revision_of(&bench, "spatial"), frame.roster.header.revision);
+    assert_eq!((bench.counter("fetches") - before, bench.counter("frames_consistent")), (1, 2));
 }
 
 #[test]
 fn a_lost_last_delta_shows_by_the_roster() {
     let (mut bench, mut ingest) = following();
-    bench.pass(1.0);
-    let told = changed(&bench, &mut ingest, "spatial", 0.3);
-    bench.receive(told.roster());
+    bench.wait(1.0);
+    let frame = changed(&bench, &mut ingest, "spatial", 0.3);
+    bench.receive(frame.roster());
     assert_eq!(bench.fetches.len(), 0);
-    bench.pass(0.06);
+    bench.wait(0.06);
     assert_eq!(bench.answer_fetches(&ingest), 1);
-    assert_eq!(revision_of(&bench, "spatial"), told.roster.header.revision);
+    assert_eq!(revision_of(&bench, "spatial"), frame.roster.header.revision);
 }
 
 #[test]
 fn deltas_in_the_wrong_order_are_mended() {
     let (mut bench, mut ingest) = following();
-    bench.pass(1.0);
+    bench.wait(1.0);
     let first = changed(&bench, &mut ingest, "spatial", 0.3);
     let second = changed(&bench, &mut ingest, "spatial", 0.4);
     bench.receive(second.graph("spatial"));
@@ -124,19 +129,20 @@ fn deltas_in_the_wrong_order_are_mended() {
 #[test]
 fn fetches_without_an_answer_are_repeated_at_intervals() {
     let (mut bench, mut ingest) = following();
-    bench.pass(1.0);
-    let told = changed(&bench, &mut ingest, "spatial", 0.3);
-    bench.receive(told.roster());
+    let before = bench.counter("fetches");
+    bench.wait(1.0);
+    let frame = changed(&bench, &mut ingest, "spatial", 0.3);
+    bench.receive(frame.roster());
     for _ in 0..40 {
-        bench.pass(0.1);
+        bench.wait(0.1);
         // One fetch is in flight at most, and nobody answers.
         assert!(bench.fetches.len() <= 1);
-        if let Some((fetch, _)) = bench.fetches.pop_front() {
-            bench.step(Event::Fetched { fetch, messages: Vec::new() });
+        if let Some(fetch) = bench.fetches.pop_front() {
+            bench.answer_fetch(fetch, Vec::new());
         }
     }
-    assert!((7..=9).contains(&bench.counter("fetches")));
-    bench.pass(0.5);
+    assert!((7..=9).contains(&(bench.counter("fetches") - before)));
+    bench.wait(0.5);
     bench.answer_fetches(&ingest);
     assert_eq!(bench.published.len(), 2);
 }
@@ -144,30 +150,30 @@ fn fetches_without_an_answer_are_repeated_at_intervals() {
 #[test]
 fn a_graph_ahead_of_the_roster_waits_but_not_for_ever() {
     let (mut bench, mut ingest) = following();
-    bench.pass(1.0);
-    let told = changed(&bench, &mut ingest, "spatial", 0.3);
-    bench.receive(told.graph("spatial"));
-    bench.pass(0.9);
+    bench.wait(1.0);
+    let frame = changed(&bench, &mut ingest, "spatial", 0.3);
+    bench.receive(frame.graph("spatial"));
+    bench.wait(0.9);
     assert_eq!(bench.fetches.len(), 0);
-    bench.pass(0.2);
+    bench.wait(0.2);
     assert_eq!(bench.answer_fetches(&ingest), 1);
-    assert_eq!(bench.last().roster, told.roster.header.revision);
+    assert_eq!(bench.last().roster, frame.roster.header.revision);
 }
 
 #[test]
 fn a_fetch_that_crosses_the_next_frame_is_repeated() {
     let (mut bench, mut ingest) = following();
-    bench.pass(1.0);
+    bench.wait(1.0);
     let lost = changed(&bench, &mut ingest, "spatial", 0.3);
     bench.receive(lost.roster());
-    bench.pass(0.1);
-    let (fetch, patterns) = bench.fetches.pop_front().unwrap();
-    let stale = ingest.answer(&patterns);
+    bench.wait(0.1);
+    let fetch = bench.fetches.pop_front().unwrap();
+    let stale = ingest.answer(&patterns(&fetch));
     let next = changed(&bench, &mut ingest, "spatial", 0.4);
     bench.deliver(&next);
-    bench.step(Event::Fetched { fetch, messages: stale });
+    bench.answer_fetch(fetch, stale);
     assert_eq!(bench.published.len(), 1);
-    bench.pass(0.6);
+    bench.wait(0.6);
     bench.answer_fetches(&ingest);
     assert_eq!(bench.last().roster, next.roster.header.revision);
 }
@@ -177,30 +183,30 @@ fn a_new_term_begins_with_snapshots_and_the_old_one_is_over() {
     let (mut bench, mut ingest) = following();
     let late = changed(&bench, &mut ingest, "spatial", 0.3);
     ingest.restart();
-    let told = bench.frame(&mut ingest);
-    assert!(told.graphs.iter().all(|delta| delta.base.is_none()));
+    let frame = bench.frame(&mut ingest);
+    assert!(frame.graphs.iter().all(|delta| delta.base.is_none()));
     assert_eq!(bench.last().roster, Revision { term: 2, epoch: 1 });
     bench.deliver(&late);
     assert_eq!(bench.counter("messages_old"), 2);
     assert_eq!(bench.last().roster.term, 2);
-    bench.deliver(&told);
+    bench.deliver(&frame);
     assert_eq!(bench.counter("messages_old"), 2, "a repetition is not old");
 }
 
 #[test]
 fn a_contradictory_delta_or_roster_is_refused_and_the_graph_stays() {
     let (mut bench, mut ingest) = following();
-    let before = bench.ask("graph/spatial", None).unwrap();
-    let told = changed(&bench, &mut ingest, "spatial", 0.3);
-    let Message::Graph(delta) = told.graph("spatial") else { panic!() };
+    let before = bench.get("graph/spatial", None).unwrap();
+    let frame = changed(&bench, &mut ingest, "spatial", 0.3);
+    let Message::Graph(delta) = frame.graph("spatial") else { panic!() };
     let mut bad = delta.as_ref().clone();
     bad.rows = vec![GraphRow { source: 999, edges: Vec::new() }];
     bench.receive(Message::Graph(Arc::new(bad)));
-    assert_eq!(bench.ask("graph/spatial", None).unwrap(), before);
-    let mut roster = told.roster.as_ref().clone();
+    assert_eq!(bench.get("graph/spatial", None).unwrap(), before);
+    let mut roster = frame.roster.as_ref().clone();
     roster.graphs = vec![roster.graphs[0].clone(); 20];
     bench.receive(Message::Roster(Arc::new(roster)));
-    let told_of: Vec<_> = bench
+    let refusals: Vec<_> = bench
         .quarantined()
         .into_iter()
         .map(|kind| match kind {
@@ -209,19 +215,19 @@ fn a_contradictory_delta_or_roster_is_refused_and_the_graph_stays() {
         })
         .collect();
     assert_eq!(
-        told_of.iter().map(|(key, _)| *key).collect::<Vec<_>>(),
+        refusals.iter().map(|(key, _)| *key).collect::<Vec<_>>(),
         ["muster/v1/f/graph/spatial", "muster/v1/f/roster"]
     );
-    assert!(told_of[0].1.contains("unknown node") && told_of[1].1.contains("more modalities"));
-    bench.deliver(&told);
+    assert!(refusals[0].1.contains("unknown node") && refusals[1].1.contains("more modalities"));
+    bench.deliver(&frame);
     assert_eq!(bench.published.len(), 2);
 }
 
 #[test]
 fn a_modality_that_the_roster_does_not_list_is_dropped() {
     let (mut bench, mut ingest) = following();
-    let told = ingest.frame(bench.now);
-    let Some(Message::Graph(model)) = bench.ask("graph/spatial", None).unwrap().pop() else {
+    let frame = ingest.frame(bench.now);
+    let Some(Message::Graph(model)) = bench.get("graph/spatial", None).unwrap().pop() else {
         panic!()
     };
     for number in 0..40 {
@@ -230,8 +236,8 @@ fn a_modality_that_the_roster_does_not_list_is_dropped() {
         bench.receive(Message::Graph(Arc::new(invented)));
     }
     assert_eq!(bench.counter("modalities_ignored"), 40 - 16);
-    bench.deliver(&told);
-    assert_eq!(bench.ask("graph/*", None).unwrap().len(), 3);
+    bench.deliver(&frame);
+    assert_eq!(bench.get("graph/*", None).unwrap().len(), 3);
     assert_eq!(bench.last().graphs.len(), 3);
 }
 
@@ -239,25 +245,25 @@ fn a_modality_that_the_roster_does_not_list_is_dropped() {
 fn a_modality_that_is_declared_later_is_followed_without_a_fetch() {
     let (mut bench, mut ingest) = following();
     ingest.clique("thermal", "a", 4, 0.5);
-    let told = ingest.frame(bench.now);
-    bench.receive(told.graph("thermal"));
-    bench.step(Event::Timeout);
-    bench.receive(told.roster());
+    let frame = ingest.frame(bench.now);
+    bench.receive(frame.graph("thermal"));
+    bench.input(Input::Timer);
+    bench.receive(frame.roster());
     assert_eq!((bench.last().graphs.len(), bench.fetches.len()), (4, 0));
 }
 
 #[test]
 fn invented_modalities_keep_the_fleets_own_out_for_no_longer_than_a_fetch() {
     let (mut bench, mut ingest) = (Bench::fresh(), fleet());
-    let told = ingest.frame(bench.now);
+    let frame = ingest.frame(bench.now);
     for number in 0..40 {
-        let mut invented = told.graphs[0].as_ref().clone();
+        let mut invented = frame.graphs[0].as_ref().clone();
         invented.modality = modality(&format!("m{number}"));
         bench.receive(Message::Graph(Arc::new(invented)));
     }
-    bench.deliver(&told);
+    bench.deliver(&frame);
     assert!(bench.published.is_empty());
-    bench.pass(1.0);
+    bench.wait(1.0);
     bench.answer_fetches(&ingest);
     assert_eq!(bench.last().graphs.len(), 3);
 }
@@ -268,7 +274,7 @@ fn without_a_roster_the_bus_is_asked_again() {
     let mut ingest = fleet();
     assert_eq!(bench.state(), "waiting for a roster");
     let _unheard = ingest.frame(bench.now);
-    bench.pass(2.5);
+    bench.wait(2.5);
     assert_eq!(bench.answer_fetches(&ingest), 1);
     assert_eq!(bench.published.len(), 1);
 }
@@ -276,19 +282,19 @@ fn without_a_roster_the_bus_is_asked_again() {
 #[test]
 fn a_link_that_is_back_leads_to_a_fetch_of_everything() {
     let (mut bench, mut ingest) = following();
-    bench.step(Event::LinkLost);
+    bench.input(Input::LinkLost);
     let _unheard = changed(&bench, &mut ingest, "spatial", 0.3);
-    bench.step(Event::LinkRestored);
+    bench.input(Input::LinkRestored);
     let all = vec![Pattern::One(Key::Roster), Pattern::Graphs, settings()];
-    assert_eq!(bench.fetches.front().unwrap().1, all);
+    assert_eq!(patterns(bench.fetches.front().unwrap()), all);
     bench.answer_fetches(&ingest);
     assert_eq!(bench.published.len(), 2);
-    assert_eq!(bench.term_fetches, 1, "another holder may have come meanwhile");
+    assert_eq!(bench.term_checks.len(), 1, "another leader may have come meanwhile");
 }
 
 /// A snapshot of a graph with one edge, from far in the future.
-fn forged(told: &Told) -> Message {
-    let Message::Graph(model) = told.graph("spatial") else { panic!() };
+fn forged(frame: &Published) -> Message {
+    let Message::Graph(model) = frame.graph("spatial") else { panic!() };
     let mut forged = model.as_ref().clone();
     forged.header.revision = Revision { term: 900, epoch: 1 };
     forged.rows.truncate(1);
@@ -298,57 +304,61 @@ fn forged(told: &Told) -> Message {
 #[test]
 fn a_forged_graph_is_taken_back_to_what_the_roster_lists() {
     let (mut bench, mut ingest) = (Bench::fresh(), fleet());
+    let before = bench.counter("fetches");
     let first = bench.frame(&mut ingest);
     bench.receive(forged(&first));
     for number in 1..=20_u32 {
         ingest.edge("spatial", "a0", "a1", f64::from(number) / 40.0);
-        let told = bench.frame(&mut ingest);
+        let frame = bench.frame(&mut ingest);
         bench.answer_fetches(&ingest);
         if number == 12 {
-            assert_eq!(bench.last().roster, told.roster.header.revision);
+            assert_eq!(bench.last().roster, frame.roster.header.revision);
         }
     }
     assert_eq!(bench.counter("graphs_taken_back"), 1);
-    assert!(bench.counter("fetches") <= 2);
-    assert_eq!(revision_of(&bench, "spatial"), ingest.told[&modality("spatial")].revision());
+    assert!(bench.counter("fetches") - before <= 2);
+    assert_eq!(revision_of(&bench, "spatial"), ingest.published[&modality("spatial")].revision());
 }
 
 #[test]
 fn a_graph_is_not_taken_back_while_its_roster_may_be_on_the_way() {
     let (mut bench, mut ingest) = (Bench::fresh(), fleet());
     let first = bench.frame(&mut ingest);
-    bench.step(Event::LinkRestored);
-    let (fetch, patterns) = bench.fetches.pop_front().unwrap();
-    let stale = ingest.answer(&patterns);
+    bench.input(Input::LinkRestored);
+    let fetch = bench.fetches.pop_front().unwrap();
+    let stale = ingest.answer(&patterns(&fetch));
     let next = changed(&bench, &mut ingest, "spatial", 0.3);
     bench.receive(next.graph("spatial"));
-    bench.step(Event::Fetched { fetch, messages: stale });
+    bench.answer_fetch(fetch, stale);
     assert_eq!(bench.counter("graphs_taken_back"), 0);
     bench.receive(next.roster());
     assert_eq!(bench.last().roster, next.roster.header.revision);
     // Nor by what somebody puts on the bus, nor to anything but what the roster lists.
     bench.receive(forged(&first));
-    bench.pass(3.0);
+    bench.wait(3.0);
     bench.receive(first.graph("spatial"));
-    let (fetch, _) = bench.fetches.pop_front().unwrap();
-    bench.step(Event::Fetched { fetch, messages: vec![first.graph("spatial")] });
+    let fetch = bench.fetches.pop_front().unwrap();
+    bench.answer_fetch(fetch, vec![first.graph("spatial")]);
     assert_eq!(bench.counter("graphs_taken_back"), 0);
 }
 
 #[test]
-fn what_ingest_told_is_repeated_for_it() {
+fn what_ingest_published_is_answered_for_it() {
     let (mut bench, ingest) = following();
     let wiring = muster_embedder::Embedder::wiring();
-    assert_eq!(wiring.served.iter().filter(|(_, complete)| !complete).count(), 2);
-    let answers = bench.ask("graph/*", None).unwrap();
+    assert_eq!(
+        wiring.served.iter().filter(|served| served.authority == Authority::Cached).count(),
+        2
+    );
+    let answers = bench.get("graph/*", None).unwrap();
     for answer in &answers {
         let Message::Graph(delta) = answer else { panic!() };
         let mut copy = GraphReplica::default();
         copy.apply(delta).unwrap();
-        assert_eq!(copy, ingest.told[&delta.modality]);
+        assert_eq!(copy, ingest.published[&delta.modality]);
     }
     assert_eq!(answers.len(), 3);
-    assert!(matches!(bench.ask("roster", None).unwrap()[..], [Message::Roster(_)]));
+    assert!(matches!(bench.get("roster", None).unwrap()[..], [Message::Roster(_)]));
 }
 
 /// One frame of a random history.
@@ -403,10 +413,9 @@ proptest! {
             ingest.join(name);
         }
         for step in steps {
-            let stale: Vec<_> = bench
-                .fetches
-                .iter()
-                .map(|(fetch, patterns)| (*fetch, ingest.answer(patterns)))
+            let stale: Vec<_> = std::mem::take(&mut bench.fetches)
+                .into_iter()
+                .map(|fetch| (ingest.answer(&patterns(&fetch)), fetch))
                 .collect();
             if step.restart {
                 ingest.restart();
@@ -421,8 +430,8 @@ proptest! {
                 let (from, to) = (format!("r{from}"), format!("r{to}"));
                 ingest.edge(NAMES[name], &from, &to, f64::from(weight));
             }
-            let told = ingest.frame(bench.now);
-            let mut messages: Vec<_> = told.messages().collect();
+            let frame = ingest.frame(bench.now);
+            let mut messages: Vec<_> = frame.messages().collect();
             if step.roster_first {
                 messages.rotate_right(1);
             }
@@ -431,28 +440,27 @@ proptest! {
                     bench.receive(message);
                 }
             }
-            bench.fetches.retain(|(fetch, _)| !stale.iter().any(|(number, _)| number == fetch));
-            for (fetch, answers) in stale {
-                let messages = if step.fetch == 2 { Vec::new() } else { answers };
-                bench.step(Event::Fetched { fetch, messages });
+            for (answers, fetch) in stale {
+                let answers = if step.fetch == 2 { Vec::new() } else { answers };
+                bench.answer_fetch(fetch, answers);
             }
             if step.fetch == 0 {
                 bench.answer_fetches(&ingest);
             }
-            bench.pass(step.wait);
+            bench.wait(step.wait);
         }
         // From here on nothing is lost but what was lost before.
         let last = ingest.frame(bench.now);
         bench.receive(last.roster());
         for _ in 0..20 {
-            bench.pass(0.2);
+            bench.wait(0.2);
             bench.answer_fetches(&ingest);
         }
-        for answer in bench.ask("graph/*", None).unwrap() {
+        for answer in bench.get("graph/*", None).unwrap() {
             let Message::Graph(delta) = answer else { panic!() };
             let mut copy = GraphReplica::default();
             copy.apply(&delta).unwrap();
-            prop_assert_eq!(&copy, &ingest.told[&delta.modality]);
+            prop_assert_eq!(&copy, &ingest.published[&delta.modality]);
         }
         prop_assert_eq!(bench.quarantined().len(), 0);
         if ingest.count() > 0 {

@@ -5,13 +5,13 @@
 mod common;
 
 use common::{Bench, Ingest, modality};
-use muster_machine::{Event, QueryId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::settings::EmbedderSettings;
 use muster_numeric::katz::katz_similarity;
 use muster_numeric::matrix::SparseMatrix;
 use muster_numeric::spectral_radius::spectral_radius;
-use muster_wire::{Message, Request};
+use muster_service::{GetId, IncomingGet, Input};
+use muster_wire::Message;
 
 /// A directed ring of so many robots with a chord, on two modalities.
 fn fleet(robots: usize) -> Ingest {
@@ -35,16 +35,21 @@ fn settings() -> EmbedderSettings {
 impl Bench {
     /// Asks for pairs, and lets them wait.
     fn wonder(&mut self, first: u64, pairs: &[(usize, usize)]) {
-        for (query, (from, to)) in (first..).zip(pairs) {
-            let parameters = format!("katz=r{from:04},r{to:04}");
-            let request = Request::new("muster/v1/f/embedding", &parameters, None).unwrap();
-            self.step(Event::Query { query: QueryId(query), request });
+        for (get, (from, to)) in (first..).zip(pairs) {
+            self.input(Input::Get(IncomingGet {
+                get: GetId(get),
+                selector: "muster/v1/f/embedding".to_owned(),
+                narrowed: None,
+                parameters: format!("katz=r{from:04},r{to:04}"),
+                payload: None,
+            }));
         }
     }
 
     fn pair(&mut self, from: usize, to: usize) -> Result<PairSimilarity, String> {
         self.wonder(9000, &[(from, to)]);
-        self.replies.pop().unwrap().1.map(|mut messages| match messages.pop() {
+        let mut reply = self.replies.pop().unwrap();
+        reply.answer.map(|_| match reply.messages.pop() {
             Some(Message::Katz(pair)) => *pair,
             other => panic!("{other:?}"),
         })
@@ -106,19 +111,19 @@ fn questions_take_turns_with_embeddings_and_each_is_answered_once() {
     bench.hold_jobs = true;
     ingest.edge("links", "r0003", "r0007", 0.5);
     bench.frame(&mut ingest);
-    assert_eq!(bench.jobs.len(), 1, "the embedding");
+    assert!(bench.job.is_some(), "the embedding");
     bench.wonder(1, &[(0, 1), (1, 2), (0, 99)]);
     ingest.edge("links", "r0003", "r0007", 0.7);
     bench.frame(&mut ingest);
     let published = bench.published.len();
     bench.run_job();
-    assert_eq!((bench.jobs.len(), bench.replies.len()), (1, 0), "the questions");
+    assert_eq!((bench.job.is_some(), bench.replies.len()), (true, 0), "the questions");
     // More questions meanwhile do not hold the frame up that waits.
     bench.wonder(4, &[(1, 2)]);
     bench.run_job();
     assert_eq!(bench.replies.len(), 3);
-    assert!(bench.replies.iter().map(|reply| reply.0.0).eq(1..=3));
-    assert_eq!(bench.replies.iter().filter(|reply| reply.1.is_ok()).count(), 2);
+    assert!(bench.replies.iter().map(|reply| reply.get.0).eq(1..=3));
+    assert_eq!(bench.replies.iter().filter(|reply| reply.answer.is_ok()).count(), 2);
     bench.run_job();
     assert_eq!(bench.published.len(), published + 2, "the frame that waited as well");
     assert_eq!(bench.replies.len(), 3);
@@ -133,13 +138,12 @@ fn a_comparison_that_panics_is_answered_and_harms_nobody() {
     bench.frame(&mut ingest);
     bench.hold_jobs = true;
     bench.wonder(1, &[(0, 1)]);
-    bench.jobs.clear();
-    bench.step(Event::JobFailed("ouch".to_owned()));
-    assert!(bench.replies.pop().unwrap().1.is_err());
+    bench.panic_job("ouch");
+    assert!(bench.replies.pop().unwrap().answer.is_err());
     assert_eq!(bench.failures(), 0);
     // Nothing needs to change in the fleet for the next question to be answered.
     bench.hold_jobs = false;
-    bench.pass(1.5);
+    bench.wait(1.5);
     assert!(bench.pair(0, 1).is_ok());
     ingest.edge("links", "r0003", "r0007", 0.7);
     bench.frame(&mut ingest);
@@ -154,7 +158,7 @@ fn a_flood_of_questions_is_bounded() {
     bench.wonder(1, &[(0, 1); 1000]);
     let refused = bench.replies.len();
     assert!((500..1000).contains(&refused), "{refused}");
-    while !bench.jobs.is_empty() {
+    while bench.job.is_some() {
         bench.run_job();
     }
     assert_eq!(bench.replies.len(), 1000);

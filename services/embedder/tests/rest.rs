@@ -44,14 +44,14 @@ fn a_fleet_at_rest_gets_more_digits_once() {
 }
 
 #[test]
-fn a_thorough_embedding_takes_the_head_of_what_was_told_while_it_was_made() {
+fn a_thorough_embedding_takes_the_header_of_what_was_published_while_it_was_made() {
     let mut bench = Bench::fresh();
     let mut ingest = fleet(90);
     bench.frame(&mut ingest);
     bench.hold_jobs = true;
-    bench.pass(1.2);
-    assert_eq!(bench.jobs.len(), 1, "the thorough one");
-    // Rosters go on while it is made, and the last embedding is told again with their heads.
+    bench.wait(1.2);
+    assert!(bench.job.is_some(), "the thorough one");
+    // Rosters go on while it is made, and the last embedding is published again with their headers.
     for _ in 0..15 {
         bench.frame(&mut ingest);
     }
@@ -63,8 +63,8 @@ fn a_thorough_embedding_takes_the_head_of_what_was_told_while_it_was_made() {
     ingest.edge("links", "r0000", "r0001", 0.51);
     bench.frame(&mut ingest);
     bench.run_job();
-    bench.pass(1.2);
-    assert_eq!(bench.jobs.len(), 1, "the thorough one");
+    bench.wait(1.2);
+    assert!(bench.job.is_some(), "the thorough one");
     for _ in 0..12 {
         bench.frame(&mut ingest);
     }
@@ -76,13 +76,13 @@ fn a_thorough_embedding_takes_the_head_of_what_was_told_while_it_was_made() {
 }
 
 #[test]
-fn the_same_digits_are_not_told_again() {
+fn the_same_digits_are_not_published_again() {
     let mut bench = Bench::fresh();
     let mut ingest = fleet(10);
     bench.frame(&mut ingest);
-    bench.pass(0.95);
+    bench.wait(0.95);
     assert_eq!((bench.counter("jobs_started"), bench.published.len()), (1, 1));
-    bench.pass(0.2);
+    bench.wait(0.2);
     assert_eq!((bench.counter("jobs_started"), bench.published.len()), (2, 1));
     assert_eq!(bench.counter("embeddings_confirmed"), 1);
 }
@@ -105,7 +105,7 @@ fn scales_and_decay_hold_while_the_graphs_drift_and_settle_at_rest() {
         assert!((product(quality) - 0.5).abs() < 0.5 * 0.1);
     }
     assert!((product(&bench.last().quality) - 0.5).abs() > 1e-6, "it has drifted");
-    bench.pass(1.5);
+    bench.wait(1.5);
     assert!((product(&bench.last().quality) - 0.5).abs() < 1e-9);
     ingest.edge("links", "r0000", "r0001", 60.0);
     bench.frame(&mut ingest);

@@ -345,7 +345,7 @@ impl Gate {
         &mut self,
         now: Tick,
         late: Option<Late>,
-        patience: Duration,
+        grace: Duration,
     ) -> Result<(), Refusal> {
         let (reason, excused) = match late {
             None => return Ok(()),
@@ -354,11 +354,11 @@ impl Gate {
             }
             Some(Late::Unproven(reason)) => {
                 let since = *self.late_since.get_or_insert(now);
-                (reason, self.excused || now.since(since) >= patience)
+                (reason, self.excused || now.since(since) >= grace)
             }
             Some(Late::Followed) => {
                 let reason = "this boot was followed by another one";
-                (reason, now.since(self.passed) >= patience)
+                (reason, now.since(self.passed) >= grace)
             }
         };
         let refusal = || Refusal::Doubtful(format!("replayed or out of order: {reason}"));

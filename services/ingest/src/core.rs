@@ -1,296 +1,176 @@
-//! Events in, effects out: what is let in, what is judged when, and what is told.
+//! What is accepted, what is judged when, and what is published.
 
 use std::time::Duration;
 
-use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, Footprint, QueryId, Role, START_FETCH, Start,
-    Stopwatch, Subscription, TERM_FETCH, Turn, Wiring,
-};
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::observation::CheckedReport;
-use muster_model::role::Standing;
+use muster_model::role::ReplicaState;
 use muster_model::settings::IngestSettings;
-use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
-use muster_wire::{Key, Message, Pattern, Request};
+use muster_service::{
+    Connectivity, Core, Delivery, Get, MemoryUse, ServedKey, Stopwatch, Subscription, Wiring,
+};
+use muster_wire::{Key, Message, Pattern};
 
 use crate::admission::{self, Observed, Refusal};
 use crate::frames::Frames;
 use crate::restore;
-use crate::robot::{Change, Patience, Transition};
+use crate::robot::{Change, GracePeriods, Transition};
 use crate::roster::Fleet;
+
+type Context<'a> = muster_service::Context<'a, Ingest>;
+type View<'a> = muster_service::View<'a, Ingest>;
 
 /// How long after the first robot of a start from nothing the first frame waits for the others. The
 /// robots of a fleet join within a moment; a first division of half a fleet would number the teams by
-/// whoever happened to be heard first.
-const GATHERING: Duration = Duration::from_secs(1);
+/// which robots happened to come first.
+const GATHERING_TIME: Duration = Duration::from_secs(1);
+
+/// Whether the silence of a robot says anything about it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Reception {
+    /// Robots can be received.
+    Online,
+    /// This process was paused, and nothing was received meanwhile.
+    Paused,
+    /// The link to the router is lost.
+    Offline {
+        /// Since when.
+        since: Tick,
+    },
+}
 
 /// From the streams of the robots to one weighted directed graph per modality.
 ///
 /// Messages only mark what they change; presence is judged and frames are made when a deadline
-/// passes, so that one frame holds everything that came together. Until the term has begun messages
-/// are taken in and nothing is told; while the link is lost nobody is judged and no frame is made.
+/// passes, so that one frame holds everything that came together. An instance that does not lead
+/// accepts messages and publishes nothing. While the link is lost nobody is judged and no frame is
+/// made.
 #[derive(Debug)]
 pub struct Ingest {
-    role: Role<IngestSettings>,
     fleet: Fleet,
     frames: Frames,
-    link_lost: Option<Tick>,
-    /// Whether nobody was known in this run so far.
-    unpeopled: bool,
+    reception: Reception,
+    /// Whether no robot was known in this run so far.
+    is_unpeopled: bool,
     /// No frame is made before this.
     gathered: Tick,
 }
 
 impl Ingest {
-    fn receive(&mut self, now: Tick, message: Message, effects: &mut Effects<()>) {
-        match message {
-            Message::Report(report) => self.report(now, report, effects),
-            Message::RobotToken { robot, alive } => {
-                match self.fleet.token(now, &robot, alive, self.role.settings()) {
-                    Ok(change) => self.changed(now, &robot, change, effects),
-                    Err(refusal) => self.refuse(now, &Key::RobotToken(robot), refusal, effects),
-                }
-            }
-            // Nothing else is subscribed to.
-            _ => {}
-        }
-    }
-
-    fn report(&mut self, now: Tick, report: CheckedReport, effects: &mut Effects<()>) {
+    fn accept_report(&mut self, context: &mut Context<'_>, report: CheckedReport) {
         let (robot, report) = report.into_parts();
         let stream = report.stream();
-        match admission::observed(self.role.settings(), report) {
-            Ok(observed) => self.observe(now, &robot, observed, effects),
-            Err(reason) => self.refuse(now, &Key::Stream(robot, stream), reason.into(), effects),
+        match admission::observed(context.settings(), report) {
+            Ok(observed) => self.observe(context, &robot, observed),
+            Err(reason) => refuse(context, &Key::Stream(robot, stream), reason.into()),
         }
     }
 
-    fn observe(
-        &mut self,
-        now: Tick,
-        robot: &RobotId,
-        observed: Observed,
-        effects: &mut Effects<()>,
-    ) {
+    fn observe(&mut self, context: &mut Context<'_>, robot: &RobotId, observed: Observed) {
+        let now = context.now();
         let stream = observed.stream.clone();
         let absurd = admission::has_absurd_stamp(now, &observed.provenance);
-        match self.fleet.observe(now, robot, observed, self.role.settings()) {
+        match self.fleet.observe(now, robot, observed, context.settings()) {
             Ok(change) => {
-                self.role.count(admission::accepted(&stream));
-                self.role.count_many("stamps_absurd", u64::from(absurd));
+                context.count(admission::accepted(&stream));
+                context.add("stamps_absurd", u64::from(absurd));
                 if change.graph {
                     self.frames.touch(now, &stream);
                 }
-                self.changed(now, robot, change, effects);
+                self.changed(context, robot, change);
             }
-            Err(refusal) => {
-                self.refuse(now, &Key::Stream(robot.clone(), stream), refusal, effects);
-            }
+            Err(refusal) => refuse(context, &Key::Stream(robot.clone(), stream), refusal),
         }
     }
 
-    fn changed(&mut self, now: Tick, robot: &RobotId, change: Change, effects: &mut Effects<()>) {
+    fn changed(&mut self, context: &mut Context<'_>, robot: &RobotId, change: Change) {
+        let now = context.now();
         if change.joined {
-            if std::mem::take(&mut self.unpeopled) {
-                self.gathered = now.after(GATHERING);
+            if std::mem::take(&mut self.is_unpeopled) {
+                self.gathered = now.after(GATHERING_TIME);
             }
             self.frames.touch_members(now);
-            self.tell_joined(now, robot.clone(), effects);
+            report_joined(context, robot.clone());
         }
         if change.roster {
             self.frames.touch_roster(now);
         }
-        if self.is_judging() {
-            let patience = Patience::from(self.role.settings());
-            if self.fleet.has_recovered(now, robot, patience) {
-                self.tell_transition(now, robot.clone(), Transition::Recovered, effects);
+        if self.is_judging(&context.view()) {
+            let grace = GracePeriods::from(context.settings());
+            if self.fleet.has_recovered(now, robot, grace) {
+                self.report_transition(context, robot.clone(), Transition::Recovered);
             }
         }
     }
 
-    fn refuse(&mut self, now: Tick, key: &Key, refusal: Refusal, effects: &mut Effects<()>) {
-        let reason = match refusal {
-            Refusal::Late(reason) | Refusal::Doubtful(reason) => {
-                self.role.count("messages_late");
-                reason
-            }
-            Refusal::Wrong(reason) => reason,
-        };
-        self.role.refuse(now, key, &reason, effects);
-    }
-
-    /// Counts and tells that a robot joined. Who did before the term began is told of as it begins.
-    fn tell_joined(&mut self, now: Tick, robot: RobotId, effects: &mut Effects<()>) {
-        if self.role.has_term() {
-            self.role.count("robots_joined");
-            self.role.tell(now, Severity::Info, EventKind::RobotJoined { robot }, effects);
-        }
-    }
-
-    fn tell_transition(
+    fn report_transition(
         &mut self,
-        now: Tick,
+        context: &mut Context<'_>,
         robot: RobotId,
         transition: Transition,
-        effects: &mut Effects<()>,
     ) {
+        let now = context.now();
         let (severity, kind) = match transition {
             Transition::Stale => (Severity::Warning, EventKind::RobotStale { robot }),
             Transition::Recovered => (Severity::Info, EventKind::RobotRecovered { robot }),
             Transition::Left => (Severity::Warning, EventKind::RobotLeft { robot }),
         };
         if transition == Transition::Left {
-            self.role.count("robots_left");
+            context.count("robots_left");
             self.frames.touch_members(now);
         }
         self.frames.touch_roster(now);
-        self.role.tell(now, severity, kind, effects);
+        context.publish_event(severity, kind);
     }
 
-    /// Whether silence says something about the robots, and somebody may be told of it.
-    fn is_judging(&self) -> bool {
-        self.role.is_holding() && self.link_lost.is_none()
-    }
-
-    fn take_event(&mut self, now: Tick, event: Event<()>, effects: &mut Effects<()>) {
-        match event {
-            Event::Started => {
-                self.role.ask(vec![Pattern::One(Key::Roster), Pattern::Graphs], effects);
-            }
-            Event::Received(message) => self.receive(now, message, effects),
-            Event::Rejected(rejection) => self.role.quarantine(now, rejection, effects),
-            Event::Timeout => self.advance(now, effects),
-            Event::Fetched { fetch: START_FETCH, messages } if self.role.is_beginning() => {
-                self.begin(now, &messages, effects);
-            }
-            Event::Fetched { fetch: TERM_FETCH, messages } => {
-                self.check_term(now, &messages, effects);
-            }
-            Event::Query { query, request } => self.answer(now, query, request, effects),
-            Event::LinkLost => {
-                self.link_lost.get_or_insert(now);
-            }
-            Event::LinkRestored => self.restore_link(now, effects),
-            // There are no jobs and no further fetches.
-            Event::Fetched { .. } | Event::Done(()) | Event::JobFailed(_) => {}
-        }
-    }
-
-    /// Goes back to before the first frame. What robots have said stays: some of it they say once.
-    fn stand_down(&mut self, now: Tick) {
-        self.frames = Frames::default();
-        self.link_lost = None;
-        self.fleet.spare_all(now);
+    /// Whether silence says something about the robots, and this instance publishes what follows.
+    fn is_judging(&self, view: &View<'_>) -> bool {
+        view.is_leading() && self.reception == Reception::Online
     }
 
     /// Whether another instance judges the robots, and this one only keeps up.
-    fn is_following(&self) -> bool {
-        self.role.standing() == Standing::Standby && self.link_lost.is_none()
+    fn is_following(&self, view: &View<'_>) -> bool {
+        view.replica_state() == ReplicaState::Standby && self.reception == Reception::Online
     }
 
-    fn begin(&mut self, now: Tick, messages: &[Message], effects: &mut Effects<()>) {
-        // They may be those of another holder, taken over.
-        self.apply_settings(now);
-        let settings = self.role.settings();
-        let restored = restore::restore(now, messages, settings, &mut self.fleet);
-        self.role.count_many("robots_restored", restored.len() as u64);
-        self.role.begin_term(now, restore::highest_revision(messages), effects);
-        let joined = self.fleet.robots().keys().filter(|robot| !restored.contains(*robot));
-        for robot in joined.cloned().collect::<Vec<_>>() {
-            self.tell_joined(now, robot, effects);
-        }
-        self.unpeopled = self.fleet.robots().is_empty();
-        if !restored.is_empty() {
-            self.gathered = now;
-        } else if self.unpeopled {
-            // Readers may still hold a roster: they are told that nobody is there, but not before
-            // those who are had a moment to say so.
-            self.gathered = now.after(GATHERING);
-        }
-        self.frames.touch_members(now);
+    fn next_frame(&self, settings: &IngestSettings) -> Option<Tick> {
+        self.frames.due(settings).map(|due| due.max(self.gathered))
     }
 
-    /// Takes in what readers have seen of the role, and publishes everything anew if that began a new
-    /// term.
-    fn check_term(&mut self, now: Tick, found: &[Message], effects: &mut Effects<()>) {
-        if !self.role.checked(now, found, effects) {
-            return;
-        }
-        self.fleet.renumber();
-        self.frames = Frames::default();
-        self.frames.declare(now, &self.role.settings().modalities);
-        self.frames.touch_members(now);
-    }
-
-    fn advance(&mut self, now: Tick, effects: &mut Effects<()>) {
-        if self.is_following() && self.fleet.next_judgement().is_some_and(|at| at <= now) {
-            // The holder tells of it.
-            self.fleet.judge(now, self.role.settings());
-        }
-        if !self.is_judging() {
-            return;
-        }
-        if self.fleet.next_judgement().is_some_and(|at| at <= now) {
-            for (robot, transition) in self.fleet.judge(now, self.role.settings()) {
-                self.tell_transition(now, robot, transition, effects);
-            }
-        }
-        if self.next_frame().is_some_and(|at| at <= now) {
-            for message in self.frames.make(now, &self.fleet, &mut self.role) {
-                effects.publish(message);
-            }
-        }
-    }
-
-    fn next_frame(&self) -> Option<Tick> {
-        self.frames.due(self.role.settings()).map(|due| due.max(self.gathered))
-    }
-
-    fn restore_link(&mut self, now: Tick, effects: &mut Effects<()>) {
-        self.role.link_restored(now);
-        let Some(lost) = self.link_lost.take() else { return };
-        self.fleet.spare_all(now);
-        let outage_s = now.since(lost).as_secs_f64();
-        self.role.tell(now, Severity::Warning, EventKind::LinkRestored { outage_s }, effects);
-    }
-
-    fn answer(&mut self, now: Tick, query: QueryId, request: Request, effects: &mut Effects<()>) {
-        let state = self.state();
-        match self.role.answer(now, query, request, &state, effects) {
-            Answered::Done => {}
-            Answered::SettingsChanged => self.apply_settings(now),
-            Answered::NotOurs(query, request) => {
-                let answer = Ok(self.frames.answer(self.role.space(), &request));
-                effects.push(Effect::Reply { query, request, answer });
-            }
-        }
-    }
-
-    fn apply_settings(&mut self, now: Tick) {
-        let modalities = &self.role.settings().modalities;
+    fn apply_settings(&mut self, context: &Context<'_>) {
+        let modalities = &context.settings().modalities;
         self.fleet.keep_modalities(modalities);
-        self.fleet.judge_soon(now);
-        self.frames.declare(now, modalities);
+        self.fleet.judge_soon(context.now());
+        self.frames.declare(context.now(), modalities);
     }
+}
 
-    fn state(&self) -> String {
-        if !self.role.has_term() {
-            return "waiting for the bus".to_owned();
+fn refuse(context: &mut Context<'_>, key: &Key, refusal: Refusal) {
+    let reason = match refusal {
+        Refusal::Late(reason) | Refusal::Doubtful(reason) => {
+            context.count("messages_late");
+            reason
         }
-        let robots = self.fleet.robots().len();
-        let plural = if robots == 1 { "" } else { "s" };
-        let stale = self.fleet.stale_count();
-        let link = if self.link_lost.is_some() { ", the link to the router is lost" } else { "" };
-        format!("{robots} robot{plural}, {stale} stale{link}")
+        Refusal::Wrong(reason) => reason,
+    };
+    context.refuse(key, reason);
+}
+
+/// Counts and reports that a robot joined. One that did before the term began is reported then.
+fn report_joined(context: &mut Context<'_>, robot: RobotId) {
+    if context.has_term() {
+        context.count("robots_joined");
+        context.publish_event(Severity::Info, EventKind::RobotJoined { robot });
     }
 }
 
 impl Core for Ingest {
     type Settings = IngestSettings;
-    type Job = ();
-    type Done = ();
+    type Fetch = std::convert::Infallible;
+    type Job = std::convert::Infallible;
+    type Done = std::convert::Infallible;
     const SERVICE: ServiceName = ServiceName::Ingest;
 
     fn wiring() -> Wiring {
@@ -298,57 +178,181 @@ impl Core for Ingest {
         Wiring {
             subscriptions: Pattern::streams().map(subscription).into(),
             tokens: vec![Pattern::RobotTokens],
-            served: vec![(Pattern::Graphs, true), (Pattern::One(Key::Roster), true)],
+            served: vec![
+                ServedKey::own(Pattern::Graphs),
+                ServedKey::own(Pattern::One(Key::Roster)),
+            ],
         }
     }
 
-    fn new(start: Start<IngestSettings>) -> Self {
-        let now = start.now;
-        let role = Role::new(Self::SERVICE, start);
+    fn initial() -> Vec<Pattern> {
+        vec![Pattern::One(Key::Roster), Pattern::Graphs]
+    }
+
+    fn output() -> Key {
+        Key::Roster
+    }
+
+    fn is_output(message: &Message) -> bool {
+        matches!(message, Message::Roster(_) | Message::Graph(_))
+    }
+
+    fn new(now: Tick, settings: &IngestSettings) -> Self {
         let mut frames = Frames::default();
-        frames.declare(now, &role.settings().modalities);
-        let fleet = Fleet::default();
-        Self { role, fleet, frames, link_lost: None, unpeopled: true, gathered: now }
+        frames.declare(now, &settings.modalities);
+        Self {
+            fleet: Fleet::default(),
+            frames,
+            reception: Reception::Online,
+            is_unpeopled: true,
+            gathered: now,
+        }
     }
 
-    fn handle(&mut self, now: Tick, event: Event<()>, effects: &mut Effects<()>) {
-        self.frames.told(now);
-        match self.role.attend(now, event, effects) {
-            Turn::Events(events) => {
-                events.into_iter().for_each(|event| self.take_event(now, event, effects));
+    fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
+        let now = context.now();
+        // The settings may be those of another leader, taken over.
+        self.apply_settings(context);
+        let restored = restore::restore(now, &answers, context.settings(), &mut self.fleet);
+        context.add("robots_restored", restored.len() as u64);
+        let joined = self.fleet.robots().keys().filter(|robot| !restored.contains(*robot));
+        for robot in joined.cloned().collect::<Vec<_>>() {
+            report_joined(context, robot);
+        }
+        self.is_unpeopled = self.fleet.robots().is_empty();
+        if !restored.is_empty() {
+            self.gathered = now;
+        } else if self.is_unpeopled {
+            // Readers may still hold a roster: they learn that nobody is there, but not before the
+            // robots that are there had a moment to say so.
+            self.gathered = now.after(GATHERING_TIME);
+        }
+        self.frames.touch_members(now);
+    }
+
+    fn on_follow(&mut self, _context: &mut Context<'_>, _answers: Vec<Message>) {}
+
+    /// Goes back to before the first frame. What robots have reported stays: some of it they report
+    /// once.
+    fn on_stand_down(&mut self, context: &mut Context<'_>) {
+        self.frames = Frames::default();
+        self.reception = Reception::Online;
+        self.fleet.extend_all_grace(context.now());
+    }
+
+    fn on_new_term(&mut self, context: &mut Context<'_>, _found: Vec<Message>) {
+        let now = context.now();
+        self.fleet.renumber();
+        self.frames = Frames::default();
+        self.frames.declare(now, &context.settings().modalities);
+        self.frames.touch_members(now);
+    }
+
+    fn on_message(&mut self, context: &mut Context<'_>, message: Message) {
+        match message {
+            Message::Report(report) => self.accept_report(context, report),
+            Message::RobotToken { robot, alive } => {
+                match self.fleet.token(context.now(), &robot, alive, context.settings()) {
+                    Ok(change) => self.changed(context, &robot, change),
+                    Err(refusal) => refuse(context, &Key::RobotToken(robot), refusal),
+                }
             }
-            Turn::StandDown => {
-                self.stand_down(now);
-                self.take_event(now, Event::Started, effects);
+            // Nothing else is subscribed to.
+            _ => {}
+        }
+    }
+
+    fn on_get(&mut self, context: &mut Context<'_>, get: Get) {
+        let answer = self.frames.answer(context.space(), &get.request);
+        context.reply(get, answer);
+    }
+
+    fn on_timer(&mut self, context: &mut Context<'_>) {
+        let now = context.now();
+        let is_due = self.fleet.next_judgement().is_some_and(|at| at <= now);
+        if is_due && self.is_following(&context.view()) {
+            // The leader reports it.
+            self.fleet.judge(now, context.settings());
+        }
+        if !self.is_judging(&context.view()) {
+            return;
+        }
+        if is_due {
+            for (robot, transition) in self.fleet.judge(now, context.settings()) {
+                self.report_transition(context, robot, transition);
             }
         }
-        self.role.advance(now, Pattern::One(Key::Roster), effects);
+        if self.next_frame(context.settings()).is_some_and(|at| at <= now) {
+            for message in self.frames.make(context, &self.fleet) {
+                context.publish(message);
+            }
+        }
     }
 
-    fn deadline(&self) -> Option<Tick> {
-        let (judging, following) = (self.is_judging(), self.is_following());
+    fn on_settings(&mut self, context: &mut Context<'_>) {
+        self.apply_settings(context);
+    }
+
+    fn on_connectivity(&mut self, context: &mut Context<'_>, connectivity: Connectivity) {
+        let now = context.now();
+        match (connectivity, self.reception) {
+            (Connectivity::Offline, Reception::Online | Reception::Paused) => {
+                self.reception = Reception::Offline { since: now };
+            }
+            (Connectivity::Paused, Reception::Online) => self.reception = Reception::Paused,
+            (Connectivity::Online, Reception::Paused) => {
+                self.reception = Reception::Online;
+                self.fleet.extend_all_grace(now);
+            }
+            (Connectivity::Online, Reception::Offline { since }) => {
+                self.reception = Reception::Online;
+                self.fleet.extend_all_grace(now);
+                let outage_s = now.since(since).as_secs_f64();
+                context.publish_event(Severity::Warning, EventKind::LinkRestored { outage_s });
+            }
+            (Connectivity::Online, Reception::Online)
+            | (Connectivity::Paused, Reception::Paused)
+            | (Connectivity::Offline | Connectivity::Paused, Reception::Offline { .. }) => {}
+        }
+    }
+
+    fn before_input(&mut self, now: Tick) {
+        self.frames.published(now);
+    }
+
+    fn deadline(&self, view: &View<'_>) -> Option<Tick> {
+        let (judging, following) = (self.is_judging(view), self.is_following(view));
         let judgement = self.fleet.next_judgement().filter(|_| judging || following);
-        let frame = self.next_frame().filter(|_| judging);
-        let telling = self.frames.telling().filter(|_| judging);
-        [judgement, frame, telling, self.role.deadline()].into_iter().flatten().min()
+        let frame = self.next_frame(view.settings()).filter(|_| judging);
+        let publishing = self.frames.publishing().filter(|_| judging);
+        [judgement, frame, publishing].into_iter().flatten().min()
     }
 
-    fn standing(&self) -> Standing {
-        self.role.standing()
+    fn state(&self, view: &View<'_>) -> String {
+        if !view.has_term() {
+            return "waiting for the bus".to_owned();
+        }
+        let robots = self.fleet.robots().len();
+        let plural = if robots == 1 { "" } else { "s" };
+        let stale = self.fleet.stale_count();
+        let link = match self.reception {
+            Reception::Offline { .. } => ", the link to the router is lost",
+            Reception::Paused => ", the process was paused",
+            Reception::Online => "",
+        };
+        format!("{robots} robot{plural}, {stale} stale{link}")
     }
 
-    fn status(&self, now: Tick) -> ServiceStatus {
-        self.role.status(now, &self.state())
-    }
-
-    fn footprint(&self) -> Footprint {
-        Footprint {
+    fn memory_use(&self) -> MemoryUse {
+        MemoryUse {
             robots: self.fleet.record_count(),
             edges: self.fleet.reported_edge_count() + self.frames.edge_count(),
             messages: self.frames.roster_count(),
-            offenders: self.role.offender_count(),
+            offenders: 0,
         }
     }
 
-    fn run((): (), _: &mut Stopwatch) {}
+    fn run(job: Self::Job, _stopwatch: &mut Stopwatch) -> Self::Done {
+        job
+    }
 }

@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_machine::Role;
 use muster_model::graph::{GraphDelta, GraphRow, Node};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{Modality, RobotId};
@@ -12,25 +11,27 @@ use muster_model::observation::Stream;
 use muster_model::roster::{Presence, Roster};
 use muster_model::settings::IngestSettings;
 use muster_model::time::{Tick, seconds};
+use muster_service::Context;
 use muster_wire::{Key, KeySpace, Message, Request};
 
+use crate::Ingest;
 use crate::graphs::{Places, changed_rows, spatial_rows};
 use crate::robot::Robot;
 use crate::roster::Fleet;
 
-/// How long at most no roster is published, even if nothing changes: who was heard of when is part of
+/// How long at most no roster is published, even if nothing changes: when each robot was last received is part of
 /// it, and a roster that was lost must not be lost for good, not even that of a fleet that has left.
 /// Slower frames have slower heartbeats.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
-/// A frame is followed by a pause of at least three times as long as it took to make and tell: under more
-/// load than the host can bear the rate of frames falls, and what robots say is heard between them. Frames
+/// A frame is followed by a pause of at least three times as long as it took to make and publish: under more
+/// load than the host can bear the rate of frames falls, and what robots report is received between them. Frames
 /// that nobody has the time to read would only keep the readers from the work.
-const MOST_PART: u32 = 4;
+const MAX_LOAD_DIVISOR: u32 = 4;
 
 /// No frame counts as having taken longer: a host that hung during one must not be without frames for
 /// longer than the slowest tick lets it be.
-const MOST_TAKEN: Duration = Duration::from_millis(250);
+const MAX_FRAME_TIME: Duration = Duration::from_millis(250);
 
 /// One graph as it was last published.
 #[derive(Debug, Default)]
@@ -111,15 +112,15 @@ impl Frames {
         self.touch_roster(now);
     }
 
-    /// A moment after the last frame was made and told: that of the next event, whatever it is.
-    pub(crate) fn told(&mut self, now: Tick) {
+    /// A moment after the last frame was made and published: that of the next input.
+    pub(crate) fn published(&mut self, now: Tick) {
         if let Some(begun) = self.making.take() {
-            self.took = now.since(begun).min(MOST_TAKEN);
+            self.took = now.since(begun).min(MAX_FRAME_TIME);
         }
     }
 
-    /// When an event is wanted only to learn how long the last frame took.
-    pub(crate) fn telling(&self) -> Option<Tick> {
+    /// When an input is wanted only to learn how long the last frame took.
+    pub(crate) fn publishing(&self) -> Option<Tick> {
         self.making
     }
 
@@ -127,7 +128,7 @@ impl Frames {
     pub(crate) fn due(&self, settings: &IngestSettings) -> Option<Tick> {
         let heartbeat = self.published.map(|published| published.after(HEARTBEAT));
         let wanted = self.changed.into_iter().chain(heartbeat).min()?;
-        let pause = period(settings).max(self.took.saturating_mul(MOST_PART));
+        let pause = period(settings).max(self.took.saturating_mul(MAX_LOAD_DIVISOR));
         let allowed = self.attempted.map(|last| last.after(pause));
         Some(allowed.map_or(wanted, |allowed| allowed.max(wanted)))
     }
@@ -136,10 +137,10 @@ impl Frames {
     /// changed and the last roster is recent.
     pub(crate) fn make(
         &mut self,
-        now: Tick,
+        context: &mut Context<'_, Ingest>,
         fleet: &Fleet,
-        role: &mut Role<IngestSettings>,
     ) -> Vec<Message> {
+        let now = context.now();
         self.attempted = Some(now);
         self.making = Some(now);
         self.changed = None;
@@ -151,14 +152,14 @@ impl Frames {
         } else {
             NodeStep::default()
         };
-        let steps = self.step_graphs(&nodes, fleet, role.settings());
+        let steps = self.step_graphs(&nodes, fleet, context.settings());
         let is_recent = self.published.is_some_and(|published| now.since(published) < HEARTBEAT);
         if steps.is_empty() && !self.roster_dirty && is_recent {
             return Vec::new();
         }
         self.roster_dirty = false;
         self.published = Some(now);
-        let header = header(now, fleet, role);
+        let header = header(context, fleet);
         let mut messages = self.publish_graphs(&nodes, steps, &header);
         let mut graphs: Vec<_> = self
             .graphs
@@ -171,7 +172,7 @@ impl Frames {
         let roster = Arc::new(Roster { header, robots: fleet.entries(), graphs });
         self.roster = Some(Arc::clone(&roster));
         messages.push(Message::Roster(roster));
-        role.count("frames_published");
+        context.count("frames_published");
         messages
     }
 
@@ -289,17 +290,18 @@ fn period(settings: &IngestSettings) -> Duration {
     seconds(1.0 / settings.tick_hz)
 }
 
-fn header(now: Tick, fleet: &Fleet, role: &mut Role<IngestSettings>) -> Header {
+fn header(context: &mut Context<'_, Ingest>, fleet: &Fleet) -> Header {
+    let received = fleet.newest_message().unwrap_or(context.now());
     let all_stale = fleet.robots().values().all(|robot| robot.presence == Presence::Stale);
     let counts = |robot: &&Robot| all_stale || robot.presence == Presence::Active;
-    let received = |robot: &Robot| robot.pose.as_ref().map(|pose| pose.received);
-    let poses = || fleet.robots().values().filter(counts).filter_map(received);
+    let pose_received = |robot: &Robot| robot.pose.as_ref().map(|pose| pose.received);
+    let poses = || fleet.robots().values().filter(counts).filter_map(pose_received);
     Header {
-        fleet: role.fleet().clone(),
-        revision: role.next_revision(),
+        fleet: context.fleet().clone(),
+        revision: context.next_revision(),
         oldest: poses().min(),
         newest: poses().max(),
-        stages: vec![role.stage(fleet.newest_message().unwrap_or(now), now)],
+        stages: vec![context.stage(received)],
     }
 }
 

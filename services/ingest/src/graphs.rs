@@ -126,8 +126,8 @@ pub(crate) fn changed_rows(old: &[GraphRow], new: &[GraphRow], removed: &[Node])
         if removed.is_empty() { old.edges == new.edges } else { rest(old) == new.edges }
     };
     let emptied = |row: &GraphRow| {
-        let told = !rest(row).is_empty();
-        told.then(|| GraphRow { source: row.source, edges: Vec::new() })
+        let had_edges = !rest(row).is_empty();
+        had_edges.then(|| GraphRow { source: row.source, edges: Vec::new() })
     };
     let mut changed = Vec::new();
     let mut before = old.iter().filter(|row| stays(&row.source)).peekable();
@@ -161,18 +161,18 @@ mod tests {
     }
 
     #[test]
-    fn only_rows_that_changed_are_told() {
+    fn only_rows_that_changed_are_published() {
         let old = [row(1, &[(2, 1.0)]), row(2, &[(1, 1.0), (3, 1.0)]), row(4, &[(1, 1.0)])];
         let new = [row(0, &[(1, 1.0)]), row(2, &[(1, 1.0), (3, 1.0)]), row(4, &[(1, 0.5)])];
-        let told = [row(0, &[(1, 1.0)]), row(1, &[]), row(4, &[(1, 0.5)])];
-        assert_eq!(changed_rows(&old, &new, &[]), told);
+        let expected = [row(0, &[(1, 1.0)]), row(1, &[]), row(4, &[(1, 0.5)])];
+        assert_eq!(changed_rows(&old, &new, &[]), expected);
         assert!(changed_rows(&old, &old, &[]).is_empty());
         assert_eq!(changed_rows(&old[2..], &[], &[]), [row(4, &[])]);
         assert_eq!(changed_rows(&[], &old, &[]), old);
     }
 
     #[test]
-    fn what_goes_with_a_removed_node_is_not_told() {
+    fn what_goes_with_a_removed_node_is_not_published() {
         let old =
             [row(1, &[(2, 1.0)]), row(2, &[(1, 1.0), (3, 1.0)]), row(3, &[(1, 1.0), (2, 1.0)])];
         // Row 1 goes with node 1; rows 2 and 3 lose their edge to it.

@@ -23,17 +23,12 @@ use crate::roster::Fleet;
 /// What a robot reported on one stream.
 type Reported = (Stream, Content);
 
-/// The highest revision of any output of the role.
-pub(crate) fn highest_revision(messages: &[Message]) -> Option<Revision> {
-    outputs(messages).map(|(revision, ..)| revision).max()
-}
-
 /// Fills the fleet with what is remembered; streams that were heard in this run stay as they are.
 /// Returns the robots that are remembered and known now.
 ///
 /// A robot that was stale stays stale: a roster tells when anything was last heard of it, which may be
 /// later than its pose, but its pose was older than `stale_after_s` as the roster was told. One that was
-/// active has its whole patience to speak again, but `last_seen` and the age of the data stay what they
+/// active has its whole grace to speak again, but `last_seen` and the age of the data stay what they
 /// are.
 pub(crate) fn restore(
     now: Tick,

@@ -7,7 +7,7 @@
 //! that hangs keeps its token; only a robot that has a token and no pose may stay silent.
 //!
 //! Where silence says nothing (nobody could be heard, or what was heard is in doubt) a robot is
-//! *spared*: its patience begins anew. That makes no stale robot active, and changes no age.
+//! *spared*: its grace begins anew. That makes no stale robot active, and changes no age.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -54,9 +54,9 @@ pub(crate) struct Robot {
     pub(crate) presence: Presence,
     /// When anything was last received from it.
     pub(crate) heard: Tick,
-    /// Until it is stale, its patience before that does not begin earlier.
+    /// Until it is stale, its grace before that does not begin earlier.
     spared_stale: Tick,
-    /// Its patience before it is gone does not begin earlier.
+    /// Its grace before it is gone does not begin earlier.
     spared_gone: Tick,
     token: Token,
     /// Where it is, if it ever said so.
@@ -70,12 +70,12 @@ pub(crate) struct Robot {
 
 /// How long a robot may be silent.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Patience {
+pub(crate) struct GracePeriods {
     stale_after: Duration,
     gone_after: Duration,
 }
 
-impl From<&IngestSettings> for Patience {
+impl From<&IngestSettings> for GracePeriods {
     fn from(settings: &IngestSettings) -> Self {
         Self {
             stale_after: seconds(settings.stale_after_s),
@@ -137,7 +137,7 @@ impl Robot {
     }
 
     /// Nothing could be heard of it until now.
-    pub(crate) fn spare(&mut self, now: Tick) {
+    pub(crate) fn extend_grace(&mut self, now: Tick) {
         self.spared_stale = now;
         self.spared_gone = now;
     }
@@ -153,7 +153,7 @@ impl Robot {
         }
         self.presence = presence;
         if presence == Presence::Active {
-            self.spare(now);
+            self.extend_grace(now);
         } else {
             self.spared_stale = Tick::default();
             self.spared_gone = Tick::default();
@@ -197,7 +197,7 @@ impl Robot {
         }
     }
 
-    fn stale_at(&self, patience: Patience) -> Option<Tick> {
+    fn stale_at(&self, grace: GracePeriods) -> Option<Tick> {
         let sign = match (&self.pose, self.token) {
             (Some(pose), _) => pose.received,
             (None, Token::Alive) => return None,
@@ -207,27 +207,27 @@ impl Robot {
             Presence::Active => sign.max(self.spared_stale),
             Presence::Stale => sign,
         };
-        Some(spared.after(patience.stale_after))
+        Some(spared.after(grace.stale_after))
     }
 
-    fn gone_at(&self, patience: Patience) -> Option<Tick> {
+    fn gone_at(&self, grace: GracePeriods) -> Option<Tick> {
         let may_be_silent = self.pose.is_none() && self.token == Token::Alive;
         let sign = self.last_sign().max(self.spared_gone);
-        (!may_be_silent).then(|| sign.after(patience.gone_after))
+        (!may_be_silent).then(|| sign.after(grace.gone_after))
     }
 
     /// When its presence changes next if nothing more is heard of it.
-    pub(crate) fn next_judgement(&self, patience: Patience) -> Option<Tick> {
-        let stale = self.stale_at(patience).filter(|_| self.presence == Presence::Active);
-        stale.into_iter().chain(self.gone_at(patience)).min()
+    pub(crate) fn next_judgement(&self, grace: GracePeriods) -> Option<Tick> {
+        let stale = self.stale_at(grace).filter(|_| self.presence == Presence::Active);
+        stale.into_iter().chain(self.gone_at(grace)).min()
     }
 
     /// Brings the presence up to date.
-    pub(crate) fn judge(&mut self, now: Tick, patience: Patience) -> Option<Transition> {
-        if self.gone_at(patience).is_some_and(|at| at <= now) {
+    pub(crate) fn judge(&mut self, now: Tick, grace: GracePeriods) -> Option<Transition> {
+        if self.gone_at(grace).is_some_and(|at| at <= now) {
             return Some(Transition::Left);
         }
-        let stale = self.stale_at(patience).is_some_and(|at| at <= now);
+        let stale = self.stale_at(grace).is_some_and(|at| at <= now);
         let (presence, transition) = match self.presence {
             Presence::Active if stale => (Presence::Stale, Transition::Stale),
             Presence::Stale if !stale => (Presence::Active, Transition::Recovered),

@@ -11,7 +11,7 @@ use muster_model::settings::IngestSettings;
 use muster_model::time::Tick;
 
 use crate::admission::{Content, Gate, Observed, Refusal};
-use crate::robot::{Change, Patience, Robot, Token, Transition};
+use crate::robot::{Change, GracePeriods, Robot, Token, Transition};
 
 /// All robots that are known.
 #[derive(Debug, Default)]
@@ -110,7 +110,7 @@ impl Fleet {
         self.robots.values().filter(|robot| robot.presence == Presence::Stale).count()
     }
 
-    /// Lets an observation in, or refuses it and stays as it is, but for the patience with a robot
+    /// Lets an observation in, or refuses it and stays as it is, but for the grace with a robot
     /// whose messages are in doubt.
     pub(crate) fn observe(
         &mut self,
@@ -189,8 +189,8 @@ impl Fleet {
     }
 
     /// Makes sure that a robot is judged in time.
-    pub(crate) fn expect(&mut self, name: &RobotId, patience: Patience) {
-        let next = self.robots.get(name).and_then(|robot| robot.next_judgement(patience));
+    pub(crate) fn expect(&mut self, name: &RobotId, grace: GracePeriods) {
+        let next = self.robots.get(name).and_then(|robot| robot.next_judgement(grace));
         self.next_judgement = self.next_judgement.into_iter().chain(next).min();
     }
 
@@ -200,12 +200,12 @@ impl Fleet {
     }
 
     /// Judges one robot that may have recovered.
-    pub(crate) fn has_recovered(&mut self, now: Tick, name: &RobotId, patience: Patience) -> bool {
+    pub(crate) fn has_recovered(&mut self, now: Tick, name: &RobotId, grace: GracePeriods) -> bool {
         let stale = self.robots.get_mut(name).filter(|robot| robot.presence == Presence::Stale);
         let recovered =
-            stale.is_some_and(|robot| robot.judge(now, patience) == Some(Transition::Recovered));
+            stale.is_some_and(|robot| robot.judge(now, grace) == Some(Transition::Recovered));
         if recovered {
-            self.expect(name, patience);
+            self.expect(name, grace);
         }
         recovered
     }
@@ -216,14 +216,14 @@ impl Fleet {
         now: Tick,
         settings: &IngestSettings,
     ) -> Vec<(RobotId, Transition)> {
-        let patience = Patience::from(settings);
+        let grace = GracePeriods::from(settings);
         let mut transitions = Vec::new();
         self.next_judgement = None;
         for (name, robot) in &mut self.robots {
-            let transition = robot.judge(now, patience);
+            let transition = robot.judge(now, grace);
             transitions.extend(transition.map(|transition| (name.clone(), transition)));
             if transition != Some(Transition::Left) {
-                let next = robot.next_judgement(patience);
+                let next = robot.next_judgement(grace);
                 self.next_judgement = self.next_judgement.into_iter().chain(next).min();
             }
         }
@@ -243,10 +243,10 @@ impl Fleet {
         transitions
     }
 
-    /// Nobody could be heard until now: everybody's patience begins anew.
-    pub(crate) fn spare_all(&mut self, now: Tick) {
+    /// Nobody could be heard until now: everybody's grace begins anew.
+    pub(crate) fn extend_all_grace(&mut self, now: Tick) {
         for robot in self.robots.values_mut() {
-            robot.spare(now);
+            robot.extend_grace(now);
         }
         self.judge_soon(now);
     }

@@ -7,7 +7,6 @@ mod bench;
 use bench::{
     Bench, Put, bare_pose, links, links_to, modality, pose, rank, relation, report, robot, token,
 };
-use muster_machine::Event;
 use muster_model::observation::{Links, Observation, Pose, Relation};
 use muster_model::roster::Presence;
 use muster_model::settings::IngestSettings;
@@ -27,11 +26,11 @@ fn settings() -> IngestSettings {
 fn three_robots() -> Bench {
     let mut bench = Bench::new(settings());
     for (name, x) in [("r1", 0.0), ("r2", 1.0), ("r3", 3.0)] {
-        bench.say(pose(name, x, 0.0));
+        bench.receive(pose(name, x, 0.0));
     }
-    bench.say(links("r1", &[("r2", 0.75), ("r3", 0.25)]));
-    bench.say(rank("r2", Some("r1"), Some(2.0)));
-    bench.say(relation("r3", "thermal", &[("r1", 5.0)]));
+    bench.receive(links("r1", &[("r2", 0.75), ("r3", 0.25)]));
+    bench.receive(rank("r2", Some("r1"), Some(2.0)));
+    bench.receive(relation("r3", "thermal", &[("r1", 5.0)]));
     bench.wait(0.2);
     bench.happened();
     bench
@@ -40,10 +39,10 @@ fn three_robots() -> Bench {
 /// The event that a message leads to.
 fn refusal(bench: &mut Bench, message: Put) -> String {
     bench.happened();
-    bench.say(message);
-    let told = bench.happened();
-    assert_eq!(told.len(), 1, "{told:?}");
-    told[0].clone()
+    bench.receive(message);
+    let happened = bench.happened();
+    assert_eq!(happened.len(), 1, "{happened:?}");
+    happened[0].clone()
 }
 
 fn ordered(boot: Option<&str>, seq: Option<u64>, stamp: Option<f64>) -> Put {
@@ -55,8 +54,8 @@ fn ordered(boot: Option<&str>, seq: Option<u64>, stamp: Option<f64>) -> Put {
 fn passes(bench: &mut Bench, message: Put) -> bool {
     bench.wait(2.5);
     bench.happened();
-    bench.say(message);
-    !bench.happened().iter().any(|told| told.starts_with("refused"))
+    bench.receive(message);
+    !bench.happened().iter().any(|happened| happened.starts_with("refused"))
 }
 
 #[test]
@@ -84,21 +83,22 @@ fn content_that_does_not_fit_is_refused_with_its_reason() {
     ];
     for (message, reason) in cases {
         let mut bench = three_robots();
-        let told = refusal(&mut bench, message.clone());
-        assert!(told.contains(reason), "{message:?}: {told}");
-        assert!(told.starts_with("refused r"), "{told}");
+        let happened = refusal(&mut bench, message.clone());
+        assert!(happened.contains(reason), "{message:?}: {happened}");
+        assert!(happened.starts_with("refused r"), "{happened}");
         assert_eq!(bench.counter("messages_refused"), 1);
     }
     let mut bench = three_robots();
-    bench.say(report("r1", in_frame("odom")));
+    bench.receive(report("r1", in_frame("odom")));
     assert!(bench.happened().is_empty());
 }
 
 #[test]
-fn a_rejected_packet_is_told_as_it_is() {
+fn a_refused_packet_is_reported_as_it_is() {
     let mut bench = three_robots();
     let key = "muster/v1/alpha/robot/r1/pose";
-    bench.step(Event::Rejected(Rejection::new(&bench::space(), key, "x: no number")));
+    let rejection = Rejection::new(bench.space(), key, "x: no number");
+    bench.receive_refused(rejection);
     assert_eq!(bench.happened(), ["refused r1: x: no number"]);
 }
 
@@ -106,7 +106,7 @@ fn a_rejected_packet_is_told_as_it_is() {
 fn the_unit_of_links_is_that_of_the_settings() {
     let mut bench = three_robots();
     bench.set(&json!({"connectivity": {"unit": "rssi_dbm"}}));
-    bench.say(links("r1", &[("r2", -65.0), ("r3", -95.0)]));
+    bench.receive(links("r1", &[("r2", -65.0), ("r3", -95.0)]));
     bench.wait(0.2);
     assert_eq!(bench.weight("connectivity", "r2", "r1"), Some(0.5));
     assert_eq!(bench.weight("connectivity", "r3", "r1"), None);
@@ -116,7 +116,7 @@ fn the_unit_of_links_is_that_of_the_settings() {
 fn what_a_signal_is_worth_follows_the_settings_at_once() {
     let mut bench = three_robots();
     bench.set(&json!({"connectivity": {"unit": "rssi_dbm"}}));
-    bench.say(links("r1", &[("r2", -65.0), ("r3", -95.0)]));
+    bench.receive(links("r1", &[("r2", -65.0), ("r3", -95.0)]));
     bench.set(&json!({"connectivity": {"rssi_floor_dbm": -100.0, "rssi_ceiling_dbm": -60.0}}));
     bench.wait(0.2);
     assert_eq!(bench.weight("connectivity", "r2", "r1"), Some(0.875));
@@ -126,9 +126,9 @@ fn what_a_signal_is_worth_follows_the_settings_at_once() {
         "it was worth nothing before"
     );
     // What was reported in one unit is not taken for the other.
-    bench.say(links("r2", &[("r1", -70.0)]));
+    bench.receive(links("r2", &[("r1", -70.0)]));
     bench.set(&json!({"connectivity": {"unit": "quality"}}));
-    bench.say(links("r3", &[("r1", 0.5)]));
+    bench.receive(links("r3", &[("r1", 0.5)]));
     bench.set(&json!({"connectivity": {"unit": "rssi_dbm"}}));
     bench.wait(0.2);
     assert_eq!(bench.weight("connectivity", "r1", "r2"), Some(0.75));
@@ -143,9 +143,9 @@ fn within_a_boot_the_sequence_grows() {
     assert!(!passes(&mut bench, ordered(Some("a"), Some(4), Some(1e9))));
     assert!(passes(&mut bench, ordered(Some("a"), Some(900), None)));
     assert_eq!(bench.counter("messages_late"), 2);
-    // Not even patience lets in what the robot itself says is old.
+    // Not even a long wait lets in what the robot itself says is old.
     bench.wait(5.0);
-    bench.say(token("r1", true));
+    bench.receive(token("r1", true));
     assert!(!passes(&mut bench, ordered(Some("a"), Some(900), None)));
 }
 
@@ -154,8 +154,8 @@ fn a_boot_that_was_left_does_not_come_back() {
     let mut bench = three_robots();
     assert!(passes(&mut bench, ordered(Some("a"), Some(100), None)));
     assert!(passes(&mut bench, ordered(Some("b"), Some(1), None)));
-    let told = refusal(&mut bench, ordered(Some("a"), Some(101), None));
-    assert!(told.contains("replayed or out of order"), "{told}");
+    let happened = refusal(&mut bench, ordered(Some("a"), Some(101), None));
+    assert!(happened.contains("replayed or out of order"), "{happened}");
     // The last eight are remembered.
     for boot in 0..7 {
         assert!(passes(&mut bench, ordered(Some(&format!("c{boot}")), Some(1), None)));
@@ -184,7 +184,7 @@ fn without_a_sequence_the_stamp_does_not_go_back() {
     assert!(passes(&mut bench, ordered(None, None, at(101.0))));
     assert!(passes(&mut bench, ordered(None, None, None)));
     assert!(!passes(&mut bench, ordered(None, None, at(100.5))));
-    // A new boot begins anew.
+    // A new boot begins a new order.
     assert!(passes(&mut bench, ordered(Some("a"), None, at(1.0))));
 }
 
@@ -192,13 +192,13 @@ fn without_a_sequence_the_stamp_does_not_go_back() {
 fn an_absurd_stamp_is_counted_and_says_nothing_of_the_order() {
     let mut bench = three_robots();
     let now_s = bench::START.as_seconds();
-    bench.say(ordered(None, None, Some(now_s)));
-    bench.say(ordered(None, None, Some(9e12)));
-    bench.say(ordered(None, None, Some(now_s)));
-    bench.say(ordered(None, None, Some(1.0)));
+    bench.receive(ordered(None, None, Some(now_s)));
+    bench.receive(ordered(None, None, Some(9e12)));
+    bench.receive(ordered(None, None, Some(now_s)));
+    bench.receive(ordered(None, None, Some(1.0)));
     assert!(bench.happened().is_empty());
     assert_eq!(bench.counter("stamps_absurd"), 2);
-    bench.say(ordered(None, None, Some(now_s - 1.0)));
+    bench.receive(ordered(None, None, Some(now_s - 1.0)));
     assert_eq!(bench.counter("messages_late"), 1, "the last sane one counts");
 }
 
@@ -208,9 +208,9 @@ fn time_to_pass(bench: &mut Bench, message: impl Fn(u32) -> Put) -> f64 {
     let since = bench.now;
     for count in 0..100 {
         let accepted = bench.counter("poses_accepted");
-        bench.say(message(count));
-        let told = bench.happened();
-        assert!(!told.iter().any(|told| told.ends_with("r1")), "{told:?}");
+        bench.receive(message(count));
+        let happened = bench.happened();
+        assert!(!happened.iter().any(|happened| happened.ends_with("r1")), "{happened:?}");
         if bench.counter("poses_accepted") > accepted {
             return bench.now.since(since).as_secs_f64();
         }
@@ -223,11 +223,11 @@ fn time_to_pass(bench: &mut Bench, message: impl Fn(u32) -> Put) -> f64 {
 fn a_forged_boot_does_not_lock_the_robot_out() {
     let mut bench = Bench::default();
     for seq in 1..=50 {
-        bench.say(ordered(Some("own"), Some(seq), None));
+        bench.receive(ordered(Some("own"), Some(seq), None));
         bench.wait(0.1);
     }
     bench.happened();
-    bench.say(ordered(Some("forged"), Some(7), None));
+    bench.receive(ordered(Some("forged"), Some(7), None));
     bench.wait(0.1);
     let locked_s =
         time_to_pass(&mut bench, |count| ordered(Some("own"), Some(51 + u64::from(count)), None));
@@ -236,8 +236,8 @@ fn a_forged_boot_does_not_lock_the_robot_out() {
     bench.wait(3.0);
     bench.happened();
     for (boot, seq) in [("own", 50), ("own", 30), ("forged", 7)] {
-        let told = refusal(&mut bench, ordered(Some(boot), Some(seq), None));
-        assert!(told.contains("replayed"), "{told}");
+        let happened = refusal(&mut bench, ordered(Some(boot), Some(seq), None));
+        assert!(happened.contains("replayed"), "{happened}");
         bench.wait(2.0);
     }
     let entry = bench.entry("r1").cloned();
@@ -245,7 +245,7 @@ fn a_forged_boot_does_not_lock_the_robot_out() {
 }
 
 #[test]
-fn a_robot_that_counts_anew_without_a_boot_is_let_in_in_time() {
+fn a_robot_that_counts_from_the_start_without_a_boot_is_let_in_in_time() {
     let stamp = |n: u32| bench::START.as_seconds() + f64::from(n);
     for has_seq in [true, false] {
         let mut bench = Bench::default();
@@ -253,32 +253,32 @@ fn a_robot_that_counts_anew_without_a_boot_is_let_in_in_time() {
             let seq = has_seq.then_some(u64::from(n));
             ordered(None, seq, (!has_seq).then_some(stamp(n)))
         };
-        bench.say(say(500));
+        bench.receive(say(500));
         bench.happened();
         bench.wait(1.5);
         let locked_s = time_to_pass(&mut bench, |count| say(1 + count));
         assert!((1.9..=2.0).contains(&locked_s), "{locked_s}");
-        bench.say(say(400));
+        bench.receive(say(400));
         assert!(bench.happened().is_empty());
     }
 }
 
 #[test]
-fn a_robot_whose_token_came_back_counts_anew_at_once() {
+fn a_robot_whose_token_came_back_may_count_from_the_start_at_once() {
     let mut bench = Bench::default();
-    bench.say(token("r1", true));
-    bench.say(ordered(None, Some(500), None));
-    bench.say(token("r1", false));
-    bench.say(token("r1", true));
+    bench.receive(token("r1", true));
+    bench.receive(ordered(None, Some(500), None));
+    bench.receive(token("r1", false));
+    bench.receive(token("r1", true));
     bench.happened();
-    bench.say(ordered(None, Some(1), None));
+    bench.receive(ordered(None, Some(1), None));
     assert!(bench.happened().is_empty());
-    bench.say(ordered(None, Some(1), None));
+    bench.receive(ordered(None, Some(1), None));
     assert_eq!(bench.counter("messages_late"), 1, "once");
-    bench.say(ordered(Some("a"), Some(9), None));
-    bench.say(token("r1", false));
-    bench.say(token("r1", true));
-    bench.say(ordered(Some("a"), Some(9), None));
+    bench.receive(ordered(Some("a"), Some(9), None));
+    bench.receive(token("r1", false));
+    bench.receive(token("r1", true));
+    bench.receive(ordered(Some("a"), Some(9), None));
     assert_eq!(bench.counter("messages_late"), 2, "a replay all the same");
 }
 
@@ -287,28 +287,28 @@ fn a_stream_has_a_rate_and_a_burst() {
     let mut bench = Bench::new(IngestSettings { max_rate_hz: 10.0, ..IngestSettings::default() });
     let mut burst = |count: u32| {
         for _ in 0..count {
-            bench.say(pose("r1", 0.0, 0.0));
+            bench.receive(pose("r1", 0.0, 0.0));
         }
         let accepted = bench.counter("poses_accepted");
         bench.wait(0.25);
         (accepted, bench.happened())
     };
     assert_eq!(burst(10).0, 10);
-    let (accepted, told) = burst(10);
+    let (accepted, happened) = burst(10);
     assert_eq!(accepted, 12, "0.25 s at 10 Hz are two and a half more");
-    assert!(told[0].contains("rate: at most 10 messages per second"), "{told:?}");
+    assert!(happened[0].contains("rate: at most 10 messages per second"), "{happened:?}");
     assert_eq!(burst(1).0, 13);
     // Refused messages take nothing from what the robot may say.
     for _ in 0..20 {
-        bench.say(pose("r1", f64::NAN, 0.0));
+        bench.receive(pose("r1", f64::NAN, 0.0));
     }
     bench.wait(0.1);
     let before = bench.counter("poses_accepted");
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     assert_eq!(bench.counter("poses_accepted"), before + 1);
     // Another stream and another robot have their own.
-    bench.say(links("r1", &[]));
-    bench.say(pose("r2", 0.0, 0.0));
+    bench.receive(links("r1", &[]));
+    bench.receive(pose("r2", 0.0, 0.0));
     assert_eq!(bench.counter("links_accepted"), 1);
     assert_eq!(bench.counter("poses_accepted"), before + 2);
 }
@@ -317,7 +317,7 @@ fn a_stream_has_a_rate_and_a_burst() {
 fn lower_limits_evict_nobody() {
     let mut bench = three_robots();
     bench.set(&json!({"max_robots": 1}));
-    bench.say(pose("r2", 1.0, 1.0));
+    bench.receive(pose("r2", 1.0, 1.0));
     bench.wait(0.5);
     assert_eq!(bench.names(), ["r1", "r2", "r3"]);
     assert!(bench.happened().is_empty());
@@ -330,23 +330,23 @@ fn refused_messages_change_nothing() {
         for round in 0..40_u32 {
             let at = f64::from(round);
             if with_refused {
-                bench.say(pose("r4", at, at));
-                bench.say(pose("r1", f64::INFINITY, at));
-                bench.say(links("r2", &[("r2", 0.5)]));
-                bench.say(links("r2", &[("r3", 7.0)]));
-                bench.say(rank("r3", Some("r3"), None));
-                bench.say(relation("r1", "smell", &[("r2", 1.0)]));
-                bench.say(ordered(Some("a"), Some(0), None));
-                bench.say(token("r9", true));
-                bench.say(token("r9", false));
+                bench.receive(pose("r4", at, at));
+                bench.receive(pose("r1", f64::INFINITY, at));
+                bench.receive(links("r2", &[("r2", 0.5)]));
+                bench.receive(links("r2", &[("r3", 7.0)]));
+                bench.receive(rank("r3", Some("r3"), None));
+                bench.receive(relation("r1", "smell", &[("r2", 1.0)]));
+                bench.receive(ordered(Some("a"), Some(0), None));
+                bench.receive(token("r9", true));
+                bench.receive(token("r9", false));
             }
             let mut moved = bare_pose(at, 0.0);
             moved.boot = Some("a".to_owned());
             moved.seq = Some(u64::from(round) * 2);
             assert!(moved.check().is_ok());
-            bench.say(report("r1", moved));
+            bench.receive(report("r1", moved));
             if with_refused {
-                bench.say(ordered(Some("a"), Some(u64::from(round) * 2), None));
+                bench.receive(ordered(Some("a"), Some(u64::from(round) * 2), None));
             }
             bench.wait(0.07);
         }

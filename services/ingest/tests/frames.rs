@@ -8,11 +8,11 @@ use std::collections::BTreeMap;
 
 use bench::{Bench, bare_pose, links, modality, pose, rank, relation, report, seconds, token};
 use muster_ingest::Ingest;
-use muster_machine::{Core, Delivery, Event, START_FETCH};
 use muster_model::graph::{GraphDelta, GraphReplica};
 use muster_model::id::ServiceName;
 use muster_model::observation::Pose;
 use muster_model::settings::IngestSettings;
+use muster_service::{Core, Delivery, Input, ServedKey};
 use muster_wire::{Key, Message, Pattern};
 use serde_json::json;
 
@@ -35,38 +35,42 @@ fn the_wiring_takes_every_stream_and_serves_every_output() {
         assert_eq!(subscription.delivery, Delivery::Latest);
     }
     assert_eq!(wiring.tokens, [Pattern::RobotTokens]);
-    assert_eq!(wiring.served, [(Pattern::Graphs, true), (Pattern::One(Key::Roster), true)]);
+    assert_eq!(
+        wiring.served,
+        [ServedKey::own(Pattern::Graphs), ServedKey::own(Pattern::One(Key::Roster))]
+    );
     assert_eq!(Ingest::SERVICE, ServiceName::Ingest);
 }
 
 #[test]
-fn nothing_is_told_before_the_last_term_is_known() {
+fn nothing_is_published_before_the_last_term_is_known() {
     let mut bench = Bench::asleep(IngestSettings::default());
-    bench.step(Event::Started);
-    let of_role = [Key::Holder, Key::Settings].map(|key| Pattern::One(key(ServiceName::Ingest)));
-    let mut asked = vec![Pattern::One(Key::Roster), Pattern::Graphs];
-    asked.extend(of_role);
-    assert_eq!(bench.fetches, [(START_FETCH, asked)]);
-    bench.say(pose("r1", 0.0, 0.0));
-    bench.say(pose("r1", f64::NAN, 0.0));
-    bench.say(token("r2", true));
-    bench.step(Event::Timeout);
+    bench.begin_inquiry();
+    // The question for the leader is answered: there is none.
+    let settings = Pattern::One(Key::Settings(ServiceName::Ingest));
+    assert_eq!(bench.asked(), [Pattern::One(Key::Roster), Pattern::Graphs, settings]);
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", f64::NAN, 0.0));
+    bench.receive(token("r2", true));
+    bench.input(Input::Timer);
     bench.wait(1.0);
     assert!(bench.published.is_empty() && bench.events.is_empty());
     assert_eq!(bench.get("roster", None), Ok(vec![]));
     assert_eq!(bench.get("graph/spatial", None), Ok(vec![]));
     assert_eq!(bench.get("teams", None), Ok(vec![]));
     assert_eq!(bench.status().state, "waiting for the bus");
-    bench.step(Event::Fetched { fetch: START_FETCH, messages: Vec::new() });
-    bench.wait(0.0);
+    let asks = bench.asks.clone();
+    bench.answer_all(Vec::new());
+    bench.wait(0.001);
     assert_eq!(bench.happened(), ["joined r1", "joined r2"]);
     assert_eq!(bench.counter("robots_joined"), 2);
     assert_eq!(bench.names(), ["r1", "r2"]);
     assert_eq!(bench.counter("messages_refused"), 1);
-    // A second answer to the same question changes nothing.
+    // A second answer to the same questions changes nothing.
     let revision = bench.roster.as_ref().unwrap().header.revision;
-    bench.step(Event::Fetched { fetch: START_FETCH, messages: Vec::new() });
-    bench.say(pose("r1", 1.0, 0.0));
+    bench.asks.splice(..0, asks);
+    bench.answer_all(Vec::new());
+    bench.receive(pose("r1", 1.0, 0.0));
     bench.wait(0.5);
     assert_eq!(bench.roster.as_ref().unwrap().header.revision.term, revision.term);
 }
@@ -82,20 +86,20 @@ fn a_term_begins_with_every_graph_even_if_it_is_empty() {
     }
     assert!(matches!(bench.published.last(), Some((_, Message::Roster(_)))), "the roster is last");
     bench.wait(59.9);
-    assert_eq!(bench.frame_times().len(), 61, "an empty roster that was lost is told again");
+    assert_eq!(bench.frame_times().len(), 61, "an empty roster that was lost is published again");
     assert_eq!(bench.delta_count(), 4);
 }
 
 #[test]
 fn a_frame_has_one_revision_and_the_roster_lists_each_graph_with_its_own() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
-    bench.say(pose("r2", 1.0, 0.0));
-    bench.say(pose("r3", 3.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r2", 1.0, 0.0));
+    bench.receive(pose("r3", 3.0, 0.0));
     bench.wait(0.2);
     let from = bench.published.len();
-    bench.say(pose("r1", 0.5, 0.0));
-    bench.say(rank("r1", Some("r2"), None));
+    bench.receive(pose("r1", 0.5, 0.0));
+    bench.receive(rank("r1", Some("r2"), None));
     bench.wait(0.2);
     let heads: Vec<_> =
         bench.published[from..].iter().map(|(_, message)| message.header().unwrap()).collect();
@@ -114,14 +118,14 @@ fn a_frame_has_one_revision_and_the_roster_lists_each_graph_with_its_own() {
 }
 
 #[test]
-fn the_first_change_after_a_quiet_time_is_told_at_once_and_others_keep_the_rate() {
+fn the_first_change_after_a_quiet_time_is_published_at_once_and_others_keep_the_rate() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(0.55);
     let start = bench.now;
     let from = bench.frame_times().len();
     for step in 1..=100 {
-        bench.say(pose("r1", f64::from(step), 0.0));
+        bench.receive(pose("r1", f64::from(step), 0.0));
         bench.wait(0.01);
     }
     let times = &bench.frame_times()[from..];
@@ -133,7 +137,7 @@ fn the_first_change_after_a_quiet_time_is_told_at_once_and_others_keep_the_rate(
     bench.set(&json!({"tick_hz": 2.0}));
     let from = bench.frame_times().len();
     for step in 1..=300 {
-        bench.say(pose("r1", f64::from(step), 0.0));
+        bench.receive(pose("r1", f64::from(step), 0.0));
         bench.wait(0.01);
     }
     for pair in bench.frame_times()[from..].windows(2) {
@@ -144,14 +148,14 @@ fn the_first_change_after_a_quiet_time_is_told_at_once_and_others_keep_the_rate(
 #[test]
 fn frames_that_take_long_are_fewer_until_they_are_short_again() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(0.5);
     let from = bench.frame_times().len();
     for step in 1..=200 {
         let frames = bench.frame_times().len();
-        bench.say(pose("r1", f64::from(step), 0.0));
-        bench.step(Event::Timeout);
-        // The next event comes when the frame is made and told, and 60 ms are more than a quarter of a
+        bench.receive(pose("r1", f64::from(step), 0.0));
+        bench.input(Input::Timer);
+        // The next event comes when the frame is made and published, and 60 ms are more than a quarter of a
         // tick.
         let made = bench.frame_times().len() > frames;
         bench.now = bench.now.after(seconds(if made { 0.06 } else { 0.01 }));
@@ -164,12 +168,12 @@ fn frames_that_take_long_are_fewer_until_they_are_short_again() {
 
     // A host that hangs during a frame makes the next one at once, and then has its tick again.
     bench.wait(1.0);
-    bench.say(pose("r1", -1.0, 0.0));
-    bench.step(Event::Timeout);
+    bench.receive(pose("r1", -1.0, 0.0));
+    bench.input(Input::Timer);
     bench.now = bench.now.after(seconds(1.5));
     let from = bench.frame_times().len();
     for step in 1..=50 {
-        bench.say(pose("r1", f64::from(step), 1.0));
+        bench.receive(pose("r1", f64::from(step), 1.0));
         bench.wait(0.01);
     }
     let times = &bench.frame_times()[from..];
@@ -180,12 +184,12 @@ fn frames_that_take_long_are_fewer_until_they_are_short_again() {
 #[test]
 fn an_early_timeout_makes_no_frame() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
-    bench.wait(0.0);
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.wait(0.001);
     let frames = bench.frame_times().len();
-    bench.say(pose("r1", 1.0, 0.0));
+    bench.receive(pose("r1", 1.0, 0.0));
     bench.now = bench.now.after(seconds(0.09));
-    bench.step(Event::Timeout);
+    bench.input(Input::Timer);
     assert_eq!(bench.frame_times().len(), frames);
     bench.wait(0.01);
     assert_eq!(bench.frame_times().len(), frames + 1);
@@ -195,10 +199,10 @@ fn an_early_timeout_makes_no_frame() {
 fn what_repeats_itself_leads_to_heartbeats_only() {
     let mut bench = Bench::default();
     let say = |bench: &mut Bench| {
-        bench.say(pose("r1", 0.0, 0.0));
-        bench.say(pose("r2", 3.0, 0.0));
-        bench.say(links("r1", &[("r2", 0.5), ("r3", 0.1)]));
-        bench.say(rank("r2", Some("r1"), None));
+        bench.receive(pose("r1", 0.0, 0.0));
+        bench.receive(pose("r2", 3.0, 0.0));
+        bench.receive(links("r1", &[("r2", 0.5), ("r3", 0.1)]));
+        bench.receive(rank("r2", Some("r1"), None));
     };
     say(&mut bench);
     bench.wait(0.5);
@@ -211,7 +215,7 @@ fn what_repeats_itself_leads_to_heartbeats_only() {
     let beats = bench.frame_times().len() - frames;
     assert!((9..=10).contains(&beats), "{beats}");
     let last_seen = bench.entry("r1").unwrap().last_seen;
-    assert!(bench.now.since(last_seen) < seconds(1.2), "heartbeats tell who was heard");
+    assert!(bench.now.since(last_seen) < seconds(1.2), "heartbeats say who was received");
     for pair in bench.frame_times()[frames..].windows(2) {
         assert_eq!(pair[1].since(pair[0]), seconds(1.0));
     }
@@ -224,7 +228,7 @@ fn slow_frames_have_slow_heartbeats() {
         gone_after_s: 60.0,
         ..IngestSettings::default()
     });
-    bench.say(token("r1", true));
+    bench.receive(token("r1", true));
     bench.wait(11.0);
     for pair in bench.frame_times().windows(2) {
         assert_eq!(pair[1].since(pair[0]), seconds(2.0));
@@ -235,15 +239,15 @@ fn slow_frames_have_slow_heartbeats() {
 #[test]
 fn a_report_that_changes_no_graph_leads_to_no_frame() {
     let mut bench = Bench::default();
-    bench.say(token("r1", true));
+    bench.receive(token("r1", true));
     bench.wait(0.2);
     let frames = bench.published.len();
     for quality in 0..5 {
-        bench.say(links("r1", &[("unknown", f64::from(quality) / 10.0)]));
+        bench.receive(links("r1", &[("unknown", f64::from(quality) / 10.0)]));
         bench.wait(0.1);
     }
     assert_eq!(bench.published.len(), frames);
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(0.1);
     assert_eq!(bench.published.len(), frames + 1, "a first pose alone is news for the roster");
 }
@@ -252,19 +256,19 @@ fn a_report_that_changes_no_graph_leads_to_no_frame() {
 fn a_delta_holds_only_the_rows_that_changed() {
     let mut bench = Bench::default();
     for name in ["r1", "r2", "r3", "r4"] {
-        bench.say(token(name, true));
+        bench.receive(token(name, true));
     }
-    bench.say(links("r1", &[("r2", 0.5), ("r3", 0.25)]));
-    bench.say(links("r4", &[("r2", 1.0)]));
+    bench.receive(links("r1", &[("r2", 0.5), ("r3", 0.25)]));
+    bench.receive(links("r4", &[("r2", 1.0)]));
     bench.wait(0.2);
     let from = bench.published.len();
-    bench.say(links("r1", &[("r3", 0.25)]));
+    bench.receive(links("r1", &[("r3", 0.25)]));
     bench.wait(0.2);
     let changed = deltas(&bench, "connectivity", from);
     assert_eq!(changed.len(), 1);
     let rows: Vec<_> = changed[0].rows.iter().map(|row| (row.source, row.edges.clone())).collect();
     assert_eq!(rows, [(2, vec![(4, 1.0)])]);
-    bench.say(links("r4", &[]));
+    bench.receive(links("r4", &[]));
     let from = bench.published.len();
     bench.wait(0.2);
     let changed = deltas(&bench, "connectivity", from);
@@ -277,11 +281,11 @@ fn edges_run_as_the_modality_says() {
     let settings =
         IngestSettings { modalities: vec![modality("thermal")], ..IngestSettings::default() };
     let mut bench = Bench::new(settings);
-    bench.say(pose("r1", 0.0, 0.0));
-    bench.say(pose("r2", 1.0, 0.0));
-    bench.say(links("r1", &[("r2", 0.5)]));
-    bench.say(rank("r1", Some("r2"), Some(4.0)));
-    bench.say(relation("r1", "thermal", &[("r2", 7.0), ("r3", 0.0)]));
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r2", 1.0, 0.0));
+    bench.receive(links("r1", &[("r2", 0.5)]));
+    bench.receive(rank("r1", Some("r2"), Some(4.0)));
+    bench.receive(relation("r1", "thermal", &[("r2", 7.0), ("r3", 0.0)]));
     bench.wait(0.2);
     assert_eq!(bench.weight("connectivity", "r2", "r1"), Some(0.5));
     assert_eq!(bench.weight("hierarchy", "r2", "r1"), Some(4.0));
@@ -298,11 +302,11 @@ fn robots_of_different_frames_and_unplaced_ones_are_not_near() {
     let frames = vec!["map".to_owned(), "odom".to_owned()];
     let mut bench = Bench::new(IngestSettings { frames, ..IngestSettings::default() });
     let odom = |x: f64| Pose { frame: Some("odom".to_owned()), ..bare_pose(x, 0.0) };
-    bench.say(pose("r1", 0.0, 0.0));
-    bench.say(pose("r2", 1.0, 0.0));
-    bench.say(report("r3", odom(0.5)));
-    bench.say(report("r4", odom(1.5)));
-    bench.say(token("r5", true));
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r2", 1.0, 0.0));
+    bench.receive(report("r3", odom(0.5)));
+    bench.receive(report("r4", odom(1.5)));
+    bench.receive(token("r5", true));
     bench.wait(0.2);
     let edges: Vec<_> = bench.graph("spatial").into_keys().collect();
     let named: Vec<_> = edges.iter().map(|(from, to)| format!("{from}-{to}")).collect();
@@ -312,15 +316,15 @@ fn robots_of_different_frames_and_unplaced_ones_are_not_near() {
 }
 
 #[test]
-fn the_head_tells_the_ages_of_the_data() {
+fn the_header_holds_the_ages_of_the_data() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     let first = bench.now;
     bench.wait(0.3);
-    bench.say(pose("r2", 1.0, 0.0));
+    bench.receive(pose("r2", 1.0, 0.0));
     let second = bench.now;
     bench.wait(0.3);
-    bench.say(links("r2", &[("r1", 0.5)]));
+    bench.receive(links("r2", &[("r1", 0.5)]));
     let third = bench.now;
     bench.wait(0.05);
     let header = &bench.roster.as_ref().unwrap().header;
@@ -329,14 +333,14 @@ fn the_head_tells_the_ages_of_the_data() {
     assert_eq!((stage.stage, stage.received, header.stages.len()), (ServiceName::Ingest, third, 1));
     assert!(stage.published >= third);
     bench.wait(2.0);
-    bench.say(pose("r2", 2.0, 0.0));
+    bench.receive(pose("r2", 2.0, 0.0));
     bench.wait(0.2);
     let header = bench.roster.as_ref().unwrap().header.clone();
     assert_eq!(header.oldest, header.newest, "a stale robot's pose does not count");
     bench.wait(3.0);
     let all_stale = &bench.roster.as_ref().unwrap().header;
     assert_eq!((all_stale.oldest, all_stale.newest), (Some(first), header.newest));
-    bench.say(token("r3", true));
+    bench.receive(token("r3", true));
     bench.wait(0.2);
     assert_eq!(bench.roster.as_ref().unwrap().header.oldest, None, "nobody active is placed");
 }
@@ -344,11 +348,11 @@ fn the_head_tells_the_ages_of_the_data() {
 #[test]
 fn gets_are_answered_with_the_last_frame() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
-    bench.say(pose("r2", 1.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r2", 1.0, 0.0));
     bench.wait(0.2);
     let roster = bench.roster.clone().unwrap();
-    bench.say(pose("r3", 2.0, 0.0));
+    bench.receive(pose("r3", 2.0, 0.0));
     assert_eq!(bench.get("roster", None), Ok(vec![Message::Roster(roster.clone())]));
     let answer = bench.get("graph/*", None).unwrap();
     assert_eq!(answer.len(), 3);
@@ -370,11 +374,11 @@ fn gets_are_answered_with_the_last_frame() {
 #[test]
 fn declared_modalities_come_and_go() {
     let mut bench = Bench::default();
-    bench.say(token("r1", true));
-    bench.say(token("r2", true));
+    bench.receive(token("r1", true));
+    bench.receive(token("r2", true));
     bench.wait(0.2);
     bench.set(&json!({"modalities": ["thermal"]}));
-    bench.say(relation("r1", "thermal", &[("r2", 1.0)]));
+    bench.receive(relation("r1", "thermal", &[("r2", 1.0)]));
     bench.wait(0.2);
     assert_eq!(bench.graph("thermal").len(), 1);
     let before = bench.published.len();
@@ -392,7 +396,7 @@ fn declared_modalities_come_and_go() {
 fn new_kernels_make_new_weights() {
     let mut bench = Bench::default();
     for (name, x) in [("r1", 0.0), ("r2", 1.0), ("r3", 3.0)] {
-        bench.say(pose(name, x, 0.0));
+        bench.receive(pose(name, x, 0.0));
     }
     bench.wait(0.2);
     let before = bench.weight("spatial", "r1", "r3").unwrap();
@@ -415,7 +419,7 @@ fn the_graph_does_not_depend_on_who_came_first() {
             order.reverse();
         }
         for (name, x) in order {
-            bench.say(pose(name, x, 0.0));
+            bench.receive(pose(name, x, 0.0));
         }
         bench.wait(0.2);
         bench.graph("spatial")

@@ -5,8 +5,12 @@
 mod bench;
 
 use bench::{Bench, links, pose, rank, token};
-use muster_machine::Event;
+use muster_model::event::EventKind;
+use muster_model::id::{InstanceId, ServiceName};
+use muster_model::role::ReplicaState;
 use muster_model::roster::Presence::{Active, Stale};
+use muster_service::Input;
+use muster_wire::Message;
 use serde_json::json;
 
 #[test]
@@ -15,7 +19,7 @@ fn a_robot_joins_by_any_message_and_by_its_token() {
     for message in
         [pose("r1", 0.0, 0.0), links("r2", &[]), rank("r3", None, None), token("r4", true)]
     {
-        bench.say(message);
+        bench.receive(message);
     }
     assert_eq!(bench.happened(), ["joined r1", "joined r2", "joined r3", "joined r4"]);
     bench.wait(0.2);
@@ -30,7 +34,7 @@ fn a_robot_joins_by_any_message_and_by_its_token() {
 #[test]
 fn a_silent_robot_is_stale_and_then_gone() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(1.999);
     assert_eq!(bench.happened(), ["joined r1"]);
     bench.wait(0.001);
@@ -50,13 +54,13 @@ fn a_silent_robot_is_stale_and_then_gone() {
 #[test]
 fn a_stale_robot_recovers_by_a_pose_only_and_is_stale_again() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(3.0);
     bench.happened();
-    bench.say(links("r1", &[]));
-    bench.say(token("r1", true));
+    bench.receive(links("r1", &[]));
+    bench.receive(token("r1", true));
     assert!(bench.happened().is_empty());
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     assert_eq!(bench.happened(), ["recovered r1"]);
     bench.wait(0.2);
     assert_eq!(bench.presence("r1"), Some(Active));
@@ -67,10 +71,10 @@ fn a_stale_robot_recovers_by_a_pose_only_and_is_stale_again() {
 #[test]
 fn other_streams_keep_a_stale_robot_in_the_fleet() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     for _ in 0..30 {
         bench.wait(1.0);
-        bench.say(links("r1", &[]));
+        bench.receive(links("r1", &[]));
     }
     assert_eq!(bench.happened(), ["joined r1", "stale r1"]);
     bench.wait(9.9);
@@ -82,19 +86,19 @@ fn other_streams_keep_a_stale_robot_in_the_fleet() {
 #[test]
 fn a_token_keeps_an_unplaced_robot() {
     let mut bench = Bench::default();
-    bench.say(token("r1", true));
+    bench.receive(token("r1", true));
     bench.wait(100.0);
     assert_eq!(bench.happened(), ["joined r1"]);
     assert_eq!(bench.presence("r1"), Some(Active));
-    bench.say(token("r1", false));
+    bench.receive(token("r1", false));
     bench.wait(1.999);
     assert!(bench.happened().is_empty());
     bench.wait(0.001);
     assert_eq!(bench.happened(), ["stale r1"]);
-    bench.say(token("r1", true));
+    bench.receive(token("r1", true));
     assert_eq!(bench.happened(), ["recovered r1"]);
     bench.wait(50.0);
-    bench.say(token("r1", false));
+    bench.receive(token("r1", false));
     bench.wait(10.0);
     assert_eq!(bench.happened(), ["stale r1", "left r1"]);
 }
@@ -102,10 +106,10 @@ fn a_token_keeps_an_unplaced_robot() {
 #[test]
 fn an_unplaced_robot_without_a_token_lives_by_its_messages() {
     let mut bench = Bench::default();
-    bench.say(rank("r1", None, None));
+    bench.receive(rank("r1", None, None));
     bench.wait(2.0);
     assert_eq!(bench.happened(), ["joined r1", "stale r1"]);
-    bench.say(links("r1", &[]));
+    bench.receive(links("r1", &[]));
     assert_eq!(bench.happened(), ["recovered r1"]);
     bench.wait(2.0);
     assert_eq!(bench.happened(), ["stale r1"]);
@@ -116,15 +120,15 @@ fn an_unplaced_robot_without_a_token_lives_by_its_messages() {
 #[test]
 fn the_loss_of_a_token_is_a_sign_and_a_message_after_it_another() {
     let mut bench = Bench::default();
-    bench.say(token("r1", true));
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(token("r1", true));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(1.0);
-    bench.say(token("r1", false));
+    bench.receive(token("r1", false));
     bench.wait(1.0);
     assert_eq!(bench.happened(), ["joined r1", "stale r1"], "its pose is two seconds old");
     bench.wait(8.5);
     assert!(bench.happened().is_empty(), "gone ten seconds after the token");
-    bench.say(rank("r1", None, None));
+    bench.receive(rank("r1", None, None));
     bench.wait(9.9);
     assert!(bench.happened().is_empty());
     bench.wait(0.1);
@@ -134,14 +138,14 @@ fn the_loss_of_a_token_is_a_sign_and_a_message_after_it_another() {
 #[test]
 fn a_process_that_hangs_leaves_though_its_token_stays() {
     let mut bench = Bench::default();
-    bench.say(token("r1", true));
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(token("r1", true));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(10.0);
     assert_eq!(bench.happened(), ["joined r1", "stale r1", "left r1"]);
-    bench.say(token("r1", true));
+    bench.receive(token("r1", true));
     bench.wait(20.0);
     assert!(bench.happened().is_empty(), "its token does not bring it back");
-    bench.say(rank("r1", None, None));
+    bench.receive(rank("r1", None, None));
     bench.wait(50.0);
     assert_eq!(bench.happened(), ["joined r1"], "its token keeps it, unplaced as it is");
     assert_eq!(bench.entry("r1").unwrap().position, None);
@@ -151,13 +155,13 @@ fn a_process_that_hangs_leaves_though_its_token_stays() {
 #[test]
 fn a_hung_robot_that_restarts_joins_by_its_new_token() {
     let mut bench = Bench::default();
-    bench.say(token("r1", true));
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(token("r1", true));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(15.0);
     bench.happened();
-    bench.say(token("r1", false));
+    bench.receive(token("r1", false));
     assert!(bench.happened().is_empty());
-    bench.say(token("r1", true));
+    bench.receive(token("r1", true));
     assert_eq!(bench.happened(), ["joined r1"]);
 }
 
@@ -165,19 +169,19 @@ fn a_hung_robot_that_restarts_joins_by_its_new_token() {
 fn whoever_leaves_takes_all_that_was_said_along() {
     let mut bench = Bench::default();
     for _ in 0..30 {
-        bench.say(pose("r2", 1.0, 0.0));
-        bench.say(pose("r3", 2.0, 0.0));
+        bench.receive(pose("r2", 1.0, 0.0));
+        bench.receive(pose("r3", 2.0, 0.0));
         if bench.entry("r1").is_none() && bench.names().is_empty() {
-            bench.say(pose("r1", 0.0, 0.0));
-            bench.say(links("r1", &[("r2", 0.5)]));
-            bench.say(rank("r2", Some("r1"), None));
+            bench.receive(pose("r1", 0.0, 0.0));
+            bench.receive(links("r1", &[("r2", 0.5)]));
+            bench.receive(rank("r2", Some("r1"), None));
         }
         bench.wait(0.5);
     }
     assert_eq!(bench.names(), ["r2", "r3"]);
     assert!(bench.graph("connectivity").is_empty());
     assert!(bench.graph("hierarchy").is_empty());
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(0.5);
     assert!(bench.graph("connectivity").is_empty(), "what it said before it left is forgotten");
     assert_eq!(bench.weight("hierarchy", "r1", "r2"), Some(1.0), "what others say counts again");
@@ -186,12 +190,12 @@ fn whoever_leaves_takes_all_that_was_said_along() {
 #[test]
 fn relations_to_unknown_robots_count_once_these_join() {
     let mut bench = Bench::default();
-    bench.say(links("r1", &[("r2", 0.5)]));
-    bench.say(rank("r1", Some("r2"), Some(3.0)));
+    bench.receive(links("r1", &[("r2", 0.5)]));
+    bench.receive(rank("r1", Some("r2"), Some(3.0)));
     bench.wait(0.5);
     assert!(bench.graph("connectivity").is_empty());
     assert_eq!(bench.entry("r1").unwrap().superior, Some(bench::robot("r2")));
-    bench.say(token("r2", true));
+    bench.receive(token("r2", true));
     bench.wait(0.5);
     assert_eq!(bench.weight("connectivity", "r2", "r1"), Some(0.5));
     assert_eq!(bench.weight("hierarchy", "r2", "r1"), Some(3.0));
@@ -200,41 +204,41 @@ fn relations_to_unknown_robots_count_once_these_join() {
 #[test]
 fn nobody_is_judged_while_the_link_is_lost() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
-    bench.say(rank("r2", None, None));
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.receive(rank("r2", None, None));
     bench.wait(1.5);
     bench.happened();
-    bench.step(Event::LinkLost);
+    bench.input(Input::LinkLost);
     let frames = bench.frame_times().len();
     bench.wait(100.0);
-    bench.step(Event::LinkLost);
-    bench.step(Event::Timeout);
+    bench.input(Input::LinkLost);
+    bench.input(Input::Timer);
     assert!(bench.happened().is_empty());
     assert_eq!(bench.frame_times().len(), frames);
     assert_eq!(bench.status().state, "2 robots, 0 stale, the link to the router is lost");
-    bench.step(Event::LinkRestored);
+    bench.input(Input::LinkRestored);
     assert_eq!(bench.happened(), ["link back after 100 s"]);
-    bench.wait(0.0);
-    assert_eq!(bench.frame_times().len(), frames + 1, "consumers are told at once");
-    bench.wait(1.999);
-    assert!(bench.happened().is_empty(), "their patience begins anew");
+    bench.wait(0.001);
+    assert_eq!(bench.frame_times().len(), frames + 1, "consumers know at once");
+    bench.wait(1.998);
+    assert!(bench.happened().is_empty(), "their grace period begins again");
     bench.wait(0.001);
     assert_eq!(bench.happened(), ["stale r1", "stale r2"]);
     bench.wait(8.0);
     assert_eq!(bench.happened(), ["left r1", "left r2"]);
-    bench.step(Event::LinkRestored);
+    bench.input(Input::LinkRestored);
     assert!(bench.happened().is_empty(), "the link was not lost");
 }
 
 #[test]
 fn the_age_of_the_data_is_not_forgiven_with_the_outage() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     let said = bench.now;
     bench.wait(1.0);
-    bench.step(Event::LinkLost);
+    bench.input(Input::LinkLost);
     bench.wait(30.0);
-    bench.step(Event::LinkRestored);
+    bench.input(Input::LinkRestored);
     bench.wait(0.1);
     assert_eq!(bench.presence("r1"), Some(Active));
     assert_eq!(bench.entry("r1").unwrap().last_seen, said);
@@ -245,21 +249,21 @@ fn the_age_of_the_data_is_not_forgiven_with_the_outage() {
 fn tokens_that_are_lost_with_the_link_are_no_sign_of_dead_robots() {
     let mut bench = Bench::default();
     for name in ["dead", "shortly", "during", "never"] {
-        bench.say(token(name, true));
+        bench.receive(token(name, true));
     }
     bench.wait(1.0);
     bench.happened();
-    bench.say(token("dead", false));
+    bench.receive(token("dead", false));
     bench.wait(2.5);
     assert_eq!(bench.happened(), ["stale dead"]);
-    bench.say(token("shortly", false));
+    bench.receive(token("shortly", false));
     bench.wait(0.3);
-    bench.step(Event::LinkLost);
-    bench.say(token("during", false));
+    bench.input(Input::LinkLost);
+    bench.receive(token("during", false));
     bench.wait(60.0);
-    bench.step(Event::LinkRestored);
+    bench.input(Input::LinkRestored);
     bench.happened();
-    bench.say(token("shortly", true));
+    bench.receive(token("shortly", true));
     bench.wait(0.2);
     assert_eq!(bench.presence("dead"), Some(Stale), "the link's return is no sign of life");
     bench.wait(1.7);
@@ -274,16 +278,16 @@ fn tokens_that_are_lost_with_the_link_are_no_sign_of_dead_robots() {
 #[test]
 fn messages_during_an_outage_are_kept() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(3.0);
-    bench.step(Event::LinkLost);
+    bench.input(Input::LinkLost);
     bench.wait(1.0);
     bench.happened();
-    bench.say(pose("r1", 5.0, 0.0));
-    bench.say(pose("r2", 6.0, 0.0));
-    assert!(bench.happened().is_empty(), "nobody would hear of it");
+    bench.receive(pose("r1", 5.0, 0.0));
+    bench.receive(pose("r2", 6.0, 0.0));
+    assert!(bench.happened().is_empty(), "nobody would receive it");
     bench.wait(1.0);
-    bench.step(Event::LinkRestored);
+    bench.input(Input::LinkRestored);
     bench.wait(0.2);
     assert_eq!(bench.happened(), ["link back after 2 s", "recovered r1"]);
     assert_eq!(bench.entry("r1").unwrap().position, Some([5.0, 0.0, 0.0]));
@@ -291,23 +295,23 @@ fn messages_during_an_outage_are_kept() {
 }
 
 #[test]
-fn new_patience_is_applied_at_once() {
+fn a_new_grace_period_is_applied_at_once() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(3.0);
     assert_eq!(bench.happened(), ["joined r1", "stale r1"]);
     bench.set(&json!({"stale_after_s": 5.0}));
     bench.wait(0.1);
     assert_eq!(bench.happened(), ["recovered r1"]);
     bench.set(&json!({"stale_after_s": 1.0, "gone_after_s": 2.0}));
-    bench.wait(0.0);
+    bench.wait(0.001);
     assert_eq!(bench.happened(), ["left r1"]);
 }
 
 #[test]
-fn an_empty_roster_is_told_again_and_again() {
+fn an_empty_roster_is_published_again_and_again() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(10.2);
     assert!(bench.names().is_empty());
     let frames = bench.frame_times().len();
@@ -318,15 +322,68 @@ fn an_empty_roster_is_told_again_and_again() {
 #[test]
 fn the_return_of_the_link_makes_no_stale_robot_active_and_gives_it_time_to_speak() {
     let mut bench = Bench::default();
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(9.0);
     bench.happened();
-    bench.step(Event::LinkLost);
+    bench.input(Input::LinkLost);
     bench.wait(5.0);
-    bench.step(Event::LinkRestored);
+    bench.input(Input::LinkRestored);
     bench.wait(9.9);
     assert_eq!(bench.happened(), ["link back after 5 s"]);
     assert_eq!(bench.presence("r1"), Some(Stale));
     bench.wait(0.1);
     assert_eq!(bench.happened(), ["left r1"]);
+}
+
+#[test]
+fn a_pause_is_no_outage_and_no_robot_is_judged_by_the_time_that_ingest_did_not_run() {
+    let mut bench = Bench::default();
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.receive(rank("r2", None, None));
+    bench.wait(1.5);
+    bench.happened();
+    bench.now = bench.now.after(bench::seconds(3.0));
+    bench.input(Input::Timer);
+    assert!(bench.happened().is_empty());
+    assert!(!bench.events.iter().any(|event| matches!(event, EventKind::LinkRestored { .. })));
+    bench.wait(1.999);
+    assert!(bench.happened().is_empty(), "their grace period begins again");
+    assert_eq!(bench.presence("r1"), Some(Active));
+    bench.wait(0.1);
+    assert_eq!(bench.happened(), ["stale r1", "stale r2"]);
+    // A real outage is reported as before.
+    bench.input(Input::LinkLost);
+    bench.wait(3.0);
+    bench.input(Input::LinkRestored);
+    assert_eq!(bench.happened(), ["link back after 3 s"]);
+}
+
+/// With others about, a leader that was paused waits until its link has proved sound.
+#[test]
+fn a_paused_leader_with_peers_judges_nobody_until_it_is_confirmed() {
+    let mut bench = Bench::default();
+    let instance = InstanceId::new("other-1").unwrap();
+    let token = Message::ServiceToken { service: ServiceName::Ingest, instance, alive: true };
+    bench.receive(token.to_packet(bench.space()));
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.wait(0.5);
+    bench.happened();
+    let frames = bench.frame_times().len();
+    bench.now = bench.now.after(bench::seconds(3.0));
+    bench.input(Input::Timer);
+    assert_eq!(bench.status().standing, ReplicaState::Suspect);
+    assert_eq!(bench.status().state, "1 robot, 0 stale, the process was paused");
+    bench.wait(0.6);
+    assert_eq!(bench.frame_times().len(), frames);
+    bench.wait(0.2);
+    assert_eq!(bench.status().standing, ReplicaState::Leading);
+    assert!(bench.frame_times().len() > frames);
+    assert!(bench.events.is_empty(), "neither stale robots nor a restored link");
+    // A link that is lost while it is paused is an outage.
+    bench.now = bench.now.after(bench::seconds(3.0));
+    bench.input(Input::LinkLost);
+    bench.wait(2.0);
+    bench.input(Input::LinkRestored);
+    bench.wait(0.7);
+    assert_eq!(bench.happened(), ["link back after 2.7 s"]);
 }

@@ -6,10 +6,10 @@
 mod bench;
 
 use bench::{Bench, Put, links, modality, named, pose, rank, relation, seconds, token};
-use muster_machine::{Event, Stored};
 use muster_model::graph::GraphReplica;
 use muster_model::roster::{Presence, RosterEntry};
 use muster_model::settings::{IngestSettings, Settings};
+use muster_service::{Input, Stored};
 use muster_wire::Message;
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -96,11 +96,11 @@ fn the_roster_catches_up(bench: &mut Bench) -> bool {
     (0..5).any(|_| {
         let known = bench.counter("robots_joined") + bench.counter("robots_restored")
             - bench.counter("robots_left");
-        let is_told = known == bench.names().len() as u64;
-        if !is_told {
+        let is_published = known == bench.names().len() as u64;
+        if !is_published {
             bench.wait(0.2);
         }
-        is_told
+        is_published
     })
 }
 
@@ -116,17 +116,17 @@ proptest! {
         let mut bench = Bench::new(settings.clone());
         for step in steps {
             match step {
-                Step::Say(message) => bench.say(message),
+                Step::Say(message) => bench.receive(message),
                 Step::Wait(duration_s) => {
                     bench.wait(duration_s);
                     answers_are_what_was_followed(&mut bench);
                 }
                 Step::Set(patch) => bench.set(&patch),
-                Step::Link(true) => bench.step(Event::LinkRestored),
-                Step::Link(false) => bench.step(Event::LinkLost),
+                Step::Link(true) => bench.input(Input::LinkRestored),
+                Step::Link(false) => bench.input(Input::LinkLost),
             }
         }
-        bench.step(Event::LinkRestored);
+        bench.input(Input::LinkRestored);
         bench.wait(0.3);
         answers_are_what_was_followed(&mut bench);
         frames_keep_their_rate(&bench);
@@ -138,22 +138,22 @@ proptest! {
         settings.max_robots = 6;
         let gone_after_s = settings.gone_after_s;
         let mut new = Bench::asleep_at(bench.now, settings, Stored::default());
-        new.begin(bench.remembered());
-        // An outage was forgiven before the restart; whoever was stale is not spared again.
-        let patience = seconds(gone_after_s);
+        new.start(bench.remembered());
+        // An outage was forgiven before the restart; whoever was stale has no grace period again.
+        let grace_period = seconds(gone_after_s);
         let roster = bench.roster.clone().unwrap();
         let now = new.now;
         let leaves = |entry: &RosterEntry| {
-            entry.presence == Presence::Stale && now.since(entry.last_seen) >= patience
+            entry.presence == Presence::Stale && now.since(entry.last_seen) >= grace_period
         };
         if roster.robots.iter().any(leaves) {
-            new.wait(0.0);
+            new.wait(0.001);
             let stay = roster.robots.iter().filter(|entry| !leaves(entry));
             prop_assert_eq!(new.names(), stay.map(|e| e.robot.as_str()).collect::<Vec<_>>());
             return Ok(());
         }
         // With nobody to restore, it waits for somebody to come.
-        new.wait(if bench.names().is_empty() { 1.0 } else { 0.0 });
+        new.wait(if bench.names().is_empty() { 1.0 } else { 0.001 });
         prop_assert_eq!(new.names(), bench.names());
         prop_assert_eq!(new.graphs.len(), bench.graphs.len());
         for (modality, graph) in &bench.graphs {
@@ -171,12 +171,12 @@ proptest! {
             let mut bench = Bench::new(IngestSettings::default());
             for (message, hundredths) in &steps {
                 if with_refused {
-                    bench.say(pose("a", f64::NAN, 0.0));
-                    bench.say(links("b", &[("c", 2.0)]));
-                    bench.say(rank("x", Some("x"), None));
-                    bench.say(relation("y", "thermal", &[("a", 1.0)]));
+                    bench.receive(pose("a", f64::NAN, 0.0));
+                    bench.receive(links("b", &[("c", 2.0)]));
+                    bench.receive(rank("x", Some("x"), None));
+                    bench.receive(relation("y", "thermal", &[("a", 1.0)]));
                 }
-                bench.say(message.clone());
+                bench.receive(message.clone());
                 bench.wait(f64::from(*hundredths) / 100.0);
             }
             bench.wait(1.0);

@@ -9,13 +9,13 @@ use std::sync::Arc;
 use bench::{
     Bench, Named, bare_pose, links, modality, pose, rank, relation, report, robot, seconds, token,
 };
-use muster_machine::{Event, START_FETCH, Stored, TERM_FETCH};
 use muster_model::graph::GraphDelta;
 use muster_model::observation::{Pose, Rank};
 use muster_model::roster::Presence::{Active, Stale};
 use muster_model::roster::Roster;
 use muster_model::settings::IngestSettings;
 use muster_model::time::Tick;
+use muster_service::{Input, Stored};
 use muster_wire::{Key, Message, Pattern};
 
 const MODALITIES: [&str; 4] = ["connectivity", "hierarchy", "spatial", "thermal"];
@@ -32,26 +32,26 @@ fn graphs(bench: &Bench) -> Vec<Named> {
 /// those of a new term.
 fn before() -> Bench {
     let mut bench = Bench::new(settings());
-    bench.say(rank("gone", None, None));
+    bench.receive(rank("gone", None, None));
     bench.wait(11.0);
     for (name, x) in [("r3", 3.0), ("r2", 1.0), ("r1", 0.0)] {
-        bench.say(pose(name, x, 0.0));
+        bench.receive(pose(name, x, 0.0));
     }
-    bench.say(token("r4", true));
-    bench.say(links("r1", &[("r2", 0.75), ("r3", 0.25), ("unknown", 1.0)]));
-    bench.say(links("r4", &[("r1", 0.5)]));
+    bench.receive(token("r4", true));
+    bench.receive(links("r1", &[("r2", 0.75), ("r3", 0.25), ("unknown", 1.0)]));
+    bench.receive(links("r4", &[("r1", 0.5)]));
     let (weight, role) = (Some(2.0), Some("scout".to_owned()));
-    bench.say(report("r2", Rank { weight, role, ..Rank::under(Some(robot("r1"))) }));
-    bench.say(rank("r3", Some("r2"), Some(0.0)));
-    bench.say(rank("r4", Some("unknown"), Some(3.0)));
-    bench.say(relation("r3", "thermal", &[("r1", 5.0), ("r4", 6.0)]));
+    bench.receive(report("r2", Rank { weight, role, ..Rank::under(Some(robot("r1"))) }));
+    bench.receive(rank("r3", Some("r2"), Some(0.0)));
+    bench.receive(rank("r4", Some("unknown"), Some(3.0)));
+    bench.receive(relation("r3", "thermal", &[("r1", 5.0), ("r4", 6.0)]));
     bench.wait(0.2);
     bench
 }
 
 fn after(now: Tick, remembered: Vec<Message>) -> Bench {
     let mut bench = Bench::asleep_at(now, settings(), Stored::default());
-    bench.begin(remembered);
+    bench.start(remembered);
     bench
 }
 
@@ -59,7 +59,7 @@ fn after(now: Tick, remembered: Vec<Message>) -> Bench {
 fn a_restart_leads_to_the_same_fleet_in_a_higher_term() {
     let mut old = before();
     let mut new = after(old.now, old.remembered());
-    new.wait(0.0);
+    new.wait(0.001);
     assert_eq!(graphs(&new), graphs(&old));
     let (old_roster, new_roster) = (old.roster.clone().unwrap(), new.roster.clone().unwrap());
     assert_eq!(new_roster.header.revision.term, old_roster.header.revision.term + 1);
@@ -70,7 +70,7 @@ fn a_restart_leads_to_the_same_fleet_in_a_higher_term() {
         assert_eq!(renumbered, *old);
     }
     let nodes: Vec<_> = new_roster.robots.iter().map(|entry| entry.node).collect();
-    assert_eq!(nodes, [0, 1, 2, 3], "nodes begin anew");
+    assert_eq!(nodes, [0, 1, 2, 3], "nodes are numbered again");
     assert_eq!(new_roster.header.oldest, old_roster.header.oldest, "ages stay what they are");
     assert!(new.happened().is_empty(), "nobody joined");
     assert_eq!(new.counter("robots_restored"), 4);
@@ -87,30 +87,30 @@ fn a_restart_leads_to_the_same_fleet_in_a_higher_term() {
 #[test]
 fn a_robot_without_new_poses_stays_stale_over_a_restart_while_it_says_other_things() {
     let mut old = Bench::new(settings());
-    old.say(pose("r1", 0.0, 0.0));
+    old.receive(pose("r1", 0.0, 0.0));
     let posed = old.now;
     for _ in 0..5 {
         old.wait(1.0);
-        old.say(links("r1", &[]));
+        old.receive(links("r1", &[]));
     }
     assert_eq!(old.happened(), ["joined r1", "stale r1"]);
     old.wait(1.1);
     let mut new = after(old.now, old.remembered());
     new.wait(1.0);
-    new.say(links("r1", &[]));
-    assert!(new.happened().is_empty(), "neither recovered nor stale anew");
+    new.receive(links("r1", &[]));
+    assert!(new.happened().is_empty(), "neither recovered nor stale again");
     assert_eq!(new.presence("r1"), Some(Stale));
     let oldest = new.roster.as_ref().unwrap().header.oldest.unwrap();
     assert!(
         new.now.since(oldest) > seconds(2.0) && oldest >= posed,
         "its pose is not made younger"
     );
-    new.say(pose("r1", 0.0, 0.0));
+    new.receive(pose("r1", 0.0, 0.0));
     assert_eq!(new.happened(), ["recovered r1"]);
 }
 
 #[test]
-fn restored_robots_have_their_whole_patience() {
+fn restored_robots_have_their_whole_grace_period() {
     let mut old = before();
     let remembered = old.remembered();
     old.now = old.now.after(seconds(3600.0));
@@ -123,8 +123,8 @@ fn restored_robots_have_their_whole_patience() {
     new.wait(0.1);
     assert_eq!(new.happened(), ["stale r1", "stale r2", "stale r3", "stale r4"]);
     assert_eq!(new.presence("r1"), Some(Stale));
-    new.say(token("r4", true));
-    new.say(pose("r1", 0.0, 0.0));
+    new.receive(token("r4", true));
+    new.receive(pose("r1", 0.0, 0.0));
     assert_eq!(new.happened(), ["recovered r4", "recovered r1"]);
     new.wait(7.9);
     new.happened();
@@ -135,20 +135,24 @@ fn restored_robots_have_their_whole_patience() {
 }
 
 #[test]
-fn what_was_said_in_this_run_wins_and_the_rest_is_restored() {
+fn what_was_reported_in_this_run_wins_and_the_rest_is_restored() {
     let mut old = before();
     let mut new = Bench::asleep_at(old.now, settings(), Stored::default());
-    new.step(Event::Started);
-    new.say(pose("r1", 100.0, 0.0));
-    new.say(links("r4", &[]));
-    new.say(pose("r9", 0.0, 0.0));
+    new.begin_inquiry();
+    new.receive(pose("r1", 100.0, 0.0));
+    new.receive(links("r4", &[]));
+    new.receive(pose("r9", 0.0, 0.0));
     new.wait(0.1);
-    new.step(Event::Fetched { fetch: START_FETCH, messages: old.remembered() });
-    new.wait(0.0);
+    new.answer_all(old.remembered());
+    new.wait(0.001);
     assert_eq!(new.happened(), ["joined r9"]);
     assert_eq!(new.names(), ["r1", "r2", "r3", "r4", "r9"]);
     assert_eq!(new.entry("r1").unwrap().position, Some([100.0, 0.0, 0.0]));
-    assert_eq!(new.weight("connectivity", "r2", "r1"), Some(0.75), "its links were not said anew");
+    assert_eq!(
+        new.weight("connectivity", "r2", "r1"),
+        Some(0.75),
+        "its links were not reported again"
+    );
     assert_eq!(new.weight("connectivity", "r1", "r4"), None);
     assert_eq!(new.weight("hierarchy", "r1", "r2"), Some(2.0));
 }
@@ -157,11 +161,11 @@ fn what_was_said_in_this_run_wins_and_the_rest_is_restored() {
 fn restored_observations_know_no_order() {
     let mut old = before();
     let boot = Some("a".to_owned());
-    old.say(report("r1", Pose { boot: boot.clone(), seq: Some(900), ..bare_pose(0.0, 0.0) }));
+    old.receive(report("r1", Pose { boot: boot.clone(), seq: Some(900), ..bare_pose(0.0, 0.0) }));
     old.wait(0.2);
     let mut new = after(old.now, old.remembered());
     let restarted = Pose { boot, seq: Some(3), ..bare_pose(9.0, 0.0) };
-    new.say(report("r1", restarted));
+    new.receive(report("r1", restarted));
     new.wait(0.2);
     assert!(new.happened().is_empty());
     assert_eq!(new.entry("r1").unwrap().position, Some([9.0, 0.0, 0.0]));
@@ -171,7 +175,7 @@ fn restored_observations_know_no_order() {
 fn the_newest_roster_counts_and_the_term_is_above_all() {
     let mut old = before();
     let stale_memory = old.remembered();
-    old.say(pose("r1", 50.0, 0.0));
+    old.receive(pose("r1", 50.0, 0.0));
     old.wait(0.2);
     let mut remembered = old.remembered();
     remembered.extend(stale_memory);
@@ -183,7 +187,7 @@ fn the_newest_roster_counts_and_the_term_is_above_all() {
     for _ in 0..remembered.len() {
         remembered.rotate_left(1);
         let mut new = after(old.now, remembered.clone());
-        new.wait(0.0);
+        new.wait(0.001);
         assert_eq!(new.entry("r1").unwrap().position, Some([50.0, 0.0, 0.0]));
         assert_eq!(graphs(&new), graphs(&old));
         assert_eq!(new.roster.as_ref().unwrap().header.revision.term, 41);
@@ -194,7 +198,7 @@ fn the_newest_roster_counts_and_the_term_is_above_all() {
 fn the_term_that_was_held_on_this_host_counts_too() {
     let stored = Stored { term: 7, ..Stored::default() };
     let mut bench = Bench::asleep_at(bench::START, settings(), stored);
-    bench.begin(Vec::new());
+    bench.start(Vec::new());
     bench.wait(1.0);
     assert_eq!(bench.roster.as_ref().unwrap().header.revision.term, 8);
 }
@@ -222,7 +226,7 @@ fn what_contradicts_itself_is_not_restored() {
     let remembered = old.remembered();
     let restored = |messages: Vec<Message>| {
         let mut new = after(old.now, messages);
-        new.wait(0.0);
+        new.wait(0.001);
         new
     };
     let links_lost = |new: &Bench| {
@@ -286,38 +290,39 @@ fn no_more_robots_are_restored_than_there_may_be() {
     let mut old = before();
     let few = IngestSettings { max_robots: 2, ..settings() };
     let mut new = Bench::asleep_at(old.now, few, Stored::default());
-    new.begin(old.remembered());
-    new.wait(0.0);
+    new.start(old.remembered());
+    new.wait(0.001);
     assert_eq!(new.names(), ["r1", "r2"]);
 }
 
 #[test]
 fn the_first_frame_waits_for_the_fleet_to_gather() {
     let mut bench = Bench::asleep_at(bench::START, settings(), Stored::default());
-    bench.begin(Vec::new());
+    bench.start(Vec::new());
     bench.wait(0.9);
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(0.5);
-    bench.say(pose("r2", 1.0, 0.0));
+    bench.receive(pose("r2", 1.0, 0.0));
     bench.wait(0.499);
     assert!(bench.published.is_empty());
     bench.wait(0.001);
     assert_eq!(bench.names(), ["r1", "r2"]);
-    bench.say(pose("r3", 2.0, 0.0));
+    bench.receive(pose("r3", 2.0, 0.0));
     bench.wait(0.1);
     assert_eq!(bench.names(), ["r1", "r2", "r3"], "only the first frame waits");
 }
 
 #[test]
-fn nobody_is_told_of_a_moment_after_the_start_and_the_first_robot_is_waited_with_all_the_same() {
+fn an_empty_roster_is_published_a_moment_after_the_start_and_the_first_robot_is_waited_with_all_the_same()
+ {
     let mut bench = Bench::asleep_at(bench::START, settings(), Stored::default());
-    bench.begin(Vec::new());
+    bench.start(Vec::new());
     bench.wait(0.999);
     assert!(bench.published.is_empty());
     bench.wait(0.001);
     assert_eq!((bench.frame_times().len(), bench.names().len()), (1, 0));
     bench.wait(30.0);
-    bench.say(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r1", 0.0, 0.0));
     bench.wait(0.999);
     assert!(bench.names().is_empty());
     bench.wait(0.001);
@@ -330,22 +335,22 @@ fn a_stale_robot_stays_stale_and_leaves_however_often_ingest_restarts() {
     old.wait(3.0);
     assert_eq!(old.presence("r1"), Some(Stale));
     let last_seen = old.entry("r1").unwrap().last_seen;
-    let mut told = Vec::new();
+    let mut happened = Vec::new();
     for _ in 0..3 {
         old.now = old.now.after(seconds(1.5));
         let mut new = after(old.now, old.remembered());
-        // The token of a process that hangs is seen anew with each start.
-        new.say(token("r1", true));
+        // The token of a process that hangs appears again with each start.
+        new.receive(token("r1", true));
         new.wait(1.5);
         assert!(new.published.iter().all(|(_, message)| match message {
             Message::Roster(roster) =>
                 roster.robots.iter().all(|e| e.robot != robot("r1") || e.presence == Stale),
             _ => true,
         }));
-        told.extend(new.happened().into_iter().filter(|told| told.ends_with("r1")));
+        happened.extend(new.happened().into_iter().filter(|happened| happened.ends_with("r1")));
         old = new;
     }
-    assert_eq!(told, ["left r1"]);
+    assert_eq!(happened, ["left r1"]);
     assert!(old.now.since(last_seen) < seconds(12.5));
 }
 
@@ -354,10 +359,10 @@ fn a_stale_robot_that_speaks_as_ingest_starts_has_recovered() {
     let mut old = before();
     old.wait(3.0);
     let mut new = Bench::asleep_at(old.now, settings(), Stored::default());
-    new.step(Event::Started);
-    new.say(pose("r1", 0.0, 0.0));
-    new.step(Event::Fetched { fetch: START_FETCH, messages: old.remembered() });
-    new.wait(0.0);
+    new.begin_inquiry();
+    new.receive(pose("r1", 0.0, 0.0));
+    new.answer_all(old.remembered());
+    new.wait(0.001);
     assert_eq!(new.happened(), ["recovered r1"]);
     assert_eq!(new.presence("r1"), Some(Active));
 }
@@ -365,34 +370,34 @@ fn a_stale_robot_that_speaks_as_ingest_starts_has_recovered() {
 #[test]
 fn a_process_that_hangs_does_not_come_back_by_a_restart() {
     let mut old = Bench::new(settings());
-    old.say(token("hung", true));
-    old.say(pose("hung", 0.0, 0.0));
+    old.receive(token("hung", true));
+    old.receive(pose("hung", 0.0, 0.0));
     for _ in 0..15 {
-        old.say(pose("r1", 0.0, 0.0));
+        old.receive(pose("r1", 0.0, 0.0));
         old.wait(1.0);
     }
     assert_eq!(old.names(), ["r1"]);
     let start = |pause_s: f64| {
         let mut new =
             Bench::asleep_at(old.now.after(seconds(pause_s)), settings(), Stored::default());
-        new.step(Event::Started);
-        new.say(token("hung", true));
-        new.say(token("r1", true));
-        new.say(pose("speaks", 1.0, 0.0));
+        new.begin_inquiry();
+        new.receive(token("hung", true));
+        new.receive(token("r1", true));
+        new.receive(pose("speaks", 1.0, 0.0));
         new
     };
     let remembered: Vec<_> = old.roster.iter().cloned().map(Message::Roster).collect();
     let begin = |pause_s: f64, messages: &[Message]| {
         let mut new = start(pause_s);
-        new.step(Event::Fetched { fetch: START_FETCH, messages: messages.to_vec() });
+        new.answer_all(messages.to_vec());
         new.wait(1.0);
         new
     };
     let mut soon = begin(2.0, &remembered);
     assert_eq!(soon.happened(), ["joined speaks"]);
     assert_eq!(soon.names(), ["r1", "speaks"]);
-    soon.say(token("newcomer", true));
-    soon.say(rank("hung", None, None));
+    soon.receive(token("newcomer", true));
+    soon.receive(rank("hung", None, None));
     soon.wait(0.2);
     assert_eq!(soon.names(), ["hung", "newcomer", "r1", "speaks"]);
     // The fleet may be another one, or nobody knows of one.
@@ -401,7 +406,7 @@ fn a_process_that_hangs_does_not_come_back_by_a_restart() {
 }
 
 #[test]
-fn a_term_above_the_own_leads_to_a_new_one_with_everything_told_anew() {
+fn a_term_above_the_own_leads_to_a_new_one_with_everything_published_again() {
     let mut bench = before();
     let before = graphs(&bench);
     let term = bench.roster.as_ref().unwrap().header.revision.term;
@@ -410,19 +415,19 @@ fn a_term_above_the_own_leads_to_a_new_one_with_everything_told_anew() {
     let ahead = Message::Roster(Arc::new(ahead));
     let mut checks = Vec::new();
     for _ in 0..2 {
-        bench.fetches.clear();
+        bench.asks.clear();
         for _ in 0..5 {
             bench.wait(1.0);
             for (name, x) in [("r3", 3.0), ("r2", 1.0), ("r1", 0.0)] {
-                bench.say(pose(name, x, 0.0));
+                bench.receive(pose(name, x, 0.0));
             }
         }
-        checks.extend(bench.fetches.first().cloned());
-        bench.step(Event::Fetched { fetch: TERM_FETCH, messages: vec![ahead.clone()] });
+        checks.extend(bench.asked());
+        bench.answer_all(vec![ahead.clone()]);
     }
-    assert_eq!(checks, vec![(TERM_FETCH, vec![Pattern::One(Key::Roster)]); 2]);
+    assert_eq!(checks, [Pattern::One(Key::Roster), Pattern::One(Key::Roster)]);
     let from = bench.published.len();
-    bench.wait(0.0);
+    bench.wait(0.001);
     let bases: Vec<_> = bench.published[from..]
         .iter()
         .filter_map(|(_, message)| match message {
@@ -437,29 +442,29 @@ fn a_term_above_the_own_leads_to_a_new_one_with_everything_told_anew() {
     assert_eq!(nodes, [0, 1, 2, 3]);
     assert_eq!(graphs(&bench), before);
     // Robots go on to join and leave in it.
-    bench.say(pose("r9", 9.0, 0.0));
+    bench.receive(pose("r9", 9.0, 0.0));
     bench.wait(0.2);
     assert_eq!(bench.entry("r9").unwrap().node, 4);
 }
 
 #[test]
-fn the_own_roster_is_looked_after_at_once_when_the_link_is_back() {
+fn readers_are_asked_for_the_roster_at_once_when_the_link_is_back() {
     let mut bench = before();
     for outage_s in [60.0, 0.5] {
-        bench.step(Event::LinkLost);
-        bench.fetches.clear();
+        bench.input(Input::LinkLost);
+        bench.asks.clear();
         bench.wait(outage_s);
-        assert!(bench.fetches.is_empty(), "nobody would answer");
-        bench.step(Event::LinkRestored);
-        assert_eq!(bench.fetches.len(), 1);
+        assert!(bench.asks.is_empty(), "nobody would answer");
+        bench.input(Input::LinkRestored);
+        assert_eq!(bench.asks.len(), 1);
     }
-    bench.step(Event::LinkLost);
-    bench.fetches.clear();
-    bench.step(Event::LinkRestored);
-    assert_eq!(bench.fetches, [(TERM_FETCH, vec![Pattern::One(Key::Roster)])]);
-    bench.step(Event::Fetched { fetch: TERM_FETCH, messages: Vec::new() });
+    bench.input(Input::LinkLost);
+    bench.asks.clear();
+    bench.input(Input::LinkRestored);
+    assert_eq!(bench.asked(), [Pattern::One(Key::Roster)]);
+    bench.answer_all(Vec::new());
     bench.wait(4.0);
-    assert_eq!(bench.fetches.len(), 1);
+    assert!(bench.asks.is_empty());
     bench.wait(1.0);
-    assert_eq!(bench.fetches.len(), 2);
+    assert_eq!(bench.asks.len(), 1);
 }

@@ -1,4 +1,4 @@
-//! `muster replay-core`: feeds a recording to the core again and compares what comes out.
+//! `muster replay-core`: feeds a recording to the service again and compares what comes out.
 
 use std::fmt::Write as _;
 use std::fs::File;
@@ -10,14 +10,15 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::recording::{Entry, Head, Input, Output};
-use muster_machine::replay::{Comparison, Difference, Ending, Step, compare};
 use muster_model::id::ServiceName;
 use muster_model::time::Tick;
 use muster_runtime::exit::ExitError;
 use muster_runtime::recording::host_facts;
-use muster_wire::recording::{Put, Reader, Received};
-use muster_wire::{Format, KeySpace, Message};
+use muster_service::recording::{Entry, Head};
+use muster_service::replay::{Comparison, Difference, Ending, Step, compare};
+use muster_service::{Arrival, Command, Input};
+use muster_wire::recording::Reader;
+use muster_wire::{Format, KeySpace, Message, Packet, Source};
 use serde_json::{Value, json};
 
 /// Most characters of one message that are printed: a line is to be looked at, not to be parsed.
@@ -29,10 +30,10 @@ const BEFORE_DIFFERENCE: usize = 60;
 /// Arguments of `muster replay-core`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "A service that runs with --record FILE writes down every event and what it did. This \
-command feeds the events to the same core again, without a bus, and compares what it does now byte for \
+    after_help = "A service that runs with --record FILE writes down every input and what it did. This \
+command feeds the inputs to the same service again, without a bus, and compares what it does now byte for \
 byte.\n\nExamples:\n  muster-embedder --record embedder.rec      record, until Ctrl-C\n  \
-muster replay-core embedder.rec            is it what it was?\n  \
+muster replay-core embedder.rec            does it do the same again?\n  \
 muster replay-core embedder.rec --print | less\n\n\
 Exit codes: 0 all is equal; 1 something differs, or the core panics; 2 the file cannot be read."
 )]
@@ -40,18 +41,18 @@ pub(crate) struct ReplayArgs {
     /// The recording
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Print the result as JSON; with --print, every event as a line of JSON before it
+    /// Print the result as JSON; with --print, every input as a line of JSON before it
     #[arg(long)]
     json: bool,
-    /// Print every event, and what the core did then
+    /// Print every input, and what the service did then
     #[arg(long)]
     print: bool,
-    /// Look at the first N events only
+    /// Look at the first N inputs only
     #[arg(long, value_name = "N")]
     until: Option<u64>,
 }
 
-/// Feeds a recording to its core.
+/// Feeds a recording to its service.
 ///
 /// # Errors
 /// If something differs; or, as a wrong argument, if the file cannot be read to its end.
@@ -66,7 +67,7 @@ pub(crate) fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     for warning in &warnings {
         eprintln!("warning: {warning}");
     }
-    // By lines, so that the event at which a core hangs or dies has been printed.
+    // By lines, so that the input at which a core hangs or dies has been printed.
     let mut out = std::io::stdout().lock();
     if !args.json {
         writeln!(
@@ -79,28 +80,28 @@ pub(crate) fn run(args: &ReplayArgs) -> anyhow::Result<()> {
             clean(&head.host, MAX_SHOWN)
         )?;
     }
-    let mut told = Ok(());
+    let mut printed = Ok(());
     let see = |step: &Step| {
         if args.print {
-            told = if args.json {
+            printed = if args.json {
                 writeln!(out, "{}", show.step_json(step))
             } else {
                 write!(out, "{}", show.step(step))
             };
         }
-        if told.is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        if printed.is_ok() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     };
     let next = || reader.next_entry::<Entry>();
     let until = args.until.unwrap_or(u64::MAX);
     let compared = by_service(head.clone(), next, until, see);
-    told?;
+    printed?;
     let compared = compared.map_err(|error| unreadable(error.to_string()))?;
     if args.json {
         writeln!(out, "{}", report(&head, &compared, &show, &warnings))?;
     } else {
-        let Comparison { events, outputs, jobs, .. } = compared;
+        let Comparison { inputs, commands, jobs, .. } = compared;
         let equal = if compared.difference.is_none() { "equal" } else { "different" };
-        let counts = format!("{events} events, {outputs} outputs, {jobs} jobs");
+        let counts = format!("{inputs} inputs, {commands} commands, {jobs} jobs");
         writeln!(out, "{equal}: {counts}; {}", ending(&compared.ending))?;
     }
     if let Some(difference) = &compared.difference {
@@ -108,8 +109,8 @@ pub(crate) fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     }
     match compared.ending {
         Ending::Damaged(problem) => {
-            let events = compared.events;
-            Err(unreadable(format!("{problem}; the {events} events before are equal")).into())
+            let inputs = compared.inputs;
+            Err(unreadable(format!("{problem}; the {inputs} inputs before are equal")).into())
         }
         _ => Ok(()),
     }
@@ -120,7 +121,7 @@ fn by_service(
     next: impl FnMut() -> Result<Option<Entry>, muster_wire::recording::RecordingError>,
     until: u64,
     see: impl FnMut(&Step) -> ControlFlow<()>,
-) -> Result<Comparison, muster_machine::replay::ReplayError> {
+) -> Result<Comparison, muster_service::replay::ReplayError> {
     match head.service {
         ServiceName::Ingest => compare::<Ingest>(head, next, until, see),
         ServiceName::Embedder => compare::<Embedder>(head, next, until, see),
@@ -150,7 +151,7 @@ fn warnings(head: &Head) -> Vec<String> {
 
 fn ending(ending: &Ending) -> String {
     match ending {
-        Ending::Told(why) => format!("the recording ends: {}", clean(why, MAX_SHOWN)),
+        Ending::Stated(why) => format!("the recording ends: {}", clean(why, MAX_SHOWN)),
         Ending::BrokenOff(None) => {
             "the recording breaks off between two entries, as after a kill".to_owned()
         }
@@ -164,23 +165,23 @@ fn ending(ending: &Ending) -> String {
 
 fn report(head: &Head, compared: &Comparison, show: &Show, warnings: &[String]) -> Value {
     let kind = match compared.ending {
-        Ending::Told(_) => "told",
+        Ending::Stated(_) => "told",
         Ending::BrokenOff(_) => "broken_off",
         Ending::NotReached => "not_reached",
         Ending::Damaged(_) => "damaged",
     };
     let difference = compared.difference.as_ref().map(|difference| {
-        let Place { output, then, now } = show.place(difference);
+        let Place { command, then, now } = show.place(difference);
         json!({
             "event": difference.step.number, "at_s": show.at(difference.step.tick),
-            "input": show.input(&difference.step.input), "output": output,
+            "input": show.input(&difference.step.input), "output": command,
             "recorded": then, "now": now,
         })
     });
     json!({
         "service": head.service, "fleet": head.fleet, "instance": head.instance,
         "version": head.version, "host": head.host, "settings": head.settings,
-        "events": compared.events, "outputs": compared.outputs, "jobs": compared.jobs,
+        "events": compared.inputs, "outputs": compared.commands, "jobs": compared.jobs,
         "ending": kind, "ending_text": ending(&compared.ending), "warnings": warnings,
         "equal": compared.difference.is_none(), "difference": difference,
     })
@@ -198,8 +199,8 @@ fn clean(text: &str, limit: usize) -> String {
 
 /// Where the two texts of a difference part.
 struct Place {
-    /// The number of the output, from 1.
-    output: usize,
+    /// The number of the command, from 1.
+    command: usize,
     then: Option<String>,
     now: Option<String>,
 }
@@ -217,83 +218,104 @@ impl Show {
 
     fn step(&self, step: &Step) -> String {
         let input = clean(&self.input(&step.input), MAX_SHOWN);
-        let mut text = format!("event {} at {:+.6} s: {input}\n", step.number, self.at(step.tick));
-        for output in step.outputs.iter().flatten() {
+        let mut text = format!("input {} at {:+.6} s: {input}\n", step.number, self.at(step.tick));
+        for command in step.commands.iter().flatten() {
             // Writing to a text does not fail.
-            let _ = writeln!(text, "    {}", clean(&self.output(output), MAX_SHOWN));
+            let _ = writeln!(text, "    {}", clean(&self.command(command), MAX_SHOWN));
         }
         text
     }
 
     fn step_json(&self, step: &Step) -> Value {
-        let outputs = step.outputs.as_ref().map(|outputs| -> Vec<String> {
-            outputs.iter().map(|output| self.output(output)).collect()
+        let commands = step.commands.as_ref().map(|commands| -> Vec<String> {
+            commands.iter().map(|command| self.command(command)).collect()
         });
         json!({
             "event": step.number, "tick_us": step.tick.0, "at_s": self.at(step.tick),
-            "input": self.input(&step.input), "outputs": outputs,
+            "input": self.input(&step.input), "outputs": commands,
         })
     }
 
     fn input(&self, input: &Input) -> String {
         match input {
-            Input::Started => "the service starts".to_owned(),
-            Input::Received(heard) => format!("received {}", self.heard(heard)),
-            Input::Rejected(rejection) => {
-                format!("refused {}: {}", rejection.key, rejection.reason)
-            }
-            Input::Timeout => "a deadline has passed".to_owned(),
-            Input::Done(laps) => format!("the job is done, laps {laps:?} µs"),
-            Input::JobFailed(_, said) => format!("the job has panicked: {said}"),
-            Input::Fetched(fetch, heard) => {
-                let mut text = format!("fetch {fetch} has brought {} messages", heard.len());
-                for heard in heard {
-                    let _ = write!(text, "; {}", clean(&self.heard(heard), MAX_SHOWN));
+            Input::Started { linked: true } => "the service starts".to_owned(),
+            Input::Started { linked: false } => "the service starts without a link".to_owned(),
+            Input::Arrived(arrival) => self.arrival(arrival),
+            Input::Timer => "a deadline has passed".to_owned(),
+            Input::JobEnded { laps, panic: None } => format!("the job is done, laps {laps:?} µs"),
+            Input::JobEnded { panic: Some(said), .. } => format!("the job has panicked: {said}"),
+            Input::Answered { ask, answers } => {
+                let mut text = format!("question {} has brought {} answers", ask.0, answers.len());
+                for answer in answers {
+                    let _ = write!(text, "; {}", clean(&self.arrival(answer), MAX_SHOWN));
                 }
                 text
             }
-            Input::Query(query, request) => format!("get {query}: {request}"),
+            Input::Get(get) => {
+                let payload = get.payload.as_deref().map(String::from_utf8_lossy);
+                let (selector, parameters) = (self.key(&get.selector), &get.parameters);
+                format!(
+                    "get {}: {selector}?{parameters} {}",
+                    get.get.0,
+                    payload.unwrap_or_default()
+                )
+            }
             Input::LinkLost => "the link to the router is lost".to_owned(),
             Input::LinkRestored => "the link to the router is back".to_owned(),
-        }
-    }
-
-    fn heard(&self, heard: &Received) -> String {
-        match heard {
-            Received::Put(put) => self.put(put),
-            Received::Token { key, alive } => {
-                format!("{} {}", self.key(key), if *alive { "is there" } else { "is gone" })
+            Input::Stored { error: None } => "the state is stored".to_owned(),
+            Input::Stored { error: Some(error) } => format!("the state is not stored: {error}"),
+            Input::Found { lookup, records } => {
+                format!("lookup {lookup} has found {} records", records.len())
             }
+            Input::ProcessCounters(counters) => format!("counters of the process: {counters:?}"),
         }
     }
 
-    fn output(&self, output: &Output) -> String {
-        Self::told(output, |put| self.put(put))
+    fn arrival(&self, arrival: &Arrival) -> String {
+        match arrival.clone().into_message(&self.space) {
+            Ok(_) => format!("received {}", self.packet(arrival.packet())),
+            Err(rejection) => format!("refused {}: {}", rejection.key, rejection.reason),
+        }
     }
 
-    /// Everything that an output holds, for differences that the JSON form does not show.
-    fn in_full(&self, output: &Output) -> String {
-        Self::told(output, |put| match self.understood(put) {
-            Some(message) => format!("{} {message:?}", self.key(&put.key)),
-            None => format!("{} {} {:?}", self.key(&put.key), put.encoding, put.payload.0),
+    fn command(&self, command: &Command) -> String {
+        self.command_with(command, |packet| self.packet(packet))
+    }
+
+    /// Everything that a command holds, for differences that the JSON form does not show.
+    fn in_full(&self, command: &Command) -> String {
+        self.command_with(command, |packet| match self.decoded(packet) {
+            Some(message) => format!("{} {message:?}", self.key(&packet.key)),
+            None => format!("{} {} {:?}", self.key(&packet.key), packet.encoding, packet.payload),
         })
     }
 
-    fn told(output: &Output, put: impl Fn(&Put) -> String) -> String {
-        let puts = |puts: &[Put]| {
-            let all: Vec<_> = puts.iter().map(&put).collect();
+    fn command_with(&self, command: &Command, show: impl Fn(&Packet) -> String) -> String {
+        let packets = |packets: &[Packet]| {
+            let all: Vec<_> = packets.iter().map(&show).collect();
             if all.is_empty() { "nothing".to_owned() } else { all.join(" and ") }
         };
-        match output {
-            Output::Published(Ok(all)) => format!("publish {}", puts(all)),
-            Output::Published(Err(problem)) => format!("publish nothing: {problem}"),
-            Output::Replied(query, Ok(all)) => format!("answer get {query}: {}", puts(all)),
-            Output::Replied(query, Err(problem)) => {
-                format!("answer get {query} with an error: {problem}")
+        match command {
+            Command::Publish(publication) => format!("publish {}", packets(&publication.packets)),
+            Command::Reply(reply) => match &reply.answer {
+                Ok(answer) => format!("answer get {}: {}", reply.get.0, packets(answer)),
+                Err(problem) => format!("answer get {} with an error: {problem}", reply.get.0),
+            },
+            Command::RunJob => "start a job".to_owned(),
+            Command::Ask(ask) => {
+                format!("ask question {}: {}", ask.ask.0, self.space.pattern(&ask.pattern))
             }
-            Output::Ran => "start a job".to_owned(),
-            Output::Fetched(fetch, patterns) => format!("fetch {fetch}: {}", patterns.join(", ")),
-            Output::Stored(stored) => format!("store {stored}"),
+            Command::Store(stored) => {
+                format!("store {}", serde_json::to_string(stored).unwrap_or_default())
+            }
+            Command::ReplicaState(state) => format!("be {state:?} from now on"),
+            Command::DeclareToken(key) => format!("declare the token {}", self.space.format(key)),
+            Command::WithdrawToken(key) => {
+                format!("withdraw the token {}", self.space.format(key))
+            }
+            Command::Append(record) => format!("append a record of {} bytes", record.content.len()),
+            Command::LookUp { lookup, range } => format!("lookup {lookup}: {range:?}"),
+            Command::Unencodable(problem) => format!("publish nothing: {problem}"),
         }
     }
 
@@ -303,12 +325,21 @@ impl Show {
     }
 
     /// A message as JSON; its length where it is not understood.
-    fn put(&self, put: &Put) -> String {
-        let (key, payload) = (self.key(&put.key), &put.payload.0);
-        if put.encoding.starts_with(muster_wire::message::JSON) {
+    fn packet(&self, packet: &Packet) -> String {
+        let key = self.key(&packet.key);
+        match packet.source {
+            Source::TokenAlive => return format!("{key} is there"),
+            Source::TokenGone => return format!("{key} is gone"),
+            Source::Put | Source::Delete => {}
+        }
+        let payload = match &packet.payload {
+            Ok(payload) => payload,
+            Err(size) => return format!("{key} ({size} bytes, which is too many)"),
+        };
+        if packet.encoding.starts_with(muster_wire::message::JSON) {
             return format!("{key} {}", String::from_utf8_lossy(payload));
         }
-        let text = match self.understood(put) {
+        let text = match self.decoded(packet) {
             Some(message) => message
                 .encode(message.keys().0, Format::Json, self.started)
                 .map(|outbound| String::from_utf8_lossy(&outbound.payload).into_owned()),
@@ -317,24 +348,24 @@ impl Show {
         format!("{key} ({} bytes) {}", payload.len(), text.unwrap_or_default())
     }
 
-    fn understood(&self, put: &Put) -> Option<Message> {
-        Message::decode(&self.space, &put.clone().into_packet()).ok()
+    fn decoded(&self, packet: &Packet) -> Option<Message> {
+        Message::decode(&self.space, packet).ok()
     }
 
-    /// The first output that differs, both sides cut to where they part.
+    /// The first command that differs, both sides cut to where they part.
     fn place(&self, difference: &Difference) -> Place {
         let Difference { step, now } = difference;
-        let then = step.outputs.as_deref().unwrap_or_default();
+        let then = step.commands.as_deref().unwrap_or_default();
         let now = match now {
             Ok(now) => now.as_slice(),
             Err(error) => {
                 let text = clean(&error.to_string(), MAX_SHOWN);
-                return Place { output: 1, then: None, now: Some(text) };
+                return Place { command: 1, then: None, now: Some(text) };
             }
         };
         let same = then.iter().zip(now).take_while(|(then, now)| then == now).count();
         let (then, now) = (then.get(same), now.get(same));
-        let side = |output: Option<&Output>| output.map(|output| self.output(output));
+        let side = |command: Option<&Command>| command.map(|command| self.command(command));
         let (mut texts, mut from) = ((side(then), side(now)), 0);
         if let (Some(then), Some(now)) = (then, now) {
             if texts.0 == texts.1 {
@@ -354,19 +385,19 @@ impl Show {
                 format!("{what} {}", clean(&rest, MAX_SHOWN))
             })
         };
-        Place { output: same + 1, then: cut(texts.0), now: cut(texts.1) }
+        Place { command: same + 1, then: cut(texts.0), now: cut(texts.1) }
     }
 
     fn difference(&self, difference: &Difference) -> String {
-        let Place { output, then, now } = self.place(difference);
+        let Place { command, then, now } = self.place(difference);
         let step = &difference.step;
-        let missing = if step.outputs.is_some() {
+        let missing = if step.commands.is_some() {
             "nothing more"
         } else {
             "nothing: the recording breaks off here"
         };
         format!(
-            "event {} at {:+.6} s differs in output {output}\n  event:    {}\n  recorded: {}\n  now:      {}",
+            "input {} at {:+.6} s differs in command {command}\n  input:    {}\n  recorded: {}\n  now:      {}",
             step.number,
             self.at(step.tick),
             clean(&self.input(&step.input), MAX_SHOWN),

@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use anyhow::Context;
 use muster_model::id::FleetId;
-use muster_wire::{Key, KeySpace, Outbound, Packet, Pattern, Source};
+use muster_wire::foreign::MAX_ATTACHMENT_BYTES;
+use muster_wire::{Attachment, Key, KeySpace, Outbound, Packet, Pattern, Source};
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{OnceCell, mpsc, oneshot, watch};
 use zenoh::Wait;
@@ -162,10 +163,11 @@ impl Query {
     ///
     /// # Errors
     /// If the session is closed, or the get does not select the key of the message.
-    pub fn reply(&self, space: &KeySpace, message: Outbound) -> anyhow::Result<()> {
+    pub fn reply(&self, packet: Packet) -> anyhow::Result<()> {
+        let payload = packet.payload.unwrap_or_default();
         self.0
-            .reply(space.format(&message.key), message.payload)
-            .encoding(message.encoding.as_ref())
+            .reply(packet.key, payload)
+            .encoding(packet.encoding.as_str())
             .wait()
             .map_err(|error| anyhow::anyhow!("{error}"))
     }
@@ -181,6 +183,15 @@ impl Query {
             .wait()
             .map_err(|error| anyhow::anyhow!("{error}"))
     }
+}
+
+/// Whether a packet may wait behind large ones.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Urgency {
+    /// It may.
+    Normal,
+    /// It may not: a living leader would lose its lease.
+    LeaseRenewal,
 }
 
 /// One answer to a get.
@@ -286,12 +297,26 @@ impl Bus {
     /// # Errors
     /// If the session is closed.
     pub fn put(&self, message: Outbound) -> anyhow::Result<()> {
+        self.put_packet(message.into_packet(&self.space), Urgency::Normal)
+    }
+
+    /// Puts a packet on the bus. May wait for a busy link.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub fn put_packet(&self, packet: Packet, urgency: Urgency) -> anyhow::Result<()> {
+        let Packet { key, encoding, payload, attachment, .. } = packet;
+        let priority = match urgency {
+            Urgency::LeaseRenewal => CLAIMS,
+            Urgency::Normal => Priority::DEFAULT,
+        };
         self.session
-            .put(self.space.format(&message.key), message.payload)
-            .encoding(message.encoding.as_ref())
-            .priority(if is_claim(&message.key) { CLAIMS } else { Priority::DEFAULT })
+            .put(key.as_str(), payload.unwrap_or_default())
+            .encoding(encoding.as_str())
+            .attachment(attachment.map(Attachment::into_bytes))
+            .priority(priority)
             .wait()
-            .map_err(|error| anyhow::anyhow!("cannot put to {}: {error}", message.key))
+            .map_err(|error| anyhow::anyhow!("cannot put to {key}: {error}"))
     }
 
     /// Declares a liveliness token.
@@ -562,7 +587,7 @@ fn is_repeatable(config: &zenoh::Config) -> bool {
 
 /// Whether a message on a key says who holds a role.
 fn is_claim(key: &Key) -> bool {
-    matches!(key, Key::Holder(_))
+    matches!(key, Key::Lease(_))
 }
 
 /// Whether a get is small enough to wait, by the bytes that it carries and those of its parameters.
@@ -603,8 +628,16 @@ fn packet(sample: &Sample, limit: usize) -> Packet {
         } else {
             Ok(payload.to_bytes().into_owned())
         },
-        attachment: None,
+        attachment: sample.attachment().and_then(attachment),
     }
+}
+
+/// A small attachment; one that is too large belongs to no program that Muster speaks to.
+fn attachment(bytes: &zenoh::bytes::ZBytes) -> Option<Attachment> {
+    if bytes.len() > MAX_ATTACHMENT_BYTES {
+        return None;
+    }
+    Attachment::new(bytes.to_bytes()).ok()
 }
 
 /// Opens a session. A client tries its routers again and again, those that answer before those that do

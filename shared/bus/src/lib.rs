@@ -10,7 +10,9 @@ pub mod config;
 pub mod handshake;
 mod zenoh_config;
 
-pub use bus::{Answer, Ask, Asked, Bus, OpenError, Patience, Query, Served, Subscription, Token};
+pub use bus::{
+    Answer, Ask, Asked, Bus, OpenError, Patience, Query, Served, Subscription, Token, Urgency,
+};
 pub use config::{BusConfig, Mode};
 /// A session of Zenoh, for callers that have one of their own.
 pub use zenoh::Session;

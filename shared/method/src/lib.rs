@@ -19,6 +19,8 @@
 //!
 //! This crate reads no clock and starts no thread of its own; [`step::Progress`] says what it is doing.
 
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
 mod correspondence;
 mod cut;
 mod decay;

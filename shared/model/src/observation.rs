@@ -63,7 +63,7 @@ pub trait Observation: Serialize + DeserializeOwned {
 }
 
 /// One stream of a robot. Each is the source of one graph.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Stream {
     /// Poses, for the spatial graph.
     Pose,

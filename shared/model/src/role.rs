@@ -9,7 +9,8 @@ use crate::id::{InstanceId, ServiceName};
 /// Where an instance stands towards the role of its service.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum Standing {
+#[schemars(rename = "Standing")]
+pub enum ReplicaState {
     /// It asks the bus what there is, and publishes nothing.
     #[default]
     Starting,
@@ -17,14 +18,17 @@ pub enum Standing {
     Standby,
     /// It held the role and was cut off or stopped for a while: it publishes nothing until it knows
     /// that nobody has taken over.
-    Doubtful,
+    #[serde(rename = "doubtful")]
+    Suspect,
     /// It holds the role: its outputs are the outputs of the service.
-    Holding,
+    #[serde(rename = "holding")]
+    Leading,
 }
 
 /// What the holder of a role tells the other instances of its service several times a second.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct Claim {
+#[schemars(rename = "Claim")]
+pub struct LeaseRenewal {
     /// The head of the message; its revision is that of the holder's last output.
     pub header: Header,
     /// The service.

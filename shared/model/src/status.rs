@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::header::Revision;
 use crate::id::{FleetId, InstanceId, ServiceName};
-use crate::role::Standing;
+use crate::role::ReplicaState;
 use crate::time::Tick;
 
 /// The answer to a get on `service/{service}/status`.
@@ -26,7 +26,7 @@ pub struct ServiceStatus {
     /// When this was written.
     pub now: Tick,
     /// Where it stands towards the role of its service.
-    pub standing: Standing,
+    pub standing: ReplicaState,
     /// Its last output; of an instance that stands by, that of the holder as it was last heard.
     pub revision: Revision,
     /// What it is doing, in a few words.

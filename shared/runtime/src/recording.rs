@@ -13,8 +13,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::Context;
-use muster_machine::recording::{Entry, Head};
 use muster_model::id::{InstanceId, ServiceName};
+use muster_service::recording::{Entry, Head};
 use muster_wire::envelope::EnvelopeError;
 use muster_wire::recording::{begin, frame};
 
@@ -141,7 +141,7 @@ impl Recording {
             .name("muster-recorder".to_owned())
             .spawn(move || {
                 if let Err(error) = writer.run(&head, &frames) {
-                    tell_end(&name, &error.to_string());
+                    warn_of_end(&name, &error.to_string());
                 }
                 drop(frames);
                 let _ = done.send(());
@@ -150,10 +150,10 @@ impl Recording {
         Ok(Self { path, limits, sender: Some(sender), waiting_bytes, why, written })
     }
 
-    /// Adds an entry, if the recording still goes on. Never waits.
-    pub(crate) fn add(&mut self, entry: impl FnOnce() -> Result<Entry, EnvelopeError>) {
+    /// Adds the bytes of an entry, if the recording still goes on. Never waits.
+    pub(crate) fn add(&mut self, frame: impl FnOnce() -> Result<Vec<u8>, EnvelopeError>) {
         let Some(sender) = &self.sender else { return };
-        let bytes = match entry().and_then(|entry| frame(&entry)) {
+        let bytes = match frame() {
             Ok(bytes) => bytes,
             Err(error) => return self.end(&format!("something cannot be recorded: {error}")),
         };
@@ -166,13 +166,13 @@ impl Recording {
             Err(TrySendError::Full(_)) => {
                 self.end("the disk is too slow: too much waits to be written");
             }
-            // The thread has told why.
+            // The thread has logged why.
             Err(TrySendError::Disconnected(_)) => self.sender = None,
         }
     }
 
     fn end(&mut self, why: &str) {
-        tell_end(&self.path, why);
+        warn_of_end(&self.path, why);
         *self.why.lock().unwrap_or_else(PoisonError::into_inner) = Some(why.to_owned());
         self.sender = None;
     }
@@ -185,7 +185,7 @@ impl Drop for Recording {
     }
 }
 
-fn tell_end(path: &Path, why: &str) {
+fn warn_of_end(path: &Path, why: &str) {
     tracing::warn!("the recording {} ends, and the service goes on: {why}", path.display());
 }
 
@@ -256,10 +256,10 @@ pub fn host_facts() -> String {
 mod tests {
     use std::time::Instant;
 
-    use muster_machine::Stored;
-    use muster_machine::recording::Input;
     use muster_model::id::FleetId;
     use muster_model::time::Tick;
+    use muster_service::recording::input_frame;
+    use muster_service::{Input, Stored};
     use muster_wire::recording::{Reader, RecordingError};
 
     use super::*;
@@ -277,8 +277,12 @@ mod tests {
         }
     }
 
-    fn entry(tick: u64) -> Result<Entry, EnvelopeError> {
-        Ok(Entry::Event { tick: Tick(tick), input: Input::Timeout })
+    fn entry(tick: u64) -> Result<Vec<u8>, EnvelopeError> {
+        input_frame(Tick(tick), &Input::Timer)
+    }
+
+    fn entry_read(tick: u64) -> Entry {
+        Entry::Input { tick: Tick(tick), input: Input::Timer }
     }
 
     fn read(path: &Path) -> (Vec<Entry>, Option<RecordingError>) {
@@ -305,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_added_is_read_back_and_the_end_is_told() {
+    fn what_was_added_is_read_back_and_the_end_is_stated() {
         let folder = tempfile::tempdir().unwrap();
         let instance = head().instance;
         let file = to(folder.path().join("a")).create(ServiceName::Ingest, &instance).unwrap();
@@ -317,7 +321,7 @@ mod tests {
         let (entries, error) = read(&folder.path().join("a"));
         assert!(error.is_none());
         assert_eq!(entries.len(), 1001);
-        assert_eq!(entries[999], entry(999).unwrap());
+        assert_eq!(entries[999], entry_read(999));
         assert_eq!(end(&entries), "the service has stopped");
     }
 
@@ -391,7 +395,7 @@ mod tests {
             assert!(end(&entries).contains("too slow"), "{}", end(&entries));
             // Up to its end it has no gap.
             for (tick, found) in entries[..entries.len() - 1].iter().enumerate() {
-                assert_eq!(*found, entry(tick as u64).unwrap());
+                assert_eq!(*found, entry_read(tick as u64));
             }
             assert!(entries.len() > 10 && entries.len() < 300, "{}", entries.len());
         }
@@ -411,7 +415,7 @@ mod tests {
         drop(recording);
         let (entries, error) = read(&path);
         assert!(matches!(error, Some(RecordingError::BreaksOff(_))), "{error:?}");
-        assert!(entries.len() > 10 && entries.iter().all(|found| *found == entry(7).unwrap()));
+        assert!(entries.len() > 10 && entries.iter().all(|found| *found == entry_read(7)));
 
         let path = folder.path().join("long");
         let limits = Limits { file: 5000, ..LIMITS };

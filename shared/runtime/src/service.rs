@@ -5,8 +5,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{CommandFactory, FromArgMatches, Parser};
-use muster_machine::Core;
 use muster_model::id::{InstanceId, ServiceName};
+use muster_service::Core;
 use tracing::Instrument as _;
 
 use crate::bus::{self, Bus, Patience};
@@ -16,6 +16,7 @@ use crate::instance::instance_name;
 use crate::notify;
 use crate::observe::{Observatory, Observer};
 use crate::recording::RecordTo;
+use crate::records::RecordStore;
 use crate::shell::{self, ServiceOptions};
 use crate::stop::{self, Stop};
 use crate::store::Store;
@@ -139,11 +140,13 @@ async fn run_instance<C: Core>(
 ) -> anyhow::Result<()> {
     // Made before the bus opens, so that a wrong name is told at once.
     let record = config.record.as_ref().map(|to| to.create(C::SERVICE, &instance)).transpose()?;
+    let directory = config.state_directory.value.as_deref();
     let options = ServiceOptions {
         instance,
         record,
         settings: config.settings(C::SERVICE)?,
-        store: Store::new(config.state_directory.value.as_deref(), &config.fleet.value, C::SERVICE),
+        store: Store::new(directory, &config.fleet.value, C::SERVICE),
+        records: RecordStore::new(directory, &config.fleet.value, C::SERVICE),
         observer,
     };
     let mut watched = notify::watch();

@@ -4,8 +4,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use muster_machine::Stored;
 use muster_model::id::{FleetId, ServiceName};
+use muster_service::Stored;
 
 /// Largest file that is read back: the patch of settings is far smaller.
 const MAX_FILE: u64 = 1024 * 1024;
@@ -55,7 +55,7 @@ impl Store {
         serde_json::from_slice(&bytes).with_context(|| format!("{name} is not what was written"))
     }
 
-    /// Writes the file anew, whole or not at all.
+    /// Replaces the file, whole or not at all.
     ///
     /// # Errors
     /// If the directory or file cannot be written; the text names it.

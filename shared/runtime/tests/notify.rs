@@ -10,18 +10,18 @@ use std::os::unix::net::UnixDatagram;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use muster_machine::{Core, Effects, Event, Role, Start, Stopwatch, Wiring};
 use muster_model::id::{InstanceId, ServiceName};
-use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
-use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
 use muster_runtime::observe::Observatory;
+use muster_runtime::records::RecordStore;
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
 use muster_runtime::store::Store;
+use muster_service::{Context, Core, Get, Stopwatch, View, Wiring};
+use muster_wire::{Key, Message, Pattern};
 
 /// Within which the manager wants to hear that the loops turn.
 const WATCHDOG: Duration = Duration::from_secs(1);
@@ -38,14 +38,14 @@ const SOON: Duration = Duration::from_secs(30);
 /// By which a process is told that its second loop is to hang.
 const HANG: &str = "MUSTER_TEST_HANG";
 
-/// A core that hangs at its first timeout, or does nothing at all.
+/// A core that hangs at its deadline, or does nothing at all.
 struct Probe {
-    role: Role<ClustererSettings>,
     hangs_at: Option<Tick>,
 }
 
 impl Core for Probe {
     type Settings = ClustererSettings;
+    type Fetch = std::convert::Infallible;
     type Job = ();
     type Done = ();
     const SERVICE: ServiceName = ServiceName::Clusterer;
@@ -54,27 +54,48 @@ impl Core for Probe {
         Wiring::default()
     }
 
-    fn new(start: Start<ClustererSettings>) -> Self {
-        let hangs_at = (start.settings.teams == 7).then(|| start.now.after(HANGS_AFTER));
-        Self { hangs_at, role: Role::new(Self::SERVICE, start) }
+    fn initial() -> Vec<Pattern> {
+        Vec::new()
     }
 
-    fn handle(&mut self, _: Tick, event: Event<()>, _: &mut Effects<()>) {
-        if matches!(event, Event::Timeout) {
+    fn output() -> Key {
+        Key::Teams
+    }
+
+    fn is_output(_: &Message) -> bool {
+        false
+    }
+
+    fn new(now: Tick, settings: &ClustererSettings) -> Self {
+        Self { hangs_at: (settings.teams == 7).then(|| now.after(HANGS_AFTER)) }
+    }
+
+    fn on_lead(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
+
+    fn on_follow(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
+
+    fn on_stand_down(&mut self, _: &mut Context<'_, Self>) {}
+
+    fn on_new_term(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
+
+    fn on_message(&mut self, _: &mut Context<'_, Self>, _: Message) {}
+
+    fn on_get(&mut self, context: &mut Context<'_, Self>, get: Get) {
+        context.reply(get, Vec::new());
+    }
+
+    fn on_timer(&mut self, context: &mut Context<'_, Self>) {
+        if self.hangs_at.is_some_and(|at| at <= context.now()) {
             std::thread::sleep(HANGS_FOR);
         }
     }
 
-    fn deadline(&self) -> Option<Tick> {
+    fn deadline(&self, _: &View<'_, Self>) -> Option<Tick> {
         self.hangs_at
     }
 
-    fn standing(&self) -> Standing {
-        Standing::Holding
-    }
-
-    fn status(&self, now: Tick) -> ServiceStatus {
-        self.role.status(now, "probing")
+    fn state(&self, _: &View<'_, Self>) -> String {
+        "probing".to_owned()
     }
 
     fn run((): (), _: &mut Stopwatch) {}
@@ -110,6 +131,7 @@ async fn a_process_with_two_loops() {
             observer: Observatory::open(&config(Mode::Client, None, None), &[])
                 .unwrap()
                 .observer(ServiceName::Clusterer),
+            records: RecordStore::new(None, bus.space().fleet(), ServiceName::Clusterer),
             store: Store::new(None, bus.space().fleet(), ServiceName::Clusterer),
         };
         loops.spawn(shell::run::<Probe>(bus, options, stop.clone()));

@@ -6,21 +6,18 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-use muster_machine::{
-    Core, Delivery, Effects, Event, Role, Start, Stopwatch, Subscription, Wiring,
-};
 use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::observation::Stream;
-use muster_model::role::Standing;
 use muster_model::settings::IngestSettings;
-use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_runtime::bus::{Bus, Patience};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
 use muster_runtime::observe::Observatory;
+use muster_runtime::records::RecordStore;
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
 use muster_runtime::store::Store;
+use muster_service::{Context, Core, Delivery, Get, Stopwatch, Subscription, View, Wiring};
 use muster_wire::{Key, Message, Outbound, Pattern};
 
 /// How long the core below hangs over a pose: longer than a loop may, and not for ever.
@@ -30,10 +27,11 @@ const HANGS: Duration = Duration::from_secs(9);
 const SOON: Duration = Duration::from_secs(15);
 
 /// A core that hangs over every pose.
-struct Sleeper(Role<IngestSettings>);
+struct Sleeper;
 
 impl Core for Sleeper {
     type Settings = IngestSettings;
+    type Fetch = std::convert::Infallible;
     type Job = ();
     type Done = ();
     const SERVICE: ServiceName = ServiceName::Ingest;
@@ -44,28 +42,46 @@ impl Core for Sleeper {
         Wiring { subscriptions: vec![poses], ..Wiring::default() }
     }
 
-    fn new(start: Start<IngestSettings>) -> Self {
-        Self(Role::new(Self::SERVICE, start))
+    fn initial() -> Vec<Pattern> {
+        Vec::new()
     }
 
-    fn handle(&mut self, now: Tick, event: Event<()>, effects: &mut Effects<()>) {
-        match event {
-            Event::Started => self.0.begin_term(now, None, effects),
-            Event::Received(Message::Report(_)) => std::thread::sleep(HANGS),
-            _ => {}
+    fn output() -> Key {
+        Key::Roster
+    }
+
+    fn is_output(_: &Message) -> bool {
+        false
+    }
+
+    fn new(_: Tick, _: &IngestSettings) -> Self {
+        Self
+    }
+
+    fn on_lead(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
+
+    fn on_follow(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
+
+    fn on_stand_down(&mut self, _: &mut Context<'_, Self>) {}
+
+    fn on_new_term(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
+
+    fn on_message(&mut self, _: &mut Context<'_, Self>, message: Message) {
+        if matches!(message, Message::Report(_)) {
+            std::thread::sleep(HANGS);
         }
     }
 
-    fn deadline(&self) -> Option<Tick> {
+    fn on_get(&mut self, context: &mut Context<'_, Self>, get: Get) {
+        context.reply(get, Vec::new());
+    }
+
+    fn deadline(&self, _: &View<'_, Self>) -> Option<Tick> {
         None
     }
 
-    fn status(&self, now: Tick) -> ServiceStatus {
-        self.0.status(now, "sleeping")
-    }
-
-    fn standing(&self) -> Standing {
-        self.0.standing()
+    fn state(&self, _: &View<'_, Self>) -> String {
+        "sleeping".to_owned()
     }
 
     fn run((): (), _: &mut Stopwatch) {}
@@ -129,6 +145,7 @@ async fn a_core_that_hangs_is_told_by_healthz_and_one_that_goes_on_as_well() {
     let options = ServiceOptions {
         instance: InstanceId::of_process("test", 1, 1),
         settings: IngestSettings::default(),
+        records: RecordStore::new(None, bus.space().fleet(), ServiceName::Ingest),
         store: Store::new(None, bus.space().fleet(), ServiceName::Ingest),
         record: None,
         observer: observatory.observer(ServiceName::Ingest),

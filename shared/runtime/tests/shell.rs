@@ -4,113 +4,148 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::ops::ControlFlow;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use muster_machine::recording::{Head, Input};
-use muster_machine::replay::{ReplayError, Step, compare};
-use muster_machine::{
-    Answered, Core, Delivery, Effect, Effects, Event, Role, Start, Stopwatch, Subscription, Wiring,
-};
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::{InstanceId, ServiceName};
 use muster_model::observation::Stream;
-use muster_model::role::Standing;
 use muster_model::settings::ClustererSettings;
-use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
-use muster_runtime::bus::{Answer, Ask, Bus, Patience};
+use muster_runtime::bus::{Answer, Ask, Bus, Patience, Urgency};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
-use muster_runtime::inbox::Inbox;
 use muster_runtime::observe::Observatory;
 use muster_runtime::recording::RecordTo;
+use muster_runtime::records::RecordStore;
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
 use muster_runtime::store::Store;
+use muster_service::recording::Head;
+use muster_service::replay::{ReplayError, Step, compare};
+use muster_service::{
+    Context, Core, Delivery, Get, Input, JobEnd, Record, RecordRange, Stopwatch, Subscription,
+    View, Wiring,
+};
 use muster_wire::recording::Reader;
-use muster_wire::{Key, Message, Outbound, Pattern};
+use muster_wire::{
+    Attachment, ForeignKey, ForeignPattern, Key, Message, Outbound, Packet, Pattern,
+};
 
 /// How often the core below wants to be woken.
 const BEAT: Duration = Duration::from_millis(50);
 
-/// A core that starts a job which panics, and counts its timeouts by setting its team number.
+/// A core that starts a job which panics, counts its timers, and keeps a record.
 struct Probe {
-    role: Role<ClustererSettings>,
     next: Tick,
     beats: u64,
+    wants_job: Option<&'static str>,
 }
 
 impl Core for Probe {
     type Settings = ClustererSettings;
+    type Fetch = std::convert::Infallible;
     type Job = &'static str;
     type Done = &'static str;
     const SERVICE: ServiceName = ServiceName::Clusterer;
 
     fn wiring() -> Wiring {
         Wiring {
-            subscriptions: vec![Subscription {
-                pattern: Pattern::Stream(Stream::Pose),
-                delivery: Delivery::Latest,
-            }],
+            subscriptions: [
+                Pattern::Stream(Stream::Pose),
+                Pattern::Foreign(ForeignPattern::new("other/topic").unwrap()),
+            ]
+            .map(|pattern| Subscription { pattern, delivery: Delivery::Latest })
+            .to_vec(),
             ..Wiring::default()
         }
     }
 
-    fn new(start: Start<ClustererSettings>) -> Self {
-        let next = start.now;
-        Self { role: Role::new(Self::SERVICE, start), next, beats: 0 }
+    fn initial() -> Vec<Pattern> {
+        Vec::new()
     }
 
-    fn handle(
-        &mut self,
-        now: Tick,
-        event: Event<&'static str>,
-        effects: &mut Effects<&'static str>,
-    ) {
-        match event {
-            Event::Started => self.role.begin_term(now, None, effects),
-            Event::Received(Message::Report(report)) => {
-                assert!(report.robot().as_str() != "cursed", "a pose that must not be");
-                self.role.count("poses");
-            }
-            Event::Timeout => {
-                self.beats += 1;
-                self.next = now.after(BEAT);
-                self.role.count("beats");
-                if self.beats == 1 {
-                    effects.push(Effect::Start("panic"));
-                }
-            }
-            Event::JobFailed(reason) => {
-                let kind = EventKind::JobFailed { reason };
-                self.role.tell(now, Severity::Error, kind, effects);
-                effects.push(Effect::Start("calm"));
-            }
-            Event::Done(text) => {
-                let kind = EventKind::JobFailed { reason: format!("then {text}") };
-                self.role.tell(now, Severity::Info, kind, effects);
-            }
-            Event::Query { query, request } => {
-                if let Answered::NotOurs(query, request) =
-                    self.role.answer(now, query, request, "probing", effects)
-                {
-                    effects.push(Effect::Reply { query, request, answer: Ok(Vec::new()) });
-                }
-            }
-            _ => {}
+    fn output() -> Key {
+        Key::Teams
+    }
+
+    fn is_output(_: &Message) -> bool {
+        false
+    }
+
+    fn new(now: Tick, _: &ClustererSettings) -> Self {
+        Self { next: now, beats: 0, wants_job: None }
+    }
+
+    fn on_lead(&mut self, context: &mut Context<'_, Self>, _: Vec<Message>) {
+        context.declare_token(Key::RobotToken("probed".parse().unwrap()));
+        context.append(b"a record".to_vec());
+        context.look_up(7, RecordRange { from: 0, until: u64::MAX, limit: 10 });
+    }
+
+    fn on_follow(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
+
+    fn on_stand_down(&mut self, _: &mut Context<'_, Self>) {}
+
+    fn on_new_term(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
+
+    fn on_message(&mut self, context: &mut Context<'_, Self>, message: Message) {
+        if let Message::Report(report) = message {
+            assert!(report.robot().as_str() != "cursed", "a pose that must not be");
+            context.count("poses");
         }
     }
 
-    fn standing(&self) -> Standing {
-        self.role.standing()
+    fn on_get(&mut self, context: &mut Context<'_, Self>, get: Get) {
+        context.reply(get, Vec::new());
     }
 
-    fn deadline(&self) -> Option<Tick> {
+    fn on_records(&mut self, context: &mut Context<'_, Self>, lookup: u64, records: Vec<Record>) {
+        assert_eq!((lookup, records[0].content.as_slice()), (7, &b"a record"[..]));
+        context.count("lookups");
+    }
+
+    /// Answers another program on its own key, with its attachment.
+    fn on_foreign(&mut self, context: &mut Context<'_, Self>, packet: Packet) {
+        let key = ForeignKey::new("other/reply").unwrap();
+        context.publish_foreign(&key, &packet.encoding, packet.payload.unwrap(), packet.attachment);
+    }
+
+    fn on_timer(&mut self, context: &mut Context<'_, Self>) {
+        if context.now() < self.next {
+            return;
+        }
+        self.beats += 1;
+        self.next = context.now().after(BEAT);
+        context.count("beats");
+        if self.beats == 1 {
+            self.wants_job = Some("panic");
+        }
+    }
+
+    fn on_job(&mut self, context: &mut Context<'_, Self>, end: JobEnd<&'static str>) {
+        let (severity, reason) = match end {
+            JobEnd::Panicked(reason) => {
+                self.wants_job = Some("calm");
+                (Severity::Error, reason)
+            }
+            JobEnd::Finished(text) => (Severity::Info, format!("then {text}")),
+        };
+        context.publish_event(severity, EventKind::JobFailed { reason });
+    }
+
+    fn after_input(&mut self, context: &mut Context<'_, Self>) {
+        if let Some(slot) = context.free_job_slot()
+            && let Some(job) = self.wants_job.take()
+        {
+            context.start_job(slot, job);
+        }
+    }
+
+    fn deadline(&self, _: &View<'_, Self>) -> Option<Tick> {
         Some(self.next)
     }
 
-    fn status(&self, now: Tick) -> ServiceStatus {
-        self.role.status(now, "probing")
+    fn state(&self, _: &View<'_, Self>) -> String {
+        "probing".to_owned()
     }
 
     fn run(job: &'static str, _: &mut Stopwatch) -> &'static str {
@@ -147,6 +182,7 @@ fn options(store: Store) -> ServiceOptions<ClustererSettings> {
     ServiceOptions {
         instance: InstanceId::of_process("test", 1, 1),
         settings: ClustererSettings::default(),
+        records: RecordStore::new(None, &"f".parse().unwrap(), ServiceName::Clusterer),
         store,
         record: None,
         observer: observatory().observer(ServiceName::Clusterer),
@@ -170,14 +206,14 @@ fn ask(payload: Option<&[u8]>) -> Ask<'_> {
 async fn a_panic_in_a_job_becomes_an_event_and_the_service_goes_on() {
     let (_router, client) = bus().await;
     let watcher = Bus::open(&client, Patience::Forever).await.unwrap();
-    let inbox = Arc::new(Inbox::<muster_model::event::Event>::default());
-    let (space, events) = (watcher.space().clone(), Arc::clone(&inbox));
-    let take = move |packet: muster_wire::Packet| {
+    let (events, mut received) = tokio::sync::mpsc::channel(64);
+    let space = watcher.space().clone();
+    let receive = move |packet: Packet| {
         if let Ok(Message::Event(event)) = Message::decode(&space, &packet) {
-            events.push(packet.key, event, 1, Delivery::Queue(64));
+            let _ = events.try_send(event);
         }
     };
-    watcher.subscribe(&Pattern::One(Key::Event), take).await.unwrap();
+    watcher.subscribe(&Pattern::One(Key::Event), receive).await.unwrap();
     let (stopper, stop) = stop::channel();
     let bus = Bus::open(&client, Patience::Forever).await.unwrap();
     let store = Store::new(None, watcher.space().fleet(), ServiceName::Clusterer);
@@ -186,11 +222,11 @@ async fn a_panic_in_a_job_becomes_an_event_and_the_service_goes_on() {
     let start = Instant::now();
     while reasons.len() < 2 {
         assert!(start.elapsed() < Duration::from_secs(10), "{reasons:?}");
-        let _ = tokio::time::timeout(Duration::from_millis(100), inbox.arrived()).await;
-        while let Some(event) = inbox.pop() {
-            if let EventKind::JobFailed { reason } = event.kind {
-                reasons.push(reason);
-            }
+        let event = tokio::time::timeout(Duration::from_millis(100), received.recv()).await;
+        if let Ok(Some(event)) = event
+            && let EventKind::JobFailed { reason } = event.kind
+        {
+            reasons.push(reason);
         }
     }
     assert!(reasons[0].contains("on purpose"), "{reasons:?}");
@@ -234,7 +270,7 @@ async fn deadlines_are_met_under_steady_traffic() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_setting_is_on_disk_before_it_is_confirmed_or_the_failure_is_told() {
+async fn a_setting_is_on_disk_before_it_is_confirmed_or_the_failure_is_reported() {
     let (_router, client) = bus().await;
     let asker = Bus::open(&client, Patience::Forever).await.unwrap();
     let directory = tempfile::tempdir().unwrap();
@@ -302,12 +338,64 @@ async fn what_a_core_panicked_at_stands_in_its_recording() {
     assert_eq!(compared.jobs, 2, "the one that panicked as well");
     let difference = compared.difference.unwrap();
     assert_eq!(difference.step, *steps.last().unwrap());
-    assert!(difference.step.outputs.is_none());
+    assert!(difference.step.commands.is_none());
     assert!(
         matches!(&difference.now, Err(ReplayError::Panicked(said)) if said.contains("must not"))
     );
     let has = |what: &dyn Fn(&Input) -> bool| steps.iter().any(|step| what(&step.input));
-    assert!(has(&|input| matches!(input, Input::JobFailed(_, said) if said.contains("purpose"))));
-    assert!(has(&|input| matches!(input, Input::Timeout)));
-    assert!(has(&|input| matches!(input, Input::Query(..))));
+    let panicked = |input: &Input| match input {
+        Input::JobEnded { panic: Some(said), .. } => said.contains("purpose"),
+        _ => false,
+    };
+    assert!(has(&panicked));
+    assert!(has(&|input| matches!(input, Input::Timer)));
+    assert!(has(&|input| matches!(input, Input::Get(..))));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tokens_are_declared_and_records_are_looked_up() {
+    let (_router, client) = bus().await;
+    let asker = Bus::open(&client, Patience::Forever).await.unwrap();
+    let (stopper, stop) = stop::channel();
+    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let store = Store::new(None, asker.space().fleet(), ServiceName::Clusterer);
+    let service = tokio::spawn(shell::run::<Probe>(bus, options(store), stop));
+    let start = Instant::now();
+    while status(&asker, "lookups").await == 0 {
+        assert!(start.elapsed() < Duration::from_secs(10));
+    }
+    let tokens = asker.tokens(&Pattern::RobotTokens, Duration::from_secs(3)).await.unwrap();
+    assert_eq!(tokens, [Key::RobotToken("probed".parse().unwrap())]);
+    stopper.stop();
+    service.await.unwrap().unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn packets_of_other_programs_cross_the_bus_with_their_attachments() {
+    let (_router, client) = bus().await;
+    let other = Bus::open(&client, Patience::Forever).await.unwrap();
+    let (replies, mut received) = tokio::sync::mpsc::channel(64);
+    let reply = Pattern::Foreign(ForeignPattern::new("other/reply").unwrap());
+    other.subscribe(&reply, move |packet| drop(replies.try_send(packet))).await.unwrap();
+    let (stopper, stop) = stop::channel();
+    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let store = Store::new(None, other.space().fleet(), ServiceName::Clusterer);
+    let service = tokio::spawn(shell::run::<Probe>(bus, options(store), stop));
+    let start = Instant::now();
+    let packet = loop {
+        assert!(start.elapsed() < Duration::from_secs(10));
+        let attachment = Attachment::new([7; 33]).unwrap();
+        let packet = Packet::put("other/topic", "application/cdr", [1, 2]);
+        let packet = Packet { attachment: Some(attachment), ..packet };
+        other.put_packet(packet, Urgency::Normal).unwrap();
+        let reply = tokio::time::timeout(Duration::from_millis(200), received.recv()).await;
+        if let Ok(Some(packet)) = reply {
+            break packet;
+        }
+    };
+    assert_eq!((packet.key.as_str(), packet.payload), ("other/reply", Ok(vec![1, 2])));
+    assert_eq!(packet.encoding, "application/cdr");
+    assert_eq!(packet.attachment.unwrap().as_bytes(), [7; 33]);
+    stopper.stop();
+    service.await.unwrap().unwrap();
 }

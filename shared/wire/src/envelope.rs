@@ -12,7 +12,7 @@ use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Header;
 use muster_model::id::ServiceName;
-use muster_model::role::Claim;
+use muster_model::role::LeaseRenewal;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 use serde::de::DeserializeOwned;
@@ -118,7 +118,7 @@ kinds! {
     10 Audit, "Audit", MAX_SERVICE_PAYLOAD;
     11 Event, "Event", MAX_SMALL_PAYLOAD;
     12 AnnouncedSettings, "Settings", MAX_SMALL_PAYLOAD;
-    13 Claim, "Claim", MAX_SMALL_PAYLOAD;
+    13 LeaseRenewal, "Claim", MAX_SMALL_PAYLOAD;
 }
 
 /// Writes a message.

@@ -6,6 +6,8 @@
 
 use std::fmt;
 
+use serde::{Deserialize, Serialize};
+
 /// Longest foreign key in bytes. A ROS 2 key holds a domain, a topic, a type and a hash, of which none
 /// has more than 255 bytes.
 pub const MAX_FOREIGN_KEY_BYTES: usize = 1024;
@@ -44,11 +46,13 @@ pub enum ForeignKeyError {
 }
 
 /// One key outside of `muster/`: a canonical key expression without wildcards.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String")]
 pub struct ForeignKey(String);
 
 /// A set of keys outside of `muster/`: a canonical key expression whose first chunk has no wildcards.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String")]
 pub struct ForeignPattern(String);
 
 impl ForeignKey {
@@ -102,6 +106,22 @@ impl ForeignPattern {
     }
 }
 
+impl TryFrom<String> for ForeignKey {
+    type Error = ForeignKeyError;
+
+    fn try_from(text: String) -> Result<Self, ForeignKeyError> {
+        Self::new(text)
+    }
+}
+
+impl TryFrom<String> for ForeignPattern {
+    type Error = ForeignKeyError;
+
+    fn try_from(text: String) -> Result<Self, ForeignKeyError> {
+        Self::new(text)
+    }
+}
+
 impl fmt::Display for ForeignKey {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str(&self.0)
@@ -149,8 +169,17 @@ pub struct AttachmentError {
 }
 
 /// A few bytes that travel with a message and are no part of its payload.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "Vec<u8>")]
 pub struct Attachment(Vec<u8>);
+
+impl TryFrom<Vec<u8>> for Attachment {
+    type Error = AttachmentError;
+
+    fn try_from(bytes: Vec<u8>) -> Result<Self, AttachmentError> {
+        Self::new(bytes)
+    }
+}
 
 impl Attachment {
     /// Checks the size and wraps the bytes.

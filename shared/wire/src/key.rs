@@ -9,6 +9,7 @@ use std::fmt;
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Stream;
+use serde::{Deserialize, Serialize};
 
 use crate::envelope::{MAX_SERVICE_PAYLOAD, MAX_SMALL_PAYLOAD};
 use crate::foreign::{ForeignKey, ForeignPattern};
@@ -17,7 +18,7 @@ use crate::foreign::{ForeignKey, ForeignPattern};
 const ROOT: &str = "muster/v1";
 
 /// One place of a fleet on the bus.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Key {
     /// `robot/{robot}`: liveliness token of a robot.
     RobotToken(RobotId),
@@ -50,7 +51,7 @@ pub enum Key {
     /// `service/{service}/status`: a get answers with the status of the service.
     Status(ServiceName),
     /// `service/{service}/holder`: the lease renewals of the leader among several instances.
-    Holder(ServiceName),
+    Lease(ServiceName),
     /// `service/{service}/{instance}`: liveliness token of a running service.
     ServiceToken(ServiceName, InstanceId),
     /// A key of another program, outside of the fleet's keys. [`KeySpace::parse`] never returns it.
@@ -58,7 +59,7 @@ pub enum Key {
 }
 
 /// A set of keys to subscribe to, serve or get.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Pattern {
     /// `robot/*`, of liveliness tokens.
     RobotTokens,
@@ -207,7 +208,7 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
             match last {
                 "settings" => Key::Settings(service),
                 "status" => Key::Status(service),
-                "holder" => Key::Holder(service),
+                "holder" => Key::Lease(service),
                 instance => Key::ServiceToken(service, instance.parse().ok()?),
             }
         }
@@ -247,7 +248,7 @@ impl Key {
             | Self::JsonEvent
             | Self::Settings(_)
             | Self::Status(_)
-            | Self::Holder(_) => MAX_SMALL_PAYLOAD,
+            | Self::Lease(_) => MAX_SMALL_PAYLOAD,
             Self::RobotToken(_) | Self::ServiceToken(..) => 0,
             _ => MAX_SERVICE_PAYLOAD,
         }
@@ -284,7 +285,7 @@ impl fmt::Display for Key {
             Self::Schema => formatter.write_str("schema"),
             Self::Settings(service) => write!(formatter, "service/{service}/settings"),
             Self::Status(service) => write!(formatter, "service/{service}/status"),
-            Self::Holder(service) => write!(formatter, "service/{service}/holder"),
+            Self::Lease(service) => write!(formatter, "service/{service}/holder"),
             Self::ServiceToken(service, instance) => {
                 write!(formatter, "service/{service}/{instance}")
             }
@@ -325,7 +326,7 @@ mod tests {
         for service in ServiceName::ALL {
             keys.push(Key::Settings(service));
             keys.push(Key::Status(service));
-            keys.push(Key::Holder(service));
+            keys.push(Key::Lease(service));
             keys.push(Key::ServiceToken(service, InstanceId::new("host-1").unwrap()));
         }
         for key in keys {

@@ -11,7 +11,7 @@ use muster_model::header::Header;
 use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::katz::PairSimilarity;
 use muster_model::observation::CheckedReport;
-use muster_model::role::Claim;
+use muster_model::role::LeaseRenewal;
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::{RobotTeam, Teams};
@@ -70,7 +70,7 @@ pub enum Message {
     /// Something that happened.
     Event(Event),
     /// A lease renewal of the leader of a service.
-    Claim(Box<Claim>),
+    LeaseRenewal(Box<LeaseRenewal>),
     /// The settings of a service.
     Settings(Box<AnnouncedSettings>),
     /// The status of a service.
@@ -164,10 +164,10 @@ impl Message {
                 agree(&service, &announced.service, "services")?;
                 Self::Settings(Box::new(announced))
             }
-            Key::Holder(service) => {
-                let claim: Claim = binary(format, bytes)?;
+            Key::Lease(service) => {
+                let claim: LeaseRenewal = binary(format, bytes)?;
                 agree(&service, &claim.service, "services")?;
-                Self::Claim(Box::new(claim))
+                Self::LeaseRenewal(Box::new(claim))
             }
             Key::RobotToken(_) | Key::ServiceToken(..) => return Err(DecodeError::OnlyTokens),
             Key::JsonTeams
@@ -193,7 +193,7 @@ impl Message {
             Self::Audit(audit) => Some(&audit.header),
             Self::Event(event) => Some(&event.header),
             Self::Settings(announced) => Some(&announced.header),
-            Self::Claim(claim) => Some(&claim.header),
+            Self::LeaseRenewal(claim) => Some(&claim.header),
             _ => None,
         }
     }
@@ -215,7 +215,7 @@ impl Message {
             Self::Audit(_) => (Key::Audit, Some(Key::JsonAudit)),
             Self::Event(_) => (Key::Event, Some(Key::JsonEvent)),
             Self::Settings(announced) => (Key::Settings(announced.service), None),
-            Self::Claim(claim) => (Key::Holder(claim.service), None),
+            Self::LeaseRenewal(claim) => (Key::Lease(claim.service), None),
             Self::Status(status) => (Key::Status(status.service), None),
         }
     }
@@ -267,6 +267,21 @@ impl Message {
         Ok(all)
     }
 
+    /// The packet that brings the message in its binary form. One that has none, as it is larger than
+    /// its kind may be, has an empty payload.
+    #[must_use]
+    pub fn to_packet(&self, space: &KeySpace) -> Packet {
+        let (key, _) = self.keys();
+        if let Self::RobotToken { alive, .. } | Self::ServiceToken { alive, .. } = self {
+            return Packet::token(space.format(&key), *alive);
+        }
+        // Only the JSON form depends on the moment.
+        match self.encode(key.clone(), Format::Binary, Tick(0)) {
+            Ok(outbound) => outbound.into_packet(space),
+            Err(_) => Packet::put(space.format(&key), "", []),
+        }
+    }
+
     /// Writes the message in one form for one of its keys.
     ///
     /// # Errors
@@ -299,7 +314,7 @@ impl Message {
             Self::Audit(audit) => audit.to_json(now),
             Self::Event(event) => event.to_json(now),
             Self::Settings(announced) => Ok(announced.settings.clone().into_bytes()),
-            Self::Claim(claim) => serde_json::to_vec(claim),
+            Self::LeaseRenewal(claim) => serde_json::to_vec(claim),
             Self::Status(status) => serde_json::to_vec(status),
         }
     }
@@ -318,7 +333,7 @@ impl Message {
             Self::Audit(audit) => named(audit.as_ref()),
             Self::Event(event) => named(event),
             Self::Settings(announced) => named(announced.as_ref()),
-            Self::Claim(claim) => named(claim.as_ref()),
+            Self::LeaseRenewal(claim) => named(claim.as_ref()),
             Self::RobotToken { .. }
             | Self::ServiceToken { .. }
             | Self::Status(_)

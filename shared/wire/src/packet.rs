@@ -28,7 +28,7 @@ pub enum Format {
 }
 
 /// Where a packet comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Source {
     /// A put.
     Put,
@@ -41,7 +41,7 @@ pub enum Source {
 }
 
 /// A packet from the bus that is not decoded yet.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Packet {
     /// The text of its key.
     pub key: String,
@@ -50,6 +50,7 @@ pub struct Packet {
     /// Where it comes from.
     pub source: Source,
     /// Its bytes, or how many they were where the limit of the subscription cut them off.
+    #[serde(with = "crate::bytes")]
     pub payload: Result<Vec<u8>, usize>,
     /// The attachment of a bridged program; none on Muster's own keys.
     pub attachment: Option<Attachment>,
@@ -78,6 +79,12 @@ impl Packet {
         let source = if alive { Source::TokenAlive } else { Source::TokenGone };
         Self { source, ..Self::put(key, "", []) }
     }
+
+    /// How many bytes the payload has here.
+    #[must_use]
+    pub fn size(&self) -> usize {
+        self.payload.as_ref().map_or(0, Vec::len)
+    }
 }
 
 /// A message that is encoded and ready to be sent.
@@ -94,6 +101,13 @@ pub struct Outbound {
 }
 
 impl Outbound {
+    /// The answer to a get of the schema.
+    #[must_use]
+    pub fn schema(text: &[u8]) -> Self {
+        let (encoding, payload) = (Cow::Borrowed(JSON), text.to_vec());
+        Self { key: Key::Schema, encoding, payload, attachment: None }
+    }
+
     /// The packet that a subscriber receives.
     #[must_use]
     pub fn into_packet(self, space: &KeySpace) -> Packet {

@@ -5,24 +5,21 @@
 //! program of any version can say who wrote a file; entries are bincode. A file may break off
 //! anywhere, as it does when the service is killed; the checksum distinguishes damage from that.
 
-use std::fmt;
 use std::io::Read;
 
-use serde::de::{DeserializeOwned, Visitor};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use crate::envelope::{self, EnvelopeError};
 
 pub use crate::envelope::MAX_FRAME;
-use crate::key::KeySpace;
-use crate::message::Message;
-use crate::packet::{Format, Outbound, Packet, quoted};
+use crate::packet::quoted;
 
 /// The first bytes of every recording.
 pub const MAGIC: [u8; 8] = *b"\xB7mustrec";
 
 /// Version of the entries. Any change of their types is a new version.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 
 /// Length and checksum of a frame.
 const FRAME_HEAD: usize = 8;
@@ -56,114 +53,6 @@ pub enum RecordingError {
     /// The file cannot be read.
     #[error("the recording cannot be read: {0}")]
     Read(#[from] std::io::Error),
-}
-
-/// Bytes that are written at once and not one by one.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Bytes(pub Vec<u8>);
-
-impl fmt::Debug for Bytes {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{} bytes", self.0.len())
-    }
-}
-
-impl Serialize for Bytes {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_bytes(&self.0)
-    }
-}
-
-impl<'de> Deserialize<'de> for Bytes {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Take;
-        impl Visitor<'_> for Take {
-            type Value = Bytes;
-            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-                formatter.write_str("bytes")
-            }
-            fn visit_bytes<E>(self, bytes: &[u8]) -> Result<Bytes, E> {
-                Ok(Bytes(bytes.to_vec()))
-            }
-            fn visit_byte_buf<E>(self, bytes: Vec<u8>) -> Result<Bytes, E> {
-                Ok(Bytes(bytes))
-            }
-        }
-        deserializer.deserialize_byte_buf(Take)
-    }
-}
-
-/// A message that was published, or with which a get was answered.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Put {
-    /// The text of its whole key.
-    pub key: String,
-    /// The text of its encoding.
-    pub encoding: String,
-    /// Its bytes.
-    pub payload: Bytes,
-}
-
-impl Put {
-    /// What is ready for the bus, as it is recorded.
-    #[must_use]
-    pub fn new(space: &KeySpace, outbound: Outbound) -> Self {
-        Self {
-            key: space.format(&outbound.key),
-            encoding: outbound.encoding.into_owned(),
-            payload: Bytes(outbound.payload),
-        }
-    }
-
-    /// The packet that a subscriber would receive.
-    #[must_use]
-    pub fn into_packet(self) -> Packet {
-        Packet::put(self.key, self.encoding, self.payload.0)
-    }
-}
-
-/// A message that a service received, in binary form whatever form it came in.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Received {
-    /// A put.
-    Put(Put),
-    /// A liveliness token appeared or was lost.
-    Token {
-        /// The text of its whole key.
-        key: String,
-        /// Whether it is there.
-        alive: bool,
-    },
-}
-
-impl Received {
-    /// A message as it is recorded. Nothing of it is lost: [`Message::decode`] reads the same message
-    /// from the packet.
-    ///
-    /// # Errors
-    /// [`EnvelopeError`] if it is larger than its kind may be, or is none that a service receives.
-    pub fn new(space: &KeySpace, message: &Message) -> Result<Self, EnvelopeError> {
-        let (key, _) = message.keys();
-        if let Message::RobotToken { alive, .. } | Message::ServiceToken { alive, .. } = message {
-            return Ok(Self::Token { key: space.format(&key), alive: *alive });
-        }
-        if let Message::Teams { mirror: true, .. } = message {
-            let problem = "teams that are to be mirrored are sent and never received".to_owned();
-            return Err(EnvelopeError::Encode(problem));
-        }
-        // Only the JSON form depends on the moment.
-        let outbound = message.encode(key, Format::Binary, muster_model::time::Tick(0))?;
-        Ok(Self::Put(Put::new(space, outbound)))
-    }
-
-    /// The packet of the message.
-    #[must_use]
-    pub fn into_packet(self) -> Packet {
-        match self {
-            Self::Put(put) => put.into_packet(),
-            Self::Token { key, alive } => Packet::token(key, alive),
-        }
-    }
 }
 
 /// FNV-1a, folded to four bytes: damage is to be found, no attacker to be kept out.

@@ -133,10 +133,8 @@ fn chunks_match(selector: &[&str], key: &[&str]) -> bool {
     reachable[0] = true;
     for chunk in selector {
         if *chunk == "**" {
-            let mut open = false;
-            for place in &mut reachable {
-                open |= *place;
-                *place = open;
+            for at in 1..=key.len() {
+                reachable[at] |= reachable[at - 1] && !is_verbatim(key[at - 1]);
             }
         } else {
             for at in (0..key.len()).rev() {
@@ -148,7 +146,15 @@ fn chunks_match(selector: &[&str], key: &[&str]) -> bool {
     reachable[key.len()]
 }
 
+/// Whether no wildcard matches a chunk: those that begin with `@` are only matched by themselves.
+fn is_verbatim(chunk: &str) -> bool {
+    chunk.starts_with('@')
+}
+
 fn chunk_matches(chunk: &str, key: &str) -> bool {
+    if is_verbatim(key) {
+        return chunk == key;
+    }
     if chunk == "*" {
         return true;
     }

@@ -11,7 +11,7 @@ use std::sync::LazyLock;
 use muster_model::id::{Modality, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Stream;
-use muster_model::role::Claim;
+use muster_model::role::LeaseRenewal;
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, Settings,
 };
@@ -129,7 +129,7 @@ impl Schemas {
         all.written::<EmbeddingForm<'_>>("embedding", &["embedding?format=json"]);
         all.written::<KatzForm<'_>>("katz", &["embedding?katz={from},{to}"]);
         all.written::<ServiceStatus>("status", &["service/{service}/status"]);
-        all.written::<Claim>("claim", &["service/{service}/holder?format=json"]);
+        all.written::<LeaseRenewal>("claim", &["service/{service}/holder?format=json"]);
         all.settings::<IngestSettings>(
             ServiceName::Ingest,
             "gone_after_s that is not above stale_after_s, spatial.neighbours times max_robots that \

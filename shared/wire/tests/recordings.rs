@@ -5,24 +5,26 @@
 mod samples;
 
 use muster_model::id::{InstanceId, ServiceName};
-use muster_wire::recording::{MAGIC, Put, Reader, Received, RecordingError, begin, frame};
-use muster_wire::{Format, KeySpace, Message, Packet};
+use muster_wire::recording::{MAGIC, Reader, RecordingError, VERSION, begin, frame};
+use muster_wire::{Format, KeySpace, Message, Packet, Source};
 use proptest::prelude::*;
 
 fn space() -> KeySpace {
     KeySpace::new(samples::fleet())
 }
 
+/// A message as it is read from a recording of the packet that brought it.
 fn again(message: &Message) -> Result<Message, String> {
-    let received = Received::new(&space(), message).map_err(|error| error.to_string())?;
-    let bytes = [begin(&"head").unwrap(), frame(&received).unwrap()].concat();
+    let packet = message.to_packet(&space());
+    let bytes = [begin(&"head").unwrap(), frame(&packet).unwrap()].concat();
     let (mut reader, _): (_, String) = Reader::open(bytes.as_slice()).unwrap();
-    let read: Received = reader.next_entry().unwrap().unwrap();
-    assert!(reader.next_entry::<Received>().unwrap().is_none());
-    Message::decode(&space(), &read.into_packet()).map_err(|refused| refused.reason)
+    let read: Packet = reader.next_entry().unwrap().unwrap();
+    assert_eq!(read, packet);
+    assert!(reader.next_entry::<Packet>().unwrap().is_none());
+    Message::decode(&space(), &read).map_err(|refused| refused.reason)
 }
 
-/// Whatever kind a service can receive comes back as it was.
+/// Every kind that a service can receive comes back as it was.
 #[test]
 fn every_message_that_is_received_comes_back_from_a_recording() {
     for (name, message) in samples::all() {
@@ -46,18 +48,31 @@ fn every_message_that_is_received_comes_back_from_a_recording() {
         Message::Teams { teams, .. } => Some(teams),
         _ => None,
     });
-    // What would not come back is refused, and does not change in silence.
-    assert!(again(&Message::Teams { teams: teams.unwrap(), mirror: true }).is_err());
+    // Whether there is a mirror is for the publisher alone: it is no part of what is received.
+    let teams = teams.unwrap();
+    let mirrored = Message::Teams { teams: teams.clone(), mirror: true };
+    assert_eq!(again(&mirrored), Ok(Message::Teams { teams, mirror: false }));
 }
 
-/// What robots report in JSON is recorded in binary: whatever is accepted in JSON must fit, and keep
-/// every bit.
+/// A packet is recorded as it came, whatever it is.
+#[test]
+fn every_packet_comes_back_from_a_recording() {
+    let packet = Packet::put("any key".to_owned(), "any encoding".to_owned(), vec![0, 1, 255]);
+    for source in [Source::Put, Source::Delete, Source::TokenAlive, Source::TokenGone] {
+        for payload in [Ok(Vec::new()), Ok(vec![7; 100]), Err(2 << 20)] {
+            let packet = Packet { source, payload, ..packet.clone() };
+            let bytes = [begin(&"head").unwrap(), frame(&packet).unwrap()].concat();
+            let (mut reader, _): (_, String) = Reader::open(bytes.as_slice()).unwrap();
+            assert_eq!(reader.next_entry().unwrap(), Some(packet));
+        }
+    }
+}
+
+/// What robots report in JSON is published and replayed in binary: whatever is accepted in JSON must
+/// fit, and keep every bit.
 fn through_json(tail: &str, payload: &str) -> Option<Message> {
-    let packet = Packet::put(
-        format!("muster/v1/alpha/robot/r1/{tail}"),
-        "application/json",
-        payload.as_bytes().to_vec(),
-    );
+    let key = format!("muster/v1/alpha/robot/r1/{tail}");
+    let packet = Packet::put(key, "application/json".to_owned(), payload.as_bytes().to_vec());
     Message::decode(&space(), &packet).ok()
 }
 
@@ -65,7 +80,7 @@ proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_robots_say_in_json_comes_back_bit_for_bit(
+    fn what_robots_report_in_json_comes_back_bit_for_bit(
         (x, y, stamp) in (-1e7..1e7_f64, any::<f64>(), any::<f64>()),
         qualities in prop::collection::vec(-120.0..1.0_f64, 0..40),
         seq in any::<u64>(),
@@ -93,9 +108,7 @@ proptest! {
     ) {
         let mut bytes = begin(&"head").unwrap();
         for (_, message) in samples::all() {
-            if let Ok(received) = Received::new(&space(), &message) {
-                bytes.extend(frame(&received).unwrap());
-            }
+            bytes.extend(frame(&message.to_packet(&space())).unwrap());
         }
         let whole = bytes.clone();
         bytes.truncate(cut.index(bytes.len() + 1));
@@ -109,7 +122,7 @@ proptest! {
         let Ok((mut reader, _)) = Reader::open::<String>(bytes.as_slice()) else { return Ok(()) };
         loop {
             let before = reader.offset();
-            match reader.next_entry::<Received>() {
+            match reader.next_entry::<Packet>() {
                 Ok(Some(_)) => prop_assert!(reader.offset() as usize <= intact, "damage is seen"),
                 Ok(None) => break,
                 Err(error) => {
@@ -124,31 +137,34 @@ proptest! {
     #[test]
     fn random_bytes_are_no_recording(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
         prop_assert!(Reader::open::<String>(bytes.as_slice()).is_err());
-        let with_magic = [MAGIC.as_slice(), &[1], &bytes].concat();
+        let with_magic = [MAGIC.as_slice(), &[VERSION], &bytes].concat();
         if let Ok((mut reader, _)) = Reader::open::<String>(with_magic.as_slice()) {
-            let _ = reader.next_entry::<Vec<Put>>();
+            let _ = reader.next_entry::<Vec<Packet>>();
         }
     }
 }
 
 #[test]
-fn what_is_wrong_with_a_file_is_told() {
+fn what_is_wrong_with_a_file_is_reported() {
     let open = |bytes: &[u8]| Reader::open::<String>(bytes).map(|_| ()).unwrap_err();
     assert!(matches!(open(b""), RecordingError::NotARecording));
     assert!(matches!(open(b"{\"robots\": []}"), RecordingError::NotARecording));
     let good = begin(&"head").unwrap();
-    let mut newer = good.clone();
-    newer[MAGIC.len()] = 9;
-    assert!(open(&newer).to_string().contains("version 9"));
+    let mut other = good.clone();
+    other[MAGIC.len()] = 9;
+    assert!(open(&other).to_string().contains("version 9"));
+    // Recordings of the first version hold other entries.
+    other[MAGIC.len()] = 1;
+    assert!(open(&other).to_string().contains("version 1"));
     assert!(matches!(open(&good[..good.len() - 1]), RecordingError::BreaksOff(9)));
     let huge = [good.as_slice(), &u32::MAX.to_le_bytes(), &[0; 4]].concat();
     let (mut reader, _) = Reader::open::<String>(huge.as_slice()).unwrap();
-    let error = reader.next_entry::<Received>().unwrap_err();
+    let error = reader.next_entry::<Packet>().unwrap_err();
     assert!(matches!(error, RecordingError::Damaged { .. }), "{error}");
     // A length that promises what does not come must not be allocated for.
     let promised = [good.as_slice(), &200_000_000_u32.to_le_bytes(), &[0; 9]].concat();
     let (mut reader, _) = Reader::open::<String>(promised.as_slice()).unwrap();
-    assert!(matches!(reader.next_entry::<Received>(), Err(RecordingError::BreaksOff(_))));
+    assert!(matches!(reader.next_entry::<Packet>(), Err(RecordingError::BreaksOff(_))));
 }
 
 /// The largest messages of robots that are accepted in JSON fit their binary form as well.

@@ -32,8 +32,11 @@ const ROUNDING: f64 = 1e-12;
 /// Most fleets of which only K can be compared.
 const MOST_ARBITRARY: usize = 2;
 
+/// When the services lead: any moment after they have asked the bus for their last output.
+const START: Tick = Tick(10_000_000);
+
 /// Virtual time after which a fleet that does not move is at rest.
-const REST_AFTER: Tick = Tick(4_000_000);
+const REST_AFTER: Tick = Tick(14_000_000);
 
 /// What one fleet reports, and how many teams are asked for.
 struct Reports {
@@ -146,9 +149,9 @@ fn clusterer(reports: &Reports) -> ClustererSettings {
 /// What the cores of all services make of the reports once the fleet is at rest.
 fn live(reports: &Reports) -> (Divided, Pipeline) {
     let settings = AllSettings { clusterer: clusterer(reports), ..AllSettings::default() };
-    let mut pipeline = Pipeline::new(Tick(0), settings).unwrap();
-    pipeline.advance(Tick(500_000));
-    reports.messages.iter().for_each(|message| pipeline.hear(message.clone()));
+    let mut pipeline = Pipeline::new(START, settings).unwrap();
+    pipeline.advance(Tick(10_500_000));
+    reports.messages.iter().for_each(|message| pipeline.receive(message.clone()));
     pipeline.advance(REST_AFTER);
     let teams = pipeline.teams.clone().unwrap();
     let labels = teams.teams.iter().zip(0..).flat_map(|(team, number)| {

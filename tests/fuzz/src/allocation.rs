@@ -1,4 +1,4 @@
-//! How much memory a piece of code holds at its worst moment.
+//! The peak memory use of a piece of code.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -10,7 +10,7 @@ static ALLOCATOR: PeakAlloc = PeakAlloc;
 /// The highest peak that inner measurements have reset.
 static INNER: AtomicUsize = AtomicUsize::new(0);
 
-/// Runs something and checks that it never holds more than so many bytes beyond what was held before.
+/// Runs something and checks that it never uses more than so many bytes beyond what was in use before.
 /// Measurements may stand in each other. Other threads count in, so that one target runs at a time.
 ///
 /// # Panics

@@ -1,14 +1,13 @@
-//! Whole cores: a sequence of events that bytes choose, and what must hold of everything that a core
+//! Whole services: a sequence of inputs that bytes choose, and what must hold of everything that a host
 //! wants done.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stopwatch, Stored};
 use muster_model::audit::{Audit, SilhouetteReport};
 use muster_model::event::EventKind;
 use muster_model::graph::GraphReplica;
@@ -16,8 +15,12 @@ use muster_model::header::Revision;
 use muster_model::id::{FleetId, InstanceId, Modality};
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
-use muster_wire::report;
-use muster_wire::{Format, Key, KeySpace, Message, Packet, Pattern, Request, Source};
+use muster_service::testkit::START_RETRY_TIME;
+use muster_service::{
+    Arrival, Ask, Command, Core, GetId, Host, IncomingGet, Input, Publication, Reply, Start,
+    Stopwatch, Stored,
+};
+use muster_wire::{Format, Key, KeySpace, Message, Packet, Pattern, Request, Source, report};
 
 use crate::draw::{Author, Draw, Drawn};
 use crate::packets::{BINARY, NOW, space, understood};
@@ -31,11 +34,14 @@ const HELD_PER_BYTE: usize = 1024;
 /// count for.
 const HELD_ANYWAY: usize = 32 << 20;
 
-/// Most events of one run.
-const MAX_EVENTS: usize = 400;
+/// Most inputs of one run that bytes choose.
+const MAX_INPUTS: usize = 400;
 
-/// Most fetches that are left unanswered; the shell answers each after a second at the latest.
-const MAX_FETCHES: usize = 8;
+/// Most questions that are left unanswered; the shell answers each after a second at the latest.
+const MAX_ASKS: usize = 32;
+
+/// How often a timer comes while a service starts: often enough that the process never seems paused.
+const START_STEP: Duration = Duration::from_millis(200);
 
 /// How far a silhouette may be outside of -1 to 1, by rounding.
 const ROUNDING: f64 = 1e-9;
@@ -116,65 +122,88 @@ pub(crate) fn auditor(data: &[u8]) {
 
 fn run<C: Core>(data: &[u8]) {
     let limit = HELD_PER_BYTE * data.len() + HELD_ANYWAY;
-    let what = format!("{} with all that it was told", C::SERVICE);
+    let what = format!("{} with all that it received", C::SERVICE);
     allocation::at_most(limit, &what, || World::<C>::new().live(&mut Draw(data)));
 }
 
-/// A core, and what its shell knows of it.
+/// A host, and what its shell knows of it.
 struct World<C: Core> {
-    driver: Driver<C>,
+    host: Host<C>,
     space: KeySpace,
     now: Tick,
     author: Author,
     job: Option<C::Job>,
-    fetches: Vec<(u32, Vec<Pattern>)>,
-    queries: u64,
-    open: BTreeSet<QueryId>,
+    asks: Vec<Ask>,
+    /// How many stores are not confirmed.
+    stores: usize,
+    confirmed_stores: usize,
+    gets: u64,
+    open: BTreeMap<GetId, OpenGet>,
     term: u64,
     /// The last revision on each key.
-    told: BTreeMap<Key, Revision>,
+    published: BTreeMap<Key, Revision>,
     graphs: BTreeMap<Modality, GraphReplica>,
+}
+
+/// A get that is not answered yet.
+struct OpenGet {
+    /// A get of a pair may wait for a job.
+    is_of_pair: bool,
+    is_binary: bool,
 }
 
 impl<C: Core> World<C> {
     fn new() -> Self {
+        let now = NOW.before(START_RETRY_TIME);
         Self {
-            driver: Driver::new(Start {
+            host: Host::new(Start {
                 fleet: FleetId::new("alpha").unwrap(),
                 instance: InstanceId::new("fuzz-1").unwrap(),
-                now: NOW,
+                now,
                 settings: C::Settings::default(),
                 stored: Stored::default(),
             }),
             space: space(),
-            now: NOW,
+            now,
             author: Author::default(),
             job: None,
-            fetches: Vec::new(),
-            queries: 0,
-            open: BTreeSet::new(),
+            asks: Vec::new(),
+            stores: 0,
+            confirmed_stores: 0,
+            gets: 0,
+            open: BTreeMap::new(),
             term: 0,
-            told: BTreeMap::new(),
+            published: BTreeMap::new(),
             graphs: BTreeMap::new(),
         }
     }
 
     /// Lets everything happen that the bytes choose; then all that is under way ends.
     fn live(&mut self, draw: &mut Draw<'_>) {
-        self.step(Event::Started);
-        for _ in 0..MAX_EVENTS {
+        // The start has asked for so long that its questions are not repeated.
+        self.handle(Input::Started { linked: true });
+        while self.now < NOW {
+            self.now = self.now.after(START_STEP);
+            self.handle(Input::Timer);
+        }
+        for _ in 0..MAX_INPUTS {
             if draw.is_empty() {
                 break;
             }
             self.happen(draw);
         }
-        self.finish_job();
-        while !self.fetches.is_empty() {
-            self.answer_fetch(Vec::new());
-        }
-        self.finish_job();
+        self.end_all();
         self.now = self.now.after(Duration::from_secs(60));
-        self.step(Event::Timeout);
+        self.handle(Input::Timer);
+        self.end_all();
+        assert!(self.open.is_empty(), "a get is not answered");
+    }
+
+    /// Ends what is under way.
+    fn end_all(&mut self) {
+        self.finish_job();
+        self.answer_asks(&[]);
+        self.confirm_stores();
         self.finish_job();
     }
 
@@ -182,43 +211,45 @@ impl<C: Core> World<C> {
         match draw.below(16) {
             0 => self.now = self.now.after(Duration::from_millis(draw.number16().into())),
             1 => {
-                self.now = self.driver.deadline().map_or(self.now, |due| due.max(self.now));
-                self.step(Event::Timeout);
+                self.now = self.host.deadline().map_or(self.now, |due| due.max(self.now));
+                self.handle(Input::Timer);
             }
             2..5 => {
                 let message = self.author.message(self.now, draw);
-                self.receive(&self.drawn(&message));
+                self.receive(self.drawn(&message));
             }
             5 => {
                 let packet = self.raw(draw);
-                self.receive(&packet);
+                self.receive(packet);
             }
             6..8 => {
-                let many = draw.below(5);
+                let count = draw.below(5);
                 let drawn: Vec<_> =
-                    (0..many).map(|_| self.author.message(self.now, draw)).collect();
-                let packets = drawn.iter().map(|message| self.drawn(message)).collect();
-                self.answer_fetch(packets);
+                    (0..count).map(|_| self.author.message(self.now, draw)).collect();
+                let packets: Vec<_> = drawn.iter().map(|message| self.drawn(message)).collect();
+                self.answer_asks(&packets);
             }
             8 => {
-                let packets = (0..draw.below(5)).map(|_| self.raw(draw)).collect();
-                self.answer_fetch(packets);
+                let packets: Vec<_> = (0..draw.below(5)).map(|_| self.raw(draw)).collect();
+                self.answer_asks(&packets);
             }
-            9 => self.query(draw),
-            10 | 11 => self.finish_job(),
+            9 => self.get(draw),
+            10 | 11 => {
+                self.confirm_stores();
+                self.finish_job();
+            }
             12 => {
                 if self.job.take().is_some() {
-                    self.step(Event::JobFailed("\u{1b}[31m failed\n".repeat(40)));
+                    let panic = Some("\u{1b}[31m failed\n".repeat(40));
+                    self.handle(Input::JobEnded { laps: Vec::new(), panic });
                 }
             }
-            13 => self.step(Event::LinkLost),
-            14 => self.step(Event::LinkRestored),
+            13 => self.handle(Input::LinkLost),
+            14 => self.handle(Input::LinkRestored),
             _ => {
-                let source =
-                    if draw.below(2) == 0 { Source::TokenAlive } else { Source::TokenGone };
+                let alive = draw.below(2) == 0;
                 let key = format!("muster/v1/alpha/robot/r{}", draw.below(8));
-                let (encoding, payload) = (String::new(), Ok(Vec::new()));
-                self.receive(&Packet { key, encoding, source, payload, attachment: None });
+                self.receive(Packet::token(key, alive));
             }
         }
     }
@@ -227,14 +258,11 @@ impl<C: Core> World<C> {
     fn raw(&self, draw: &mut Draw<'_>) -> Packet {
         let choice = draw.byte();
         let encoding = if choice & 16 == 0 { BINARY } else { "" };
-        Packet::put(
-            format!("muster/v1/alpha/{}", KEYS[usize::from(choice % 16)]),
-            encoding,
-            draw.block().to_vec(),
-        )
+        let key = format!("muster/v1/alpha/{}", KEYS[usize::from(choice % 16)]);
+        Packet::put(key, encoding, draw.block())
     }
 
-    /// A message as it crosses the bus.
+    /// What was drawn, as it crosses the bus.
     fn drawn(&self, drawn: &Drawn) -> Packet {
         let out = match drawn {
             Drawn::Message(message) => message.encode(message.keys().0, Format::Binary, self.now),
@@ -251,68 +279,79 @@ impl<C: Core> World<C> {
         })
     }
 
-    /// Hands a packet to the core if it subscribes to its key.
-    fn receive(&mut self, packet: &Packet) {
+    /// Hands a packet to the host if its core subscribes to its key.
+    fn receive(&mut self, packet: Packet) {
         let wiring = C::wiring();
-        let patterns = match packet.source {
+        let patterns: Vec<_> = match packet.source {
             Source::Put | Source::Delete => {
                 wiring.subscriptions.into_iter().map(|subscription| subscription.pattern).collect()
             }
             Source::TokenAlive | Source::TokenGone => wiring.tokens,
         };
-        if self.is_wanted(packet, &patterns) {
-            match understood(&self.space, packet) {
-                Ok(message) => self.step(Event::Received(message)),
-                Err(rejection) => self.step(Event::Rejected(rejection)),
-            }
+        if self.is_wanted(&packet, &patterns) {
+            let arrival = self.arrival(packet);
+            self.handle(Input::Arrived(arrival));
         }
     }
 
-    /// Ends the oldest fetch with those of the packets that it has asked for.
-    fn answer_fetch(&mut self, packets: Vec<Packet>) {
-        if self.fetches.is_empty() {
-            return;
-        }
-        let (fetch, patterns) = self.fetches.remove(0);
-        let wanted = packets.iter().filter(|packet| self.is_wanted(packet, &patterns));
-        let messages = wanted.filter_map(|packet| understood(&self.space, packet).ok()).collect();
-        self.step(Event::Fetched { fetch, messages });
+    /// A packet that is decoded when its turn comes; what decoding makes of it is checked here.
+    fn arrival(&self, packet: Packet) -> Arrival {
+        let _ = understood(&self.space, &packet);
+        Arrival::encoded(packet)
     }
 
-    fn query(&mut self, draw: &mut Draw<'_>) {
+    /// Ends all questions with those of the packets that they ask for.
+    fn answer_asks(&mut self, packets: &[Packet]) {
+        for Ask { ask, pattern, .. } in std::mem::take(&mut self.asks) {
+            let pattern = [pattern];
+            let wanted = packets.iter().filter(|packet| self.is_wanted(packet, &pattern));
+            let answers = wanted.map(|packet| self.arrival(packet.clone())).collect();
+            self.handle(Input::Answered { ask, answers });
+        }
+    }
+
+    fn get(&mut self, draw: &mut Draw<'_>) {
         let selector = SELECTORS[usize::from(draw.below(16))].replace('~', "muster/v1/alpha");
         let choice = draw.byte();
-        let parameters = PARAMETERS[usize::from(choice & 3 | (choice & 8) >> 1)];
+        let parameters = PARAMETERS[usize::from(choice & 3 | (choice & 8) >> 1)].to_owned();
         let payload = (choice & 4 != 0).then(|| draw.block().to_vec());
-        let request = Request::new(selector, parameters, payload).unwrap();
-        self.queries += 1;
-        let query = QueryId(self.queries);
-        self.open.insert(query);
-        self.step(Event::Query { query, request });
-        // Who asks for a pair may have to wait for a job.
-        let waits = choice & 8 != 0 && self.job.is_some();
-        assert!(waits || !self.open.contains(&query), "a get is not answered");
+        self.gets += 1;
+        let get = GetId(self.gets);
+        let is_binary = parameters.contains("format=bincode");
+        self.open.insert(get, OpenGet { is_of_pair: choice & 8 != 0, is_binary });
+        self.handle(Input::Get(IncomingGet { get, selector, narrowed: None, parameters, payload }));
     }
 
     fn finish_job(&mut self) {
         if let Some(job) = self.job.take() {
-            self.step(Event::Done(C::run(job, &mut Stopwatch::still())));
-            assert!(self.job.is_some() || self.open.is_empty(), "a get is not answered");
+            self.host.finish_job(C::run(job, &mut Stopwatch::still()));
+            self.handle(Input::JobEnded { laps: Vec::new(), panic: None });
         }
     }
 
-    fn step(&mut self, event: Event<C::Done>) {
-        for command in self.driver.step(self.now, event) {
+    /// The disk has written everything, but for every third state.
+    fn confirm_stores(&mut self) {
+        while self.stores > 0 {
+            self.confirmed_stores += 1;
+            let fails = self.confirmed_stores.is_multiple_of(3);
+            let error = fails.then(|| "\u{1b}[31mthe disk is full\n".to_owned());
+            self.stores -= 1;
+            self.handle(Input::Stored { error });
+        }
+    }
+
+    fn handle(&mut self, input: Input) {
+        for command in self.host.handle(self.now, input) {
             match command {
-                Command::Publish(message) => self.published(&message),
-                Command::Reply { query, request, answer } => self.replied(query, &request, answer),
-                Command::Run(job) => {
+                Command::Publish(publication) => self.published(&publication),
+                Command::Reply(reply) => self.replied(&reply),
+                Command::RunJob => {
+                    let job = self.host.take_job().expect("a job is to be run");
                     assert!(self.job.replace(job).is_none(), "two jobs run at a time");
                 }
-                Command::Fetch { fetch, patterns } => {
-                    self.fetches.push((fetch, patterns));
-                }
+                Command::Ask(ask) => self.asks.push(ask),
                 Command::Store(stored) => {
+                    self.stores += 1;
                     assert!(stored.term >= self.term, "a term goes back");
                     self.term = stored.term;
                     let text = serde_json::to_vec(&stored).unwrap();
@@ -321,47 +360,52 @@ impl<C: Core> World<C> {
                         .patched(&serde_json::Value::Object(stored.patch))
                         .expect("stored settings do not fit");
                 }
+                Command::ReplicaState(state) => assert_eq!(state, self.host.replica_state()),
+                Command::Unencodable(problem) => panic!("{problem}"),
+                other => panic!("{} wants {other:?}", C::SERVICE),
             }
         }
-        if self.fetches.len() > MAX_FETCHES {
-            self.answer_fetch(Vec::new());
+        if self.stores == 0 {
+            let waits = |get: &OpenGet| get.is_of_pair && self.job.is_some();
+            assert!(self.open.values().all(waits), "a get is not answered");
+        }
+        if self.asks.len() > MAX_ASKS {
+            self.answer_asks(&[]);
         }
     }
 
-    fn replied(&mut self, query: QueryId, request: &Request, answer: Result<Vec<Message>, String>) {
-        assert!(self.open.remove(&query), "a get is answered that is not open");
-        match answer {
-            Err(error) => text::check(&error, MAX_ERROR),
-            Ok(messages) => {
-                for message in messages {
-                    let answer = message.answer(&self.space, request, self.now);
-                    // These have no binary form, and who asks for one is told so.
-                    let has_none = matches!(message, Message::Status(_) | Message::Katz(_))
-                        && request.format == Some(Format::Binary);
-                    assert!(answer.is_ok() || has_none, "{message:?} is not answered: {answer:?}");
-                }
-            }
-        }
+    fn replied(&mut self, reply: &Reply) {
+        let open = self.open.remove(&reply.get).expect("a get is answered that is not open");
+        let Err(error) = &reply.answer else { return };
+        text::check(error, MAX_ERROR);
+        // These have no binary form, and a get of one is answered with that.
+        let has_none = |message| matches!(message, &(Message::Status(_) | Message::Katz(_)));
+        let is_explained =
+            reply.messages.is_empty() || open.is_binary && reply.messages.iter().any(has_none);
+        assert!(is_explained, "{:?} is not answered: {error}", reply.messages);
     }
 
     /// Checks that a message is finite, in order, and accepted by those who read it.
-    fn published(&mut self, message: &Message) {
+    fn published(&mut self, publication: &Publication) {
+        let message = publication.message.as_ref().expect("a publication has a message");
         let (key, _) = message.keys();
-        for out in message.publish(self.now).unwrap() {
-            if out.encoding.starts_with("application/octet-stream") {
-                let packet = out.into_packet(&self.space);
-                let read = understood(&self.space, &packet);
+        for packet in &publication.packets {
+            if packet.encoding.starts_with("application/octet-stream") {
+                let read = understood(&self.space, packet);
                 assert!(read.is_ok(), "what is published is refused: {read:?}");
             } else {
-                let _: serde_json::Value = serde_json::from_slice(&out.payload).unwrap();
+                let payload = packet.payload.as_ref().unwrap();
+                let _: serde_json::Value = serde_json::from_slice(payload).unwrap();
             }
         }
         if let Some(header) = message.header().filter(|_| !matches!(message, Message::Event(_))) {
-            let before = self.told.insert(key.clone(), header.revision);
-            let again =
-                matches!(message, Message::Settings(_) | Message::RobotTeam(_) | Message::Claim(_));
+            let before = self.published.insert(key.clone(), header.revision);
+            let repeats = matches!(
+                message,
+                Message::Settings(_) | Message::RobotTeam(_) | Message::LeaseRenewal(_)
+            );
             let in_order = before.is_none_or(|before| {
-                before < header.revision || (again && before == header.revision)
+                before < header.revision || (repeats && before == header.revision)
             });
             assert!(in_order, "{key} goes from {before:?} to {:?}", header.revision);
         }
@@ -371,8 +415,8 @@ impl<C: Core> World<C> {
                 assert_eq!(graph.apply(delta), Ok(()), "a delta does not fit those before");
             }
             Message::Audit(audit) => check_audit(audit),
-            Message::RobotTeam(told) => {
-                assert!((0.0..=1.0).contains(&told.confidence), "{}", told.confidence);
+            Message::RobotTeam(team) => {
+                assert!((0.0..=1.0).contains(&team.confidence), "{}", team.confidence);
             }
             Message::Event(event) => match &event.kind {
                 EventKind::Quarantined { reason, key, .. } => {

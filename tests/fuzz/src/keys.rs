@@ -8,7 +8,7 @@ use crate::packets::space;
 use crate::text;
 
 /// Longest text that refuses parameters, in characters.
-const MAX_TOLD: usize = 300;
+const MAX_ERROR: usize = 300;
 
 /// Keys that selectors are tried on.
 const KEYS: [&str; 12] = [
@@ -41,7 +41,7 @@ pub(crate) fn key(data: &[u8]) {
             assert!(request.is_exact() && request.selects(&space(), &key));
             assert_eq!(request.exact_key(&space()), Some(key));
         }
-        Err(error) => text::check(&error.to_string(), MAX_TOLD),
+        Err(error) => text::check(&error.to_string(), MAX_ERROR),
     }
 }
 
@@ -53,7 +53,7 @@ pub(crate) fn request(data: &[u8]) {
     let parameters = String::from_utf8_lossy(parameters);
     let request = match Request::new(selector.clone(), &parameters, Some(payload.to_vec())) {
         Ok(request) => request,
-        Err(error) => return text::check(&error.to_string(), MAX_TOLD),
+        Err(error) => return text::check(&error.to_string(), MAX_ERROR),
     };
     let named = |form: &str| parameters.split([';', '&']).any(|part| part == form);
     assert!(request.format != Some(Format::Json) || named("format=json"));

@@ -46,7 +46,7 @@ pub struct Target {
 pub const TARGETS: [Target; 15] = [
     target("packet", packets::packet, 2048, 30_000),
     target("envelope", packets::envelope, 2048, 30_000),
-    target("told", packets::told, 2048, 20_000),
+    target("robot_team", packets::robot_team, 2048, 20_000),
     target("recording", recording::recording, 4096, 10_000),
     target("edge_json", packets::edge_json, 2048, 30_000),
     target("key", keys::key, 256, 20_000),

@@ -4,10 +4,9 @@ use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
-use muster_model::id::FleetId;
-use muster_model::id::Modality;
+use muster_model::id::{FleetId, Modality};
 use muster_model::observation::Stream;
-use muster_model::role::Claim;
+use muster_model::role::LeaseRenewal;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
@@ -24,7 +23,7 @@ pub(crate) const NOW: Tick = Tick(1_795_208_990_000_000);
 pub(crate) const BINARY: &str = "application/octet-stream;bincode";
 
 /// Longest key or reason of a refusal, in characters.
-const MAX_TOLD: usize = 120;
+const MAX_REFUSAL: usize = 120;
 
 /// Bytes that understanding a packet may hold for each byte of it: the smallest entry of a roster has
 /// eleven bytes on the bus and some two hundred in memory, and vectors grow by doubling.
@@ -39,15 +38,15 @@ pub(crate) const fn may_hold(length: usize) -> usize {
     HELD_PER_BYTE * length + HELD_ANYWAY
 }
 
-/// The keys that all targets speak of.
+/// The keys of all targets.
 pub(crate) fn space() -> KeySpace {
     KeySpace::new(FleetId::new("alpha").unwrap())
 }
 
-/// Checks what is told of a refused packet.
+/// Checks the texts of a refusal.
 pub(crate) fn check_rejection(rejection: &Rejection) {
-    text::check(&rejection.key, MAX_TOLD);
-    text::check(&rejection.reason, MAX_TOLD);
+    text::check(&rejection.key, MAX_REFUSAL);
+    text::check(&rejection.reason, MAX_REFUSAL);
 }
 
 /// Understands a packet, and checks what became of it.
@@ -86,7 +85,7 @@ fn check_message(space: &KeySpace, packet: &Packet, message: &Message) {
 }
 
 fn as_packet(space: &KeySpace, payload: &[u8], encoding: &str, key: &str) -> Message {
-    let packet = Packet::put(key.to_owned(), encoding, payload.to_vec());
+    let packet = Packet::put(key, encoding, payload);
     Message::decode(space, &packet).unwrap()
 }
 
@@ -126,21 +125,22 @@ pub(crate) fn packet(data: &[u8]) {
     }
 }
 
-/// A packet as [`foreign`] reads it, for a robot that is told its team.
-pub(crate) fn told(data: &[u8]) {
+/// A packet as [`foreign`] reads it, for a robot that reads its team.
+pub(crate) fn robot_team(data: &[u8]) {
     let Some(packet) = foreign(data) else { return };
     let space = space();
     let length = packet.payload.as_ref().map_or(0, Vec::len) + packet.key.len();
     let read = |packet: &Packet| muster_wire::robot_team::decode(&space, packet, NOW);
-    let told = allocation::at_most(may_hold(length), "what a robot is told", || read(&packet));
-    let told = match told {
+    let team =
+        allocation::at_most(may_hold(length), "reading the team of a robot", || read(&packet));
+    let team = match team {
         Err(rejection) => return check_rejection(&rejection),
-        Ok(told) => told,
+        Ok(team) => team,
     };
-    let key = Key::RobotTeam(told.robot.clone());
-    assert_eq!(space.format(&key), packet.key, "a robot is told what stands on another key");
-    assert!((0.0..=1.0).contains(&told.confidence), "{}", told.confidence);
-    let message = Message::RobotTeam(told.clone());
+    let key = Key::RobotTeam(team.robot.clone());
+    assert_eq!(space.format(&key), packet.key, "a robot reads the team of another key");
+    assert!((0.0..=1.0).contains(&team.confidence), "{}", team.confidence);
+    let message = Message::RobotTeam(team.clone());
     for format in [Format::Binary, Format::Json] {
         let out = message.encode(key.clone(), format, NOW).unwrap();
         let again = Packet {
@@ -150,11 +150,11 @@ pub(crate) fn told(data: &[u8]) {
         };
         let mut again = read(&again).unwrap();
         if format == Format::Json {
-            // JSON tells the moments as seconds, rounded, and not when the newest data came.
-            assert_eq!(again.header.revision, told.header.revision);
-            again.header = told.header.clone();
+            // JSON has moments as seconds, rounded, and not when the newest data came.
+            assert_eq!(again.header.revision, team.header.revision);
+            again.header = team.header.clone();
         }
-        assert_eq!(again, told, "a robot reads something else in another form");
+        assert_eq!(again, team, "a robot reads something else in another form");
     }
 }
 
@@ -199,7 +199,7 @@ pub(crate) fn envelope(data: &[u8]) {
         10 => of::<Audit>(&bytes),
         11 => of::<Event>(&bytes),
         12 => of::<AnnouncedSettings>(&bytes),
-        13 => of::<Claim>(&bytes),
+        13 => of::<LeaseRenewal>(&bytes),
         // The head itself is foreign.
         _ => of::<Event>(content),
     }
@@ -214,6 +214,6 @@ pub(crate) fn edge_json(data: &[u8]) {
         2 => "rank",
         _ => "relation/thermal",
     };
-    let packet = Packet::put(format!("muster/v1/alpha/robot/r1/{stream}"), "", json.to_vec());
+    let packet = Packet::put(format!("muster/v1/alpha/robot/r1/{stream}"), "", json);
     let _ = understood(&space(), &packet);
 }

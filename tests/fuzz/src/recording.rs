@@ -1,12 +1,12 @@
 //! Recordings of services, which come from others with their reports.
 
-use muster_machine::recording::{Entry, Head};
+use muster_service::recording::{Entry, Head};
 use muster_wire::recording::{MAGIC, Reader, RecordingError, VERSION, begin, frame};
 
 use crate::packets::may_hold;
 use crate::{allocation, text};
 
-/// Longest text that says what is wrong with a recording, in characters.
+/// Longest error about a recording, in characters.
 const MAX_ERROR: usize = 1000;
 
 /// Whether the rest is a file as it stands, or the contents of frames, each after its length in two

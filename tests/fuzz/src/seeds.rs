@@ -1,29 +1,33 @@
 //! What the corpus has begun with: messages that are frozen in golden files, built-in settings, files
-//! that the manual shows, and what the services tell each other of a simulated fleet.
+//! that the manual shows, and what the services publish of a simulated fleet.
 
-use std::collections::VecDeque;
 use std::path::Path;
+use std::time::Duration;
 
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::recording::{Entry, Head, Input, Output};
-use muster_machine::{Command, Core, Driver, Event, Start, Stopwatch, Stored};
-use muster_model::id::{FleetId, InstanceId};
+use muster_model::id::{FleetId, InstanceId, ServiceName};
 use muster_model::observation::{CheckedReport, Report};
+use muster_model::role::ReplicaState;
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings,
 };
-use muster_model::time::Tick;
 use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
-use muster_wire::recording::{Bytes, Put, Received, begin, frame};
-use muster_wire::{Format, Message, Rejection, Request};
+use muster_service::recording::{Entry, Head};
+use muster_service::testkit::Bench;
+use muster_service::{
+    Arrival, Ask, AskId, Command, Core, GetId, IncomingGet, Input, Publication, Record,
+    RecordRange, Reply, Start, Stored,
+};
+use muster_wire::recording::{begin, frame};
+use muster_wire::{Format, Key, Message, Packet, Pattern};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::cores::KEYS;
-use crate::packets::{BINARY, NOW, space};
+use crate::packets::{BINARY, NOW};
 
 /// One input for a target.
 #[derive(Debug)]
@@ -68,8 +72,8 @@ const REQUESTS: [&str; 8] = [
     "~/teams\nformat=xml\n",
 ];
 
-/// What a robot is told, as the manual has it, and where it has no team.
-const TOLD: [&str; 2] = [
+/// The team of a robot, as the manual has it, and where it has none.
+const ROBOT_TEAMS: [&str; 2] = [
     r#"{"fleet":"alpha","term":1,"epoch":42,"data_age_s":0.08,"stages":[{"stage":"clusterer","received":1795208990.1,"published":1795208990.2}],"robot":"r1","team":"t1","members":["r1","r2"],"leader":"r1","confidence":0.6}"#,
     r#"{"fleet":"alpha","term":1,"epoch":42,"data_age_s":null,"stages":[],"robot":"r1","team":null,"members":null,"leader":null,"confidence":0,"later":[]}"#,
 ];
@@ -84,8 +88,9 @@ pub fn all() -> Vec<Seed> {
     let mut add = |target, name: String, bytes: &[u8]| {
         seeds.push(Seed { target, name, bytes: bytes.to_vec() });
     };
-    for (number, json) in TOLD.iter().enumerate() {
-        add("told", format!("json-{number}"), format!("p~robot/r1/team\n\n{json}").as_bytes());
+    for (number, json) in ROBOT_TEAMS.iter().enumerate() {
+        let bytes = format!("p~robot/r1/team\n\n{json}").into_bytes();
+        add("robot_team", format!("json-{number}"), &bytes);
     }
     for (number, path) in PATHS.iter().enumerate() {
         add("key", format!("key-{number}"), format!("~{path}").as_bytes());
@@ -118,42 +123,70 @@ pub fn all() -> Vec<Seed> {
             add(target, format!("random-{number}"), &bytes);
         }
     }
-    seeds.extend(told());
+    seeds.extend(pipeline());
     seeds.extend(recordings());
     seeds
 }
 
 /// A recording with an entry of each kind, as a file and as the contents of its frames.
 fn recordings() -> Vec<Seed> {
-    let put = Put {
-        key: "muster/v1/alpha/event".to_owned(),
-        encoding: BINARY.to_owned(),
-        payload: Bytes(vec![1, 2, 3]),
+    let key = |path: &str| format!("muster/v1/alpha/{path}");
+    let packet = Packet::put(key("event"), BINARY.to_owned(), vec![1, 2, 3]);
+    let cut = Packet { payload: Err(2 << 20), ..packet.clone() };
+    let token = Packet::token(key("robot/r1"), true);
+    let get = IncomingGet {
+        get: GetId(7),
+        selector: key("teams"),
+        narrowed: Some(key("*")),
+        parameters: "format=json".to_owned(),
+        payload: Some(b"{}".to_vec()),
     };
-    let token = Received::Token { key: "muster/v1/alpha/robot/r1".to_owned(), alive: true };
-    let request = Request::new("muster/v1/alpha/teams", "format=json", None).unwrap();
+    let record = Record { at: NOW.0, content: vec![4] };
+    let range = RecordRange { from: 1, until: 2, limit: 3 };
     let inputs = [
-        Input::Started,
-        Input::Received(Received::Put(put.clone())),
-        Input::Rejected(Rejection::new(&space(), "k", "r")),
-        Input::Timeout,
-        Input::Done(vec![5, 9]),
-        Input::JobFailed(vec![5], "a panic".to_owned()),
-        Input::Fetched(1, vec![token]),
-        Input::Query(7, request),
+        Input::Started { linked: true },
+        Input::Arrived(Arrival::encoded(packet.clone())),
+        Input::Arrived(Arrival::encoded(cut)),
+        Input::Timer,
+        Input::JobEnded { laps: vec![5, 9], panic: None },
+        Input::JobEnded { laps: vec![5], panic: Some("a panic".to_owned()) },
+        Input::Answered { ask: AskId(1), answers: vec![Arrival::encoded(token)] },
+        Input::Get(get),
         Input::LinkLost,
         Input::LinkRestored,
+        Input::Stored { error: Some("no".to_owned()) },
+        Input::Found { lookup: 1, records: vec![record.clone()] },
+        Input::ProcessCounters([("inbox_dropped".to_owned(), 3)].into()),
     ];
-    let outputs = vec![
-        Output::Published(Ok(vec![put.clone()])),
-        Output::Replied(7, Err("no".to_owned())),
-        Output::Ran,
-        Output::Fetched(1, vec!["muster/v1/alpha/*".to_owned()]),
-        Output::Stored("{}".to_owned()),
+    let packets = vec![packet];
+    let commands = vec![
+        Command::Publish(Publication {
+            packets: packets.clone(),
+            is_lease_renewal: false,
+            message: None,
+        }),
+        Command::Reply(Reply { get: GetId(7), answer: Ok(packets), messages: Vec::new() }),
+        Command::Reply(Reply { get: GetId(8), answer: Err("no".to_owned()), messages: Vec::new() }),
+        Command::RunJob,
+        Command::Ask(Ask {
+            ask: AskId(1),
+            pattern: Pattern::Graphs,
+            within: Duration::from_secs(1),
+        }),
+        Command::Store(Stored {
+            term: 3,
+            patch: [("teams".to_owned(), 3.into())].into_iter().collect(),
+        }),
+        Command::ReplicaState(ReplicaState::Standby),
+        Command::DeclareToken(Key::Roster),
+        Command::WithdrawToken(Key::Settings(ServiceName::Auditor)),
+        Command::Append(record),
+        Command::LookUp { lookup: 1, range },
+        Command::Unencodable("no".to_owned()),
     ];
     let mut entries: Vec<_> =
-        inputs.into_iter().map(|input| Entry::Event { tick: NOW, input }).collect();
-    entries.push(Entry::Outputs(outputs));
+        inputs.into_iter().map(|input| Entry::Input { tick: NOW, input }).collect();
+    entries.push(Entry::Commands(commands));
     entries.push(Entry::End("4 GiB".to_owned()));
     let start = Start {
         fleet: FleetId::new("alpha").unwrap(),
@@ -217,7 +250,7 @@ fn golden() -> Vec<Seed> {
         let head = format!("p~{key}\n{BINARY}\n");
         add("packet", name, [head.as_bytes(), &bytes].concat());
         if name == "robot_team" {
-            add("told", name, [head.as_bytes(), &bytes].concat());
+            add("robot_team", name, [head.as_bytes(), &bytes].concat());
         }
         if place < 4 {
             let json = std::fs::read_to_string(folder.join(format!("{name}.json"))).unwrap();
@@ -234,30 +267,30 @@ fn golden() -> Vec<Seed> {
     seeds
 }
 
-/// Inputs of cores: what the service before each tells of a small fleet, with time passing.
-fn told() -> Vec<Seed> {
+/// Inputs of cores: what the service before each publishes of a small fleet, with time passing.
+fn pipeline() -> Vec<Seed> {
     let options = FleetOptions { robots: 5, teams: 2, ..FleetOptions::default() };
     let fleet = Fleet::new(ScenarioKind::Clusters, options).unwrap();
-    let mut said = Vec::new();
+    let mut reported = Vec::new();
     for second in 0..3 {
         for robot in fleet.observe(f64::from(second)) {
             let reports = [robot.pose.into(), robot.links.into(), robot.rank.into()];
-            said.extend(reports.map(|report: Report| {
+            reported.extend(reports.map(|report: Report| {
                 Message::Report(CheckedReport::new(robot.robot.clone(), report).unwrap())
             }));
         }
     }
-    let graphs = tell::<Ingest>(&said);
-    let embeddings = tell::<Embedder>(&graphs);
+    let graphs = publish::<Ingest>(&reported);
+    let embeddings = publish::<Embedder>(&graphs);
     let rosters: Vec<_> =
         graphs.iter().filter(|message| matches!(message, Message::Roster(_))).cloned().collect();
     let with = |more: &[Message]| [&rosters[..1], &more[..more.len().min(3)]].concat();
-    let teams = tell::<Clusterer>(&[&*rosters, &*embeddings].concat());
+    let teams = publish::<Clusterer>(&[&*rosters, &*embeddings].concat());
     let teams: Vec<_> =
         teams.into_iter().filter(|message| matches!(message, Message::Teams { .. })).collect();
     let all = [&embeddings[..1], &teams[..2]].concat();
     [
-        ("ingest", inputs(&said)),
+        ("ingest", inputs(&reported)),
         ("embedder", inputs(&graphs)),
         ("clusterer", inputs(&with(&embeddings))),
         ("auditor", inputs(&with(&all))),
@@ -280,47 +313,24 @@ fn inputs(messages: &[Message]) -> Vec<u8> {
         bytes.extend([5, u8::try_from(place).unwrap()]);
         bytes.extend(u16::try_from(out.payload.len()).unwrap().to_le_bytes());
         bytes.extend(&out.payload);
-        // Half a second passes, a deadline is met, a job ends, somebody asks for everything.
+        // Half a second passes, a deadline is met, a job ends, a get asks for everything.
         bytes.extend([0, 0xF4, 1, 1, 10, 9, 0, 1]);
     }
     bytes
 }
 
-/// What a core tells of messages, two a tenth of a second.
-fn tell<C: Core>(messages: &[Message]) -> Vec<Message> {
-    let mut driver = Driver::<C>::new(Start {
-        fleet: FleetId::new("alpha").unwrap(),
-        instance: InstanceId::new("seed-1").unwrap(),
-        now: NOW,
-        settings: C::Settings::default(),
-        stored: Stored::default(),
-    });
-    let mut told = Vec::new();
-    let mut now = NOW;
-    let mut step = |now: Tick, event: Event<C::Done>| {
-        let mut events = VecDeque::from([event]);
-        while let Some(event) = events.pop_front() {
-            for command in driver.step(now, event) {
-                match command {
-                    Command::Run(job) => {
-                        events.push_back(Event::Done(C::run(job, &mut Stopwatch::still())))
-                    }
-                    Command::Fetch { fetch, .. } => {
-                        events.push_back(Event::Fetched { fetch, messages: Vec::new() });
-                    }
-                    Command::Publish(Message::Event(_) | Message::Settings(_)) => {}
-                    Command::Publish(message) => told.push(message),
-                    Command::Reply { .. } | Command::Store(_) => {}
-                }
-            }
-        }
-    };
-    step(now, Event::Started);
+/// What a service publishes after messages that arrive every twentieth of a second.
+fn publish<C: Core>(messages: &[Message]) -> Vec<Message> {
+    let fleet = FleetId::new("alpha").unwrap();
+    let instance = InstanceId::new("seed-1").unwrap();
+    let mut bench = Bench::<C>::leading(fleet, instance, NOW, C::Settings::default(), Vec::new());
     for message in messages {
-        step(now, Event::Received(message.clone()));
-        now = Tick(now.0 + 50_000);
-        step(now, Event::Timeout);
+        bench.receive(message.clone());
+        bench.wait(0.05);
+        bench.answer_all(Vec::new());
     }
-    step(Tick(now.0 + 1_000_000), Event::Timeout);
-    told
+    bench.wait(1.0);
+    let of_service =
+        |message: &Message| !matches!(message, Message::Event(_) | Message::Settings(_));
+    bench.published.into_iter().filter(of_service).collect()
 }

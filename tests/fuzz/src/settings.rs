@@ -4,21 +4,22 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::{Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stored};
 use muster_model::id::{FleetId, InstanceId};
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, Settings, from_value,
 };
-use muster_wire::{Key, Message, Request};
+use muster_service::testkit::Bench;
+use muster_service::{Core, Start, Stored};
+use muster_wire::{Key, Message};
 use serde_json::{Value, json};
 
-use crate::packets::{NOW, may_hold, space};
+use crate::packets::{NOW, may_hold};
 use crate::{allocation, text};
 
 /// Longest field of a refused patch, in characters.
 const MAX_FIELD: usize = 120;
 
-/// Longest text that says what is wrong with it, in characters: some list all fields.
+/// Longest error about it, in characters: some list all fields.
 const MAX_PROBLEM: usize = 400;
 
 /// A service in one byte, and patches in JSON, one after the other, a line each.
@@ -65,52 +66,39 @@ pub(crate) fn stored(data: &[u8]) {
     allocation::at_most(may_hold(file.len()), "starting", || run(stored));
 }
 
-/// A core that starts with a file takes a term above it, tells its settings, and keeps those that it
-/// tells.
+/// A service that starts with a file takes a term above it, announces its settings, and stores those
+/// that it announces.
 fn started<C: Core>(stored: Stored) {
     let term = stored.term;
-    let start = |stored: Stored| Start {
-        fleet: FleetId::new("alpha").unwrap(),
-        instance: InstanceId::new("fuzz-1").unwrap(),
-        now: NOW,
-        settings: C::Settings::default(),
-        stored,
+    let bench = |stored: Stored| {
+        Bench::<C>::new(Start {
+            fleet: FleetId::new("alpha").unwrap(),
+            instance: InstanceId::new("fuzz-1").unwrap(),
+            now: NOW,
+            settings: C::Settings::default(),
+            stored,
+        })
     };
-    let mut driver = Driver::<C>::new(start(stored));
-    let mut commands = driver.step(NOW, Event::Started);
-    let fetched = Event::Fetched { fetch: START_FETCH, messages: Vec::new() };
-    commands.extend(driver.step(NOW, fetched));
-    let kept = commands.iter().find_map(|command| match command {
-        Command::Store(stored) => Some(stored.clone()),
-        _ => None,
-    });
-    let kept = kept.expect("the term is kept");
-    assert!(kept.term > term || term == u64::MAX, "the term goes on");
-    for command in &commands {
-        if let Command::Publish(message) = command {
-            for out in message.publish(NOW).unwrap() {
-                text::check(&out.key.to_string(), MAX_FIELD);
-            }
+    let mut first = bench(stored);
+    first.start(Vec::new());
+    assert!(first.stored.term > term || term == u64::MAX, "the term goes on");
+    assert_eq!(first.unencodable, Vec::<String>::new());
+    for message in &first.published {
+        for out in message.publish(NOW).unwrap() {
+            text::check(&out.key.to_string(), MAX_FIELD);
         }
     }
-    let told = |driver: &mut Driver<C>| {
-        let key = space().format(&Key::Settings(C::SERVICE));
-        let request = Request::new(key, "", None).unwrap();
-        let query = Event::Query { query: QueryId(1), request };
-        let replies = driver.step(NOW, query).into_iter();
-        let answer = replies.filter_map(|command| match command {
-            Command::Reply { answer, .. } => answer.ok()?.into_iter().next(),
-            _ => None,
-        });
+    let announced = |bench: &mut Bench<C>| {
+        let answer = bench.get(&Key::Settings(C::SERVICE).to_string(), None).unwrap();
         match answer.last() {
-            Some(Message::Settings(announced)) => announced.settings,
+            Some(Message::Settings(announced)) => announced.settings.clone(),
             other => panic!("settings are answered with {other:?}"),
         }
     };
-    let settings = told(&mut driver);
+    let settings = announced(&mut first);
     let read: C::Settings = serde_json::from_str(&settings).unwrap();
     assert_eq!(read.check(), Ok(()));
-    let written = serde_json::to_vec(&kept).unwrap();
-    let kept: Stored = serde_json::from_slice(&written).unwrap();
-    assert_eq!(told(&mut Driver::<C>::new(start(kept))), settings, "a restart changes settings");
+    let written = serde_json::to_vec(&first.stored).unwrap();
+    let again = bench(serde_json::from_slice(&written).unwrap());
+    assert_eq!(announced(&mut { again }), settings, "a restart changes settings");
 }

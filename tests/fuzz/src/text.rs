@@ -1,4 +1,4 @@
-//! What may be told to people of a foreign text.
+//! What people may be shown of a foreign text.
 
 /// Checks that a text is short and has no control characters.
 ///
@@ -6,8 +6,8 @@
 /// If it is not.
 pub(crate) fn check(text: &str, longest: usize) {
     let count = text.chars().count();
-    assert!(count <= longest, "{count} characters are told, of at most {longest}: {text:?}");
-    assert!(!text.chars().any(char::is_control), "control characters are told: {text:?}");
+    assert!(count <= longest, "{count} characters are shown, of at most {longest}: {text:?}");
+    assert!(!text.chars().any(char::is_control), "control characters are shown: {text:?}");
 }
 
 /// The next part of a text input, up to a line feed, and the rest.

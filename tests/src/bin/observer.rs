@@ -1,7 +1,7 @@
 //! What a user sees on one host: a plain Zenoh client that prints every message with the moment of
 //! its arrival, one JSON object a line, for the tests with several hosts.
 //!
-//! `observer ENDPOINT FLEET [all]` prints the division, the events, and what robots are told; with `all`
+//! `observer ENDPOINT FLEET [all]` prints the division, the events, and the teams of robots; with `all`
 //! also how long each pose was on its way, and twice a second the answer to a get of the division.
 
 use std::io::Write as _;

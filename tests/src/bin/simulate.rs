@@ -1,4 +1,4 @@
-//! Runs seeds of the whole-fleet simulation, any number of them, and tells what broke.
+//! Runs any number of seeds of the whole-fleet simulation, and reports what broke.
 
 use std::collections::BTreeSet;
 use std::io::Write as _;
@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Parser;
-use muster_tests::simulation::{Batch, Options, Story, in_ticks, run_batch, simulate};
+use muster_tests::simulation::{Batch, Options, Outcome, in_ticks, run_batch, simulate};
 
-/// Runs the real cores of all services and a fleet on a virtual bus, with faults that follow from a
+/// Runs the real hosts of all services and a fleet on a virtual bus, with faults that follow from a
 /// seed, and checks after every event that all promises hold.
 ///
 /// Needs no router. Exit codes: 0 every promise held, 1 one was broken, 2 wrong flag.
@@ -40,7 +40,7 @@ struct Args {
     /// Of all faults of the seed, only those with these numbers, such as 3,17; or none
     #[arg(long, value_parser = numbers)]
     only: Option<Numbers>,
-    /// How many robots appear in every second, beside the faults of the seed, to be never heard again
+    /// How many robots appear in every second besides the faults of the seed, and report only once
     #[arg(long, default_value_t = 0)]
     ghosts: usize,
     /// How many threads; all processors if left out
@@ -82,7 +82,7 @@ fn main() -> ExitCode {
     };
     let held = match args.seed {
         Some(seed) => one(seed, &options, args.log),
-        None => many(&args, options),
+        None => batch(&args, options),
     };
     match held {
         Ok(true) => ExitCode::SUCCESS,
@@ -95,12 +95,12 @@ fn main() -> ExitCode {
 }
 
 fn one(seed: u64, options: &Options, log: bool) -> anyhow::Result<bool> {
-    let story = simulate(seed, options, None, log);
+    let outcome = simulate(seed, options, None, log);
     let mut out = std::io::stdout().lock();
-    for line in if log { &story.log } else { &story.faults } {
+    for line in if log { &outcome.log } else { &outcome.faults } {
         writeln!(out, "{line}")?;
     }
-    let Story { stats, robots, failure, .. } = story;
+    let Outcome { stats, robots, failure, .. } = outcome;
     writeln!(out, "seed {seed}: {robots} robots, {} events", stats.events)?;
     match &failure {
         None => writeln!(out, "every promise held; agreement after {}", in_ticks(stats.agreement))?,
@@ -109,14 +109,14 @@ fn one(seed: u64, options: &Options, log: bool) -> anyhow::Result<bool> {
     Ok(failure.is_none())
 }
 
-fn many(args: &Args, options: Options) -> anyhow::Result<bool> {
+fn batch(args: &Args, options: Options) -> anyhow::Result<bool> {
     let processors = std::thread::available_parallelism().map_or(1, usize::from);
     let batch = Batch {
         first: args.first,
         seeds: args.seeds,
         jobs: args.jobs.unwrap_or(processors),
         options,
-        sabotage: None,
+        mutant: None,
         shrink_within: Duration::from_secs(args.shrink_s),
     };
     let started = Instant::now();

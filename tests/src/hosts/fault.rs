@@ -15,7 +15,7 @@ pub enum Kind {
     Narrow(u32),
     /// Packets of the robots' host are late, and some are lost.
     Slow,
-    /// The router is killed, and later started anew.
+    /// The router is killed, and later started again.
     RouterKilled,
     /// The router is stopped by a signal, and later continued.
     RouterStopped,

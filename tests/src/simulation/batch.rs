@@ -7,7 +7,7 @@ use std::sync::PoisonError;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use super::{Options, Sabotage, Stats, Story, in_ticks, shrink, simulate};
+use super::{Mutant, Options, Outcome, Stats, in_ticks, shrink, simulate};
 
 /// Most lines of a failing run that are printed; the command that replays it prints them all.
 const MAX_PRINTED: usize = 160;
@@ -24,7 +24,7 @@ pub struct Batch {
     /// How each run is to be.
     pub options: Options,
     /// What is broken on purpose.
-    pub sabotage: Option<Sabotage>,
+    pub mutant: Option<Mutant>,
     /// How long a failing run may be shortened.
     pub shrink_within: Duration,
 }
@@ -43,9 +43,9 @@ pub struct Summary {
 }
 
 impl Summary {
-    fn add(&mut self, story: &Story) {
+    fn add(&mut self, outcome: &Outcome) {
         self.runs += 1;
-        let (total, stats) = (&mut self.total, &story.stats);
+        let (total, stats) = (&mut self.total, &outcome.stats);
         total.events += stats.events;
         total.simulated += stats.simulated;
         total.lost += stats.lost;
@@ -57,11 +57,11 @@ impl Summary {
         total.takeovers += stats.takeovers;
         total.joined += stats.joined;
         total.remembered = total.remembered.max(stats.remembered);
-        for (kind, many) in &stats.faults {
-            *total.faults.entry(kind).or_default() += many;
+        for (kind, count) in &stats.faults {
+            *total.faults.entry(kind).or_default() += count;
         }
-        if story.failure.is_none() {
-            self.worst = self.worst.max((stats.agreement, story.seed));
+        if outcome.failure.is_none() {
+            self.worst = self.worst.max((stats.agreement, outcome.seed));
         }
     }
 
@@ -79,7 +79,7 @@ impl Summary {
         );
         let faults: u64 = total.faults.values().sum();
         let kinds: Vec<String> =
-            total.faults.iter().map(|(kind, many)| format!("{kind} {many}")).collect();
+            total.faults.iter().map(|(kind, count)| format!("{kind} {count}")).collect();
         let _ = writeln!(text, "{faults} faults: {}", kinds.join(", "));
         let _ = writeln!(
             text,
@@ -100,11 +100,11 @@ impl Summary {
     }
 }
 
-/// Runs a batch. Whatever breaks a promise is shortened and told to `failed`; `progress` hears of
-/// every run, with how many have ended.
+/// Runs a batch. `failed` is called with the report of each run that breaks a promise, made short;
+/// `progress` is called after every run, with how many have ended.
 pub fn run_batch(
     batch: &Batch,
-    progress: impl Fn(u64, &Story) + Sync,
+    progress: impl Fn(u64, &Outcome) + Sync,
     failed: impl Fn(&str) + Sync,
 ) -> Summary {
     let next = AtomicU64::new(0);
@@ -118,15 +118,15 @@ pub fn run_batch(
                         return;
                     }
                     let seed = batch.first.saturating_add(number);
-                    let story = simulate(seed, &batch.options, batch.sabotage, false);
-                    let report = story.failure.is_some().then(|| report(batch, &story));
+                    let outcome = simulate(seed, &batch.options, batch.mutant, false);
+                    let report = outcome.failure.is_some().then(|| report(batch, &outcome));
                     let mut summary = summary.lock().unwrap_or_else(PoisonError::into_inner);
-                    summary.add(&story);
+                    summary.add(&outcome);
                     if let Some(report) = report {
                         failed(&report);
                         summary.failed.insert(seed, report);
                     }
-                    progress(summary.runs, &story);
+                    progress(summary.runs, &outcome);
                 }
             });
         }
@@ -134,34 +134,34 @@ pub fn run_batch(
     summary.into_inner().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What is told of a run that broke a promise.
-fn report(batch: &Batch, story: &Story) -> String {
-    let Some(failure) = &story.failure else { return String::new() };
-    let shrunk = shrink(story.seed, &batch.options, batch.sabotage, failure, batch.shrink_within);
+/// The report of a run that broke a promise.
+fn report(batch: &Batch, outcome: &Outcome) -> String {
+    let Some(failure) = &outcome.failure else { return String::new() };
+    let shrunk = shrink(outcome.seed, &batch.options, batch.mutant, failure, batch.shrink_within);
     let mut text = format!(
         "seed {} breaks the promise: {}\n  {}\n",
-        story.seed, failure.promise, failure.seen
+        outcome.seed, failure.promise, failure.seen
     );
     let _ = writeln!(
         text,
         "the shortest run found after {} tries has {} robots and {} of {} faults:",
         shrunk.tries,
-        shrunk.story.robots,
+        shrunk.outcome.robots,
         shrunk.faults.len(),
         shrunk.of
     );
-    for fault in &shrunk.story.faults {
+    for fault in &shrunk.outcome.faults {
         let _ = writeln!(text, "  {fault}");
     }
-    if let Some(failure) = &shrunk.story.failure {
+    if let Some(failure) = &shrunk.outcome.failure {
         let _ = writeln!(text, "and ends with: {}", failure.seen);
     }
-    let lines = &shrunk.story.log;
+    let lines = &shrunk.outcome.log;
     let from = lines.len().saturating_sub(MAX_PRINTED);
     let _ = writeln!(text, "its log, the last {} of {} lines:", lines.len() - from, lines.len());
     for line in &lines[from..] {
         let _ = writeln!(text, "  {line}");
     }
-    let _ = writeln!(text, "replay it: {}", shrunk.story.command(&shrunk.options));
+    let _ = writeln!(text, "replay it: {}", shrunk.outcome.command(&shrunk.options));
     text
 }

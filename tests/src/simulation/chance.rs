@@ -13,7 +13,7 @@ pub(crate) enum Purpose {
     Link = 2,
     /// In which order a service takes what waits, and how long its work takes.
     Node = 3,
-    /// What a robot is like and when it speaks.
+    /// What a robot is like and when it reports.
     Robot = 4,
     /// What the fleet is like as a whole, and the settings that it starts with.
     Fleet = 5,
@@ -40,9 +40,9 @@ impl Chance {
         self.0.random_range(low..=high.max(low))
     }
 
-    /// An index below `many`; 0 if there is none.
-    pub(crate) fn below(&mut self, many: usize) -> usize {
-        self.0.random_range(0..many.max(1))
+    /// An index below `count`; 0 if there is none.
+    pub(crate) fn below(&mut self, count: usize) -> usize {
+        self.0.random_range(0..count.max(1))
     }
 
     /// A number from `low` up to `high`.
@@ -61,7 +61,7 @@ impl Chance {
     }
 
     /// Bytes without meaning.
-    pub(crate) fn bytes(&mut self, many: usize) -> Vec<u8> {
-        (0..many).map(|_| self.0.random()).collect()
+    pub(crate) fn bytes(&mut self, count: usize) -> Vec<u8> {
+        (0..count).map(|_| self.0.random()).collect()
     }
 }

@@ -2,7 +2,7 @@
 
 use muster_model::time::Tick;
 
-/// A moment or a span of the run in microseconds, by a clock that nobody in it can read.
+/// A moment or a span of the run in microseconds, by a clock that nothing in it can read.
 pub(crate) type Micros = u64;
 
 /// A thousandth of a second.

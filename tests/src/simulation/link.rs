@@ -33,7 +33,7 @@ pub(crate) struct Storm {
 pub(crate) enum State {
     /// It does.
     Up,
-    /// It does not, and nobody has noticed.
+    /// It does not, and neither end has noticed.
     Silent,
     /// It does not, and both ends know.
     Down,

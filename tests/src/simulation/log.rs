@@ -8,7 +8,7 @@ use super::plan::Span;
 /// Most lines that are kept: some minutes of a small fleet.
 const MAX_LINES: usize = 400_000;
 
-/// The log of a run. Nothing is written unless somebody wants to read it.
+/// The log of a run. Nothing is written unless it is to be read.
 #[derive(Debug, Default)]
 pub(crate) struct Log {
     lines: Option<Vec<String>>,

@@ -1,39 +1,40 @@
-//! The whole fleet in one thread: the real cores of all services, robots, an operator and a stranger,
-//! around a virtual router, with virtual clocks, and with everything going wrong that a seed decides.
+//! The whole fleet in one thread: the real hosts and cores of all services, robots, an operator and an
+//! attacker around a virtual router, with virtual clocks, and with the faults that a seed decides.
 //!
 //! A run has a *storm*, in which the faults of its [`plan`] happen, and a *quiet*, in which nothing
-//! happens any more and everybody must come to agree. Messages cross links as the bytes that they are
-//! on the bus, through the real bounded inbox; what the real shell does in time (gets, fetches, jobs,
-//! deadlines, errands) is done here in virtual time. After every event the [`oracle`] judges what was
-//! published; what it knows of the promises is its own. The same seed tells the same story, byte for
+//! happens any more and all must come to agree. Messages cross links as the bytes that they are on the
+//! bus, through the real bounded inbox, and each service is the one host that the real shell runs. What
+//! is left to the simulation is the world around hosts: the network, disks, the time that jobs take, and
+//! which of the inputs that wait comes first. After every event the [`oracle`] judges what was
+//! published; what it knows of the promises is its own. The same seed leads to the same run, byte for
 //! byte. [`shrink()`] makes a failing one short.
 //!
-//! Services are addressed as (service, instance), each on a host of its own; every other seed has two
-//! of each, of which one holds the role and the other stands by.
+//! Services are addressed as (service, instance), each on a machine of its own; every other seed has two
+//! of each, of which one leads and the other is a standby.
 
 mod batch;
 mod chance;
 mod clock;
+mod faults;
+mod host;
 mod link;
 mod log;
-mod machine;
-mod mischief;
+mod mutants;
+mod network;
 mod node;
 mod operator;
 mod oracle;
 mod plan;
 mod robots;
 mod router;
-mod sabotage;
+mod scheduler;
 mod shrink;
-mod turns;
-mod wires;
 mod world;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 pub use batch::{Batch, Summary, run_batch};
-pub use sabotage::Sabotage;
+pub use mutants::Mutant;
 pub use shrink::{Shrunk, shrink};
 
 use chance::{Chance, Purpose};
@@ -41,16 +42,16 @@ use clock::{MS, Micros, SECOND};
 use plan::{Span, plan};
 use world::{World, places};
 
-/// The unit in which the time to agreement is told: a frame of `ingest` at its default rate.
+/// The unit of the time to agreement: a frame of `ingest` at its default rate.
 pub(crate) const TICK: Micros = 100 * MS;
 
-/// How many ticks after the last fault everybody agrees at the latest.
+/// How many ticks after the last fault all agree at the latest.
 ///
-/// What can follow each other: links are back after 1 s; a holder whose readers know a higher revision
-/// sees that within 5 s, once more a second later, each time after a fetch of at most 1 s (8 s); robots
-/// that left have a patience of at most 8 s since the link is back, which runs beside that; a service
-/// that asks for the number of teams believes a lower answer at the second time, after 20 s. A last
-/// second or two bring the frame, its embedding, division and audit, and what each robot is told.
+/// What can follow each other: links are back after 1 s; a leader whose readers know a higher revision
+/// notices that within 5 s, once more a second later, each time after a fetch of at most 1 s (8 s);
+/// robots that left have a grace period of at most 8 s after the link is back, at the same time; a
+/// service that asks for the number of teams accepts a lower answer at the second time, after 20 s. A
+/// last second or two bring the frame, its embedding, division and audit, and the team of each robot.
 const AGREEMENT_TICKS: u64 = 300;
 
 /// The length of one step of a storm.
@@ -67,7 +68,7 @@ pub struct Options {
     pub steps: u64,
     /// Which faults of the plan happen; all if it is left out.
     pub only: Option<BTreeSet<usize>>,
-    /// How many robots appear in every second of the storm, beside the plan, to be never heard again.
+    /// How many robots appear in every second of the storm besides the plan, and report only once.
     pub ghosts: usize,
 }
 
@@ -123,13 +124,14 @@ pub struct Stats {
     pub published: u64,
     /// How many divisions there were.
     pub divisions: u64,
-    /// How many takeovers of a role there were that nothing had kept from hearing of the holder before.
+    /// How many takeovers there were by an instance that nothing had kept from the renewals of the former
+    /// leader.
     pub takeovers: u64,
-    /// The most robots at once that a clusterer remembered beside its division.
+    /// The most robots at once that a clusterer remembered besides its division.
     pub remembered: usize,
     /// How many gets of a console that joined late were answered.
     pub joined: u64,
-    /// How long after the last fault everybody agreed, in microseconds.
+    /// How long after the last fault all agreed, in microseconds.
     pub agreement: u64,
 }
 
@@ -150,7 +152,7 @@ pub struct Failure {
 
 /// What became of a run.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Story {
+pub struct Outcome {
     /// The seed.
     pub seed: u64,
     /// How many robots there were.
@@ -167,7 +169,7 @@ pub struct Story {
 
 /// Runs one seed.
 #[must_use]
-pub fn simulate(seed: u64, options: &Options, sabotage: Option<Sabotage>, logged: bool) -> Story {
+pub fn simulate(seed: u64, options: &Options, mutant: Option<Mutant>, logged: bool) -> Outcome {
     let scale = options.scale(seed);
     let mut injections = plan(seed, &scale, &places(&scale));
     let planned = injections.len();
@@ -178,7 +180,7 @@ pub fn simulate(seed: u64, options: &Options, sabotage: Option<Sabotage>, logged
         injections.iter().map(|fault| format!("{:>12}  {fault}", Span(fault.at).to_string()));
     let faults = faults.collect();
     let times: Vec<(Micros, usize)> = injections.iter().map(|i| (i.at, i.number)).collect();
-    let world = World::new(seed, &scale, injections, sabotage, logged);
+    let world = World::new(seed, &scale, injections, mutant, logged);
     let (stats, breach, log) = world.run();
     let failure = breach.map(|(breach, at)| Failure {
         promise: breach.promise,
@@ -187,11 +189,11 @@ pub fn simulate(seed: u64, options: &Options, sabotage: Option<Sabotage>, logged
         happened: times.iter().filter(|(when, _)| *when <= at).map(|(_, n)| *n).collect(),
         planned,
     });
-    Story { seed, robots: scale.fleet, stats, failure, faults, log }
+    Outcome { seed, robots: scale.fleet, stats, failure, faults, log }
 }
 
-impl Story {
-    /// The command that tells the same story again.
+impl Outcome {
+    /// The command that leads to the same run.
     #[must_use]
     pub fn command(&self, options: &Options) -> String {
         use std::fmt::Write as _;
@@ -205,7 +207,10 @@ impl Story {
                 let _ = write!(command, " --{flag} {value}");
             }
         };
-        add("ghosts", Some(options.ghosts).filter(|many| *many > 0).map(|many| many.to_string()));
+        add(
+            "ghosts",
+            Some(options.ghosts).filter(|count| *count > 0).map(|count| count.to_string()),
+        );
         add("robots", options.robots.map(|robots| robots.to_string()));
         add("fleet", options.fleet.map(|fleet| fleet.to_string()));
         let only = options.only.as_ref().map(|only| {

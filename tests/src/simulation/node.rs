@@ -1,75 +1,84 @@
-//! One instance of a service: its process, and what waits for it, in the order and within the bounds
-//! that the real shell has.
+//! One instance of a service: its process, and what waits for its host.
 //!
-//! What comes over subscriptions waits in the real [`Inbox`]. Like the shell's loop, a turn takes one
-//! of the kinds of work that are ready, and any of them may be first.
+//! What comes over subscriptions waits in the real [`Inbox`]. As in the shell's loop, one of the kinds
+//! of input that are ready is taken at a time, and any of them may be first.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
-use muster_machine::{QueryId, Stored, Wiring};
 use muster_model::id::ServiceName;
-use muster_model::limits::MAX_ROBOT_PAYLOAD;
-use muster_runtime::inbox::Inbox;
-use muster_wire::{KeySpace, Message, Packet, Rejection, Request};
+use muster_model::role::ReplicaState;
+use muster_service::inbox::{Inbox, Parcel};
+use muster_service::{Delivery, GetId, IncomingGet, Input, Stored};
+use muster_wire::{KeySpace, Packet, Pattern};
 
 use super::chance::Chance;
-use super::clock::{HostClock, MS, Micros, ProcessClock};
-use super::machine::{Input, Kind, Machine};
-use super::oracle::Speaker;
-use super::router::{Ask, GetId, LinkId, includes, intersects, texts};
+use super::clock::{HostClock, Micros, ProcessClock};
+use super::host::{AnyHost, ServiceKind};
+use super::oracle::Publisher;
+use super::router::{BusGet, BusGetId, LinkId, includes, intersects};
 
-/// Shortest time between two timeouts, as in the shell.
-const BETWEEN_TIMEOUTS: Micros = MS;
-
-/// Most gets that wait for the core, as in the shell.
-const MAX_QUERIES: usize = 256;
-
-/// What came over a subscription: as in the shell, what robots say is understood as it comes, and
-/// what services say when its turn comes.
-#[derive(Debug)]
-enum Arrival {
-    Understood(Result<Message, Rejection>),
-    Packet(Arc<Packet>),
-}
+/// Most gets that wait for the host, as the shell has them: a bounded channel from the threads of the
+/// bus.
+const MAX_WAITING_GETS: usize = 256;
 
 /// A running process.
 pub(crate) struct Process {
-    pub(crate) machine: Box<dyn Machine>,
+    pub(crate) host: Box<dyn AnyHost>,
     pub(crate) clock: ProcessClock,
-    inbox: Inbox<Arrival>,
-    /// How many packets were put into the inbox at most that were not taken out; it may hold fewer.
-    waiting: usize,
-    asks: VecDeque<(GetId, Request)>,
-    ended: VecDeque<Input>,
-    /// Gets whose answer the core owes.
-    pub(crate) owed: BTreeMap<QueryId, GetId>,
-    next_query: u64,
-    /// Tokens that it sees.
-    seen: BTreeSet<Arc<str>>,
-    not_before: Micros,
-    /// When its errands thread has done what it was told.
-    pub(crate) errands_free: Micros,
-    /// The settings that it has announced last, and how often those were others than before.
+    inbox: Inbox,
+    waiting_gets: VecDeque<IncomingGet>,
+    /// What has ended or changed: jobs, questions, stores, the link.
+    completed: VecDeque<Input>,
+    /// Gets that the host has not answered.
+    pub(crate) unanswered: BTreeMap<GetId, UnansweredGet>,
+    next_get: u64,
+    /// Liveliness tokens that it sees.
+    visible_tokens: BTreeSet<Arc<str>>,
+    /// How many times state was handed to the disk.
+    pub(crate) stores_begun: u64,
+    /// How many of those have ended, as the host knows. Replies wait for them.
+    pub(crate) stores_ended: u64,
+    /// When its disk has written everything.
+    pub(crate) disk_free_at: Micros,
+    /// Where the instance stands, as the host has announced it.
+    pub(crate) announced_state: ReplicaState,
+    /// The settings that it has published last, and how many times those differed from the ones before.
     pub(crate) settings: String,
-    pub(crate) announced: u32,
-    /// The same as its last job began …
-    pub(crate) announced_before_job: u32,
+    pub(crate) settings_changes: u32,
+    /// The same count as its last job began …
+    pub(crate) changes_before_job: u32,
     /// … and as the job began whose result it goes by.
-    pub(crate) announced_before_result: u32,
-    /// How often in a row it was woken by its deadline and wanted nothing.
-    pub(crate) idle: u32,
+    pub(crate) changes_before_result: u32,
+    /// How many timers in a row led to nothing.
+    pub(crate) idle_timers: u32,
     /// The key of its liveliness token.
     pub(crate) token: Arc<str>,
 }
 
-/// One instance of a service on a host of its own.
+/// A get that the host has not answered.
+#[derive(Debug)]
+pub(crate) struct UnansweredGet {
+    /// The get as the bus knows it.
+    pub(crate) bus_get: BusGetId,
+    /// How many stores had begun once the host had taken the get; none if it has not.
+    pub(crate) stores_before: Option<u64>,
+}
+
+/// A subscription as the bus knows it.
+struct Subscribed {
+    pattern: Pattern,
+    text: String,
+    delivery: Delivery,
+}
+
+/// One instance of a service on a machine of its own.
 pub(crate) struct Node {
     pub(crate) service: ServiceName,
     pub(crate) instance: usize,
-    pub(crate) kind: Kind,
+    pub(crate) kind: ServiceKind,
     pub(crate) link: LinkId,
-    pub(crate) host: HostClock,
+    pub(crate) machine_clock: HostClock,
     /// What is on its disk.
     pub(crate) stored: Stored,
     /// Counts the processes.
@@ -77,18 +86,18 @@ pub(crate) struct Node {
     pub(crate) process: Option<Process>,
     /// It is not started again before this.
     pub(crate) down_until: Micros,
-    /// It takes no turn before this.
+    /// It takes no input before this.
     pub(crate) busy_until: Micros,
-    /// Until when and how long it takes over each event.
+    /// Until when and how long it takes over each input.
     pub(crate) slow: (Micros, Micros),
     /// Until when and how long its jobs take.
     pub(crate) slow_jobs: (Micros, Micros),
     /// Until when its jobs panic.
     pub(crate) panics_until: Micros,
-    /// The next turn that is on the agenda.
-    pub(crate) turn_at: Option<Micros>,
+    /// The next step that is on the agenda.
+    pub(crate) step_at: Option<Micros>,
     pub(crate) chance: Chance,
-    subscribed: Vec<(String, muster_machine::Delivery, usize)>,
+    subscribed: Vec<Subscribed>,
     tokens: Vec<String>,
     served: Vec<String>,
 }
@@ -99,23 +108,25 @@ impl Node {
         service: ServiceName,
         instance: usize,
         link: LinkId,
-        host: HostClock,
+        machine_clock: HostClock,
         chance: Chance,
     ) -> Self {
-        let kind = Kind::of(service);
-        let Wiring { subscriptions, tokens, served } = &kind.wiring;
-        let subscribed = subscriptions
-            .iter()
-            .map(|s| (space.pattern(&s.pattern), s.delivery, s.pattern.payload_limit()))
-            .collect();
-        let served = texts(space, served.iter().map(|(pattern, _)| pattern));
-        let tokens = texts(space, tokens);
+        let kind = ServiceKind::of(service);
+        let subscribed = kind.wiring.subscriptions.iter().map(|subscription| Subscribed {
+            pattern: subscription.pattern.clone(),
+            text: space.pattern(&subscription.pattern),
+            delivery: subscription.delivery,
+        });
+        let subscribed = subscribed.collect();
+        let served = kind.wiring.served.iter().map(|served| space.pattern(&served.pattern));
+        let served = served.collect();
+        let tokens = kind.wiring.tokens.iter().map(|pattern| space.pattern(pattern)).collect();
         Self {
             service,
             instance,
             kind,
             link,
-            host,
+            machine_clock,
             stored: Stored::default(),
             life: 0,
             process: None,
@@ -124,7 +135,7 @@ impl Node {
             slow: (0, 0),
             slow_jobs: (0, 0),
             panics_until: 0,
-            turn_at: None,
+            step_at: None,
             chance,
             subscribed,
             tokens,
@@ -133,8 +144,8 @@ impl Node {
     }
 
     /// Its process, as the judge knows it.
-    pub(crate) fn speaker(&self) -> Speaker {
-        Speaker { service: self.service, instance: self.instance, process: self.life }
+    pub(crate) fn publisher(&self) -> Publisher {
+        Publisher { service: self.service, instance: self.instance, process: self.life }
     }
 
     /// How it is called in the log.
@@ -142,38 +153,35 @@ impl Node {
         format!("{}/{}", self.service, self.instance)
     }
 
-    /// A process begins on the machine that was made for it.
-    pub(crate) fn begin(
-        &mut self,
-        machine: Box<dyn Machine>,
-        clock: ProcessClock,
-        token: Arc<str>,
-    ) {
+    /// A process begins with the host that was made for it.
+    pub(crate) fn begin(&mut self, host: Box<dyn AnyHost>, clock: ProcessClock, token: Arc<str>) {
         self.process = Some(Process {
-            machine,
+            host,
             clock,
             inbox: Inbox::default(),
-            waiting: 0,
-            asks: VecDeque::new(),
-            ended: VecDeque::from([Input::Started]),
-            owed: BTreeMap::new(),
-            next_query: 0,
-            seen: BTreeSet::new(),
-            not_before: 0,
-            errands_free: 0,
+            waiting_gets: VecDeque::new(),
+            // A process waits for its router before it starts its host.
+            completed: VecDeque::from([Input::Started { linked: true }]),
+            unanswered: BTreeMap::new(),
+            next_get: 0,
+            visible_tokens: BTreeSet::new(),
+            stores_begun: 0,
+            stores_ended: 0,
+            disk_free_at: 0,
+            announced_state: ReplicaState::Starting,
             settings: String::new(),
-            announced: 0,
-            announced_before_job: 0,
-            announced_before_result: 0,
-            idle: 0,
+            settings_changes: 0,
+            changes_before_job: 0,
+            changes_before_result: 0,
+            idle_timers: 0,
             token,
         });
     }
 
     /// Whether a put on a key reaches it.
-    pub(crate) fn hears(&self, key: &str) -> bool {
+    pub(crate) fn subscribes_to(&self, key: &str) -> bool {
         // A put on a wild key reaches every subscription that it meets.
-        self.subscribed.iter().any(|(pattern, ..)| intersects(pattern, key))
+        self.subscribed.iter().any(|subscribed| intersects(&subscribed.text, key))
     }
 
     /// Whether it follows a token.
@@ -181,158 +189,123 @@ impl Node {
         self.tokens.iter().any(|pattern| includes(pattern, token))
     }
 
-    /// The patterns that it serves and that a get asks for.
+    /// How many patterns it serves that a get asks for.
     pub(crate) fn serves(&self, selector: &str) -> usize {
         self.served.iter().filter(|served| intersects(served, selector)).count()
     }
 
-    /// A packet has come over the subscriptions.
-    pub(crate) fn arrive(&mut self, space: &KeySpace, packet: &Arc<Packet>) {
+    /// A packet has come over the subscriptions. Each cuts it off at its limit, as the bus does.
+    pub(crate) fn receive(&mut self, space: &KeySpace, packet: &Arc<Packet>) {
         let Some(process) = &mut self.process else { return };
-        for (pattern, delivery, limit) in &self.subscribed {
-            if !intersects(pattern, &packet.key) {
+        for Subscribed { pattern, text, delivery } in &self.subscribed {
+            if !intersects(text, &packet.key) {
                 continue;
             }
+            let mut packet = packet.as_ref().clone();
             let size = packet.payload.as_ref().map_or(0, Vec::len);
-            let packet = if size > *limit {
-                Arc::new(Packet { payload: Err(size), ..packet.as_ref().clone() })
-            } else {
-                Arc::clone(packet)
-            };
-            let size = packet.key.len() + packet.payload.as_ref().map_or(0, Vec::len);
-            process.waiting += 1;
-            if *limit != MAX_ROBOT_PAYLOAD {
-                let key = packet.key.clone();
-                process.inbox.push(key, Arrival::Packet(packet), size, *delivery);
-                continue;
+            if size > pattern.payload_limit() {
+                packet.payload = Err(size);
             }
-            take_in(process, self.kind.understand, space, &packet, size, *delivery);
+            process.inbox.push(Parcel::new(space, packet, pattern, *delivery));
         }
     }
 
     /// A token has appeared or is gone, as far as the process can see.
-    pub(crate) fn see_token(&mut self, space: &KeySpace, key: &Arc<str>, alive: bool) {
+    pub(crate) fn token_changed(&mut self, space: &KeySpace, key: &Arc<str>, alive: bool) {
         if !self.follows(key) {
             return;
         }
         let Some(process) = &mut self.process else { return };
-        let is_new =
-            if alive { process.seen.insert(Arc::clone(key)) } else { process.seen.remove(key) };
+        let tokens = &mut process.visible_tokens;
+        let is_new = if alive { tokens.insert(Arc::clone(key)) } else { tokens.remove(key) };
         if !is_new {
             return;
         }
-        let packet = Packet::token(key.to_string(), alive);
-        process.waiting += 1;
-        let latest = muster_machine::Delivery::Latest;
-        take_in(process, self.kind.understand, space, &packet, key.len(), latest);
+        process.inbox.push(Parcel::token(space, Packet::token(&**key, alive)));
     }
 
     /// The link is lost or back. The bus forgets the tokens of others with a lost link, and it is
-    /// chance whether the core hears of that first.
-    pub(crate) fn link_changed(&mut self, space: &KeySpace, up: bool) {
+    /// chance which of the two the host is given first.
+    pub(crate) fn link_changed(&mut self, space: &KeySpace, is_up: bool) {
         let Some(process) = &mut self.process else { return };
-        process.ended.push_back(if up { Input::LinkRestored } else { Input::LinkLost });
-        if !up {
-            for key in process.seen.clone() {
-                self.see_token(space, &key, false);
+        process.completed.push_back(if is_up { Input::LinkRestored } else { Input::LinkLost });
+        if !is_up {
+            for key in process.visible_tokens.clone() {
+                self.token_changed(space, &key, false);
             }
         }
     }
 
-    /// A get has reached it: one query for each pattern that it serves, narrowed to that.
-    pub(crate) fn asked(&mut self, get: GetId, ask: &Ask) {
+    /// A get has reached it, once for each pattern that it serves, and narrowed to that.
+    pub(crate) fn receive_get(&mut self, bus_get: BusGetId, asked: &BusGet) {
         let Some(process) = &mut self.process else { return };
         for served in &self.served {
-            if !intersects(served, &ask.selector) || process.asks.len() >= MAX_QUERIES {
+            let is_full = process.waiting_gets.len() >= MAX_WAITING_GETS;
+            if !intersects(served, &asked.selector) || is_full {
                 continue;
             }
-            let request = Request::new(ask.selector.clone(), ask.parameters, ask.payload.clone());
-            // The simulation asks for nothing that is refused here.
-            let Ok(request) = request else { continue };
-            let request = if includes(&ask.selector, served) {
-                request.narrowed(served.clone())
-            } else {
-                request
-            };
-            process.asks.push_back((get, request));
+            let get = GetId(process.next_get);
+            process.next_get += 1;
+            let stores_before = None;
+            process.unanswered.insert(get, UnansweredGet { bus_get, stores_before });
+            process.waiting_gets.push_back(IncomingGet {
+                get,
+                selector: asked.selector.clone(),
+                narrowed: includes(&asked.selector, served).then(|| served.clone()),
+                parameters: asked.parameters.to_owned(),
+                payload: asked.payload.clone(),
+            });
         }
     }
 
     /// Something that the process started has ended.
-    pub(crate) fn end(&mut self, input: Input) {
+    pub(crate) fn complete(&mut self, input: Input) {
         if let Some(process) = &mut self.process {
-            process.ended.push_back(input);
+            process.completed.push_back(input);
         }
     }
 
     /// When it has something to do; none if it waits for others.
-    pub(crate) fn next_turn(&self, now: Micros) -> Option<Micros> {
+    pub(crate) fn next_step(&self, now: Micros) -> Option<Micros> {
         let process = self.process.as_ref()?;
-        let at_once = !process.asks.is_empty() || !process.ended.is_empty() || process.waiting > 0;
-        let due = process.machine.deadline();
-        let due = due.map(|tick| process.clock.when(tick).max(process.not_before));
-        let wanted = if at_once { Some(now) } else { due };
+        let is_ready = !process.waiting_gets.is_empty()
+            || !process.completed.is_empty()
+            || !process.inbox.is_empty();
+        let due = process.host.deadline().map(|tick| process.clock.when(tick));
+        let wanted = if is_ready { Some(now) } else { due };
         Some(wanted?.max(self.busy_until).max(now))
     }
 
-    /// Takes one piece of work; none if there is none.
-    pub(crate) fn take_work(&mut self, now: Micros, space: &KeySpace) -> Option<Input> {
+    /// Takes one input for the host; none if there is none.
+    pub(crate) fn take_input(&mut self, now: Micros) -> Option<Input> {
         let process = self.process.as_mut()?;
-        let due = process.machine.deadline();
-        let is_due =
-            due.is_some_and(|due| process.clock.tick(now) >= due) && now >= process.not_before;
+        let is_due = process.host.deadline().is_some_and(|due| process.clock.tick(now) >= due);
         // The start comes before everything else, as in the shell.
-        if matches!(process.ended.front(), Some(Input::Started)) {
-            return process.ended.pop_front();
+        if matches!(process.completed.front(), Some(Input::Started { .. })) {
+            return process.completed.pop_front();
         }
-        let ready =
-            [is_due, process.waiting > 0, !process.asks.is_empty(), !process.ended.is_empty()];
+        let ready = [
+            is_due,
+            !process.inbox.is_empty(),
+            !process.waiting_gets.is_empty(),
+            !process.completed.is_empty(),
+        ];
         let ready: Vec<usize> = (0..ready.len()).filter(|kind| ready[*kind]).collect();
         match self.chance.pick(&ready)? {
-            0 => {
-                process.not_before = now + BETWEEN_TIMEOUTS;
-                Some(Input::Timeout)
-            }
-            1 => {
-                let Some(arrival) = process.inbox.pop() else {
-                    process.waiting = 0;
-                    return self.take_work(now, space);
-                };
-                process.waiting -= 1;
-                Some(Input::Received(match arrival {
-                    Arrival::Understood(understood) => understood,
-                    Arrival::Packet(packet) => (self.kind.understand)(space, &packet),
-                }))
-            }
-            2 => {
-                let (get, request) = process.asks.pop_front()?;
-                let query = QueryId(process.next_query);
-                process.next_query += 1;
-                process.owed.insert(query, get);
-                Some(Input::Query { query, request })
-            }
-            _ => process.ended.pop_front(),
+            0 => Some(Input::Timer),
+            1 => process.inbox.pop().map(Input::Arrived),
+            2 => process.waiting_gets.pop_front().map(Input::Get),
+            _ => process.completed.pop_front(),
         }
     }
 }
 
-fn take_in(
-    process: &mut Process,
-    understand: fn(&KeySpace, &Packet) -> Result<Message, Rejection>,
-    space: &KeySpace,
-    packet: &Packet,
-    size: usize,
-    delivery: muster_machine::Delivery,
-) {
-    match understand(space, packet) {
-        Ok(message) => {
-            let arrival = Arrival::Understood(Ok(message));
-            process.inbox.push(packet.key.clone(), arrival, size, delivery);
-        }
-        Err(refused) => {
-            let place = format!("{} refused", refused.key);
-            let refused = Arrival::Understood(Err(refused));
-            process.inbox.push(place, refused, size, muster_machine::Delivery::Latest);
-        }
+impl Process {
+    /// How many gets the host has taken and not answered although all that was to be stored before is on
+    /// the disk.
+    pub(crate) fn overdue_answers(&self) -> usize {
+        let is_stored = |before: u64| before <= self.stores_ended;
+        let gets = self.unanswered.values();
+        gets.filter(|get| get.stores_before.is_some_and(is_stored)).count()
     }
 }

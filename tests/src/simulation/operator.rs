@@ -4,11 +4,11 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use muster_model::id::ServiceName;
-use muster_model::role::Standing;
+use muster_model::role::ReplicaState;
 use serde_json::Value;
 
 use super::node::Node;
-use super::oracle::{Truth, Witness};
+use super::oracle::{GroundTruth, RobotTruth};
 use super::robots::Robots;
 use super::router::{Answer, LinkId};
 
@@ -77,26 +77,28 @@ impl Operator {
         }
     }
 
-    /// What is true and known beside the bus.
-    pub(crate) fn witness<'a>(&self, robots: &'a Robots, nodes: &[Node]) -> Witness<'a> {
+    /// What is true, and known without the bus.
+    pub(crate) fn ground_truth<'a>(&self, robots: &'a Robots, nodes: &[Node]) -> GroundTruth<'a> {
         let runs = nodes.iter().filter(|node| node.process.is_some());
-        let holds = |node: &&Node| {
+        let leads = |node: &&Node| {
             let process = node.process.as_ref();
-            process.is_some_and(|process| process.machine.standing() == Standing::Holding)
+            process.is_some_and(|process| process.host.replica_state() == ReplicaState::Leading)
         };
         let alive = robots.alive();
-        let truth = |robot: usize| Truth {
+        let truth = |robot: usize| RobotTruth {
             position: robots.position(robot).unwrap_or_default(),
             superior: robots.superior(robot),
         };
-        Witness {
+        GroundTruth {
             fleet: alive.iter().map(|(name, robot)| (*name, truth(*robot))).collect(),
-            told: alive
+            reports: alive
                 .iter()
-                .filter_map(|(name, robot)| Some((*name, robots.all.get(*robot)?.told.as_ref())))
+                .filter_map(|(name, robot)| {
+                    Some((*name, robots.all.get(*robot)?.team_report.as_ref()))
+                })
                 .collect(),
-            holding: runs.clone().filter(holds).map(Node::speaker).collect(),
-            running: runs.map(Node::speaker).collect(),
+            leading: runs.clone().filter(leads).map(Node::publisher).collect(),
+            running: runs.map(Node::publisher).collect(),
             terms_lost: self.terms_lost,
             teams: self.teams,
         }

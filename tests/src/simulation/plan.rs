@@ -30,7 +30,7 @@ impl fmt::Display for Place {
     }
 }
 
-/// What a stranger puts on robots' keys.
+/// What an attacker puts on robots' keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Rubbish {
     /// Bytes without meaning, also as binary messages.
@@ -58,9 +58,9 @@ impl Rubbish {
     ];
 }
 
-/// What can be usurped.
+/// An output whose term can be forged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Throne {
+pub(crate) enum OutputKind {
     Roster,
     Graph,
     Embedding,
@@ -69,7 +69,7 @@ pub(crate) enum Throne {
     Settings,
 }
 
-impl Throne {
+impl OutputKind {
     const ALL: [Self; 6] =
         [Self::Roster, Self::Graph, Self::Embedding, Self::Teams, Self::Audit, Self::Settings];
 }
@@ -89,8 +89,8 @@ pub(crate) enum Fault {
     LostDisk { at: Place, lasts: Micros },
     /// All services are killed at once, and started again within a while.
     Blackout { lasts: Micros },
-    /// A stranger repeats the last message on the key of a service, so many terms higher.
-    Usurp { what: Throne, terms: u64 },
+    /// An attacker repeats the last message on the key of a service, so many terms higher.
+    ForgedTerm { what: OutputKind, terms: u64 },
     /// A service is stopped as by SIGSTOP, and goes on after a while.
     Hang { at: Place, lasts: Micros },
     /// A service takes long over every event.
@@ -111,12 +111,12 @@ pub(crate) enum Fault {
     Promote { robot: usize, superior: Option<usize> },
     /// A robot is somewhere else from now on.
     Jump { robot: usize, by: [i64; 2] },
-    /// A robot says the same many times at once.
-    Burst { robot: usize, many: usize },
-    /// A stranger puts rubbish.
-    Rubbish { robot: usize, kind: Rubbish, many: usize },
-    /// Robots appear that say where they are once and are never heard again.
-    Ghosts { many: usize },
+    /// A robot reports the same many times at once.
+    Burst { robot: usize, count: usize },
+    /// An attacker puts rubbish.
+    Rubbish { robot: usize, kind: Rubbish, count: usize },
+    /// Robots appear that report one pose each and nothing after.
+    Ghosts { count: usize },
     /// An operator changes settings.
     Set { service: ServiceName, patch: String },
     /// An operator sets what stops every job of the embedder, and mends it after a while.
@@ -135,9 +135,9 @@ pub(crate) struct Injection {
 }
 
 impl Fault {
-    /// For how long a fault may keep an instance from hearing what another one of its service claims, or
-    /// let it hear what is not so, and of which service; of all if none is named.
-    pub(crate) const fn hides_claims(&self) -> Option<(Option<ServiceName>, Micros)> {
+    /// For how long a fault may keep an instance from receiving the lease renewals of another one of its
+    /// service, or lets it receive forged ones, and of which service; of all if none is named.
+    pub(crate) const fn hides_renewals(&self) -> Option<(Option<ServiceName>, Micros)> {
         let (at, lasts) = match self {
             Self::Storm { at, lasts, .. }
             | Self::Cut { at, lasts, .. }
@@ -145,7 +145,7 @@ impl Fault {
             | Self::Hang { at, lasts }
             | Self::Slow { at, lasts, .. } => (*at, *lasts),
             Self::Router { lasts } | Self::Blackout { lasts } => return Some((None, *lasts)),
-            Self::Usurp { .. } => return Some((None, 0)),
+            Self::ForgedTerm { .. } => return Some((None, 0)),
             _ => return None,
         };
         match at {
@@ -164,7 +164,7 @@ impl Fault {
             Self::Kill { .. } => "kill",
             Self::LostDisk { .. } => "lost disk",
             Self::Blackout { .. } => "blackout",
-            Self::Usurp { .. } => "usurper",
+            Self::ForgedTerm { .. } => "forged term",
             Self::Hang { .. } => "hang",
             Self::Slow { .. } => "slow service",
             Self::SlowJobs { .. } => "slow jobs",
@@ -202,7 +202,9 @@ impl fmt::Display for Injection {
             | Fault::LostDisk { at, lasts }
             | Fault::Hang { at, lasts }
             | Fault::Panics { at, lasts } => write!(formatter, "{at} for {}", Span(*lasts)),
-            Fault::Usurp { what, terms } => write!(formatter, "{what:?}, {terms} terms higher"),
+            Fault::ForgedTerm { what, terms } => {
+                write!(formatter, "{what:?}, {terms} terms higher")
+            }
             Fault::Router { lasts } | Fault::BadAlpha { lasts } | Fault::Blackout { lasts } => {
                 write!(formatter, "for {}", Span(*lasts))
             }
@@ -211,7 +213,7 @@ impl fmt::Display for Injection {
             }
             Fault::Clock { at, by } => write!(formatter, "{at} by {by} µs"),
             Fault::Leave { robot, lasts, politely } => {
-                let how = if *politely { "politely" } else { "without a word" };
+                let how = if *politely { "politely" } else { "without withdrawing its token" };
                 write!(formatter, "{robot} for {}, {how}", Span(*lasts))
             }
             Fault::LeaveForGood { robot } | Fault::Reboot { robot } => write!(formatter, "{robot}"),
@@ -219,11 +221,11 @@ impl fmt::Display for Injection {
                 write!(formatter, "{robot} answers to {superior:?}")
             }
             Fault::Jump { robot, by: [x, y] } => write!(formatter, "{robot} by {x}, {y} m"),
-            Fault::Burst { robot, many } => write!(formatter, "{robot}, {many} messages"),
-            Fault::Rubbish { robot, kind, many } => {
-                write!(formatter, "{kind:?} about robot {robot}, {many} messages")
+            Fault::Burst { robot, count } => write!(formatter, "{robot}, {count} messages"),
+            Fault::Rubbish { robot, kind, count } => {
+                write!(formatter, "{kind:?} about robot {robot}, {count} messages")
             }
-            Fault::Ghosts { many } => write!(formatter, "{many}"),
+            Fault::Ghosts { count } => write!(formatter, "{count}"),
             Fault::Set { service, patch } => write!(formatter, "{service} {patch}"),
         }
     }
@@ -318,7 +320,7 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
     }
     let seconds = if scale.ghosts > 0 { end / SECOND } else { 0 };
     injections.extend((0..seconds).map(|second| {
-        let fault = Fault::Ghosts { many: scale.ghosts };
+        let fault = Fault::Ghosts { count: scale.ghosts };
         Injection { number: 0, at: second * SECOND, fault }
     }));
     injections.sort_by_key(|injection| injection.at);
@@ -356,8 +358,8 @@ fn draw(chance: &mut Chance, scale: &Scale, places: &[Place], room: Micros) -> F
         44..46 => Fault::Kill { at: service, lasts: long },
         46..48 => Fault::LostDisk { at: service, lasts: short },
         48..49 => Fault::Blackout { lasts: short },
-        49..51 => Fault::Usurp {
-            what: chance.pick(&Throne::ALL).copied().unwrap_or(Throne::Roster),
+        49..51 => Fault::ForgedTerm {
+            what: chance.pick(&OutputKind::ALL).copied().unwrap_or(OutputKind::Roster),
             terms: [1, 2, 1 << 20][chance.below(3)],
         },
         51..55 => Fault::Hang { at: service, lasts: if chance.percent(50) { short } else { long } },
@@ -379,13 +381,13 @@ fn draw(chance: &mut Chance, scale: &Scale, places: &[Place], room: Micros) -> F
             let mut metres = || i64::try_from(chance.between(0, 200)).unwrap_or_default() - 100;
             Fault::Jump { robot, by: [metres(), metres()] }
         }
-        87..89 => Fault::Burst { robot, many: chance.below(150) },
+        87..89 => Fault::Burst { robot, count: chance.below(150) },
         89..93 => Fault::Rubbish {
             robot,
             kind: chance.pick(&Rubbish::ALL).copied().unwrap_or(Rubbish::Noise),
-            many: chance.below(20) + 1,
+            count: chance.below(20) + 1,
         },
-        93..95 => Fault::Ghosts { many: chance.below(12) + 1 },
+        93..95 => Fault::Ghosts { count: chance.below(12) + 1 },
         95..96 => Fault::BadAlpha { lasts: long },
         _ => {
             let (service, patches) = PATCHES[chance.below(PATCHES.len())];

@@ -1,9 +1,9 @@
-//! The fleet: what the robots truly are and do, what they put on the bus, and what they believe of
-//! their team.
+//! The fleet: what the robots truly are and do, what they put on the bus, and what they know of their
+//! team.
 //!
 //! Motion, links and ranks come from `shared/scenario`; each robot has habits of its own (JSON or
 //! binary, with or without stamps, sequences and a token) and leaves, returns, jumps and changes its
-//! superior as the plan says.
+//! superior as planned.
 
 use std::collections::BTreeMap;
 
@@ -18,25 +18,25 @@ use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
 use super::router::LinkId;
 
-/// How often the story of the scenario goes on: robots that speak in between say the same again.
-const STORY_STEP: Micros = 200 * MS;
+/// How often the scenario goes on: robots that report in between repeat themselves.
+const SCENARIO_STEP: Micros = 200 * MS;
 
 /// One stream of a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Speech {
+pub(crate) enum RobotStream {
     Pose,
     Links,
     Rank,
     Relation,
 }
 
-impl Speech {
+impl RobotStream {
     pub(crate) const ALL: [Self; 4] = [Self::Pose, Self::Links, Self::Rank, Self::Relation];
 }
 
-/// What a robot was told and believes.
+/// What a robot has received of its team and goes by.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Told {
+pub(crate) struct TeamReport {
     pub(crate) revision: Revision,
     pub(crate) team: Option<String>,
     pub(crate) members: Option<Vec<String>>,
@@ -48,7 +48,7 @@ pub(crate) struct Told {
 pub(crate) struct Robot {
     pub(crate) name: RobotId,
     pub(crate) link: LinkId,
-    pub(crate) host: HostClock,
+    pub(crate) machine_clock: HostClock,
     /// Whether its software runs.
     pub(crate) runs: bool,
     /// Counts the runs of its software.
@@ -64,8 +64,8 @@ pub(crate) struct Robot {
     period: Micros,
     off: [f64; 2],
     superior: Option<Option<usize>>,
-    /// The newest that it was told of its team.
-    pub(crate) told: Option<Told>,
+    /// The newest that it has received of its team.
+    pub(crate) team_report: Option<TeamReport>,
     chance: Chance,
 }
 
@@ -73,7 +73,7 @@ pub(crate) struct Robot {
 #[derive(Debug)]
 pub(crate) struct Robots {
     pub(crate) all: Vec<Robot>,
-    story: Fleet,
+    scenario: Fleet,
     moment: Option<Micros>,
     observed: Vec<RobotObservation>,
 }
@@ -92,32 +92,32 @@ impl Robots {
             radio_range_m: chance.real(20.0, 80.0),
         };
         #[expect(clippy::expect_used, reason = "a simulation without robots would prove nothing")]
-        let story = Fleet::new(kind, options).expect("every seed has a fleet");
-        let names = story.robots().iter().take(robots).cloned();
+        let scenario = Fleet::new(kind, options).expect("every seed has a fleet");
+        let names = scenario.robots().iter().take(robots).cloned();
         let all =
             names.enumerate().map(|(number, name)| Robot::new(seed, number, name, first_link));
         let all = all.collect();
-        Self { all, story, moment: None, observed: Vec::new() }
+        Self { all, scenario, moment: None, observed: Vec::new() }
     }
 
-    /// Brings the story to a moment.
-    pub(crate) fn tell(&mut self, moment: Micros) {
-        let moment = moment - moment % STORY_STEP;
+    /// Brings the scenario to a moment.
+    pub(crate) fn observe(&mut self, moment: Micros) {
+        let moment = moment - moment % SCENARIO_STEP;
         if self.moment != Some(moment) {
             self.moment = Some(moment);
             #[expect(clippy::cast_precision_loss, reason = "a run lasts minutes")]
             let seconds = moment as f64 / SECOND as f64;
-            self.observed = self.story.observe(seconds);
+            self.observed = self.scenario.observe(seconds);
         }
     }
 
-    /// Where a robot is now, as it would say.
+    /// Where a robot is now, as it would report.
     pub(crate) fn position(&self, robot: usize) -> Option<[f64; 3]> {
         let (observed, robot) = (self.observed.get(robot)?, self.all.get(robot)?);
         Some([observed.pose.x + robot.off[0], observed.pose.y + robot.off[1], 0.0])
     }
 
-    /// Whom a robot answers to now.
+    /// The superior of a robot now.
     pub(crate) fn superior(&self, robot: usize) -> Option<RobotId> {
         match self.all.get(robot)?.superior {
             Some(changed) => Some(self.all.get(changed?)?.name.clone()),
@@ -131,40 +131,40 @@ impl Robots {
         alive.map(|(number, robot)| (&robot.name, number)).collect()
     }
 
-    /// What a robot says now on one of its streams; none if it has nothing to say there.
-    pub(crate) fn say(
+    /// What a robot reports now on one of its streams; none if it has nothing to report there.
+    pub(crate) fn report(
         &mut self,
         space: &KeySpace,
         now: Micros,
         robot: usize,
-        speech: Speech,
+        stream: RobotStream,
     ) -> Option<Packet> {
         let place = self.position(robot)?;
         let superior = self.superior(robot);
         let peer = self.all.get((robot + 1) % self.all.len().max(1))?.name.clone();
         let observed = self.observed.get(robot)?;
-        let speaker = self.all.get_mut(robot).filter(|speaker| speaker.runs)?;
-        speaker.seq += 1;
-        let name = speaker.name.clone();
-        let stamp = speaker.stamps.then(|| speaker.host.wall(now).as_seconds());
-        let boot = speaker.boots.then(|| format!("run{}", speaker.life));
-        let seq = speaker.counts.then_some(speaker.seq);
-        let report: Report = match speech {
-            Speech::Pose => {
+        let own = self.all.get_mut(robot).filter(|own| own.runs)?;
+        own.seq += 1;
+        let name = own.name.clone();
+        let stamp = own.stamps.then(|| own.machine_clock.wall(now).as_seconds());
+        let boot = own.boots.then(|| format!("run{}", own.life));
+        let seq = own.counts.then_some(own.seq);
+        let report: Report = match stream {
+            RobotStream::Pose => {
                 let [x, y, z] = place;
                 let pose = observed.pose.clone();
                 Pose { x, y, z: Some(z), stamp, boot, seq, ..pose }.into()
             }
-            Speech::Links => {
+            RobotStream::Links => {
                 let links = observed.links.links.clone();
                 Links { links, stamp, boot, seq }.into()
             }
-            Speech::Rank => {
+            RobotStream::Rank => {
                 let rank = observed.rank.clone();
                 Rank { superior, stamp, boot, seq, ..rank }.into()
             }
-            Speech::Relation => {
-                let edges = if speaker.relates && peer != name {
+            RobotStream::Relation => {
+                let edges = if own.relates && peer != name {
                     vec![(name.clone(), peer, 0.5)]
                 } else {
                     vec![]
@@ -174,43 +174,44 @@ impl Robots {
             }
         };
         let message = Message::Report(CheckedReport::new(name, report).ok()?);
-        packet(space, &message, if speaker.json { Format::Json } else { Format::Binary })
+        packet(space, &message, if own.json { Format::Json } else { Format::Binary })
     }
 
-    /// When a robot speaks on a stream again.
-    pub(crate) fn next_speech(&mut self, robot: usize, speech: Speech) -> Micros {
+    /// When a robot reports on a stream again.
+    pub(crate) fn next_report(&mut self, robot: usize, stream: RobotStream) -> Micros {
         let Some(robot) = self.all.get_mut(robot) else { return SECOND };
-        let period = match speech {
-            Speech::Pose => robot.period,
-            Speech::Links => SECOND,
-            Speech::Rank | Speech::Relation => 2 * SECOND,
+        let period = match stream {
+            RobotStream::Pose => robot.period,
+            RobotStream::Links => SECOND,
+            RobotStream::Rank | RobotStream::Relation => 2 * SECOND,
         };
         period + robot.chance.between(0, 20 * MS)
     }
 
-    /// A robot hears what it is told of its team; whether that is news. It never goes back to an older
+    /// A robot receives a report of its team; whether that is news. It never goes back to an older
     /// division, and cares for nothing that it cannot read: anybody may put that.
-    pub(crate) fn hear(&mut self, robot: usize, packet: &Packet) -> bool {
+    pub(crate) fn receive(&mut self, robot: usize, packet: &Packet) -> bool {
         let Some(robot) = self.all.get_mut(robot).filter(|robot| robot.runs) else { return false };
-        let Some(told) = packet.payload.as_ref().ok().and_then(|bytes| read_told(bytes)) else {
+        let Some(report) = packet.payload.as_ref().ok().and_then(|bytes| read_team_report(bytes))
+        else {
             return false;
         };
-        if robot.told.as_ref().is_some_and(|last| last.revision >= told.revision) {
+        if robot.team_report.as_ref().is_some_and(|last| last.revision >= report.revision) {
             return false;
         }
-        robot.told = Some(told);
+        robot.team_report = Some(report);
         true
     }
 }
 
-/// Reads what a robot is told, as a robot in any language would.
-pub(crate) fn read_told(bytes: &[u8]) -> Option<Told> {
+/// Reads a report of a team, as a robot in any language would.
+pub(crate) fn read_team_report(bytes: &[u8]) -> Option<TeamReport> {
     let value: Value = serde_json::from_slice(bytes).ok()?;
     let text = |name: &str| value.get(name)?.as_str().map(str::to_owned);
     let names = |list: &Vec<Value>| {
         list.iter().map(|name| name.as_str().map(str::to_owned)).collect::<Option<Vec<_>>>()
     };
-    Some(Told {
+    Some(TeamReport {
         revision: Revision {
             term: value.get("term")?.as_u64()?,
             epoch: value.get("epoch")?.as_u64()?,
@@ -239,21 +240,21 @@ impl Robot {
         Self {
             name,
             link: first_link + number,
-            host: HostClock { ahead, drift: seconds(&mut chance) / 10_000 },
+            machine_clock: HostClock { ahead, drift: seconds(&mut chance) / 10_000 },
             runs: false,
             life: 0,
             has_token: chance.percent(80),
             json: chance.percent(60),
             stamps: chance.percent(60),
             counts,
-            // A sequence that begins anew without naming the run is let in after a while only.
+            // A sequence that begins again without a boot id is accepted only after a while.
             boots: counts && chance.percent(85),
             seq: 0,
             relates: chance.percent(50),
             period: chance.between(100, 400) * MS,
             off: [0.0; 2],
             superior: None,
-            told: None,
+            team_report: None,
             chance,
         }
     }
@@ -268,7 +269,7 @@ impl Robot {
         self.runs = true;
         self.life += 1;
         self.seq = 0;
-        self.told = None;
+        self.team_report = None;
     }
 
     /// It is somewhere else from now on.

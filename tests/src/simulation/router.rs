@@ -1,35 +1,35 @@
-//! What crosses links, and what the router knows: who holds which liveliness token, and which gets
+//! What crosses links, and what the router knows: who has declared which liveliness token, and which gets
 //! are under way.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use muster_wire::{KeySpace, Packet, Pattern};
+use muster_wire::Packet;
 
 /// A link, by number.
 pub(crate) type LinkId = usize;
 
-/// A get, by number.
-pub(crate) type GetId = u64;
+/// A get on the bus, by number.
+pub(crate) type BusGetId = u64;
 
 /// What a link carries.
 #[derive(Debug, Clone)]
 pub(crate) enum Carried {
-    /// A message of somebody.
+    /// A message.
     Put(Arc<Packet>),
     /// A liveliness token is declared or withdrawn; on the way down: appeared or is gone.
     Token { key: Arc<str>, alive: bool },
     /// A get.
-    Ask { get: GetId, ask: Arc<Ask> },
+    Get { get: BusGetId, asked: Arc<BusGet> },
     /// One server's whole answer.
-    Answer { get: GetId, answer: Arc<Answer> },
-    /// Everybody who was asked has answered.
-    Complete { get: GetId },
+    Answer { get: BusGetId, answer: Arc<Answer> },
+    /// Everyone who was asked has answered.
+    Complete { get: BusGetId },
 }
 
-/// A get.
+/// A get on the bus.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Ask {
+pub(crate) struct BusGet {
     pub(crate) selector: String,
     pub(crate) parameters: &'static str,
     pub(crate) payload: Option<Vec<u8>>,
@@ -42,8 +42,18 @@ pub(crate) enum Answer {
     Error(String),
 }
 
+impl Answer {
+    /// The packets, if it is no error.
+    pub(crate) fn packets(&self) -> Option<&[Packet]> {
+        match self {
+            Self::Packets(packets) => Some(packets),
+            Self::Error(_) => None,
+        }
+    }
+}
+
 impl Carried {
-    /// Declarations are never lost on a link that holds.
+    /// Declarations are never lost on a link that is up.
     pub(crate) fn is_declaration(&self) -> bool {
         matches!(self, Self::Token { .. })
     }
@@ -56,7 +66,7 @@ impl Carried {
 
 /// A get that is under way.
 #[derive(Debug)]
-struct Get {
+struct OpenGet {
     asker: LinkId,
     /// How many servers have not answered; none until the router has passed the get on.
     open: Option<usize>,
@@ -67,12 +77,12 @@ struct Get {
 pub(crate) struct Router {
     /// Who declared each token.
     tokens: BTreeMap<Arc<str>, BTreeSet<LinkId>>,
-    gets: BTreeMap<GetId, Get>,
-    next_get: GetId,
+    gets: BTreeMap<BusGetId, OpenGet>,
+    next_get: BusGetId,
 }
 
 impl Router {
-    /// Takes in that a token was declared or withdrawn; whether others are to hear of it.
+    /// A token was declared or withdrawn. True if its followers are to be notified.
     pub(crate) fn token(&mut self, link: LinkId, key: &Arc<str>, alive: bool) -> bool {
         if alive {
             let owners = self.tokens.entry(Arc::clone(key)).or_default();
@@ -99,14 +109,14 @@ impl Router {
     }
 
     /// A get begins.
-    pub(crate) fn begin_get(&mut self, asker: LinkId) -> GetId {
+    pub(crate) fn begin_get(&mut self, asker: LinkId) -> BusGetId {
         self.next_get += 1;
-        self.gets.insert(self.next_get, Get { asker, open: None });
+        self.gets.insert(self.next_get, OpenGet { asker, open: None });
         self.next_get
     }
 
-    /// The get is passed on to so many servers. True if nobody serves it.
-    pub(crate) fn pass_on(&mut self, get: GetId, servers: usize) -> bool {
+    /// The get is passed on to so many servers. True if no server has the key.
+    pub(crate) fn pass_on(&mut self, get: BusGetId, servers: usize) -> bool {
         self.gets.get_mut(&get).is_some_and(|get| {
             get.open = Some(servers);
             servers == 0
@@ -114,7 +124,7 @@ impl Router {
     }
 
     /// A server has answered: who asked, and whether that was the last answer.
-    pub(crate) fn answered(&mut self, get: GetId) -> Option<(LinkId, bool)> {
+    pub(crate) fn answered(&mut self, get: BusGetId) -> Option<(LinkId, bool)> {
         let get = self.gets.get_mut(&get)?;
         let open = get.open?.saturating_sub(1);
         get.open = Some(open);
@@ -122,7 +132,7 @@ impl Router {
     }
 
     /// The get has ended for who asked.
-    pub(crate) fn end_get(&mut self, get: GetId) {
+    pub(crate) fn end_get(&mut self, get: BusGetId) {
         self.gets.remove(&get);
     }
 }
@@ -150,14 +160,6 @@ pub(crate) fn intersects(left: &str, right: &str) -> bool {
             _ => return false,
         }
     }
-}
-
-/// The texts of patterns on the bus.
-pub(crate) fn texts<'a>(
-    space: &KeySpace,
-    patterns: impl IntoIterator<Item = &'a Pattern>,
-) -> Vec<String> {
-    patterns.into_iter().map(|pattern| space.pattern(pattern)).collect()
 }
 
 #[cfg(test)]

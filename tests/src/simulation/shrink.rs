@@ -7,13 +7,13 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use super::{Failure, Options, Sabotage, Story, simulate};
+use super::{Failure, Mutant, Options, Outcome, simulate};
 
 /// A failing run made short.
 #[derive(Debug, Clone)]
 pub struct Shrunk {
     /// The run, with its log.
-    pub story: Story,
+    pub outcome: Outcome,
     /// Its options: perhaps fewer robots.
     pub options: Options,
     /// The numbers of the faults that are left.
@@ -29,14 +29,14 @@ pub struct Shrunk {
 pub fn shrink(
     seed: u64,
     options: &Options,
-    sabotage: Option<Sabotage>,
+    mutant: Option<Mutant>,
     failure: &Failure,
     within: Duration,
 ) -> Shrunk {
     let mut search = Search {
         seed,
         options: options.clone(),
-        sabotage,
+        mutant,
         promise: failure.promise,
         until: Instant::now() + within,
         tries: 0,
@@ -54,14 +54,14 @@ pub fn shrink(
     search.fewer_robots(&kept);
     let faults: BTreeSet<usize> = kept.into_iter().collect();
     let options = Options { only: Some(faults.clone()), ..search.options.clone() };
-    let story = simulate(seed, &options, sabotage, true);
-    Shrunk { story, options, faults, of, tries: search.tries }
+    let outcome = simulate(seed, &options, mutant, true);
+    Shrunk { outcome, options, faults, of, tries: search.tries }
 }
 
 struct Search {
     seed: u64,
     options: Options,
-    sabotage: Option<Sabotage>,
+    mutant: Option<Mutant>,
     promise: &'static str,
     until: Instant,
     tries: usize,
@@ -80,8 +80,8 @@ impl Search {
     fn fails(&mut self, faults: &BTreeSet<usize>) -> bool {
         self.tries += 1;
         let options = Options { only: Some(faults.clone()), ..self.options.clone() };
-        let story = simulate(self.seed, &options, self.sabotage, false);
-        story.failure.is_some_and(|failure| failure.promise == self.promise)
+        let outcome = simulate(self.seed, &options, self.mutant, false);
+        outcome.failure.is_some_and(|failure| failure.promise == self.promise)
     }
 
     fn minimize(&mut self, mut kept: Vec<usize>) -> Vec<usize> {

@@ -1,31 +1,31 @@
-//! The whole: services, robots, an operator and a stranger around one router, and an agenda of what
+//! The whole: services, robots, an operator and an attacker around one router, and an agenda of what
 //! happens next. One event at a time is taken from the agenda, and after each the judge is asked.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BinaryHeap};
 use std::sync::Arc;
 
-use muster_machine::Stored;
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
-use muster_model::role::Standing;
+use muster_model::role::ReplicaState;
+use muster_service::{AskId, Stored};
 use muster_wire::{Key, KeySpace, Message, Packet};
 use serde_json::{Value, json};
 
 use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
+use super::host::ProcessStart;
 use super::link::{Damage, Link, State, Way};
 use super::log::Log;
-use super::machine::Birth;
+use super::mutants::Mutator;
 use super::node::Node;
 use super::operator::Operator;
 use super::oracle::{Bounds, Breach, Judge, MEMORY, Settled, Verdict};
 use super::plan::{Injection, Place};
-use super::robots::{Robots, Speech};
-use super::router::{Answer, Carried, GetId, LinkId, Router};
-use super::sabotage::Saboteur;
-use super::{AGREEMENT_TICKS, Sabotage, Scale, Stats, TICK};
+use super::robots::{RobotStream, Robots};
+use super::router::{Answer, BusGetId, Carried, LinkId, Router};
+use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
 
-/// How long everybody must have agreed without a change before a run ends.
+/// How long all must have agreed without a change before a run ends.
 const HELD: Micros = 6 * SECOND;
 
 /// One run in so many goes on past the time within which all must have agreed.
@@ -40,12 +40,11 @@ const MAX_EVENTS: u64 = 20_000_000;
 /// What is on the agenda.
 #[derive(Debug)]
 pub(super) enum Event {
-    Turn { node: usize },
+    Step { node: usize },
     Start { node: usize },
     JobEnded { node: usize, life: u32 },
-    Store { node: usize, life: u32, stored: Stored },
-    Reply { node: usize, life: u32, get: GetId, answer: Arc<Answer> },
-    Speak { robot: usize, life: u32, speech: Speech },
+    Stored { node: usize, life: u32, stored: Stored },
+    Report { robot: usize, life: u32, stream: RobotStream },
     RobotStarts { robot: usize, life: u32 },
     AtRouter { link: LinkId, session: u32, carried: Carried },
     AtClient { link: LinkId, session: u32, carried: Carried },
@@ -53,8 +52,7 @@ pub(super) enum Event {
     Lease { link: LinkId, session: u32 },
     Heal { link: LinkId },
     LinkUp { link: LinkId },
-    GetEnds { get: GetId },
-    AskAgain { fetch: u64, pattern: String },
+    GetEnds { get: BusGetId },
     Operate,
     SetLater { service: ServiceName, patch: String },
     Inject(usize),
@@ -89,29 +87,14 @@ impl Ord for Scheduled {
     }
 }
 
-/// A fetch of a core that is under way.
-#[derive(Debug)]
-pub(super) struct Fetch {
-    pub(super) node: usize,
-    pub(super) life: u32,
-    pub(super) fetch: u32,
-    /// Until then, what nobody answers is asked again …
-    pub(super) until: Micros,
-    /// … if it is one of these.
-    pub(super) patient: BTreeSet<String>,
-    pub(super) open: usize,
-    pub(super) messages: Vec<Message>,
-}
-
 /// Who waits for a get.
 #[derive(Debug)]
 pub(super) enum Asker {
-    Fetch {
-        fetch: u64,
-        pattern: String,
-    },
+    /// The host of a process.
+    Host { node: usize, life: u32, ask: AskId },
+    /// The operator, about the settings of a service.
     Operator(ServiceName),
-    /// A console that joins when everybody has agreed, and what was published last by then.
+    /// A console that joins when all have agreed, and what was published last by then.
     LateJoiner(Message),
 }
 
@@ -137,11 +120,9 @@ pub(super) struct World {
     pub(super) log: Log,
     pub(super) injections: Vec<Injection>,
     pub(super) operator: Operator,
-    pub(super) fetches: BTreeMap<u64, Fetch>,
-    pub(super) next_fetch: u64,
-    pub(super) pending: BTreeMap<GetId, Pending>,
+    pub(super) pending: BTreeMap<BusGetId, Pending>,
     pub(super) damage: Damage,
-    pub(super) saboteur: Saboteur,
+    pub(super) mutator: Mutator,
     pub(super) files: BTreeMap<ServiceName, Value>,
     /// The names of robots on the bus, good and forged, and when each was last there.
     pub(super) names: BTreeMap<RobotId, Micros>,
@@ -155,7 +136,7 @@ pub(super) struct World {
     breach: Option<Breach>,
 }
 
-/// The links of everybody: services first, then robots, an operator and a stranger.
+/// All links: services first, then robots, an operator and an attacker.
 pub(super) fn places(scale: &Scale) -> Vec<Place> {
     let services = ServiceName::ALL.into_iter().flat_map(|service| {
         (0..scale.instances).map(move |instance| Place::Service(service, instance))
@@ -163,7 +144,7 @@ pub(super) fn places(scale: &Scale) -> Vec<Place> {
     services.chain((0..scale.robots).map(Place::Robot)).collect()
 }
 
-/// What the configuration files of a seed say.
+/// The configuration files of a seed.
 fn files(chance: &mut Chance, robots: usize) -> BTreeMap<ServiceName, Value> {
     let max_robots = robots + chance.below(12) + 4;
     let ingest = json!({
@@ -186,7 +167,7 @@ impl World {
         seed: u64,
         scale: &Scale,
         injections: Vec<Injection>,
-        sabotage: Option<Sabotage>,
+        mutant: Option<Mutant>,
         logged: bool,
     ) -> Self {
         #[expect(clippy::expect_used, reason = "a simulation without a fleet would prove nothing")]
@@ -196,18 +177,18 @@ impl World {
         let mut nodes = Vec::new();
         for (link, place) in places(scale).into_iter().enumerate() {
             let Place::Service(service, instance) = place else { continue };
-            let off = |chance: &mut Chance, most: u64| {
+            let offset = |chance: &mut Chance, most: u64| {
                 i64::try_from(chance.between(0, 2 * most)).unwrap_or_default()
                     - i64::try_from(most).unwrap_or_default()
             };
-            let host =
-                HostClock { ahead: off(&mut chance, 3 * SECOND), drift: off(&mut chance, 200) };
+            let ahead = offset(&mut chance, 3 * SECOND);
+            let clock = HostClock { ahead, drift: offset(&mut chance, 200) };
             let own = Chance::new(seed, Purpose::Node, link);
-            nodes.push(Node::new(&space, service, instance, link, host, own));
+            nodes.push(Node::new(&space, service, instance, link, clock, own));
         }
         let robots = Robots::new(seed, scale.robots, nodes.len());
-        let many = nodes.len() + robots.all.len() + 2;
-        let links = (0..many).map(|link| Link::new(Chance::new(seed, Purpose::Link, link)));
+        let count = nodes.len() + robots.all.len() + 2;
+        let links = (0..count).map(|link| Link::new(Chance::new(seed, Purpose::Link, link)));
         let clusterer = files.get(&ServiceName::Clusterer);
         let teams = clusterer.and_then(|file| file.get("teams")?.as_u64());
         let max_robots =
@@ -219,7 +200,7 @@ impl World {
             agenda: BinaryHeap::new(),
             scheduled: 0,
             links: links.collect(),
-            operator: Operator::new(many - 2, teams),
+            operator: Operator::new(count - 2, teams),
             max_robots: usize::try_from(max_robots.unwrap_or_default()).unwrap_or_default(),
             nodes,
             robots,
@@ -227,11 +208,9 @@ impl World {
             judge: Judge::default(),
             log: Log::new(logged),
             injections,
-            fetches: BTreeMap::new(),
-            next_fetch: 0,
             pending: BTreeMap::new(),
             damage: Damage::default(),
-            saboteur: Saboteur::new(sabotage),
+            mutator: Mutator::new(mutant),
             files,
             names: BTreeMap::new(),
             stats: Stats::default(),
@@ -263,8 +242,8 @@ impl World {
         self.schedule(self.storm, Event::StormOver);
     }
 
-    /// The link of the stranger.
-    pub(super) fn stranger(&self) -> LinkId {
+    /// The link of the attacker.
+    pub(super) fn attacker(&self) -> LinkId {
         self.links.len() - 1
     }
 
@@ -275,7 +254,7 @@ impl World {
         self.agenda.push(Reverse(scheduled));
     }
 
-    /// Takes in what a rule says. The first breach ends the run.
+    /// Accepts the verdict of a rule. The first breach ends the run.
     pub(super) fn judged(&mut self, verdict: Verdict) {
         if let Err(breach) = verdict
             && self.breach.is_none()
@@ -316,20 +295,11 @@ impl World {
 
     fn happen(&mut self, event: Event) {
         match event {
-            Event::Turn { node } => self.turn(node),
+            Event::Step { node } => self.step(node),
             Event::Start { node } => self.start_node(node),
             Event::JobEnded { node, life } => self.job_ended(node, life),
-            Event::Store { node, life, stored } => {
-                if self.nodes[node].life == life {
-                    self.nodes[node].stored = stored;
-                }
-            }
-            Event::Reply { node, life, get, answer } => {
-                if self.nodes[node].life == life {
-                    self.send(self.nodes[node].link, Way::Up, &Carried::Answer { get, answer });
-                }
-            }
-            Event::Speak { robot, life, speech } => self.speak(robot, life, speech),
+            Event::Stored { node, life, stored } => self.stored(node, life, stored),
+            Event::Report { robot, life, stream } => self.report(robot, life, stream),
             Event::RobotStarts { robot, life } => self.start_robot(robot, life),
             Event::AtRouter { link, session, carried } => {
                 if self.links[link].session == session {
@@ -351,7 +321,6 @@ impl World {
             Event::Heal { link } => self.heal(link),
             Event::LinkUp { link } => self.link_up(link),
             Event::GetEnds { get } => self.get_ends(get),
-            Event::AskAgain { fetch, pattern } => self.ask_for_fetch(fetch, pattern),
             Event::Operate => self.operate(),
             Event::SetLater { service, patch } => self.operator.wants(service, patch),
             Event::Inject(number) => self.inject(number),
@@ -372,13 +341,13 @@ impl World {
             self.schedule(wait, Event::Start { node: index });
             return;
         }
-        let clock = node.host.start(self.now);
+        let clock = node.machine_clock.start(self.now);
         let instance = format!("{}-{}-{}", node.service, node.instance, node.life);
         let (Ok(instance), file) = (InstanceId::new(&instance), self.files.get(&node.service))
         else {
             return;
         };
-        let birth = Birth {
+        let start = ProcessStart {
             fleet: self.space.fleet().clone(),
             instance: instance.clone(),
             now: clock.tick(self.now),
@@ -387,13 +356,13 @@ impl World {
         };
         let token = self.space.format(&Key::ServiceToken(node.service, instance));
         let node = &mut self.nodes[index];
-        let machine = node.kind.start(birth);
-        node.begin(machine, clock, token.into());
+        let host = node.kind.start(start);
+        node.begin(host, clock, token.into());
         node.busy_until = self.now;
         self.log.line(self.now, format_args!("{} starts", self.nodes[index].name()));
         self.links[link].state = State::Up;
         self.declare(link);
-        self.kick(index);
+        self.schedule_step(index);
     }
 
     fn start_robot(&mut self, index: usize, life: u32) {
@@ -405,31 +374,31 @@ impl World {
         let (link, life) = (robot.link, robot.life);
         self.log.line(self.now, format_args!("{} starts", self.robots.all[index].name));
         self.declare(link);
-        for (speech, after) in Speech::ALL.into_iter().zip([10, 20, 30, 40]) {
-            self.schedule(self.now + after * MS, Event::Speak { robot: index, life, speech });
+        for (stream, after) in RobotStream::ALL.into_iter().zip([10, 20, 30, 40]) {
+            self.schedule(self.now + after * MS, Event::Report { robot: index, life, stream });
         }
     }
 
-    /// A robot says something on one of its streams, and will again.
-    fn speak(&mut self, index: usize, life: u32, speech: Speech) {
+    /// A robot reports on one of its streams, and will again.
+    fn report(&mut self, index: usize, life: u32, stream: RobotStream) {
         if self.robots.all[index].life != life || !self.robots.all[index].runs {
             return;
         }
-        self.robots.tell(self.now.min(self.storm));
-        let next = self.robots.next_speech(index, speech);
-        self.schedule(self.now + next, Event::Speak { robot: index, life, speech });
-        if let Some(packet) = self.robots.say(&self.space, self.now, index, speech) {
+        self.robots.observe(self.now.min(self.storm));
+        let next = self.robots.next_report(index, stream);
+        self.schedule(self.now + next, Event::Report { robot: index, life, stream });
+        if let Some(packet) = self.robots.report(&self.space, self.now, index, stream) {
             self.put(self.robots.all[index].link, packet);
         }
     }
 
-    /// Somebody puts a message.
+    /// Puts a packet on the bus.
     pub(super) fn put(&mut self, link: LinkId, packet: Packet) {
         self.send(link, Way::Up, &Carried::Put(Arc::new(packet)));
     }
 
     /// Everything that goes wrong has an end: links are mended, processes run, and the robots stand
-    /// still and go on to say what they said last.
+    /// still and go on to repeat their last reports.
     fn end_storm(&mut self) {
         self.storm_over = true;
         self.log.line(self.now, format_args!("the storm is over"));
@@ -446,28 +415,29 @@ impl World {
             node.down_until = self.now;
             node.busy_until = node.busy_until.min(self.now);
             self.start_node(index);
-            self.kick(index);
+            self.schedule_step(index);
         }
-        self.robots.tell(self.storm);
+        self.robots.observe(self.storm);
         self.schedule(self.now + TICK, Event::Poll);
     }
 
-    /// Looks whether everybody agrees.
+    /// Checks whether all agree.
     fn poll(&mut self) {
         let since = self.now - self.storm;
         let limit = AGREEMENT_TICKS * TICK;
         let agreed = {
-            let witness = self.operator.witness(&self.robots, &self.nodes);
+            let ground_truth = self.operator.ground_truth(&self.robots, &self.nodes);
             if self.operator.is_busy() {
                 Err("an operator's settings are not confirmed".to_owned())
             } else {
-                one_holds_each_role(&self.nodes).and_then(|()| self.judge.agreement(&witness))
+                one_leads_each_service(&self.nodes)
+                    .and_then(|()| self.judge.agreement(&ground_truth))
             }
         };
         match (agreed, self.settled.take()) {
             (Ok(now), None) => {
-                self.log.line(self.now, format_args!("everybody agrees"));
-                if now.is_of_somebody() {
+                self.log.line(self.now, format_args!("all agree"));
+                if now.has_robots() {
                     self.join_late();
                 }
                 self.settled = Some((since, now));
@@ -498,28 +468,28 @@ impl World {
         self.schedule(self.now + TICK, Event::Poll);
     }
 
-    /// Makes sure that a service takes its next turn in time.
-    pub(super) fn kick(&mut self, index: usize) {
-        let Some(at) = self.nodes[index].next_turn(self.now) else { return };
-        if self.nodes[index].turn_at.is_none_or(|planned| at < planned) {
-            self.nodes[index].turn_at = Some(at);
-            self.schedule(at, Event::Turn { node: index });
+    /// Makes sure that a service takes its next input in time.
+    pub(super) fn schedule_step(&mut self, index: usize) {
+        let Some(at) = self.nodes[index].next_step(self.now) else { return };
+        if self.nodes[index].step_at.is_none_or(|planned| at < planned) {
+            self.nodes[index].step_at = Some(at);
+            self.schedule(at, Event::Step { node: index });
         }
     }
 }
 
-/// Of the instances of a service, one holds its role and all others stand by.
-fn one_holds_each_role(nodes: &[Node]) -> Result<(), String> {
+/// Of the instances of a service, one leads and all others are standbys.
+fn one_leads_each_service(nodes: &[Node]) -> Result<(), String> {
     for service in ServiceName::ALL {
-        let standings: Vec<Standing> = nodes
+        let states: Vec<ReplicaState> = nodes
             .iter()
             .filter(|node| node.service == service)
-            .filter_map(|node| Some(node.process.as_ref()?.machine.standing()))
+            .filter_map(|node| Some(node.process.as_ref()?.host.replica_state()))
             .collect();
-        let holding = standings.iter().filter(|standing| **standing == Standing::Holding).count();
-        let waiting = standings.iter().filter(|standing| **standing == Standing::Standby).count();
-        if holding != 1 || holding + waiting != standings.len() {
-            return Err(format!("the instances of {service} are {standings:?}"));
+        let count = |wanted| states.iter().filter(|state| **state == wanted).count();
+        let (leaders, standbys) = (count(ReplicaState::Leading), count(ReplicaState::Standby));
+        if leaders != 1 || leaders + standbys != states.len() {
+            return Err(format!("the instances of {service} are {states:?}"));
         }
     }
     Ok(())

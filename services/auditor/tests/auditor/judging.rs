@@ -1,4 +1,4 @@
-//! What is judged by what.
+//! What is scored by what.
 
 use muster_method::silhouettes::SilhouetteParams;
 use muster_model::audit::SilhouetteMethod;
@@ -6,9 +6,9 @@ use muster_model::audit::SilhouetteMethod;
 use super::*;
 
 #[test]
-fn a_division_is_judged_in_both_spaces() {
-    let mut bench = Bench::begun(vec![]);
-    bench.hear(roster(
+fn a_division_is_scored_in_both_spaces() {
+    let mut bench = Bench::leading(vec![]);
+    bench.receive(roster(
         1,
         &[
             ("a", "map", Some([0.0, 0.0, 0.0])),
@@ -31,10 +31,15 @@ fn a_division_is_judged_in_both_spaces() {
         ("g", [2.0, 2.0]),
         ("loose", [9.0, 9.0]),
     ];
-    bench.hear(embedding(1, rows));
+    bench.receive(embedding(1, rows));
     bench.wait(0.5);
-    bench.hold = true;
-    bench.hear(teams(4, 1, &[("t1", "a d"), ("t2", "b c e"), ("t3", "f"), ("t10", "g")], "loose"));
+    bench.hold_jobs = true;
+    bench.receive(teams(
+        4,
+        1,
+        &[("t1", "a d"), ("t2", "b c e"), ("t3", "f"), ("t10", "g")],
+        "loose",
+    ));
     bench.wait(0.2);
     bench.run_job();
     let audit = bench.audit();
@@ -78,9 +83,9 @@ fn a_large_fleet_is_judged_by_a_sample_and_each_robot_by_squared_distances() {
             members.map(|robot| names[robot].clone()).collect::<Vec<_>>().join(" ")
         };
         let (first, second) = (of(0), of(1));
-        let mut bench = Bench::begun(vec![]);
-        bench.hear(embedding(1, &rows));
-        bench.hear(teams(1, 1, &[("t1", &first), ("t2", &second)], ""));
+        let mut bench = Bench::leading(vec![]);
+        bench.receive(embedding(1, &rows));
+        bench.receive(teams(1, 1, &[("t1", &first), ("t2", &second)], ""));
         bench.audit()
     };
     use SilhouetteMethod::{Exact, Sampled, SquaredExact};
@@ -117,11 +122,11 @@ fn a_large_fleet_is_judged_by_a_sample_and_each_robot_by_squared_distances() {
 
 #[test]
 fn fewer_than_two_teams_are_not_judged() {
-    let mut bench = Bench::begun(vec![]);
-    bench.hear(embedding(1, FOUR));
+    let mut bench = Bench::leading(vec![]);
+    bench.receive(embedding(1, FOUR));
     for (epoch, division) in (1..).zip([&[][..], &[("t1", "a b c d")][..]]) {
-        bench.hear(teams(epoch, 1, division, ""));
-        let audit = bench.audits.pop().unwrap();
+        bench.receive(teams(epoch, 1, division, ""));
+        let audit = bench.audits().pop().unwrap();
         assert_eq!(audit.verdict, Verdict::Undefined);
         for report in [&audit.in_embedding, &audit.in_physical] {
             assert_eq!(report.mean, None);
@@ -130,35 +135,35 @@ fn fewer_than_two_teams_are_not_judged() {
     }
     assert!(bench.status().state.starts_with("undefined"));
     // Teams of robots that the embedding does not know are as good as none.
-    bench.hear(teams(3, 1, &[("t1", "a b"), ("t2", "x y")], ""));
-    assert_eq!(bench.audits.pop().unwrap().verdict, Verdict::Undefined);
+    bench.receive(teams(3, 1, &[("t1", "a b"), ("t2", "x y")], ""));
+    assert_eq!(bench.audits().pop().unwrap().verdict, Verdict::Undefined);
 }
 
 #[test]
 fn the_verdict_follows_the_thresholds() {
-    let (mut bench, audit) = judged();
+    let (mut bench, audit) = scored();
     assert_eq!(audit.verdict, Verdict::Good);
     assert_eq!(bench.status().state, "good, mean silhouette 0.84");
-    // New thresholds judge the old silhouettes at once, without a job.
-    bench.ask("service/auditor/settings", Some(r#"{"good":0.95}"#)).unwrap();
+    // New thresholds apply to the old silhouettes at once, without a job.
+    bench.get("service/auditor/settings", Some(r#"{"good":0.95}"#)).unwrap();
     assert_eq!(bench.audit().verdict, Verdict::Fair);
-    bench.ask("service/auditor/settings", Some(r#"{"poor":0.9}"#)).unwrap();
+    bench.get("service/auditor/settings", Some(r#"{"poor":0.9}"#)).unwrap();
     assert_eq!(bench.audit().verdict, Verdict::Poor);
     assert_eq!(bench.jobs_run, 1);
-    assert!(bench.ask("service/auditor/settings", Some(r#"{"good":0.1}"#)).is_err());
-    assert!(bench.audits.is_empty());
+    assert!(bench.get("service/auditor/settings", Some(r#"{"good":0.1}"#)).is_err());
+    assert!(bench.audits().is_empty());
 }
 
 #[test]
-fn an_unchanged_division_is_told_every_second_without_a_job() {
-    let (mut bench, first) = judged();
+fn an_unchanged_division_is_published_every_second_without_a_job() {
+    let (mut bench, first) = scored();
     for epoch in 2..8 {
         bench.wait(0.1);
-        bench.hear(embedding(epoch, FOUR));
-        bench.hear(teams(epoch, epoch, PAIRS, ""));
+        bench.receive(embedding(epoch, FOUR));
+        bench.receive(teams(epoch, epoch, PAIRS, ""));
     }
-    assert!(bench.audits.is_empty());
-    assert_eq!(bench.driver.deadline(), Some(START.after(Duration::from_secs(1))));
+    assert!(bench.audits().is_empty());
+    assert_eq!(bench.host.deadline(), Some(START.after(Duration::from_secs(1))));
     bench.wait(0.45);
     let again = bench.audit();
     assert_eq!((again.teams, again.embedding), (revision(7), revision(7)), "as fresh as its data");
@@ -170,11 +175,11 @@ fn an_unchanged_division_is_told_every_second_without_a_job() {
     assert_eq!(bench.jobs_run, 1);
     // New positions are something new.
     let positions = [("a", "map", Some([0.0; 3])), ("c", "map", Some([1.0; 3]))];
-    bench.hear(roster(8, &positions));
-    bench.hear(embedding(8, FOUR));
-    bench.hear(teams(8, 8, PAIRS, ""));
+    bench.receive(roster(8, &positions));
+    bench.receive(embedding(8, FOUR));
+    bench.receive(teams(8, 8, PAIRS, ""));
     assert_eq!(bench.audit().in_physical.mean, Some(0.0));
-    bench.hear(teams(9, 8, CROSSED, ""));
+    bench.receive(teams(9, 8, CROSSED, ""));
     assert!(bench.audit().in_embedding.mean.unwrap() < 0.0);
     assert_eq!(bench.counter("divisions_judged"), 3);
 }
@@ -188,32 +193,32 @@ fn the_roster_is_that_of_the_embedding_or_else_the_newest() {
             ("c", "map", Some([x, 0.0, 0.0])),
         ]
     };
-    let mut bench = Bench::begun(vec![]);
-    bench.hear(roster(1, &at(9.0)));
-    bench.hear(roster(2, &at(3.0)));
-    bench.hear(embedding(1, FOUR));
-    bench.hear(teams(1, 1, PAIRS, ""));
+    let mut bench = Bench::leading(vec![]);
+    bench.receive(roster(1, &at(9.0)));
+    bench.receive(roster(2, &at(3.0)));
+    bench.receive(embedding(1, FOUR));
+    bench.receive(teams(1, 1, PAIRS, ""));
     let own = bench.audit().in_physical.mean.unwrap();
     let expected = |x: f64| {
         let points = [vec![0.0], vec![1.0], vec![x]];
         naive(&points, &[1, 1, 2]).iter().sum::<f64>() / 3.0
     };
     assert!((own - expected(9.0)).abs() < 1e-12);
-    bench.hear(embedding(5, FOUR));
-    bench.hear(teams(2, 5, PAIRS, ""));
+    bench.receive(embedding(5, FOUR));
+    bench.receive(teams(2, 5, PAIRS, ""));
     assert!((bench.audit().in_physical.mean.unwrap() - expected(3.0)).abs() < 1e-12);
     // The right one comes late.
-    bench.hear(roster(4, &at(5.0)));
-    assert!(bench.audits.is_empty());
-    bench.hear(roster(5, &at(7.0)));
+    bench.receive(roster(4, &at(5.0)));
+    assert!(bench.audits().is_empty());
+    bench.receive(roster(5, &at(7.0)));
     assert!((bench.audit().in_physical.mean.unwrap() - expected(7.0)).abs() < 1e-12);
 }
 
 #[test]
 fn of_two_frames_with_equally_many_robots_the_first_by_name_counts() {
-    let mut bench = Bench::begun(vec![]);
+    let mut bench = Bench::leading(vec![]);
     let at = |x: f64| Some([x, 0.0, 0.0]);
-    bench.hear(roster(
+    bench.receive(roster(
         1,
         &[
             ("a", "hall", at(0.0)),
@@ -222,8 +227,8 @@ fn of_two_frames_with_equally_many_robots_the_first_by_name_counts() {
             ("d", "yard", at(3.0)),
         ],
     ));
-    bench.hear(embedding(1, FOUR));
-    bench.hear(teams(1, 1, PAIRS, ""));
+    bench.receive(embedding(1, FOUR));
+    bench.receive(teams(1, 1, PAIRS, ""));
     let names: Vec<String> =
         bench.audit().in_physical.per_robot.iter().map(|(robot, _)| robot.to_string()).collect();
     assert_eq!(names, ["a", "c"]);
@@ -231,39 +236,39 @@ fn of_two_frames_with_equally_many_robots_the_first_by_name_counts() {
 
 #[test]
 fn lasting_bad_quality_raises_one_alert() {
-    let (mut bench, _) = judged();
-    bench.hear(teams(2, 1, CROSSED, ""));
-    assert!(bench.audit().verdict == Verdict::Poor && bench.events.is_empty());
+    let (mut bench, _) = scored();
+    bench.receive(teams(2, 1, CROSSED, ""));
+    assert!(bench.audit().verdict == Verdict::Poor && bench.events().is_empty());
     bench.wait(2.9);
-    assert!(bench.events.is_empty());
-    assert_eq!(bench.driver.deadline(), Some(START.after(Duration::from_secs(3))));
+    assert!(bench.events().is_empty());
+    assert_eq!(bench.host.deadline(), Some(START.after(Duration::from_secs(3))));
     bench.wait(0.1);
-    assert!(matches!(bench.events[..], [EventKind::QualityLow { mean }] if mean < 0.0));
+    assert!(matches!(bench.events()[..], [EventKind::QualityLow { mean }] if mean < 0.0));
     for _ in 0..5 {
         bench.wait(2.0);
     }
-    bench.hear(teams(3, 1, PAIRS, ""));
-    assert!(matches!(bench.events[..], [_, EventKind::QualityRecovered { mean }] if mean > 0.3));
+    bench.receive(teams(3, 1, PAIRS, ""));
+    assert!(matches!(bench.events()[..], [_, EventKind::QualityRecovered { mean }] if mean > 0.3));
     assert_eq!(bench.counter("alerts"), 1);
     // A short dip is none.
-    bench.hear(teams(4, 1, CROSSED, ""));
+    bench.receive(teams(4, 1, CROSSED, ""));
     bench.wait(2.0);
-    bench.hear(teams(5, 1, PAIRS, ""));
+    bench.receive(teams(5, 1, PAIRS, ""));
     bench.wait(2.0);
-    bench.hear(teams(6, 1, CROSSED, ""));
+    bench.receive(teams(6, 1, CROSSED, ""));
     bench.wait(2.0);
-    assert_eq!(bench.events.len(), 2);
+    assert_eq!(bench.events().len(), 2);
 }
 
 #[test]
-fn an_alert_that_becomes_due_in_doubt_of_the_role_is_raised_after_it() {
-    let (mut bench, _) = judged();
-    bench.hear(teams(2, 1, CROSSED, ""));
-    bench.step(Event::LinkLost);
+fn an_alert_that_becomes_due_while_suspect_is_raised_after_it() {
+    let (mut bench, _) = scored();
+    bench.receive(teams(2, 1, CROSSED, ""));
+    bench.input(Input::LinkLost);
     bench.wait(4.0);
-    assert!(bench.events.is_empty());
-    assert!(bench.driver.deadline().is_none_or(|due| due > bench.now), "nothing is to be done");
-    bench.step(Event::LinkRestored);
-    assert!(matches!(bench.events[..], [EventKind::QualityLow { mean }] if mean < 0.0));
+    assert!(bench.events().is_empty());
+    assert!(bench.host.deadline().is_none_or(|due| due > bench.now), "nothing is to be done");
+    bench.input(Input::LinkRestored);
+    assert!(matches!(bench.events()[..], [EventKind::QualityLow { mean }] if mean < 0.0));
     assert_eq!(bench.counter("alerts"), 1);
 }

@@ -1,4 +1,4 @@
-//! The auditor on a bench: what it judges by what, what it tells, and when.
+//! The auditor on a bench: what it scores by what, what it publishes, and when.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -10,14 +10,11 @@ mod judging;
 mod properties;
 mod service;
 
-use std::collections::VecDeque;
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_auditor::{Auditor, Job};
-use muster_machine::{
-    Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stopwatch, Stored, TERM_FETCH,
-};
+use muster_auditor::Auditor;
 use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::EventKind;
@@ -27,137 +24,87 @@ use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::AuditorSettings;
 use muster_model::teams::{Member, Team, Teams};
 use muster_model::time::Tick;
-use muster_wire::{Key, Message, Pattern, Rejection, Request};
+use muster_service::{Core, Input, ServedKey, Start, Stored, testkit};
+use muster_wire::{Key, Message, Pattern, Rejection};
 use proptest::prelude::*;
 
 const START: Tick = Tick(1_000_000_000);
 
 struct Bench {
-    driver: Driver<Auditor>,
-    now: Tick,
-    hold: bool,
-    jobs: VecDeque<Job>,
-    jobs_run: usize,
+    kit: testkit::Bench<Auditor>,
     audits: Vec<Arc<Audit>>,
     events: Vec<EventKind>,
-    fetches: Vec<(u32, Vec<Pattern>)>,
-    queries: u64,
-    replies: Vec<(QueryId, Result<Vec<Message>, String>)>,
+}
+
+impl Deref for Bench {
+    type Target = testkit::Bench<Auditor>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.kit
+    }
+}
+
+impl DerefMut for Bench {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.kit
+    }
 }
 
 impl Bench {
     fn new() -> Self {
-        let start = Start {
+        let kit = testkit::Bench::new(Start {
             fleet: FleetId::new("f").unwrap(),
             instance: InstanceId::new("i").unwrap(),
             now: START,
             settings: AuditorSettings::default(),
             stored: Stored::default(),
-        };
-        Self {
-            driver: Driver::new(start),
-            now: START,
-            hold: false,
-            jobs: VecDeque::new(),
-            jobs_run: 0,
-            audits: Vec::new(),
-            events: Vec::new(),
-            fetches: Vec::new(),
-            queries: 0,
-            replies: Vec::new(),
-        }
+        });
+        Self { kit, audits: Vec::new(), events: Vec::new() }
     }
 
-    /// One that has begun its term with messages on the bus.
-    fn begun(messages: Vec<Message>) -> Self {
+    /// One that leads and found messages on the bus.
+    fn leading(messages: Vec<Message>) -> Self {
         let mut bench = Self::new();
-        bench.step(Event::Started);
-        bench.fetches.clear();
-        bench.step(Event::Fetched { fetch: START_FETCH, messages });
+        bench.start(messages);
         bench
     }
 
-    fn step(&mut self, event: Event<<Auditor as Core>::Done>) {
-        let mut in_doubt = None;
-        for command in self.driver.step(self.now, event) {
-            match command {
-                Command::Publish(Message::Audit(audit)) => self.audits.push(audit),
-                Command::Publish(Message::Event(event)) => self.events.push(event.kind),
-                Command::Publish(Message::Settings(..) | Message::Claim(..))
-                | Command::Store(_) => {}
-                Command::Publish(other) => panic!("{other:?}"),
-                Command::Reply { query, answer, .. } => self.replies.push((query, answer)),
-                Command::Run(job) => self.jobs.push_back(job),
-                Command::Fetch { fetch, patterns }
-                    if patterns == [Pattern::One(Key::Holder(ServiceName::Auditor))] =>
-                {
-                    in_doubt = Some(fetch);
-                }
-                Command::Fetch { fetch, patterns } => self.fetches.push((fetch, patterns)),
+    /// Sorts what was published since the last call.
+    fn read(&mut self) -> &mut Self {
+        assert!(self.unencodable.is_empty());
+        for message in std::mem::take(&mut self.kit.published) {
+            match message {
+                Message::Audit(audit) => self.audits.push(audit),
+                Message::Event(event) => self.events.push(event.kind),
+                Message::Settings(..) | Message::LeaseRenewal(..) => {}
+                other => panic!("{other:?}"),
             }
         }
-        // Nobody else holds the role.
-        if let Some(fetch) = in_doubt {
-            self.step(Event::Fetched { fetch, messages: Vec::new() });
-        }
-        assert!(self.jobs.len() <= 1, "one job at a time");
-        if !self.hold {
-            self.run_job();
-        }
+        self
     }
 
-    fn run_job(&mut self) {
-        if let Some(job) = self.jobs.pop_front() {
-            self.jobs_run += 1;
-            self.step(Event::Done(Auditor::run(job, &mut Stopwatch::still())));
-        }
+    /// The audits since [`Bench::audit`] or [`Bench::forget_audits`].
+    fn audits(&mut self) -> &mut Vec<Arc<Audit>> {
+        &mut self.read().audits
     }
 
-    fn wait(&mut self, seconds: f64) {
-        let end = self.now.after(Duration::from_secs_f64(seconds));
-        // The process runs all the while, whatever else happens.
-        while self.now < end {
-            self.now = self.now.after(Duration::from_millis(400)).min(end);
-            let instance = InstanceId::of_process("other", 1, 1);
-            let (service, alive) = (ServiceName::Auditor, false);
-            self.step(Event::Received(Message::ServiceToken { service, instance, alive }));
-        }
-        if self.driver.deadline().is_some_and(|due| due <= self.now) {
-            self.step(Event::Timeout);
-        }
+    fn forget_audits(&mut self) {
+        self.read().audits.clear();
     }
 
-    fn hear(&mut self, message: Message) {
-        self.step(Event::Received(message));
+    /// The events since [`Bench::forget_events`].
+    fn events(&mut self) -> &[EventKind] {
+        &self.read().events
     }
 
-    /// The one judgement that was told since the last look.
+    fn forget_events(&mut self) {
+        self.read().events.clear();
+    }
+
+    /// The one audit that was published since the last call.
     fn audit(&mut self) -> Arc<Audit> {
-        assert_eq!(self.audits.len(), 1, "exactly one audit");
+        assert_eq!(self.audits().len(), 1, "exactly one audit");
         self.audits.pop().unwrap()
-    }
-
-    fn ask(&mut self, selector: &str, payload: Option<&str>) -> Result<Vec<Message>, String> {
-        self.queries += 1;
-        let query = QueryId(self.queries);
-        let payload = payload.map(|text| text.as_bytes().to_vec());
-        let request = Request::new(format!("muster/v1/f/{selector}"), "", payload).unwrap();
-        self.step(Event::Query { query, request });
-        assert_eq!(self.replies.len(), 1, "exactly one answer to {selector}");
-        let (answered, answer) = self.replies.pop().unwrap();
-        assert_eq!(answered, query);
-        answer
-    }
-
-    fn status(&mut self) -> muster_model::status::ServiceStatus {
-        match self.ask("service/auditor/status", None).unwrap().as_slice() {
-            [Message::Status(status)] => (**status).clone(),
-            other => panic!("{other:?}"),
-        }
-    }
-
-    fn counter(&mut self, name: &str) -> u64 {
-        self.status().counters.get(name).copied().unwrap_or(0)
     }
 }
 
@@ -252,11 +199,11 @@ const FOUR: Rows<'static> =
 const PAIRS: &[(&str, &str)] = &[("t1", "a b"), ("t2", "c d")];
 const CROSSED: &[(&str, &str)] = &[("t1", "a c"), ("t2", "b d")];
 
-fn judged() -> (Bench, Arc<Audit>) {
-    let mut bench = Bench::begun(vec![]);
-    bench.events.clear();
-    bench.hear(embedding(1, FOUR));
-    bench.hear(teams(1, 1, PAIRS, ""));
+fn scored() -> (Bench, Arc<Audit>) {
+    let mut bench = Bench::leading(vec![]);
+    bench.forget_events();
+    bench.receive(embedding(1, FOUR));
+    bench.receive(teams(1, 1, PAIRS, ""));
     let audit = bench.audit();
     (bench, audit)
 }

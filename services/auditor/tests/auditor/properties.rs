@@ -22,9 +22,9 @@ proptest! {
             .collect();
         let division: Vec<(&str, &str)> =
             members.iter().map(|(team, own)| (team.as_str(), own.as_str())).collect();
-        let mut bench = Bench::begun(vec![]);
-        bench.hear(embedding(1, &rows));
-        bench.hear(teams(1, 1, &division, ""));
+        let mut bench = Bench::leading(vec![]);
+        bench.receive(embedding(1, &rows));
+        bench.receive(teams(1, 1, &division, ""));
         let audit = bench.audit();
         if division.len() < 2 {
             prop_assert_eq!(audit.verdict, Verdict::Undefined);

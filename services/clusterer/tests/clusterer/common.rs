@@ -1,12 +1,10 @@
-//! A clusterer on a bench: time stands still unless it is moved, jobs run when they are let.
+//! A clusterer on the common bench, and the messages that it receives.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::BTreeSet;
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-use muster_clusterer::{Clusterer, Job};
-use muster_machine::{
-    Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stopwatch, Stored,
-};
+use muster_clusterer::Clusterer;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::EventKind;
 use muster_model::header::{Header, Revision, StageTime};
@@ -15,180 +13,94 @@ use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::{RobotTeam, TeamChange, Teams};
 use muster_model::time::Tick;
-use muster_wire::{Message, Pattern, Request};
+use muster_service::{Start, Stored, testkit};
+use muster_wire::Message;
 
 pub const START: Tick = Tick(1_000_000_000);
 
-pub struct Bench {
-    pub driver: Driver<Clusterer>,
-    pub now: Tick,
-    pub jobs: VecDeque<Job>,
-    pub jobs_run: usize,
-    /// Jobs wait in `jobs` instead of being run at once.
-    pub hold: bool,
-    pub sent: Vec<Message>,
-    pub fetches: Vec<(u32, Vec<Pattern>)>,
-    pub stored: Option<Stored>,
-    queries: u64,
-    replies: Vec<(QueryId, Result<Vec<Message>, String>)>,
+pub struct Bench(testkit::Bench<Clusterer>);
+
+impl Deref for Bench {
+    type Target = testkit::Bench<Clusterer>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl DerefMut for Bench {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.0
+    }
 }
 
 impl Bench {
-    /// One that has seen no event yet.
+    /// One to which nothing has happened.
     pub fn new(settings: ClustererSettings) -> Self {
-        Self::with(settings, Stored::default())
-    }
-
-    pub fn with(settings: ClustererSettings, stored: Stored) -> Self {
-        let start = Start {
+        Self(testkit::Bench::new(Start {
             fleet: FleetId::new("f").unwrap(),
             instance: InstanceId::new("i").unwrap(),
             now: START,
             settings,
-            stored,
-        };
-        Self {
-            driver: Driver::new(start),
-            now: START,
-            jobs: VecDeque::new(),
-            jobs_run: 0,
-            hold: false,
-            sent: Vec::new(),
-            fetches: Vec::new(),
-            stored: None,
-            queries: 0,
-            replies: Vec::new(),
-        }
+            stored: Stored::default(),
+        }))
     }
 
-    /// One that has begun its term with nothing on the bus, and has forgotten what it said.
-    pub fn begun(settings: ClustererSettings) -> Self {
+    /// One that leads and found nothing on the bus.
+    pub fn leading(settings: ClustererSettings) -> Self {
         Self::restored(settings, vec![])
     }
 
-    /// One that has begun its term with messages on the bus.
+    /// One that leads and found messages on the bus.
     pub fn restored(settings: ClustererSettings, messages: Vec<Message>) -> Self {
         let mut bench = Self::new(settings);
-        bench.step(Event::Started);
-        bench.step(Event::Fetched { fetch: START_FETCH, messages });
+        bench.start(messages);
         bench
     }
 
-    pub fn step(&mut self, event: Event<<Clusterer as Core>::Done>) {
-        let mut in_doubt = None;
-        for command in self.driver.step(self.now, event) {
-            match command {
-                Command::Publish(message) => self.sent.push(message),
-                Command::Reply { query, answer, .. } => self.replies.push((query, answer)),
-                Command::Run(job) => self.jobs.push_back(job),
-                Command::Fetch { fetch, patterns }
-                    if patterns
-                        == [Pattern::One(muster_wire::Key::Holder(ServiceName::Clusterer))] =>
-                {
-                    in_doubt = Some(fetch);
-                }
-                Command::Fetch { fetch, patterns } => self.fetches.push((fetch, patterns)),
-                Command::Store(stored) => self.stored = Some(stored),
-            }
-        }
-        // Nobody else holds the role.
-        if let Some(fetch) = in_doubt {
-            self.step(Event::Fetched { fetch, messages: Vec::new() });
-        }
-        assert!(self.jobs.len() <= 1, "one job at a time");
-        if !self.hold {
-            self.run_job();
-        }
+    pub fn receive_embedding(&mut self, embedding: &Arc<Embedding>) {
+        self.receive(Message::Embedding(Arc::clone(embedding)));
     }
 
-    /// Runs the job that waits, and those that follow unless they are held.
-    pub fn run_job(&mut self) {
-        if let Some(job) = self.jobs.pop_front() {
-            self.jobs_run += 1;
-            self.step(Event::Done(Clusterer::run(job, &mut Stopwatch::still())));
-        }
+    pub fn receive_roster(&mut self, roster: Roster) {
+        self.receive(Message::Roster(Arc::new(roster)));
     }
 
-    pub fn wait(&mut self, seconds: f64) {
-        let end = self.now.after(std::time::Duration::from_secs_f64(seconds));
-        // The process runs all the while, whatever else happens.
-        while self.now < end {
-            self.now = self.now.after(std::time::Duration::from_millis(400)).min(end);
-            let instance = InstanceId::of_process("other", 1, 1);
-            let (service, alive) = (ServiceName::Clusterer, false);
-            self.step(Event::Received(Message::ServiceToken { service, instance, alive }));
-        }
-        if self.driver.deadline().is_some_and(|due| due <= self.now) {
-            self.step(Event::Timeout);
-        }
-    }
-
-    pub fn hear(&mut self, embedding: &Arc<Embedding>) {
-        self.step(Event::Received(Message::Embedding(Arc::clone(embedding))));
-    }
-
-    pub fn hear_roster(&mut self, roster: Roster) {
-        self.step(Event::Received(Message::Roster(Arc::new(roster))));
-    }
-
-    /// Asks, and returns the answer, of which there is exactly one.
-    pub fn ask(&mut self, selector: &str, payload: Option<&str>) -> Result<Vec<Message>, String> {
-        self.queries += 1;
-        let query = QueryId(self.queries);
-        let payload = payload.map(|text| text.as_bytes().to_vec());
-        let request = Request::new(format!("muster/v1/f/{selector}"), "", payload).unwrap();
-        self.step(Event::Query { query, request });
-        assert_eq!(self.replies.len(), 1, "exactly one answer to {selector}");
-        let (answered, answer) = self.replies.pop().unwrap();
-        assert_eq!(answered, query);
-        answer
-    }
-
-    pub fn counter(&mut self, name: &str) -> u64 {
-        self.status().counters.get(name).copied().unwrap_or(0)
-    }
-
-    pub fn status(&mut self) -> muster_model::status::ServiceStatus {
-        match self.ask("service/clusterer/status", None).unwrap().as_slice() {
-            [Message::Status(status)] => (**status).clone(),
-            other => panic!("{other:?}"),
-        }
-    }
-
-    /// What was sent since the last look.
-    pub fn take(&mut self) -> Sent {
-        let mut sent = Sent::default();
-        for message in self.sent.drain(..) {
+    /// What was published since the last call.
+    pub fn take(&mut self) -> Published {
+        assert!(self.unencodable.is_empty());
+        let mut published = Published::default();
+        for message in self.published.drain(..) {
             match message {
                 Message::Teams { teams, mirror } => {
                     assert_eq!(teams.check(), Ok(()));
-                    sent.teams.push((teams, mirror));
+                    published.teams.push((teams, mirror));
                 }
-                Message::RobotTeam(told) => sent.robots.push(told),
-                Message::Event(event) => sent.events.push(event.kind),
-                Message::Settings(..) => sent.settings += 1,
-                Message::Claim(..) => {}
+                Message::RobotTeam(team) => published.robots.push(team),
+                Message::Event(event) => published.events.push(event.kind),
+                Message::Settings(..) => published.settings += 1,
+                Message::LeaseRenewal(..) => {}
                 other => panic!("{other:?}"),
             }
         }
-        sent
+        published
     }
 
-    /// The one division that was sent since the last look.
+    /// The one division that was published since the last call.
     pub fn division(&mut self) -> Arc<Teams> {
         self.take().division()
     }
 }
 
 #[derive(Default, Debug)]
-pub struct Sent {
+pub struct Published {
     pub teams: Vec<(Arc<Teams>, bool)>,
     pub robots: Vec<RobotTeam>,
     pub events: Vec<EventKind>,
     pub settings: usize,
 }
 
-impl Sent {
+impl Published {
     pub fn division(&self) -> Arc<Teams> {
         assert_eq!(self.teams.len(), 1, "exactly one division in {self:?}");
         Arc::clone(&self.teams[0].0)
@@ -202,9 +114,9 @@ impl Sent {
         self.events.iter().filter_map(change).collect()
     }
 
-    pub fn robots_told(&self) -> String {
-        let names: BTreeSet<&str> = self.robots.iter().map(|told| told.robot.as_str()).collect();
-        assert_eq!(names.len(), self.robots.len(), "nobody is told twice");
+    pub fn informed_robots(&self) -> String {
+        let names: BTreeSet<&str> = self.robots.iter().map(|team| team.robot.as_str()).collect();
+        assert_eq!(names.len(), self.robots.len(), "nobody is informed twice");
         names.into_iter().collect::<Vec<_>>().join(" ")
     }
 }
@@ -326,7 +238,7 @@ pub fn leaders(teams: &Teams) -> Vec<&str> {
 }
 
 /// Changes in short: `born t1`, `split t1 t2`, `merged t2 t1`, `died t3`, `moved a t1 t2`.
-pub fn told(changes: &[TeamChange]) -> Vec<String> {
+pub fn changes_in_short(changes: &[TeamChange]) -> Vec<String> {
     changes
         .iter()
         .map(|change| match change {

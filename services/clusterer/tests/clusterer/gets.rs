@@ -3,49 +3,49 @@
 use super::*;
 
 #[test]
-fn the_wiring_is_that_of_the_role() {
+fn the_wiring_is_that_of_the_service() {
     let wiring = Clusterer::wiring();
     let patterns: Vec<_> = wiring.subscriptions.iter().map(|s| s.pattern.clone()).collect();
     assert_eq!(patterns, [Key::Embedding, Key::Roster, Key::Audit].map(Pattern::One));
     for key in [Key::Audit, Key::JsonAudit] {
-        assert!(wiring.served.contains(&(Pattern::One(key), false)));
+        assert!(wiring.served.contains(&ServedKey::cached(Pattern::One(key))));
     }
-    assert!(wiring.served.contains(&(Pattern::RobotTeams, true)));
-    assert!(wiring.served.contains(&(Pattern::One(Key::Embedding), false)));
+    assert!(wiring.served.contains(&ServedKey::own(Pattern::RobotTeams)));
+    assert!(wiring.served.contains(&ServedKey::cached(Pattern::One(Key::Embedding))));
 }
 
 /// An `ingest` that has lost its terms learns from its readers which of them a lower term would not
 /// reach. It must learn so from each of them.
 #[test]
-fn what_it_goes_by_it_repeats_to_an_ingest_that_has_forgotten() {
-    assert!(Clusterer::wiring().served.contains(&(Pattern::One(Key::Roster), false)));
-    let mut bench = Bench::begun(teams(2));
-    bench.hear_roster(roster(7, "a b"));
-    bench.hear_roster(roster(3, "a b c"));
-    match &bench.ask("roster", None).unwrap()[..] {
-        [Message::Roster(told)] => assert_eq!(*told.as_ref(), roster(7, "a b")),
+fn what_it_goes_by_it_answers_to_an_ingest_that_has_forgotten() {
+    assert!(Clusterer::wiring().served.contains(&ServedKey::cached(Pattern::One(Key::Roster))));
+    let mut bench = Bench::leading(teams(2));
+    bench.receive_roster(roster(7, "a b"));
+    bench.receive_roster(roster(3, "a b c"));
+    match &bench.get("roster", None).unwrap()[..] {
+        [Message::Roster(known)] => assert_eq!(*known.as_ref(), roster(7, "a b")),
         other => panic!("{other:?}"),
     }
 }
 
 #[test]
-fn nothing_is_said_before_the_term_has_begun() {
+fn nothing_is_published_before_the_term_has_begun() {
     let mut bench = Bench::new(teams(2));
-    bench.step(Event::Started);
-    assert_eq!(bench.fetches.len(), 1);
-    assert_eq!(bench.fetches[0].0, START_FETCH);
-    assert_eq!(bench.fetches[0].1.len(), 5);
-    bench.hear(&embedding(1, &[("a b", WEST), ("c d", EAST)]));
-    bench.hear_roster(roster(1, "a b c d"));
+    bench.input(Input::Started { linked: true });
+    // The question for the leader is answered: there is none.
+    let inquiry = std::mem::take(&mut bench.asks);
+    assert_eq!(inquiry.len(), 4);
+    bench.receive_embedding(&embedding(1, &[("a b", WEST), ("c d", EAST)]));
+    bench.receive_roster(roster(1, "a b c d"));
     bench.wait(100.0);
-    assert!(bench.sent.is_empty() && bench.jobs_run == 0);
+    assert!(bench.published.is_empty() && bench.jobs_run == 0);
 
-    bench.step(Event::Fetched { fetch: START_FETCH, messages: vec![] });
+    bench.answer_fetch(inquiry, vec![]);
     let sent = bench.take();
     assert_eq!(sent.settings, 1);
     assert_eq!(sent.events[0], EventKind::ServiceStarted { term: 1 });
     assert_eq!(short(&sent.division()), "t1: a b | t2: c d");
-    assert_eq!(bench.stored, Some(Stored { term: 1, patch: serde_json::Map::new() }));
+    assert_eq!(bench.stored, Stored { term: 1, patch: serde_json::Map::new() });
 }
 
 #[test]
@@ -71,13 +71,12 @@ fn every_get_has_exactly_one_answer() {
     for selector in all {
         // `**` selects the settings as well, which are there from the start.
         let known = usize::from(selector == "**");
-        assert_eq!(bench.ask(selector, None).unwrap().len(), known, "{selector}");
+        assert_eq!(bench.get(selector, None).unwrap().len(), known, "{selector}");
     }
     assert_eq!(bench.status().state, "waiting for an embedding");
-    bench.step(Event::Started);
-    bench.step(Event::Fetched { fetch: START_FETCH, messages: vec![] });
-    bench.hear(&embedding(1, &[("a b", WEST), ("c d!", EAST)]));
-    let one = |bench: &mut Bench, selector: &str| match bench.ask(selector, None).unwrap() {
+    bench.start(vec![]);
+    bench.receive_embedding(&embedding(1, &[("a b", WEST), ("c d!", EAST)]));
+    let one = |bench: &mut Bench, selector: &str| match bench.get(selector, None).unwrap() {
         messages if messages.len() == 1 => messages[0].clone(),
         other => panic!("{selector}: {other:?}"),
     };
@@ -86,17 +85,17 @@ fn every_get_has_exactly_one_answer() {
     assert!(matches!(one(&mut bench, "embedding"), Message::Embedding(_)));
     assert!(matches!(one(&mut bench, "service/clusterer/settings"), Message::Settings(..)));
     for (name, team) in [("a", Some("t1")), ("d", None)] {
-        let Message::RobotTeam(told) = one(&mut bench, &format!("robot/{name}/team")) else {
+        let Message::RobotTeam(known) = one(&mut bench, &format!("robot/{name}/team")) else {
             panic!("{name}");
         };
-        assert_eq!(told.team.as_ref().map(TeamId::as_str), team);
+        assert_eq!(known.team.as_ref().map(TeamId::as_str), team);
     }
-    assert_eq!(bench.ask("robot/*/team", None).unwrap().len(), 4);
-    assert_eq!(bench.ask("robot/$*a/team", None).unwrap().len(), 1);
-    assert!(bench.ask("robot/nobody/team", None).unwrap().is_empty());
-    assert!(bench.ask("roster", None).unwrap().is_empty());
-    assert_eq!(bench.ask("*", None).unwrap().len(), 2);
-    let error = bench.ask("service/clusterer/settings", Some("{\"teams\":0}")).unwrap_err();
+    assert_eq!(bench.get("robot/*/team", None).unwrap().len(), 4);
+    assert_eq!(bench.get("robot/$*a/team", None).unwrap().len(), 1);
+    assert!(bench.get("robot/nobody/team", None).unwrap().is_empty());
+    assert!(bench.get("roster", None).unwrap().is_empty());
+    assert_eq!(bench.get("*", None).unwrap().len(), 2);
+    let error = bench.get("service/clusterer/settings", Some("{\"teams\":0}")).unwrap_err();
     assert!(error.contains("teams"));
 }
 
@@ -109,18 +108,18 @@ fn an_answer_has_an_end() {
     let settings = ClustererSettings { restarts: 1, ..teams(2) };
     let (mut bench, _) = divided(settings, &from_rows(1, 1, rows.collect()));
     // Teams so large name nobody.
-    assert_eq!(bench.ask("robot/*/team", None).unwrap().len(), 3000);
-    assert_eq!(bench.ask("robot/r1/team", None).unwrap().len(), 1);
-    assert_eq!(bench.ask("teams", None).unwrap().len(), 1);
+    assert_eq!(bench.get("robot/*/team", None).unwrap().len(), 3000);
+    assert_eq!(bench.get("robot/r1/team", None).unwrap().len(), 1);
+    assert_eq!(bench.get("teams", None).unwrap().len(), 1);
 }
 
 #[test]
-fn refused_packets_are_told_of() {
-    let mut bench = Bench::begun(teams(2));
+fn refused_packets_are_reported() {
+    let mut bench = Bench::leading(teams(2));
     bench.take();
     let rejection =
         Rejection { robot: None, key: "muster/v1/f/embedding".into(), reason: "broken".into() };
-    bench.step(Event::Rejected(rejection));
+    bench.receive_refused(rejection);
     assert!(matches!(bench.take().events[..], [EventKind::Quarantined { count: 1, .. }]));
     assert_eq!(bench.counter("messages_refused"), 1);
 }

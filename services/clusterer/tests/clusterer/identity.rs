@@ -11,9 +11,12 @@ fn ids_stay_when_the_vectors_turn_over() {
     for (epoch, shift) in (2..).zip(1..places.len()) {
         let at = |i: usize| places[(i + shift) % places.len()];
         // Another seed would number the clusters otherwise, too.
-        bench.ask("service/clusterer/settings", Some(&format!("{{\"seed\":{epoch}}}"))).unwrap();
+        bench.get("service/clusterer/settings", Some(&format!("{{\"seed\":{epoch}}}"))).unwrap();
         bench.take();
-        bench.hear(&embedding(epoch, &[("a b", at(0)), ("c d", at(1)), ("e f", at(2))]));
+        bench.receive_embedding(&embedding(
+            epoch,
+            &[("a b", at(0)), ("c d", at(1)), ("e f", at(2))],
+        ));
         let sent = bench.take();
         assert!(sent.teams[0].0.same_division(&first));
         assert!(sent.changes().is_empty() && sent.robots.is_empty());
@@ -24,12 +27,12 @@ fn ids_stay_when_the_vectors_turn_over() {
 fn ids_and_numbers_outlive_the_process() {
     let first = embedding(1, &[("a b", WEST), ("c d", EAST)]);
     let (mut bench, _) = divided(teams(2), &first);
-    bench.ask("service/clusterer/settings", Some("{\"teams\":1}")).unwrap();
+    bench.get("service/clusterer/settings", Some("{\"teams\":1}")).unwrap();
     assert_eq!(short(&bench.division()), "t1: a b c d");
     // So late that nobody remembers the team before.
     bench.wait(61.0);
     bench.take();
-    bench.ask("service/clusterer/settings", Some("{\"teams\":2}")).unwrap();
+    bench.get("service/clusterer/settings", Some("{\"teams\":2}")).unwrap();
     let last = bench.division();
     assert_eq!(short(&last), "t1: a b | t3: c d");
 
@@ -43,18 +46,18 @@ fn ids_and_numbers_outlive_the_process() {
     let mut next = Bench::restored(teams(2), messages);
     // The last good answer is served, but not published as if it were new.
     assert!(next.take().teams.is_empty());
-    assert_eq!(next.ask("teams", None).unwrap().len(), 1);
-    assert_eq!(next.ask("robot/a/team", None).unwrap().len(), 1);
+    assert_eq!(next.get("teams", None).unwrap().len(), 1);
+    assert_eq!(next.get("robot/a/team", None).unwrap().len(), 1);
     assert_eq!(next.status().state, "waiting for an embedding");
-    assert_eq!(next.driver.deadline(), Some(START.after(muster_machine::CLAIM_EVERY)));
+    assert_eq!(next.host.deadline(), Some(START.after(muster_service::RENEWAL_INTERVAL)));
 
-    next.hear(&again(&first, 1, 2));
+    next.receive_embedding(&again(&first, 1, 2));
     let sent = next.take();
     assert_eq!(short(&sent.division()), "t1: a b | t3: c d");
     assert_eq!(sent.division().header.revision, Revision { term: 2, epoch: 1 });
     assert!(sent.changes().is_empty());
-    assert_eq!(sent.robots_told(), "a b c d", "a new holder tells everyone");
-    next.ask("service/clusterer/settings", Some("{\"teams\":3}")).unwrap();
+    assert_eq!(sent.informed_robots(), "a b c d", "a new leader informs everyone");
+    next.get("service/clusterer/settings", Some("{\"teams\":3}")).unwrap();
     let ids: Vec<String> = next.division().teams.iter().map(|team| team.id.to_string()).collect();
     assert_eq!(ids.last().unwrap(), "t4", "{ids:?}");
 }
@@ -62,41 +65,44 @@ fn ids_and_numbers_outlive_the_process() {
 #[test]
 fn a_fleet_that_is_gone_leaves_no_team() {
     let (mut bench, _) = divided(teams(2), &embedding(1, &[("a b", WEST), ("c d", EAST)]));
-    bench.hear(&embedding(2, &[]));
+    bench.receive_embedding(&embedding(2, &[]));
     let sent = bench.take();
-    assert_eq!(told(&sent.changes()), ["died t1", "died t2"]);
+    assert_eq!(changes_in_short(&sent.changes()), ["died t1", "died t2"]);
     assert_eq!((sent.division().teams.len(), sent.division().next_team), (0, 3));
     assert_eq!(bench.status().state, "0 teams of 0 robots");
-    bench.hear(&embedding(3, &[("a b", WEST), ("c d", EAST)]));
+    bench.receive_embedding(&embedding(3, &[("a b", WEST), ("c d", EAST)]));
     assert_eq!(short(&bench.division()), "t1: a b | t2: c d");
 }
 
 #[test]
-fn splits_mergers_births_and_deaths_are_told() {
+fn splits_mergers_births_and_deaths_are_reported() {
     let (mut bench, _) = divided(teams(1), &embedding(1, &[("a b c", WEST), ("d e", EAST)]));
-    bench.ask("service/clusterer/settings", Some("{\"teams\":2}")).unwrap();
+    bench.get("service/clusterer/settings", Some("{\"teams\":2}")).unwrap();
     let sent = bench.take();
     assert_eq!(short(&sent.division()), "t1: a b c | t2: d e");
-    assert_eq!(told(&sent.changes()), ["split t1 t2", "moved d t1 t2", "moved e t1 t2"]);
+    assert_eq!(
+        changes_in_short(&sent.changes()),
+        ["split t1 t2", "moved d t1 t2", "moved e t1 t2"]
+    );
 
-    bench.ask("service/clusterer/settings", Some("{\"teams\":3}")).unwrap();
+    bench.get("service/clusterer/settings", Some("{\"teams\":3}")).unwrap();
     bench.take();
-    bench.hear(&embedding(2, &[("a b c", WEST), ("d e", EAST), ("n1 n2 n3", NORTH)]));
+    bench.receive_embedding(&embedding(2, &[("a b c", WEST), ("d e", EAST), ("n1 n2 n3", NORTH)]));
     let division = bench.division();
     assert_eq!(division.teams.len(), 3);
     let newest = division.teams.last().unwrap();
     assert_eq!(newest.members.len(), 3, "{}", short(&division));
 
-    bench.ask("service/clusterer/settings", Some("{\"teams\":2}")).unwrap();
+    bench.get("service/clusterer/settings", Some("{\"teams\":2}")).unwrap();
     bench.take();
-    bench.hear(&embedding(3, &[("a b c d e", WEST), ("n1 n2 n3", NORTH)]));
+    bench.receive_embedding(&embedding(3, &[("a b c d e", WEST), ("n1 n2 n3", NORTH)]));
     let before = bench.division();
     let west = before.robot_team(&robot("a")).unwrap().team.unwrap();
     assert_eq!(before.robot_team(&robot("e")).unwrap().team, Some(west.clone()));
-    bench.hear(&embedding(4, &[("a b", WEST), ("c d e", EAST)]));
+    bench.receive_embedding(&embedding(4, &[("a b", WEST), ("c d e", EAST)]));
     let sent = bench.take();
     let north = &before.teams.iter().find(|team| team.id != west).unwrap().id;
-    assert!(told(&sent.changes()).contains(&format!("died {north}")));
+    assert!(changes_in_short(&sent.changes()).contains(&format!("died {north}")));
     assert!(bench.counter("team_changes") > 5);
 }
 
@@ -105,29 +111,29 @@ fn a_team_that_ended_by_another_number_of_teams_lives_again() {
     let three = [("x y z", WEST), ("a b c", [0.2, 0.0]), ("e f", [9.0, 9.0])];
     let (mut bench, first) = divided(teams(3), &embedding(1, &three));
     let mut set = |many: u32| {
-        bench.ask("service/clusterer/settings", Some(&format!("{{\"teams\":{many}}}"))).unwrap();
+        bench.get("service/clusterer/settings", Some(&format!("{{\"teams\":{many}}}"))).unwrap();
         bench.take().division()
     };
     assert_eq!(set(2).teams.len(), 2);
     let back = set(3);
     assert_eq!((short(&back), back.next_team), (short(&first), 4));
-    assert_eq!(told(&back.changes)[0], "split t1 t3");
+    assert_eq!(changes_in_short(&back.changes)[0], "split t1 t3");
 }
 
 #[test]
 fn a_platoon_that_comes_back_one_by_one_keeps_its_id() {
     let (mut bench, first) = divided(teams(2), &embedding(1, &[("x y", WEST), ("a b c", EAST)]));
     let id = first.robot_team(&robot("a")).unwrap().team;
-    bench.hear(&embedding(2, &[("x", WEST), ("y", NORTH)]));
+    bench.receive_embedding(&embedding(2, &[("x", WEST), ("y", NORTH)]));
     for (epoch, names) in (3..).zip(["c", "c b", "c b a"]) {
         bench.wait(10.0);
         bench.take();
-        bench.hear(&embedding(epoch, &[("x y", WEST), (names, EAST)]));
+        bench.receive_embedding(&embedding(epoch, &[("x y", WEST), (names, EAST)]));
         assert_eq!(bench.division().robot_team(&robot("c")).unwrap().team, id);
     }
     // The team lives on in one robot; those who come back outvote a stranger who joined it.
-    bench.hear(&embedding(6, &[("x y", WEST), ("c", EAST)]));
+    bench.receive_embedding(&embedding(6, &[("x y", WEST), ("c", EAST)]));
     bench.take();
-    bench.hear(&embedding(7, &[("x y c", WEST), ("a b", EAST)]));
+    bench.receive_embedding(&embedding(7, &[("x y c", WEST), ("a b", EAST)]));
     assert_eq!(bench.division().robot_team(&robot("a")).unwrap().team, id);
 }

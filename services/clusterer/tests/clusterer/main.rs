@@ -1,4 +1,4 @@
-//! The clusterer on a bench: what it divides, what it tells whom, and when.
+//! The clusterer on a bench: what it divides, what it publishes, and when.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -13,23 +13,24 @@ mod division;
 mod gets;
 mod identity;
 mod properties;
+mod publishing;
 mod recovery;
-mod telling;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use common::{
-    Bench, START, again, embedding, from_rows, header, leaders, robot, roster, short, told,
+    Bench, START, again, changes_in_short, embedding, from_rows, header, leaders, robot, roster,
+    short,
 };
 use muster_clusterer::Clusterer;
-use muster_machine::{Core, Event, START_FETCH, Stored, TERM_FETCH};
 use muster_model::embedding::Embedding;
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::id::{RobotId, ServiceName, TeamId};
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::{RobotTeam, Teams};
+use muster_service::{Core, Input, ServedKey, Stored};
 use muster_wire::{Key, Message, Pattern, Rejection};
 use proptest::prelude::*;
 
@@ -47,8 +48,8 @@ fn mirrored(teams: &Arc<Teams>) -> Message {
 
 /// A bench that has divided one embedding.
 fn divided(settings: ClustererSettings, first: &Arc<Embedding>) -> (Bench, Arc<Teams>) {
-    let mut bench = Bench::begun(settings);
-    bench.hear(first);
+    let mut bench = Bench::leading(settings);
+    bench.receive_embedding(first);
     let division = bench.division();
     (bench, division)
 }

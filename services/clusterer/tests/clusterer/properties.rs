@@ -25,7 +25,7 @@ fn act() -> impl Strategy<Value = Act> {
     ]
 }
 
-/// What each robot is told.
+/// What each robot is informed of.
 fn robot_teams(teams: &Teams) -> impl Iterator<Item = RobotTeam> {
     let members = teams.teams.iter().flat_map(|team| &team.members).map(|member| &member.robot);
     members.chain(&teams.unassigned).filter_map(|robot| teams.robot_team(robot))
@@ -41,11 +41,11 @@ struct World {
     /// Teams that ended, with the robots that were in them when they did or left them before.
     gone: BTreeMap<TeamId, BTreeSet<RobotId>>,
     members: BTreeMap<TeamId, BTreeSet<RobotId>>,
-    told: BTreeMap<RobotId, Place>,
+    known: BTreeMap<RobotId, Place>,
 }
 
 impl World {
-    fn read(&mut self, sent: &common::Sent) {
+    fn read(&mut self, sent: &common::Published) {
         for (teams, _) in &sent.teams {
             if let Some(before) = &self.teams {
                 assert!(teams.header.revision > before.header.revision);
@@ -69,20 +69,20 @@ impl World {
             }
             self.teams = Some(Arc::clone(teams));
         }
-        for told in &sent.robots {
-            let content = (told.team.clone(), told.members.clone(), told.leader.clone());
-            self.told.insert(told.robot.clone(), content);
+        for team in &sent.robots {
+            let content = (team.team.clone(), team.members.clone(), team.leader.clone());
+            self.known.insert(team.robot.clone(), content);
         }
         for now in self.teams.iter().flat_map(|teams| robot_teams(teams)) {
             let content = (now.team, now.members, now.leader);
-            assert_eq!(self.told.get(&now.robot), Some(&content), "{} knows its team", now.robot);
+            assert_eq!(self.known.get(&now.robot), Some(&content), "{} knows its team", now.robot);
         }
     }
 
     fn check_changes(&self, before: &Teams, now: &Teams) {
         let place = |teams: &Teams| -> BTreeMap<RobotId, String> {
-            let all = robot_teams(teams).map(|told| {
-                (told.robot, told.team.map_or("-".to_owned(), |team| team.to_string()))
+            let all = robot_teams(teams).map(|team| {
+                (team.robot, team.team.map_or("-".to_owned(), |team| team.to_string()))
             });
             all.collect()
         };
@@ -94,7 +94,7 @@ impl World {
                 (from != to).then(|| format!("moved {robot} {from} {to}"))
             })
             .collect();
-        let all = told(&now.changes);
+        let all = changes_in_short(&now.changes);
         let said: Vec<_> = all.iter().filter(|text| text.starts_with("moved")).cloned().collect();
         assert_eq!(said, moved);
         let has = |teams: &Teams, id: &TeamId| teams.teams.iter().any(|team| team.id == *id);
@@ -115,7 +115,7 @@ proptest! {
         acts in prop::collection::vec(act(), 1..25)
     ) {
         let mut settings = ClustererSettings { restarts: 3, ..teams(3) };
-        let mut bench = Bench::begun(settings.clone());
+        let mut bench = Bench::leading(settings.clone());
         let mut world = World::default();
         let mut newest: Option<Arc<Embedding>> = None;
         for (epoch, act) in (1..).zip(acts) {
@@ -126,13 +126,13 @@ proptest! {
                         Some((robot(&format!("r{i}")), vec![f64::from(x), f64::from(y)], unseen))
                     });
                     let next = from_rows(1, epoch, rows.collect());
-                    bench.hear(&next);
+                    bench.receive_embedding(&next);
                     newest = Some(next);
                 }
                 Act::Teams(many) => {
                     settings.teams = many;
                     let patch = format!("{{\"teams\":{many}}}");
-                    bench.ask("service/clusterer/settings", Some(&patch)).unwrap();
+                    bench.get("service/clusterer/settings", Some(&patch)).unwrap();
                 }
                 Act::Restart => {
                     world.read(&bench.take());
@@ -147,7 +147,7 @@ proptest! {
             world.read(&bench.take());
             let (Some(teams), Some(embedding)) = (&world.teams, &newest) else { continue };
             let mut robots: Vec<RobotId> =
-                robot_teams(teams).map(|told| told.robot).collect();
+                robot_teams(teams).map(|team| team.robot).collect();
             robots.sort_unstable();
             prop_assert_eq!(&robots, &embedding.robots);
             let unseen = embedding.robots.iter().zip(&embedding.unseen).filter(|(_, u)| **u);

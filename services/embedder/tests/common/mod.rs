@@ -1,16 +1,13 @@
-//! A small `ingest` that tells the truth, and a bench that carries out what the core wants.
+//! A small `ingest` that publishes the truth, and an embedder on the common bench.
 
 // Each test file uses a part of it, and clippy's allowance for tests ends at `#[test]`.
 #![allow(clippy::unwrap_used, clippy::panic, dead_code, unreachable_pub)]
 
 use std::collections::{BTreeMap, VecDeque};
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
-use std::time::Duration;
 
-use muster_embedder::{Embedder, Job};
-use muster_machine::{
-    Command, Core, Driver, Event, QueryId, START_FETCH, Start, Stopwatch, Stored, TERM_FETCH,
-};
+use muster_embedder::Embedder;
 use muster_model::embedding::Embedding;
 use muster_model::event::EventKind;
 use muster_model::graph::{GraphDelta, GraphReplica, GraphRow, Node};
@@ -19,8 +16,9 @@ use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::EmbedderSettings;
 use muster_model::time::Tick;
+use muster_service::{Ask, Input, Start, Stored, testkit};
 use muster_wire::envelope::AnnouncedSettings;
-use muster_wire::{Key, KeySpace, Message, Pattern, Request};
+use muster_wire::{Key, Message, Pattern, Rejection};
 
 /// Seconds since the epoch at which every test begins, in microseconds.
 const BEGIN: Tick = Tick(1_000_000_000_000);
@@ -33,18 +31,14 @@ pub fn modality(name: &str) -> Modality {
     Modality::new(name).unwrap()
 }
 
-pub fn space() -> KeySpace {
-    KeySpace::new(FleetId::new("f").unwrap())
-}
-
 /// What one frame puts on the bus: the graphs that changed, then the roster.
 #[derive(Debug, Clone)]
-pub struct Told {
+pub struct Published {
     pub graphs: Vec<Arc<GraphDelta>>,
     pub roster: Arc<Roster>,
 }
 
-impl Told {
+impl Published {
     pub fn graph(&self, name: &str) -> Message {
         let found = self.graphs.iter().find(|delta| delta.modality == modality(name));
         Message::Graph(found.unwrap().clone())
@@ -59,14 +53,14 @@ impl Told {
     }
 }
 
-/// The truth, and what has been told of it.
+/// The truth, and what has been published of it.
 #[derive(Debug, Default)]
 pub struct Ingest {
     revision: Revision,
     next_node: Node,
     robots: BTreeMap<RobotId, Node>,
     edges: BTreeMap<Modality, BTreeMap<(RobotId, RobotId), f64>>,
-    pub told: BTreeMap<Modality, GraphReplica>,
+    pub published: BTreeMap<Modality, GraphReplica>,
     last: Option<Arc<Roster>>,
 }
 
@@ -97,10 +91,10 @@ impl Ingest {
         }
     }
 
-    /// A new holder of the role: other node numbers, snapshots first.
+    /// A new leader: other node numbers, snapshots first.
     pub fn restart(&mut self) {
         self.revision = Revision { term: self.revision.term + 1, epoch: 0 };
-        self.told.clear();
+        self.published.clear();
         self.last = None;
         self.next_node = 0;
         for node in self.robots.values_mut().rev() {
@@ -174,18 +168,18 @@ impl Ingest {
     }
 
     /// The next frame.
-    pub fn frame(&mut self, now: Tick) -> Told {
+    pub fn frame(&mut self, now: Tick) -> Published {
         self.revision.epoch += 1;
         let mut graphs = Vec::new();
         for name in self.edges.keys().cloned().collect::<Vec<_>>() {
             let wanted = self.wanted(&name);
-            let delta = match self.told.get(&name) {
+            let delta = match self.published.get(&name) {
                 None => wanted.snapshot(self.header(now), name.clone()),
                 Some(old) => difference(old, &wanted, self.header(now), &name),
             };
-            let is_new = !self.told.contains_key(&name);
+            let is_new = !self.published.contains_key(&name);
             if is_new || !is_empty(&delta) {
-                self.told.entry(name).or_default().apply(&delta).unwrap();
+                self.published.entry(name).or_default().apply(&delta).unwrap();
                 graphs.push(Arc::new(delta));
             }
         }
@@ -203,17 +197,21 @@ impl Ingest {
         let roster = Arc::new(Roster {
             header: self.header(now),
             robots: self.robots.iter().map(entry).collect(),
-            graphs: self.told.iter().map(|(name, told)| (name.clone(), told.revision())).collect(),
+            graphs: self
+                .published
+                .iter()
+                .map(|(name, graph)| (name.clone(), graph.revision()))
+                .collect(),
         });
         self.last = Some(roster.clone());
-        Told { graphs, roster }
+        Published { graphs, roster }
     }
 
     /// What a get is answered with.
     pub fn answer(&self, patterns: &[Pattern]) -> Vec<Message> {
         let Some(roster) = &self.last else { return Vec::new() };
         let snapshot = |name: &Modality| {
-            let snapshot = self.told.get(name)?.snapshot(roster.header.clone(), name.clone());
+            let snapshot = self.published.get(name)?.snapshot(roster.header.clone(), name.clone());
             Some(Message::Graph(Arc::new(snapshot)))
         };
         let mut messages = Vec::new();
@@ -221,7 +219,7 @@ impl Ingest {
             match pattern {
                 Pattern::One(Key::Roster) => messages.push(Message::Roster(roster.clone())),
                 Pattern::One(Key::Graph(name)) => messages.extend(snapshot(name)),
-                Pattern::Graphs => messages.extend(self.told.keys().filter_map(snapshot)),
+                Pattern::Graphs => messages.extend(self.published.keys().filter_map(snapshot)),
                 _ => {}
             }
         }
@@ -262,28 +260,35 @@ fn is_empty(delta: &GraphDelta) -> bool {
     delta.nodes_added.is_empty() && delta.nodes_removed.is_empty() && delta.rows.is_empty()
 }
 
-/// The core with a shell in a few lines.
+/// An embedder on the common bench, with what it published and asks for in order.
 pub struct Bench {
-    pub driver: Driver<Embedder>,
-    pub now: Tick,
+    kit: testkit::Bench<Embedder>,
     pub published: Vec<Arc<Embedding>>,
     pub events: Vec<EventKind>,
-    pub stored: Vec<Stored>,
-    /// Jobs that wait to be run, if they are not run at once.
-    pub jobs: VecDeque<Job>,
-    pub hold_jobs: bool,
     /// Fetches of rosters and graphs that wait.
-    pub fetches: VecDeque<(u32, Vec<Pattern>)>,
-    /// How often the own last output was looked after.
-    pub term_fetches: usize,
+    pub fetches: VecDeque<Vec<Ask>>,
+    /// Questions what readers have seen of the output that wait.
+    pub term_checks: VecDeque<Vec<Ask>>,
     /// Fetches of the clusterer's settings alone that wait.
-    pub settings_fetches: VecDeque<u32>,
-    pub replies: Vec<(QueryId, Result<Vec<Message>, String>)>,
-    queries: u64,
+    pub settings_fetches: VecDeque<Vec<Ask>>,
+}
+
+impl Deref for Bench {
+    type Target = testkit::Bench<Embedder>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.kit
+    }
+}
+
+impl DerefMut for Bench {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.kit
+    }
 }
 
 impl Bench {
-    /// A core that has seen no event.
+    /// One to which nothing has happened.
     pub fn new(settings: EmbedderSettings) -> Self {
         let start = Start {
             fleet: FleetId::new("f").unwrap(),
@@ -293,27 +298,20 @@ impl Bench {
             stored: Stored::default(),
         };
         Self {
-            driver: Driver::new(start),
-            now: BEGIN,
+            kit: testkit::Bench::new(start),
             published: Vec::new(),
             events: Vec::new(),
-            stored: Vec::new(),
-            jobs: VecDeque::new(),
-            hold_jobs: false,
             fetches: VecDeque::new(),
-            term_fetches: 0,
+            term_checks: VecDeque::new(),
             settings_fetches: VecDeque::new(),
-            replies: Vec::new(),
-            queries: 0,
         }
     }
 
-    /// A core that has started and whose first fetch was answered so.
+    /// One that leads, and whose inquiry two seconds ago is answered now.
     pub fn started(settings: EmbedderSettings, answers: Vec<Message>) -> Self {
         let mut bench = Self::new(settings);
-        bench.step(Event::Started);
-        assert_eq!(bench.fetches.pop_front().unwrap().0, START_FETCH);
-        bench.step(Event::Fetched { fetch: START_FETCH, messages: answers });
+        bench.kit.start(answers);
+        bench.read();
         bench
     }
 
@@ -322,124 +320,110 @@ impl Bench {
         Self::started(EmbedderSettings::default(), Vec::new())
     }
 
-    pub fn step(&mut self, event: Event<<Embedder as Core>::Done>) {
-        let mut in_doubt = None;
-        for command in self.driver.step(self.now, event) {
-            match command {
-                Command::Fetch { fetch, patterns }
-                    if patterns == [Pattern::One(Key::Holder(ServiceName::Embedder))] =>
-                {
-                    in_doubt = Some(fetch);
-                }
-                Command::Publish(Message::Embedding(embedding)) => {
+    /// Sorts what was published and asked for since the last call.
+    fn read(&mut self) {
+        assert!(self.unencodable.is_empty());
+        for message in std::mem::take(&mut self.kit.published) {
+            match message {
+                Message::Embedding(embedding) => {
                     assert_eq!(embedding.check(), Ok(()));
                     if let Some(last) = self.published.last() {
                         assert!(last.header.revision < embedding.header.revision);
                     }
                     self.published.push(embedding);
                 }
-                Command::Publish(Message::Event(event)) => self.events.push(event.kind),
-                Command::Publish(_) => {}
-                Command::Reply { query, answer, .. } => self.replies.push((query, answer)),
-                Command::Run(job) => self.jobs.push_back(job),
-                Command::Fetch { fetch: TERM_FETCH, patterns } => {
-                    assert_eq!(patterns, [Pattern::One(Key::Embedding)]);
-                    self.term_fetches += 1;
-                }
-                Command::Fetch { fetch, patterns } if patterns == [settings()] => {
-                    self.settings_fetches.push_back(fetch);
-                }
-                Command::Fetch { fetch, patterns } => self.fetches.push_back((fetch, patterns)),
-                Command::Store(stored) => self.stored.push(stored),
+                Message::Event(event) => self.events.push(event.kind),
+                Message::Settings(_) | Message::LeaseRenewal(_) => {}
+                other => panic!("the embedder does not publish {other:?}"),
             }
         }
-        // Nobody else holds the role.
-        if let Some(fetch) = in_doubt {
-            self.step(Event::Fetched { fetch, messages: Vec::new() });
+        for fetch in self.kit.take_fetches() {
+            match patterns(&fetch)[..] {
+                [Pattern::One(Key::Embedding)] => self.term_checks.push_back(fetch),
+                [Pattern::One(Key::Settings(ServiceName::Clusterer))] => {
+                    self.settings_fetches.push_back(fetch);
+                }
+                _ => self.fetches.push_back(fetch),
+            }
         }
-        assert!(self.jobs.len() <= 1, "one job runs at a time");
-        if !self.hold_jobs {
-            self.run_job();
-        }
+    }
+
+    pub fn input(&mut self, input: Input) {
+        self.kit.input(input);
+        self.read();
     }
 
     /// Runs the job that waits, if one does.
     pub fn run_job(&mut self) {
-        if let Some(job) = self.jobs.pop_front() {
-            self.step(Event::Done(Embedder::run(job, &mut Stopwatch::still())));
-        }
+        self.kit.run_job();
+        self.read();
+    }
+
+    pub fn panic_job(&mut self, said: &str) {
+        self.kit.panic_job(said);
+        self.read();
     }
 
     pub fn receive(&mut self, message: Message) {
-        self.step(Event::Received(message));
+        self.kit.receive(message);
+        self.read();
     }
 
-    pub fn deliver(&mut self, told: &Told) {
-        told.messages().for_each(|message| self.receive(message));
+    pub fn receive_refused(&mut self, rejection: Rejection) {
+        self.kit.receive_refused(rejection);
+        self.read();
+    }
+
+    pub fn deliver(&mut self, frame: &Published) {
+        frame.messages().for_each(|message| self.receive(message));
     }
 
     /// The next frame of the fleet, a tenth of a second later, whole.
-    pub fn frame(&mut self, ingest: &mut Ingest) -> Told {
-        self.pass(0.1);
-        let told = ingest.frame(self.now);
-        self.deliver(&told);
-        told
+    pub fn frame(&mut self, ingest: &mut Ingest) -> Published {
+        self.wait(0.1);
+        let frame = ingest.frame(self.now);
+        self.deliver(&frame);
+        frame
     }
 
-    /// Lets time pass, with a timeout whenever one is due.
-    pub fn pass(&mut self, seconds: f64) {
-        let end = self.now.after(Duration::from_secs_f64(seconds));
-        let mut timeouts = 0;
-        while let Some(due) = self.driver.deadline().filter(|due| *due <= end) {
-            self.now = self.now.max(due);
-            self.step(Event::Timeout);
-            timeouts += 1;
-            assert!(timeouts < 1000, "the core asks for timeouts without end");
-        }
-        self.now = end;
+    pub fn wait(&mut self, seconds: f64) {
+        self.kit.wait(seconds);
+        self.read();
+    }
+
+    pub fn answer_fetch(&mut self, fetch: Vec<Ask>, answers: Vec<Message>) {
+        self.kit.answer_fetch(fetch, answers);
+        self.read();
     }
 
     /// Answers the fetches that wait with the truth; how many there were.
     pub fn answer_fetches(&mut self, ingest: &Ingest) -> usize {
         let mut count = 0;
-        while let Some((fetch, patterns)) = self.fetches.pop_front() {
-            self.step(Event::Fetched { fetch, messages: ingest.answer(&patterns) });
+        while let Some(fetch) = self.fetches.pop_front() {
+            let answers = ingest.answer(&patterns(&fetch));
+            self.answer_fetch(fetch, answers);
             count += 1;
         }
         count
     }
 
-    /// Asks, and requires one answer.
-    pub fn ask(&mut self, key: &str, payload: Option<&str>) -> Result<Vec<Message>, String> {
-        self.queries += 1;
-        let query = QueryId(self.queries);
-        let payload = payload.map(|text| text.as_bytes().to_vec());
-        let request = Request::new(format!("muster/v1/f/{key}"), "", payload).unwrap();
-        let before = self.replies.len();
-        self.step(Event::Query { query, request });
-        assert_eq!(self.replies.len(), before + 1);
-        let (answered, answer) = self.replies[before].clone();
-        assert_eq!(answered, query);
+    pub fn get(&mut self, key: &str, payload: Option<&str>) -> Result<Vec<Message>, String> {
+        let answer = self.kit.get(key, payload);
+        self.read();
         answer
     }
 
     pub fn set(&mut self, patch: &str) {
-        self.ask("service/embedder/settings", Some(patch)).unwrap();
+        self.get("service/embedder/settings", Some(patch)).unwrap();
     }
 
-    pub fn told_teams(&mut self, settings: &str) {
+    /// The clusterer announces its settings.
+    pub fn receive_teams(&mut self, settings: &str) {
         self.receive(announced(settings));
     }
 
-    pub fn counter(&mut self, name: &str) -> u64 {
-        match self.ask("service/embedder/status", None).unwrap().pop() {
-            Some(Message::Status(status)) => status.counters.get(name).copied().unwrap_or(0),
-            other => panic!("{other:?} is no status"),
-        }
-    }
-
     pub fn state(&mut self) -> String {
-        match self.ask("service/embedder/status", None).unwrap().pop() {
+        match self.get("service/embedder/status", None).unwrap().pop() {
             Some(Message::Status(status)) => status.state,
             other => panic!("{other:?} is no status"),
         }
@@ -449,7 +433,7 @@ impl Bench {
         self.published.last().unwrap()
     }
 
-    /// How often a failure was told.
+    /// How often a failure was reported.
     pub fn failures(&self) -> usize {
         self.events.iter().filter(|kind| matches!(kind, EventKind::JobFailed { .. })).count()
     }
@@ -458,6 +442,11 @@ impl Bench {
         let is = |kind: &&EventKind| matches!(kind, EventKind::Quarantined { .. });
         self.events.iter().filter(is).collect()
     }
+}
+
+/// What a fetch asks for.
+pub fn patterns(fetch: &[Ask]) -> Vec<Pattern> {
+    fetch.iter().map(|ask| ask.pattern.clone()).collect()
 }
 
 /// The vector of a robot.
@@ -488,7 +477,7 @@ pub fn difference_of_shape(left: &Embedding, right: &Embedding) -> f64 {
     worst
 }
 
-/// Where the clusterer's settings stand.
+/// The key of the clusterer's settings.
 pub fn settings() -> Pattern {
     Pattern::One(Key::Settings(ServiceName::Clusterer))
 }
@@ -498,7 +487,7 @@ pub fn announced(settings: &str) -> Message {
     announced_at(Revision { term: 1, epoch: 1 }, settings)
 }
 
-/// The same, beside a certain output of the clusterer.
+/// The same, with the revision of a certain output of the clusterer.
 pub fn announced_at(revision: Revision, settings: &str) -> Message {
     Message::Settings(Box::new(AnnouncedSettings {
         header: Header {

@@ -1,24 +1,26 @@
-//! A driver for `ingest` with a clock of its own, that follows every output as a consumer does.
+//! An `ingest` on the common bench, whose every output is followed as a consumer does.
 
 #![allow(dead_code, reason = "each test file uses another part")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "this is a test")]
 
 use std::collections::BTreeMap;
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 use std::time::Duration;
 
 use muster_ingest::Ingest;
-use muster_machine::{Command, Driver, Event, QueryId, START_FETCH, Start, Stored};
 use muster_model::event::EventKind;
 use muster_model::graph::GraphReplica;
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
-use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
+use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::IngestSettings;
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
-use muster_wire::{Key, KeySpace, Message, Pattern, Rejection, Request};
+use muster_service::{Input, Start, Stored, testkit};
+use muster_wire::report::encode_unchecked;
+use muster_wire::{Key, KeySpace, Message, Packet, Rejection};
 use serde_json::Value;
 
 /// Some moment: cores know no absolute time.
@@ -44,11 +46,23 @@ pub(crate) fn bare_pose(x: f64, y: f64) -> Pose {
     Pose { x, y, z: None, heading: None, frame: None, stamp: None, boot: None, seq: None }
 }
 
-/// Something that a robot puts on the bus.
+/// Something that a robot puts on the bus, whether it is to be accepted or refused.
 #[derive(Debug, Clone)]
 pub(crate) enum Put {
     Report(RobotId, Report),
     Token(RobotId, bool),
+}
+
+impl From<Put> for Packet {
+    fn from(put: Put) -> Self {
+        let space = KeySpace::new(fleet());
+        match put {
+            Put::Report(robot, report) => {
+                encode_unchecked(&robot, &report).unwrap().into_packet(&space)
+            }
+            Put::Token(robot, alive) => Self::token(space.format(&Key::RobotToken(robot)), alive),
+        }
+    }
 }
 
 pub(crate) fn report(name: &str, report: impl Into<Report>) -> Put {
@@ -113,36 +127,43 @@ pub(crate) fn roster_of(published: Tick, robots: Vec<RosterEntry>) -> Message {
 /// Edges by name.
 pub(crate) type Named = BTreeMap<(RobotId, RobotId), f64>;
 
+/// Most timers within one millisecond: a deadline that has passed does not stay.
+const MAX_TIMERS_PER_MOMENT: usize = 4;
+
 pub(crate) struct Bench {
-    pub(crate) driver: Driver<Ingest>,
-    pub(crate) now: Tick,
+    kit: testkit::Bench<Ingest>,
     /// Everything but events and settings, with its time, in order.
     pub(crate) published: Vec<(Tick, Message)>,
     pub(crate) events: Vec<EventKind>,
-    pub(crate) stored: Stored,
     pub(crate) roster: Option<Arc<Roster>>,
     pub(crate) graphs: BTreeMap<Modality, GraphReplica>,
-    pub(crate) fetches: Vec<(u32, Vec<Pattern>)>,
-    replies: Vec<(QueryId, Result<Vec<Message>, String>)>,
-    queries: u64,
+}
+
+impl Deref for Bench {
+    type Target = testkit::Bench<Ingest>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.kit
+    }
+}
+
+impl DerefMut for Bench {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.kit
+    }
 }
 
 impl Bench {
-    /// Before its first event.
+    /// Before its first input.
     pub(crate) fn asleep_at(now: Tick, settings: IngestSettings, stored: Stored) -> Self {
         let instance = InstanceId::new("host-1").unwrap();
         let start = Start { fleet: fleet(), instance, now, settings, stored };
         Self {
-            driver: Driver::new(start),
-            now,
+            kit: testkit::Bench::new(start),
             published: Vec::new(),
             events: Vec::new(),
-            stored: Stored::default(),
             roster: None,
             graphs: BTreeMap::new(),
-            fetches: Vec::new(),
-            replies: Vec::new(),
-            queries: 0,
         }
     }
 
@@ -155,7 +176,7 @@ impl Bench {
     pub(crate) fn new(settings: IngestSettings) -> Self {
         let mut bench = Self::asleep(settings);
         let last = entry_of("last", Presence::Stale, Tick(0));
-        bench.begin(vec![roster_of(Tick(0), vec![last])]);
+        bench.start(vec![roster_of(Tick(0), vec![last])]);
         bench.wait(0.5);
         assert_eq!(bench.happened(), ["left last"]);
         bench
@@ -165,38 +186,55 @@ impl Bench {
         Self::new(IngestSettings::default())
     }
 
-    pub(crate) fn begin(&mut self, remembered: Vec<Message>) {
-        self.step(Event::Started);
-        self.step(Event::Fetched { fetch: START_FETCH, messages: remembered });
+    pub(crate) fn start(&mut self, answers: Vec<Message>) {
+        self.kit.start(answers);
+        self.follow();
     }
 
-    pub(crate) fn step(&mut self, event: Event<()>) {
-        let mut in_doubt = None;
-        for command in self.driver.step(self.now, event) {
-            match command {
-                Command::Fetch { fetch, patterns }
-                    if patterns == [Pattern::One(Key::Holder(ServiceName::Ingest))] =>
-                {
-                    in_doubt = Some(fetch);
-                }
-                Command::Publish(message) => self.follow(message),
-                Command::Reply { query, answer, .. } => self.replies.push((query, answer)),
-                Command::Store(stored) => self.stored = stored,
-                Command::Fetch { fetch, patterns } => self.fetches.push((fetch, patterns)),
-                Command::Run(()) => panic!("ingest has no jobs"),
-            }
+    /// Begins to ask so long ago that the next answers end the inquiry.
+    pub(crate) fn begin_inquiry(&mut self) {
+        let now = self.now;
+        self.now = now.before(testkit::START_RETRY_TIME);
+        self.input(Input::Started { linked: true });
+        self.now = now;
+    }
+
+    pub(crate) fn answer_all(&mut self, answers: Vec<Message>) {
+        self.kit.answer_all(answers);
+        self.follow();
+    }
+
+    pub(crate) fn input(&mut self, input: Input) {
+        self.kit.input(input);
+        self.follow();
+    }
+
+    pub(crate) fn receive(&mut self, packet: impl Into<Packet>) {
+        self.kit.receive_packet(packet.into());
+        self.follow();
+    }
+
+    pub(crate) fn receive_refused(&mut self, rejection: Rejection) {
+        self.kit.receive_refused(rejection);
+        self.follow();
+    }
+
+    fn follow(&mut self) {
+        assert!(self.unencodable.is_empty() && self.others_are_of_the_election());
+        for message in std::mem::take(&mut self.kit.published) {
+            self.follow_one(message);
         }
-        // Nobody else holds the role.
-        if let Some(fetch) = in_doubt {
-            self.step(Event::Fetched { fetch, messages: Vec::new() });
-        }
+    }
+
+    fn others_are_of_the_election(&self) -> bool {
+        self.others.iter().all(|other| matches!(other, muster_service::Command::ReplicaState(_)))
     }
 
     /// What every consumer relies on.
-    fn follow(&mut self, message: Message) {
+    fn follow_one(&mut self, message: Message) {
         match &message {
             Message::Event(event) => return self.events.push(event.kind.clone()),
-            Message::Settings(..) | Message::Claim(..) => return,
+            Message::Settings(..) | Message::LeaseRenewal(..) => return,
             Message::Graph(delta) => {
                 let replica = self.graphs.entry(delta.modality.clone()).or_default();
                 replica.apply(delta).unwrap();
@@ -224,32 +262,16 @@ impl Bench {
         self.published.push((self.now, message));
     }
 
-    /// Brings something that a robot puts to the core as decoding does: checked, or refused.
-    pub(crate) fn say(&mut self, put: Put) {
-        self.step(match put {
-            Put::Token(robot, alive) => Event::Received(Message::RobotToken { robot, alive }),
-            Put::Report(robot, report) => {
-                let key = Key::Stream(robot.clone(), report.stream());
-                match CheckedReport::new(robot, report) {
-                    Ok(report) => Event::Received(Message::Report(report)),
-                    Err(error) => {
-                        let (space, reason) = (space(), error.to_string());
-                        Event::Rejected(Rejection::new(&space, &space.format(&key), reason))
-                    }
-                }
-            }
-        });
-    }
-
     /// Lets time pass, with every deadline met.
     pub(crate) fn wait(&mut self, duration_s: f64) {
         let end = self.now.after(seconds(duration_s));
         let mut at_this_moment = 0;
-        while let Some(deadline) = self.driver.deadline().filter(|deadline| *deadline <= end) {
-            at_this_moment = if deadline > self.now { 0 } else { at_this_moment + 1 };
-            assert!(at_this_moment < 4, "a deadline that has passed stays");
+        while let Some(deadline) = self.host.deadline().filter(|deadline| *deadline <= end) {
+            let is_later = deadline > self.now.after(Duration::from_millis(1));
+            at_this_moment = if is_later { 0 } else { at_this_moment + 1 };
+            assert!(at_this_moment < MAX_TIMERS_PER_MOMENT, "a deadline that has passed stays");
             self.now = self.now.max(deadline);
-            self.step(Event::Timeout);
+            self.input(Input::Timer);
         }
         self.now = end;
     }
@@ -259,14 +281,9 @@ impl Bench {
         key: &str,
         payload: Option<&Value>,
     ) -> Result<Vec<Message>, String> {
-        self.queries += 1;
-        let query = QueryId(self.queries);
-        let payload = payload.map(|payload| payload.to_string().into_bytes());
-        let request = Request::new(format!("muster/v1/alpha/{key}"), "", payload).unwrap();
-        self.step(Event::Query { query, request });
-        let (answered, answer) = self.replies.pop().unwrap();
-        assert!(self.replies.is_empty(), "a get is answered once");
-        assert_eq!(answered, query);
+        let payload = payload.map(Value::to_string);
+        let answer = self.kit.get(key, payload.as_deref());
+        self.follow();
         answer
     }
 
@@ -285,7 +302,7 @@ impl Bench {
         self.status().counters.get(name).copied().unwrap_or_default()
     }
 
-    /// Everything that a witness would remember.
+    /// Everything that a reader would remember.
     pub(crate) fn remembered(&mut self) -> Vec<Message> {
         let mut messages = self.get("graph/*", None).unwrap();
         messages.extend(self.get("roster", None).unwrap());
@@ -316,7 +333,7 @@ impl Bench {
 
     /// The names of what happened since the last call, such as `joined r1`.
     pub(crate) fn happened(&mut self) -> Vec<String> {
-        let told = self.events.drain(..).filter_map(|event| match event {
+        let happened = self.events.drain(..).filter_map(|event| match event {
             EventKind::RobotJoined { robot } => Some(format!("joined {robot}")),
             EventKind::RobotStale { robot } => Some(format!("stale {robot}")),
             EventKind::RobotRecovered { robot } => Some(format!("recovered {robot}")),
@@ -328,7 +345,7 @@ impl Bench {
             )),
             _ => None,
         });
-        told.collect()
+        happened.collect()
     }
 
     /// When frames were published.
@@ -348,8 +365,4 @@ pub(crate) fn named(graph: &GraphReplica) -> Named {
         edges.iter().map(move |(target, weight)| ((name(source), name(target)), *weight))
     });
     edges.collect()
-}
-
-pub(crate) fn space() -> KeySpace {
-    KeySpace::new(fleet())
 }

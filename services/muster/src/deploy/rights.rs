@@ -8,9 +8,9 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::Wiring;
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::observation::Stream;
+use muster_service::{Authority, ServedKey, Wiring};
 use muster_wire::{Key, KeySpace, Pattern};
 
 use super::fleet::{FleetFile, Identity, Kind};
@@ -72,10 +72,12 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
         patterns.map(|pattern| space.pattern(&pattern)).collect()
     };
     let received = texts(&mut subscriptions.into_iter().map(|subscription| subscription.pattern));
-    let outputs = texts(
-        &mut served.iter().filter(|(_, complete)| *complete).map(|(pattern, _)| pattern.clone()),
-    );
-    let answered = texts(&mut served.into_iter().map(|(pattern, _)| pattern));
+    // The schema is the same for all services: it is answered, and never put.
+    let is_output = |key: &&ServedKey| {
+        key.authority == Authority::Own && key.pattern != Pattern::One(Key::Schema)
+    };
+    let outputs = texts(&mut served.iter().filter(is_output).map(|key| key.pattern.clone()));
+    let answered = texts(&mut served.into_iter().map(|key| key.pattern));
     let events = [Key::Event, Key::JsonEvent].map(|key| space.format(&key));
 
     let mut rights = Rights {
@@ -87,7 +89,6 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
         declare_token: vec![space.pattern(&Pattern::InstanceTokens(service))],
         watch_token: texts(&mut tokens.into_iter()),
     };
-    rights.reply.push(schema(space));
     for list in [
         &mut rights.put,
         &mut rights.subscribe,
@@ -153,10 +154,10 @@ fn of_reader(space: &KeySpace, kind: Kind) -> Rights {
 
 #[cfg(test)]
 mod tests {
-    use muster_machine::{Command, Core, Driver, Event, Start, Stored};
     use muster_model::id::InstanceId;
     use muster_model::settings::Settings;
     use muster_model::time::Tick;
+    use muster_service::{Command, Core, Host, Input, Start, Stored};
 
     use super::*;
 
@@ -182,13 +183,11 @@ mod tests {
         };
         let may = rights(&format!("service.{}", C::SERVICE));
         let mut fetched = 0;
-        for command in Driver::<C>::new(start).step(Tick(1), Event::Started) {
-            let Command::Fetch { patterns, .. } = command else { continue };
-            for pattern in patterns {
-                fetched += 1;
-                let text = KeySpace::new(fleet().fleet).pattern(&pattern);
-                assert!(may.get.contains(&text), "{} may not get {text}", C::SERVICE);
-            }
+        for command in Host::<C>::new(start).handle(Tick(1), Input::Started { linked: true }) {
+            let Command::Ask(ask) = command else { continue };
+            fetched += 1;
+            let text = KeySpace::new(fleet().fleet).pattern(&ask.pattern);
+            assert!(may.get.contains(&text), "{} may not get {text}", C::SERVICE);
         }
         assert!(fetched > 0);
         // The settings of a core are a table, as every patch of them.

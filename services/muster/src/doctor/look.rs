@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use muster_client::{Client, Error, Events, Feed, FleetPresence, ReceivedPose, ServiceInstance};
 use muster_model::event::{Event, EventKind};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
-use muster_model::role::Standing;
+use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
 use muster_model::settings::{ClustererSettings, IngestSettings};
 use muster_model::status::ServiceStatus;
@@ -38,7 +38,7 @@ pub(super) struct Instance {
     pub(super) service: ServiceName,
     pub(super) instance: InstanceId,
     pub(super) version: String,
-    pub(super) standing: Standing,
+    pub(super) standing: ReplicaState,
     pub(super) term: u64,
     /// Seconds by which its clock is ahead of ours; none if its answer took too long.
     pub(super) clock_offset_s: Option<f64>,
@@ -106,7 +106,7 @@ impl Look {
     /// The status of a service's leader, or the newest of anybody who answers for it.
     pub(super) fn status(&self, service: ServiceName) -> Option<&ServiceStatus> {
         let all = self.after.iter().filter(|status| status.service == service);
-        all.max_by_key(|status| (status.standing == Standing::Holding, status.revision))
+        all.max_by_key(|status| (status.standing == ReplicaState::Leading, status.revision))
     }
 }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use muster_client::model::id::FleetId;
 use muster_client::{Client, Error, ServiceInstance};
 use muster_model::id::ServiceName;
-use muster_model::role::Standing;
+use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
@@ -76,12 +76,12 @@ async fn status_once(client: &Client, fleet: &FleetId) -> Result<FleetStatus, Er
 }
 
 /// What an instance does in its service, in a word.
-pub(crate) fn role(standing: Standing) -> &'static str {
+pub(crate) fn role(standing: ReplicaState) -> &'static str {
     match standing {
-        Standing::Starting => "starting",
-        Standing::Standby => "standby",
-        Standing::Doubtful => "suspect",
-        Standing::Holding => "leader",
+        ReplicaState::Starting => "starting",
+        ReplicaState::Standby => "standby",
+        ReplicaState::Suspect => "suspect",
+        ReplicaState::Leading => "leader",
     }
 }
 
@@ -198,7 +198,7 @@ mod tests {
             version: "0.1.0".to_owned(),
             started: Tick(0),
             now: Tick(123_456_000_000),
-            standing: Standing::Holding,
+            standing: ReplicaState::Leading,
             revision: Revision { term: 12, epoch: 1_234_567 },
             state: "200 robots in 5 teams, hierarchy missing, and a text that is long".to_owned(),
             counters: BTreeMap::new(),

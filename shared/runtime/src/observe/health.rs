@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use muster_model::id::ServiceName;
-use muster_model::role::Standing;
+use muster_model::role::ReplicaState;
 
 /// How long the loop of a service may take for one turn. Nothing in it waits; the longest events take
 /// milliseconds, and a machine that is busy with other things delays them by less than this.
@@ -25,7 +25,7 @@ pub(super) struct Look {
     /// Whether the router is linked; none while it has never been.
     pub(super) link: Option<bool>,
     /// Where it stands towards its role.
-    pub(super) standing: Standing,
+    pub(super) standing: ReplicaState,
     /// Since when the link has been up.
     pub(super) linked_for: Duration,
     /// Since when nothing has come of what it reads; none if nothing ever has.
@@ -57,9 +57,9 @@ pub(super) fn reasons(service: ServiceName, look: &Look) -> Vec<String> {
         return reasons;
     }
     match look.standing {
-        Standing::Holding | Standing::Standby => {}
-        Standing::Starting => reasons.push("the term has not begun".to_owned()),
-        Standing::Doubtful => {
+        ReplicaState::Leading | ReplicaState::Standby => {}
+        ReplicaState::Starting => reasons.push("the term has not begun".to_owned()),
+        ReplicaState::Suspect => {
             reasons.push("it is not certain whether another instance has taken over".to_owned());
         }
     }
@@ -108,7 +108,7 @@ mod tests {
         Look {
             since_turn: Some(S / 10),
             link: Some(true),
-            standing: Standing::Holding,
+            standing: ReplicaState::Leading,
             linked_for: 100 * S,
             since_roster: Some(S),
             since_embedding: Some(S),
@@ -123,12 +123,12 @@ mod tests {
 
     #[test]
     fn a_service_is_ready_as_holder_and_as_standby() {
-        for standing in [Standing::Holding, Standing::Standby] {
+        for standing in [ReplicaState::Leading, ReplicaState::Standby] {
             for service in ServiceName::ALL {
                 assert_eq!(reason(service, &Look { standing, ..well() }), "");
             }
         }
-        for standing in [Standing::Starting, Standing::Doubtful] {
+        for standing in [ReplicaState::Starting, ReplicaState::Suspect] {
             assert_ne!(reason(ServiceName::Ingest, &Look { standing, ..well() }), "");
         }
     }

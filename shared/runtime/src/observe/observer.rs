@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use muster_model::event::{Event as FleetEvent, Severity};
 use muster_model::id::ServiceName;
-use muster_model::role::Standing;
+use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
@@ -58,7 +58,7 @@ struct State {
     turned: Option<Instant>,
     link: Option<bool>,
     linked: Option<Instant>,
-    standing: Standing,
+    standing: ReplicaState,
     roster: Option<Instant>,
     embedding: Option<Instant>,
     teams: Option<Instant>,
@@ -167,7 +167,7 @@ impl Watched {
     pub(super) fn new(service: ServiceName, metrics: &Metrics) -> Self {
         let watched =
             Self { service, state: Mutex::default(), metrics: Own::new(service, metrics) };
-        watched.show_standing(Standing::Starting);
+        watched.show_standing(ReplicaState::Starting);
         watched
     }
 
@@ -200,12 +200,12 @@ impl Watched {
         self.metrics.ready.set(i64::from(health::reasons(self.service, &look).is_empty()));
     }
 
-    fn show_standing(&self, standing: Standing) {
+    fn show_standing(&self, standing: ReplicaState) {
         for (other, name) in [
-            (Standing::Starting, "starting"),
-            (Standing::Standby, "standby"),
-            (Standing::Doubtful, "doubtful"),
-            (Standing::Holding, "holding"),
+            (ReplicaState::Starting, "starting"),
+            (ReplicaState::Standby, "standby"),
+            (ReplicaState::Suspect, "doubtful"),
+            (ReplicaState::Leading, "holding"),
         ] {
             let labels = [self.metrics.labels, ("standing", name)];
             self.metrics.standing.get_or_create(&labels).set(i64::from(other == standing));

@@ -13,7 +13,7 @@ use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
-use muster_model::role::{Claim, Standing};
+use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::status::ServiceStatus;
 use muster_model::teams::{Member, Team, TeamChange, Teams};
@@ -202,7 +202,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         version: "0.1.0".to_owned(),
         started: Tick(NOW.0 - 60_000_000),
         now: NOW,
-        standing: Standing::Holding,
+        standing: ReplicaState::Leading,
         revision: revision(42),
         state: "2 robots, 1 stale".to_owned(),
         counters: BTreeMap::from([("poses_accepted".to_owned(), 600)]),
@@ -236,7 +236,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ),
         (
             "claim",
-            Message::Claim(Box::new(Claim {
+            Message::LeaseRenewal(Box::new(LeaseRenewal {
                 header: header(45),
                 service: ServiceName::Embedder,
                 instance: InstanceId::new("host-1").unwrap(),

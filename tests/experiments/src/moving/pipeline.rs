@@ -11,7 +11,6 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_machine::{Command, Core, Driver, Event, QueryId, Start, Stopwatch, Stored};
 use muster_model::audit::Audit;
 use muster_model::graph::GraphReplica;
 use muster_model::id::{FleetId, IdError, InstanceId, Modality, ServiceName};
@@ -20,10 +19,14 @@ use muster_model::settings::{
 };
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
-use muster_wire::{Key, KeySpace, Message, Request};
+use muster_service::testkit::START_RETRY_TIME;
+use muster_service::{
+    Arrival, Command, Core, GetId, Host, IncomingGet, Input, Start, Stopwatch, Stored,
+};
+use muster_wire::{Key, KeySpace, Message};
 
-/// Shortest time between two timeouts, as in the shell.
-const BETWEEN_TIMEOUTS: Duration = Duration::from_millis(1);
+/// How long a service goes on asking where nobody answers as it starts.
+const START_TIME: Duration = START_RETRY_TIME;
 
 /// The settings of all services.
 #[derive(Debug, Clone, Default)]
@@ -53,11 +56,11 @@ pub enum PipelineError {
 
 /// One service.
 struct Stage<C: Core> {
-    driver: Driver<C>,
+    host: Host<C>,
+    space: KeySpace,
     /// What a job has led to, and when that is known.
     done: Option<(Tick, C::Done)>,
     job_takes: Duration,
-    not_before: Tick,
     refusal: Option<String>,
 }
 
@@ -75,47 +78,55 @@ impl<C: Core> Stage<C> {
             settings,
             stored: Stored::default(),
         };
-        Ok(Self {
-            driver: Driver::new(start),
-            done: None,
-            job_takes,
-            not_before: now,
-            refusal: None,
-        })
+        let space = KeySpace::new(fleet.clone());
+        Ok(Self { host: Host::new(start), space, done: None, job_takes, refusal: None })
     }
 
     fn due(&self) -> Option<Tick> {
-        let woken = self.driver.deadline().map(|at| at.max(self.not_before));
-        woken.into_iter().chain(self.done.as_ref().map(|(at, _)| *at)).min()
+        self.host.deadline().into_iter().chain(self.done.as_ref().map(|(at, _)| *at)).min()
     }
 
     /// Does what is due.
     fn wake(&mut self, now: Tick, out: &mut VecDeque<Message>) {
         match self.done.take() {
-            Some((at, done)) if at <= now => self.step(now, Event::Done(done), out),
+            Some((at, done)) if at <= now => {
+                self.host.finish_job(done);
+                self.step(now, Input::JobEnded { laps: Vec::new(), panic: None }, out);
+            }
             done => {
                 self.done = done;
-                self.not_before = now.after(BETWEEN_TIMEOUTS);
-                self.step(now, Event::Timeout, out);
+                self.step(now, Input::Timer, out);
             }
         }
     }
 
-    fn step(&mut self, now: Tick, event: Event<C::Done>, out: &mut VecDeque<Message>) {
-        let mut events = VecDeque::from([event]);
-        while let Some(event) = events.pop_front() {
-            for command in self.driver.step(now, event) {
+    fn receive(&mut self, now: Tick, message: Message, out: &mut VecDeque<Message>) {
+        self.step(now, Input::Arrived(Arrival::of_message(&self.space, message)), out);
+    }
+
+    fn step(&mut self, now: Tick, input: Input, out: &mut VecDeque<Message>) {
+        let mut inputs = VecDeque::from([input]);
+        while let Some(input) = inputs.pop_front() {
+            for command in self.host.handle(now, input) {
                 match command {
-                    Command::Publish(message) => out.push_back(message),
-                    Command::Run(job) => {
-                        let done = C::run(job, &mut Stopwatch::still());
-                        self.done = Some((now.after(self.job_takes), done));
+                    Command::Publish(publication) => out.extend(publication.message),
+                    Command::RunJob => {
+                        let job = self.host.take_job();
+                        let done = job.map(|job| C::run(job, &mut Stopwatch::still()));
+                        self.done = done.map(|done| (now.after(self.job_takes), done));
                     }
-                    Command::Fetch { fetch, .. } => {
-                        events.push_back(Event::Fetched { fetch, messages: Vec::new() });
+                    Command::Ask(ask) => {
+                        inputs.push_back(Input::Answered { ask: ask.ask, answers: Vec::new() });
                     }
-                    Command::Reply { answer, .. } => self.refusal = answer.err(),
-                    Command::Store(_) => {}
+                    Command::Reply(reply) => self.refusal = reply.answer.err(),
+                    Command::Store(_) => inputs.push_back(Input::Stored { error: None }),
+                    // There is no bus beside the one here, and these services keep no records.
+                    Command::ReplicaState(_)
+                    | Command::DeclareToken(_)
+                    | Command::WithdrawToken(_)
+                    | Command::Append(_)
+                    | Command::LookUp { .. }
+                    | Command::Unencodable(_) => {}
                 }
             }
         }
@@ -131,7 +142,7 @@ pub struct Pipeline {
     clusterer: Stage<Clusterer>,
     auditor: Stage<Auditor>,
     queue: VecDeque<Message>,
-    queries: u64,
+    gets: u64,
     /// The last division.
     pub teams: Option<Arc<Teams>>,
     /// The last judgement of it.
@@ -150,31 +161,35 @@ impl Pipeline {
     pub fn new(now: Tick, settings: AllSettings) -> Result<Self, PipelineError> {
         let fleet = FleetId::new("moving")?;
         let AllSettings { ingest, embedder, clusterer, auditor, job_takes } = settings;
+        // Nobody was there before, which the services know after they have asked for a while.
+        let began = now.before(START_TIME);
         let mut pipeline = Self {
-            now,
-            ingest: Stage::new(now, &fleet, ingest, job_takes)?,
-            embedder: Stage::new(now, &fleet, embedder, job_takes)?,
-            clusterer: Stage::new(now, &fleet, clusterer, job_takes)?,
-            auditor: Stage::new(now, &fleet, auditor, job_takes)?,
+            now: began,
+            ingest: Stage::new(began, &fleet, ingest, job_takes)?,
+            embedder: Stage::new(began, &fleet, embedder, job_takes)?,
+            clusterer: Stage::new(began, &fleet, clusterer, job_takes)?,
+            auditor: Stage::new(began, &fleet, auditor, job_takes)?,
             space: KeySpace::new(fleet),
             queue: VecDeque::new(),
-            queries: 0,
+            gets: 0,
             teams: None,
             audit: None,
             dimension: 0,
             graphs: BTreeMap::new(),
         };
-        pipeline.embedder.step(now, Event::Started, &mut pipeline.queue);
-        pipeline.clusterer.step(now, Event::Started, &mut pipeline.queue);
-        pipeline.auditor.step(now, Event::Started, &mut pipeline.queue);
-        pipeline.ingest.step(now, Event::Started, &mut pipeline.queue);
+        let started = || Input::Started { linked: true };
+        pipeline.embedder.step(began, started(), &mut pipeline.queue);
+        pipeline.clusterer.step(began, started(), &mut pipeline.queue);
+        pipeline.auditor.step(began, started(), &mut pipeline.queue);
+        pipeline.ingest.step(began, started(), &mut pipeline.queue);
         pipeline.deliver();
+        pipeline.advance(now);
         Ok(pipeline)
     }
 
-    /// A robot says something now.
-    pub fn hear(&mut self, message: Message) {
-        self.ingest.step(self.now, Event::Received(message), &mut self.queue);
+    /// A message of a robot arrives now.
+    pub fn receive(&mut self, message: Message) {
+        self.ingest.receive(self.now, message, &mut self.queue);
         self.deliver();
     }
 
@@ -183,13 +198,12 @@ impl Pipeline {
     /// # Errors
     /// If `clusterer` refuses.
     pub fn order_teams(&mut self, teams: usize) -> Result<(), PipelineError> {
-        let key = self.space.format(&Key::Settings(ServiceName::Clusterer));
-        let patch = format!("{{\"teams\": {teams}}}").into_bytes();
-        let request = Request::new(key, "", Some(patch))
-            .map_err(|error| PipelineError::Refused(error.to_string()))?;
-        self.queries += 1;
-        let query = QueryId(self.queries);
-        self.clusterer.step(self.now, Event::Query { query, request }, &mut self.queue);
+        let selector = self.space.format(&Key::Settings(ServiceName::Clusterer));
+        let payload = Some(format!("{{\"teams\": {teams}}}").into_bytes());
+        self.gets += 1;
+        let (get, parameters) = (GetId(self.gets), String::new());
+        let get = IncomingGet { get, selector, narrowed: None, parameters, payload };
+        self.clusterer.step(self.now, Input::Get(get), &mut self.queue);
         self.deliver();
         self.clusterer.refusal.take().map_or(Ok(()), |reason| Err(PipelineError::Refused(reason)))
     }
@@ -218,34 +232,33 @@ impl Pipeline {
     fn deliver(&mut self) {
         let now = self.now;
         while let Some(message) = self.queue.pop_front() {
-            let received = |message: &Message| Event::Received(message.clone());
             let out = &mut self.queue;
             match &message {
                 Message::Graph(delta) => {
                     // On this bus nothing is lost, so that every delta applies.
                     let _ = self.graphs.entry(delta.modality.clone()).or_default().apply(delta);
-                    self.embedder.step(now, Event::Received(message), out);
+                    self.embedder.receive(now, message, out);
                 }
                 Message::Roster(_) => {
-                    self.embedder.step(now, Event::Received(message.clone()), out);
-                    self.clusterer.step(now, Event::Received(message.clone()), out);
-                    self.auditor.step(now, Event::Received(message), out);
+                    self.embedder.receive(now, message.clone(), out);
+                    self.clusterer.receive(now, message.clone(), out);
+                    self.auditor.receive(now, message, out);
                 }
-                Message::Settings(told) if told.service == ServiceName::Clusterer => {
-                    self.embedder.step(now, Event::Received(message), out);
+                Message::Settings(announced) if announced.service == ServiceName::Clusterer => {
+                    self.embedder.receive(now, message, out);
                 }
                 Message::Embedding(embedding) => {
                     self.dimension = embedding.dimension;
-                    self.clusterer.step(now, received(&message), out);
-                    self.auditor.step(now, Event::Received(message), out);
+                    self.clusterer.receive(now, message.clone(), out);
+                    self.auditor.receive(now, message, out);
                 }
                 Message::Teams { teams, .. } => {
                     self.teams = Some(Arc::clone(teams));
-                    self.auditor.step(now, Event::Received(message), out);
+                    self.auditor.receive(now, message, out);
                 }
                 Message::Audit(audit) => {
                     self.audit = Some(Arc::clone(audit));
-                    self.clusterer.step(now, Event::Received(message), out);
+                    self.clusterer.receive(now, message, out);
                 }
                 _ => {}
             }
@@ -263,15 +276,15 @@ mod tests {
 
     #[test]
     fn groups_become_as_many_teams_as_are_asked_for() {
-        let mut pipeline = Pipeline::new(Tick(0), AllSettings::default()).unwrap();
+        let mut pipeline = Pipeline::new(Tick(10_000_000), AllSettings::default()).unwrap();
         for step in 0..40_u64 {
             for robot in 0..12_u32 {
                 let name = RobotId::new(format!("r{robot:02}")).unwrap();
                 let x = f64::from(robot / 4) * 100.0 + f64::from(robot % 4);
                 let pose = CheckedReport::new(name, Pose::at(x, 0.1 * step as f64)).unwrap();
-                pipeline.hear(Message::Report(pose));
+                pipeline.receive(Message::Report(pose));
             }
-            pipeline.advance(Tick((step + 1) * 100_000));
+            pipeline.advance(Tick(10_000_000 + (step + 1) * 100_000));
             if step == 25 {
                 let teams = pipeline.teams.clone().unwrap();
                 assert_eq!((teams.teams.len(), teams.requested), (2, 2));
@@ -285,7 +298,7 @@ mod tests {
 
     #[test]
     fn an_order_that_makes_no_sense_is_refused() {
-        let mut pipeline = Pipeline::new(Tick(0), AllSettings::default()).unwrap();
+        let mut pipeline = Pipeline::new(Tick(10_000_000), AllSettings::default()).unwrap();
         assert!(matches!(pipeline.order_teams(0), Err(PipelineError::Refused(_))));
     }
 }

@@ -58,13 +58,13 @@ pub fn run(setup: &Setup, mut settings: AllSettings, seed: u64) -> Result<Outcom
     let mut pipeline = Pipeline::new(BEGINNING, settings)?;
     let mut judge = Judge::new(&mission);
     for token in reports.joining() {
-        pipeline.hear(token);
+        pipeline.receive(token);
     }
     let mut asked = setup.teams;
     for step in 0..(setup.case.lasts_s() * STEPS_HZ as f64) as u64 {
         let t = step as f64 / STEPS_HZ as f64;
         pipeline.advance(Tick(BEGINNING.0 + step * STEP_US));
-        // What the services know of a moment is compared before they hear of it.
+        // What the services know of a moment is compared before they receive it.
         if step % POSE_STEPS == 0 {
             let silhouette = pipeline.audit.as_ref().and_then(|audit| audit.in_embedding.mean);
             judge.compare(t, pipeline.teams.as_ref(), silhouette, pipeline.dimension)?;
@@ -74,7 +74,7 @@ pub fn run(setup: &Setup, mut settings: AllSettings, seed: u64) -> Result<Outcom
             pipeline.order_teams(asked)?;
         }
         for message in reports.step(step) {
-            pipeline.hear(message);
+            pipeline.receive(message);
         }
     }
     Ok(judge.outcome())

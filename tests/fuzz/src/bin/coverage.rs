@@ -2,7 +2,7 @@
 //! `tests/fuzz/run` builds and starts it.
 
 #![no_main]
-#![allow(clippy::expect_used, reason = "whoever starts it wrongly is told so")]
+#![allow(clippy::expect_used, reason = "a wrong start ends with its reason")]
 
 use std::sync::OnceLock;
 

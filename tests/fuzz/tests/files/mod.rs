@@ -43,10 +43,10 @@ fn run(path: &Path, input: &[u8]) {
     let text = String::from_utf8_lossy(input);
     match allocation::at_most(limit, "a configuration", resolve) {
         Err(error) => {
-            let told = error.message;
-            assert!(told.chars().count() <= MAX_ERROR, "{told:?}\n{text}");
+            let message = error.message;
+            assert!(message.chars().count() <= MAX_ERROR, "{message:?}\n{text}");
             let controls = |c: char| c.is_control() && c != '\n';
-            assert!(!told.chars().any(controls), "{told:?}\n{text}");
+            assert!(!message.chars().any(controls), "{message:?}\n{text}");
         }
         Ok(config) => {
             let printed = config.print(&ServiceName::ALL).unwrap();

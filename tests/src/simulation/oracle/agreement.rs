@@ -1,5 +1,5 @@
-//! After the last fault, everybody comes to agree with the truth and with each other; and who has
-//! agreed does not change while nothing changes.
+//! After the last fault, all come to agree with the truth and with each other; and what was agreed on
+//! does not change while nothing changes.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,44 +10,44 @@ use muster_model::roster::Presence;
 use muster_model::teams::Teams;
 use muster_wire::Message;
 
-use super::super::robots::Told;
-use super::Speaker;
+use super::super::robots::TeamReport;
+use super::Publisher;
 use super::{Divided, Judge, Published, Verdict, breach, silhouettes};
 
-/// How many epochs after its own a robot that held a lost revision has been told again: its turn comes
-/// with every heartbeat, in which a quiet fleet has one epoch or two.
-const JUST_PASSED: u64 = 5;
+/// How many epochs after its own a robot that has a lost revision is certain to have received its team
+/// again: that is published with every heartbeat, in which a quiet fleet has one epoch or two.
+const REPORTED_AGAIN_EPOCHS: u64 = 5;
 
 /// What is promised of a fleet in which nothing changes.
 const UNCHANGED: &str = "unchanged input leaves the teams unchanged";
 
 /// What is true of one robot.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Truth {
+pub(crate) struct RobotTruth {
     pub(crate) position: [f64; 3],
     pub(crate) superior: Option<RobotId>,
 }
 
-/// What is known of the world beside the bus.
+/// What is known of the world without the bus.
 #[derive(Debug)]
-pub(crate) struct Witness<'a> {
+pub(crate) struct GroundTruth<'a> {
     /// The robots that live.
-    pub(crate) fleet: BTreeMap<&'a RobotId, Truth>,
-    /// What each of them believes.
-    pub(crate) told: BTreeMap<&'a RobotId, Option<&'a Told>>,
+    pub(crate) fleet: BTreeMap<&'a RobotId, RobotTruth>,
+    /// What each of them has received of its team.
+    pub(crate) reports: BTreeMap<&'a RobotId, Option<&'a TeamReport>>,
     /// The processes of services that run.
-    pub(crate) running: BTreeSet<Speaker>,
-    /// Those of them that hold the role of their service.
-    pub(crate) holding: BTreeSet<Speaker>,
-    /// Whether the clusterer has lost its disk. If nobody then remembers its last division but the
-    /// robots, who answer no gets, it cannot know which term is above all that were heard of; a robot
-    /// that holds a higher revision than the last keeps its team until the epochs have passed that.
+    pub(crate) running: BTreeSet<Publisher>,
+    /// Those of them that lead.
+    pub(crate) leading: BTreeSet<Publisher>,
+    /// Whether the clusterer has lost its disk. If only the robots then remember its last division, which
+    /// answer no gets, it cannot know which term is above all that were published; a robot that has a
+    /// higher revision than the last keeps its team until the epochs have passed that.
     pub(crate) terms_lost: bool,
     /// How many teams an operator was last confirmed to have asked for, if that is known.
     pub(crate) teams: Option<u32>,
 }
 
-/// The division that everybody has agreed on.
+/// The division that all have agreed on.
 #[derive(Debug, Clone)]
 pub(crate) struct Settled {
     /// None where there never was anybody to divide.
@@ -55,22 +55,22 @@ pub(crate) struct Settled {
 }
 
 impl Settled {
-    /// Whether there was somebody to divide.
-    pub(crate) fn is_of_somebody(&self) -> bool {
+    /// Whether there were robots to divide.
+    pub(crate) fn has_robots(&self) -> bool {
         self.division.is_some()
     }
 }
 
 impl Judge {
-    /// Whether everybody agrees now; if not, on what they differ.
-    pub(crate) fn agreement(&self, witness: &Witness<'_>) -> Result<Settled, String> {
+    /// Whether all agree now; if not, on what they differ.
+    pub(crate) fn agreement(&self, ground_truth: &GroundTruth<'_>) -> Result<Settled, String> {
         let roster = self.rosters.last().ok_or("there is no roster")?;
         let known = roster.robots.iter().map(|entry| &entry.robot);
-        if !known.clone().eq(witness.fleet.keys().copied()) {
-            let (known, living) = (known.collect::<Vec<_>>(), witness.fleet.keys());
+        if !known.clone().eq(ground_truth.fleet.keys().copied()) {
+            let (known, living) = (known.collect::<Vec<_>>(), ground_truth.fleet.keys());
             return Err(format!("the roster has {known:?}, alive are {living:?}"));
         }
-        for (entry, truth) in roster.robots.iter().zip(witness.fleet.values()) {
+        for (entry, truth) in roster.robots.iter().zip(ground_truth.fleet.values()) {
             if entry.presence != Presence::Active {
                 return Err(format!("{} lives and is stale in the roster", entry.robot));
             }
@@ -82,13 +82,13 @@ impl Judge {
             }
         }
         if roster.robots.is_empty() {
-            return self.nobody(witness);
+            return self.without_robots(ground_truth);
         }
-        // What was right when a holder died may be right still, and is not known to the next one.
+        // What was right when a leader died may be right still, and is not known to the next one.
         for service in ServiceName::ALL {
             let last = self.last_by.get(&service);
-            if !last.is_some_and(|speaker| witness.holding.contains(speaker)) {
-                return Err(format!("who holds {service} has said nothing yet"));
+            if !last.is_some_and(|publisher| ground_truth.leading.contains(publisher)) {
+                return Err(format!("the leader of {service} has published nothing yet"));
             }
         }
         let embedding = self.embeddings.last().ok_or("there is no embedding")?;
@@ -101,14 +101,14 @@ impl Judge {
         if !divided.iter().any(|other| same_vectors(other, embedding)) {
             return Err("the division is not that of the last embedding".to_owned());
         }
-        if let Some(wanted) = witness.teams.filter(|wanted| *wanted != teams.requested) {
+        if let Some(wanted) = ground_truth.teams.filter(|wanted| *wanted != teams.requested) {
             return Err(format!(
                 "{wanted} teams were confirmed, {} are asked for",
                 teams.requested
             ));
         }
         if !teams.stale.is_empty() {
-            return Err(format!("the division says that {:?} are stale", teams.stale));
+            return Err(format!("the division lists {:?} as stale", teams.stale));
         }
         let audit = self.audits.last().ok_or("there is no audit")?;
         let judged = self.divisions.named(audit.teams);
@@ -120,29 +120,29 @@ impl Judge {
         if !silhouettes::is_of_positions(audit, teams, roster) {
             return Err("the audit is not that of the positions in the roster".to_owned());
         }
-        self.told(teams, witness)?;
+        self.check_reports(teams, ground_truth)?;
         Ok(Settled { division: Some(std::sync::Arc::clone(teams)) })
     }
 
-    /// A console that joins late is told what was published last when it asked, or something newer, and
+    /// A console that joins late receives what was published last when it asked, or something newer, and
     /// nothing that was never published.
-    pub(crate) fn joined_late(&self, last: &Message, told: &[Message]) -> Verdict {
+    pub(crate) fn joined_late(&self, last: &Message, received: &[Message]) -> Verdict {
         let revision = |message: &Message| message.header().map(|header| header.revision);
-        let newest = told.iter().max_by_key(|message| revision(message));
+        let newest = received.iter().max_by_key(|message| revision(message));
         let right = newest.is_some_and(|newest| revision(newest) >= revision(last))
-            && told.iter().all(|message| self.was_published(message));
+            && received.iter().all(|message| self.was_published(message));
         if right {
             return Ok(());
         }
         breach(
-            "who joins late is told what was published last",
-            format!("{:?} was published last, and told {told:?}", last.header()),
+            "a console that joins late receives what was published last",
+            format!("{:?} was published last, and received {received:?}", last.header()),
         )
     }
 
     fn was_published(&self, message: &Message) -> bool {
-        fn among<T: PartialEq>(published: &Published<T>, revision: Revision, told: &T) -> bool {
-            published.named(revision).iter().any(|published| **published == *told)
+        fn among<T: PartialEq>(published: &Published<T>, revision: Revision, other: &T) -> bool {
+            published.named(revision).iter().any(|published| **published == *other)
         }
         match message {
             Message::Roster(roster) => among(&self.rosters, roster.header.revision, roster),
@@ -152,12 +152,12 @@ impl Judge {
         }
     }
 
-    /// Where nobody lives, no service that runs may still say anything of robots. One that was killed
-    /// with everybody who remembered need not say again that there is nobody.
-    fn nobody(&self, witness: &Witness<'_>) -> Result<Settled, String> {
+    /// Where no robot lives, no service that runs may still publish robots. If it was killed together with
+    /// all that remembered its output, it need not publish an empty one.
+    fn without_robots(&self, ground_truth: &GroundTruth<'_>) -> Result<Settled, String> {
         let runs = |service: ServiceName| {
             let last = self.last_by.get(&service);
-            last.is_some_and(|speaker| witness.running.contains(speaker))
+            last.is_some_and(|publisher| ground_truth.running.contains(publisher))
         };
         let embedded = self.embeddings.last().is_some_and(|last| !last.robots.is_empty());
         let divided = self.divisions.last();
@@ -169,29 +169,33 @@ impl Judge {
         Ok(Settled { division: None })
     }
 
-    fn told(&self, teams: &Teams, witness: &Witness<'_>) -> Result<(), String> {
-        for (robot, told) in &witness.told {
+    fn check_reports(&self, teams: &Teams, ground_truth: &GroundTruth<'_>) -> Result<(), String> {
+        for (robot, report) in &ground_truth.reports {
             let team = teams
                 .teams
                 .iter()
                 .find(|team| team.members.iter().any(|member| member.robot == **robot));
-            let told = told.ok_or_else(|| format!("{robot} was told nothing"))?;
+            let report = report.ok_or_else(|| format!("{robot} has received no team"))?;
             let now = teams.header.revision;
-            let held = told.revision;
-            if witness.terms_lost && (held > now || now.epoch < held.epoch + JUST_PASSED) {
+            let held = report.revision;
+            if ground_truth.terms_lost
+                && (held > now || now.epoch < held.epoch + REPORTED_AGAIN_EPOCHS)
+            {
                 continue;
             }
             let right = match team {
-                None => told.team.is_none(),
+                None => report.team.is_none(),
                 Some(team) => {
                     let names: Vec<_> = team.members.iter().map(|m| m.robot.as_str()).collect();
-                    told.team.as_deref() == Some(team.id.as_str())
-                        && told.leader.as_deref() == Some(team.leader.as_str())
-                        && told.members.as_ref().is_some_and(|told| told.iter().eq(&names))
+                    report.team.as_deref() == Some(team.id.as_str())
+                        && report.leader.as_deref() == Some(team.leader.as_str())
+                        && report.members.as_ref().is_some_and(|members| members.iter().eq(&names))
                 }
             };
             if !right {
-                return Err(format!("{robot} believes {told:?}, the division says {team:?}"));
+                return Err(format!(
+                    "{robot} has received {report:?}, in the division it is in {team:?}"
+                ));
             }
         }
         Ok(())
@@ -203,10 +207,10 @@ impl Judge {
         let same_vectors = || {
             let (old, new) = (before.teams.embedding, now.teams.embedding);
             let (old, new) = (self.embeddings.named(old), self.embeddings.named(new));
-            // Where two holders gave one revision, it is not known which of the two was divided.
+            // Where two leaders gave one revision, it is not known which of the two was divided.
             matches!((old, new), ([old], [new]) if same_vectors(old, new))
         };
-        if (before.speaker, before.settings) != (now.speaker, now.settings)
+        if (before.publisher, before.settings) != (now.publisher, now.settings)
             || same_members(&before.teams, &now.teams)
             || !same_vectors()
         {
@@ -218,7 +222,7 @@ impl Judge {
         )
     }
 
-    /// Unchanged input leaves the division as everybody had agreed on it.
+    /// Unchanged input leaves the division as all had agreed on it.
     pub(crate) fn unchanged(&self, agreed: &Settled) -> Verdict {
         let (Some(last), Some(agreed)) = (self.divisions.last(), &agreed.division) else {
             return Ok(());

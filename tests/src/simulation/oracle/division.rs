@@ -10,7 +10,7 @@ use muster_model::teams::{RobotTeam, Teams};
 
 use super::{Published, Verdict, breach};
 
-/// Nobody stands twice in a roster, by name or by node.
+/// No robot is twice in a roster, by name or by node.
 pub(crate) fn check_roster(roster: &Roster) -> Verdict {
     let names: BTreeSet<_> = roster.robots.iter().map(|entry| &entry.robot).collect();
     let nodes: BTreeSet<_> = roster.robots.iter().map(|entry| entry.node).collect();
@@ -91,7 +91,7 @@ fn check_teams(teams: &Teams) -> Verdict {
         let is_new = number.is_some_and(|number: u64| number >= teams.next_team);
         if !leads || is_new {
             return breach(
-                "a team has members, one of whom leads it, and a number that was given before",
+                "a team has members, one of which leads it, and a number that was given before",
                 format!("division {revision:?}, next {}: {team:?}", teams.next_team),
             );
         }
@@ -99,29 +99,29 @@ fn check_teams(teams: &Teams) -> Verdict {
     Ok(())
 }
 
-/// What a robot is told is what the division says of it.
-pub(crate) fn check_told(told: &RobotTeam, divisions: &Published<Teams>) -> Verdict {
-    let revision = told.header.revision;
-    let says = |teams: &Arc<Teams>| {
+/// What is published for a robot agrees with the division.
+pub(crate) fn check_robot_team(report: &RobotTeam, divisions: &Published<Teams>) -> Verdict {
+    let revision = report.header.revision;
+    let agrees = |teams: &Arc<Teams>| {
         let team = teams
             .teams
             .iter()
-            .find(|team| team.members.iter().any(|member| member.robot == told.robot));
+            .find(|team| team.members.iter().any(|member| member.robot == report.robot));
         match team {
-            None => told.team.is_none() && teams.unassigned.contains(&told.robot),
+            None => report.team.is_none() && teams.unassigned.contains(&report.robot),
             Some(team) => {
                 let names: Vec<_> = team.members.iter().map(|member| &member.robot).collect();
-                told.team.as_ref() == Some(&team.id)
-                    && told.leader.as_ref() == Some(&team.leader)
-                    && told.members.as_ref().is_none_or(|told| told.iter().eq(names))
+                report.team.as_ref() == Some(&team.id)
+                    && report.leader.as_ref() == Some(&team.leader)
+                    && report.members.as_ref().is_none_or(|members| members.iter().eq(names))
             }
         }
     };
-    if divisions.named(revision).iter().any(says) {
+    if divisions.named(revision).iter().any(agrees) {
         return Ok(());
     }
     breach(
-        "a robot is told what the division says",
-        format!("{} is told {:?} of {revision:?}", told.robot, told.team),
+        "a robot is sent the team of the division",
+        format!("{} is sent {:?} of {revision:?}", report.robot, report.team),
     )
 }

@@ -17,7 +17,7 @@ pub(crate) fn check(message: &Message) -> Verdict {
     let walked = match message {
         Message::RobotToken { .. } | Message::ServiceToken { .. } => Ok(()),
         Message::Report(report) => report.report().serialize(Walker),
-        Message::RobotTeam(told) => told.serialize(Walker),
+        Message::RobotTeam(team) => team.serialize(Walker),
         Message::Graph(delta) => delta.serialize(Walker),
         Message::Roster(roster) => roster.serialize(Walker),
         Message::Embedding(embedding) => embedding.serialize(Walker),
@@ -25,7 +25,7 @@ pub(crate) fn check(message: &Message) -> Verdict {
         Message::Katz(pair) => pair.serialize(Walker),
         Message::Audit(audit) => audit.serialize(Walker),
         Message::Event(event) => event.serialize(Walker),
-        Message::Claim(claim) => claim.serialize(Walker),
+        Message::LeaseRenewal(claim) => claim.serialize(Walker),
         Message::Settings(announced) => announced.serialize(Walker),
         Message::Status(status) => status.serialize(Walker),
     };

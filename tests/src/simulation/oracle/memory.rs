@@ -1,8 +1,8 @@
-//! What a core holds stays within what settings and limits allow.
+//! The memory use of a service stays within what settings and limits allow.
 
-use muster_machine::Footprint;
 use muster_model::id::ServiceName;
 use muster_model::limits::{MAX_DECLARED_MODALITIES, MAX_LINKS, MAX_RELATION_EDGES, MAX_ROBOTS};
+use muster_service::MemoryUse;
 
 use super::super::clock::{Micros, SECOND};
 use super::{Verdict, breach};
@@ -13,7 +13,7 @@ const OFFENDERS: usize = 256;
 /// Most whole messages of each kind that the auditor keeps for divisions that name them.
 const HISTORY: usize = 32;
 
-/// How long a robot may be remembered after it was last heard of: the clusterer's minute since it left,
+/// How long a robot may be remembered after its last report: the clusterer's minute since it left,
 /// the longest time until it is taken for gone, and some more for what was under way.
 pub(crate) const MEMORY: Micros = 90 * SECOND;
 
@@ -27,11 +27,11 @@ pub(crate) struct Bounds {
 }
 
 /// What a service may hold.
-fn most(service: ServiceName, bounds: Bounds) -> Footprint {
+fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
     let robots = bounds.max_robots;
     let graphs = MAX_DECLARED_MODALITIES + 3;
     match service {
-        ServiceName::Ingest => Footprint {
+        ServiceName::Ingest => MemoryUse {
             // Robots that are known, and those that left with their token still there.
             robots: 2 * robots,
             edges: robots * (MAX_LINKS + MAX_DECLARED_MODALITIES * MAX_RELATION_EDGES)
@@ -39,14 +39,14 @@ fn most(service: ServiceName, bounds: Bounds) -> Footprint {
             messages: 1,
             offenders: OFFENDERS,
         },
-        ServiceName::Embedder => Footprint {
+        ServiceName::Embedder => MemoryUse {
             // The newest roster and graphs, and those of the newest frame.
             robots: 2 * robots,
             edges: 2 * graphs * robots * robots,
             messages: 3,
             offenders: OFFENDERS,
         },
-        ServiceName::Clusterer => Footprint {
+        ServiceName::Clusterer => MemoryUse {
             // The last team of a robot that left, and the robots of teams that ended. A robot is in
             // as many of those as it was moved within the minute of memory. Each of the two has the
             // limit of a fleet, whatever happens.
@@ -55,7 +55,7 @@ fn most(service: ServiceName, bounds: Bounds) -> Footprint {
             messages: 7,
             offenders: OFFENDERS,
         },
-        ServiceName::Auditor => Footprint {
+        ServiceName::Auditor => MemoryUse {
             robots: HISTORY * robots,
             edges: 0,
             messages: 2 * HISTORY + 3,
@@ -64,8 +64,8 @@ fn most(service: ServiceName, bounds: Bounds) -> Footprint {
     }
 }
 
-/// Compares what a core holds with what it may hold.
-pub(crate) fn check_footprint(service: ServiceName, held: Footprint, bounds: Bounds) -> Verdict {
+/// Compares the memory use of a service with its limit.
+pub(crate) fn check_memory_use(service: ServiceName, held: MemoryUse, bounds: Bounds) -> Verdict {
     let most = most(service, bounds);
     if held.robots > most.robots
         || held.edges > most.edges
@@ -73,8 +73,8 @@ pub(crate) fn check_footprint(service: ServiceName, held: Footprint, bounds: Bou
         || held.offenders > most.offenders
     {
         return breach(
-            "what a service holds is bounded",
-            format!("{service} holds {held:?}, which may be at most {most:?}"),
+            "the memory use of a service is bounded",
+            format!("{service} uses {held:?}, and may use at most {most:?}"),
         );
     }
     Ok(())
@@ -89,14 +89,14 @@ mod tests {
         let bounds = Bounds { max_robots: 5, names: 9 };
         for service in ServiceName::ALL {
             let full = most(service, bounds);
-            assert_eq!(check_footprint(service, full, bounds), Ok(()));
+            assert_eq!(check_memory_use(service, full, bounds), Ok(()));
             for more in [
-                Footprint { robots: full.robots + 1, ..full },
-                Footprint { edges: full.edges + 1, ..full },
-                Footprint { messages: full.messages + 1, ..full },
-                Footprint { offenders: full.offenders + 1, ..full },
+                MemoryUse { robots: full.robots + 1, ..full },
+                MemoryUse { edges: full.edges + 1, ..full },
+                MemoryUse { messages: full.messages + 1, ..full },
+                MemoryUse { offenders: full.offenders + 1, ..full },
             ] {
-                assert!(check_footprint(service, more, bounds).is_err(), "{service}");
+                assert!(check_memory_use(service, more, bounds).is_err(), "{service}");
             }
         }
     }

@@ -1,7 +1,7 @@
 //! What must hold at every moment, judged from outside by what crosses the bus.
 //!
 //! The judge sees every message that a service publishes, as it decodes from its bytes, and knows the
-//! truth about the fleet. Its rules are written anew from the promises of the README, plainly and
+//! truth about the fleet. Its rules are written a second time from the promises of the README, plainly and
 //! slowly, and share no code with what they judge but the types of the messages.
 
 mod agreement;
@@ -25,16 +25,16 @@ use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
 
 use super::clock::Micros;
-use super::plan::Throne;
+use super::plan::OutputKind;
 
-pub(crate) use agreement::{Settled, Truth, Witness};
-pub(crate) use memory::{Bounds, MEMORY, check_footprint};
+pub(crate) use agreement::{GroundTruth, RobotTruth, Settled};
+pub(crate) use memory::{Bounds, MEMORY, check_memory_use};
 
 /// How many messages of each kind the judge remembers: more than a minute of frames, longer than
 /// anything that names an older one is under way.
 const REMEMBERED: usize = 2048;
 
-/// What a rule says: nothing, or what is wrong.
+/// The result of a rule: nothing, or what is wrong.
 pub(crate) type Verdict = Result<(), Breach>;
 
 /// A broken promise.
@@ -53,7 +53,7 @@ pub(crate) fn breach<T>(promise: &'static str, seen: impl Into<String>) -> Resul
 
 /// One process of one instance of a service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Speaker {
+pub(crate) struct Publisher {
     /// Its service.
     pub(crate) service: ServiceName,
     /// Its instance.
@@ -65,12 +65,12 @@ pub(crate) struct Speaker {
 /// The division that was published last, and what it was made of.
 #[derive(Debug)]
 struct Divided {
-    speaker: Speaker,
+    publisher: Publisher,
     settings: u32,
     teams: Arc<Teams>,
 }
 
-/// What has been published, by revision. Two holders of a role may give the same one.
+/// What has been published, by revision. Two leaders may give the same one.
 #[derive(Debug)]
 pub(crate) struct Published<T> {
     all: BTreeMap<Revision, Vec<Arc<T>>>,
@@ -94,7 +94,7 @@ impl<T> Published<T> {
         }
     }
 
-    /// Takes in what a get was answered with: a holder in doubt answers, and publishes nothing.
+    /// Remembers what a get was answered with: a suspect answers, and publishes nothing.
     fn know(&mut self, revision: Revision, content: &Arc<T>) {
         self.all.entry(revision).or_insert_with(|| vec![Arc::clone(content)]);
     }
@@ -124,7 +124,7 @@ pub(crate) struct Judge {
     pub(crate) audits: Published<Audit>,
     pub(crate) order: order::Order,
     /// Which process of a service last published its output.
-    last_by: BTreeMap<ServiceName, Speaker>,
+    last_by: BTreeMap<ServiceName, Publisher>,
     divided: Option<Divided>,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
@@ -137,22 +137,22 @@ impl Judge {
     }
 
     /// The last message of a kind.
-    pub(crate) fn last_on(&self, what: Throne) -> Option<Message> {
+    pub(crate) fn last_on(&self, what: OutputKind) -> Option<Message> {
         match what {
-            Throne::Roster => self.rosters.last().cloned().map(Message::Roster),
-            Throne::Graph => self.graph.clone().map(Message::Graph),
-            Throne::Embedding => self.embeddings.last().cloned().map(Message::Embedding),
-            Throne::Teams => {
+            OutputKind::Roster => self.rosters.last().cloned().map(Message::Roster),
+            OutputKind::Graph => self.graph.clone().map(Message::Graph),
+            OutputKind::Embedding => self.embeddings.last().cloned().map(Message::Embedding),
+            OutputKind::Teams => {
                 let teams = self.divisions.last().cloned()?;
                 Some(Message::Teams { teams, mirror: false })
             }
-            Throne::Audit => self.audits.last().cloned().map(Message::Audit),
-            Throne::Settings => self.settings.clone().map(Message::Settings),
+            OutputKind::Audit => self.audits.last().cloned().map(Message::Audit),
+            OutputKind::Settings => self.settings.clone().map(Message::Settings),
         }
     }
 
-    /// A stranger puts a whole message of a service. It is there for others to name, like any other.
-    pub(crate) fn usurped(&mut self, message: &Message) {
+    /// An attacker puts a whole message of a service. It is there for others to name, like any other.
+    pub(crate) fn forged(&mut self, message: &Message) {
         match message {
             Message::Roster(roster) => self.rosters.add(roster.header.revision, roster),
             Message::Embedding(embedding) => {
@@ -164,7 +164,7 @@ impl Judge {
         }
     }
 
-    /// Takes in what a service answers a get with, which must be as right as what is published.
+    /// Judges what a service answers a get with, which must be as right as what is published.
     pub(crate) fn answered(&mut self, message: &Message) -> Verdict {
         finite::check(message)?;
         match message {
@@ -188,20 +188,20 @@ impl Judge {
         Ok(())
     }
 
-    /// Takes in what a service publishes. `settings` counts the changes of its settings that the
+    /// Judges what a service publishes. `settings` counts the changes of its settings that the
     /// process had announced before it began what it publishes.
     pub(crate) fn published(
         &mut self,
         now: Micros,
-        speaker: Speaker,
+        publisher: Publisher,
         settings: u32,
         message: &Message,
     ) -> Verdict {
-        let service = speaker.service;
+        let service = publisher.service;
         finite::check(message)?;
-        self.order.check(now, speaker, message)?;
-        if !matches!(message, Message::Event(_) | Message::Settings(_) | Message::Claim(_)) {
-            self.last_by.insert(service, speaker);
+        self.order.check(now, publisher, message)?;
+        if !matches!(message, Message::Event(_) | Message::Settings(_) | Message::LeaseRenewal(_)) {
+            self.last_by.insert(service, publisher);
         }
         match message {
             Message::Roster(roster) => {
@@ -214,7 +214,7 @@ impl Judge {
             }
             Message::Teams { teams, .. } => {
                 division::check_division(teams, &self.embeddings)?;
-                let divided = Divided { speaker, settings, teams: Arc::clone(teams) };
+                let divided = Divided { publisher, settings, teams: Arc::clone(teams) };
                 if let Some(before) = self.divided.replace(divided) {
                     self.check_same_again(&before)?;
                 }
@@ -224,7 +224,7 @@ impl Judge {
             Message::Settings(announced) if service == ServiceName::Clusterer => {
                 self.settings = Some(announced.clone());
             }
-            Message::RobotTeam(told) => division::check_told(told, &self.divisions)?,
+            Message::RobotTeam(team) => division::check_robot_team(team, &self.divisions)?,
             Message::Audit(audit) => {
                 silhouettes::check(audit, self)?;
                 self.audits.add(audit.header.revision, audit);

@@ -1,5 +1,5 @@
-//! Revisions go forward: those that a service gives, those that it goes by, and those that a new
-//! holder of its role begins with.
+//! Revisions go forward: those that a service gives, those that it goes by, and those that a new leader
+//! begins with.
 
 use std::collections::BTreeMap;
 
@@ -8,11 +8,11 @@ use muster_model::id::ServiceName;
 use muster_wire::Message;
 
 use super::super::clock::{MS, Micros};
-use super::{Speaker, Verdict, breach};
+use super::{Publisher, Verdict, breach};
 
-/// How long after a claim an instance that begins its term may not have heard of it: links take a
-/// millisecond, events some, and what was put before them in the queue as long.
-const CLAIM_HEARD: Micros = 100 * MS;
+/// How long after a lease renewal an instance that begins its term may not have handled it: links take a
+/// millisecond, inputs some, and those that wait before it as long.
+const RENEWAL_DELAY: Micros = 100 * MS;
 
 /// The newest revisions of each instance of each service.
 #[derive(Debug, Default)]
@@ -20,12 +20,12 @@ pub(crate) struct Order {
     /// The last that an instance gave on each key, over all its processes: its terms are kept on disk.
     given: BTreeMap<(ServiceName, usize, String), Revision>,
     /// The last of another service's that a process went by.
-    taken: BTreeMap<(Speaker, &'static str), Revision>,
+    taken: BTreeMap<(Publisher, &'static str), Revision>,
     /// Who published last on each key, and the highest term on it.
-    holders: BTreeMap<String, (Speaker, u64)>,
-    /// When each process last claimed its role.
-    claims: BTreeMap<Speaker, Micros>,
-    /// Until when something may keep an instance of a service from hearing a claim.
+    publishers: BTreeMap<String, (Publisher, u64)>,
+    /// When each process last renewed its lease.
+    renewals: BTreeMap<Publisher, Micros>,
+    /// Until when something may keep an instance of a service from receiving a lease renewal.
     disturbed_until: BTreeMap<ServiceName, Micros>,
     /// How many takeovers were judged.
     pub(crate) takeovers: u64,
@@ -37,8 +37,8 @@ impl Order {
         self.given.retain(|(of, number, _), _| (*of, *number) != (service, instance));
     }
 
-    /// Until a moment, an instance of a service, or of any if none is named, may not hear what another
-    /// one claims, or hears what is not so.
+    /// Until a moment, an instance of a service, or of any if none is named, may not receive the lease
+    /// renewals of another one, or receives forged messages.
     pub(crate) fn disturbed(&mut self, service: Option<ServiceName>, until: Micros) {
         for other in ServiceName::ALL {
             if service.is_none_or(|service| service == other) {
@@ -48,22 +48,29 @@ impl Order {
         }
     }
 
-    /// Takes in what a service publishes.
-    pub(crate) fn check(&mut self, now: Micros, speaker: Speaker, message: &Message) -> Verdict {
+    /// Checks what a service publishes.
+    pub(crate) fn check(
+        &mut self,
+        now: Micros,
+        publisher: Publisher,
+        message: &Message,
+    ) -> Verdict {
         let Some(header) = message.header() else { return Ok(()) };
         let revision = header.revision;
         let key = message.keys().0.to_string();
-        self.check_takeover(now, speaker, &key, message, revision)?;
-        // What robots are told is the division of that revision, and what a holder claims is its last
-        // output; settings may change between two outputs, and events have a count of their own.
-        let repeats =
-            matches!(message, Message::RobotTeam(_) | Message::Settings(_) | Message::Claim(_));
+        self.check_takeover(now, publisher, &key, message, revision)?;
+        // Robots receive the division of that revision, and a lease renewal names the last output;
+        // settings may change between two outputs, and events have a count of their own.
+        let repeats = matches!(
+            message,
+            Message::RobotTeam(_) | Message::Settings(_) | Message::LeaseRenewal(_)
+        );
         let counts = !repeats;
-        let Speaker { service, instance, .. } = speaker;
-        // A process that is killed before its term is on the disk begins it again. Readers tell it what
-        // it gave, but for events, which nobody keeps.
+        let Publisher { service, instance, .. } = publisher;
+        // A process that is killed before its term is on the disk begins it again. Readers answer with
+        // what it gave, except events, which no reader keeps.
         let of_process = matches!(message, Message::Event(_));
-        let key = if of_process { format!("{key} of process {}", speaker.process) } else { key };
+        let key = if of_process { format!("{key} of process {}", publisher.process) } else { key };
         let place = (service, instance, key);
         let last = self.given.get(&place).copied();
         let key = &place.2;
@@ -80,7 +87,7 @@ impl Order {
             _ => Vec::new(),
         };
         for (what, revision) in named {
-            let last = self.taken.insert((speaker, what), revision);
+            let last = self.taken.insert((publisher, what), revision);
             if last.is_some_and(|last| revision < last) {
                 return breach(
                     "a reader never goes back to a lower term or epoch",
@@ -94,19 +101,19 @@ impl Order {
         Ok(())
     }
 
-    /// Whoever publishes on a key after another process was told of its term, by a claim or by those
-    /// who read it, unless something has kept that from it since the other's last claim.
+    /// A process that publishes on a key after another one knows its term, by a lease renewal or from its
+    /// readers, unless something has kept that from it since the other's last renewal.
     fn check_takeover(
         &mut self,
         now: Micros,
-        speaker: Speaker,
+        publisher: Publisher,
         key: &str,
         message: &Message,
         revision: Revision,
     ) -> Verdict {
         match message {
-            Message::Claim(_) => {
-                self.claims.insert(speaker, now);
+            Message::LeaseRenewal(_) => {
+                self.renewals.insert(publisher, now);
                 return Ok(());
             }
             Message::Graph(_)
@@ -116,15 +123,15 @@ impl Order {
             | Message::Audit(_) => {}
             _ => return Ok(()),
         }
-        let before = self.holders.get(key).copied();
+        let before = self.publishers.get(key).copied();
         let highest = before.map_or(0, |(_, highest)| highest);
-        self.holders.insert(key.to_owned(), (speaker, highest.max(revision.term)));
-        let Some((holder, highest)) = before.filter(|(holder, _)| *holder != speaker) else {
+        self.publishers.insert(key.to_owned(), (publisher, highest.max(revision.term)));
+        let Some((former, highest)) = before.filter(|(former, _)| *former != publisher) else {
             return Ok(());
         };
-        let Some(claimed) = self.claims.get(&holder) else { return Ok(()) };
-        let disturbed_until = self.disturbed_until.get(&speaker.service).copied();
-        if *claimed < disturbed_until.unwrap_or_default() || now < claimed + CLAIM_HEARD {
+        let Some(renewed) = self.renewals.get(&former) else { return Ok(()) };
+        let disturbed_until = self.disturbed_until.get(&publisher.service).copied();
+        if *renewed < disturbed_until.unwrap_or_default() || now < renewed + RENEWAL_DELAY {
             return Ok(());
         }
         self.takeovers += 1;
@@ -132,8 +139,10 @@ impl Order {
             return Ok(());
         }
         breach(
-            "who takes a role over begins above every term of it",
-            format!("{speaker:?} publishes {key} {revision:?} after term {highest} of {holder:?}"),
+            "a new leader begins above every term of its service",
+            format!(
+                "{publisher:?} publishes {key} {revision:?} after term {highest} of {former:?}"
+            ),
         )
     }
 }

@@ -45,7 +45,7 @@ pub(crate) fn check(audit: &Audit, judge: &Judge) -> Verdict {
         );
     }
     // An audit may rest on a newer roster than the embedding, where that one did not come, and on none
-    // as long as none has come; once everybody agrees, it must be the last.
+    // as long as none has come; once all agree, it must be the last.
     let exact = embeddings.iter().flat_map(|embedding| judge.rosters.named(embedding.roster));
     let by_positions = exact.chain(judge.rosters.newest_first()).any(|roster| {
         divisions.iter().any(|teams| agrees(&audit.in_physical, &positions(teams, roster)))
@@ -59,7 +59,7 @@ pub(crate) fn check(audit: &Audit, judge: &Judge) -> Verdict {
     Ok(())
 }
 
-/// Whether an audit says of a division what the definition says of the positions in a roster.
+/// Whether an audit of a division follows the definition, with the positions in a roster.
 pub(crate) fn is_of_positions(audit: &Audit, teams: &Teams, roster: &Roster) -> bool {
     agrees(&audit.in_physical, &positions(teams, roster))
 }
@@ -85,7 +85,7 @@ fn positions<'a>(teams: &'a Teams, roster: &Roster) -> Vec<Point<'a>> {
         }
     }
     let most = frames.values().copied().max().unwrap_or(0);
-    let frame = frames.iter().find(|(_, many)| **many == most).map(|(frame, _)| *frame);
+    let frame = frames.iter().find(|(_, count)| **count == most).map(|(frame, _)| *frame);
     points(teams, |robot| {
         let entry = entry(robot)?;
         let position = entry.position?;
@@ -121,8 +121,8 @@ fn scores(points: &[Point<'_>]) -> Option<Vec<f64>> {
         let others = points.iter().enumerate().filter(|(at, p)| *at != from && p.1 == team);
         let distances: Vec<f64> = others.map(|(_, p)| distance(&p.2, &points[from].2)).collect();
         #[expect(clippy::cast_precision_loss, reason = "some robots")]
-        let many = distances.len() as f64;
-        (!distances.is_empty()).then(|| distances.iter().sum::<f64>() / many)
+        let count = distances.len() as f64;
+        (!distances.is_empty()).then(|| distances.iter().sum::<f64>() / count)
     };
     let score = |at: usize| {
         let Some(own) = mean_to(at, points[at].1) else { return 0.0 };
@@ -134,7 +134,7 @@ fn scores(points: &[Point<'_>]) -> Option<Vec<f64>> {
     Some((0..points.len()).map(score).collect())
 }
 
-/// Whether a report says what the definition says of these points.
+/// Whether a report follows the definition for these points.
 fn agrees(report: &SilhouetteReport, points: &[Point<'_>]) -> bool {
     let Some(scores) = scores(points) else {
         return report.mean.is_none() && report.per_robot.is_empty() && report.per_team.is_empty();
@@ -142,8 +142,8 @@ fn agrees(report: &SilhouetteReport, points: &[Point<'_>]) -> bool {
     let near = |left: f64, right: f64| (left - right).abs() <= TOLERANCE;
     let mean = |of: &[f64]| {
         #[expect(clippy::cast_precision_loss, reason = "some robots")]
-        let many = of.len() as f64;
-        of.iter().sum::<f64>() / many
+        let count = of.len() as f64;
+        of.iter().sum::<f64>() / count
     };
     let same_robots = report.per_robot.len() == points.len()
         && report

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use muster_client::ServiceInstance;
 use muster_model::event::EventKind;
 use muster_model::id::ServiceName;
-use muster_model::role::Standing;
+use muster_model::role::ReplicaState;
 use muster_model::status::ServiceStatus;
 use muster_wire::message::quoted;
 
@@ -32,7 +32,7 @@ pub(super) fn services(look: &Look) -> Vec<Finding> {
             );
         }
         let leaders = look.instances.iter().filter(|instance| {
-            instance.service == service && instance.standing == Standing::Holding
+            instance.service == service && instance.standing == ReplicaState::Leading
         });
         let leaders: Vec<_> = leaders.map(|instance| &instance.instance).collect();
         if leaders.len() > 1 {
@@ -116,7 +116,7 @@ pub(super) fn denied(look: &Look) -> Vec<Finding> {
     }
     let published = |service, what: &str| {
         look.status(service).is_some_and(|status| {
-            status.standing == Standing::Holding
+            status.standing == ReplicaState::Leading
                 && status.counters.get(what).copied().unwrap_or_default() > 0
         })
     };

@@ -1,0 +1,214 @@
+//! What a service does beside its loop, in order, on a thread of its own: keep state and records, and
+//! answer gets. All of it may wait, for a disk or for a busy link.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use anyhow::Context;
+use muster_service::{Input, Record, RecordRange, Stored};
+use muster_wire::Packet;
+use tokio::sync::{mpsc, oneshot};
+
+use crate::bus::Query;
+use crate::records::RecordStore;
+use crate::store::Store;
+
+/// Most tasks that wait.
+const MAX_WAITING_TASKS: usize = 256;
+
+/// So many bytes of answers may wait to be sent while a further get is accepted: a few of the largest
+/// messages.
+const MAX_WAITING_BYTES: usize = 256 * 1024 * 1024;
+
+/// What one input may need of the queue: an answer, states and records that are kept before.
+const ROOM_TASKS: usize = 8;
+
+enum Task {
+    /// The newest state, which has a place of its own, so that it is never dropped.
+    Store,
+    Reply {
+        query: Query,
+        answer: Result<Vec<Packet>, String>,
+        bytes: usize,
+    },
+    Append(Record),
+    LookUp {
+        lookup: u64,
+        range: RecordRange,
+    },
+}
+
+/// State that is not kept yet.
+#[derive(Default)]
+struct Unstored {
+    newest: Option<Stored>,
+    /// How many inputs are owed for it.
+    confirmations: u32,
+}
+
+/// Hands tasks to the thread, which ends when all handles are gone.
+pub(crate) struct ReplyWorker {
+    tasks: mpsc::Sender<Task>,
+    unstored: Arc<Mutex<Unstored>>,
+    waiting_bytes: Arc<AtomicUsize>,
+}
+
+impl ReplyWorker {
+    /// Starts the thread. `send` brings inputs back to the loop. The returned receiver learns of the
+    /// thread's end.
+    pub(crate) fn start(
+        store: Store,
+        mut records: RecordStore,
+        send: impl Fn(Input) + Send + 'static,
+    ) -> anyhow::Result<(Self, oneshot::Receiver<()>)> {
+        let (sender, mut tasks) = mpsc::channel::<Task>(MAX_WAITING_TASKS);
+        let (done, ended) = oneshot::channel();
+        let unstored = Arc::new(Mutex::new(Unstored::default()));
+        let to_store = Arc::clone(&unstored);
+        let waiting_bytes = Arc::new(AtomicUsize::new(0));
+        let sent_bytes = Arc::clone(&waiting_bytes);
+        let span = tracing::Span::current();
+        std::thread::Builder::new()
+            .name("muster-replies".to_owned())
+            .spawn(move || {
+                let _service = span.enter();
+                while let Some(task) = tasks.blocking_recv() {
+                    keep_newest(&store, &to_store, &send);
+                    match task {
+                        Task::Store => {}
+                        Task::Reply { query, answer, bytes } => {
+                            sent_bytes.fetch_sub(bytes, Ordering::Relaxed);
+                            reply(&query, answer);
+                        }
+                        Task::Append(record) => {
+                            if let Err(error) = records.append(&record) {
+                                tracing::error!("a record is lost: {error:#}");
+                            }
+                        }
+                        Task::LookUp { lookup, range } => {
+                            let records = records.look_up(&range).unwrap_or_else(|error| {
+                                tracing::error!("records cannot be read: {error:#}");
+                                Vec::new()
+                            });
+                            send(Input::Found { lookup, records });
+                        }
+                    }
+                }
+                let _ = done.send(());
+            })
+            .context("cannot start the thread that answers gets")?;
+        Ok((Self { tasks: sender, unstored, waiting_bytes }, ended))
+    }
+
+    /// Keeps a state over a restart; [`Input::Stored`] follows. Never waits.
+    pub(crate) fn store(&self, stored: Stored) {
+        let mut unstored = self.unstored.lock().unwrap_or_else(PoisonError::into_inner);
+        unstored.newest = Some(stored);
+        unstored.confirmations += 1;
+        drop(unstored);
+        // If the queue is full, the tasks in it take the state along.
+        let _ = self.tasks.try_send(Task::Store);
+    }
+
+    /// Whether there is room for what a further get leads to. Where there is none, gets wait where
+    /// they are.
+    pub(crate) fn has_room(&self) -> bool {
+        let waiting = self.waiting_bytes.load(Ordering::Relaxed);
+        self.tasks.capacity() >= ROOM_TASKS && waiting <= MAX_WAITING_BYTES
+    }
+
+    /// Answers a get. Never waits, given [`ReplyWorker::has_room`].
+    pub(crate) fn reply(&self, query: Query, answer: Result<Vec<Packet>, String>) {
+        let bytes = answer.iter().flatten().map(Packet::size).sum();
+        self.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
+        if let Err(dropped) = self.tasks.try_send(Task::Reply { query, answer, bytes }) {
+            self.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
+            tracing::warn!("an answer is dropped: too many wait");
+            // Dropping a get tells its sender that it is over, which may wait for a busy link.
+            tokio::task::spawn_blocking(move || drop(dropped));
+        }
+    }
+
+    /// Appends a record. One that finds the queue full is lost, with a line in the log.
+    pub(crate) fn append(&self, record: Record) {
+        if self.tasks.try_send(Task::Append(record)).is_err() {
+            tracing::error!("a record is lost: too many wait to be written");
+        }
+    }
+
+    /// Looks records up; [`Input::Found`] follows. False if too many tasks wait.
+    pub(crate) fn look_up(&self, lookup: u64, range: RecordRange) -> bool {
+        self.tasks.try_send(Task::LookUp { lookup, range }).is_ok()
+    }
+}
+
+fn keep_newest(store: &Store, unstored: &Mutex<Unstored>, send: &impl Fn(Input)) {
+    let unstored = std::mem::take(&mut *unstored.lock().unwrap_or_else(PoisonError::into_inner));
+    let Some(stored) = unstored.newest else { return };
+    let error = store.save(&stored).err().map(|error| {
+        tracing::error!("settings will not survive a restart: {error:#}");
+        format!("{error:#}")
+    });
+    for _ in 0..unstored.confirmations {
+        send(Input::Stored { error: error.clone() });
+    }
+}
+
+fn reply(query: &Query, answer: Result<Vec<Packet>, String>) {
+    let sent = match answer {
+        Ok(packets) => packets.into_iter().try_for_each(|packet| query.reply(packet)),
+        Err(error) => query.refuse(error),
+    };
+    if let Err(error) = sent {
+        tracing::debug!("an answer is not sent: {error}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn worker() -> (ReplyWorker, mpsc::Receiver<Task>) {
+        let (tasks, receiver) = mpsc::channel(MAX_WAITING_TASKS);
+        let worker = ReplyWorker { tasks, unstored: Arc::default(), waiting_bytes: Arc::default() };
+        (worker, receiver)
+    }
+
+    #[test]
+    fn gets_wait_while_the_queue_is_full_and_go_on_after() {
+        let (worker, mut receiver) = worker();
+        for _ in 0..MAX_WAITING_TASKS {
+            worker.store(Stored::default());
+        }
+        assert!(!worker.has_room());
+        for _ in 0..ROOM_TASKS {
+            receiver.try_recv().unwrap();
+        }
+        assert!(worker.has_room());
+    }
+
+    #[test]
+    fn gets_wait_while_large_answers_do() {
+        let (worker, _receiver) = worker();
+        worker.waiting_bytes.store(MAX_WAITING_BYTES, Ordering::Relaxed);
+        assert!(worker.has_room());
+        worker.waiting_bytes.store(MAX_WAITING_BYTES + 1, Ordering::Relaxed);
+        assert!(!worker.has_room());
+    }
+
+    #[test]
+    fn every_stored_state_is_confirmed_though_only_the_newest_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let fleet = muster_model::id::FleetId::new("f").unwrap();
+        let service = muster_model::id::ServiceName::Ingest;
+        let store = Store::new(Some(folder.path()), &fleet, service);
+        let unstored = Mutex::new(Unstored {
+            newest: Some(Stored { term: 7, ..Stored::default() }),
+            confirmations: 3,
+        });
+        let confirmed = Mutex::new(Vec::new());
+        keep_newest(&store, &unstored, &|input| confirmed.lock().unwrap().push(input));
+        assert_eq!(confirmed.into_inner().unwrap(), vec![Input::Stored { error: None }; 3]);
+        assert_eq!(store.load().term, 7);
+    }
+}

@@ -1,0 +1,232 @@
+//! Fetches: questions to the bus for several key expressions, asked again while a service starts.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use muster_model::time::Tick;
+use muster_wire::{Message, Pattern};
+
+use crate::io::{Ask, AskId};
+
+/// How long a question waits for answers: a service that hangs must not hold up one that starts.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// How long a service that starts goes on asking where nobody answers. After a failure of the router
+/// those who know its last output need a moment to reconnect, and an instance that begins without
+/// them begins from nothing. It is twice the slowest reconnection, and some.
+const START_RETRY_TIME: Duration = Duration::from_secs(2);
+
+/// How soon it asks again.
+const START_RETRY_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Most questions under way. Each is answered within [`ANSWER_TIMEOUT`], and cores ask a few at a
+/// time; beyond it a fetch ends at once without answers.
+const MAX_OPEN_ASKS: usize = 256;
+
+/// What a fetch is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Purpose<F> {
+    /// An instance asks what there is before it leads.
+    Start,
+    /// A standby does, whose turn it is to take over: nobody is waited for.
+    TakeOver,
+    /// A suspect asks who leads. The number names the query.
+    Leader(u64),
+    /// A leader asks what readers have seen of its output.
+    TermCheck,
+    /// The core's own.
+    Core(F),
+}
+
+/// A fetch that has ended.
+#[derive(Debug)]
+pub(crate) struct Fetched<F> {
+    pub(crate) purpose: Purpose<F>,
+    pub(crate) answers: Vec<Message>,
+}
+
+#[derive(Debug)]
+struct Fetch<F> {
+    purpose: Purpose<F>,
+    /// How many key expressions have no final answer yet.
+    open: usize,
+    /// Until then, what nobody answers is asked again.
+    retry_until: Tick,
+    answers: Vec<Message>,
+}
+
+#[derive(Debug)]
+struct Question {
+    fetch: u64,
+    pattern: Pattern,
+    /// Whether it is asked again while nobody answers.
+    retries: bool,
+}
+
+/// The fetches of a service.
+#[derive(Debug)]
+pub(crate) struct Fetches<F> {
+    next: u64,
+    fetches: BTreeMap<u64, Fetch<F>>,
+    /// Questions that the bus has not answered yet.
+    asked: BTreeMap<AskId, Question>,
+    /// Questions that are asked again, and when.
+    waiting: Vec<(Tick, Question)>,
+}
+
+impl<F> Default for Fetches<F> {
+    fn default() -> Self {
+        let (fetches, asked) = (BTreeMap::new(), BTreeMap::new());
+        Self { next: 0, fetches, asked, waiting: Vec::new() }
+    }
+}
+
+impl<F: Copy> Fetches<F> {
+    /// Begins a fetch. `retries` says which key expressions are asked for again while nobody answers.
+    /// What is to be asked is added to `asks`; a fetch that asks for nothing has ended already.
+    pub(crate) fn begin(
+        &mut self,
+        now: Tick,
+        purpose: Purpose<F>,
+        patterns: Vec<Pattern>,
+        retries: impl Fn(&Pattern) -> bool,
+        asks: &mut Vec<Ask>,
+    ) -> Option<Fetched<F>> {
+        if patterns.is_empty() || self.asked.len() + self.waiting.len() >= MAX_OPEN_ASKS {
+            return Some(Fetched { purpose, answers: Vec::new() });
+        }
+        let fetch = self.number();
+        let retry_until = now.after(START_RETRY_TIME);
+        let open = patterns.len();
+        self.fetches.insert(fetch, Fetch { purpose, open, retry_until, answers: Vec::new() });
+        for pattern in patterns {
+            let retries = retries(&pattern);
+            asks.push(self.ask(Question { fetch, pattern, retries }));
+        }
+        None
+    }
+
+    fn number(&mut self) -> u64 {
+        self.next += 1;
+        self.next
+    }
+
+    fn ask(&mut self, question: Question) -> Ask {
+        let ask = AskId(self.number());
+        let pattern = question.pattern.clone();
+        self.asked.insert(ask, question);
+        Ask { ask, pattern, within: ANSWER_TIMEOUT }
+    }
+
+    /// A question has its answers; the fetch, if it has ended with them.
+    pub(crate) fn answered(
+        &mut self,
+        now: Tick,
+        ask: AskId,
+        answers: Vec<Message>,
+    ) -> Option<Fetched<F>> {
+        let question = self.asked.remove(&ask)?;
+        let fetch = self.fetches.get_mut(&question.fetch)?;
+        if answers.is_empty() && question.retries && now < fetch.retry_until {
+            self.waiting.push((now.after(START_RETRY_INTERVAL), question));
+            return None;
+        }
+        fetch.answers.extend(answers);
+        fetch.open -= 1;
+        if fetch.open > 0 {
+            return None;
+        }
+        let Fetch { purpose, answers, .. } = self.fetches.remove(&question.fetch)?;
+        Some(Fetched { purpose, answers })
+    }
+
+    /// The questions whose time to be asked again has come.
+    pub(crate) fn due(&mut self, now: Tick) -> Vec<Ask> {
+        let waiting = std::mem::take(&mut self.waiting);
+        let (due, later): (Vec<_>, Vec<_>) = waiting.into_iter().partition(|(at, _)| *at <= now);
+        self.waiting = later;
+        due.into_iter().map(|(_, question)| self.ask(question)).collect()
+    }
+
+    /// When the next question is to be asked again.
+    pub(crate) fn deadline(&self) -> Option<Tick> {
+        self.waiting.iter().map(|(at, _)| *at).min()
+    }
+
+    /// Forgets everything that was asked before; answers to it are dropped.
+    pub(crate) fn forget(&mut self) {
+        self.fetches.clear();
+        self.asked.clear();
+        self.waiting.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_wire::Key;
+
+    use super::*;
+
+    const NOW: Tick = Tick(1_000_000_000);
+
+    fn begin(fetches: &mut Fetches<u8>, patterns: Vec<Pattern>) -> Vec<Ask> {
+        let mut asks = Vec::new();
+        let only_teams = |pattern: &Pattern| *pattern == Pattern::One(Key::Teams);
+        let ended = fetches.begin(NOW, Purpose::Core(7), patterns, only_teams, &mut asks);
+        assert!(ended.is_none());
+        asks
+    }
+
+    #[test]
+    fn a_fetch_ends_with_its_last_answer() {
+        let mut fetches = Fetches::default();
+        let asks = begin(&mut fetches, vec![Pattern::One(Key::Roster), Pattern::Graphs]);
+        assert!(fetches.answered(NOW, asks[0].ask, Vec::new()).is_none());
+        assert!(fetches.answered(NOW, asks[0].ask, Vec::new()).is_none(), "answered twice");
+        let ended = fetches.answered(NOW, asks[1].ask, Vec::new()).unwrap();
+        assert_eq!(ended.purpose, Purpose::Core(7));
+        assert!(fetches.answered(NOW, asks[1].ask, Vec::new()).is_none());
+    }
+
+    #[test]
+    fn an_unanswered_question_is_asked_again_for_two_seconds() {
+        let mut fetches = Fetches::default();
+        let mut asks = begin(&mut fetches, vec![Pattern::One(Key::Teams)]);
+        let mut now = NOW;
+        let mut questions = 1;
+        while fetches.answered(now, asks[0].ask, Vec::new()).is_none() {
+            let due = fetches.deadline().unwrap();
+            assert!(fetches.due(Tick(due.0 - 1)).is_empty());
+            now = due;
+            asks = fetches.due(now);
+            questions += 1;
+        }
+        assert_eq!((questions, now), (11, NOW.after(START_RETRY_TIME)));
+    }
+
+    #[test]
+    fn a_fetch_of_nothing_ends_at_once_and_a_forgotten_one_never() {
+        let mut fetches: Fetches<u8> = Fetches::default();
+        let mut asks = Vec::new();
+        let nothing =
+            fetches.begin(NOW, Purpose::TermCheck, Vec::new(), |_| true, &mut asks).unwrap();
+        assert!(nothing.answers.is_empty() && asks.is_empty());
+        let asks = begin(&mut fetches, vec![Pattern::One(Key::Teams)]);
+        fetches.forget();
+        assert!(fetches.answered(NOW, asks[0].ask, Vec::new()).is_none());
+        assert_eq!(fetches.deadline(), None);
+    }
+
+    #[test]
+    fn questions_under_way_are_bounded() {
+        let mut fetches: Fetches<u8> = Fetches::default();
+        let mut ended = 0;
+        for _ in 0..1000 {
+            let patterns = vec![Pattern::One(Key::Teams)];
+            let mut asks = Vec::new();
+            let fetched = fetches.begin(NOW, Purpose::Core(1), patterns, |_| false, &mut asks);
+            ended += usize::from(fetched.is_some());
+        }
+        assert_eq!(ended, 1000 - MAX_OPEN_ASKS);
+    }
+}

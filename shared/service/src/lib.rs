@@ -1,0 +1,43 @@
+//! What a service is, whatever runs it.
+//!
+//! A service is a [`Core`]: a deterministic state machine whose hooks say what happened. A [`Host`]
+//! wraps it and owns what every service needs: election and terms, suppressed output, settings,
+//! refused messages, fetches with retries, gets, the one job, and the order in which all of that is
+//! handled. A host takes one [`Input`] and returns [`Command`]s; it reads no clock, starts no thread,
+//! opens no file and knows no bus. The real shell, the simulation, the replay and the tests drive the
+//! same host. [`recording`] is a list of inputs and commands in a file, and [`replay`] hands them to
+//! a host again.
+
+#![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
+
+mod context;
+mod core;
+mod failures;
+mod fetches;
+mod gets;
+mod host;
+pub mod inbox;
+mod io;
+pub mod recording;
+pub mod replay;
+mod replica;
+mod robot_teams;
+mod single_flight;
+mod stopwatch;
+pub mod testkit;
+
+pub use crate::context::{Context, FreeJobSlot, View};
+pub use crate::core::{
+    Authority, Connectivity, Core, Delivery, JobEnd, MemoryUse, Replication, ServedKey, Start,
+    Stored, Subscription, Wiring,
+};
+pub use gets::Get;
+pub use host::Host;
+pub use io::{
+    Arrival, Ask, AskId, Command, GetId, IncomingGet, Input, Publication, Record, RecordRange,
+    Reply,
+};
+pub use replica::election::{LEASE, RENEWAL_INTERVAL};
+pub use robot_teams::answer_teams;
+pub use single_flight::SingleFlight;
+pub use stopwatch::Stopwatch;

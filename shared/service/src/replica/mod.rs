@@ -1,0 +1,155 @@
+//! One instance of a service among others: its place in the election, the term and revision of its
+//! output, its settings, counters, and refused messages.
+
+pub(crate) mod election;
+pub(crate) mod refusals;
+pub(crate) mod settings;
+
+use std::collections::BTreeMap;
+
+use muster_model::event::{Event, EventKind, Severity};
+use muster_model::header::{Header, Revision, StageTime};
+use muster_model::id::{FleetId, ServiceName};
+use muster_model::role::{LeaseRenewal, ReplicaState};
+use muster_model::settings::Settings;
+use muster_model::status::ServiceStatus;
+use muster_model::time::Tick;
+use muster_wire::envelope::AnnouncedSettings;
+use muster_wire::{KeySpace, Message};
+
+use self::election::Election;
+use self::refusals::Refusals;
+use self::settings::ReplicaSettings;
+use crate::core::{Replication, Start, Stored};
+
+/// One instance of a service.
+#[derive(Debug)]
+pub(crate) struct Replica<S> {
+    pub(crate) space: KeySpace,
+    pub(crate) service: ServiceName,
+    pub(crate) election: Election,
+    pub(crate) settings: ReplicaSettings<S>,
+    pub(crate) refusals: Refusals,
+    started: Tick,
+    /// The term that was last begun on this host.
+    stored_term: u64,
+    revision: Revision,
+    event_epoch: u64,
+    counters: BTreeMap<&'static str, u64>,
+}
+
+impl<S: Settings> Replica<S> {
+    pub(crate) fn new(service: ServiceName, replication: Replication, start: Start<S>) -> Self {
+        let revision = Revision { term: start.stored.term, epoch: 0 };
+        Self {
+            space: KeySpace::new(start.fleet),
+            service,
+            election: Election::new(start.instance, start.now, replication),
+            settings: ReplicaSettings::new(start.settings, &start.stored.patch, revision),
+            refusals: Refusals::default(),
+            started: start.now,
+            stored_term: start.stored.term,
+            revision,
+            event_epoch: 0,
+            counters: BTreeMap::new(),
+        }
+    }
+
+    pub(crate) fn fleet(&self) -> &FleetId {
+        self.space.fleet()
+    }
+
+    /// The revision of the last output.
+    pub(crate) fn revision(&self) -> Revision {
+        self.revision
+    }
+
+    /// The revision of the next output.
+    pub(crate) fn next_revision(&mut self) -> Revision {
+        self.revision.epoch = self.revision.epoch.saturating_add(1);
+        self.revision
+    }
+
+    /// Begins a term above every term that was seen on the bus or held on this host.
+    pub(crate) fn begin_term(&mut self, now: Tick, seen: Option<Revision>) {
+        let seen = seen.map_or(0, |revision| revision.term);
+        let seen = seen.max(self.stored_term).max(self.election.highest_term());
+        self.revision = Revision { term: seen.saturating_add(1), epoch: 0 };
+        self.event_epoch = 0;
+        self.stored_term = self.revision.term;
+        self.election.lead(now);
+    }
+
+    /// What is kept over a restart.
+    pub(crate) fn stored(&self) -> Stored {
+        Stored { term: self.stored_term, patch: self.settings.patch().clone() }
+    }
+
+    /// The lease renewal that a leader publishes.
+    pub(crate) fn renewal(&self, now: Tick) -> Message {
+        Message::LeaseRenewal(Box::new(LeaseRenewal {
+            header: self.own_header(now, self.revision),
+            service: self.service,
+            instance: self.election.instance().clone(),
+        }))
+    }
+
+    /// The settings in force. Those of an instance without a term have the first of all revisions, so
+    /// that no other instance takes them over.
+    pub(crate) fn settings_message(&self, now: Tick) -> Message {
+        let revision = if self.election.has_term() { self.revision } else { Revision::default() };
+        Message::Settings(Box::new(AnnouncedSettings {
+            header: self.own_header(now, revision),
+            service: self.service,
+            settings: self.settings.to_json(),
+        }))
+    }
+
+    /// The next event of the term.
+    pub(crate) fn event(&mut self, now: Tick, severity: Severity, kind: EventKind) -> Message {
+        self.event_epoch = self.event_epoch.saturating_add(1);
+        let revision = Revision { term: self.revision.term, epoch: self.event_epoch };
+        let header = self.own_header(now, revision);
+        Message::Event(Event { header, source: self.service, severity, kind })
+    }
+
+    /// The header of what the service publishes of itself, with no robot's data behind it.
+    fn own_header(&self, now: Tick, revision: Revision) -> Header {
+        Header {
+            fleet: self.fleet().clone(),
+            revision,
+            oldest: None,
+            newest: None,
+            stages: vec![self.stage(now, now)],
+        }
+    }
+
+    /// The stage of this service for a header.
+    pub(crate) fn stage(&self, received: Tick, published: Tick) -> StageTime {
+        StageTime { stage: self.service, received, published }
+    }
+
+    /// Adds to a counter.
+    pub(crate) fn add(&mut self, counter: &'static str, count: u64) {
+        let counter = self.counters.entry(counter).or_default();
+        *counter = counter.saturating_add(count);
+    }
+
+    /// What the service reports of itself, with a text that says what it is doing.
+    pub(crate) fn status(&self, now: Tick, state: String) -> ServiceStatus {
+        let counters = self.counters.iter().map(|(name, count)| ((*name).to_owned(), *count));
+        let standing = self.election.state();
+        ServiceStatus {
+            fleet: self.fleet().clone(),
+            service: self.service,
+            instance: self.election.instance().clone(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            started: self.started,
+            now,
+            standing,
+            revision: self.election.followed().unwrap_or(self.revision),
+            state: if standing == ReplicaState::Standby { "stands by".to_owned() } else { state },
+            counters: counters.collect(),
+        }
+    }
+}

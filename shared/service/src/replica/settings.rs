@@ -1,0 +1,157 @@
+//! The settings in force: what file and flags say, what operators have changed, and what a standby
+//! takes over from its leader.
+
+use muster_model::header::Revision;
+use muster_model::settings::Settings;
+use muster_wire::envelope::{AnnouncedSettings, MAX_SMALL_PAYLOAD};
+use muster_wire::json::Problem;
+use muster_wire::message::quoted;
+use serde_json::{Map, Value};
+
+/// Largest patch of settings in bytes.
+const MAX_PATCH_BYTES: usize = MAX_SMALL_PAYLOAD;
+
+/// The settings of one instance.
+#[derive(Debug)]
+pub(crate) struct ReplicaSettings<S> {
+    /// By defaults, file, environment and flags.
+    base: S,
+    current: S,
+    /// The fields in which `current` differs from `base`: what a restart must restore.
+    patch: Map<String, Value>,
+    /// Stored fields that do not fit the settings any more.
+    dropped: Vec<String>,
+    /// The revision of the announcement that the settings are from; an older one is not gone back to.
+    adopted: Revision,
+}
+
+/// What became of an announcement of the leader's settings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Adoption {
+    /// It is in force now; the patch to be stored has changed.
+    Changed,
+    /// It is in force, and was before.
+    Unchanged,
+    /// It is older than what is in force.
+    Old,
+    /// It does not fit this program.
+    Misfit,
+    /// Its sender has no term, and may know less than this instance.
+    WithoutTerm,
+}
+
+impl<S: Settings> ReplicaSettings<S> {
+    /// The settings with the stored patch. Fields that do not fit are dropped: a service with an old
+    /// state starts all the same.
+    pub(crate) fn new(base: S, patch: &Map<String, Value>, revision: Revision) -> Self {
+        let (current, dropped) = restore(&base, patch);
+        let patch = difference(&base, &current);
+        Self { base, current, patch, dropped, adopted: revision }
+    }
+
+    pub(crate) fn current(&self) -> &S {
+        &self.current
+    }
+
+    pub(crate) fn patch(&self) -> &Map<String, Value> {
+        &self.patch
+    }
+
+    /// The names of stored fields that did not fit; given once.
+    pub(crate) fn take_dropped(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.dropped)
+    }
+
+    /// The settings as JSON.
+    pub(crate) fn to_json(&self) -> String {
+        serde_json::to_string(&self.current).unwrap_or_default()
+    }
+
+    /// An instance that stood down goes by announcements from its own last output on.
+    pub(crate) fn stood_down(&mut self, revision: Revision) {
+        self.adopted = revision;
+    }
+
+    /// Changes the settings, as a whole or not at all.
+    ///
+    /// # Errors
+    /// The JSON text of a [`Problem`] that names the field and the remedy.
+    pub(crate) fn change(&mut self, payload: &[u8]) -> Result<(), String> {
+        if payload.len() > MAX_PATCH_BYTES {
+            let problem = format!("may have at most {MAX_PATCH_BYTES} bytes");
+            return Err(problem_json("(patch)", &problem));
+        }
+        let patch: Value = serde_json::from_slice(payload)
+            .map_err(|error| problem_json("(patch)", &format!("is no JSON: {error}")))?;
+        let settings = self
+            .current
+            .patched(&patch)
+            .map_err(|error| problem_json(&error.field, &error.problem))?;
+        self.accept(settings);
+        Ok(())
+    }
+
+    fn accept(&mut self, settings: S) {
+        self.patch = difference(&self.base, &settings);
+        self.current = settings;
+    }
+
+    /// Takes the leader's settings over, so that what an operator has changed outlives the leader.
+    /// Settings that do not fit this program are left where they are, and so are those of an older
+    /// revision than the ones in force, unless these claim a later one than the followed leader
+    /// itself: nobody stands behind them.
+    pub(crate) fn adopt(
+        &mut self,
+        announced: &AnnouncedSettings,
+        followed: Option<Revision>,
+    ) -> Adoption {
+        let revision = announced.header.revision;
+        if revision.term == 0 {
+            return Adoption::WithoutTerm;
+        }
+        let is_leaders = |leader: Revision| leader.term == revision.term && leader < self.adopted;
+        if revision < self.adopted && !followed.is_some_and(is_leaders) {
+            return Adoption::Old;
+        }
+        let read = serde_json::from_str(&announced.settings).ok();
+        let Some(settings) = read.and_then(|read| self.current.patched(&read).ok()) else {
+            return Adoption::Misfit;
+        };
+        let before = self.patch.clone();
+        self.accept(settings);
+        self.adopted = revision;
+        if self.patch == before { Adoption::Unchanged } else { Adoption::Changed }
+    }
+}
+
+/// The JSON text of a problem with a field.
+pub(crate) fn problem_json(field: &str, problem: &str) -> String {
+    Problem::new(field, problem).to_json()
+}
+
+/// The settings with those fields of a stored patch that still fit, and the names of the others. The
+/// whole patch is tried first, since fields may fit only together.
+fn restore<S: Settings>(base: &S, patch: &Map<String, Value>) -> (S, Vec<String>) {
+    if let Ok(settings) = base.patched(&Value::Object(patch.clone())) {
+        return (settings, Vec::new());
+    }
+    let (mut settings, mut dropped) = (base.clone(), Vec::new());
+    for (field, value) in patch {
+        let one = Map::from_iter([(field.clone(), value.clone())]);
+        match settings.patched(&Value::Object(one)) {
+            Ok(patched) => settings = patched,
+            Err(_) => dropped.push(quoted(field)),
+        }
+    }
+    (settings, dropped)
+}
+
+/// The fields in which settings differ from the base.
+fn difference<S: Settings>(base: &S, settings: &S) -> Map<String, Value> {
+    match (serde_json::to_value(base), serde_json::to_value(settings)) {
+        (Ok(Value::Object(base)), Ok(Value::Object(settings))) => {
+            settings.into_iter().filter(|(name, value)| base.get(name) != Some(value)).collect()
+        }
+        _ => Map::new(),
+    }
+}

@@ -1,0 +1,205 @@
+//! What an instance does with the settings of its service, and when a suspicion ends.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod small;
+
+use std::time::Duration;
+
+use muster_model::header::Revision;
+use muster_model::id::ServiceName;
+use muster_model::role::ReplicaState;
+use muster_model::settings::ClustererSettings;
+use muster_service::Input;
+use muster_wire::Key;
+use small::{ONE_LEADS, header, output, renewal, settings, token};
+
+type Driven = small::Driven<ONE_LEADS>;
+
+const SETTINGS: Key = Key::Settings(ServiceName::Clusterer);
+
+fn receive_settings(driven: &mut Driven, term: u64, epoch: u64, teams: u32) -> u32 {
+    driven.receive(settings(term, epoch, teams));
+    driven.teams()
+}
+
+fn cut_off(driven: &mut Driven) {
+    driven.input(Input::LinkLost);
+    driven.input(Input::LinkRestored);
+}
+
+#[test]
+fn a_leader_announces_its_settings_at_intervals() {
+    let mut driven = Driven::leading();
+    driven.wait(4.5);
+    assert!(driven.announced().is_empty());
+    driven.wait(0.5);
+    assert_eq!(driven.announced(), [ClustererSettings::default().teams]);
+    driven.wait(10.0);
+    assert_eq!(driven.announced().len(), 2);
+}
+
+#[test]
+fn what_a_suspect_changed_is_announced_once_it_leads_again() {
+    let mut driven = Driven::leading();
+    driven.input(Input::LinkLost);
+    let logged = driven.logged();
+    driven.input(small::get(1, &SETTINGS, Some(r#"{"teams":7}"#)));
+    assert_eq!(driven.log_after(logged), ["settings"]);
+    driven.input(Input::LinkRestored);
+    assert!(driven.announced().is_empty());
+    let query = driven.leader_queries().remove(0);
+    driven.answer(&query, Vec::new());
+    assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
+    assert_eq!(driven.announced(), [7]);
+}
+
+#[test]
+fn a_standby_adopts_the_newest_settings() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5), settings(7, 5, 5)]);
+    assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Standby, 5));
+    assert_eq!(receive_settings(&mut driven, 6, 9, 3), 5, "a leader before");
+    assert_eq!(receive_settings(&mut driven, 7, 4, 3), 5, "overtaken on the way");
+    assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6, "changed between two outputs");
+    // Nobody stands behind these, and they must not shut out the leader's for good.
+    assert_eq!(receive_settings(&mut driven, 9, 1, 9), 9);
+    assert_eq!(receive_settings(&mut driven, 6, 9, 3), 9);
+    assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6);
+}
+
+#[test]
+fn an_instance_that_led_adopts_the_settings_of_the_new_leader() {
+    let mut driven = Driven::leading();
+    driven.receive(small::order("output"));
+    driven.input(small::get(1, &SETTINGS, Some(r#"{"teams":7}"#)));
+    cut_off(&mut driven);
+    let query = driven.leader_queries().remove(0);
+    driven.answer(&query, vec![renewal("a", 2, 5)]);
+    assert_eq!(driven.host.replica_state(), ReplicaState::Starting);
+    assert_eq!(receive_settings(&mut driven, 1, 0, 3), 7, "of before its own");
+    assert_eq!(receive_settings(&mut driven, 2, 5, 5), 5);
+}
+
+#[test]
+fn an_instance_that_takes_over_adopts_what_a_suspect_could_not_announce() {
+    let driven = Driven::answered(vec![settings(7, 5, 5)]);
+    assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
+    assert_eq!(driven.teams(), 5);
+}
+
+#[test]
+fn the_settings_of_an_instance_without_a_term_are_answered_and_not_adopted() {
+    let mut driven = Driven::new();
+    driven.input(small::get(1, &SETTINGS, None));
+    let answer = &driven.replies[0].messages;
+    assert_eq!(answer[0].header().unwrap().revision, Revision::default());
+    let mut other = Driven::answered(vec![renewal("a", 7, 5), settings(0, 0, 9)]);
+    assert_eq!(other.teams(), ClustererSettings::default().teams);
+    assert_eq!(receive_settings(&mut other, 0, 0, 9), ClustererSettings::default().teams);
+    let leader = Driven::answered(vec![settings(0, 0, 9)]);
+    assert_eq!(leader.teams(), ClustererSettings::default().teams);
+}
+
+#[test]
+fn a_standby_leaves_gets_of_settings_to_the_leader() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5)]);
+    for payload in [None, Some(r#"{"teams":7}"#)] {
+        driven.input(small::get(1, &SETTINGS, payload));
+        assert_eq!(driven.replies.pop().unwrap().answer, Ok(Vec::new()));
+    }
+    assert_eq!(driven.teams(), ClustererSettings::default().teams);
+}
+
+/// A query on a link that the other end has given up is never answered.
+#[test]
+fn a_paused_leader_is_suppressed_until_its_link_has_proved_sound() {
+    let paused = || {
+        let mut driven = Driven::leading();
+        driven.receive(token("a", true));
+        driven.now = driven.now.after(Duration::from_secs(3));
+        driven.input(Input::Timer);
+        let query = driven.leader_queries().remove(0);
+        driven.answer(&query, Vec::new());
+        assert_eq!(driven.host.replica_state(), ReplicaState::Suspect);
+        driven
+    };
+    let mut linked = paused();
+    linked.wait(1.0);
+    assert_eq!(linked.host.replica_state(), ReplicaState::Leading);
+
+    let mut cut_off = paused();
+    cut_off.input(Input::LinkLost);
+    cut_off.wait(60.0);
+    assert_eq!(cut_off.host.replica_state(), ReplicaState::Suspect);
+    cut_off.input(Input::LinkRestored);
+    let query = cut_off.leader_queries().remove(0);
+    cut_off.answer(&query, vec![renewal("a", 2, 1)]);
+    assert_eq!(cut_off.host.replica_state(), ReplicaState::Starting);
+}
+
+#[test]
+fn a_pause_is_reported_as_a_pause() {
+    let mut driven = Driven::leading();
+    let logged = driven.logged();
+    driven.now = driven.now.after(Duration::from_secs(3));
+    driven.input(Input::Timer);
+    assert_eq!(driven.log_after(logged), ["Paused", "timer"]);
+    let query = driven.leader_queries().remove(0);
+    driven.answer(&query, Vec::new());
+    assert_eq!(driven.log_after(logged), ["Paused", "timer", "Online"]);
+    cut_off(&mut driven);
+    let query = driven.leader_queries().remove(0);
+    driven.answer(&query, Vec::new());
+    assert_eq!(driven.log_after(logged + 3), ["Offline", "Online"]);
+}
+
+/// Both have begun the same term while they could not reach each other.
+#[test]
+fn a_suspect_that_raises_its_term_is_online_again() {
+    let mut driven = Driven::leading();
+    cut_off(&mut driven);
+    driven.receive(token("c", true));
+    let logged = driven.logged();
+    driven.receive(renewal("c", 1, 0));
+    assert_eq!(driven.log_after(logged), ["Online", "new term with 0 messages"]);
+    assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
+    assert_eq!(driven.host.status(driven.now).revision.term, 2);
+}
+
+#[test]
+fn a_leader_that_raises_its_term_was_online_all_the_time() {
+    let mut driven = Driven::leading();
+    driven.receive(token("c", true));
+    let logged = driven.logged();
+    driven.receive(renewal("c", 1, 0));
+    assert_eq!(driven.log_after(logged), ["new term with 0 messages"]);
+}
+
+#[test]
+fn a_query_from_before_the_newest_cause_ends_no_suspicion() {
+    let mut driven = Driven::leading();
+    cut_off(&mut driven);
+    cut_off(&mut driven);
+    let queries = driven.leader_queries();
+    assert_eq!(queries.len(), 2);
+    driven.answer(&queries[0], Vec::new());
+    assert_eq!(driven.host.replica_state(), ReplicaState::Suspect);
+    driven.answer(&queries[1], vec![renewal("a", 2, 1)]);
+    assert_eq!(driven.host.replica_state(), ReplicaState::Starting);
+}
+
+#[test]
+fn a_term_is_raised_only_when_readers_have_seen_the_same_higher_revision_twice() {
+    let seen = |term| output(header(Revision { term, epoch: 1 }));
+    let mut driven = Driven::leading();
+    let logged = driven.logged();
+    for term in [8, 9] {
+        driven.wait(5.0);
+        driven.answer_all(vec![seen(term)]);
+        assert_eq!(driven.host.status(driven.now).revision.term, 1);
+    }
+    driven.wait(1.0);
+    driven.answer_all(vec![seen(9)]);
+    assert_eq!(driven.host.status(driven.now).revision.term, 10);
+    assert_eq!(driven.log_after(logged).last().unwrap(), "new term with 1 messages");
+}

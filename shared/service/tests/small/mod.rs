@@ -1,0 +1,418 @@
+//! A small core that does everything that cores do, and a host of it that is driven by hand.
+
+#![allow(dead_code, reason = "each test file uses another part")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use muster_model::event::{EventKind, Severity};
+use muster_model::header::{Header, Revision};
+use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
+use muster_model::observation::{CheckedReport, Pose, Report};
+use muster_model::role::{LeaseRenewal, ReplicaState};
+use muster_model::settings::ClustererSettings;
+use muster_model::teams::Teams;
+use muster_model::time::Tick;
+use muster_service::{
+    Arrival, Ask, Command, Connectivity, Context, Core, Get, GetId, Host, IncomingGet, Input,
+    JobEnd, Record, RecordRange, Replication, Reply, Start, Stopwatch, Stored, View, Wiring,
+};
+use muster_wire::envelope::AnnouncedSettings;
+use muster_wire::{ForeignKey, Key, KeySpace, Message, Packet, Pattern};
+
+pub(crate) const START: Tick = Tick(1_000_000_000);
+
+/// One instance leads.
+pub(crate) const ONE_LEADS: u8 = 0;
+/// The same with one number changed.
+pub(crate) const CHANGED: u8 = 1;
+/// Every instance works for itself, and asks for nothing first.
+pub(crate) const EVERY_INSTANCE: u8 = 2;
+
+/// A core that writes down what happens to it, and reports it by events. Tokens of robots with certain
+/// names make it do certain things.
+pub(crate) struct Small<const KIND: u8> {
+    pub(crate) log: Vec<String>,
+    /// The number of teams in the settings in force.
+    pub(crate) teams: u32,
+    sum: f64,
+    gets: Vec<Get>,
+}
+
+impl<const KIND: u8> Small<KIND> {
+    fn report(&mut self, context: &mut Context<'_, Self>, text: String) {
+        self.log.push(text.clone());
+        context.publish_event(Severity::Info, EventKind::JobFailed { reason: text });
+    }
+
+    fn obey(&mut self, context: &mut Context<'_, Self>, order: &str) {
+        let key = || Key::RobotToken(RobotId::new("other").unwrap());
+        match order {
+            "fetch" => context.fetch(7, vec![Pattern::One(Key::Roster), Pattern::Graphs]),
+            "append" => context.append(vec![1, 2]),
+            "lookup" => context.look_up(5, RecordRange { from: 1, until: 9, limit: 3 }),
+            "declare" => context.declare_token(key()),
+            "withdraw" => context.withdraw_token(key()),
+            "abandon" => context.abandon_job(),
+            "hasty" => {
+                let slot = context.free_job_slot().unwrap();
+                context.start_job(slot, 0.0);
+                context.abandon_job();
+            }
+            "output" => {
+                let header = header(context.next_revision());
+                context.publish(output(header));
+            }
+            other => panic!("{other}"),
+        }
+    }
+
+    fn start(&mut self, context: &mut Context<'_, Self>) {
+        match context.free_job_slot() {
+            Some(slot) => context.start_job(slot, self.sum),
+            None => self.log.push("busy".to_owned()),
+        }
+    }
+}
+
+impl<const KIND: u8> Core for Small<KIND> {
+    type Settings = ClustererSettings;
+    type Fetch = u8;
+    type Job = f64;
+    type Done = String;
+    const SERVICE: ServiceName = ServiceName::Clusterer;
+    const REPLICATION: Replication =
+        if KIND == EVERY_INSTANCE { Replication::EveryInstance } else { Replication::OneLeads };
+
+    fn wiring() -> Wiring {
+        Wiring::default()
+    }
+
+    fn initial() -> Vec<Pattern> {
+        if KIND == EVERY_INSTANCE {
+            return Vec::new();
+        }
+        vec![Pattern::One(Key::Teams), Pattern::Graphs]
+    }
+
+    fn output() -> Key {
+        Key::Teams
+    }
+
+    fn is_output(message: &Message) -> bool {
+        matches!(message, Message::Teams { .. })
+    }
+
+    fn new(_now: Tick, settings: &ClustererSettings) -> Self {
+        Self { log: Vec::new(), teams: settings.teams, sum: 0.0, gets: Vec::new() }
+    }
+
+    fn on_lead(&mut self, context: &mut Context<'_, Self>, answers: Vec<Message>) {
+        self.report(context, format!("leads with {} messages", answers.len()));
+    }
+
+    fn on_follow(&mut self, context: &mut Context<'_, Self>, answers: Vec<Message>) {
+        self.report(context, format!("follows with {} messages", answers.len()));
+    }
+
+    fn on_stand_down(&mut self, context: &mut Context<'_, Self>) {
+        self.report(context, "stands down".to_owned());
+    }
+
+    fn on_new_term(&mut self, context: &mut Context<'_, Self>, found: Vec<Message>) {
+        self.report(context, format!("new term with {} messages", found.len()));
+    }
+
+    fn on_message(&mut self, context: &mut Context<'_, Self>, message: Message) {
+        match message {
+            Message::Report(report) => {
+                let (robot, Report::Pose(pose)) = report.into_parts() else { return };
+                assert!(robot.as_str() != "cursed", "a pose that must not be");
+                self.sum += pose.x + f64::from(u8::from(KIND == CHANGED && pose.x > 40.0));
+                self.start(context);
+            }
+            Message::RobotToken { robot, alive: true } => self.obey(context, robot.as_str()),
+            other => self.report(context, format!("{other:?}")),
+        }
+    }
+
+    /// Answers another program on its own key, with its attachment.
+    fn on_foreign(&mut self, context: &mut Context<'_, Self>, packet: Packet) {
+        let key = ForeignKey::new(format!("{}/reply", packet.key)).unwrap();
+        let payload = packet.payload.unwrap();
+        context.publish_foreign(&key, &packet.encoding, payload, packet.attachment);
+    }
+
+    /// A get of the embedding waits for a job.
+    fn on_get(&mut self, context: &mut Context<'_, Self>, get: Get) {
+        if get.request.selects(context.space(), &Key::Embedding) {
+            self.gets.push(get);
+        } else {
+            context.reply_error(get, "no");
+        }
+    }
+
+    fn on_answers(&mut self, context: &mut Context<'_, Self>, fetch: u8, answers: Vec<Message>) {
+        self.report(context, format!("fetch {fetch} has {} answers", answers.len()));
+    }
+
+    fn on_timer(&mut self, context: &mut Context<'_, Self>) {
+        self.report(context, "timer".to_owned());
+    }
+
+    fn on_job(&mut self, context: &mut Context<'_, Self>, end: JobEnd<String>) {
+        for get in std::mem::take(&mut self.gets) {
+            context.reply(get, Vec::new());
+        }
+        match end {
+            JobEnd::Finished(text) | JobEnd::Panicked(text) => self.report(context, text),
+        }
+    }
+
+    fn on_job_slot_free(&mut self, context: &mut Context<'_, Self>) {
+        self.report(context, "the slot is free".to_owned());
+        self.start(context);
+    }
+
+    fn on_records(&mut self, context: &mut Context<'_, Self>, lookup: u64, records: Vec<Record>) {
+        self.report(context, format!("lookup {lookup} has {} records", records.len()));
+    }
+
+    fn on_settings(&mut self, context: &mut Context<'_, Self>) {
+        self.report(context, "settings".to_owned());
+    }
+
+    fn on_connectivity(&mut self, context: &mut Context<'_, Self>, connectivity: Connectivity) {
+        self.report(context, format!("{connectivity:?}"));
+    }
+
+    fn after_input(&mut self, context: &mut Context<'_, Self>) {
+        self.teams = context.settings().teams;
+    }
+
+    fn deadline(&self, _view: &View<'_, Self>) -> Option<Tick> {
+        None
+    }
+
+    fn state(&self, _view: &View<'_, Self>) -> String {
+        "small".to_owned()
+    }
+
+    fn run(sum: f64, stopwatch: &mut Stopwatch) -> String {
+        let first = stopwatch.lap();
+        assert!(sum < 1e6, "more than a job bears");
+        format!("{sum} after {first} and {}", stopwatch.lap())
+    }
+}
+
+pub(crate) fn space() -> KeySpace {
+    KeySpace::new(FleetId::new("alpha").unwrap())
+}
+
+pub(crate) fn instance(host: &str) -> InstanceId {
+    InstanceId::of_process(host, 1, 1)
+}
+
+pub(crate) fn header(revision: Revision) -> Header {
+    let (fleet, stages) = (space().fleet().clone(), Vec::new());
+    Header { fleet, revision, oldest: None, newest: None, stages }
+}
+
+/// An output of the core.
+pub(crate) fn output(header: Header) -> Message {
+    let teams = Teams {
+        header,
+        embedding: Revision::default(),
+        requested: 0,
+        teams: Vec::new(),
+        unassigned: Vec::new(),
+        stale: Vec::new(),
+        inertia: 0.0,
+        changes: Vec::new(),
+        next_team: 1,
+    };
+    Message::Teams { teams: Arc::new(teams), mirror: false }
+}
+
+pub(crate) fn pose(robot: &str, x: f64) -> Message {
+    let (heading, frame, stamp) = (None, None, None);
+    let pose = Pose { x, y: 0.0, z: None, heading, frame, stamp, boot: None, seq: None };
+    Message::Report(CheckedReport::new(RobotId::new(robot).unwrap(), pose).unwrap())
+}
+
+/// Makes the core do something.
+pub(crate) fn order(order: &str) -> Message {
+    Message::RobotToken { robot: RobotId::new(order).unwrap(), alive: true }
+}
+
+pub(crate) fn token(host: &str, alive: bool) -> Message {
+    Message::ServiceToken { service: ServiceName::Clusterer, instance: instance(host), alive }
+}
+
+pub(crate) fn renewal(host: &str, term: u64, epoch: u64) -> Message {
+    Message::LeaseRenewal(Box::new(LeaseRenewal {
+        header: header(Revision { term, epoch }),
+        service: ServiceName::Clusterer,
+        instance: instance(host),
+    }))
+}
+
+pub(crate) fn settings(term: u64, epoch: u64, teams: u32) -> Message {
+    let settings = ClustererSettings { teams, ..ClustererSettings::default() };
+    Message::Settings(Box::new(AnnouncedSettings {
+        header: header(Revision { term, epoch }),
+        service: ServiceName::Clusterer,
+        settings: serde_json::to_string(&settings).unwrap(),
+    }))
+}
+
+pub(crate) fn get(id: u64, key: &Key, payload: Option<&str>) -> Input {
+    Input::Get(IncomingGet {
+        get: GetId(id),
+        selector: space().format(key),
+        narrowed: None,
+        parameters: String::new(),
+        payload: payload.map(|text| text.as_bytes().to_vec()),
+    })
+}
+
+/// A host of the core. State is written at once unless `hold_stores`; all else is done by hand.
+pub(crate) struct Driven<const KIND: u8 = ONE_LEADS> {
+    pub(crate) host: Host<Small<KIND>>,
+    pub(crate) now: Tick,
+    pub(crate) hold_stores: bool,
+    pub(crate) published: Vec<Message>,
+    pub(crate) asks: Vec<Ask>,
+    pub(crate) replies: Vec<Reply>,
+    /// How many jobs were to be run.
+    pub(crate) jobs: usize,
+    /// All other commands.
+    pub(crate) others: Vec<Command>,
+}
+
+impl<const KIND: u8> Driven<KIND> {
+    pub(crate) fn new() -> Self {
+        let host = Host::new(Start {
+            fleet: space().fleet().clone(),
+            instance: instance("b"),
+            now: START,
+            settings: ClustererSettings::default(),
+            stored: Stored::default(),
+        });
+        Self {
+            host,
+            now: START,
+            hold_stores: false,
+            published: Vec::new(),
+            asks: Vec::new(),
+            replies: Vec::new(),
+            jobs: 0,
+            others: Vec::new(),
+        }
+    }
+
+    /// One that has asked the bus, and whose last questions are answered now.
+    pub(crate) fn answered(messages: Vec<Message>) -> Self {
+        let mut driven = Self::new();
+        driven.now = START.before(Duration::from_secs(2));
+        driven.input(Input::Started { linked: true });
+        driven.now = START;
+        driven.answer_all(messages);
+        driven
+    }
+
+    /// One that leads. What it did on the way is forgotten.
+    pub(crate) fn leading() -> Self {
+        let mut driven = Self::answered(Vec::new());
+        assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
+        driven.published.clear();
+        driven.others.clear();
+        driven
+    }
+
+    pub(crate) fn input(&mut self, input: Input) {
+        let mut stores = 0;
+        for command in self.host.handle(self.now, input) {
+            match command {
+                Command::Publish(publication) => self.published.extend(publication.message),
+                Command::Ask(ask) => self.asks.push(ask),
+                Command::Reply(reply) => self.replies.push(reply),
+                Command::RunJob => self.jobs += 1,
+                Command::Store(_) if !self.hold_stores => stores += 1,
+                other => self.others.push(other),
+            }
+        }
+        for _ in 0..stores {
+            self.input(Input::Stored { error: None });
+        }
+    }
+
+    pub(crate) fn receive(&mut self, message: Message) {
+        self.input(Input::Arrived(Arrival::of_message(&space(), message)));
+    }
+
+    pub(crate) fn answer(&mut self, ask: &Ask, messages: Vec<Message>) {
+        let answers = messages.into_iter().map(|message| Arrival::of_message(&space(), message));
+        self.input(Input::Answered { ask: ask.ask, answers: answers.collect() });
+    }
+
+    /// Answers the first question that waits with messages, the others with none.
+    pub(crate) fn answer_all(&mut self, messages: Vec<Message>) {
+        let mut messages = Some(messages);
+        for ask in std::mem::take(&mut self.asks) {
+            self.answer(&ask, messages.take().unwrap_or_default());
+        }
+    }
+
+    /// The questions who leads, which wait no more.
+    pub(crate) fn leader_queries(&mut self) -> Vec<Ask> {
+        let of_leader =
+            |ask: &mut Ask| ask.pattern == Pattern::One(Key::Lease(ServiceName::Clusterer));
+        self.asks.extract_if(.., of_leader).collect()
+    }
+
+    pub(crate) fn asked(&self) -> Vec<Pattern> {
+        self.asks.iter().map(|ask| ask.pattern.clone()).collect()
+    }
+
+    /// Lets time pass; the process runs all the while.
+    pub(crate) fn wait(&mut self, seconds: f64) {
+        let end = self.now.after(Duration::from_secs_f64(seconds));
+        while self.now < end {
+            self.now = self.now.after(Duration::from_millis(500)).min(end);
+            self.input(Input::Timer);
+        }
+    }
+
+    pub(crate) fn run_job(&mut self) {
+        let job = self.host.take_job().unwrap();
+        self.host.finish_job(Small::<KIND>::run(job, &mut Stopwatch::still()));
+        self.input(Input::JobEnded { laps: Vec::new(), panic: None });
+    }
+
+    /// What the core wrote down after so many lines.
+    pub(crate) fn log_after(&self, count: usize) -> &[String] {
+        &self.host.core().log[count..]
+    }
+
+    pub(crate) fn logged(&self) -> usize {
+        self.host.core().log.len()
+    }
+
+    pub(crate) fn teams(&self) -> u32 {
+        self.host.core().teams
+    }
+
+    /// The numbers of teams in the settings that were announced since the last call.
+    pub(crate) fn announced(&mut self) -> Vec<u32> {
+        let mut announced = Vec::new();
+        for message in self.published.drain(..) {
+            if let Message::Settings(settings) = message {
+                let settings: ClustererSettings = serde_json::from_str(&settings.settings).unwrap();
+                announced.push(settings.teams);
+            }
+        }
+        announced
+    }
+}

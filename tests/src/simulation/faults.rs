@@ -1,0 +1,308 @@
+//! Makes a fault happen.
+
+use std::sync::Arc;
+
+use muster_model::header::Header;
+use muster_model::id::{RobotId, ServiceName};
+use muster_model::observation::{CheckedReport, Pose, Stream};
+use muster_service::Stored;
+use muster_wire::{Format, Key, Message, Packet, Source};
+
+use super::chance::{Chance, Purpose};
+use super::clock::{MS, Micros, SECOND};
+use super::link::{State, Storm, Way};
+use super::plan::{Fault, OutputKind, Rubbish};
+use super::robots::{RobotStream, packet};
+use super::router::Carried;
+use super::world::{Event, World};
+
+/// How soon the bus notices that a process was killed.
+const KILL_NOTICED: (Micros, Micros) = (10 * MS, 20 * MS);
+
+/// Shortest time that a killed process is down.
+const MIN_DOWN_TIME: Micros = 30 * MS;
+
+/// How long after a fault everyone is connected again and has received a lease renewal.
+const RECOVERY_TIME: Micros = 3 * SECOND;
+
+impl World {
+    /// A fault happens.
+    pub(super) fn inject(&mut self, number: usize) {
+        let injection = self.injections[number].clone();
+        self.log.line(self.now, format_args!("*** {injection}"));
+        *self.stats.faults.entry(injection.fault.kind()).or_default() += 1;
+        self.mutator.fault(injection.fault.kind());
+        if let Some((service, lasts)) = injection.fault.hides_renewals() {
+            self.judge.order.disturbed(service, self.now + lasts + RECOVERY_TIME);
+        }
+        let mut chance = Chance::new(self.seed, Purpose::Fault, injection.number);
+        let node = |world: &Self, at| world.link_of(at).filter(|link| *link < world.nodes.len());
+        match injection.fault {
+            Fault::Storm { at, lasts, loss, copies, delay, reorders } => {
+                let Some(link) = self.link_of(at) else { return };
+                let until = self.now + lasts;
+                self.links[link].storm(Storm { until, loss, copies, delay, reorders });
+            }
+            Fault::Cut { at, lasts, clean } => {
+                let Some(link) = self.link_of(at) else { return };
+                self.cut(link, self.now + lasts, clean);
+            }
+            Fault::Router { lasts } => {
+                for link in 0..self.links.len() {
+                    self.cut(link, self.now + lasts, true);
+                }
+            }
+            Fault::Kill { at, lasts } => {
+                if let Some(index) = node(self, at) {
+                    self.kill(index, lasts, &mut chance);
+                }
+            }
+            Fault::LostDisk { at, lasts } => {
+                if let Some(index) = node(self, at) {
+                    self.kill(index, lasts, &mut chance);
+                    self.nodes[index].stored = Stored::default();
+                    let node = &self.nodes[index];
+                    self.judge.forget_order(node.service, node.instance);
+                    self.operator.forgets(node.service);
+                }
+            }
+            Fault::Blackout { lasts } => {
+                for index in 0..self.nodes.len() {
+                    let lasts = chance.between(lasts / 2, lasts);
+                    self.kill(index, lasts, &mut chance);
+                }
+            }
+            Fault::ForgedTerm { what, terms } => self.forge_term(what, terms),
+            Fault::Hang { at, lasts } => {
+                let Some(index) = node(self, at) else { return };
+                let until = self.now + lasts;
+                self.nodes[index].busy_until = self.nodes[index].busy_until.max(until);
+                self.cut(index, until, false);
+            }
+            Fault::Slow { at, lasts, each } => {
+                let Some(index) = node(self, at) else { return };
+                self.nodes[index].slow = (self.now + lasts, each);
+            }
+            Fault::SlowJobs { at, lasts, each } => {
+                let Some(index) = node(self, at) else { return };
+                self.nodes[index].slow_jobs = (self.now + lasts, each);
+            }
+            Fault::Panics { at, lasts } => {
+                let Some(index) = node(self, at) else { return };
+                self.nodes[index].panics_until = self.now + lasts;
+            }
+            Fault::Clock { at, by } => {
+                let Some(link) = self.link_of(at) else { return };
+                let clock = match self.nodes.get_mut(link) {
+                    Some(node) => &mut node.machine_clock,
+                    None => &mut self.robots.all[link - self.nodes.len()].machine_clock,
+                };
+                clock.ahead = clock.ahead.saturating_add(by);
+            }
+            Fault::Leave { robot, lasts, politely } => {
+                self.leave(robot, politely, Some(lasts), &mut chance);
+            }
+            Fault::LeaveForGood { robot } => self.leave(robot, false, None, &mut chance),
+            Fault::Reboot { robot } => self.leave(robot, false, Some(MIN_DOWN_TIME), &mut chance),
+            Fault::Promote { robot, superior } => {
+                if let Some(robot) = self.robots.all.get_mut(robot) {
+                    robot.promote(superior);
+                }
+            }
+            Fault::Jump { robot, by } => {
+                if let Some(robot) = self.robots.all.get_mut(robot) {
+                    robot.jump(by);
+                }
+            }
+            Fault::Burst { robot, count } => self.burst(robot, count),
+            Fault::Rubbish { robot, kind, count } => {
+                for number in 0..count {
+                    if let Some(packet) = self.rubbish(&mut chance, robot, kind, number) {
+                        self.put(self.attacker(), packet);
+                    }
+                }
+            }
+            Fault::Ghosts { count } => {
+                for ghost in 0..count {
+                    let Ok(name) = RobotId::new(format!("ghost{}-{ghost}", injection.number))
+                    else {
+                        continue;
+                    };
+                    if let Ok(report) = CheckedReport::new(name, pose(&mut chance))
+                        && let Some(packet) =
+                            packet(&self.space, &Message::Report(report), Format::Json)
+                    {
+                        self.put(self.attacker(), packet);
+                    }
+                }
+            }
+            Fault::Set { service, patch } => self.operator.wants(service, patch),
+            Fault::BadAlpha { lasts } => {
+                self.operator.wants(ServiceName::Embedder, r#"{"alpha":1e9}"#.to_owned());
+                let mended = r#"{"alpha":{"fraction":0.5}}"#.to_owned();
+                let later = Event::SetLater { service: ServiceName::Embedder, patch: mended };
+                self.schedule(self.now + lasts, later);
+            }
+        }
+    }
+
+    fn kill(&mut self, index: usize, lasts: Micros, chance: &mut Chance) {
+        let node = &mut self.nodes[index];
+        node.down_until = node.down_until.max(self.now + lasts.max(MIN_DOWN_TIME));
+        let restart = node.down_until;
+        if node.process.take().is_none() {
+            return;
+        }
+        node.life += 1;
+        node.step_at = None;
+        // The session ends with the process; the link itself stays as it is.
+        let link = node.link;
+        let keys = self.router.tokens_of(link);
+        let state = self.links[link].state;
+        self.links[link].end_session();
+        self.links[link].state = state;
+        let seen = self.now + chance.between(KILL_NOTICED.0, KILL_NOTICED.1);
+        self.schedule(seen, Event::TokensGone { link, keys });
+        self.schedule(restart, Event::Start { node: index });
+    }
+
+    fn leave(&mut self, index: usize, politely: bool, back: Option<Micros>, chance: &mut Chance) {
+        let Some(robot) = self.robots.all.get_mut(index).filter(|robot| robot.runs) else { return };
+        robot.runs = false;
+        robot.life += 1;
+        let (link, life) = (robot.link, robot.life);
+        let token = robot.token(&self.space);
+        if let (true, Some(key)) = (politely, token) {
+            self.send(link, Way::Up, &Carried::Token { key: key.into(), alive: false });
+        } else if self.links[link].state == State::Up {
+            let keys = self.router.tokens_of(link);
+            let seen = self.now + chance.between(KILL_NOTICED.0, KILL_NOTICED.1);
+            self.schedule(seen, Event::TokensGone { link, keys });
+        }
+        if let Some(lasts) = back {
+            let event = Event::RobotStarts { robot: index, life };
+            self.schedule(self.now + lasts.max(MIN_DOWN_TIME), event);
+        }
+    }
+
+    /// Repeats the last message on a key with a higher term. A reader cannot tell it from the first
+    /// message of a new leader.
+    fn forge_term(&mut self, what: OutputKind, terms: u64) {
+        let Some(mut message) = self.judge.last_on(what) else { return };
+        let raise = |header: &mut Header| header.revision.term += terms;
+        match &mut message {
+            Message::Roster(roster) => raise(&mut Arc::make_mut(roster).header),
+            Message::Graph(delta) => raise(&mut Arc::make_mut(delta).header),
+            Message::Embedding(embedding) => raise(&mut Arc::make_mut(embedding).header),
+            Message::Teams { teams, .. } => raise(&mut Arc::make_mut(teams).header),
+            Message::Audit(audit) => raise(&mut Arc::make_mut(audit).header),
+            Message::Settings(announced) => raise(&mut announced.header),
+            _ => return,
+        }
+        self.judge.forged(&message);
+        if let Some(packet) = packet(&self.space, &message, Format::Binary) {
+            self.put(self.attacker(), packet);
+        }
+    }
+
+    fn burst(&mut self, index: usize, count: usize) {
+        for _ in 0..count {
+            let Some(packet) = self.robots.report(&self.space, self.now, index, RobotStream::Pose)
+            else {
+                return;
+            };
+            self.put(self.robots.all[index].link, packet);
+        }
+    }
+
+    fn rubbish(
+        &self,
+        chance: &mut Chance,
+        robot: usize,
+        kind: Rubbish,
+        number: usize,
+    ) -> Option<Packet> {
+        let name = self.robots.all.get(robot)?.name.clone();
+        let key = self.space.format(&Key::Stream(name.clone(), Stream::Pose));
+        let good = Packet::put(key.clone(), "", br#"{"x":1,"y":2}"#);
+        let base = key.strip_suffix("/pose")?;
+        Some(match kind {
+            Rubbish::Noise => {
+                let mut bytes = chance.bytes(number * 7);
+                let encoding = if chance.percent(50) {
+                    bytes.splice(0..0, [0xB7, 1, 1]);
+                    "application/octet-stream".to_owned()
+                } else {
+                    String::new()
+                };
+                let stream = *chance.pick(&["pose", "links", "rank", "relation/thermal"])?;
+                Packet { key: format!("{base}/{stream}"), encoding, payload: Ok(bytes), ..good }
+            }
+            Rubbish::AlmostRight => {
+                let deep = "[".repeat(20_000);
+                let texts = [
+                    r#"{"x":1e999,"y":2}"#,
+                    r#"{"x":NaN,"y":2}"#,
+                    r#"{"x":1,"y":2,"z":null,"speed":1}"#,
+                    r#"{"x":4e8,"y":2}"#,
+                    r#"{"x":1,"y":2,"frame":"mars"}"#,
+                    r#"{"x":1,"y":2,"stamp":-1}"#,
+                    r#"{"links":[{"peer":"ghost","quality":1e308}]}"#,
+                    r#"{"x":"1","y":2}"#,
+                    "\u{feff}{}",
+                    deep.as_str(),
+                ];
+                Packet { payload: Ok(chance.pick(&texts)?.as_bytes().to_vec()), ..good }
+            }
+            Rubbish::TooLarge => Packet { payload: Ok(vec![b' '; 200 * 1024]), ..good },
+            Rubbish::WrongKey => {
+                let space = self.space.format(&Key::Teams);
+                let keys = [
+                    key.replace(name.as_str(), "*"),
+                    format!("{base}/pose/x"),
+                    format!("{base}/team"),
+                    space.replace("teams", "robot/UPPER/pose"),
+                    key.clone(),
+                ];
+                let key = chance.pick(&keys)?.clone();
+                let source = if number.is_multiple_of(3) { Source::Delete } else { Source::Put };
+                Packet { key, source, encoding: "video/mp4".to_owned(), ..good }
+            }
+            Rubbish::Forged => {
+                let mut pose = pose(chance);
+                if chance.percent(50) {
+                    pose.boot = Some("forged".to_owned());
+                    pose.seq = Some(u64::MAX);
+                }
+                let report = CheckedReport::new(name, pose).ok()?;
+                packet(&self.space, &Message::Report(report), Format::Binary)?
+            }
+            Rubbish::AsService => {
+                let keys = [
+                    Key::Teams,
+                    Key::Roster,
+                    Key::Embedding,
+                    Key::Settings(ServiceName::Clusterer),
+                ];
+                let mut bytes = vec![0xB7, 1, 6];
+                bytes.extend(chance.bytes(number * 13));
+                let key = self.space.format(chance.pick(&keys)?);
+                let encoding = "application/octet-stream".to_owned();
+                Packet { key, encoding, payload: Ok(bytes), ..good }
+            }
+        })
+    }
+}
+
+fn pose(chance: &mut Chance) -> Pose {
+    Pose {
+        x: chance.real(-100.0, 100.0),
+        y: chance.real(-100.0, 100.0),
+        z: None,
+        heading: None,
+        frame: None,
+        stamp: None,
+        boot: None,
+        seq: None,
+    }
+}

@@ -1,0 +1,275 @@
+//! Mutants: faults of the code under test that are made on purpose, to prove that the judge finds them.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use muster_model::header::Revision;
+use muster_model::id::{RobotId, ServiceName, TeamId};
+use muster_model::teams::Teams;
+use muster_model::time::Tick;
+use muster_wire::envelope::EnvelopeError;
+use muster_wire::{Format, Key, KeySpace, Message, Packet};
+
+/// What is broken on purpose. Each only shows after a fault of some kind, so that there is something
+/// to find when a failing run is shrunk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mutant {
+    /// The clusterer puts a robot into two places once a service was killed.
+    RobotTwice,
+    /// The clusterer forgets a robot once a service was killed.
+    RobotForgotten,
+    /// The auditor's silhouettes are off by a millionth once a link was in bad weather.
+    WrongSilhouette,
+    /// The auditor publishes a mean that is no number once a robot has left.
+    NotANumber,
+    /// The bus delivers an embedding of a lower term as the newest once a service was killed.
+    OldTermAsNewest,
+    /// The auditor receives no messages any more once a link was cut.
+    IsolatedAuditor,
+    /// The clusterer changes the leaders with every heartbeat, once settings were changed.
+    Restless,
+    /// The clusterer takes a robot out of its team with every heartbeat, once settings were changed.
+    Fickle,
+    /// Ingest gives every other roster the revision of the one before, once a service was killed.
+    RevisionTwice,
+    /// Every new leader except the clusterer goes on with the term of the former leader, once a service
+    /// was killed.
+    TermTwice,
+    /// The embedder names an older roster than before, once a service was killed.
+    OlderRoster,
+    /// The auditor sees no positions any more once a link was cut.
+    NoPositions,
+}
+
+impl Mutant {
+    /// All of them.
+    pub const ALL: [Self; 12] = [
+        Self::RobotTwice,
+        Self::RobotForgotten,
+        Self::WrongSilhouette,
+        Self::NotANumber,
+        Self::OldTermAsNewest,
+        Self::IsolatedAuditor,
+        Self::Restless,
+        Self::Fickle,
+        Self::RevisionTwice,
+        Self::TermTwice,
+        Self::OlderRoster,
+        Self::NoPositions,
+    ];
+
+    /// The kinds of faults after which it shows.
+    #[must_use]
+    pub const fn after(self) -> &'static [&'static str] {
+        match self {
+            Self::RobotTwice
+            | Self::RobotForgotten
+            | Self::OldTermAsNewest
+            | Self::RevisionTwice
+            | Self::TermTwice
+            | Self::OlderRoster => &["kill"],
+            Self::WrongSilhouette => &["storm"],
+            Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
+            Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
+            Self::Restless | Self::Fickle => &["settings"],
+        }
+    }
+}
+
+/// How many epochs later a term is continued that another leader has begun: more than a run has.
+const CONTINUED_EPOCHS: u64 = 1 << 20;
+
+/// Makes the faults of a mutant.
+#[derive(Debug)]
+pub(crate) struct Mutator {
+    mutant: Option<Mutant>,
+    active: bool,
+    published: u64,
+    /// The leaders that it has made up in the last division.
+    leaders: BTreeMap<TeamId, RobotId>,
+    /// The robot that it has taken out of its team in the last division.
+    taken_out: Option<RobotId>,
+    /// The inertia of the last division, in bits: it identifies the vectors that were divided.
+    inertia: Option<u64>,
+    /// A revision that it comes back to.
+    old: Option<Revision>,
+}
+
+impl Mutator {
+    pub(crate) fn new(mutant: Option<Mutant>) -> Self {
+        Self {
+            mutant,
+            active: false,
+            published: 0,
+            leaders: BTreeMap::new(),
+            taken_out: None,
+            inertia: None,
+            old: None,
+        }
+    }
+
+    /// A fault has happened.
+    pub(crate) fn fault(&mut self, kind: &str) {
+        self.active |= self.mutant.is_some_and(|mutant| mutant.after().contains(&kind));
+    }
+
+    /// What a core publishes, as a mutant would, and the packets of that.
+    ///
+    /// # Errors
+    /// If it has no form on the bus.
+    pub(crate) fn published(
+        &mut self,
+        space: &KeySpace,
+        message: Message,
+        packets: Vec<Packet>,
+        now: Tick,
+    ) -> Result<(Message, Vec<Packet>), EnvelopeError> {
+        let Some(mutant) = self.mutant.filter(|_| self.active) else {
+            return Ok((message, packets));
+        };
+        let message = self.mutated(mutant, message);
+        let outbound = message.publish(now)?.into_iter();
+        let packets = outbound.map(|outbound| outbound.into_packet(space)).collect();
+        Ok((message, packets))
+    }
+
+    fn mutated(&mut self, mutant: Mutant, message: Message) -> Message {
+        match (mutant, message) {
+            (Mutant::RobotTwice, Message::Teams { teams, mirror }) => {
+                let mut teams = Teams::clone(&teams);
+                if let Some(robot) = teams.teams.first().and_then(|team| team.members.first()) {
+                    teams.unassigned = vec![robot.robot.clone()];
+                }
+                Message::Teams { teams: Arc::new(teams), mirror }
+            }
+            (Mutant::RobotForgotten, Message::Teams { teams, mirror }) => {
+                let mut teams = Teams::clone(&teams);
+                for team in &mut teams.teams {
+                    // A team without its leader would not even be decoded.
+                    team.members.retain(|member| member.robot == team.leader);
+                }
+                Message::Teams { teams: Arc::new(teams), mirror }
+            }
+            (Mutant::Restless, Message::Teams { teams, mirror }) => {
+                self.published += 1;
+                self.leaders.clear();
+                let mut teams = Teams::clone(&teams);
+                for team in &mut teams.teams {
+                    let other = team.members.iter().map(|member| &member.robot);
+                    let other = other.filter(|robot| **robot != team.leader).max().cloned();
+                    if let Some(other) = other.filter(|_| self.published.is_multiple_of(2)) {
+                        team.leader = other.clone();
+                        self.leaders.insert(team.id.clone(), other);
+                    }
+                }
+                Message::Teams { teams: Arc::new(teams), mirror }
+            }
+            (Mutant::Restless, Message::RobotTeam(mut report)) => {
+                let leader = report.team.as_ref().and_then(|team| self.leaders.get(team));
+                report.leader = leader.cloned().or(report.leader);
+                Message::RobotTeam(report)
+            }
+            (Mutant::Fickle, Message::Teams { teams, mirror }) => {
+                // Only where the same vectors were divided again: otherwise others may find it first.
+                let inertia = Some(teams.inertia.to_bits());
+                let again = std::mem::replace(&mut self.inertia, inertia) == inertia;
+                self.taken_out = None;
+                let mut teams = Teams::clone(&teams);
+                let follower = teams.teams.iter_mut().find_map(|team| {
+                    let at = team.members.iter().position(|member| member.robot != team.leader)?;
+                    again.then(|| team.members.remove(at).robot)
+                });
+                if let Some(robot) = follower {
+                    teams.unassigned.push(robot.clone());
+                    teams.unassigned.sort();
+                    self.taken_out = Some(robot);
+                }
+                Message::Teams { teams: Arc::new(teams), mirror }
+            }
+            (Mutant::Fickle, Message::RobotTeam(mut report)) => {
+                if let Some(robot) = &self.taken_out {
+                    if report.robot == *robot {
+                        (report.team, report.leader, report.members) = (None, None, None);
+                    } else if let Some(members) = &mut report.members {
+                        members.retain(|member| member != robot);
+                    }
+                }
+                Message::RobotTeam(report)
+            }
+            (Mutant::RevisionTwice, Message::Roster(mut roster)) => {
+                let header = &mut Arc::make_mut(&mut roster).header;
+                match self.old.take() {
+                    Some(old) => header.revision = old,
+                    None => self.old = Some(header.revision),
+                }
+                Message::Roster(roster)
+            }
+            (Mutant::TermTwice, mut message) => {
+                let revision = match &mut message {
+                    Message::Roster(roster) => &mut Arc::make_mut(roster).header.revision,
+                    Message::Embedding(embedding) => &mut Arc::make_mut(embedding).header.revision,
+                    Message::Audit(audit) => &mut Arc::make_mut(audit).header.revision,
+                    _ => return message,
+                };
+                if revision.term > 1 {
+                    *revision = Revision {
+                        term: revision.term - 1,
+                        epoch: revision.epoch + CONTINUED_EPOCHS,
+                    };
+                }
+                message
+            }
+            (Mutant::OlderRoster, Message::Embedding(mut embedding)) => {
+                self.published += 1;
+                let old = *self.old.get_or_insert(embedding.roster);
+                if self.published.is_multiple_of(3) {
+                    Arc::make_mut(&mut embedding).roster = old;
+                }
+                Message::Embedding(embedding)
+            }
+            (Mutant::NoPositions, Message::Audit(mut audit)) => {
+                let report = &mut Arc::make_mut(&mut audit).in_physical;
+                (report.mean, report.per_team, report.per_robot) = (None, Vec::new(), Vec::new());
+                Message::Audit(audit)
+            }
+            (Mutant::WrongSilhouette, Message::Audit(audit)) => {
+                let mut audit = audit.as_ref().clone();
+                if let Some((_, score)) = audit.in_embedding.per_robot.first_mut() {
+                    *score = (*score - 1e-6).max(-1.0);
+                }
+                Message::Audit(audit.into())
+            }
+            (Mutant::NotANumber, Message::Audit(audit)) => {
+                let mut audit = audit.as_ref().clone();
+                audit.in_embedding.mean = audit.in_embedding.mean.map(|_| f64::NAN);
+                Message::Audit(audit.into())
+            }
+            (_, message) => message,
+        }
+    }
+
+    /// What the bus makes of a packet.
+    pub(crate) fn carried(&mut self, space: &KeySpace, packet: Packet, now: Tick) -> Packet {
+        let old = self.active && self.mutant == Some(Mutant::OldTermAsNewest);
+        if !old || packet.key != space.format(&Key::Embedding) {
+            return packet;
+        }
+        let Ok(Message::Embedding(embedding)) = Message::decode(space, &packet) else {
+            return packet;
+        };
+        let mut embedding = embedding.as_ref().clone();
+        embedding.header.revision.term += 1;
+        let message = Message::Embedding(embedding.into());
+        match message.encode(Key::Embedding, Format::Binary, now) {
+            Ok(outbound) => Packet { payload: Ok(outbound.payload), ..packet },
+            Err(_) => packet,
+        }
+    }
+
+    /// Whether a service receives nothing.
+    pub(crate) fn isolates(&self, service: ServiceName) -> bool {
+        self.active
+            && self.mutant == Some(Mutant::IsolatedAuditor)
+            && service == ServiceName::Auditor
+    }
+}
