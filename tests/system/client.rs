@@ -35,7 +35,7 @@ const PLACES: [(&str, f64); 6] =
 fn config(cluster: &Cluster) -> Config {
     Config {
         fleet: cluster.fleet.clone(),
-        routers: vec![cluster.endpoint.clone()],
+        routers: Some(vec![cluster.endpoint.clone()]),
         connect_timeout: Some(Duration::from_secs(10)),
         stale_after: STALE_AFTER,
         republish_every: Duration::from_secs(2),
@@ -326,7 +326,7 @@ async fn what_a_robot_receives_is_checked() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let _router = start_router(&endpoint, folder.path()).unwrap();
-    let config = Config { routers: vec![endpoint.clone()], ..Config::default() };
+    let config = Config { routers: Some(vec![endpoint.clone()]), ..Config::default() };
     let robot = Robot::join(&config, "r1").await.unwrap();
     let mut team = robot.team();
     let outside = muster_tests::client::Client::connect(&endpoint, "default").await.unwrap();
@@ -374,7 +374,7 @@ async fn bad_input_is_refused_by_name_before_it_goes_out() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let _router = start_router(&endpoint, folder.path()).unwrap();
-    let config = Config { routers: vec![endpoint.clone()], ..Config::default() };
+    let config = Config { routers: Some(vec![endpoint.clone()]), ..Config::default() };
     let outside = muster_tests::client::Client::connect(&endpoint, "default").await.unwrap();
     let received = outside.watch("robot/**").await.unwrap();
     let robot = Robot::join(&config, "r1").await.unwrap();
@@ -443,7 +443,7 @@ async fn two_robots_of_one_id_are_told_apart() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let _router = start_router(&endpoint, folder.path()).unwrap();
-    let config = Config { routers: vec![endpoint.clone()], ..Config::default() };
+    let config = Config { routers: Some(vec![endpoint.clone()]), ..Config::default() };
     let first = Robot::join(&config, "r1").await.unwrap();
     let same_session = first.client().join("r1").await.unwrap_err();
     assert!(matches!(same_session, Error::Taken { .. }), "{same_session}");
@@ -488,7 +488,8 @@ async fn a_robot_waits_for_its_router_as_long_as_it_is_told() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let connect_timeout = Some(Duration::from_millis(500));
-    let hasty = Config { routers: vec![endpoint.clone()], connect_timeout, ..Config::default() };
+    let hasty =
+        Config { routers: Some(vec![endpoint.clone()]), connect_timeout, ..Config::default() };
     let start = Instant::now();
     let error = Robot::join(&hasty, "r1").await.unwrap_err();
     assert!(matches!(error, Error::Unreachable { .. }), "{error}");
@@ -528,7 +529,7 @@ async fn what_zenoh_can_do_is_a_matter_of_its_own_configuration() {
     let config = |password: &str| {
         let inside = format!("user: 'r1', password: '{password}'");
         Config {
-            routers: vec![endpoint.clone()],
+            routers: Some(vec![endpoint.clone()]),
             connect_timeout: Some(Duration::from_secs(3)),
             zenoh_config: Some(file(&format!("{password}.json5"), auth(inside))),
             ..Config::default()

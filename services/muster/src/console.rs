@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use muster_client::{Client, Config, Error, Mode};
-use muster_runtime::config::{self, ProcessConfig};
+use muster_runtime::config::{self, Origin, ProcessConfig};
 use muster_runtime::exit::{Exit, ExitError};
 
 /// How long a console waits for a router.
@@ -32,7 +32,8 @@ pub(crate) fn client_config(config: &ProcessConfig) -> Result<Config, ExitError>
     };
     Ok(Config {
         fleet: config.fleet.value.to_string(),
-        routers: config.connect.value.clone(),
+        // An address that the user gave overrides Zenoh's configuration, also if it is the default.
+        routers: (config.connect.origin != Origin::Default).then(|| config.connect.value.clone()),
         zenoh_config: config.zenoh_config.value.clone(),
         mode,
         listen: config.listen.value.clone(),
@@ -63,5 +64,38 @@ pub(crate) fn reply<T>(result: Result<T, Error>) -> Result<Option<T>, Error> {
         Ok(reply) => Ok(Some(reply)),
         Err(Error::Unanswered { .. }) => Ok(None),
         Err(error) => Err(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use muster_runtime::config::ProcessArgs;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Arguments {
+        #[command(flatten)]
+        process: ProcessArgs,
+    }
+
+    #[test]
+    fn the_routers_are_those_that_the_user_named() {
+        let routers = |flags: &[&str], variable: Option<&str>| {
+            let flags = ["muster"].iter().chain(flags);
+            let arguments = Arguments::try_parse_from(flags).unwrap();
+            let environment =
+                |name: &str| variable.filter(|_| name == "MUSTER_CONNECT").map(str::to_owned);
+            let config =
+                ProcessConfig::resolve(&arguments.process, config::Mode::Client, &environment);
+            client_config(&config.unwrap()).unwrap().routers
+        };
+        let default = "tcp/127.0.0.1:7447";
+        let named = |name: &str| Some(vec![name.to_owned()]);
+        assert_eq!(routers(&[], None), None);
+        assert_eq!(routers(&["--connect", default], None), named(default));
+        assert_eq!(routers(&[], Some(default)), named(default));
+        assert_eq!(routers(&["--connect", "tcp/b:1"], Some(default)), named("tcp/b:1"));
     }
 }

@@ -59,7 +59,7 @@ impl Client {
         check_runtime()?;
         let bus = config.bus()?;
         // Zenoh's own configuration may name other routers.
-        let routers = muster_bus::routers(&bus).unwrap_or_else(|_| config.routers.clone());
+        let routers = muster_bus::routers(&bus).unwrap_or_else(|_| bus.connect.value.clone());
         let bus = Bus::open(bus, config.patience()).await;
         Self::on_bus(bus.map_err(|error| Error::open(error, &routers))?, config)
     }

@@ -44,7 +44,6 @@ pub enum Mode {
 /// use muster_client::Config;
 ///
 /// let config = Config { fleet: "alpha".to_owned(), ..Config::default() };
-/// assert_eq!(config.routers, ["tcp/127.0.0.1:7447"]);
 /// assert!(config.check().is_ok());
 ///
 /// let wrong = Config { fleet: "Alpha".to_owned(), ..Config::default() };
@@ -55,11 +54,11 @@ pub struct Config {
     /// The fleet.
     pub fleet: String,
     /// Routers, as `tcp/HOST:PORT`, `quic/HOST:PORT`, `tls/HOST:PORT` or
-    /// `unixsock-stream/PATH`: the first that answers is used, another when that is lost.
-    pub routers: Vec<String>,
+    /// `unixsock-stream/PATH`: the first that answers is used, another when that is lost. None: those
+    /// that [`Config::zenoh_config`] names, or `tcp/127.0.0.1:7447`, where the router of this host listens.
+    pub routers: Option<Vec<String>>,
     /// Zenoh's own configuration in JSON5, for everything else: certificates, user and password,
-    /// access through several interfaces. What [`Config::routers`] names overrides its endpoints,
-    /// unless that is the default.
+    /// access through several interfaces. [`Config::routers`] overrides its endpoints.
     pub zenoh_config: Option<PathBuf>,
     /// How to take part in the bus.
     pub mode: Mode,
@@ -81,7 +80,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             fleet: DEFAULT_FLEET.to_owned(),
-            routers: vec![DEFAULT_ENDPOINT.to_owned()],
+            routers: None,
             zenoh_config: None,
             mode: Mode::default(),
             listen: Vec::new(),
@@ -112,7 +111,7 @@ impl Config {
         };
         Self {
             fleet: variable("MUSTER_FLEET").unwrap_or(default.fleet),
-            routers: variable("MUSTER_CONNECT").map_or(default.routers, split),
+            routers: variable("MUSTER_CONNECT").map(split),
             zenoh_config: variable("MUSTER_ZENOH_CONFIG").map(PathBuf::from),
             ..default
         }
@@ -136,10 +135,11 @@ impl Config {
     /// The configuration of the bus, with every field checked.
     pub(crate) fn bus(&self) -> Result<BusConfig, Error> {
         let fleet = self.fleet()?;
-        if self.routers.is_empty() && self.mode == Mode::Client {
+        let connect = self.connect();
+        if connect.value.is_empty() && self.mode == Mode::Client {
             return Err(Error::input("routers", "must name at least one, like tcp/10.0.0.1:7447"));
         }
-        for (field, endpoints) in [("routers", &self.routers), ("listen", &self.listen)] {
+        for (field, endpoints) in [("routers", &connect.value), ("listen", &self.listen)] {
             for endpoint in endpoints {
                 check_endpoint(endpoint).map_err(|problem| Error::input(field, problem))?;
             }
@@ -148,14 +148,18 @@ impl Config {
             Mode::Client => Choice::default(muster_bus::Mode::Client),
             Mode::Peer => Choice::chosen(muster_bus::Mode::Peer),
         };
-        let chosen = self.routers != [DEFAULT_ENDPOINT];
         Ok(BusConfig {
             fleet,
             mode,
-            connect: Choice { value: self.routers.clone(), chosen },
+            connect,
             listen: Choice { value: self.listen.clone(), chosen: !self.listen.is_empty() },
             zenoh_config: self.zenoh_config.clone(),
         })
+    }
+
+    fn connect(&self) -> Choice<Vec<String>> {
+        let default = || Choice::default(vec![DEFAULT_ENDPOINT.to_owned()]);
+        self.routers.clone().map_or_else(default, Choice::chosen)
     }
 
     pub(crate) fn patience(&self) -> Patience {
@@ -184,8 +188,8 @@ mod tests {
         let good = Config::default;
         let wrong = [
             ("fleet", Config { fleet: "a/b".to_owned(), ..good() }),
-            ("routers", Config { routers: vec![], ..good() }),
-            ("routers", Config { routers: vec!["here".to_owned()], ..good() }),
+            ("routers", Config { routers: Some(vec![]), ..good() }),
+            ("routers", Config { routers: Some(vec!["here".to_owned()]), ..good() }),
             ("stale_after", Config { stale_after: Duration::ZERO, ..good() }),
             ("republish_every", Config { republish_every: Duration::MAX, ..good() }),
             ("listen", Config { listen: vec!["here".to_owned()], ..good() }),
@@ -208,14 +212,28 @@ mod tests {
     }
 
     #[test]
+    fn a_named_router_overrides_zenohs_configuration_even_if_it_is_the_default() {
+        let path =
+            std::env::temp_dir().join(format!("muster-named-router-{}.json5", std::process::id()));
+        std::fs::write(&path, "{connect: {endpoints: [\"tls/base:7447\"]}}").unwrap();
+        let unnamed = Config { zenoh_config: Some(path.clone()), ..Config::default() };
+        let named = Config { routers: Some(vec![DEFAULT_ENDPOINT.to_owned()]), ..unnamed.clone() };
+        let routers = |config: &Config| muster_bus::routers(&config.bus().unwrap()).unwrap();
+        assert_eq!(routers(&unnamed), ["tls/base:7447"]);
+        assert_eq!(routers(&named), [DEFAULT_ENDPOINT]);
+        std::fs::remove_file(path).unwrap();
+    }
+
+    #[test]
     fn the_environment_of_all_programs_is_read() {
         let config = Config::from_variables(&|name| match name {
             "MUSTER_FLEET" => Some("alpha".to_owned()),
             "MUSTER_CONNECT" => Some("tcp/a:1, ,tcp/b:2,".to_owned()),
             _ => None,
         });
-        assert_eq!((config.fleet.as_str(), config.routers.len()), ("alpha", 2));
-        assert!(config.bus().unwrap().connect.chosen);
+        assert_eq!(config.fleet, "alpha");
+        let list = ["tcp/a:1", "tcp/b:2"].map(str::to_owned).to_vec();
+        assert_eq!(config.bus().unwrap().connect, Choice::chosen(list));
         assert_eq!(Config::from_variables(&|_| None), Config::default());
         assert_eq!(Config::from_variables(&|_| Some(String::new())), Config::default());
     }

@@ -73,7 +73,8 @@
 //!
 //! // Nothing listens on port 1: the error names the remedy.
 //! let connect_timeout = Some(std::time::Duration::from_millis(100));
-//! let config = Config { routers: vec!["tcp/127.0.0.1:1".to_owned()], connect_timeout, ..config };
+//! let routers = Some(vec!["tcp/127.0.0.1:1".to_owned()]);
+//! let config = Config { routers, connect_timeout, ..config };
 //! let multi = tokio::runtime::Runtime::new().unwrap();
 //! let error = multi.block_on(print_teams(&config)).unwrap_err();
 //! assert!(error.to_string().contains("muster router"), "{error}");

@@ -94,7 +94,7 @@ async fn play_on_bus(
     let console = Bus::open(&config, patience).await?;
     let delays = follow_divisions(&console, teams).await?;
     let client =
-        Config { routers: endpoints, connect_timeout: Some(PATIENCE), ..Config::default() };
+        Config { routers: Some(endpoints), connect_timeout: Some(PATIENCE), ..Config::default() };
     let robots = join(case, &client).await?;
     let (words, mut told) = mpsc::channel(MOST_WORDS);
     for (robot, joined) in robots.iter().enumerate() {
