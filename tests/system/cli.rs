@@ -1,8 +1,8 @@
 //! What an operator types, and what comes back.
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use muster_model::content::Checked;
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, RobotId, TeamId};
 use muster_model::teams::{Member, Team, Teams};
@@ -102,7 +102,7 @@ fn division(term: u64, epoch: u64, team: u64) -> Outbound {
         changes: vec![],
         next_team: 99,
     };
-    let message = Message::Teams { teams: Arc::new(teams), mirror: false };
+    let message = Message::Teams { teams: Checked::new_unchecked(teams), mirror: false };
     message.publish(Tick(0)).unwrap().swap_remove(0)
 }
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_model::audit::{Audit, Verdict};
+use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::Revision;
@@ -19,8 +20,8 @@ use muster_service::{
 use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::alert::Alert;
-use crate::history::{History, Taken};
-use crate::judge::{Case, Job, Judgement, Outcome, judge, verdict};
+use crate::history::{Acceptance, History};
+use crate::score::{AuditInput, Job, ScoreError, Scores, quality, score};
 
 type Context<'a> = muster_service::Context<'a, Auditor>;
 type View<'a> = muster_service::View<'a, Auditor>;
@@ -46,28 +47,28 @@ const FETCH_INTERVAL: Duration = Duration::from_secs(1);
 /// A division, and when it was received.
 #[derive(Debug, Clone)]
 struct Received {
-    teams: Arc<Teams>,
+    teams: Checked<Teams>,
     at: Tick,
 }
 
 /// What a job is for.
 #[derive(Debug, Clone)]
 struct Task {
-    case: Case,
+    input: AuditInput,
     source: Received,
 }
 
 impl PartialEq for Task {
     fn eq(&self, other: &Self) -> bool {
-        self.case.is_same(&other.case)
+        self.input.is_same(&other.input)
     }
 }
 
-/// A judgement, and what it is about.
+/// The scores of a division.
 #[derive(Debug)]
-struct Judged {
-    judgement: Judgement,
-    /// The newest division that it holds for.
+struct Scored {
+    scores: Scores,
+    /// The newest division that they hold for.
     source: Received,
     published: Tick,
 }
@@ -79,7 +80,7 @@ pub struct Auditor {
     embeddings: History<Embedding>,
     rosters: History<Roster>,
     flight: SingleFlight<Task>,
-    judged: Option<Judged>,
+    scored: Option<Scored>,
     /// The last good answer; of the leader before until this one has its own.
     audit: Option<Arc<Audit>>,
     alert: Alert,
@@ -89,51 +90,34 @@ pub struct Auditor {
 
 impl Auditor {
     fn accept(&mut self, context: &mut Context<'_>, message: Message, wanted: Option<Revision>) {
-        let taken = match message {
+        let acceptance = match message {
             Message::Teams { teams, .. } => self.accept_teams(context, teams),
-            Message::Embedding(embedding) => self.accept_embedding(context, embedding, wanted),
+            Message::Embedding(embedding) => self.embeddings.keep(embedding, wanted),
             Message::Roster(roster) => self.accept_roster(roster),
-            _ => Taken::Kept,
+            _ => Acceptance::Kept,
         };
-        match taken {
-            Taken::Old => context.count("messages_old"),
-            Taken::Wanted => self.consider(context),
-            Taken::Kept => {}
+        match acceptance {
+            Acceptance::Old => context.count("messages_old"),
+            Acceptance::Wanted => self.consider(context),
+            Acceptance::Kept => {}
         }
     }
 
-    fn accept_teams(&mut self, context: &mut Context<'_>, teams: Arc<Teams>) -> Taken {
+    fn accept_teams(&mut self, context: &mut Context<'_>, teams: Checked<Teams>) -> Acceptance {
         let revision = teams.header.revision;
         let last = self.newest.as_ref().map(|newest| newest.teams.header.revision);
         if last.is_some_and(|last| revision <= last) {
             // The same one may well come twice: by subscription and by fetch.
-            return if last == Some(revision) { Taken::Kept } else { Taken::Old };
-        }
-        if let Err(reason) = teams.check() {
-            context.refuse(&Key::Teams, reason.to_string());
-            return Taken::Kept;
+            return if last == Some(revision) { Acceptance::Kept } else { Acceptance::Old };
         }
         // Divisions go forward through the embeddings: no later one names what lies before this
         // one.
         self.embeddings.drop_before(teams.embedding);
         self.newest = Some(Received { teams, at: context.now() });
-        Taken::Wanted
+        Acceptance::Wanted
     }
 
-    fn accept_embedding(
-        &mut self,
-        context: &mut Context<'_>,
-        embedding: Arc<Embedding>,
-        wanted: Option<Revision>,
-    ) -> Taken {
-        if let Err(reason) = embedding.check() {
-            context.refuse(&Key::Embedding, reason.to_string());
-            return Taken::Kept;
-        }
-        self.embeddings.keep(embedding, wanted)
-    }
-
-    fn accept_roster(&mut self, roster: Arc<Roster>) -> Taken {
+    fn accept_roster(&mut self, roster: Checked<Roster>) -> Acceptance {
         let embedding = self.wanted().and_then(|named| self.embeddings.find(named));
         let wanted = embedding.map(|embedding| embedding.roster);
         self.rosters.keep(roster, wanted)
@@ -145,44 +129,43 @@ impl Auditor {
     }
 
     /// The newest division with what it was made from, if that is there.
-    fn case(&self) -> Option<(Case, Received)> {
+    fn input(&self) -> Option<(AuditInput, Received)> {
         let newest = self.newest.as_ref()?;
         let embedding = self.embeddings.find(newest.teams.embedding)?;
         let roster = self.rosters.find(embedding.roster).or_else(|| self.rosters.newest());
-        let (teams, embedding) = (Arc::clone(&newest.teams), Arc::clone(embedding));
-        let case = Case::new(teams, embedding, roster.map(AsRef::as_ref));
-        Some((case, newest.clone()))
+        let (teams, embedding) = (newest.teams.clone(), embedding.clone());
+        let input = AuditInput::new(teams, embedding, roster.map(AsRef::as_ref));
+        Some((input, newest.clone()))
     }
 
     /// Starts a job if there is something to score that is neither scored nor failed.
     fn consider(&mut self, context: &mut Context<'_>) {
         let Some(slot) = context.free_job_slot().filter(|_| self.newest.is_some()) else { return };
-        let Some((case, source)) = self.case() else {
+        let Some((input, source)) = self.input() else {
             self.fetch_at = self.fetch_at.or_else(|| Some(context.now().after(EMBEDDING_GRACE)));
             return;
         };
         self.fetch_at = None;
-        let task = Task { case, source };
+        let task = Task { input, source };
         if !self.flight.should_start(context.now(), &task) {
             if self.flight.failure().is_none()
-                && let Some(judged) = &mut self.judged
+                && let Some(scored) = &mut self.scored
             {
-                judged.source = task.source;
+                scored.source = task.source;
             }
             return;
         }
-        let job = Job { case: task.case.clone() };
+        let job = Job { input: task.input.clone() };
         self.flight.started(task);
         context.count("jobs_started");
         context.start_job(slot, job);
     }
 
-    fn accept_judgement(&mut self, context: &mut Context<'_>, judgement: Judgement) {
-        self.flight.succeeded();
+    fn accept_scores(&mut self, context: &mut Context<'_>, scores: Scores) {
         let Some(task) = self.flight.completed() else { return };
         context.count("divisions_judged");
         let source = task.source.clone();
-        self.judged = Some(Judged { judgement, source, published: context.now() });
+        self.scored = Some(Scored { scores, source, published: context.now() });
         // The same division may have come again, fresher, while the job ran.
         self.consider(context);
         self.publish(context);
@@ -201,20 +184,20 @@ impl Auditor {
         self.alert.due(view.settings()).filter(|_| view.is_leading())
     }
 
-    /// Publishes the last judgement.
+    /// Publishes the last scores.
     fn publish(&mut self, context: &mut Context<'_>) {
-        let Some(judged) = &mut self.judged else { return };
-        judged.published = context.now();
+        let Some(scored) = &mut self.scored else { return };
+        scored.published = context.now();
         let revision = context.next_revision();
-        let stage = context.stage(judged.source.at);
-        let teams = &judged.source.teams;
+        let stage = context.stage(scored.source.at);
+        let teams = &scored.source.teams;
         let audit = Arc::new(Audit {
             header: teams.header.next_stage(revision, stage),
             teams: teams.header.revision,
             embedding: teams.embedding,
-            in_embedding: judged.judgement.in_embedding.clone(),
-            in_physical: judged.judgement.in_physical.clone(),
-            verdict: verdict(judged.judgement.in_embedding.mean, context.settings()),
+            in_embedding: scored.scores.in_embedding.clone(),
+            in_physical: scored.scores.in_physical.clone(),
+            verdict: quality(scored.scores.in_embedding.mean, context.settings()),
         });
         self.audit = Some(Arc::clone(&audit));
         context.publish(Message::Audit(audit));
@@ -222,8 +205,8 @@ impl Auditor {
 
     /// Raises or ends the alert, once that is published: the output of a suspect would be lost.
     fn watch(&mut self, context: &mut Context<'_>) {
-        let Some(judged) = self.judged.as_ref().filter(|_| context.is_leading()) else { return };
-        let mean = judged.judgement.in_embedding.mean;
+        let Some(scored) = self.scored.as_ref().filter(|_| context.is_leading()) else { return };
+        let mean = scored.scores.in_embedding.mean;
         let alert = self.alert.observe(context.now(), mean, context.settings());
         let Some(kind) = alert else { return };
         let severity = if matches!(kind, EventKind::QualityLow { .. }) {
@@ -284,12 +267,12 @@ impl Auditor {
         if let Some(embedding) = self.embeddings.newest()
             && selects(&Key::Embedding)
         {
-            messages.push(Message::Embedding(Arc::clone(embedding)));
+            messages.push(Message::Embedding(embedding.clone()));
         }
         if let Some(roster) = self.rosters.newest()
             && selects(&Key::Roster)
         {
-            messages.push(Message::Roster(Arc::clone(roster)));
+            messages.push(Message::Roster(roster.clone()));
         }
         Ok(messages)
     }
@@ -299,7 +282,7 @@ impl Core for Auditor {
     type Settings = AuditorSettings;
     type Fetch = MissingInputs;
     type Job = Job;
-    type Done = Outcome;
+    type Done = Result<Scores, ScoreError>;
     const SERVICE: ServiceName = ServiceName::Auditor;
 
     fn wiring() -> Wiring {
@@ -352,7 +335,7 @@ impl Core for Auditor {
     }
 
     fn on_new_term(&mut self, context: &mut Context<'_>, found: Vec<Message>) {
-        if self.judged.is_none() {
+        if self.scored.is_none() {
             self.inherit(&found);
         }
         self.publish(context);
@@ -398,7 +381,7 @@ impl Core for Auditor {
             let patterns = [Key::Embedding, Key::Teams].map(Pattern::One);
             context.fetch(MissingInputs, patterns.to_vec());
         }
-        if is_due(self.judged.as_ref().map(|judged| judged.published.after(HEARTBEAT))) {
+        if is_due(self.scored.as_ref().map(|scored| scored.published.after(HEARTBEAT))) {
             self.publish(context);
         }
         if is_due(self.alert_at(&context.view())) {
@@ -409,21 +392,11 @@ impl Core for Auditor {
         }
     }
 
-    fn on_job(&mut self, context: &mut Context<'_>, end: JobEnd<Outcome>) {
-        match end {
-            JobEnd::Finished(Outcome(Ok(judgement))) => {
-                return self.accept_judgement(context, judgement);
-            }
-            JobEnd::Finished(Outcome(Err(reason))) => {
-                context.report_job_failure("judgement", &reason);
-                self.flight.refused(reason);
-            }
-            JobEnd::Panicked(reason) => {
-                context.report_job_failure("panic", &reason);
-                self.flight.panicked(context.now(), reason);
-            }
+    fn on_job(&mut self, context: &mut Context<'_>, end: JobEnd<Self::Done>) {
+        match self.flight.ended(context, |_| "judgement", end) {
+            Some(scores) => self.accept_scores(context, scores),
+            None => self.consider(context),
         }
-        self.consider(context);
     }
 
     fn on_job_slot_free(&mut self, context: &mut Context<'_>) {
@@ -431,16 +404,16 @@ impl Core for Auditor {
     }
 
     fn deadline(&self, view: &View<'_>) -> Option<Tick> {
-        let heartbeat = self.judged.as_ref().map(|judged| judged.published.after(HEARTBEAT));
+        let heartbeat = self.scored.as_ref().map(|scored| scored.published.after(HEARTBEAT));
         let due = [self.fetch_at, heartbeat, self.alert_at(view), self.retry_at(view)];
         due.into_iter().flatten().min()
     }
 
     fn state(&self, view: &View<'_>) -> String {
-        match (&self.judged, &self.newest) {
-            (Some(judged), _) => {
-                let mean = judged.judgement.in_embedding.mean;
-                let word = match verdict(mean, view.settings()) {
+        match (&self.scored, &self.newest) {
+            (Some(scored), _) => {
+                let mean = scored.scores.in_embedding.mean;
+                let word = match quality(mean, view.settings()) {
                     Verdict::Good => "good",
                     Verdict::Fair => "fair",
                     Verdict::Poor => "poor",
@@ -459,7 +432,7 @@ impl Core for Auditor {
     }
 
     fn memory_use(&self) -> MemoryUse {
-        let single = [self.newest.is_some(), self.judged.is_some(), self.audit.is_some()];
+        let single = [self.newest.is_some(), self.scored.is_some(), self.audit.is_some()];
         let single = single.into_iter().filter(|held| *held).count();
         MemoryUse {
             robots: self.rosters.iter().map(|roster| roster.robots.len()).sum(),
@@ -468,7 +441,7 @@ impl Core for Auditor {
         }
     }
 
-    fn run(job: Job, _: &mut Stopwatch) -> Outcome {
-        Outcome(judge(&job.case))
+    fn run(job: Job, _: &mut Stopwatch) -> Self::Done {
+        score(&job.input)
     }
 }

@@ -1,8 +1,8 @@
 //! The last embeddings and rosters, for the divisions that name them.
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 
+use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::header::Revision;
 use muster_model::roster::Roster;
@@ -27,21 +27,20 @@ impl Revised for Roster {
     }
 }
 
-/// What became of a message that came in.
+/// What became of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Taken {
+pub(crate) enum Acceptance {
     /// It is dropped: a newer one was there.
     Old,
-    /// It is there, and the newest division does not rest on it; or was there before; or is
-    /// refused.
+    /// It is kept, now or before, and the newest division does not rest on it.
     Kept,
-    /// There may be something to judge now.
+    /// There may be something to score now.
     Wanted,
 }
 
 /// The newest messages of one kind, in the order of their revisions.
 #[derive(Debug)]
-pub(crate) struct History<T>(VecDeque<Arc<T>>);
+pub(crate) struct History<T>(VecDeque<Checked<T>>);
 
 impl<T> Default for History<T> {
     fn default() -> Self {
@@ -51,31 +50,31 @@ impl<T> Default for History<T> {
 
 impl<T: Revised> History<T> {
     /// Keeps a message. One that is older than the newest is kept only if it is wanted.
-    pub(crate) fn keep(&mut self, message: Arc<T>, wanted: Option<Revision>) -> Taken {
+    pub(crate) fn keep(&mut self, message: Checked<T>, wanted: Option<Revision>) -> Acceptance {
         let kept = &mut self.0;
         let revision = message.revision();
         let is_wanted = wanted == Some(revision);
         match kept.binary_search_by_key(&revision, |message| message.revision()) {
-            Ok(_) => return Taken::Kept,
+            Ok(_) => return Acceptance::Kept,
             Err(at) if at == kept.len() || is_wanted => kept.insert(at, message),
-            Err(_) => return Taken::Old,
+            Err(_) => return Acceptance::Old,
         }
         if kept.len() > MOST {
             // What is wanted stays, however old it is.
             let removed = usize::from(kept.front().map(|message| message.revision()) == wanted);
             kept.remove(removed);
         }
-        if is_wanted { Taken::Wanted } else { Taken::Kept }
+        if is_wanted { Acceptance::Wanted } else { Acceptance::Kept }
     }
 
     /// The message of a revision.
-    pub(crate) fn find(&self, revision: Revision) -> Option<&Arc<T>> {
+    pub(crate) fn find(&self, revision: Revision) -> Option<&Checked<T>> {
         let at = self.0.binary_search_by_key(&revision, |message| message.revision()).ok()?;
         self.0.get(at)
     }
 
     /// The newest message.
-    pub(crate) fn newest(&self) -> Option<&Arc<T>> {
+    pub(crate) fn newest(&self) -> Option<&Checked<T>> {
         self.0.back()
     }
 
@@ -87,7 +86,7 @@ impl<T: Revised> History<T> {
     }
 
     /// All of them, the oldest first.
-    pub(crate) fn iter(&self) -> impl ExactSizeIterator<Item = &Arc<T>> {
+    pub(crate) fn iter(&self) -> impl ExactSizeIterator<Item = &Checked<T>> {
         self.0.iter()
     }
 }

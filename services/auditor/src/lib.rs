@@ -1,26 +1,26 @@
-//! `auditor`: judges every division by silhouettes, independent of the service that made it.
+//! `auditor`: scores every division by silhouettes, independent of the service that made it.
 //!
-//! Read in the order of the data's path: [`Auditor`] takes events in, finds the embedding and the
-//! roster that a division was made from, and decides what is told when; `history` keeps those; `judge` is
-//! the job, silhouettes among the vectors and among the positions, by `muster-method`;
-//! `alert` tells an operator of lasting bad quality, and of its end.
+//! Read in the order of the data's path: [`Auditor`] receives messages, finds the embedding and the
+//! roster that a division was made from, and decides what is published when; `history` keeps those;
+//! `score` is the job, silhouettes among the vectors and among the positions, by `muster-method`;
+//! `alert` reports lasting bad quality to the operator, and its end.
 //!
 //! What holds at all times:
-//! - A division is judged by the embedding that it names, or not at all; one that comes late is
-//!   waited for, and asked for after a while.
-//! - The same division of the same data is judged once. What is told again is the same judgement
-//!   with a new revision, and its data grows older honestly.
-//! - A job that fails changes nothing: the last judgement stands and is told on. One that panics is
-//!   tried again.
-//! - What was last heard of the other services is repeated to whoever asks, so that one of them
-//!   that was killed finds its last output again.
+//! - A division is scored by the embedding that it names, or not at all. A late embedding is waited
+//!   for, then fetched.
+//! - The same division of the same data is scored once. What is published again has the same scores and
+//!   a new revision, and its data grows older.
+//! - A job that fails changes nothing: the last scores are published on. A job that panics is tried
+//!   again.
+//! - Gets of the other services' last output are answered from the cache, so that a service that was
+//!   killed finds its own.
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
 mod alert;
 mod core;
 mod history;
-mod judge;
+mod score;
 
 pub use crate::core::{Auditor, MissingInputs};
-pub use crate::judge::{Job, Judgement, Outcome};
+pub use crate::score::{Job, ScoreError, Scores};

@@ -4,28 +4,47 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use muster_method::division::{Division, divide as divide_robots};
-use muster_method::params::DivisionParams;
+use muster_method::params::{DivisionParams, ParamsError};
+use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::RobotId;
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::{Member, Team, Teams};
-use muster_numeric::matrix::DenseMatrix;
+use muster_numeric::kmeans::KMeansError;
+use muster_numeric::margins::MarginError;
+use muster_numeric::matching::MatchError;
+use muster_numeric::matrix::{DenseMatrix, MatrixError};
 
 use crate::identity::{self, Memory};
 
 /// One embedding to divide.
 #[derive(Debug, Clone)]
 pub struct Job {
-    pub(crate) embedding: Arc<Embedding>,
+    pub(crate) embedding: Checked<Embedding>,
     pub(crate) settings: ClustererSettings,
-    pub(crate) previous: Option<Arc<Teams>>,
+    pub(crate) previous: Option<Checked<Teams>>,
     pub(crate) memory: Arc<Memory>,
 }
 
-/// What became of a [`Job`]: a division whose head, leaders and stale robots the core fills in, or
-/// what was wrong.
-#[derive(Debug, Clone)]
-pub struct Outcome(pub(crate) Result<Teams, String>);
+/// Why an embedding is not divided.
+#[derive(Debug, thiserror::Error)]
+pub enum DivisionError {
+    /// The vectors are no matrix.
+    #[error(transparent)]
+    Vectors(#[from] MatrixError),
+    /// The settings are out of range.
+    #[error(transparent)]
+    Settings(#[from] ParamsError),
+    /// k-means refuses the vectors.
+    #[error(transparent)]
+    KMeans(#[from] KMeansError),
+    /// The margins of the robots cannot be computed.
+    #[error(transparent)]
+    Margins(#[from] MarginError),
+    /// The clusters cannot be matched with the teams before.
+    #[error(transparent)]
+    Matching(#[from] MatchError),
+}
 
 /// Whether two embeddings hold the same robots with the same vectors.
 pub(crate) fn same_data(left: &Embedding, right: &Embedding) -> bool {
@@ -42,15 +61,13 @@ struct Cluster {
     centroid: Vec<f64>,
 }
 
-/// Divides the robots that have a non-zero embedding.
-pub(crate) fn divide(job: &Job) -> Result<Teams, String> {
+/// Divides the robots that have a non-zero embedding. The core fills in header, leaders and stale robots.
+pub(crate) fn divide(job: &Job) -> Result<Teams, DivisionError> {
     let embedding = &*job.embedding;
-    embedding.check().map_err(|error| error.to_string())?;
     let (robots, dimension) = (embedding.robots.len(), embedding.dimension as usize);
-    let x = DenseMatrix::new(robots, dimension, embedding.values.clone())
-        .map_err(|error| error.to_string())?;
+    let x = DenseMatrix::new(robots, dimension, embedding.values.clone())?;
     let found = cluster(&x, job)?;
-    let margin_of = found.margins(&x).map_err(|error| error.to_string())?;
+    let margin_of = found.margins(&x)?;
     let inertia = found.inertia;
     let clusters = gather(&found);
     let unassigned: Vec<RobotId> = (0..embedding.robots.len())
@@ -62,8 +79,7 @@ pub(crate) fn divide(job: &Job) -> Result<Teams, String> {
         .iter()
         .map(|cluster| cluster.rows.iter().map(|&i| &embedding.robots[i]).collect())
         .collect();
-    let named = identity::name(&members, &unassigned, job.previous.as_deref(), &job.memory)
-        .map_err(|error| error.to_string())?;
+    let named = identity::name(&members, &unassigned, job.previous.as_deref(), &job.memory)?;
     let mut teams: Vec<Team> = clusters
         .iter()
         .zip(named.ids)
@@ -90,7 +106,7 @@ pub(crate) fn divide(job: &Job) -> Result<Teams, String> {
 }
 
 /// k-means, from the teams before where they were asked for in the same number.
-fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, String> {
+fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
     let Job { embedding, settings, .. } = job;
     let warm = job.previous.as_deref().filter(|teams| teams.requested == settings.teams);
     let warm: Option<Vec<Option<usize>>> = warm.map(|teams| {
@@ -102,9 +118,8 @@ fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, String> {
             .collect();
         embedding.robots.iter().map(|robot| team_of.get(robot).copied()).collect()
     });
-    let params = DivisionParams::new(settings).check().map_err(|error| error.to_string())?;
-    divide_robots(x, &embedding.unseen, &params, warm.as_deref(), &mut |_| {})
-        .map_err(|error| error.to_string())
+    let params = DivisionParams::new(settings).check()?;
+    Ok(divide_robots(x, &embedding.unseen, &params, warm.as_deref(), &mut |_| {})?)
 }
 
 /// The clusters, ordered by their smallest member, so that nothing rests on how they were numbered.

@@ -30,4 +30,4 @@ mod memory;
 mod publishing;
 
 pub use crate::core::{Clusterer, MissedInputs};
-pub use crate::division::{Job, Outcome};
+pub use crate::division::{DivisionError, Job};

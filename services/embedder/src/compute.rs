@@ -11,6 +11,7 @@ use muster_method::pairs::{Pair, PairError};
 use muster_method::params::{EmbeddingParams, Pace};
 use muster_method::step::Step;
 use muster_method::{Graph, MethodError};
+use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingQuality};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
@@ -59,7 +60,7 @@ pub(crate) enum Task {
         frame: Arc<Frame>,
         basis: Basis,
         /// The embedding that the new one is aligned with.
-        previous: Option<Arc<Embedding>>,
+        previous: Option<Checked<Embedding>>,
     },
     /// The similarity of pairs of robots, by the graphs of the last embedding.
     Compare(Vec<[RobotId; 2]>),

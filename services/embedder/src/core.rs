@@ -1,12 +1,16 @@
 //! State and policy: when an embedding is computed, published and published again, and how faults are
 //! reported.
 
+mod input;
+mod output;
+
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_method::MethodError;
 use muster_method::pairs::PairError;
-use muster_model::embedding::{Embedding, EmbeddingMode};
-use muster_model::graph::GraphError;
+use muster_model::content::Checked;
+use muster_model::embedding::Embedding;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_model::settings::{Dimension, EmbedderSettings};
@@ -17,24 +21,17 @@ use muster_service::{
 };
 use muster_wire::{Key, Message, Pattern, Request};
 
-use crate::compute::{Basis, Computed, Done, Job, Memory, Outcome, Task, run};
-use crate::follow::{Follower, Frame, Taken};
+use crate::compute::{Basis, Done, Job, Memory, Outcome, Task, run};
+use crate::follow::{Acceptance, Follower, Frame};
 use crate::pairs::Questions;
 use crate::teams::TeamsWanted;
 
 type Context<'a> = muster_service::Context<'a, Embedder>;
 type View<'a> = muster_service::View<'a, Embedder>;
 
-/// How often an embedding is published again while rosters go on and nothing that it rests on changes,
-/// so that its readers see that the data behind it is fresh.
-const HEARTBEAT: Duration = Duration::from_secs(1);
-
 /// How long nothing must change for a fleet to be at rest. Two robots that stop, and a third one a moment
 /// later, should not cost two thorough embeddings.
 const REST_TIME: Duration = Duration::from_secs(1);
-
-/// Difference of two coordinates of the same vector that is rounding.
-const ROUNDING: f64 = 1e-10;
 
 /// Packets of one graph that wait for the core: some seconds of deltas.
 const GRAPH_QUEUE_PACKETS: usize = 64;
@@ -71,7 +68,7 @@ pub struct Embedder {
     questions: Questions,
     last_job: LastJob,
     /// The last good embedding, at first the one of the leader before.
-    embedding: Option<Arc<Embedding>>,
+    embedding: Option<Checked<Embedding>>,
     /// What the embedding rests on, and when it was last published; none for a fetched one.
     published: Option<(Basis, Tick)>,
     /// What the last embedding was computed from, and when.
@@ -158,7 +155,7 @@ impl Core for Embedder {
     }
 
     fn on_message(&mut self, context: &mut Context<'_>, message: Message) {
-        if self.accept(context, message) == Some(Taken::Old) {
+        if self.accept(context, message) == Some(Acceptance::Old) {
             context.count("messages_old");
         }
     }
@@ -176,17 +173,28 @@ impl Core for Embedder {
     }
 
     fn on_job(&mut self, context: &mut Context<'_>, end: JobEnd<Done>) {
-        match end {
-            JobEnd::Finished(done) => self.job_finished(context, done),
+        let end = match end {
+            JobEnd::Finished(Done { memory, result }) => {
+                self.memory = Some(memory);
+                match result {
+                    Outcome::Compared(answers) => {
+                        return self.questions.answered(answers, context);
+                    }
+                    Outcome::Embedded { frame, basis, result } => {
+                        JobEnd::Finished(result.map(|computed| (frame, basis, computed)))
+                    }
+                }
+            }
             JobEnd::Panicked(_) if self.last_job == LastJob::Comparison => {
                 context.count("comparisons_failed");
                 self.flight.side_job_panicked(context.now());
-                self.questions.refuse("the comparison has failed", context);
+                return self.questions.refuse("the comparison has failed", context);
             }
-            JobEnd::Panicked(reason) => {
-                context.report_job_failure("panic", &reason);
-                self.flight.panicked(context.now(), reason);
-            }
+            JobEnd::Panicked(reason) => JobEnd::Panicked(reason),
+        };
+        let result = self.flight.ended(context, MethodError::kind, end);
+        if let Some((frame, basis, computed)) = result {
+            self.accept_embedding(context, frame, *basis, *computed);
         }
     }
 
@@ -237,7 +245,7 @@ impl Core for Embedder {
         (self.heartbeat, self.rest) = (None, None);
         let next = self.wanted().cloned().map(|frame| (self.basis(context, &frame), frame));
         if let Some((basis, frame)) = &next {
-            self.beat(context, frame, basis);
+            self.republish_when_due(context, frame, basis);
         }
         let Some(slot) = context.free_job_slot() else { return };
         let next = next.filter(|(basis, _)| self.flight.should_start(now, basis));
@@ -303,83 +311,6 @@ fn follows(view: &View<'_>) -> bool {
 }
 
 impl Embedder {
-    /// Accepts a message; what became of it, if that is to be counted.
-    fn accept(&mut self, context: &mut Context<'_>, message: Message) -> Option<Taken> {
-        let (key, _) = message.keys();
-        let taken = match message {
-            Message::Graph(delta) => {
-                self.follow.take_graph(&delta).map_err(|error: GraphError| error.to_string())
-            }
-            Message::Roster(roster) => {
-                self.follow.take_roster(roster).map_err(|error| error.to_string())
-            }
-            Message::Settings(announced) if announced.service == ServiceName::Clusterer => {
-                match self.teams.take(&announced) {
-                    Ok(taken) => return (!taken).then_some(Taken::Old),
-                    Err(error) => Err(error.to_string()),
-                }
-            }
-            _ => return None,
-        };
-        match taken {
-            Ok(taken) => {
-                match taken {
-                    Taken::Gap => context.count("gaps"),
-                    Taken::Ignored => context.count("modalities_ignored"),
-                    Taken::Applied | Taken::Known | Taken::Old => {}
-                }
-                Some(taken)
-            }
-            Err(reason) => {
-                context.refuse(&key, &reason);
-                None
-            }
-        }
-    }
-
-    /// Accepts the answers of `clusterer`.
-    fn settings_answered(&mut self, context: &mut Context<'_>, found: &[Message]) {
-        let announced = found.iter().filter_map(|message| match message {
-            Message::Settings(announced) if announced.service == ServiceName::Clusterer => {
-                Some(announced)
-            }
-            _ => None,
-        });
-        let newest = announced.max_by_key(|announced| announced.header.revision);
-        if let Some(Err(error)) = newest.map(|newest| self.teams.take_answer(newest)) {
-            context.refuse(&Key::Settings(ServiceName::Clusterer), error.to_string());
-        }
-    }
-
-    /// Accepts the answers of a fetch: graphs first, since the roster says which belong together.
-    /// Several services answer, and what is older than what is known is nothing unusual.
-    fn accept_answers(&mut self, context: &mut Context<'_>, messages: Vec<Message>) {
-        let mut rosters = Vec::new();
-        let mut passed = Vec::new();
-        for message in messages {
-            match message {
-                Message::Roster(_) => rosters.push(message),
-                Message::Graph(delta) => {
-                    if self.accept(context, Message::Graph(delta.clone())) == Some(Taken::Old) {
-                        passed.push(delta);
-                    }
-                }
-                other => {
-                    self.accept(context, other);
-                }
-            }
-        }
-        for roster in rosters {
-            self.accept(context, roster);
-        }
-        for delta in passed {
-            if self.follow.take_back(context.now(), &delta) {
-                context.count("graphs_taken_back");
-            }
-        }
-        self.follow.fetch_ended();
-    }
-
     /// Starts the job that answers the questions, if there is an embedding to answer them by.
     fn compare(&mut self, context: &mut Context<'_>, slot: FreeJobSlot) {
         let (Some(embedding), Some(memory)) = (&self.embedding, self.memory.take()) else {
@@ -395,7 +326,7 @@ impl Embedder {
     /// The newest frame, if it is to have an embedding. That of an empty fleet is published only where
     /// there was one before: robots that have left must not stay in a division.
     fn wanted(&self) -> Option<&Arc<Frame>> {
-        let left = |embedding: &Arc<Embedding>| !embedding.robots.is_empty();
+        let left = |embedding: &Checked<Embedding>| !embedding.robots.is_empty();
         let was_published = self.published.is_some() || self.embedding.as_ref().is_some_and(left);
         self.follow.frame().filter(|frame| was_published || !frame.robots.is_empty())
     }
@@ -437,120 +368,6 @@ impl Embedder {
         context.start_job(slot, Job { task: Task::Embed { frame, basis, previous }, memory });
     }
 
-    fn job_finished(&mut self, context: &mut Context<'_>, done: Done) {
-        self.memory = Some(done.memory);
-        match done.result {
-            Outcome::Compared(answers) => self.questions.answered(answers, context),
-            Outcome::Embedded { result: Err(error), .. } => {
-                let reason = error.to_string();
-                context.report_job_failure(error.kind(), &reason);
-                self.flight.refused(reason);
-            }
-            Outcome::Embedded { frame, basis, result: Ok(computed) } => {
-                self.accept_embedding(context, frame, *basis, *computed);
-            }
-        }
-    }
-
-    fn accept_embedding(
-        &mut self,
-        context: &mut Context<'_>,
-        frame: Arc<Frame>,
-        basis: Basis,
-        computed: Computed,
-    ) {
-        let now = context.now();
-        context.count("jobs_done");
-        self.flight.succeeded();
-        self.computed = Some((basis.clone(), now));
-        let frame = if basis.settled { self.newest_of(context, &basis, frame) } else { frame };
-        let roster = &frame.roster;
-        let last = self.embedding.as_ref().map(|last| last.roster);
-        if basis.settled && last > Some(roster.header.revision) {
-            // It was published again for a later frame meanwhile, and there is a newer one to come.
-            return;
-        }
-        if basis.settled && self.is_published(context.settings(), &computed) {
-            // Readers need not receive the same digits again.
-            context.count("embeddings_confirmed");
-            return;
-        }
-        let stage = context.stage(frame.received);
-        let embedding = Embedding {
-            header: roster.header.next_stage(context.next_revision(), stage),
-            roster: roster.header.revision,
-            graphs: computed.graphs,
-            robots: basis.robots.to_vec(),
-            dimension: computed.dimension,
-            values: computed.values,
-            unseen: computed.unseen,
-            centrality: computed.centrality,
-            quality: computed.quality,
-        };
-        self.published = Some((basis, now));
-        self.publish(context, embedding);
-    }
-
-    /// The newest frame if it rests on the same as the one that a job was begun with: while the job ran,
-    /// the embedding may have been published again with the header of a later roster.
-    fn newest_of(&mut self, context: &Context<'_>, basis: &Basis, frame: Arc<Frame>) -> Arc<Frame> {
-        let newest = self.follow.frame().cloned();
-        newest.filter(|newest| self.basis(context, newest).is_of(basis)).unwrap_or(frame)
-    }
-
-    /// Whether what was computed for a fleet at rest is what was published, as exactly as is promised.
-    fn is_published(&self, settings: &EmbedderSettings, computed: &Computed) -> bool {
-        let Some(last) = &self.embedding else { return false };
-        let near = |(new, old): (&f64, &f64)| (new - old).abs() <= ROUNDING;
-        last.quality.residual <= settings.idle_tolerance
-            && last.dimension == computed.dimension
-            && last.values.len() == computed.values.len()
-            && computed.values.iter().zip(&last.values).all(near)
-    }
-
-    fn publish(&mut self, context: &mut Context<'_>, embedding: Embedding) {
-        context.count("embeddings_published");
-        self.was_suppressed = !context.is_leading();
-        let embedding = Arc::new(embedding);
-        self.embedding = Some(embedding.clone());
-        context.publish(Message::Embedding(embedding));
-    }
-
-    /// Publishes the last good embedding again as it is, with the next revision.
-    fn republish(&mut self, context: &mut Context<'_>) {
-        let Some(embedding) = &self.embedding else { return };
-        let mut repetition = repetition(embedding);
-        repetition.header.revision = context.next_revision();
-        if let Some(stage) = repetition.header.stages.last_mut() {
-            stage.published = context.now();
-        }
-        if let Some((_, at)) = &mut self.published {
-            *at = context.now();
-        }
-        self.publish(context, repetition);
-    }
-
-    /// Publishes the embedding again with the header of the newest roster, if it still is that of the
-    /// newest frame and was not published lately; or notes when that will be due.
-    fn beat(&mut self, context: &mut Context<'_>, frame: &Frame, basis: &Basis) {
-        let (Some((of, at)), Some(embedding)) = (&self.published, &self.embedding) else { return };
-        let roster = &frame.roster.header;
-        if !of.is_of(basis) || roster.revision <= embedding.roster {
-            return;
-        }
-        let due = at.after(HEARTBEAT);
-        if context.now() < due {
-            self.heartbeat = Some(due);
-            return;
-        }
-        let mut repetition = repetition(embedding);
-        let stage = context.stage(frame.received);
-        repetition.header = roster.next_stage(context.next_revision(), stage);
-        repetition.roster = roster.revision;
-        self.published = Some((basis.clone(), context.now()));
-        self.publish(context, repetition);
-    }
-
     /// The own output, and what was last received of `ingest`.
     fn answer(&self, context: &Context<'_>, request: &Request) -> Vec<Message> {
         let space = context.space();
@@ -558,12 +375,4 @@ impl Embedder {
         let own = own.filter(|_| request.selects(space, &Key::Embedding));
         own.chain(self.follow.answer(space, request)).collect()
     }
-}
-
-/// An embedding that is published again: nothing was computed for it.
-fn repetition(embedding: &Embedding) -> Embedding {
-    let mut repetition = embedding.clone();
-    repetition.quality.mode = EmbeddingMode::Cached;
-    repetition.quality.stage_us = [0; 3];
-    repetition
 }

@@ -3,23 +3,21 @@
 //! A roster comes after the graphs of its frame and lists the revision of each. Once every listed
 //! graph is at exactly that revision, roster and graphs are one consistent [`Frame`]. What is missing
 //! is fetched, one fetch at a time. Revisions go forward only, with one exception: a graph that stays
-//! ahead of the rosters is taken back to what they list (see [`Follower::take_back`]).
+//! ahead of the rosters is rolled back to what they list (see [`Follower::roll_back`]).
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_model::content::Checked;
 use muster_model::graph::{GraphDelta, GraphError, GraphReplica};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId, ServiceName};
-use muster_model::limits::{MAX_DECLARED_MODALITIES, MAX_ROBOTS};
+use muster_model::limits::MAX_GRAPHS;
 use muster_model::roster::Roster;
 use muster_model::time::Tick;
 use muster_service::MemoryUse;
 use muster_wire::{Key, KeySpace, Message, Pattern, Request};
-
-/// Most graphs that are followed: the declared modalities and the three built-in ones.
-const MAX_GRAPHS: usize = MAX_DECLARED_MODALITIES + 3;
 
 /// Least time between the starts of two fetches.
 const FETCH_INTERVAL: Duration = Duration::from_millis(500);
@@ -39,7 +37,7 @@ const ROSTER_FETCH_INTERVAL: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub(crate) struct Frame {
     /// The robots of the fleet.
-    pub(crate) roster: Arc<Roster>,
+    pub(crate) roster: Checked<Roster>,
     /// When the last part arrived.
     pub(crate) received: Tick,
     /// The robots of the roster, ordered by name. The same allocation as in the frame before while
@@ -49,9 +47,9 @@ pub(crate) struct Frame {
     pub(crate) graphs: Vec<(Modality, Arc<GraphReplica>)>,
 }
 
-/// What became of a roster or delta that is not refused.
+/// What became of a message that is not refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Taken {
+pub(crate) enum Acceptance {
     /// It was applied.
     Applied,
     /// It is what is known already.
@@ -84,7 +82,7 @@ enum Distance {
 #[derive(Debug, Default)]
 pub(crate) struct Follower {
     graphs: BTreeMap<Modality, Followed>,
-    roster: Option<Arc<Roster>>,
+    roster: Option<Checked<Roster>>,
     frame: Option<Arc<Frame>>,
     /// Since when the graphs have not been those of the newest roster.
     apart_since: Option<Tick>,
@@ -142,26 +140,26 @@ impl Follower {
         messages
     }
 
-    /// Takes a delta or snapshot of a graph.
+    /// Accepts a delta or snapshot of a graph.
     ///
     /// # Errors
     /// Why the delta is refused; the graph stays as it was.
-    pub(crate) fn take_graph(&mut self, delta: &GraphDelta) -> Result<Taken, GraphError> {
+    pub(crate) fn accept_graph(&mut self, delta: &GraphDelta) -> Result<Acceptance, GraphError> {
         let known = self.graphs.contains_key(&delta.modality);
         if !known && !self.has_room_for(&delta.modality) {
-            return Ok(Taken::Ignored);
+            return Ok(Acceptance::Ignored);
         }
         let followed = self.graphs.entry(delta.modality.clone()).or_default();
         match Arc::make_mut(&mut followed.graph).apply(delta) {
             Ok(()) => {
                 followed.gap &= delta.base.is_some();
-                Ok(Taken::Applied)
+                Ok(Acceptance::Applied)
             }
-            Err(GraphError::Old(at)) if delta.header.revision == at => Ok(Taken::Known),
-            Err(GraphError::Old(_)) => Ok(Taken::Old),
+            Err(GraphError::Old(at)) if delta.header.revision == at => Ok(Acceptance::Known),
+            Err(GraphError::Old(_)) => Ok(Acceptance::Old),
             Err(GraphError::Gap { .. }) => {
                 followed.gap = true;
-                Ok(Taken::Gap)
+                Ok(Acceptance::Gap)
             }
             Err(error @ GraphError::Inconsistent(_)) => {
                 if !known {
@@ -172,14 +170,14 @@ impl Follower {
         }
     }
 
-    /// Takes a fetched snapshot although the graph is at a later revision; whether it was taken.
+    /// Replaces a graph by a fetched snapshot of an earlier revision; whether it was replaced.
     ///
-    /// So it is if the newest roster lists exactly the snapshot's revision, and rosters and graphs
-    /// have been apart for longer than a roster is under way. Then no leader has published the later
+    /// That needs a roster that lists exactly the snapshot's revision, and graphs that have differed from
+    /// the rosters for longer than a roster is under way. Then no leader has published the later
     /// revision: it was forged, or published in a term that was lost.
-    pub(crate) fn take_back(&mut self, now: Tick, snapshot: &GraphDelta) -> bool {
+    pub(crate) fn roll_back(&mut self, now: Tick, snapshot: &GraphDelta) -> bool {
         let at = (&snapshot.modality, snapshot.header.revision);
-        let listed = |roster: &Arc<Roster>| {
+        let listed = |roster: &Checked<Roster>| {
             roster.graphs.iter().any(|(name, revision)| (name, *revision) == at)
         };
         if snapshot.base.is_some()
@@ -212,21 +210,17 @@ impl Follower {
         foreign.is_some_and(|name| self.graphs.remove(&name).is_some())
     }
 
-    /// Takes a roster.
-    ///
-    /// # Errors
-    /// Why the roster is refused; the one before stays.
-    pub(crate) fn take_roster(&mut self, roster: Arc<Roster>) -> Result<Taken, &'static str> {
+    /// Accepts a roster.
+    pub(crate) fn accept_roster(&mut self, roster: Checked<Roster>) -> Acceptance {
         if let Some(have) = &self.roster {
             match roster.header.revision.cmp(&have.header.revision) {
-                std::cmp::Ordering::Less => return Ok(Taken::Old),
-                std::cmp::Ordering::Equal => return Ok(Taken::Known),
+                std::cmp::Ordering::Less => return Acceptance::Old,
+                std::cmp::Ordering::Equal => return Acceptance::Known,
                 std::cmp::Ordering::Greater => {}
             }
         }
-        check_size(&roster)?;
         self.roster = Some(roster);
-        Ok(Taken::Applied)
+        Acceptance::Applied
     }
 
     /// Makes a frame if roster and graphs belong together now; whether there is a new one.
@@ -346,15 +340,4 @@ fn lists(roster: Option<&Roster>, modality: &Modality) -> bool {
     roster.is_some_and(|roster| {
         roster.graphs.binary_search_by(|(name, _)| name.cmp(modality)).is_ok()
     })
-}
-
-/// Whether a roster is small enough to follow; decoding has checked its content.
-fn check_size(roster: &Roster) -> Result<(), &'static str> {
-    if roster.robots.len() > MAX_ROBOTS {
-        return Err("robots: there are more than a fleet may have");
-    }
-    if roster.graphs.len() > MAX_GRAPHS {
-        return Err("graphs: there are more modalities than a fleet may have");
-    }
-    Ok(())
 }

@@ -7,6 +7,8 @@ use muster_model::settings::{ClustererSettings, Settings, SettingsError, from_va
 use muster_model::time::Tick;
 use muster_wire::envelope::AnnouncedSettings;
 
+use crate::follow::Acceptance;
+
 /// How often the settings are asked for. `clusterer` announces them repeatedly, but a forged announcement
 /// of a later revision would shut those out, and only answers can contradict it. Seldom is enough: the
 /// number of teams seldom changes, and only guides the choice of the dimension.
@@ -40,39 +42,42 @@ impl TeamsWanted {
         self.teams
     }
 
-    /// Takes an announcement, unless it is older than what is known: it was overtaken. The same revision
-    /// counts, because settings change between two outputs. Returns whether it was taken.
+    /// Accepts an announcement, unless it is older than what is known: it was overtaken. The same revision
+    /// counts, because settings change between two outputs.
     ///
     /// # Errors
     /// Why the settings are refused; those before stay.
-    pub(crate) fn take(&mut self, announced: &AnnouncedSettings) -> Result<bool, SettingsError> {
+    pub(crate) fn accept(
+        &mut self,
+        announced: &AnnouncedSettings,
+    ) -> Result<Acceptance, SettingsError> {
         let revision = announced.header.revision;
         if self.at.is_some_and(|at| revision < at) {
-            return Ok(false);
+            return Ok(Acceptance::Old);
         }
-        self.accept(announced)?;
-        Ok(true)
+        self.apply(announced)?;
+        Ok(Acceptance::Applied)
     }
 
-    /// Takes an answer. When two answers in a row are older than the announcement, that one is void (it
+    /// Accepts an answer. When two answers in a row are older than the announcement, that one is void (it
     /// was forged, or its sender has lost its term), and the answer counts.
     ///
     /// # Errors
-    /// As [`TeamsWanted::take`].
-    pub(crate) fn take_answer(
+    /// As [`TeamsWanted::accept`].
+    pub(crate) fn accept_answer(
         &mut self,
         answer: &AnnouncedSettings,
-    ) -> Result<bool, SettingsError> {
-        let taken = self.take(answer)?;
-        if !taken && self.contradicted {
-            self.accept(answer)?;
-            return Ok(true);
+    ) -> Result<(), SettingsError> {
+        if self.accept(answer)? == Acceptance::Old {
+            if self.contradicted {
+                return self.apply(answer);
+            }
+            self.contradicted = true;
         }
-        self.contradicted = !taken;
-        Ok(taken)
+        Ok(())
     }
 
-    fn accept(&mut self, announced: &AnnouncedSettings) -> Result<(), SettingsError> {
+    fn apply(&mut self, announced: &AnnouncedSettings) -> Result<(), SettingsError> {
         self.teams = teams_of(&announced.settings)?;
         self.at = Some(announced.header.revision);
         self.contradicted = false;

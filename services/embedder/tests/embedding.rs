@@ -4,9 +4,8 @@
 
 mod common;
 
-use std::sync::Arc;
-
 use common::{Bench, Ingest, announced, announced_at, dot, robot, row};
+use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
@@ -321,7 +320,8 @@ fn a_fleet_that_has_left_leaves_an_empty_embedding() {
     bench.wait(3.0);
     assert_eq!(bench.published.len(), count);
     // So it is for a leader that only learned of the fleet, and not for one that knows an empty one.
-    for (known, published) in [(bench.published[0].clone(), 1), (Arc::new(empty), 0)] {
+    for (known, published) in [(bench.published[0].clone(), 1), (Checked::new_unchecked(empty), 0)]
+    {
         let answers = vec![Message::Embedding(known)];
         let mut next = Bench::started(EmbedderSettings::default(), answers);
         frame.messages().for_each(|message| next.receive(message));
@@ -346,7 +346,7 @@ fn a_term_that_readers_have_passed_is_followed_by_a_new_one() {
     assert_eq!(bench.term_checks.len(), 1);
     let mut other = Embedding::clone(bench.last());
     other.header.revision = Revision { term: 6, epoch: 3 };
-    let found = || vec![Message::Embedding(Arc::new(other.clone()))];
+    let found = || vec![Message::Embedding(Checked::new_unchecked(other.clone()))];
     let check = bench.term_checks.pop_front().unwrap();
     bench.answer_fetch(check, found());
     assert_eq!(bench.published.len(), 1, "the other may be alive");
@@ -464,7 +464,7 @@ fn a_restart_goes_on_from_the_embedding_that_others_remember() {
     let mut flipped = Embedding::clone(&old);
     flipped.header.revision = Revision { term: 7, epoch: 900 };
     flipped.values.iter_mut().for_each(|value| *value = -*value);
-    let flipped = Arc::new(flipped);
+    let flipped = Checked::new_unchecked(flipped);
     let older = Message::Embedding(old);
     let answers = vec![older, Message::Embedding(flipped.clone())];
     let mut bench = Bench::started(EmbedderSettings::default(), answers);
@@ -496,7 +496,7 @@ fn an_embedding_of_the_leader_before_that_cannot_be_used_does_no_harm() {
     let mut bad = Embedding::clone(&old);
     bad.header.revision.term = 4;
     bad.values.pop();
-    let answers = vec![Message::Embedding(Arc::new(bad))];
+    let answers = vec![Message::Embedding(Checked::new_unchecked(bad))];
     let mut bench = Bench::started(EmbedderSettings::default(), answers);
     assert_eq!(bench.stored.term, 5);
     let _unheard = ingest.frame(bench.now);

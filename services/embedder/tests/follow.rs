@@ -7,6 +7,7 @@ mod common;
 use std::sync::Arc;
 
 use common::{Bench, Ingest, Published, difference_of_shape, modality, patterns, settings};
+use muster_model::content::Checked;
 use muster_model::event::EventKind;
 use muster_model::graph::{GraphReplica, GraphRow};
 use muster_model::header::Revision;
@@ -205,7 +206,7 @@ fn a_contradictory_delta_or_roster_is_refused_and_the_graph_stays() {
     assert_eq!(bench.get("graph/spatial", None).unwrap(), before);
     let mut roster = frame.roster.as_ref().clone();
     roster.graphs = vec![roster.graphs[0].clone(); 20];
-    bench.receive(Message::Roster(Arc::new(roster)));
+    bench.receive_encoded(&Message::Roster(Checked::new_unchecked(roster)));
     let refusals: Vec<_> = bench
         .quarantined()
         .into_iter()

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_model::content::Checked;
 use muster_model::graph::{GraphDelta, GraphRow, Node};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{Modality, RobotId};
@@ -19,18 +20,15 @@ use crate::graphs::{Places, changed_rows, spatial_rows};
 use crate::robot::Robot;
 use crate::roster::Fleet;
 
-/// How long at most no roster is published, even if nothing changes: when each robot was last received is part of
-/// it, and a roster that was lost must not be lost for good, not even that of a fleet that has left.
-/// Slower frames have slower heartbeats.
+/// Longest time between two rosters, even if nothing changes: a roster says when each robot was last seen, and
+/// repairs one that was lost. Slower frames have slower heartbeats.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
-/// A frame is followed by a pause of at least three times as long as it took to make and publish: under more
-/// load than the host can bear the rate of frames falls, and what robots report is received between them. Frames
-/// that nobody has the time to read would only keep the readers from the work.
+/// After each frame follows a pause of at least three times as long as it took to make and publish: on an
+/// overloaded host the frame rate falls, so that `ingest` keeps receiving and its readers keep working.
 const MAX_LOAD_DIVISOR: u32 = 4;
 
-/// No frame counts as having taken longer: a host that hung during one must not be without frames for
-/// longer than the slowest tick lets it be.
+/// Longest time that a frame counts as having taken, so that a host that hung during one soon makes the next.
 const MAX_FRAME_TIME: Duration = Duration::from_millis(250);
 
 /// One graph as it was last published.
@@ -63,7 +61,7 @@ struct NodeStep {
 pub(crate) struct Frames {
     graphs: BTreeMap<Stream, Graph>,
     nodes: BTreeMap<Node, RobotId>,
-    roster: Option<Arc<Roster>>,
+    roster: Option<Checked<Roster>>,
     roster_dirty: bool,
     members_dirty: bool,
     /// The declared modalities, if they are new.
@@ -169,8 +167,8 @@ impl Frames {
             })
             .collect();
         graphs.sort_unstable_by(|left, right| left.0.cmp(&right.0));
-        let roster = Arc::new(Roster { header, robots: fleet.entries(), graphs });
-        self.roster = Some(Arc::clone(&roster));
+        let roster = Checked::new_unchecked(Roster { header, robots: fleet.entries(), graphs });
+        self.roster = Some(roster.clone());
         messages.push(Message::Roster(roster));
         context.count("frames_published");
         messages
@@ -216,7 +214,7 @@ impl Frames {
                 (stream, Some(places)) => places.rows(fleet, stream, settings),
                 (_, None) => Ok(Vec::new()),
             });
-            // What was let in keeps the rules of edges; if it did not, the last good graph stands.
+            // Accepted reports satisfy the rules of edges; if they did not, the last good graph stands.
             let rows = rows.and_then(Result::ok);
             let changed = rows
                 .as_ref()

@@ -38,7 +38,7 @@ pub(crate) fn restore(
 ) -> BTreeSet<RobotId> {
     let rosters = outputs(messages).filter_map(|(revision, roster, _)| Some((revision, roster?)));
     let newest = rosters.max_by_key(|(revision, _)| *revision).map(|(_, roster)| roster);
-    let Some(roster) = newest.filter(|roster| is_consistent(roster)) else {
+    let Some(roster) = newest.filter(|roster| has_distinct_nodes(roster)) else {
         return BTreeSet::new();
     };
     // A token that nobody remembers is that of a process that hangs and had left, or of a robot that
@@ -86,10 +86,9 @@ fn outputs(
     })
 }
 
-fn is_consistent(roster: &Roster) -> bool {
+fn has_distinct_nodes(roster: &Roster) -> bool {
     let nodes: BTreeSet<_> = roster.robots.iter().map(|entry| entry.node).collect();
     nodes.len() == roster.robots.len()
-        && roster.robots.is_sorted_by(|left, right| left.robot < right.robot)
 }
 
 /// The graphs that a roster lists. A graph of the same term that is a frame off is better than none:

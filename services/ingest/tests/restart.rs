@@ -9,6 +9,7 @@ use std::sync::Arc;
 use bench::{
     Bench, Named, bare_pose, links, modality, pose, rank, relation, report, robot, seconds, token,
 };
+use muster_model::content::Checked;
 use muster_model::graph::GraphDelta;
 use muster_model::observation::{Pose, Rank};
 use muster_model::roster::Presence::{Active, Stale};
@@ -213,7 +214,7 @@ fn spoiled(
     for message in &mut remembered {
         match message {
             Message::Graph(delta) => graph(Arc::make_mut(delta)),
-            Message::Roster(entries) => roster(Arc::make_mut(entries)),
+            Message::Roster(entries) => roster(entries.make_mut_unchecked()),
             _ => {}
         }
     }
@@ -412,7 +413,7 @@ fn a_term_above_the_own_leads_to_a_new_one_with_everything_published_again() {
     let term = bench.roster.as_ref().unwrap().header.revision.term;
     let mut ahead = Roster::clone(bench.roster.as_ref().unwrap());
     ahead.header.revision.term = term + 5;
-    let ahead = Message::Roster(Arc::new(ahead));
+    let ahead = Message::Roster(Checked::new_unchecked(ahead));
     let mut checks = Vec::new();
     for _ in 0..2 {
         bench.asks.clear();

@@ -115,7 +115,7 @@ impl Client {
     /// [`Error::Bus`] if the bus fails.
     pub async fn teams(&self) -> Result<Watch<Teams>, Error> {
         self.follow(Key::Teams, |space, packet| match Message::decode(space, packet)? {
-            Message::Teams { teams, .. } => Ok(Arc::unwrap_or_clone(teams)),
+            Message::Teams { teams, .. } => Ok(Arc::unwrap_or_clone(teams.into_arc())),
             _ => Err(Rejection::new(space, &packet.key, "this is no division")),
         })
         .await
@@ -139,7 +139,7 @@ impl Client {
     /// [`Error::Bus`] if the bus fails.
     pub async fn rosters(&self) -> Result<Watch<Roster>, Error> {
         self.follow(Key::Roster, |space, packet| match Message::decode(space, packet)? {
-            Message::Roster(roster) => Ok(Arc::unwrap_or_clone(roster)),
+            Message::Roster(roster) => Ok(Arc::unwrap_or_clone(roster.into_arc())),
             _ => Err(Rejection::new(space, &packet.key, "this is no roster")),
         })
         .await

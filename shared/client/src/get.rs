@@ -76,7 +76,7 @@ impl Client {
     /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
     pub async fn get_teams(&self) -> Result<Arc<Teams>, Error> {
         self.newest(Key::Teams, |message| match message {
-            Message::Teams { teams, .. } => Some(teams),
+            Message::Teams { teams, .. } => Some(teams.into_arc()),
             _ => None,
         })
         .await
@@ -100,7 +100,7 @@ impl Client {
     /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
     pub async fn get_roster(&self) -> Result<Arc<Roster>, Error> {
         self.newest(Key::Roster, |message| match message {
-            Message::Roster(roster) => Some(roster),
+            Message::Roster(roster) => Some(roster.into_arc()),
             _ => None,
         })
         .await
@@ -112,7 +112,7 @@ impl Client {
     /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
     pub async fn get_embedding(&self) -> Result<Arc<Embedding>, Error> {
         self.newest(Key::Embedding, |message| match message {
-            Message::Embedding(embedding) => Some(embedding),
+            Message::Embedding(embedding) => Some(embedding.into_arc()),
             _ => None,
         })
         .await

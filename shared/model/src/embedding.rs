@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::content::{ContentError, refuse};
+use crate::content::{Content, ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{Modality, RobotId};
 
@@ -73,12 +73,9 @@ pub struct Embedding {
     pub quality: EmbeddingQuality,
 }
 
-impl Embedding {
-    /// Whether all parts have the shapes that they promise, and all numbers are finite.
-    ///
-    /// # Errors
-    /// Names the part that is wrong.
-    pub fn check(&self) -> Result<(), ContentError> {
+impl Content for Embedding {
+    /// All fields have the lengths that `robots` and `dimension` give, and all numbers are finite.
+    fn check(&self) -> Result<(), ContentError> {
         let robots = self.robots.len();
         if self.unseen.len() != robots {
             return refuse("unseen", "must have one entry per robot");

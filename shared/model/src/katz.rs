@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::content::{ContentError, refuse};
+use crate::content::{Content, ContentError, refuse};
 use crate::header::Header;
 use crate::id::{Modality, RobotId};
 
@@ -39,12 +39,9 @@ pub struct PairSimilarity {
     pub residual: f64,
 }
 
-impl PairSimilarity {
-    /// Checks that no number is negative or missing.
-    ///
-    /// # Errors
-    /// Names the first field that is wrong.
-    pub fn check(&self) -> Result<(), ContentError> {
+impl Content for PairSimilarity {
+    /// No number is negative or missing.
+    fn check(&self) -> Result<(), ContentError> {
         let is_wrong = |number: f64| number.is_nan() || number < 0.0;
         for (field, number) in
             [("similarity", self.similarity), ("alpha", self.alpha), ("residual", self.residual)]

@@ -19,6 +19,9 @@ pub const MAX_RELATION_EDGES: usize = 1024;
 /// fused in every frame.
 pub const MAX_DECLARED_MODALITIES: usize = 16;
 
+/// Most graphs of a fleet: one for each declared modality and the three built-in ones.
+pub const MAX_GRAPHS: usize = MAX_DECLARED_MODALITIES + 3;
+
 /// Most robots that a fleet may have, whatever its settings are: the dense similarity matrix of a
 /// larger fleet does not fit the machines that Muster is made for.
 pub const MAX_ROBOTS: usize = 100_000;

@@ -3,10 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::content::{ContentError, refuse};
+use crate::content::{Content, ContentError, refuse};
 use crate::graph::Node;
 use crate::header::{Header, Revision};
 use crate::id::{Modality, RobotId};
+use crate::limits::{MAX_GRAPHS, MAX_ROBOTS};
 use crate::time::Tick;
 
 /// How sure it is that a robot is still there.
@@ -54,12 +55,15 @@ pub struct Roster {
     pub graphs: Vec<(Modality, Revision)>,
 }
 
-impl Roster {
-    /// Whether the robots are ordered without repetition, and all numbers are finite.
-    ///
-    /// # Errors
-    /// Names the part that is wrong.
-    pub fn check(&self) -> Result<(), ContentError> {
+impl Content for Roster {
+    /// The robots and graphs are no more than a fleet may have and ordered without repetition, and all numbers are finite.
+    fn check(&self) -> Result<(), ContentError> {
+        if self.robots.len() > MAX_ROBOTS {
+            return refuse("robots", "there are more than a fleet may have");
+        }
+        if self.graphs.len() > MAX_GRAPHS {
+            return refuse("graphs", "there are more modalities than a fleet may have");
+        }
         if !self.robots.is_sorted_by(|left, right| left.robot < right.robot) {
             return refuse("robots", "must be ordered by name without repetition");
         }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::content::{ContentError, refuse};
+use crate::content::{Content, ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{RobotId, TeamId};
 use crate::limits::MAX_MEMBERS_PUBLISHED;
@@ -116,11 +116,36 @@ impl Teams {
             })
     }
 
-    /// Whether every robot stands once, and all numbers are finite.
-    ///
-    /// # Errors
-    /// Names the part that is wrong.
-    pub fn check(&self) -> Result<(), ContentError> {
+    /// The team of one robot; none if the division does not contain the robot.
+    #[must_use]
+    pub fn robot_team(&self, robot: &RobotId) -> Option<RobotTeam> {
+        let place = self.teams.iter().find_map(|team| {
+            let found = team.members.binary_search_by(|member| member.robot.cmp(robot)).ok()?;
+            Some((team, &team.members[found]))
+        });
+        if place.is_none() && self.unassigned.binary_search(robot).is_err() {
+            return None;
+        }
+        Some(RobotTeam {
+            header: self.header.clone(),
+            robot: robot.clone(),
+            team: place.map(|(team, _)| team.id.clone()),
+            members: match place {
+                None => Some(Vec::new()),
+                Some((team, _)) if team.members.len() > MAX_MEMBERS_PUBLISHED => None,
+                Some((team, _)) => {
+                    Some(team.members.iter().map(|member| member.robot.clone()).collect())
+                }
+            },
+            leader: place.map(|(team, _)| team.leader.clone()),
+            confidence: place.map_or(0.0, |(_, member)| member.margin.clamp(0.0, 1.0)),
+        })
+    }
+}
+
+impl Content for Teams {
+    /// Every robot stands once, and all numbers are finite.
+    fn check(&self) -> Result<(), ContentError> {
         let mut robots: Vec<_> =
             self.assignments().map(|(robot, _)| robot).chain(&self.unassigned).collect();
         let count = robots.len();
@@ -173,40 +198,9 @@ pub struct RobotTeam {
     pub confidence: f64,
 }
 
-impl Teams {
-    /// The team of one robot; none if the division does not contain the robot.
-    #[must_use]
-    pub fn robot_team(&self, robot: &RobotId) -> Option<RobotTeam> {
-        let place = self.teams.iter().find_map(|team| {
-            let found = team.members.binary_search_by(|member| member.robot.cmp(robot)).ok()?;
-            Some((team, &team.members[found]))
-        });
-        if place.is_none() && self.unassigned.binary_search(robot).is_err() {
-            return None;
-        }
-        Some(RobotTeam {
-            header: self.header.clone(),
-            robot: robot.clone(),
-            team: place.map(|(team, _)| team.id.clone()),
-            members: match place {
-                None => Some(Vec::new()),
-                Some((team, _)) if team.members.len() > MAX_MEMBERS_PUBLISHED => None,
-                Some((team, _)) => {
-                    Some(team.members.iter().map(|member| member.robot.clone()).collect())
-                }
-            },
-            leader: place.map(|(team, _)| team.leader.clone()),
-            confidence: place.map_or(0.0, |(_, member)| member.margin.clamp(0.0, 1.0)),
-        })
-    }
-}
-
-impl RobotTeam {
-    /// Checks that the team agrees with its members and leader.
-    ///
-    /// # Errors
-    /// Names the first field that contradicts another one, or is out of range.
-    pub fn check(&self) -> Result<(), ContentError> {
+impl Content for RobotTeam {
+    /// The team agrees with its members and leader.
+    fn check(&self) -> Result<(), ContentError> {
         if !(0.0..=1.0).contains(&self.confidence) {
             return refuse("confidence", "must be a number from 0 to 1");
         }

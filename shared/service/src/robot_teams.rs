@@ -1,8 +1,7 @@
 //! Answers of gets of a division and of what each robot is told of it, alike for its author and for
 //! those who repeat it.
 
-use std::sync::Arc;
-
+use muster_model::content::Checked;
 use muster_model::id::RobotId;
 use muster_model::teams::Teams;
 use muster_wire::{Key, KeySpace, Message, Request};
@@ -19,14 +18,14 @@ const MAX_NAMES_ANSWERED: usize = 4_000_000;
 pub fn answer_teams(
     space: &KeySpace,
     request: &Request,
-    teams: &Arc<Teams>,
+    teams: &Checked<Teams>,
 ) -> Result<Vec<Message>, String> {
     if let Some(Key::RobotTeam(robot)) = request.exact_key(space) {
         return Ok(teams.robot_team(&robot).map(Message::RobotTeam).into_iter().collect());
     }
     let mut messages = Vec::new();
     if request.selects(space, &Key::Teams) || request.selects(space, &Key::JsonTeams) {
-        messages.push(Message::Teams { teams: Arc::clone(teams), mirror: true });
+        messages.push(Message::Teams { teams: teams.clone(), mirror: true });
     }
     if request.exact_key(space).is_some() {
         return Ok(messages);
@@ -75,14 +74,14 @@ mod tests {
 
     use super::*;
 
-    fn division(members: usize, unassigned: &[&str]) -> Arc<Teams> {
+    fn division(members: usize, unassigned: &[&str]) -> Checked<Teams> {
         let robot = |name: &str| RobotId::new(name).unwrap();
         let mut members: Vec<Member> = (0..members)
             .map(|i| Member { robot: robot(&format!("r{i:05}")), margin: 0.5 })
             .collect();
         members.sort_by(|left, right| left.robot.cmp(&right.robot));
         let leader = members[0].robot.clone();
-        Arc::new(Teams {
+        Checked::new_unchecked(Teams {
             header: Header {
                 fleet: FleetId::new("f").unwrap(),
                 revision: Revision::default(),
@@ -101,7 +100,7 @@ mod tests {
         })
     }
 
-    fn count(selector: &str, teams: &Arc<Teams>) -> usize {
+    fn count(selector: &str, teams: &Checked<Teams>) -> usize {
         let space = KeySpace::new(FleetId::new("f").unwrap());
         let request = Request::new(format!("muster/v1/f/{selector}"), "", None).unwrap();
         answer_teams(&space, &request, teams).unwrap().len()

@@ -3,9 +3,13 @@
 //! There is no queue. A core keeps its newest input itself and asks again when a job has ended;
 //! whatever was newest in between is never computed.
 
+use std::fmt::Display;
 use std::time::Duration;
 
 use muster_model::time::Tick;
+
+use crate::context::Context;
+use crate::core::{Core, JobEnd};
 
 /// How long after a panic the same task is tried again: a fault that comes and goes must not stop a
 /// service for good, and a lasting one must not keep a processor busy.
@@ -41,20 +45,46 @@ impl<Task: PartialEq> SingleFlight<Task> {
         self.running = Some(task);
     }
 
+    /// The job has ended. Returns its result; a failure is counted and reported by an event, at a bounded
+    /// rate for each `kind` of error.
+    pub fn ended<C: Core, T, E: Display>(
+        &mut self,
+        context: &mut Context<'_, C>,
+        kind: impl Fn(&E) -> &'static str,
+        end: JobEnd<Result<T, E>>,
+    ) -> Option<T> {
+        match end {
+            JobEnd::Finished(Ok(result)) => {
+                self.succeeded();
+                return Some(result);
+            }
+            JobEnd::Finished(Err(error)) => {
+                let reason = error.to_string();
+                context.report_job_failure(kind(&error), &reason);
+                self.refused(reason);
+            }
+            JobEnd::Panicked(reason) => {
+                context.report_job_failure("panic", &reason);
+                self.panicked(context.now(), reason);
+            }
+        }
+        None
+    }
+
     /// The job has ended well.
-    pub fn succeeded(&mut self) {
+    fn succeeded(&mut self) {
         self.completed = self.running.take();
         self.failure = None;
     }
 
     /// The job has ended with an error that the same task would meet again.
-    pub fn refused(&mut self, reason: String) {
+    fn refused(&mut self, reason: String) {
         self.completed = self.running.take();
         self.failure = Some(reason);
     }
 
     /// The job has panicked; the task is tried again later.
-    pub fn panicked(&mut self, now: Tick, reason: String) {
+    fn panicked(&mut self, now: Tick, reason: String) {
         self.refused(reason);
         self.retry_at = Some(now.after(RETRY_DELAY));
     }

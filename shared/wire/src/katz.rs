@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use muster_model::content::Content;
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName};
 use muster_model::katz::{PairMethod, PairSimilarity};

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use muster_model::audit::Audit;
+use muster_model::content::{Checked, Content};
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
@@ -53,15 +54,15 @@ pub enum Message {
     /// A change of one graph, or a snapshot of it.
     Graph(Arc<GraphDelta>),
     /// Who belongs to the fleet.
-    Roster(Arc<Roster>),
+    Roster(Checked<Roster>),
     /// One vector per robot.
-    Embedding(Arc<Embedding>),
+    Embedding(Checked<Embedding>),
     /// The similarity of two robots: what a get of `embedding?katz=` is answered with.
     Katz(Box<PairSimilarity>),
     /// The division.
     Teams {
         /// The division.
-        teams: Arc<Teams>,
+        teams: Checked<Teams>,
         /// Whether `json/teams` is published as well.
         mirror: bool,
     },
@@ -137,24 +138,15 @@ impl Message {
                 agree(&modality, &delta.modality, "modalities")?;
                 Self::Graph(Arc::new(delta))
             }
-            Key::Roster => {
-                let roster: Roster = binary(format, bytes)?;
-                roster.check()?;
-                Self::Roster(Arc::new(roster))
-            }
-            Key::Embedding => {
-                let embedding: Embedding = binary(format, bytes)?;
-                embedding.check()?;
-                Self::Embedding(Arc::new(embedding))
-            }
+            Key::Roster => Self::Roster(Checked::new(binary(format, bytes)?)?),
+            Key::Embedding => Self::Embedding(Checked::new(binary(format, bytes)?)?),
             Key::Teams => {
-                let teams: Teams = binary(format, bytes)?;
-                teams.check()?;
-                Self::Teams { teams: Arc::new(teams), mirror: false }
+                Self::Teams { teams: Checked::new(binary(format, bytes)?)?, mirror: false }
             }
             Key::RobotTeam(robot) => {
                 let team: RobotTeam = binary(format, bytes)?;
                 agree(&robot, &team.robot, "robots")?;
+                team.check()?;
                 Self::RobotTeam(team)
             }
             Key::Audit => Self::Audit(Arc::new(binary(format, bytes)?)),

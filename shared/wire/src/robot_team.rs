@@ -1,5 +1,6 @@
 //! The team of a robot, as robots read it: in JSON as it is published, or in binary form.
 
+use muster_model::content::Content;
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, RobotId, ServiceName, TeamId};
 use muster_model::teams::RobotTeam;

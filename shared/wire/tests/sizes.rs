@@ -6,6 +6,7 @@ mod samples;
 
 use std::sync::Arc;
 
+use muster_model::content::Checked;
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::id::{Modality, RobotId};
 use muster_model::limits::{MAX_GRAPH_EDGES, MAX_ID_LENGTH, MAX_ROBOTS};
@@ -57,5 +58,5 @@ fn an_embedding_of_thirty_thousand_robots_fits_a_message() {
     embedding.values = vec![0.1; embedding.robots.len() * MAX_DIMENSION as usize];
     embedding.graphs = Vec::new();
     embedding.quality.singular_values = Vec::new();
-    fits(&Message::Embedding(Arc::new(embedding)));
+    fits(&Message::Embedding(Checked::new_unchecked(embedding)));
 }

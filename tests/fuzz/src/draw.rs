@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport, Space, Verdict};
+use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
@@ -170,9 +171,12 @@ impl Author {
         }
         Drawn::Message(match which {
             4 => Message::Graph(Arc::new(self.graph(now, draw))),
-            5 => Message::Roster(Arc::new(self.roster(now, draw))),
-            6 => Message::Embedding(Arc::new(self.embedding(now, draw))),
-            7 => Message::Teams { teams: Arc::new(self.teams(now, draw)), mirror: false },
+            5 => Message::Roster(Checked::new_unchecked(self.roster(now, draw))),
+            6 => Message::Embedding(Checked::new_unchecked(self.embedding(now, draw))),
+            7 => Message::Teams {
+                teams: Checked::new_unchecked(self.teams(now, draw)),
+                mirror: false,
+            },
             8 => Message::Audit(Arc::new(self.audit(now, draw))),
             _ => Message::Settings(Box::new(self.settings(now, draw))),
         })

@@ -191,10 +191,10 @@ impl World {
         let Some(mut message) = self.judge.last_on(what) else { return };
         let raise = |header: &mut Header| header.revision.term += terms;
         match &mut message {
-            Message::Roster(roster) => raise(&mut Arc::make_mut(roster).header),
+            Message::Roster(roster) => raise(&mut roster.make_mut_unchecked().header),
             Message::Graph(delta) => raise(&mut Arc::make_mut(delta).header),
-            Message::Embedding(embedding) => raise(&mut Arc::make_mut(embedding).header),
-            Message::Teams { teams, .. } => raise(&mut Arc::make_mut(teams).header),
+            Message::Embedding(embedding) => raise(&mut embedding.make_mut_unchecked().header),
+            Message::Teams { teams, .. } => raise(&mut teams.make_mut_unchecked().header),
             Message::Audit(audit) => raise(&mut Arc::make_mut(audit).header),
             Message::Settings(announced) => raise(&mut announced.header),
             _ => return,

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use muster_model::content::Checked;
 use muster_model::header::Revision;
 use muster_model::id::{RobotId, ServiceName, TeamId};
 use muster_model::teams::Teams;
@@ -140,7 +141,7 @@ impl Mutator {
                 if let Some(robot) = teams.teams.first().and_then(|team| team.members.first()) {
                     teams.unassigned = vec![robot.robot.clone()];
                 }
-                Message::Teams { teams: Arc::new(teams), mirror }
+                Message::Teams { teams: Checked::new_unchecked(teams), mirror }
             }
             (Mutant::RobotForgotten, Message::Teams { teams, mirror }) => {
                 let mut teams = Teams::clone(&teams);
@@ -148,7 +149,7 @@ impl Mutator {
                     // A team without its leader would not even be decoded.
                     team.members.retain(|member| member.robot == team.leader);
                 }
-                Message::Teams { teams: Arc::new(teams), mirror }
+                Message::Teams { teams: Checked::new_unchecked(teams), mirror }
             }
             (Mutant::Restless, Message::Teams { teams, mirror }) => {
                 self.published += 1;
@@ -162,7 +163,7 @@ impl Mutator {
                         self.leaders.insert(team.id.clone(), other);
                     }
                 }
-                Message::Teams { teams: Arc::new(teams), mirror }
+                Message::Teams { teams: Checked::new_unchecked(teams), mirror }
             }
             (Mutant::Restless, Message::RobotTeam(mut report)) => {
                 let leader = report.team.as_ref().and_then(|team| self.leaders.get(team));
@@ -184,7 +185,7 @@ impl Mutator {
                     teams.unassigned.sort();
                     self.taken_out = Some(robot);
                 }
-                Message::Teams { teams: Arc::new(teams), mirror }
+                Message::Teams { teams: Checked::new_unchecked(teams), mirror }
             }
             (Mutant::Fickle, Message::RobotTeam(mut report)) => {
                 if let Some(robot) = &self.taken_out {
@@ -197,7 +198,7 @@ impl Mutator {
                 Message::RobotTeam(report)
             }
             (Mutant::RevisionTwice, Message::Roster(mut roster)) => {
-                let header = &mut Arc::make_mut(&mut roster).header;
+                let header = &mut roster.make_mut_unchecked().header;
                 match self.old.take() {
                     Some(old) => header.revision = old,
                     None => self.old = Some(header.revision),
@@ -206,8 +207,10 @@ impl Mutator {
             }
             (Mutant::TermTwice, mut message) => {
                 let revision = match &mut message {
-                    Message::Roster(roster) => &mut Arc::make_mut(roster).header.revision,
-                    Message::Embedding(embedding) => &mut Arc::make_mut(embedding).header.revision,
+                    Message::Roster(roster) => &mut roster.make_mut_unchecked().header.revision,
+                    Message::Embedding(embedding) => {
+                        &mut embedding.make_mut_unchecked().header.revision
+                    }
                     Message::Audit(audit) => &mut Arc::make_mut(audit).header.revision,
                     _ => return message,
                 };
@@ -223,7 +226,7 @@ impl Mutator {
                 self.published += 1;
                 let old = *self.old.get_or_insert(embedding.roster);
                 if self.published.is_multiple_of(3) {
-                    Arc::make_mut(&mut embedding).roster = old;
+                    embedding.make_mut_unchecked().roster = old;
                 }
                 Message::Embedding(embedding)
             }
@@ -259,7 +262,7 @@ impl Mutator {
         };
         let mut embedding = embedding.as_ref().clone();
         embedding.header.revision.term += 1;
-        let message = Message::Embedding(embedding.into());
+        let message = Message::Embedding(Checked::new_unchecked(embedding));
         match message.encode(Key::Embedding, Format::Binary, now) {
             Ok(outbound) => Packet { payload: Ok(outbound.payload), ..packet },
             Err(_) => packet,

@@ -16,6 +16,7 @@ use std::time::Duration;
 
 use muster_auditor::Auditor;
 use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
+use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::EventKind;
 use muster_model::header::{Header, Revision};
@@ -129,7 +130,7 @@ fn header(epoch: u64) -> Header {
 type Rows<'a> = &'a [(&'a str, [f64; 2])];
 
 fn embedding(epoch: u64, rows: Rows<'_>) -> Message {
-    Message::Embedding(Arc::new(Embedding {
+    Message::Embedding(Checked::new_unchecked(Embedding {
         header: header(epoch),
         roster: revision(epoch + 100),
         graphs: vec![],
@@ -167,7 +168,11 @@ fn roster(epoch: u64, robots: &[(&str, &str, Option<[f64; 3]>)]) -> Message {
         last_seen: START,
     };
     let robots = robots.iter().map(entry).collect();
-    Message::Roster(Arc::new(Roster { header: header(epoch + 100), robots, graphs: vec![] }))
+    Message::Roster(Checked::new_unchecked(Roster {
+        header: header(epoch + 100),
+        robots,
+        graphs: vec![],
+    }))
 }
 
 /// A division of the embedding of an epoch: `("t1", "a b c")`.
@@ -191,7 +196,7 @@ fn teams(epoch: u64, of: u64, teams: &[(&str, &str)], unassigned: &str) -> Messa
         changes: vec![],
         next_team: 9,
     };
-    Message::Teams { teams: Arc::new(teams), mirror: false }
+    Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }
 
 const FOUR: Rows<'static> =

@@ -120,7 +120,7 @@ fn old_terms_and_epochs_are_dropped() {
     bench.receive(embedding(4, FOUR));
     assert_eq!(bench.counter("messages_old"), 2);
     let Message::Teams { teams: mut old, mirror } = teams(900, 5, PAIRS, "") else { panic!() };
-    Arc::make_mut(&mut old).header.revision.term = 0;
+    old.make_mut_unchecked().header.revision.term = 0;
     bench.receive(Message::Teams { teams: old, mirror });
     assert_eq!(bench.counter("messages_old"), 3);
     assert!(bench.audits().is_empty());
@@ -216,8 +216,9 @@ fn refused_packets_are_reported() {
     let rejection =
         Rejection { robot: None, key: "muster/v1/f/teams".into(), reason: "broken".into() };
     bench.receive_refused(rejection);
-    // Contradictions do not pass the decoder; if one did, it would not pass here.
-    bench.receive(teams(1, 1, &[("t1", "a"), ("t1", "b")], ""));
+    let contradiction = teams(1, 1, &[("t1", "a"), ("t1", "b")], "");
+    let space = muster_wire::KeySpace::new(FleetId::new("f").unwrap());
+    bench.receive_packet(contradiction.to_packet(&space));
     assert!(matches!(bench.events()[0], EventKind::Quarantined { count: 1, .. }));
     assert_eq!((bench.counter("messages_refused"), bench.jobs_run), (2, 0));
 }

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 use std::ops::{Deref, DerefMut};
-use std::sync::Arc;
 
 use muster_clusterer::Clusterer;
+use muster_model::content::{Checked, Content};
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::EventKind;
 use muster_model::header::{Header, Revision, StageTime};
@@ -58,12 +58,12 @@ impl Bench {
         bench
     }
 
-    pub fn receive_embedding(&mut self, embedding: &Arc<Embedding>) {
-        self.receive(Message::Embedding(Arc::clone(embedding)));
+    pub fn receive_embedding(&mut self, embedding: &Checked<Embedding>) {
+        self.receive(Message::Embedding(embedding.clone()));
     }
 
     pub fn receive_roster(&mut self, roster: Roster) {
-        self.receive(Message::Roster(Arc::new(roster)));
+        self.receive(Message::Roster(Checked::new_unchecked(roster)));
     }
 
     /// What was published since the last call.
@@ -87,23 +87,23 @@ impl Bench {
     }
 
     /// The one division that was published since the last call.
-    pub fn division(&mut self) -> Arc<Teams> {
+    pub fn division(&mut self) -> Checked<Teams> {
         self.take().division()
     }
 }
 
 #[derive(Default, Debug)]
 pub struct Published {
-    pub teams: Vec<(Arc<Teams>, bool)>,
+    pub teams: Vec<(Checked<Teams>, bool)>,
     pub robots: Vec<RobotTeam>,
     pub events: Vec<EventKind>,
     pub settings: usize,
 }
 
 impl Published {
-    pub fn division(&self) -> Arc<Teams> {
+    pub fn division(&self) -> Checked<Teams> {
         assert_eq!(self.teams.len(), 1, "exactly one division in {self:?}");
-        Arc::clone(&self.teams[0].0)
+        self.teams[0].0.clone()
     }
 
     pub fn changes(&self) -> Vec<TeamChange> {
@@ -138,7 +138,7 @@ pub fn header(term: u64, epoch: u64) -> Header {
 
 /// An embedding of term 1: `(names, place)` puts some robots at one place, a bit apart from each
 /// other; a name that ends in `!` is unseen.
-pub fn embedding(epoch: u64, groups: &[(&str, [f64; 2])]) -> Arc<Embedding> {
+pub fn embedding(epoch: u64, groups: &[(&str, [f64; 2])]) -> Checked<Embedding> {
     let mut rows: Vec<(RobotId, Vec<f64>, bool)> = Vec::new();
     for (names, place) in groups {
         for (i, name) in names.split_whitespace().enumerate() {
@@ -155,9 +155,9 @@ pub fn from_rows(
     term: u64,
     epoch: u64,
     mut rows: Vec<(RobotId, Vec<f64>, bool)>,
-) -> Arc<Embedding> {
+) -> Checked<Embedding> {
     rows.sort_by(|left, right| left.0.cmp(&right.0));
-    Arc::new(Embedding {
+    Checked::new_unchecked(Embedding {
         header: header(term, epoch),
         roster: Revision { term, epoch },
         graphs: vec![],
@@ -182,8 +182,8 @@ pub fn from_rows(
 }
 
 /// The same data, later.
-pub fn again(embedding: &Embedding, term: u64, epoch: u64) -> Arc<Embedding> {
-    Arc::new(Embedding { header: header(term, epoch), ..embedding.clone() })
+pub fn again(embedding: &Embedding, term: u64, epoch: u64) -> Checked<Embedding> {
+    Checked::new_unchecked(Embedding { header: header(term, epoch), ..embedding.clone() })
 }
 
 /// A roster: `"a<b"` answers to b, `"a?"` is stale.

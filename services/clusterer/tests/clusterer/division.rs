@@ -195,9 +195,10 @@ fn what_cannot_be_divided_fails_without_a_panic() {
     assert!(
         matches!(&sent.events[..], [EventKind::JobFailed { reason }] if reason.contains("large"))
     );
-    // Contradictory embeddings do not pass the decoder; if one did, it would not pass here.
     let broken = Embedding { unseen: vec![], ..(*embedding(3, &[("a", WEST)])).clone() };
-    bench.receive_embedding(&Arc::new(broken));
+    let broken = Message::Embedding(Checked::new_unchecked(broken));
+    let space = muster_wire::KeySpace::new(header(1, 1).fleet);
+    bench.receive_packet(broken.to_packet(&space));
     let sent = bench.take();
     assert!(
         matches!(&sent.events[..], [EventKind::Quarantined { key, .. }] if key.ends_with("embedding"))

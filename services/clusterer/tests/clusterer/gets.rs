@@ -53,7 +53,7 @@ fn a_restart_finds_embedding_and_teams_together() {
     let first = embedding(1, &[("a b", WEST), ("c d", EAST)]);
     let (_, last) = divided(teams(2), &first);
     let messages = vec![
-        Message::Roster(Arc::new(roster(3, "a? b c d"))),
+        Message::Roster(Checked::new_unchecked(roster(3, "a? b c d"))),
         Message::Embedding(first),
         mirrored(&last),
     ];

@@ -42,7 +42,7 @@ fn ids_and_numbers_outlive_the_process() {
         next_team: 1,
         ..Teams::clone(&divided(teams(2), &embedding(1, &[("a c", WEST), ("b d", EAST)])).1)
     };
-    let messages = vec![mirrored(&last), mirrored(&Arc::new(old))];
+    let messages = vec![mirrored(&last), mirrored(&Checked::new_unchecked(old))];
     let mut next = Bench::restored(teams(2), messages);
     // The last good answer is served, but not published as if it were new.
     assert!(next.take().teams.is_empty());

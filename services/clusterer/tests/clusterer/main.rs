@@ -24,6 +24,7 @@ use common::{
     short,
 };
 use muster_clusterer::Clusterer;
+use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
@@ -42,12 +43,12 @@ fn teams(teams: u32) -> ClustererSettings {
     ClustererSettings { teams, restarts: 10, ..ClustererSettings::default() }
 }
 
-fn mirrored(teams: &Arc<Teams>) -> Message {
-    Message::Teams { teams: Arc::clone(teams), mirror: false }
+fn mirrored(teams: &Checked<Teams>) -> Message {
+    Message::Teams { teams: teams.clone(), mirror: false }
 }
 
 /// A bench that has divided one embedding.
-fn divided(settings: ClustererSettings, first: &Arc<Embedding>) -> (Bench, Arc<Teams>) {
+fn divided(settings: ClustererSettings, first: &Checked<Embedding>) -> (Bench, Checked<Teams>) {
     let mut bench = Bench::leading(settings);
     bench.receive_embedding(first);
     let division = bench.division();

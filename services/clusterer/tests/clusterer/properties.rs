@@ -37,7 +37,7 @@ type Place = (Option<TeamId>, Option<Vec<RobotId>>, Option<RobotId>);
 /// What robots and readers of the bus know.
 #[derive(Default)]
 struct World {
-    teams: Option<Arc<Teams>>,
+    teams: Option<Checked<Teams>>,
     /// Teams that ended, with the robots that were in them when they did or left them before.
     gone: BTreeMap<TeamId, BTreeSet<RobotId>>,
     members: BTreeMap<TeamId, BTreeSet<RobotId>>,
@@ -67,7 +67,7 @@ impl World {
                 let all = self.members.entry(team.id.clone()).or_default();
                 all.extend(team.members.iter().map(|member| member.robot.clone()));
             }
-            self.teams = Some(Arc::clone(teams));
+            self.teams = Some(teams.clone());
         }
         for team in &sent.robots {
             let content = (team.team.clone(), team.members.clone(), team.leader.clone());
@@ -117,7 +117,7 @@ proptest! {
         let mut settings = ClustererSettings { restarts: 3, ..teams(3) };
         let mut bench = Bench::leading(settings.clone());
         let mut world = World::default();
-        let mut newest: Option<Arc<Embedding>> = None;
+        let mut newest: Option<Checked<Embedding>> = None;
         for (epoch, act) in (1..).zip(acts) {
             match act {
                 Act::Embedding(places) => {
@@ -137,7 +137,7 @@ proptest! {
                 Act::Restart => {
                     world.read(&bench.take());
                     let teams = world.teams.iter().map(mirrored);
-                    let embedding = newest.iter().map(|e| Message::Embedding(Arc::clone(e)));
+                    let embedding = newest.iter().map(|e| Message::Embedding(e.clone()));
                     let now = bench.now;
                     bench = Bench::restored(settings.clone(), teams.chain(embedding).collect());
                     bench.now = now;

@@ -3,7 +3,11 @@
 use super::*;
 
 fn higher(division: &Teams, term: u64) -> Message {
-    mirrored(&Arc::new(Teams { header: header(term, 3), next_team: 40, ..division.clone() }))
+    mirrored(&Checked::new_unchecked(Teams {
+        header: header(term, 3),
+        next_team: 40,
+        ..division.clone()
+    }))
 }
 
 /// Both next questions for the own output are answered so. What was published before the last of
@@ -65,7 +69,7 @@ fn robots_that_are_gone_are_stale_and_lead_nobody() {
     assert_eq!(leaders(&division), ["b", "d"], "where all are gone the one before stays");
 }
 
-fn line(epoch: u64, robots: u32, split: u32) -> Arc<Embedding> {
+fn line(epoch: u64, robots: u32, split: u32) -> Checked<Embedding> {
     let row = |i: u32| {
         let x = if i < split { 0.0 } else { 9.0 };
         (robot(&format!("r{i:04}")), vec![x + f64::from(i) * 1e-5, 0.0], false)

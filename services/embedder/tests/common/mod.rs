@@ -8,6 +8,7 @@ use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
 use muster_embedder::Embedder;
+use muster_model::content::{Checked, Content};
 use muster_model::embedding::Embedding;
 use muster_model::event::EventKind;
 use muster_model::graph::{GraphDelta, GraphReplica, GraphRow, Node};
@@ -35,7 +36,7 @@ pub fn modality(name: &str) -> Modality {
 #[derive(Debug, Clone)]
 pub struct Published {
     pub graphs: Vec<Arc<GraphDelta>>,
-    pub roster: Arc<Roster>,
+    pub roster: Checked<Roster>,
 }
 
 impl Published {
@@ -61,7 +62,7 @@ pub struct Ingest {
     robots: BTreeMap<RobotId, Node>,
     edges: BTreeMap<Modality, BTreeMap<(RobotId, RobotId), f64>>,
     pub published: BTreeMap<Modality, GraphReplica>,
-    last: Option<Arc<Roster>>,
+    last: Option<Checked<Roster>>,
 }
 
 impl Ingest {
@@ -194,7 +195,7 @@ impl Ingest {
             role: None,
             last_seen: now,
         };
-        let roster = Arc::new(Roster {
+        let roster = Checked::new_unchecked(Roster {
             header: self.header(now),
             robots: self.robots.iter().map(entry).collect(),
             graphs: self
@@ -263,7 +264,7 @@ fn is_empty(delta: &GraphDelta) -> bool {
 /// An embedder on the common bench, with what it published and asks for in order.
 pub struct Bench {
     kit: testkit::Bench<Embedder>,
-    pub published: Vec<Arc<Embedding>>,
+    pub published: Vec<Checked<Embedding>>,
     pub events: Vec<EventKind>,
     /// Fetches of rosters and graphs that wait.
     pub fetches: VecDeque<Vec<Ask>>,
@@ -366,6 +367,13 @@ impl Bench {
 
     pub fn receive(&mut self, message: Message) {
         self.kit.receive(message);
+        self.read();
+    }
+
+    /// A message arrives as a packet, and is decoded.
+    pub fn receive_encoded(&mut self, message: &Message) {
+        let space = muster_wire::KeySpace::new(FleetId::new("f").unwrap());
+        self.kit.receive_packet(message.to_packet(&space));
         self.read();
     }
 

@@ -5,10 +5,10 @@
 
 use std::collections::BTreeMap;
 use std::ops::{Deref, DerefMut};
-use std::sync::Arc;
 use std::time::Duration;
 
 use muster_ingest::Ingest;
+use muster_model::content::Checked;
 use muster_model::event::EventKind;
 use muster_model::graph::GraphReplica;
 use muster_model::header::{Header, Revision, StageTime};
@@ -121,7 +121,7 @@ pub(crate) fn roster_of(published: Tick, robots: Vec<RosterEntry>) -> Message {
         newest: None,
         stages: vec![stage],
     };
-    Message::Roster(Arc::new(Roster { header, robots, graphs: Vec::new() }))
+    Message::Roster(Checked::new_unchecked(Roster { header, robots, graphs: Vec::new() }))
 }
 
 /// Edges by name.
@@ -135,7 +135,7 @@ pub(crate) struct Bench {
     /// Everything but events and settings, with its time, in order.
     pub(crate) published: Vec<(Tick, Message)>,
     pub(crate) events: Vec<EventKind>,
-    pub(crate) roster: Option<Arc<Roster>>,
+    pub(crate) roster: Option<Checked<Roster>>,
     pub(crate) graphs: BTreeMap<Modality, GraphReplica>,
 }
 
@@ -255,7 +255,7 @@ impl Bench {
                     assert_eq!(self.graphs[modality].revision(), *revision, "{modality}");
                     assert_eq!(*self.graphs[modality].nodes(), nodes, "{modality}");
                 }
-                self.roster = Some(Arc::clone(roster));
+                self.roster = Some(roster.clone());
             }
             other => panic!("ingest does not publish {other:?}"),
         }

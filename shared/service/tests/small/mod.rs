@@ -3,9 +3,9 @@
 #![allow(dead_code, reason = "each test file uses another part")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
-use std::sync::Arc;
 use std::time::Duration;
 
+use muster_model::content::Checked;
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
@@ -232,7 +232,7 @@ pub(crate) fn output(header: Header) -> Message {
         changes: Vec::new(),
         next_team: 1,
     };
-    Message::Teams { teams: Arc::new(teams), mirror: false }
+    Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }
 
 pub(crate) fn pose(robot: &str, x: f64) -> Message {

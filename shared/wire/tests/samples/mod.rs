@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport, Space, Verdict};
+use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::{GraphDelta, GraphRow};
@@ -213,9 +214,9 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ("rank", from_robot("r2", rank)),
         ("relation", from_robot("r1", (Modality::new("thermal").unwrap(), relation))),
         ("graph", Message::Graph(Arc::new(graph))),
-        ("roster", Message::Roster(Arc::new(roster))),
-        ("embedding", Message::Embedding(Arc::new(embedding))),
-        ("teams", Message::Teams { teams: Arc::new(teams), mirror: false }),
+        ("roster", Message::Roster(Checked::new_unchecked(roster))),
+        ("embedding", Message::Embedding(Checked::new_unchecked(embedding))),
+        ("teams", Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }),
         ("robot_team", Message::RobotTeam(robot_team)),
         ("audit", Message::Audit(Arc::new(audit))),
         ("event", event(quarantined)),

@@ -4,8 +4,8 @@
 //! true one that it is matched with, so that the most robots are right.
 
 use std::collections::{BTreeSet, HashMap};
-use std::sync::Arc;
 
+use muster_model::content::Checked;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::teams::Teams;
 use muster_numeric::matching::{MatchError, match_by_overlap, overlap_table};
@@ -103,7 +103,7 @@ impl Outcome {
 pub struct Judge<'a> {
     mission: &'a Mission,
     places: HashMap<RobotId, usize>,
-    last: Option<Arc<Teams>>,
+    last: Option<Checked<Teams>>,
     ids: Vec<TeamId>,
     /// The team of each robot now, by place in `ids`.
     now: Vec<Option<usize>>,
@@ -136,7 +136,7 @@ impl<'a> Judge<'a> {
     pub fn compare(
         &mut self,
         t: f64,
-        teams: Option<&Arc<Teams>>,
+        teams: Option<&Checked<Teams>>,
         silhouette: Option<f64>,
         dimension: u32,
     ) -> Result<(), MatchError> {
@@ -162,9 +162,9 @@ impl<'a> Judge<'a> {
     }
 
     /// Takes a division in, if it is a new one.
-    fn take(&mut self, t: f64, teams: Option<&Arc<Teams>>) {
+    fn take(&mut self, t: f64, teams: Option<&Checked<Teams>>) {
         let Some(teams) = teams else { return };
-        if self.last.as_ref().is_some_and(|last| Arc::ptr_eq(last, teams)) {
+        if self.last.as_ref().is_some_and(|last| last.ptr_eq(teams)) {
             return;
         }
         let mut now = vec![None; self.now.len()];
@@ -185,7 +185,7 @@ impl<'a> Judge<'a> {
             self.changes[robot] += usize::from(counts && new != old);
         }
         self.now = now;
-        self.last = Some(Arc::clone(teams));
+        self.last = Some(teams.clone());
     }
 
     /// Whether each robot is in the right team.

@@ -12,6 +12,7 @@ use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
 use muster_model::audit::Audit;
+use muster_model::content::Checked;
 use muster_model::graph::GraphReplica;
 use muster_model::id::{FleetId, IdError, InstanceId, Modality, ServiceName};
 use muster_model::settings::{
@@ -144,7 +145,7 @@ pub struct Pipeline {
     queue: VecDeque<Message>,
     gets: u64,
     /// The last division.
-    pub teams: Option<Arc<Teams>>,
+    pub teams: Option<Checked<Teams>>,
     /// The last judgement of it.
     pub audit: Option<Arc<Audit>>,
     /// Columns of the last embedding.
@@ -253,7 +254,7 @@ impl Pipeline {
                     self.auditor.receive(now, message, out);
                 }
                 Message::Teams { teams, .. } => {
-                    self.teams = Some(Arc::clone(teams));
+                    self.teams = Some(teams.clone());
                     self.auditor.receive(now, message, out);
                 }
                 Message::Audit(audit) => {

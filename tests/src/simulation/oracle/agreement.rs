@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::header::Revision;
 use muster_model::id::{RobotId, ServiceName};
@@ -51,7 +52,7 @@ pub(crate) struct GroundTruth<'a> {
 #[derive(Debug, Clone)]
 pub(crate) struct Settled {
     /// None where there never was anybody to divide.
-    division: Option<std::sync::Arc<Teams>>,
+    division: Option<Checked<Teams>>,
 }
 
 impl Settled {
@@ -121,7 +122,7 @@ impl Judge {
             return Err("the audit is not that of the positions in the roster".to_owned());
         }
         self.check_reports(teams, ground_truth)?;
-        Ok(Settled { division: Some(std::sync::Arc::clone(teams)) })
+        Ok(Settled { division: Some(teams.clone()) })
     }
 
     /// A console that joins late receives what was published last when it asked, or something newer, and
@@ -141,8 +142,12 @@ impl Judge {
     }
 
     fn was_published(&self, message: &Message) -> bool {
-        fn among<T: PartialEq>(published: &Published<T>, revision: Revision, other: &T) -> bool {
-            published.named(revision).iter().any(|published| **published == *other)
+        fn among<T: Clone + PartialEq>(
+            published: &Published<T>,
+            revision: Revision,
+            other: &T,
+        ) -> bool {
+            published.named(revision).iter().any(|published| published == other)
         }
         match message {
             Message::Roster(roster) => among(&self.rosters, roster.header.revision, roster),

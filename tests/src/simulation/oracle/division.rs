@@ -1,8 +1,8 @@
 //! Every robot has exactly one place, in a division of an embedding of a roster that there was.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
+use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::RobotId;
 use muster_model::roster::Roster;
@@ -24,10 +24,14 @@ pub(crate) fn check_roster(roster: &Roster) -> Verdict {
 }
 
 /// An embedding has one finite vector for each robot of the roster that it names.
-pub(crate) fn check_embedding(embedding: &Embedding, rosters: &Published<Roster>) -> Verdict {
+pub(crate) fn check_embedding(
+    embedding: &Embedding,
+    rosters: &Published<Checked<Roster>>,
+) -> Verdict {
     let revision = embedding.header.revision;
-    let of_roster =
-        |roster: &Arc<Roster>| roster.robots.iter().map(|entry| &entry.robot).eq(&embedding.robots);
+    let of_roster = |roster: &Checked<Roster>| {
+        roster.robots.iter().map(|entry| &entry.robot).eq(&embedding.robots)
+    };
     if !rosters.named(embedding.roster).iter().any(of_roster) {
         return breach(
             "an embedding has the robots of the roster that it names",
@@ -45,7 +49,7 @@ pub(crate) fn check_embedding(embedding: &Embedding, rosters: &Published<Roster>
 }
 
 /// Each robot of the embedding that a division names is in exactly one team, or in none.
-pub(crate) fn check_division(teams: &Teams, embeddings: &Published<Embedding>) -> Verdict {
+pub(crate) fn check_division(teams: &Teams, embeddings: &Published<Checked<Embedding>>) -> Verdict {
     let revision = teams.header.revision;
     let named = embeddings.named(teams.embedding);
     if named.is_empty() {
@@ -100,9 +104,12 @@ fn check_teams(teams: &Teams) -> Verdict {
 }
 
 /// What is published for a robot agrees with the division.
-pub(crate) fn check_robot_team(report: &RobotTeam, divisions: &Published<Teams>) -> Verdict {
+pub(crate) fn check_robot_team(
+    report: &RobotTeam,
+    divisions: &Published<Checked<Teams>>,
+) -> Verdict {
     let revision = report.header.revision;
-    let agrees = |teams: &Arc<Teams>| {
+    let agrees = |teams: &Checked<Teams>| {
         let team = teams
             .teams
             .iter()

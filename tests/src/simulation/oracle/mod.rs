@@ -15,6 +15,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use muster_model::audit::Audit;
+use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
@@ -67,13 +68,13 @@ pub(crate) struct Publisher {
 struct Divided {
     publisher: Publisher,
     settings: u32,
-    teams: Arc<Teams>,
+    teams: Checked<Teams>,
 }
 
 /// What has been published, by revision. Two leaders may give the same one.
 #[derive(Debug)]
 pub(crate) struct Published<T> {
-    all: BTreeMap<Revision, Vec<Arc<T>>>,
+    all: BTreeMap<Revision, Vec<T>>,
     order: VecDeque<Revision>,
 }
 
@@ -83,9 +84,9 @@ impl<T> Default for Published<T> {
     }
 }
 
-impl<T> Published<T> {
-    fn add(&mut self, revision: Revision, content: &Arc<T>) {
-        self.all.entry(revision).or_default().push(Arc::clone(content));
+impl<T: Clone> Published<T> {
+    fn add(&mut self, revision: Revision, content: &T) {
+        self.all.entry(revision).or_default().push(content.clone());
         self.order.push_back(revision);
         if self.order.len() > REMEMBERED
             && let Some(oldest) = self.order.pop_front()
@@ -95,22 +96,22 @@ impl<T> Published<T> {
     }
 
     /// Remembers what a get was answered with: a suspect answers, and publishes nothing.
-    fn know(&mut self, revision: Revision, content: &Arc<T>) {
-        self.all.entry(revision).or_insert_with(|| vec![Arc::clone(content)]);
+    fn know(&mut self, revision: Revision, content: &T) {
+        self.all.entry(revision).or_insert_with(|| vec![content.clone()]);
     }
 
     /// Everything that was published under a revision.
-    pub(crate) fn named(&self, revision: Revision) -> &[Arc<T>] {
+    pub(crate) fn named(&self, revision: Revision) -> &[T] {
         self.all.get(&revision).map_or(&[], Vec::as_slice)
     }
 
     /// Everything, the newest first.
-    fn newest_first(&self) -> impl Iterator<Item = &Arc<T>> {
+    fn newest_first(&self) -> impl Iterator<Item = &T> {
         self.order.iter().rev().filter_map(|revision| self.all.get(revision)).flatten()
     }
 
     /// What was published last.
-    pub(crate) fn last(&self) -> Option<&Arc<T>> {
+    pub(crate) fn last(&self) -> Option<&T> {
         self.all.get(self.order.back()?)?.last()
     }
 }
@@ -118,10 +119,10 @@ impl<T> Published<T> {
 /// What the judge knows.
 #[derive(Debug, Default)]
 pub(crate) struct Judge {
-    pub(crate) rosters: Published<Roster>,
-    pub(crate) embeddings: Published<Embedding>,
-    pub(crate) divisions: Published<Teams>,
-    pub(crate) audits: Published<Audit>,
+    pub(crate) rosters: Published<Checked<Roster>>,
+    pub(crate) embeddings: Published<Checked<Embedding>>,
+    pub(crate) divisions: Published<Checked<Teams>>,
+    pub(crate) audits: Published<Arc<Audit>>,
     pub(crate) order: order::Order,
     /// Which process of a service last published its output.
     last_by: BTreeMap<ServiceName, Publisher>,
@@ -214,7 +215,7 @@ impl Judge {
             }
             Message::Teams { teams, .. } => {
                 division::check_division(teams, &self.embeddings)?;
-                let divided = Divided { publisher, settings, teams: Arc::clone(teams) };
+                let divided = Divided { publisher, settings, teams: teams.clone() };
                 if let Some(before) = self.divided.replace(divided) {
                     self.check_same_again(&before)?;
                 }

@@ -5,53 +5,62 @@ use std::sync::Arc;
 
 use muster_method::silhouettes::{SilhouetteParams, silhouettes};
 use muster_model::audit::{SilhouetteReport, Space, Verdict};
+use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::limits::MAX_COORDINATE_M;
 use muster_model::roster::Roster;
 use muster_model::settings::AuditorSettings;
 use muster_model::teams::Teams;
-use muster_numeric::matrix::DenseMatrix;
+use muster_numeric::matrix::{DenseMatrix, MatrixError};
+use muster_numeric::silhouette::SilhouetteError;
 
-/// One division to judge, with what it was made from.
+/// One division to score.
 #[derive(Debug, Clone)]
 pub struct Job {
-    pub(crate) case: Case,
+    pub(crate) input: AuditInput,
 }
 
-/// What became of a [`Job`]: a judgement, or what was wrong.
-#[derive(Debug, Clone)]
-pub struct Outcome(pub(crate) Result<Judgement, String>);
+/// Why a division is not scored.
+#[derive(Debug, thiserror::Error)]
+pub enum ScoreError {
+    /// The vectors or positions are no matrix.
+    #[error(transparent)]
+    Points(#[from] MatrixError),
+    /// The silhouettes cannot be computed.
+    #[error(transparent)]
+    Silhouettes(#[from] SilhouetteError),
+}
 
 /// Silhouettes of one division.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Judgement {
+pub struct Scores {
     /// Among the vectors.
     pub in_embedding: SilhouetteReport,
     /// Among the positions.
     pub in_physical: SilhouetteReport,
 }
 
-/// A division, and what it is judged by.
+/// A division, and what it is scored by.
 #[derive(Debug, Clone)]
-pub(crate) struct Case {
-    pub(crate) teams: Arc<Teams>,
-    pub(crate) embedding: Arc<Embedding>,
+pub(crate) struct AuditInput {
+    pub(crate) teams: Checked<Teams>,
+    pub(crate) embedding: Checked<Embedding>,
     pub(crate) positions: Arc<BTreeMap<RobotId, [f64; 3]>>,
 }
 
-impl Case {
+impl AuditInput {
     /// A division with its embedding, and the positions of its robots by a roster.
     pub(crate) fn new(
-        teams: Arc<Teams>,
-        embedding: Arc<Embedding>,
+        teams: Checked<Teams>,
+        embedding: Checked<Embedding>,
         roster: Option<&Roster>,
     ) -> Self {
         let positions = roster.map(|roster| positions(&teams, roster)).unwrap_or_default();
         Self { teams, embedding, positions: Arc::new(positions) }
     }
 
-    /// Whether another case would be judged alike.
+    /// Whether another division would get the same scores.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         self.teams.assignments().eq(other.teams.assignments())
             && same_vectors(&self.embedding, &other.embedding)
@@ -83,19 +92,18 @@ fn positions(teams: &Teams, roster: &Roster) -> BTreeMap<RobotId, [f64; 3]> {
     frames.into_values().rev().max_by_key(BTreeMap::len).unwrap_or_default()
 }
 
-/// Judges a division in both spaces.
-pub(crate) fn judge(case: &Case) -> Result<Judgement, String> {
-    let embedding = &*case.embedding;
-    embedding.check().map_err(|error| error.to_string())?;
+/// Scores a division in both spaces.
+pub(crate) fn score(input: &AuditInput) -> Result<Scores, ScoreError> {
+    let embedding = &*input.embedding;
     let dimension = embedding.dimension as usize;
-    let in_embedding = report(Space::Embedding, &case.teams, dimension, |robot| {
+    let in_embedding = report(Space::Embedding, &input.teams, dimension, |robot| {
         let row = embedding.robots.binary_search(robot).ok()?;
         embedding.values.get(row * dimension..(row + 1) * dimension)
     })?;
-    let in_physical = report(Space::Physical, &case.teams, 3, |robot| {
-        case.positions.get(robot).map(|position| &position[..])
+    let in_physical = report(Space::Physical, &input.teams, 3, |robot| {
+        input.positions.get(robot).map(|position| &position[..])
     })?;
-    Ok(Judgement { in_embedding, in_physical })
+    Ok(Scores { in_embedding, in_physical })
 }
 
 /// Silhouettes over the robots that have a team and a place.
@@ -104,7 +112,7 @@ fn report<'a>(
     teams: &Teams,
     dimension: usize,
     place: impl Fn(&RobotId) -> Option<&'a [f64]>,
-) -> Result<SilhouetteReport, String> {
+) -> Result<SilhouetteReport, ScoreError> {
     let mut scored: Vec<(&RobotId, usize)> = Vec::new();
     let mut present = 0;
     for (number, team) in teams.teams.iter().enumerate() {
@@ -118,11 +126,10 @@ fn report<'a>(
     }
     scored.sort_unstable();
     let values = scored.iter().filter_map(|(robot, _)| place(robot)).flatten().copied();
-    let x = DenseMatrix::new(scored.len(), dimension, values.collect())
-        .map_err(|error| error.to_string())?;
+    let x = DenseMatrix::new(scored.len(), dimension, values.collect())?;
     let labels: Vec<usize> = scored.iter().map(|(_, number)| *number).collect();
     let params = SilhouetteParams::default();
-    let found = silhouettes(&x, &labels, &params).map_err(|error| error.to_string())?;
+    let found = silhouettes(&x, &labels, &params)?;
     let details = found.details;
     let named = |(number, mean): (usize, f64)| -> Option<(TeamId, f64)> {
         Some((teams.teams.get(number)?.id.clone(), mean))
@@ -138,8 +145,8 @@ fn report<'a>(
     })
 }
 
-/// The judgement in one word.
-pub(crate) fn verdict(mean: Option<f64>, settings: &AuditorSettings) -> Verdict {
+/// The quality of a division in one word.
+pub(crate) fn quality(mean: Option<f64>, settings: &AuditorSettings) -> Verdict {
     match mean {
         None => Verdict::Undefined,
         Some(mean) if mean >= settings.good => Verdict::Good,

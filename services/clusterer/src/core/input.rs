@@ -1,0 +1,97 @@
+//! What becomes of messages and of the answers of fetches.
+
+use std::sync::Arc;
+
+use muster_model::audit::Audit;
+use muster_model::content::Checked;
+use muster_model::embedding::Embedding;
+use muster_model::roster::Roster;
+use muster_wire::Message;
+
+use super::{Clusterer, Context, Received};
+
+impl Clusterer {
+    pub(super) fn accept_message(&mut self, context: &mut Context<'_>, message: Message) {
+        match message {
+            Message::Embedding(embedding) => self.accept_embedding(context, embedding),
+            Message::Roster(roster) => self.accept_roster(context, roster),
+            Message::Audit(audit) => self.accept_audit(audit),
+            _ => {}
+        }
+    }
+
+    /// Takes answers, the newest first, so that no older one is divided before it.
+    pub(super) fn accept_all(&mut self, context: &mut Context<'_>, mut messages: Vec<Message>) {
+        let revision = |message: &Message| message.header().map(|header| header.revision);
+        messages.sort_by_key(|message| std::cmp::Reverse(revision(message)));
+        for message in messages {
+            self.accept_message(context, message);
+        }
+    }
+
+    fn accept_audit(&mut self, audit: Arc<Audit>) {
+        let last = self.audit.as_ref().map(|audit| audit.header.revision);
+        if last.is_none_or(|last| audit.header.revision > last) {
+            self.audit = Some(audit);
+        }
+    }
+
+    fn accept_embedding(&mut self, context: &mut Context<'_>, embedding: Checked<Embedding>) {
+        let revision = embedding.header.revision;
+        let last = self.newest.as_ref().map(|newest| newest.embedding.header.revision);
+        if last.is_some_and(|last| revision <= last) {
+            // The same one may well come twice: by subscription and by fetch.
+            if last != Some(revision) {
+                context.count("messages_old");
+            }
+            return;
+        }
+        context.count("embeddings_received");
+        self.newest = Some(Received { embedding, at: context.now() });
+        self.consider(context);
+    }
+
+    fn accept_roster(&mut self, context: &mut Context<'_>, roster: Checked<Roster>) {
+        let revision = roster.header.revision;
+        let last = self.roster.as_ref().map(|roster| roster.header.revision);
+        if last.is_some_and(|last| revision <= last) {
+            if last != Some(revision) {
+                context.count("messages_old");
+            }
+            return;
+        }
+        self.roster = Some(roster);
+        // Robots went silent, left, or command others now: the same labels, published again.
+        if let (Some(published), Some(division)) = (&self.published, &self.division) {
+            let (leaders, stale) = self.roster_view(division, &published.source.embedding);
+            let led = division.teams.iter().zip(leaders);
+            if stale != division.stale
+                || led.into_iter().any(|(team, leader)| leader.is_some_and(|l| l != team.leader))
+            {
+                let source = published.source.clone();
+                self.republish_from(context, source);
+            }
+        }
+    }
+
+    /// Takes over the newest division of an earlier leader among messages, and the embedding that it
+    /// names.
+    pub(super) fn inherit(&mut self, messages: &[Message]) {
+        for message in messages {
+            let Message::Teams { teams, .. } = message else { continue };
+            let last = self.division.as_ref().map(|division| division.header.revision);
+            if last.is_none_or(|last| teams.header.revision > last) {
+                self.division = Some(teams.clone());
+            }
+        }
+        let named = self.division.as_ref().map(|division| division.embedding);
+        for message in messages {
+            if let Message::Embedding(embedding) = message
+                && named == Some(embedding.header.revision)
+            {
+                self.divided = Some(embedding.clone());
+            }
+        }
+        self.received_by_others = self.division.clone();
+    }
+}

@@ -1,0 +1,168 @@
+//! What is published of a division, and when it is published again.
+
+use std::collections::BTreeSet;
+
+use muster_model::content::Checked;
+use muster_model::embedding::Embedding;
+use muster_model::event::{EventKind, Severity};
+use muster_model::id::RobotId;
+use muster_model::roster::Presence;
+use muster_model::teams::Teams;
+use muster_model::time::{Tick, seconds};
+use muster_wire::Message;
+
+use super::{Clusterer, Context, Published, Received, View};
+use crate::leader::leaders;
+use crate::publishing::{robots_to_inform, shortage};
+
+/// Most changes of one division that are published as events: when a whole fleet is divided anew, the
+/// division itself says it better than one event per robot. The others are counted.
+const MAX_CHANGE_EVENTS: usize = 64;
+
+impl Clusterer {
+    pub(super) fn publish(&mut self, context: &mut Context<'_>, teams: Teams, source: Received) {
+        let now = context.now();
+        let (leaders, stale) = self.roster_view(&teams, &source.embedding);
+        let mut teams = Teams { stale, ..teams };
+        for (team, leader) in teams.teams.iter_mut().zip(leaders) {
+            if let Some(leader) = leader {
+                team.leader = leader;
+            }
+        }
+        let revision = context.next_revision();
+        let stage = context.stage(source.at);
+        teams.embedding = source.embedding.header.revision;
+        // A restart goes by the division alone, so that it says which numbers others have given.
+        teams.next_team = teams.next_team.max(self.memory.next_team);
+        teams.header = source.embedding.header.next_stage(revision, stage);
+
+        let heartbeat = seconds(context.settings().heartbeat_s);
+        let before = self.received_by_others.as_deref();
+        let mirrored = self.published.as_ref().map(|published| published.mirrored);
+        let mirror = mirrored.is_none_or(|last| now.since(last) >= heartbeat)
+            || before.is_none_or(|before| !before.same_division(&teams));
+        let teams = Checked::new_unchecked(teams);
+        context.publish(Message::Teams { teams: teams.clone(), mirror });
+        context.count("divisions_published");
+
+        let changed = robots_to_inform(&teams, before);
+        for robot in &changed {
+            if let Some(team) = teams.robot_team(robot) {
+                context.publish(Message::RobotTeam(team));
+            }
+        }
+        let changed: BTreeSet<&RobotId> = changed.into_iter().collect();
+        let mirrored = if mirror { now } else { mirrored.unwrap_or(now) };
+        self.divided = Some(source.embedding.clone());
+        self.published = Some(Published { source, at: now, mirrored });
+        self.division = Some(teams.clone());
+        self.inform_in_rotation(context, &changed);
+        if context.is_leading() {
+            self.report_changes(context, &teams);
+            self.received_by_others = Some(teams);
+        }
+    }
+
+    /// What the newest roster says of the division of an embedding: the leader of each team, and who
+    /// is stale. A robot that is missing from a roster that is not older than the embedding's is about to go.
+    pub(super) fn roster_view(
+        &self,
+        teams: &Teams,
+        embedding: &Embedding,
+    ) -> (Vec<Option<RobotId>>, Vec<RobotId>) {
+        let mut stale = Vec::new();
+        if let Some(roster) = self.roster.as_deref() {
+            let is_new = roster.header.revision >= embedding.roster;
+            let mut entries = roster.robots.iter().peekable();
+            for robot in &embedding.robots {
+                while entries.next_if(|entry| entry.robot < *robot).is_some() {}
+                let is_stale = match entries.peek().filter(|entry| entry.robot == *robot) {
+                    Some(entry) => entry.presence == Presence::Stale,
+                    None => is_new,
+                };
+                if is_stale {
+                    stale.push(robot.clone());
+                }
+            }
+        } else if let Some(division) = &self.division {
+            let known = |robot: &&RobotId| embedding.robots.binary_search(robot).is_ok();
+            stale.extend(division.stale.iter().filter(known).cloned());
+        }
+        let roster = self.roster.as_deref();
+        (leaders(&teams.teams, roster, self.division.as_deref(), &stale), stale)
+    }
+
+    /// Publishes what a division has changed.
+    fn report_changes(&mut self, context: &mut Context<'_>, teams: &Teams) {
+        let changes = teams.changes.clone();
+        let count = changes.len();
+        context.add("team_changes", count as u64);
+        for change in changes.into_iter().take(MAX_CHANGE_EVENTS) {
+            context.publish_event(Severity::Info, EventKind::TeamChanged(change));
+        }
+        let unreported = count.saturating_sub(MAX_CHANGE_EVENTS);
+        if unreported > 0 {
+            context.add("team_changes_untold", unreported as u64);
+        }
+        match shortage(teams) {
+            Some((requested, formed, reason)) if self.fewer != Some((requested, formed)) => {
+                self.fewer = Some((requested, formed));
+                let kind = EventKind::FewerTeams { requested, formed, reason };
+                context.publish_event(Severity::Warning, kind);
+            }
+            Some(_) => {}
+            None => self.fewer = None,
+        }
+    }
+
+    /// Publishes the last division of this leader again, if there is one.
+    pub(super) fn republish(&mut self, context: &mut Context<'_>) {
+        if let Some(published) = &self.published {
+            let source = published.source.clone();
+            self.republish_from(context, source);
+        }
+    }
+
+    /// Publishes the last division again, as it stands by the newest roster.
+    pub(super) fn republish_from(&mut self, context: &mut Context<'_>, source: Received) {
+        let Some(division) = &self.division else { return };
+        let mut teams = Teams::clone(division);
+        if self.received_by_others.as_ref().is_some_and(|last| last.ptr_eq(division)) {
+            teams.changes.clear();
+        }
+        self.publish(context, teams, source);
+    }
+
+    /// When the next robots are to be informed again.
+    pub(super) fn rotation_at(&self, view: &View<'_>) -> Option<Tick> {
+        self.published.as_ref().filter(|_| view.is_leading())?;
+        Some(self.rotation.due(seconds(view.settings().heartbeat_s)))
+    }
+
+    /// Publishes the team of those robots again whose turn it is, if it is time, but for those that
+    /// were just informed.
+    pub(super) fn inform_in_rotation(
+        &mut self,
+        context: &mut Context<'_>,
+        informed: &BTreeSet<&RobotId>,
+    ) {
+        let now = context.now();
+        if self.rotation_at(&context.view()).is_none_or(|due| now < due) {
+            return;
+        }
+        let (Some(published), Some(teams)) = (&self.published, &self.division) else { return };
+        // The embedding has the robots of the division, ordered by name.
+        for robot in self.rotation.next(now, &published.source.embedding.robots) {
+            if !informed.contains(&robot)
+                && let Some(team) = teams.robot_team(&robot)
+            {
+                context.publish(Message::RobotTeam(team));
+            }
+        }
+    }
+
+    pub(super) fn heartbeat_at(&self, view: &View<'_>) -> Option<Tick> {
+        let published = self.published.as_ref()?;
+        Some(published.at.after(seconds(view.settings().heartbeat_s)))
+    }
+}

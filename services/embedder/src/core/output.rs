@@ -1,0 +1,133 @@
+//! What is published of an embedding, and when it is published again.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use muster_model::content::Checked;
+use muster_model::embedding::{Embedding, EmbeddingMode};
+use muster_model::settings::EmbedderSettings;
+use muster_wire::Message;
+
+use super::{Context, Embedder};
+use crate::compute::{Basis, Computed};
+use crate::follow::Frame;
+
+/// How often an embedding is published again while rosters go on and nothing that it rests on changes,
+/// so that its readers see that the data behind it is fresh.
+const HEARTBEAT: Duration = Duration::from_secs(1);
+
+/// Difference of two coordinates of the same vector that is rounding.
+const ROUNDING: f64 = 1e-10;
+
+impl Embedder {
+    pub(super) fn accept_embedding(
+        &mut self,
+        context: &mut Context<'_>,
+        frame: Arc<Frame>,
+        basis: Basis,
+        computed: Computed,
+    ) {
+        let now = context.now();
+        context.count("jobs_done");
+        self.computed = Some((basis.clone(), now));
+        let frame = if basis.settled { self.newest_of(context, &basis, frame) } else { frame };
+        let roster = &frame.roster;
+        let last = self.embedding.as_ref().map(|last| last.roster);
+        if basis.settled && last > Some(roster.header.revision) {
+            // It was published again for a later frame meanwhile, and there is a newer one to come.
+            return;
+        }
+        if basis.settled && self.is_published(context.settings(), &computed) {
+            // Readers need not receive the same digits again.
+            context.count("embeddings_confirmed");
+            return;
+        }
+        let stage = context.stage(frame.received);
+        let embedding = Embedding {
+            header: roster.header.next_stage(context.next_revision(), stage),
+            roster: roster.header.revision,
+            graphs: computed.graphs,
+            robots: basis.robots.to_vec(),
+            dimension: computed.dimension,
+            values: computed.values,
+            unseen: computed.unseen,
+            centrality: computed.centrality,
+            quality: computed.quality,
+        };
+        self.published = Some((basis, now));
+        self.publish(context, embedding);
+    }
+
+    /// The newest frame if it rests on the same as the one that a job was begun with: while the job ran,
+    /// the embedding may have been published again with the header of a later roster.
+    fn newest_of(&mut self, context: &Context<'_>, basis: &Basis, frame: Arc<Frame>) -> Arc<Frame> {
+        let newest = self.follow.frame().cloned();
+        newest.filter(|newest| self.basis(context, newest).is_of(basis)).unwrap_or(frame)
+    }
+
+    /// Whether what was computed for a fleet at rest is what was published, as exactly as is promised.
+    fn is_published(&self, settings: &EmbedderSettings, computed: &Computed) -> bool {
+        let Some(last) = &self.embedding else { return false };
+        let near = |(new, old): (&f64, &f64)| (new - old).abs() <= ROUNDING;
+        last.quality.residual <= settings.idle_tolerance
+            && last.dimension == computed.dimension
+            && last.values.len() == computed.values.len()
+            && computed.values.iter().zip(&last.values).all(near)
+    }
+
+    fn publish(&mut self, context: &mut Context<'_>, embedding: Embedding) {
+        context.count("embeddings_published");
+        self.was_suppressed = !context.is_leading();
+        let embedding = Checked::new_unchecked(embedding);
+        self.embedding = Some(embedding.clone());
+        context.publish(Message::Embedding(embedding));
+    }
+
+    /// Publishes the last good embedding again as it is, with the next revision.
+    pub(super) fn republish(&mut self, context: &mut Context<'_>) {
+        let Some(embedding) = &self.embedding else { return };
+        let mut republished = unchanged(embedding);
+        republished.header.revision = context.next_revision();
+        if let Some(stage) = republished.header.stages.last_mut() {
+            stage.published = context.now();
+        }
+        if let Some((_, at)) = &mut self.published {
+            *at = context.now();
+        }
+        self.publish(context, republished);
+    }
+
+    /// Publishes the embedding again with the header of the newest roster, if it still is that of the
+    /// newest frame and was not published lately; or notes when that will be due.
+    pub(super) fn republish_when_due(
+        &mut self,
+        context: &mut Context<'_>,
+        frame: &Frame,
+        basis: &Basis,
+    ) {
+        let (Some((of, at)), Some(embedding)) = (&self.published, &self.embedding) else { return };
+        let roster = &frame.roster.header;
+        if !of.is_of(basis) || roster.revision <= embedding.roster {
+            return;
+        }
+        let due = at.after(HEARTBEAT);
+        if context.now() < due {
+            self.heartbeat = Some(due);
+            return;
+        }
+        let mut republished = unchanged(embedding);
+        let stage = context.stage(frame.received);
+        republished.header = roster.next_stage(context.next_revision(), stage);
+        republished.roster = roster.revision;
+        self.published = Some((basis.clone(), context.now()));
+        self.publish(context, republished);
+    }
+}
+
+/// An embedding as it is republished: nothing was computed for it.
+fn unchanged(embedding: &Embedding) -> Embedding {
+    let mut republished = embedding.clone();
+    republished.quality.mode = EmbeddingMode::Cached;
+    republished.quality.stage_us = [0; 3];
+    republished
+}
