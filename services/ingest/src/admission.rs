@@ -19,7 +19,7 @@ const REMEMBERED_BOOTS: usize = 8;
 const BURST_S: f64 = 1.0;
 
 /// A robot's clock that is further off than this is not set at all. That is counted, not refused, and
-/// says nothing of the order: age is judged by the receiver's clock.
+/// says nothing of the order: age is measured by the receiver's clock.
 const ABSURD_STAMP: Duration = Duration::from_secs(86_400);
 
 /// The counter of the messages of a stream that were accepted.
@@ -98,7 +98,7 @@ impl Content {
     }
 }
 
-/// Whom a robot answers to, and what it is.
+/// The superior of a robot, and its role.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Tie {
     /// The superior; none at the top.
@@ -120,20 +120,20 @@ impl Default for Tie {
 pub(crate) struct Observed {
     /// Where it belongs.
     pub(crate) stream: Stream,
-    /// What it says of its order.
+    /// Its place in the order of the robot's reports.
     pub(crate) provenance: Provenance,
-    /// What it says.
+    /// Its content.
     pub(crate) content: Content,
 }
 
 /// Why a message is refused.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Refusal {
-    /// It is a repetition, or comes after a later one.
+    /// It is a duplicate, or comes after a later one.
     Late(String),
-    /// It seems to be the same, but it may be the robot itself that began anew. It is let in if it
-    /// goes on for `stale_after_s`; until then it only keeps the robot from being judged silent.
-    Doubtful(String),
+    /// It looks late, but the robot itself may have restarted. Such messages are accepted once they have come
+    /// for `stale_after_s`; until then they only extend the robot's grace period.
+    Ambiguous(String),
     /// Anything else.
     Wrong(String),
 }
@@ -231,7 +231,7 @@ pub(crate) struct Gate {
     run: Run,
     left: VecDeque<Run>,
     late_since: Option<Tick>,
-    excused: bool,
+    may_restart: bool,
 }
 
 /// How far one run of a robot's software has come.
@@ -245,7 +245,7 @@ struct Run {
 /// How a message is out of order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Late {
-    /// By what the robot says of itself: never let in.
+    /// By what the robot states: never accepted.
     Proven(&'static str),
     /// By a sequence without a boot, or by stamps: a robot that restarted, or whose clock was set
     /// back, looks the same.
@@ -281,13 +281,13 @@ impl Gate {
             run: Run::default(),
             left: VecDeque::new(),
             late_since: None,
-            excused: false,
+            may_restart: false,
         }
     }
 
-    /// The robot has certainly begun anew: the next message need not follow the last one.
-    pub(crate) fn excuse(&mut self) {
-        self.excused = true;
+    /// The robot has restarted: the next message need not follow the last one.
+    pub(crate) fn allow_restart(&mut self) {
+        self.may_restart = true;
     }
 
     /// Lets a message pass or refuses it.
@@ -309,7 +309,7 @@ impl Gate {
             None if boots => None,
             None => self.run.late(boot.as_ref(), *seq, stamp),
         };
-        self.excuse_late(now, late, seconds(settings.stale_after_s))?;
+        self.check_order(now, late, seconds(settings.stale_after_s))?;
         let refill = now.since(self.passed).as_secs_f64() * settings.max_rate_hz;
         let allowance = (self.allowance + refill).min(capacity(settings));
         if allowance < 1.0 {
@@ -319,7 +319,7 @@ impl Gate {
         self.allowance = allowance - 1.0;
         self.passed = now;
         self.late_since = None;
-        self.excused = false;
+        self.may_restart = false;
         if boots {
             let run = returns.and_then(|at| self.left.remove(at)).unwrap_or_default();
             let left = std::mem::replace(&mut self.run, run);
@@ -340,29 +340,29 @@ impl Gate {
         Ok(())
     }
 
-    /// Refuses what is late, unless it has gone on for so long that it is the robot itself.
-    fn excuse_late(
+    /// Refuses a late message, unless such messages have come for so long that they are the robot's own.
+    fn check_order(
         &mut self,
         now: Tick,
         late: Option<Late>,
         grace: Duration,
     ) -> Result<(), Refusal> {
-        let (reason, excused) = match late {
+        let (reason, may_restart) = match late {
             None => return Ok(()),
             Some(Late::Proven(reason)) => {
                 return Err(Refusal::Late(format!("replayed or out of order: {reason}")));
             }
             Some(Late::Unproven(reason)) => {
                 let since = *self.late_since.get_or_insert(now);
-                (reason, self.excused || now.since(since) >= grace)
+                (reason, self.may_restart || now.since(since) >= grace)
             }
             Some(Late::Followed) => {
                 let reason = "this boot was followed by another one";
                 (reason, now.since(self.passed) >= grace)
             }
         };
-        let refusal = || Refusal::Doubtful(format!("replayed or out of order: {reason}"));
-        if excused { Ok(()) } else { Err(refusal()) }
+        let refusal = || Refusal::Ambiguous(format!("replayed or out of order: {reason}"));
+        if may_restart { Ok(()) } else { Err(refusal()) }
     }
 }
 

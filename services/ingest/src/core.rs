@@ -1,4 +1,4 @@
-//! What is accepted, what is judged when, and what is published.
+//! What is accepted, when presence changes, and what is published.
 
 use std::time::Duration;
 
@@ -27,7 +27,7 @@ type View<'a> = muster_service::View<'a, Ingest>;
 /// which robots happened to come first.
 const GATHERING_TIME: Duration = Duration::from_secs(1);
 
-/// Whether the silence of a robot says anything about it.
+/// Whether the silence of a robot proves anything.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Reception {
     /// Robots can be received.
@@ -43,9 +43,9 @@ enum Reception {
 
 /// From the streams of the robots to one weighted directed graph per modality.
 ///
-/// Messages only mark what they change; presence is judged and frames are made when a deadline
+/// Messages only mark what they change; presence is updated and frames are made when a deadline
 /// passes, so that one frame holds everything that came together. An instance that does not lead
-/// accepts messages and publishes nothing. While the link is lost nobody is judged and no frame is
+/// accepts messages and publishes nothing. While the link is lost no presence changes and no frame is
 /// made.
 #[derive(Debug)]
 pub struct Ingest {
@@ -53,7 +53,7 @@ pub struct Ingest {
     frames: Frames,
     reception: Reception,
     /// Whether no robot was known in this run so far.
-    is_unpeopled: bool,
+    is_without_robots: bool,
     /// No frame is made before this.
     gathered: Tick,
 }
@@ -88,7 +88,7 @@ impl Ingest {
     fn changed(&mut self, context: &mut Context<'_>, robot: &RobotId, change: Change) {
         let now = context.now();
         if change.joined {
-            if std::mem::take(&mut self.is_unpeopled) {
+            if std::mem::take(&mut self.is_without_robots) {
                 self.gathered = now.after(GATHERING_TIME);
             }
             self.frames.touch_members(now);
@@ -97,7 +97,7 @@ impl Ingest {
         if change.roster {
             self.frames.touch_roster(now);
         }
-        if self.is_judging(&context.view()) {
+        if self.is_publishing(&context.view()) {
             let grace = GracePeriods::from(context.settings());
             if self.fleet.has_recovered(now, robot, grace) {
                 self.report_transition(context, robot.clone(), Transition::Recovered);
@@ -125,12 +125,12 @@ impl Ingest {
         context.publish_event(severity, kind);
     }
 
-    /// Whether silence says something about the robots, and this instance publishes what follows.
-    fn is_judging(&self, view: &View<'_>) -> bool {
+    /// Whether this instance leads and can receive robots, so that it publishes their presence and frames.
+    fn is_publishing(&self, view: &View<'_>) -> bool {
         view.is_leading() && self.reception == Reception::Online
     }
 
-    /// Whether another instance judges the robots, and this one only keeps up.
+    /// Whether another instance publishes, and this one only follows.
     fn is_following(&self, view: &View<'_>) -> bool {
         view.replica_state() == ReplicaState::Standby && self.reception == Reception::Online
     }
@@ -142,14 +142,14 @@ impl Ingest {
     fn apply_settings(&mut self, context: &Context<'_>) {
         let modalities = &context.settings().modalities;
         self.fleet.keep_modalities(modalities);
-        self.fleet.judge_soon(context.now());
+        self.fleet.update_presence_soon(context.now());
         self.frames.declare(context.now(), modalities);
     }
 }
 
 fn refuse(context: &mut Context<'_>, key: &Key, refusal: Refusal) {
     let reason = match refusal {
-        Refusal::Late(reason) | Refusal::Doubtful(reason) => {
+        Refusal::Late(reason) | Refusal::Ambiguous(reason) => {
             context.count("messages_late");
             reason
         }
@@ -204,7 +204,7 @@ impl Core for Ingest {
             fleet: Fleet::default(),
             frames,
             reception: Reception::Online,
-            is_unpeopled: true,
+            is_without_robots: true,
             gathered: now,
         }
     }
@@ -219,12 +219,11 @@ impl Core for Ingest {
         for robot in joined.cloned().collect::<Vec<_>>() {
             report_joined(context, robot);
         }
-        self.is_unpeopled = self.fleet.robots().is_empty();
+        self.is_without_robots = self.fleet.robots().is_empty();
         if !restored.is_empty() {
             self.gathered = now;
-        } else if self.is_unpeopled {
-            // Readers may still hold a roster: they learn that nobody is there, but not before the
-            // robots that are there had a moment to say so.
+        } else if self.is_without_robots {
+            // Readers may still hold a roster: they receive the empty one once robots had time to join.
             self.gathered = now.after(GATHERING_TIME);
         }
         self.frames.touch_members(now);
@@ -269,16 +268,16 @@ impl Core for Ingest {
 
     fn on_timer(&mut self, context: &mut Context<'_>) {
         let now = context.now();
-        let is_due = self.fleet.next_judgement().is_some_and(|at| at <= now);
+        let is_due = self.fleet.presence_deadline().is_some_and(|at| at <= now);
         if is_due && self.is_following(&context.view()) {
             // The leader reports it.
-            self.fleet.judge(now, context.settings());
+            self.fleet.update_presence(now, context.settings());
         }
-        if !self.is_judging(&context.view()) {
+        if !self.is_publishing(&context.view()) {
             return;
         }
         if is_due {
-            for (robot, transition) in self.fleet.judge(now, context.settings()) {
+            for (robot, transition) in self.fleet.update_presence(now, context.settings()) {
                 self.report_transition(context, robot, transition);
             }
         }
@@ -321,11 +320,11 @@ impl Core for Ingest {
     }
 
     fn deadline(&self, view: &View<'_>) -> Option<Tick> {
-        let (judging, following) = (self.is_judging(view), self.is_following(view));
-        let judgement = self.fleet.next_judgement().filter(|_| judging || following);
-        let frame = self.next_frame(view.settings()).filter(|_| judging);
-        let publishing = self.frames.publishing().filter(|_| judging);
-        [judgement, frame, publishing].into_iter().flatten().min()
+        let (publishing, following) = (self.is_publishing(view), self.is_following(view));
+        let presence = self.fleet.presence_deadline().filter(|_| publishing || following);
+        let frame = self.next_frame(view.settings()).filter(|_| publishing);
+        let made = self.frames.publishing().filter(|_| publishing);
+        [presence, frame, made].into_iter().flatten().min()
     }
 
     fn state(&self, view: &View<'_>) -> String {

@@ -115,8 +115,8 @@ fn rows_of(edges: &[Edge], nodes: &[Node]) -> Vec<GraphRow> {
     rows
 }
 
-/// The rows that a replica must be told of to come from one graph to another. It drops the edges of
-/// removed nodes by itself.
+/// The rows that a delta must hold to lead a replica from one graph to another. The replica drops the edges
+/// of removed nodes by itself.
 pub(crate) fn changed_rows(old: &[GraphRow], new: &[GraphRow], removed: &[Node]) -> Vec<GraphRow> {
     let stays = |node: &Node| removed.binary_search(node).is_err();
     let rest = |row: &GraphRow| -> Vec<(Node, f64)> {

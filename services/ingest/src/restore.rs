@@ -1,4 +1,4 @@
-//! After a restart: what other services still remember of the last holder's outputs.
+//! After a restart: what other services still hold of the last leader's output.
 //!
 //! A roster holds positions and superiors, a connectivity graph holds link reports (an edge runs to
 //! the robot that reported it), a hierarchy the strengths of ties, a declared graph the relations.
@@ -23,13 +23,12 @@ use crate::roster::Fleet;
 /// What a robot reported on one stream.
 type Reported = (Stream, Content);
 
-/// Fills the fleet with what is remembered; streams that were heard in this run stay as they are.
-/// Returns the robots that are remembered and known now.
+/// Restores the fleet from the newest roster and its graphs. Streams with a report in this run stay as they
+/// are. Returns the restored robots.
 ///
-/// A robot that was stale stays stale: a roster tells when anything was last heard of it, which may be
-/// later than its pose, but its pose was older than `stale_after_s` as the roster was told. One that was
-/// active has its whole grace to speak again, but `last_seen` and the age of the data stay what they
-/// are.
+/// A robot that was stale stays stale: its `last_seen` may be later than its pose, but its pose was older than
+/// `stale_after_s` when the roster was published. A robot that was active gets the whole grace period
+/// again; `last_seen` and the age of the data do not change.
 pub(crate) fn restore(
     now: Tick,
     messages: &[Message],
@@ -41,15 +40,14 @@ pub(crate) fn restore(
     let Some(roster) = newest.filter(|roster| has_distinct_nodes(roster)) else {
         return BTreeSet::new();
     };
-    // A token that nobody remembers is that of a process that hangs and had left, or of a robot that
-    // came while nobody listened. Soon after the last roster the first is far more likely, and lasts
-    // for ever if it is taken for a robot; the second ends with the robot's first word, and a robot
-    // without a word has nothing that a team could be made of. After a long time the fleet may be
-    // another one, and all tokens are shown as robots.
-    let told = roster.header.stages.last().map_or(Tick::default(), |stage| stage.published);
-    if now.since(told) < seconds(settings.gone_after_s) {
-        let remembered: BTreeSet<_> = roster.robots.iter().map(|entry| &entry.robot).collect();
-        fleet.hang_quiet(|robot| remembered.contains(robot));
+    // A token of a robot that the roster does not list is that of a hanging process that had left, or of a
+    // robot that joined while no `ingest` ran. Soon after the last roster the first is far more likely,
+    // and would stay for ever as a robot; the second joins by its first report, and without one it has
+    // no team. Long after the last roster the fleet may be another one: all tokens count as robots.
+    let published = roster.header.stages.last().map_or(Tick::default(), |stage| stage.published);
+    if now.since(published) < seconds(settings.gone_after_s) {
+        let listed: BTreeSet<_> = roster.robots.iter().map(|entry| &entry.robot).collect();
+        fleet.remove_without_reports(|robot| listed.contains(robot));
     }
     let graphs = remembered_graphs(messages, roster);
     let mut reported = reports_of_graphs(&graphs, settings);
@@ -61,17 +59,19 @@ pub(crate) fn restore(
         robot.restore(now, last_seen, entry.presence);
         let received = match entry.presence {
             Presence::Active => last_seen,
-            Presence::Stale => last_seen.min(told.min(now).before(seconds(settings.stale_after_s))),
+            Presence::Stale => {
+                last_seen.min(published.min(now).before(seconds(settings.stale_after_s)))
+            }
         };
         let mut contents = reported.remove(&entry.robot).unwrap_or_default();
         contents.extend(pose_of(entry, settings).map(|pose| (Stream::Pose, pose)));
         contents.extend(rank_of(entry, ties.as_ref()).map(|rank| (Stream::Rank, rank)));
         for (stream, content) in contents {
-            fleet.recall(received, &entry.robot, stream, content);
+            fleet.restore_report(received, &entry.robot, stream, content);
         }
         restored.insert(entry.robot.clone());
     }
-    fleet.judge_soon(now);
+    fleet.update_presence_soon(now);
     restored
 }
 
@@ -91,8 +91,8 @@ fn has_distinct_nodes(roster: &Roster) -> bool {
     nodes.len() == roster.robots.len()
 }
 
-/// The graphs that a roster lists. A graph of the same term that is a frame off is better than none:
-/// a rank may have been reported once, long ago.
+/// The graphs that a roster lists. A graph of the same term and another frame is better than none: a rank may
+/// have been reported only once, long ago.
 fn remembered_graphs(messages: &[Message], roster: &Roster) -> BTreeMap<Modality, GraphReplica> {
     let names: BTreeMap<Node, &RobotId> =
         roster.robots.iter().map(|entry| (entry.node, &entry.robot)).collect();
@@ -159,8 +159,8 @@ impl<'a> Ties<'a> {
         }
     }
 
-    /// A superior that the fleet knew and that has no edge has a tie of 0; one that the fleet did not
-    /// know left no trace of its strength.
+    /// 0 for a known superior without an edge. The tie to an unknown superior is in no graph: it gets the
+    /// default.
     fn strength(&self, superior: &RobotId, robot: &RobotId) -> f64 {
         let unknown = if self.robots.contains(superior) { 0.0 } else { DEFAULT_TIE };
         self.strengths.get(&(superior, robot)).copied().unwrap_or(unknown)
@@ -178,7 +178,7 @@ fn named_edges(graph: &GraphReplica) -> impl Iterator<Item = (&RobotId, &RobotId
     })
 }
 
-/// The pose of an entry, if it would be let in today.
+/// The pose of an entry, if the settings accept it.
 fn pose_of(entry: &RosterEntry, settings: &IngestSettings) -> Option<Content> {
     let [x, y, z] = entry.position?;
     let pose = Pose {
@@ -195,7 +195,7 @@ fn pose_of(entry: &RosterEntry, settings: &IngestSettings) -> Option<Content> {
     admission::pose(settings, pose).ok()
 }
 
-/// The rank of an entry, if it would be let in today.
+/// The rank of an entry, if it is valid.
 fn rank_of(entry: &RosterEntry, ties: Option<&Ties<'_>>) -> Option<Content> {
     let superior = entry.superior.as_ref();
     let rank = Rank {

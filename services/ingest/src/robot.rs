@@ -1,13 +1,13 @@
-//! One robot: the last observation of each of its streams, and how sure it is that it is there.
+//! One robot: the last observation of each of its streams, and its presence.
 //!
 //! A robot is *stale* when its last pose is older than `stale_after_s`, or, without a pose, when its
-//! last sign is; a liveliness token keeps a robot without a pose from growing stale. (A lost token
+//! last sign of life is; a liveliness token keeps a robot without a pose from becoming stale. (A lost token
 //! needs no rule of its own for a robot with a pose: its last pose is older than the loss.) It is
-//! *gone* when its last sign is older than `gone_after_s`, whatever its token says, because a process
-//! that hangs keeps its token; only a robot that has a token and no pose may stay silent.
+//! *gone* when its last sign of life is older than `gone_after_s`, whatever its token says, because a
+//! process that hangs keeps its token; only a robot that has a token and no pose may stay silent.
 //!
-//! Where silence says nothing (nobody could be heard, or what was heard is in doubt) a robot is
-//! *spared*: its grace begins anew. That makes no stale robot active, and changes no age.
+//! Where silence proves nothing (nothing could be received, or an ambiguous report was refused) the grace
+//! period starts again. That makes no stale robot active, and changes no age.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -30,15 +30,15 @@ pub(crate) struct Placed {
     pub(crate) heading: Option<f64>,
     /// The frame, named.
     pub(crate) frame: String,
-    /// When it was received.
+    /// When the pose was received.
     pub(crate) received: Tick,
 }
 
-/// What the bus says of a robot's liveliness token.
+/// The state of a robot's liveliness token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Token {
-    /// Nothing.
-    Unseen,
+    /// None was received.
+    Unknown,
     /// It is there.
     Alive,
     /// It was there, and was lost at this moment.
@@ -50,21 +50,21 @@ pub(crate) enum Token {
 pub(crate) struct Robot {
     /// Its number in the graphs.
     pub(crate) node: Node,
-    /// What was last told of its presence.
+    /// Its presence as last published.
     pub(crate) presence: Presence,
     /// When anything was last received from it.
-    pub(crate) heard: Tick,
-    /// Until it is stale, its grace before that does not begin earlier.
-    spared_stale: Tick,
-    /// Its grace before it is gone does not begin earlier.
-    spared_gone: Tick,
+    pub(crate) last_seen: Tick,
+    /// The grace period before it is stale starts no earlier, while it is active.
+    stale_grace_start: Tick,
+    /// The grace period before it is gone starts no earlier.
+    gone_grace_start: Tick,
     token: Token,
-    /// Where it is, if it ever said so.
+    /// Where it is, if it ever reported that.
     pub(crate) pose: Option<Placed>,
-    /// Whom it answers to.
+    /// Its superior.
     pub(crate) tie: Tie,
     edges: BTreeMap<Stream, Vec<(RobotId, Strength)>>,
-    /// What passed on each stream that was heard in this run.
+    /// The order and rate of each stream on which a report was accepted in this run.
     pub(crate) gates: BTreeMap<Stream, Gate>,
 }
 
@@ -89,9 +89,9 @@ impl From<&IngestSettings> for GracePeriods {
 pub(crate) struct Change {
     /// The robot was not known before.
     pub(crate) joined: bool,
-    /// What the roster says of the robot is new, beside when it was last heard.
+    /// The roster entry of the robot is new, not counting when it was last seen.
     pub(crate) roster: bool,
-    /// What the graph of the stream is made of is new.
+    /// The input of the graph of the stream is new.
     pub(crate) graph: bool,
 }
 
@@ -100,7 +100,7 @@ pub(crate) struct Change {
 pub(crate) enum Transition {
     /// It has been silent for too long.
     Stale,
-    /// It is heard again.
+    /// Its reports arrive again.
     Recovered,
     /// It is not part of the fleet any more.
     Left,
@@ -112,9 +112,9 @@ impl Robot {
         Self {
             node,
             presence: Presence::Active,
-            heard: now,
-            spared_stale: now,
-            spared_gone: now,
+            last_seen: now,
+            stale_grace_start: now,
+            gone_grace_start: now,
             token,
             pose: None,
             tie: Tie::default(),
@@ -123,63 +123,63 @@ impl Robot {
         }
     }
 
-    /// A message of it was let in.
-    pub(crate) fn hear(&mut self, now: Tick) {
-        self.heard = now;
+    /// A message of it was accepted.
+    pub(crate) fn mark_seen(&mut self, now: Tick) {
+        self.last_seen = now;
     }
 
-    /// A message of it was refused that may have been its own.
-    pub(crate) fn doubt(&mut self, now: Tick, stream: &Stream) {
-        self.spared_gone = now;
+    /// An ambiguous message was refused on a stream: it may have been the robot's own.
+    pub(crate) fn extend_grace_for(&mut self, now: Tick, stream: &Stream) {
+        self.gone_grace_start = now;
         if self.pose.is_none() || *stream == Stream::Pose {
-            self.spared_stale = now;
+            self.stale_grace_start = now;
         }
     }
 
-    /// Nothing could be heard of it until now.
+    /// Nothing could be received from it until now.
     pub(crate) fn extend_grace(&mut self, now: Tick) {
-        self.spared_stale = now;
-        self.spared_gone = now;
+        self.stale_grace_start = now;
+        self.gone_grace_start = now;
     }
 
-    /// Takes over what was last told of it in the term before. A token that is there after a restart
+    /// Restores what the last roster of the term before says of it. A token that is there after a restart
     /// was there before and is no sign of life.
     ///
-    /// Whoever was active could not be heard until now. Whoever was stale was given up on before, and
-    /// must leave even if the restarts do not end.
+    /// A robot that was active gets the whole grace period again, because nothing could be received from
+    /// it. A robot that was stale does not: it must leave even if restarts follow each other.
     pub(crate) fn restore(&mut self, now: Tick, last_seen: Tick, presence: Presence) {
-        if !self.has_said_anything() {
-            self.heard = last_seen;
+        if !self.has_reported() {
+            self.last_seen = last_seen;
         }
         self.presence = presence;
         if presence == Presence::Active {
             self.extend_grace(now);
         } else {
-            self.spared_stale = Tick::default();
-            self.spared_gone = Tick::default();
+            self.stale_grace_start = Tick::default();
+            self.gone_grace_start = Tick::default();
         }
     }
 
-    /// Its token is there. If that was known, it says nothing new. One that comes back is that of a
-    /// process that began anew, with an order of its own.
-    pub(crate) fn show_token(&mut self, now: Tick) {
+    /// Its token is there. A token that was known is no sign of life. A token that comes back is that of a
+    /// restarted process, whose reports have an order of their own.
+    pub(crate) fn token_appeared(&mut self, now: Tick) {
         match self.token {
             Token::Alive => return,
             Token::Lost(_) => {
-                self.hear(now);
+                self.mark_seen(now);
                 for gate in self.gates.values_mut() {
-                    gate.excuse();
+                    gate.allow_restart();
                 }
             }
-            Token::Unseen if self.has_said_anything() => self.hear(now),
-            // It joins by its token, or was restored and had its token all the time.
-            Token::Unseen => {}
+            Token::Unknown if self.has_reported() => self.mark_seen(now),
+            // The robot joins by its token, or was restored and had its token all the time.
+            Token::Unknown => {}
         }
         self.token = Token::Alive;
     }
 
     /// Its token was lost.
-    pub(crate) fn lose_token(&mut self, now: Tick) {
+    pub(crate) fn token_lost(&mut self, now: Tick) {
         if self.token == Token::Alive {
             self.token = Token::Lost(now);
         }
@@ -192,8 +192,8 @@ impl Robot {
 
     fn last_sign(&self) -> Tick {
         match self.token {
-            Token::Lost(at) => self.heard.max(at),
-            Token::Unseen | Token::Alive => self.heard,
+            Token::Lost(at) => self.last_seen.max(at),
+            Token::Unknown | Token::Alive => self.last_seen,
         }
     }
 
@@ -203,27 +203,27 @@ impl Robot {
             (None, Token::Alive) => return None,
             (None, _) => self.last_sign(),
         };
-        let spared = match self.presence {
-            Presence::Active => sign.max(self.spared_stale),
+        let start = match self.presence {
+            Presence::Active => sign.max(self.stale_grace_start),
             Presence::Stale => sign,
         };
-        Some(spared.after(grace.stale_after))
+        Some(start.after(grace.stale_after))
     }
 
     fn gone_at(&self, grace: GracePeriods) -> Option<Tick> {
         let may_be_silent = self.pose.is_none() && self.token == Token::Alive;
-        let sign = self.last_sign().max(self.spared_gone);
+        let sign = self.last_sign().max(self.gone_grace_start);
         (!may_be_silent).then(|| sign.after(grace.gone_after))
     }
 
-    /// When its presence changes next if nothing more is heard of it.
-    pub(crate) fn next_judgement(&self, grace: GracePeriods) -> Option<Tick> {
+    /// When its presence changes next if nothing more is received from it.
+    pub(crate) fn presence_deadline(&self, grace: GracePeriods) -> Option<Tick> {
         let stale = self.stale_at(grace).filter(|_| self.presence == Presence::Active);
         stale.into_iter().chain(self.gone_at(grace)).min()
     }
 
     /// Brings the presence up to date.
-    pub(crate) fn judge(&mut self, now: Tick, grace: GracePeriods) -> Option<Transition> {
+    pub(crate) fn update_presence(&mut self, now: Tick, grace: GracePeriods) -> Option<Transition> {
         if self.gone_at(grace).is_some_and(|at| at <= now) {
             return Some(Transition::Left);
         }
@@ -237,18 +237,18 @@ impl Robot {
         Some(transition)
     }
 
-    /// Whether any stream was heard in this run.
-    pub(crate) fn has_said_anything(&self) -> bool {
+    /// Whether a report of it was accepted in this run.
+    pub(crate) fn has_reported(&self) -> bool {
         !self.gates.is_empty()
     }
 
-    /// Whether a stream was heard in this run.
-    pub(crate) fn has_spoken(&self, stream: &Stream) -> bool {
+    /// Whether a report on a stream was accepted in this run.
+    pub(crate) fn has_reported_on(&self, stream: &Stream) -> bool {
         self.gates.contains_key(stream)
     }
 
-    /// Puts a report in place of the one before.
-    pub(crate) fn take(&mut self, received: Tick, stream: Stream, content: Content) -> Change {
+    /// Replaces the last report of a stream.
+    pub(crate) fn apply(&mut self, received: Tick, stream: Stream, content: Content) -> Change {
         let mut change = Change::default();
         match content {
             Content::Pose { position, heading, frame } => {
@@ -277,7 +277,7 @@ impl Robot {
         self.edges.get(stream).map_or(&[], Vec::as_slice)
     }
 
-    /// What the roster says of it.
+    /// Its roster entry.
     pub(crate) fn entry(&self, name: &RobotId) -> RosterEntry {
         let pose = self.pose.as_ref();
         RosterEntry {
@@ -289,11 +289,11 @@ impl Robot {
             frame: pose.map(|pose| pose.frame.clone()),
             superior: self.tie.superior.clone(),
             role: self.tie.role.clone(),
-            last_seen: self.heard,
+            last_seen: self.last_seen,
         }
     }
 
-    /// Forgets what it said of modalities that are not declared any more.
+    /// Drops its reports of modalities that are no longer declared.
     pub(crate) fn keep_modalities(&mut self, declared: &[Modality]) {
         let is_declared = |stream: &Stream| match stream {
             Stream::Relation(modality) => declared.contains(modality),

@@ -1,4 +1,4 @@
-//! All robots that are known: who joins, who is judged when, who leaves.
+//! All known robots: how they join, when their presence changes, how they leave.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,17 +13,17 @@ use muster_model::time::Tick;
 use crate::admission::{Content, Gate, Observed, Refusal};
 use crate::robot::{Change, GracePeriods, Robot, Token, Transition};
 
-/// All robots that are known.
+/// All known robots.
 #[derive(Debug, Default)]
 pub(crate) struct Fleet {
     robots: BTreeMap<RobotId, Robot>,
     next_node: Node,
     /// How many edges all robots together have reported on each stream.
     edges: BTreeMap<Stream, usize>,
-    /// Robots that left and whose token is still there.
-    hung: BTreeSet<RobotId>,
+    /// Robots that left although their token is still there.
+    lingering: BTreeSet<RobotId>,
     /// No presence changes before this; none if it never does.
-    next_judgement: Option<Tick>,
+    presence_deadline: Option<Tick>,
     newest_message: Option<Tick>,
 }
 
@@ -38,9 +38,9 @@ impl Fleet {
         self.robots.iter().map(|(name, robot)| robot.entry(name)).collect()
     }
 
-    /// Robots that are known, and those that left and whose token is still there.
+    /// Known robots, and those that left although their token is still there.
     pub(crate) fn record_count(&self) -> usize {
-        self.robots.len() + self.hung.len()
+        self.robots.len() + self.lingering.len()
     }
 
     /// Edges that the robots have reported.
@@ -48,9 +48,13 @@ impl Fleet {
         self.edges.values().sum()
     }
 
-    /// How many edges the robots would have reported on a stream with this of one robot, unless that
-    /// is more than its graph may have. Edges to robots that are not known count, because they may
-    /// come. Who reports fewer than before is always let in.
+    /// How many edges all robots have reported on a stream once a robot's report is accepted.
+    ///
+    /// Edges to unknown robots count, because those may join. A report with fewer edges than the robot's last
+    /// one is always accepted.
+    ///
+    /// # Errors
+    /// If the graph of the stream may not have so many edges.
     fn edges_with(
         &self,
         name: &RobotId,
@@ -71,8 +75,8 @@ impl Fleet {
         Ok(edges)
     }
 
-    /// Takes over what a robot said on a stream before a restart, unless it was heard on it since.
-    pub(crate) fn recall(
+    /// Restores a report from before a restart, unless a newer one was accepted on its stream.
+    pub(crate) fn restore_report(
         &mut self,
         received: Tick,
         name: &RobotId,
@@ -80,14 +84,14 @@ impl Fleet {
         content: Content,
     ) {
         let Ok(edges) = self.edges_with(name, &stream, &content) else { return };
-        let robot = self.robots.get_mut(name).filter(|robot| !robot.has_spoken(&stream));
+        let robot = self.robots.get_mut(name).filter(|robot| !robot.has_reported_on(&stream));
         if let Some(robot) = robot {
-            robot.take(received, stream.clone(), content);
+            robot.apply(received, stream.clone(), content);
             self.edges.insert(stream, edges);
         }
     }
 
-    /// Counts reported edges anew: robots have gone, or what they said was forgotten.
+    /// Counts the reported edges again: robots have left, or reports were dropped.
     fn count_edges(&mut self) {
         for (stream, edges) in &mut self.edges {
             *edges = self.robots.values().map(|robot| robot.edges(stream).len()).sum();
@@ -101,8 +105,8 @@ impl Fleet {
     }
 
     /// No presence changes before this; none if it never does.
-    pub(crate) fn next_judgement(&self) -> Option<Tick> {
-        self.next_judgement
+    pub(crate) fn presence_deadline(&self) -> Option<Tick> {
+        self.presence_deadline
     }
 
     /// How many robots are stale.
@@ -110,8 +114,10 @@ impl Fleet {
         self.robots.values().filter(|robot| robot.presence == Presence::Stale).count()
     }
 
-    /// Lets an observation in, or refuses it and stays as it is, but for the grace with a robot
-    /// whose messages are in doubt.
+    /// Accepts an observation.
+    ///
+    /// # Errors
+    /// Why it is refused. An ambiguous one extends the grace period of its robot; nothing else changes.
     pub(crate) fn observe(
         &mut self,
         now: Tick,
@@ -125,24 +131,27 @@ impl Fleet {
         let mut fresh = Gate::new(now, settings);
         let gate = known.and_then(|robot| robot.gates.get_mut(&stream)).unwrap_or(&mut fresh);
         let passed = gate.pass(now, &provenance, settings);
-        if matches!(passed, Err(Refusal::Doubtful(_)))
+        if matches!(passed, Err(Refusal::Ambiguous(_)))
             && let Some(robot) = self.robots.get_mut(name)
         {
-            robot.doubt(now, &stream);
+            robot.extend_grace_for(now, &stream);
         }
         passed?;
         let (robot, joined) = self.find_or_join(now, name, settings)?;
         robot.gates.entry(stream.clone()).or_insert(fresh);
-        robot.hear(now);
-        let change = robot.take(now, stream.clone(), content);
+        robot.mark_seen(now);
+        let change = robot.apply(now, stream.clone(), content);
         self.edges.insert(stream, edges);
         self.newest_message = Some(now);
-        self.expect(name, settings.into());
+        self.schedule_presence_update(name, settings.into());
         Ok(Change { joined, roster: change.roster || joined, ..change })
     }
 
-    /// Takes in that a token appeared or was lost. One that was known to be there says nothing new,
-    /// and that of a robot that left although it had its token does not bring the robot back.
+    /// A token appeared or was lost. A token that was known is no sign of life, and a robot that left
+    /// although it had its token does not return by it.
+    ///
+    /// # Errors
+    /// If no more robots may join.
     pub(crate) fn token(
         &mut self,
         now: Tick,
@@ -152,20 +161,23 @@ impl Fleet {
     ) -> Result<Change, Refusal> {
         let mut change = Change::default();
         if !alive {
-            self.hung.remove(name);
+            self.lingering.remove(name);
             if let Some(robot) = self.robots.get_mut(name) {
-                robot.lose_token(now);
+                robot.token_lost(now);
             }
-        } else if !self.hung.contains(name) {
+        } else if !self.lingering.contains(name) {
             let (robot, joined) = self.find_or_join(now, name, settings)?;
-            robot.show_token(now);
+            robot.token_appeared(now);
             change = Change { joined, roster: joined, graph: joined };
         }
-        self.expect(name, settings.into());
+        self.schedule_presence_update(name, settings.into());
         Ok(change)
     }
 
-    /// The robot, given the next node number if it is new.
+    /// The robot, with the next node number if it is new, and whether it is.
+    ///
+    /// # Errors
+    /// If no more robots may join.
     pub(crate) fn find_or_join(
         &mut self,
         now: Tick,
@@ -183,48 +195,49 @@ impl Fleet {
                 "no node number is left in this term; restart ingest to begin another".to_owned()
             })?;
         }
-        let token = if joins && self.hung.remove(name) { Token::Alive } else { Token::Unseen };
+        let token =
+            if joins && self.lingering.remove(name) { Token::Alive } else { Token::Unknown };
         let robot = self.robots.entry(name.clone());
         Ok((robot.or_insert_with(|| Robot::new(node, now, token)), joins))
     }
 
-    /// Makes sure that a robot is judged in time.
-    pub(crate) fn expect(&mut self, name: &RobotId, grace: GracePeriods) {
-        let next = self.robots.get(name).and_then(|robot| robot.next_judgement(grace));
-        self.next_judgement = self.next_judgement.into_iter().chain(next).min();
+    /// Brings the deadline forward to the next change of a robot's presence.
+    pub(crate) fn schedule_presence_update(&mut self, name: &RobotId, grace: GracePeriods) {
+        let next = self.robots.get(name).and_then(|robot| robot.presence_deadline(grace));
+        self.presence_deadline = self.presence_deadline.into_iter().chain(next).min();
     }
 
-    /// Judges every robot at the next opportunity.
-    pub(crate) fn judge_soon(&mut self, now: Tick) {
-        self.next_judgement = Some(now);
+    /// Makes the presence of all robots due.
+    pub(crate) fn update_presence_soon(&mut self, now: Tick) {
+        self.presence_deadline = Some(now);
     }
 
-    /// Judges one robot that may have recovered.
+    /// Updates the presence of a robot that may have recovered; whether it has.
     pub(crate) fn has_recovered(&mut self, now: Tick, name: &RobotId, grace: GracePeriods) -> bool {
         let stale = self.robots.get_mut(name).filter(|robot| robot.presence == Presence::Stale);
-        let recovered =
-            stale.is_some_and(|robot| robot.judge(now, grace) == Some(Transition::Recovered));
+        let recovered = stale
+            .is_some_and(|robot| robot.update_presence(now, grace) == Some(Transition::Recovered));
         if recovered {
-            self.expect(name, grace);
+            self.schedule_presence_update(name, grace);
         }
         recovered
     }
 
-    /// Judges all robots, and lets those go that are gone.
-    pub(crate) fn judge(
+    /// Updates the presence of all robots, and removes those that are gone.
+    pub(crate) fn update_presence(
         &mut self,
         now: Tick,
         settings: &IngestSettings,
     ) -> Vec<(RobotId, Transition)> {
         let grace = GracePeriods::from(settings);
         let mut transitions = Vec::new();
-        self.next_judgement = None;
+        self.presence_deadline = None;
         for (name, robot) in &mut self.robots {
-            let transition = robot.judge(now, grace);
+            let transition = robot.update_presence(now, grace);
             transitions.extend(transition.map(|transition| (name.clone(), transition)));
             if transition != Some(Transition::Left) {
-                let next = robot.next_judgement(grace);
-                self.next_judgement = self.next_judgement.into_iter().chain(next).min();
+                let next = robot.presence_deadline(grace);
+                self.presence_deadline = self.presence_deadline.into_iter().chain(next).min();
             }
         }
         for (name, transition) in &transitions {
@@ -233,8 +246,8 @@ impl Fleet {
             }
             let left = self.robots.remove(name);
             let has_token = left.is_some_and(|robot| robot.has_token());
-            if has_token && self.hung.len() < settings.max_robots as usize {
-                self.hung.insert(name.clone());
+            if has_token && self.lingering.len() < settings.max_robots as usize {
+                self.lingering.insert(name.clone());
             }
         }
         if transitions.iter().any(|(_, transition)| *transition == Transition::Left) {
@@ -243,12 +256,12 @@ impl Fleet {
         transitions
     }
 
-    /// Nobody could be heard until now: everybody's grace begins anew.
+    /// Nothing could be received until now: the grace period of every robot starts again.
     pub(crate) fn extend_all_grace(&mut self, now: Tick) {
         for robot in self.robots.values_mut() {
             robot.extend_grace(now);
         }
-        self.judge_soon(now);
+        self.update_presence_soon(now);
     }
 
     /// Gives every robot a new node: a new term begins.
@@ -260,20 +273,20 @@ impl Fleet {
         }
     }
 
-    /// Takes out those who have joined by their token alone, unless they are to stay.
-    pub(crate) fn hang_quiet(&mut self, stays: impl Fn(&RobotId) -> bool) {
-        let hung = &mut self.hung;
+    /// Removes the robots that have joined by their token alone, unless they are to stay.
+    pub(crate) fn remove_without_reports(&mut self, stays: impl Fn(&RobotId) -> bool) {
+        let lingering = &mut self.lingering;
         self.robots.retain(|name, robot| {
-            let hangs = !robot.has_said_anything() && robot.has_token() && !stays(name);
-            if hangs {
-                hung.insert(name.clone());
+            let leaves = !robot.has_reported() && robot.has_token() && !stays(name);
+            if leaves {
+                lingering.insert(name.clone());
             }
-            !hangs
+            !leaves
         });
         self.count_edges();
     }
 
-    /// Forgets what was said of modalities that are not declared any more.
+    /// Drops reports of modalities that are no longer declared.
     pub(crate) fn keep_modalities(&mut self, declared: &[Modality]) {
         for robot in self.robots.values_mut() {
             robot.keep_modalities(declared);
@@ -323,20 +336,20 @@ mod tests {
         assert_eq!(
             fleet.robots[&robot("r1")].edges(&Stream::Links).len(),
             4,
-            "what was let in stays"
+            "what was accepted stays"
         );
         report(&mut fleet, "r2", 1).unwrap();
         assert_eq!(fleet.edges[&Stream::Links], most - 1);
     }
 
     #[test]
-    fn who_leaves_makes_room() {
+    fn a_robot_that_leaves_makes_room() {
         let mut fleet = Fleet::default();
         report(&mut fleet, "r1", 3).unwrap();
         report(&mut fleet, "r1", 2).unwrap();
         assert_eq!(fleet.reported_edge_count(), 2);
         let later = NOW.after(std::time::Duration::from_secs(11));
-        fleet.judge(later, &IngestSettings::default());
+        fleet.update_presence(later, &IngestSettings::default());
         assert_eq!(fleet.reported_edge_count(), 0);
     }
 }
