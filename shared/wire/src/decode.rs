@@ -1,11 +1,13 @@
 //! Why a packet is refused, and the checks that all messages share.
 
 use muster_model::content::ContentError;
-use muster_model::header::Header;
-use muster_model::id::{FleetId, RobotId};
+use muster_model::header::{Header, Revision, StageTime};
+use muster_model::id::{FleetId, RobotId, ServiceName};
 use muster_model::limits::MAX_REVISION;
 use muster_model::object::Object;
 use muster_model::observation::ObservationError;
+use muster_model::time::{Tick, seconds};
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use crate::envelope::EnvelopeError;
@@ -90,6 +92,41 @@ pub enum DecodeError {
 
 pub(crate) fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, DecodeError> {
     Ok(serde_json::from_slice::<Object<T>>(bytes)?.0)
+}
+
+/// The head of a message of a service, as JSON writes it.
+pub(crate) struct JsonHead {
+    pub(crate) fleet: FleetId,
+    pub(crate) revision: Revision,
+    pub(crate) data_age_s: Option<f64>,
+    pub(crate) stages: Vec<JsonStage>,
+}
+
+/// When a service received its input and published its output, in seconds since 1970.
+#[derive(Deserialize)]
+pub(crate) struct JsonStage {
+    stage: ServiceName,
+    received: f64,
+    published: f64,
+}
+
+impl JsonHead {
+    /// The header. The age of the data counts back from `now`, the moment of arrival.
+    pub(crate) fn into_header(self, now: Tick) -> Header {
+        let moment = |at: f64| Tick(0).after(seconds(at));
+        let stages = self.stages.into_iter().map(|stage| StageTime {
+            stage: stage.stage,
+            received: moment(stage.received),
+            published: moment(stage.published),
+        });
+        Header {
+            fleet: self.fleet,
+            revision: self.revision,
+            oldest: self.data_age_s.map(|age| now.before(seconds(age))),
+            newest: None,
+            stages: stages.collect(),
+        }
+    }
 }
 
 /// The payload of a packet, if the key may have so many bytes.

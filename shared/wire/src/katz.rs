@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use muster_model::content::Content;
-use muster_model::header::{Header, Revision, StageTime};
-use muster_model::id::{FleetId, Modality, RobotId, ServiceName};
+use muster_model::header::Revision;
+use muster_model::id::{FleetId, Modality, RobotId};
 use muster_model::katz::{PairMethod, PairSimilarity};
-use muster_model::time::{Tick, seconds};
+use muster_model::time::Tick;
 use serde::Deserialize;
 
-use crate::decode::{self, DecodeError};
+use crate::decode::{self, DecodeError, JsonHead, JsonStage};
 use crate::key::{Key, KeySpace};
 use crate::packet::{Packet, Rejection};
 
@@ -20,7 +20,7 @@ struct Form {
     term: u64,
     epoch: u64,
     data_age_s: Option<f64>,
-    stages: Vec<Stage>,
+    stages: Vec<JsonStage>,
     from: RobotId,
     to: RobotId,
     similarity: f64,
@@ -28,13 +28,6 @@ struct Form {
     alpha: f64,
     method: PairMethod,
     residual: f64,
-}
-
-#[derive(Deserialize)]
-struct Stage {
-    stage: ServiceName,
-    received: f64,
-    published: f64,
 }
 
 /// Decodes the reply to a get of `embedding?katz=from,to`. The age of the data that JSON names counts
@@ -61,20 +54,14 @@ fn read(space: &KeySpace, packet: &Packet, now: Tick) -> Result<PairSimilarity, 
 
 fn from_json(bytes: &[u8], now: Tick) -> Result<PairSimilarity, DecodeError> {
     let form: Form = serde_json::from_slice(bytes)?;
-    let moment = |at: f64| Tick(0).after(seconds(at));
-    let stages = form.stages.into_iter().map(|stage| StageTime {
-        stage: stage.stage,
-        received: moment(stage.received),
-        published: moment(stage.published),
-    });
+    let head = JsonHead {
+        fleet: form.fleet,
+        revision: Revision { term: form.term, epoch: form.epoch },
+        data_age_s: form.data_age_s,
+        stages: form.stages,
+    };
     Ok(PairSimilarity {
-        header: Header {
-            fleet: form.fleet,
-            revision: Revision { term: form.term, epoch: form.epoch },
-            oldest: form.data_age_s.map(|age| now.before(seconds(age))),
-            newest: None,
-            stages: stages.collect(),
-        },
+        header: head.into_header(now),
         from: form.from,
         to: form.to,
         similarity: form.similarity,
@@ -87,6 +74,8 @@ fn from_json(bytes: &[u8], now: Tick) -> Result<PairSimilarity, DecodeError> {
 
 #[cfg(test)]
 mod tests {
+    use muster_model::header::{Header, StageTime};
+    use muster_model::id::ServiceName;
     use serde_json::{Value, json};
 
     use super::*;

@@ -1,13 +1,13 @@
 //! The team of a robot, as robots read it: in JSON as it is published, or in binary form.
 
 use muster_model::content::Content;
-use muster_model::header::{Header, Revision, StageTime};
-use muster_model::id::{FleetId, RobotId, ServiceName, TeamId};
+use muster_model::header::Revision;
+use muster_model::id::{FleetId, RobotId, TeamId};
 use muster_model::teams::RobotTeam;
-use muster_model::time::{Tick, seconds};
+use muster_model::time::Tick;
 use serde::Deserialize;
 
-use crate::decode::{self, DecodeError};
+use crate::decode::{self, DecodeError, JsonHead, JsonStage};
 use crate::envelope;
 use crate::key::{Key, KeySpace};
 use crate::packet::{Format, Packet, Rejection, Source};
@@ -19,19 +19,12 @@ struct Form {
     term: u64,
     epoch: u64,
     data_age_s: Option<f64>,
-    stages: Vec<Stage>,
+    stages: Vec<JsonStage>,
     robot: RobotId,
     team: Option<TeamId>,
     members: Option<Vec<RobotId>>,
     leader: Option<RobotId>,
     confidence: f64,
-}
-
-#[derive(Deserialize)]
-struct Stage {
-    stage: ServiceName,
-    received: f64,
-    published: f64,
 }
 
 /// Reads and checks the team of a robot. The age of the data in JSON counts back from
@@ -65,21 +58,14 @@ fn read(space: &KeySpace, packet: &Packet, now: Tick) -> Result<RobotTeam, Decod
 
 fn from_json(bytes: &[u8], now: Tick) -> Result<RobotTeam, DecodeError> {
     let form: Form = serde_json::from_slice(bytes)?;
-    let moment = |at: f64| Tick(0).after(seconds(at));
-    let oldest = form.data_age_s.map(|age| Tick(now.0.saturating_sub(moment(age).0)));
-    let stages = form.stages.into_iter().map(|stage| StageTime {
-        stage: stage.stage,
-        received: moment(stage.received),
-        published: moment(stage.published),
-    });
+    let head = JsonHead {
+        fleet: form.fleet,
+        revision: Revision { term: form.term, epoch: form.epoch },
+        data_age_s: form.data_age_s,
+        stages: form.stages,
+    };
     Ok(RobotTeam {
-        header: Header {
-            fleet: form.fleet,
-            revision: Revision { term: form.term, epoch: form.epoch },
-            oldest,
-            newest: None,
-            stages: stages.collect(),
-        },
+        header: head.into_header(now),
         robot: form.robot,
         team: form.team,
         members: form.members,
@@ -90,6 +76,9 @@ fn from_json(bytes: &[u8], now: Tick) -> Result<RobotTeam, DecodeError> {
 
 #[cfg(test)]
 mod tests {
+    use muster_model::header::{Header, StageTime};
+    use muster_model::id::ServiceName;
+
     use super::*;
     use crate::message::Message;
     use crate::packet::JSON;
