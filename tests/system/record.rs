@@ -124,7 +124,7 @@ async fn the_recordings_of_a_live_run_come_out_the_same() {
             assert_eq!(report["service"], service);
             assert_eq!(report["equal"], true);
             let was_killed = service == "auditor" || (service == "embedder" && run == 0);
-            let ending = if was_killed { "broken_off" } else { "told" };
+            let ending = if was_killed { "broken_off" } else { "stated" };
             assert_eq!(report["ending"], ending, "{service} {run}");
             assert!(report["events"].as_u64().unwrap() > 50, "{report}");
             assert!(report["outputs"].as_u64().unwrap() > 20, "{report}");

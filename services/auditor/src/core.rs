@@ -34,7 +34,7 @@ pub struct MissingInputs;
 /// division names when two come at once.
 const QUEUE_PACKETS: usize = 4;
 
-/// How often an unchanged audit is published again, so that a reader can tell silence from loss.
+/// How often an unchanged audit is republished, so that a reader notices when messages are lost.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
 /// How long a division waits for its embedding before that is fetched: the two keys overtake each

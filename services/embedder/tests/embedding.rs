@@ -196,7 +196,7 @@ fn teams(teams: u32) -> String {
     serde_json::to_string(&settings).unwrap()
 }
 
-/// Three groups that hardly know each other: two vectors see all of them, three tell them apart.
+/// Three groups with weak edges between them: two vectors see all of them, three separate them.
 fn three_bridged_cliques() -> Ingest {
     let mut ingest = Ingest::new(&["spatial"]);
     for (prefix, weight) in [("a", 1.0), ("b", 0.9), ("c", 0.8)] {

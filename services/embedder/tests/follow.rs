@@ -136,7 +136,7 @@ fn fetches_without_an_answer_are_repeated_at_intervals() {
     bench.receive(frame.roster());
     for _ in 0..40 {
         bench.wait(0.1);
-        // One fetch is in flight at most, and nobody answers.
+        // One fetch is in flight at most, and it is not answered.
         assert!(bench.fetches.len() <= 1);
         if let Some(fetch) = bench.fetches.pop_front() {
             bench.answer_fetch(fetch, Vec::new());

@@ -342,7 +342,7 @@ fn the_header_holds_the_ages_of_the_data() {
     assert_eq!((all_stale.oldest, all_stale.newest), (Some(first), header.newest));
     bench.receive(token("r3", true));
     bench.wait(0.2);
-    assert_eq!(bench.roster.as_ref().unwrap().header.oldest, None, "nobody active is placed");
+    assert_eq!(bench.roster.as_ref().unwrap().header.oldest, None, "no active robot is placed");
 }
 
 #[test]

@@ -285,7 +285,7 @@ fn messages_during_an_outage_are_kept() {
     bench.happened();
     bench.receive(pose("r1", 5.0, 0.0));
     bench.receive(pose("r2", 6.0, 0.0));
-    assert!(bench.happened().is_empty(), "nobody would receive it");
+    assert!(bench.happened().is_empty(), "its output is suppressed");
     bench.wait(1.0);
     bench.input(Input::LinkRestored);
     bench.wait(0.2);

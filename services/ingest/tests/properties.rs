@@ -132,7 +132,7 @@ proptest! {
         frames_keep_their_rate(&bench);
         prop_assert!(the_roster_catches_up(&mut bench));
 
-        // The new process has the same settings, and room for everybody.
+        // The new process has the same settings, and room for all robots.
         let patch = Value::Object(bench.stored.patch.clone());
         let mut settings = settings.patched(&patch).unwrap();
         settings.max_robots = 6;
@@ -152,7 +152,7 @@ proptest! {
             prop_assert_eq!(new.names(), stay.map(|e| e.robot.as_str()).collect::<Vec<_>>());
             return Ok(());
         }
-        // With nobody to restore, it waits for somebody to come.
+        // With no robot to restore, it waits for one to join.
         new.wait(if bench.names().is_empty() { 1.0 } else { 0.001 });
         prop_assert_eq!(new.names(), bench.names());
         prop_assert_eq!(new.graphs.len(), bench.graphs.len());

@@ -73,7 +73,7 @@ fn a_restart_leads_to_the_same_fleet_in_a_higher_term() {
     let nodes: Vec<_> = new_roster.robots.iter().map(|entry| entry.node).collect();
     assert_eq!(nodes, [0, 1, 2, 3], "nodes are numbered again");
     assert_eq!(new_roster.header.oldest, old_roster.header.oldest, "ages stay what they are");
-    assert!(new.happened().is_empty(), "nobody joined");
+    assert!(new.happened().is_empty(), "no robot joined");
     assert_eq!(new.counter("robots_restored"), 4);
     assert_eq!(new.counter("robots_joined"), 0);
     // A consumer goes on from the old graphs.
@@ -401,7 +401,7 @@ fn a_process_that_hangs_does_not_come_back_by_a_restart() {
     soon.receive(rank("hung", None, None));
     soon.wait(0.2);
     assert_eq!(soon.names(), ["hung", "newcomer", "r1", "speaks"]);
-    // The fleet may be another one, or nobody knows of one.
+    // The fleet may be another one, or there was none.
     assert_eq!(begin(60.0, &remembered).names(), ["hung", "r1", "speaks"]);
     assert_eq!(begin(2.0, &[]).names(), ["hung", "r1", "speaks"]);
 }
@@ -455,7 +455,7 @@ fn readers_are_asked_for_the_roster_at_once_when_the_link_is_back() {
         bench.input(Input::LinkLost);
         bench.asks.clear();
         bench.wait(outage_s);
-        assert!(bench.asks.is_empty(), "nobody would answer");
+        assert!(bench.asks.is_empty(), "no service would answer");
         bench.input(Input::LinkRestored);
         assert_eq!(bench.asks.len(), 1);
     }

@@ -165,7 +165,7 @@ fn ending(ending: &Ending) -> String {
 
 fn report(head: &Head, compared: &Comparison, show: &Show, warnings: &[String]) -> Value {
     let kind = match compared.ending {
-        Ending::Stated(_) => "told",
+        Ending::Stated(_) => "stated",
         Ending::BrokenOff(_) => "broken_off",
         Ending::NotReached => "not_reached",
         Ending::Damaged(_) => "damaged",

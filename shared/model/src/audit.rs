@@ -45,8 +45,8 @@ pub struct SilhouetteReport {
     pub per_team: Vec<(TeamId, f64)>,
     /// Each robot that has a place there, ordered by name.
     pub per_robot: Vec<(RobotId, f64)>,
-    /// How those of teams and robots were computed: an estimate of the mean says nothing of the robots
-    /// that were not drawn.
+    /// How those of teams and robots were computed: a sampled mean has none of the robots that were not
+    /// drawn.
     pub detail_method: SilhouetteMethod,
 }
 
@@ -66,7 +66,7 @@ impl SilhouetteReport {
     }
 }
 
-/// The judgement in one word.
+/// The quality of a division in one word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
@@ -80,12 +80,12 @@ pub enum Verdict {
     Undefined,
 }
 
-/// The judgement of one division.
+/// The scores of one division.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Audit {
     /// The head of the message.
     pub header: Header,
-    /// The division that was judged.
+    /// The division that was scored.
     pub teams: Revision,
     /// The embedding that the division was made from.
     pub embedding: Revision,
@@ -93,6 +93,6 @@ pub struct Audit {
     pub in_embedding: SilhouetteReport,
     /// Silhouettes among the positions, over the robots that have one.
     pub in_physical: SilhouetteReport,
-    /// The judgement in one word.
+    /// The quality of a division in one word.
     pub verdict: Verdict,
 }

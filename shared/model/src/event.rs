@@ -13,7 +13,7 @@ use crate::teams::TeamChange;
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
-    /// Part of normal life.
+    /// Normal operation.
     Info,
     /// Worth a look.
     Warning,
@@ -25,33 +25,33 @@ pub enum Severity {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EventKind {
-    /// A message was refused. What had been accepted before stands.
+    /// A message was refused. What was accepted before stays.
     Quarantined {
-        /// Whom the message spoke for, if its key says so.
+        /// The robot that the key names, if it names one.
         robot: Option<RobotId>,
         /// The key, cut short and without control characters.
         key: String,
-        /// What is wrong and what would be right.
+        /// What is wrong, and the remedy.
         reason: String,
         /// How many messages were refused for this robot and key since the last such event.
         count: u64,
     },
-    /// A robot is known from now on.
+    /// A robot has joined the fleet.
     RobotJoined {
         /// The robot.
         robot: RobotId,
     },
-    /// A robot has been silent for longer than it should.
+    /// A robot has been silent for too long.
     RobotStale {
         /// The robot.
         robot: RobotId,
     },
-    /// A stale robot is heard again.
+    /// A stale robot reports again.
     RobotRecovered {
         /// The robot.
         robot: RobotId,
     },
-    /// A robot is not part of the fleet any more.
+    /// A robot has left the fleet.
     RobotLeft {
         /// The robot.
         robot: RobotId,
@@ -74,7 +74,7 @@ pub enum EventKind {
     },
     /// A computation failed; the last good result stands.
     JobFailed {
-        /// What it said.
+        /// Its error.
         reason: String,
     },
     /// The mean silhouette has stayed below the threshold.
@@ -92,12 +92,12 @@ pub enum EventKind {
         /// Its term.
         term: u64,
     },
-    /// A setting of an earlier run does not fit any more; what file and flags say holds.
+    /// A setting of an earlier run is no longer valid; file and flags apply.
     SettingDropped {
         /// The field.
         field: String,
     },
-    /// The link to the router was lost and has come back; robots were not judged meanwhile.
+    /// The link to the router was lost and is back; no presence changed meanwhile.
     LinkRestored {
         /// Seconds without it.
         outage_s: f64,
@@ -109,7 +109,7 @@ pub enum EventKind {
 pub struct Event {
     /// The head of the message.
     pub header: Header,
-    /// Who tells it.
+    /// The service that reports it.
     pub source: ServiceName,
     /// How much it matters.
     pub severity: Severity,

@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 use crate::id::{FleetId, ServiceName};
 use crate::time::Tick;
 
-/// A place in the outputs of one role: first by term, then by epoch.
+/// A place in the outputs of one service: first by term, then by epoch.
 ///
-/// The term counts the holders of the role (each takes the highest it has heard of, plus one), the
-/// epoch counts the outputs of one holder. A consumer never goes back to a lower revision.
+/// The term counts the leaders of the service (each begins the highest that it has received, plus one), the
+/// epoch counts the outputs of one leader. A reader never goes back to a lower revision.
 #[derive(
     Debug,
     Clone,
@@ -25,9 +25,9 @@ use crate::time::Tick;
     JsonSchema,
 )]
 pub struct Revision {
-    /// Which holder of the role.
+    /// Which leader of the service.
     pub term: u64,
-    /// Which output of that holder.
+    /// Which output of that leader.
     pub epoch: u64,
 }
 
@@ -45,9 +45,9 @@ pub struct StageTime {
 /// The head of every message between services.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Header {
-    /// Whose message this is.
+    /// The fleet.
     pub fleet: FleetId,
-    /// Where it stands among the outputs of its role.
+    /// Its place among the outputs of its service.
     pub revision: Revision,
     /// When the oldest pose behind it was received: among the robots that are not stale, or among all
     /// where every robot is.

@@ -334,21 +334,21 @@ impl Pose {
     }
 }
 
-/// One robot that another one hears.
+/// A robot that another one receives.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Link {
-    /// The robot that is heard.
+    /// The robot that is received.
     pub peer: RobotId,
-    /// How well, in the unit that `ingest` was told: quality or delivery ratio 0..1, or RSSI in dBm.
+    /// How well, in the unit that the settings of `ingest` name: quality or delivery ratio 0..1, or RSSI in dBm.
     pub quality: f64,
 }
 
-/// Whom a robot hears. The edges run from the peers to the robot that reports.
+/// The robots that a robot receives. The edges run from the peers to the robot that reports.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Links {
-    /// All robots that are heard now; those left out are not heard any more.
+    /// All robots that are received now; those left out are no longer received.
     #[serde(deserialize_with = "crate::object::list")]
     #[schemars(with = "Vec<Link>", length(max = MAX_LINKS))]
     pub links: Vec<Link>,
@@ -363,7 +363,7 @@ pub struct Links {
     pub seq: Option<u64>,
 }
 
-/// Whom a robot answers to. The edge runs from the superior to the robot that reports.
+/// The superior of a robot. The edge runs from the superior to the robot that reports.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Rank {

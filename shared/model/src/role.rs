@@ -1,4 +1,4 @@
-//! Who holds the role of a service, of which several instances may run.
+//! The leader among the instances of a service.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,33 +6,33 @@ use serde::{Deserialize, Serialize};
 use crate::header::Header;
 use crate::id::{InstanceId, ServiceName};
 
-/// Where an instance stands towards the role of its service.
+/// The state of an instance in the election of its service.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 #[schemars(rename = "Standing")]
 pub enum ReplicaState {
-    /// It asks the bus what there is, and publishes nothing.
+    /// It fetches the last outputs, and publishes nothing.
     #[default]
     Starting,
-    /// Another instance holds the role; this one follows and takes over when that one is gone.
+    /// Another instance leads; this one follows and takes over when that one is gone.
     Standby,
-    /// It held the role and was cut off or stopped for a while: it publishes nothing until it knows
-    /// that nobody has taken over.
+    /// It led and was cut off or paused: it publishes nothing until it knows that no other instance has
+    /// taken over.
     #[serde(rename = "doubtful")]
     Suspect,
-    /// It holds the role: its outputs are the outputs of the service.
+    /// It leads: its outputs are the outputs of the service.
     #[serde(rename = "holding")]
     Leading,
 }
 
-/// What the holder of a role tells the other instances of its service several times a second.
+/// What the leader of a service sends to the other instances several times a second.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[schemars(rename = "Claim")]
 pub struct LeaseRenewal {
-    /// The head of the message; its revision is that of the holder's last output.
+    /// The head of the message; its revision is that of the leader's last output.
     pub header: Header,
     /// The service.
     pub service: ServiceName,
-    /// The holder.
+    /// The leader.
     pub instance: InstanceId,
 }

@@ -10,13 +10,13 @@ use crate::id::{Modality, RobotId};
 use crate::limits::{MAX_GRAPHS, MAX_ROBOTS};
 use crate::time::Tick;
 
-/// How sure it is that a robot is still there.
+/// Whether a robot is still there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Presence {
-    /// It has been heard of lately.
+    /// It has reported lately.
     Active,
-    /// It has been silent, or its liveliness token has been lost, for longer than it should.
+    /// It has been silent, or its liveliness token has been lost, for too long.
     Stale,
 }
 
@@ -27,7 +27,7 @@ pub struct RosterEntry {
     pub node: Node,
     /// Its name.
     pub robot: RobotId,
-    /// How sure it is that the robot is still there.
+    /// Whether the robot is still there.
     pub presence: Presence,
     /// Metres east, north, up; none while the robot is known but unplaced.
     pub position: Option<[f64; 3]>,
@@ -35,7 +35,7 @@ pub struct RosterEntry {
     pub heading: Option<f64>,
     /// The coordinate frame of the position.
     pub frame: Option<String>,
-    /// Whom it answers to.
+    /// Its superior.
     pub superior: Option<RobotId>,
     /// What it is within its unit.
     pub role: Option<String>,
@@ -43,8 +43,8 @@ pub struct RosterEntry {
     pub last_seen: Tick,
 }
 
-/// All robots of a frame, published after the graphs of the frame: who has applied the graphs that
-/// it lists holds one consistent state of the fleet.
+/// All robots of a frame, published after the graphs of the frame: a reader that has applied the graphs
+/// that it lists holds one consistent state of the fleet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Roster {
     /// The head of the message.

@@ -1,4 +1,4 @@
-//! What a service tells of itself.
+//! The status of a service.
 
 use std::collections::BTreeMap;
 
@@ -25,12 +25,12 @@ pub struct ServiceStatus {
     pub started: Tick,
     /// When this was written.
     pub now: Tick,
-    /// Where it stands towards the role of its service.
+    /// Its state in the election of its service.
     pub standing: ReplicaState,
-    /// Its last output; of an instance that stands by, that of the holder as it was last heard.
+    /// Its last output; of a standby, the last output that it received from the leader.
     pub revision: Revision,
-    /// What it is doing, in a few words.
+    /// What it is doing, in words.
     pub state: String,
-    /// What it has counted since it started, by name.
+    /// Its counters since it started, by name.
     pub counters: BTreeMap<String, u64>,
 }

@@ -190,7 +190,7 @@ pub struct RobotTeam {
     /// Its team; none if nothing relates it to the others.
     pub team: Option<TeamId>,
     /// All robots of the team, itself among them, ordered by name; none if they are more than
-    /// [`MAX_MEMBERS_PUBLISHED`], whom the division names.
+    /// [`MAX_MEMBERS_PUBLISHED`]: the division has the list.
     pub members: Option<Vec<RobotId>>,
     /// Who leads the team.
     pub leader: Option<RobotId>,

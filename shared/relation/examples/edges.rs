@@ -29,11 +29,11 @@ fn positions(kind: ScenarioKind, robots: usize) -> Vec<[f64; 3]> {
 }
 
 /// Seconds that this thread has computed, which others on the machine do not lengthen; of the clock where
-/// the system does not tell.
+/// the system does not report it.
 fn seconds() -> f64 {
     static BEGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
-    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let nanoseconds = told.and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());
+    let stat = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
+    let nanoseconds = stat.and_then(|text| text.split_whitespace().next()?.parse::<f64>().ok());
     nanoseconds.map_or_else(|| BEGIN.elapsed().as_secs_f64(), |ns| ns * 1e-9)
 }
 

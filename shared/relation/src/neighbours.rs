@@ -126,7 +126,7 @@ pub(crate) fn k_nearest(points: &[Point], k: usize) -> Vec<Vec<Neighbour>> {
 
 /// The places among which the `k` nearest of the one at `point` are, itself included.
 fn candidates(tree: &ImmutableKdTree<f64, 3>, point: &Point, k: usize) -> Vec<u32> {
-    // The place itself and one beyond, which tells whether others tie with the last that counts.
+    // The place itself and one beyond, which shows whether others tie with the last that counts.
     let mut count = k.saturating_add(2);
     loop {
         let wanted = NonZeroUsize::new(count).unwrap_or(NonZeroUsize::MIN);

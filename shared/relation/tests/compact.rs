@@ -216,5 +216,5 @@ fn ten_thousand_robots_on_one_spot_stay_sparse_and_have_no_hub() {
         degrees[source as usize] += 1;
     }
     assert!(degrees[..10_000].iter().all(|degree| *degree == 64));
-    assert_eq!(degrees[10_000..], [2; 3], "those beside the crowd have each other");
+    assert_eq!(degrees[10_000..], [2; 3], "those outside the crowd have each other");
 }

@@ -26,9 +26,9 @@ use serde_json::{Map, Value, json};
 /// The head of every JSON message.
 #[derive(Debug, Serialize, JsonSchema)]
 struct Head<'a> {
-    /// Whose message this is.
+    /// The fleet.
     fleet: &'a FleetId,
-    /// Which holder of the role of the service says it; a later one has a higher term.
+    /// Which leader of the service published it; a later one has a higher term.
     term: u64,
     /// Which of its outputs this is. Readers never go back to a lower pair of term and epoch.
     epoch: u64,
@@ -96,7 +96,7 @@ pub(crate) struct TeamsForm<'a> {
     teams: Vec<TeamForm<'a>>,
     /// Robots that belong to no team, ordered by name: nothing relates them to the others.
     unassigned: &'a [RobotId],
-    /// Robots, with or without a team, that have not been heard of lately, ordered by name.
+    /// Stale robots, with or without a team, ordered by name.
     stale: &'a [RobotId],
 }
 
@@ -109,7 +109,7 @@ struct TeamForm<'a> {
     /// Its robots, ordered by name.
     #[schemars(length(min = 1))]
     members: Vec<&'a RobotId>,
-    /// The robot that commands most of the others; the one before if nobody commands.
+    /// The robot that commands most of the others; the previous leader if none commands any.
     leader: &'a RobotId,
 }
 
@@ -129,18 +129,17 @@ impl EdgeJson for Teams {
     }
 }
 
-/// What one robot is told of its team, whenever that changes. Its term and epoch are those of the
-/// division.
+/// The team of one robot, published whenever it changes. Its term and epoch are those of the division.
 #[derive(Serialize, JsonSchema)]
 pub(crate) struct RobotTeamForm<'a> {
     #[serde(flatten)]
     head: Head<'a>,
-    /// Who is told.
+    /// The robot.
     robot: &'a RobotId,
     /// Its team; null if nothing relates it to the others.
     team: Option<&'a TeamId>,
-    /// All robots of the team, itself among them, ordered by name; null if they are more than can be
-    /// told, whom the division names.
+    /// All robots of the team, itself among them, ordered by name; null if they are more than a message
+    /// may list: the division has the list.
     #[schemars(length(max = MAX_MEMBERS_PUBLISHED))]
     members: Option<&'a [RobotId]>,
     /// Who leads the team; null if there is none.
@@ -207,7 +206,7 @@ fn silhouette_form(report: &SilhouetteReport) -> SilhouetteForm<'_> {
     }
 }
 
-/// The independent judgement of a division.
+/// The independent scores of a division.
 #[derive(Serialize, JsonSchema)]
 pub(crate) struct AuditForm<'a> {
     #[serde(flatten)]
@@ -218,7 +217,7 @@ pub(crate) struct AuditForm<'a> {
     silhouette: SilhouetteForm<'a>,
     /// Silhouettes among the positions in metres, over the robots that have one.
     physical: SilhouetteForm<'a>,
-    /// The judgement in one word, by the silhouettes among the vectors.
+    /// The quality in one word, by the silhouettes among the vectors.
     verdict: Verdict,
 }
 
@@ -240,7 +239,7 @@ impl EdgeJson for Audit {
 pub(crate) struct EventForm<'a> {
     #[serde(flatten)]
     head: Head<'a>,
-    /// Who tells it.
+    /// The service that reports it.
     source: ServiceName,
     /// How much it matters.
     severity: Severity,
@@ -307,7 +306,7 @@ fn variants(choice: &Schema) -> Vec<Variant> {
 }
 
 impl Variant {
-    /// The schema of the object with the fields of the variant, and with names that tell which it is.
+    /// The schema of the object with the fields of the variant, and with names that say which it is.
     fn named(&self, names: &[(&str, &str)]) -> Value {
         let fields = self.content.get("properties").and_then(Value::as_object);
         let mut properties = fields.cloned().unwrap_or_default();
@@ -399,7 +398,7 @@ pub(crate) struct RosterForm<'a> {
 struct RosterEntryForm<'a> {
     /// Its name.
     robot: &'a RobotId,
-    /// How sure it is that the robot is still there.
+    /// Whether the robot is still there.
     presence: Presence,
     /// Metres east, north, up; null while the robot is known but unplaced.
     position: Option<[f64; 3]>,
@@ -407,7 +406,7 @@ struct RosterEntryForm<'a> {
     heading: Option<f64>,
     /// The coordinate frame of the position.
     frame: Option<&'a str>,
-    /// Whom it answers to.
+    /// Its superior.
     superior: Option<&'a RobotId>,
     /// What it is within its unit.
     role: Option<&'a str>,

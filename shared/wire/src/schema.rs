@@ -37,9 +37,9 @@ const PARTS: &str = "#/$defs/";
 /// The description of the document.
 const ABOUT: &str = "\
 Every message of Muster in JSON, by name under $defs. Validate against one of them, such as \
-{\"$ref\": \"#/$defs/pose\"} beside this $defs. x-keys says on which keys below muster/v1/{fleet}/ a \
-message stands. Every name, number and text keeps the rules of its schema; beyond them a service \
-refuses what JSON Schema cannot say, and the description of a message tells what that is. For all \
+{\"$ref\": \"#/$defs/pose\"} next to this $defs. x-keys says on which keys below muster/v1/{fleet}/ a \
+message stands. Every name, number and text satisfies the rules of its schema; beyond them a service \
+refuses what JSON Schema cannot say, and the description of a message says what that is. For all \
 messages to a service: numbers are finite and within double precision (NaN and Infinity are no JSON), \
 whole numbers are written without a fraction (17, not 17.0), and no key stands twice in an object of \
 a robot. What services write has exactly these fields in this version; a later one may have more.";

@@ -116,7 +116,7 @@ impl Published {
 
     pub fn informed_robots(&self) -> String {
         let names: BTreeSet<&str> = self.robots.iter().map(|team| team.robot.as_str()).collect();
-        assert_eq!(names.len(), self.robots.len(), "nobody is informed twice");
+        assert_eq!(names.len(), self.robots.len(), "no robot is informed twice");
         names.into_iter().collect::<Vec<_>>().join(" ")
     }
 }

@@ -107,7 +107,7 @@ fn an_answer_has_an_end() {
     });
     let settings = ClustererSettings { restarts: 1, ..teams(2) };
     let (mut bench, _) = divided(settings, &from_rows(1, 1, rows.collect()));
-    // Teams so large name nobody.
+    // Teams so large list no members.
     assert_eq!(bench.get("robot/*/team", None).unwrap().len(), 3000);
     assert_eq!(bench.get("robot/r1/team", None).unwrap().len(), 1);
     assert_eq!(bench.get("teams", None).unwrap().len(), 1);

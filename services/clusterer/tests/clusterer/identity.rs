@@ -29,7 +29,7 @@ fn ids_and_numbers_outlive_the_process() {
     let (mut bench, _) = divided(teams(2), &first);
     bench.get("service/clusterer/settings", Some("{\"teams\":1}")).unwrap();
     assert_eq!(short(&bench.division()), "t1: a b c d");
-    // So late that nobody remembers the team before.
+    // So late that the team before is forgotten.
     bench.wait(61.0);
     bench.take();
     bench.get("service/clusterer/settings", Some("{\"teams\":2}")).unwrap();

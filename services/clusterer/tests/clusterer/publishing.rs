@@ -6,7 +6,7 @@ use super::*;
 fn the_one_who_commands_most_leads() {
     let first = embedding(1, &[("a b c d", WEST), ("x y", EAST)]);
     let (mut bench, division) = divided(teams(2), &first);
-    assert_eq!(leaders(&division), ["a", "x"], "nobody commands: the first by name");
+    assert_eq!(leaders(&division), ["a", "x"], "no robot commands: the first by name");
     // c commands a and b, b through x of the other team; d commands y, who is no member.
     bench.receive_roster(roster(1, "a<c b<x x<c y<d c d"));
     let sent = bench.take();
@@ -17,7 +17,7 @@ fn the_one_who_commands_most_leads() {
     assert!(bench.take().teams.is_empty());
     bench.receive_embedding(&embedding(2, &[("a b c d", WEST), ("x y", NORTH)]));
     assert_eq!(leaders(&bench.division()), ["c", "x"]);
-    // Nobody commands: the one before stays, too, until it is in another team.
+    // No robot commands: the one before stays, too, until it is in another team.
     bench.receive_roster(roster(3, "a b c d x y"));
     bench.receive_embedding(&embedding(3, &[("a b d", WEST), ("x y c", EAST)]));
     assert_eq!(leaders(&bench.division()), ["a", "x"]);

@@ -146,7 +146,7 @@ fn a_division_that_a_suspect_finished_is_published_whole_once_it_leads_again() {
     bench.take();
     bench.run_job();
     bench.wait(2.0);
-    assert!(bench.take().teams.is_empty(), "nobody receives it");
+    assert!(bench.take().teams.is_empty(), "its output is suppressed");
     bench.input(Input::LinkRestored);
     let sent = bench.take();
     let changes = changes_in_short(&sent.changes());

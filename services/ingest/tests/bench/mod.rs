@@ -172,7 +172,7 @@ impl Bench {
     }
 
     /// In its term, with the first, empty frame behind it. It takes over a fleet whose last robot is
-    /// gone (and has node 0), so that it waits for nobody to gather.
+    /// gone (and has node 0), so that it waits for no robot to gather.
     pub(crate) fn new(settings: IngestSettings) -> Self {
         let mut bench = Self::asleep(settings);
         let last = entry_of("last", Presence::Stale, Tick(0));

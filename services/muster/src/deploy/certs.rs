@@ -43,7 +43,7 @@ const FOLDER_MODE: u32 = 0o700;
 /// Access to a secret: its owner may read and write it.
 pub(super) const SECRET_MODE: u32 = 0o600;
 
-/// Access to a certificate: everybody may read it.
+/// Access to a certificate: any user may read it.
 pub(super) const PUBLIC_MODE: u32 = 0o644;
 
 /// Largest certificate or key in bytes that is read back.

@@ -234,9 +234,9 @@ mod tests {
                 assert!(!list.iter().any(|key| key.contains("**")), "{list:?}");
             }
             // Instances of a service elect their leader on this key.
-            let holder = of(&format!("service/{service}/holder"));
+            let lease = of(&format!("service/{service}/holder"));
             for list in [&may.put, &may.subscribe, &may.get, &may.reply] {
-                assert!(list.contains(&holder), "{list:?}");
+                assert!(list.contains(&lease), "{list:?}");
             }
             let tokens = of(&format!("service/{service}/*"));
             assert!(may.declare_token == [tokens.clone()] && may.watch_token.contains(&tokens));

@@ -17,8 +17,8 @@ pub enum CentroidStart {
     Random,
 }
 
-/// Longest time between two tellings of a division: robots take a team for stale that they have not
-/// been told for 5 s, and readiness a clusterer for dead after 10.
+/// Longest time between two publications of a division: robots consider a team stale that was not republished
+/// for 5 s, and the readiness probe considers a clusterer dead after 10 s.
 const MAX_HEARTBEAT_S: f64 = 4.0;
 
 /// Settings of `clusterer`.
@@ -28,7 +28,7 @@ pub struct ClustererSettings {
     /// How many teams the fleet is divided into. There are fewer while the robots do not allow more.
     #[schemars(range(min = 1, max = MAX_TEAMS))]
     pub teams: u32,
-    /// How many starts of k-means are tried beside the previous division.
+    /// How many starts of k-means are tried in addition to the previous division.
     #[schemars(range(min = 1, max = 10_000))]
     pub restarts: u32,
     /// How the centroids of a start are chosen.
@@ -40,10 +40,10 @@ pub struct ClustererSettings {
     #[schemars(range(max = u64::MAX))]
     pub seed: u64,
     /// The previous division is kept while no start is better than it by more than this share of
-    /// the inertia, so that noise moves nobody.
+    /// the inertia, so that noise moves no robot.
     #[schemars(range(min = 0, max = 0.99))]
     pub hysteresis: f64,
-    /// An unchanged division is told again after this many seconds.
+    /// An unchanged division is republished after this many seconds.
     #[schemars(range(min = 0.1, max = MAX_HEARTBEAT_S))]
     pub heartbeat_s: f64,
 }

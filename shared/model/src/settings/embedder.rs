@@ -151,7 +151,7 @@ pub struct EmbedderSettings {
     /// How the rows are scaled.
     pub rows: RowScaling,
     /// How far, as a fraction of itself, the norm of a modality and α ρ may drift before scale and decay
-    /// are chosen anew; 0: in every frame.
+    /// are chosen again; 0: in every frame.
     #[schemars(range(min = 0, max = 0.5))]
     pub hysteresis: f64,
     /// Largest residual of the embedding of a fleet that moves.
@@ -167,8 +167,8 @@ impl Default for EmbedderSettings {
     fn default() -> Self {
         Self {
             weights: BTreeMap::new(),
-            // Orders that lead only down give those who command nobody no similarity to anybody: their
-            // rows of S are empty, and half of their vector says nothing.
+            // With edges that lead only down, robots without subordinates have empty rows in S, so that half
+            // of their vector is zero.
             reciprocity: BTreeMap::from([(Modality::hierarchy(), 0.5)]),
             normalize: Normalization::Spectral,
             alpha: Alpha::Fraction { fraction: 0.5 },
@@ -182,19 +182,19 @@ impl Default for EmbedderSettings {
     }
 }
 
-/// A modality that relates this share of the robots has its whole default weight: half, so that it stays as
-/// it is while robots of a fleet that tells all come and go.
+/// A modality that relates this share of the robots has its whole default weight: half, so that the weight
+/// stays the same while robots of a fleet that reports everything join and leave.
 pub const WHOLE_FROM: f64 = 0.5;
 
-/// What a modality counts where no weights are set, before all are divided by their sum: who commands
-/// whom counts most, and who hears whom least, since robots hear others than those of their team. That
-/// is what training seeds of formations, noisy ones among them, and of planted fleets have chosen; of a
-/// declared modality nothing is known, and it counts as the three do on average.
+/// The weight of a modality where none is set, before all are divided by their sum. Hierarchy counts most;
+/// connectivity counts least, since robots also receive robots of other teams. The values won on the
+/// training seeds of formations, noisy ones among them, and of planted fleets. A declared modality gets the
+/// average of the three.
 ///
 /// `related` is the share of the robots that have an edge of it, from 0 to 1. A modality that relates
 /// fewer than half counts less in proportion: graphs are scaled by their norm, so that the first two
-/// robots that tell of a superior would outweigh where all others are. One without an edge has its whole
-/// weight, which weighs nothing.
+/// robots that report a superior would outweigh the positions of all others. A modality without an edge keeps
+/// its whole weight, which has no effect.
 #[must_use]
 pub fn default_weight(modality: &Modality, related: f64) -> f64 {
     let built_in = [

@@ -83,7 +83,7 @@ pub struct SpatialSettings {
     pub radius_m: Option<f64>,
 }
 
-/// In which unit robots report how well they hear each other.
+/// In which unit robots report how well they receive each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LinkUnit {
@@ -119,7 +119,7 @@ pub struct IngestSettings {
     /// A robot is stale this many seconds after its last pose, or after its token was lost.
     #[schemars(range(min = 0.1, max = 86_400))]
     pub stale_after_s: f64,
-    /// A robot is gone this many seconds after the last sign of it.
+    /// A robot is gone this many seconds after its last sign of life.
     #[schemars(range(min = 0.1, max = 604_800))]
     pub gone_after_s: f64,
     /// Most messages per second that one robot may put on one stream; more are refused.
@@ -131,7 +131,7 @@ pub struct IngestSettings {
     /// Coordinate frames that poses may name. The first is meant where a pose names none.
     #[schemars(with = "Vec<Name>", length(min = 1, max = MAX_FRAMES))]
     pub frames: Vec<String>,
-    /// Modalities beside spatial, connectivity and hierarchy that robots may report.
+    /// Modalities that robots may report in addition to spatial, connectivity and hierarchy.
     #[schemars(with = "Vec<DeclaredModality>", length(max = MAX_DECLARED_MODALITIES), extend("uniqueItems" = true))]
     pub modalities: Vec<Modality>,
     /// How positions become the spatial graph.
