@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use futures_util::StreamExt as _;
-use muster_client::model::audit::Verdict;
+use muster_client::model::audit::Quality;
 use muster_client::model::event::EventKind;
 use muster_client::model::id::{RobotId, ServiceName};
 use muster_client::model::observation::Rank;
@@ -166,7 +166,7 @@ async fn a_robot_in_ten_lines_gets_its_team_and_consoles_see_it() {
     assert_eq!(division.teams.len(), 2);
     assert!(!division.is_stale());
     let mut audits = late.audits().await.unwrap();
-    let judged = async { while audits.changed().await.unwrap().verdict == Verdict::Undefined {} };
+    let judged = async { while audits.changed().await.unwrap().quality == Quality::Undefined {} };
     timeout(RECEIVED_WITHIN, judged).await.expect("an audit with a verdict");
     let settings = late.get_settings(ServiceName::Clusterer).await.unwrap();
     assert_eq!(settings["teams"], 2);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_model::audit::{Audit, Verdict};
+use muster_model::audit::{Audit, Quality};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::event::{EventKind, Severity};
@@ -197,7 +197,7 @@ impl Auditor {
             embedding: teams.embedding,
             in_embedding: scored.scores.in_embedding.clone(),
             in_physical: scored.scores.in_physical.clone(),
-            verdict: quality(scored.scores.in_embedding.mean, context.settings()),
+            quality: quality(scored.scores.in_embedding.mean, context.settings()),
         });
         self.audit = Some(Arc::clone(&audit));
         context.publish(Message::Audit(audit));
@@ -414,10 +414,10 @@ impl Core for Auditor {
             (Some(scored), _) => {
                 let mean = scored.scores.in_embedding.mean;
                 let word = match quality(mean, view.settings()) {
-                    Verdict::Good => "good",
-                    Verdict::Fair => "fair",
-                    Verdict::Poor => "poor",
-                    Verdict::Undefined => "undefined with fewer than two teams",
+                    Quality::Good => "good",
+                    Quality::Fair => "fair",
+                    Quality::Poor => "poor",
+                    Quality::Undefined => "undefined with fewer than two teams",
                 };
                 let mean =
                     mean.map_or(String::new(), |mean| format!(", mean silhouette {mean:.2}"));

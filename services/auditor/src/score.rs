@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use muster_method::silhouettes::{SilhouetteParams, silhouettes};
-use muster_model::audit::{SilhouetteReport, Space, Verdict};
+use muster_model::audit::{Quality, SilhouetteReport, Space};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
@@ -146,11 +146,11 @@ fn report<'a>(
 }
 
 /// The quality of a division in one word.
-pub(crate) fn quality(mean: Option<f64>, settings: &AuditorSettings) -> Verdict {
+pub(crate) fn quality(mean: Option<f64>, settings: &AuditorSettings) -> Quality {
     match mean {
-        None => Verdict::Undefined,
-        Some(mean) if mean >= settings.good => Verdict::Good,
-        Some(mean) if mean < settings.poor => Verdict::Poor,
-        Some(_) => Verdict::Fair,
+        None => Quality::Undefined,
+        Some(mean) if mean >= settings.good => Quality::Good,
+        Some(mean) if mean < settings.poor => Quality::Poor,
+        Some(_) => Quality::Fair,
     }
 }

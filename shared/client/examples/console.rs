@@ -36,8 +36,8 @@ async fn look() -> Result<(), Error> {
         tokio::select! {
             Some(change) = changes.next() => match change {
                 Change::Teams(division) => print(&division),
-                Change::Audit(audit) => if verdict.replace(audit.verdict) != Some(audit.verdict) {
-                    println!("verdict: {:?}", audit.verdict);
+                Change::Audit(audit) => if verdict.replace(audit.quality) != Some(audit.quality) {
+                    println!("verdict: {:?}", audit.quality);
                 }
                 Change::Event(event) => println!("{:?}", event.kind),
                 link => println!("{link:?}"),

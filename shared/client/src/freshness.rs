@@ -98,7 +98,7 @@ impl Publication for Audit {
     }
 
     fn same_content(&self, other: &Self) -> bool {
-        self.verdict == other.verdict
+        self.quality == other.quality
             && self.in_embedding == other.in_embedding
             && self.in_physical == other.in_physical
     }

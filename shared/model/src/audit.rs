@@ -69,7 +69,8 @@ impl SilhouetteReport {
 /// The quality of a division in one word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum Verdict {
+#[schemars(rename = "Verdict")]
+pub enum Quality {
     /// The mean silhouette in the embedding reaches the upper threshold.
     Good,
     /// It lies between the thresholds.
@@ -94,5 +95,5 @@ pub struct Audit {
     /// Silhouettes among the positions, over the robots that have one.
     pub in_physical: SilhouetteReport,
     /// The quality of a division in one word.
-    pub verdict: Verdict,
+    pub quality: Quality,
 }

@@ -7,7 +7,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport, Space, Verdict};
+use muster_model::audit::{Audit, Quality, SilhouetteMethod, SilhouetteReport, Space};
 use muster_model::embedding::{Embedding, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::GraphDelta;
@@ -218,7 +218,7 @@ pub(crate) struct AuditForm<'a> {
     /// Silhouettes among the positions in metres, over the robots that have one.
     physical: SilhouetteForm<'a>,
     /// The quality in one word, by the silhouettes among the vectors.
-    verdict: Verdict,
+    verdict: Quality,
 }
 
 impl EdgeJson for Audit {
@@ -228,7 +228,7 @@ impl EdgeJson for Audit {
             space: self.in_embedding.space,
             silhouette: silhouette_form(&self.in_embedding),
             physical: silhouette_form(&self.in_physical),
-            verdict: self.verdict,
+            verdict: self.quality,
         })
     }
 }

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport, Space, Verdict};
+use muster_model::audit::{Audit, Quality, SilhouetteMethod, SilhouetteReport, Space};
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::graph::{GraphDelta, GraphRow};
@@ -360,7 +360,7 @@ impl Author {
             embedding: self.named(self.embedding, draw),
             in_embedding: report(Space::Embedding, draw),
             in_physical: report(Space::Physical, draw),
-            verdict: Verdict::Fair,
+            quality: Quality::Fair,
         }
     }
 

@@ -127,7 +127,7 @@ fn fewer_than_two_teams_are_not_judged() {
     for (epoch, division) in (1..).zip([&[][..], &[("t1", "a b c d")][..]]) {
         bench.receive(teams(epoch, 1, division, ""));
         let audit = bench.audits().pop().unwrap();
-        assert_eq!(audit.verdict, Verdict::Undefined);
+        assert_eq!(audit.quality, Quality::Undefined);
         for report in [&audit.in_embedding, &audit.in_physical] {
             assert_eq!(report.mean, None);
             assert!(report.per_robot.is_empty() && report.per_team.is_empty());
@@ -136,19 +136,19 @@ fn fewer_than_two_teams_are_not_judged() {
     assert!(bench.status().state.starts_with("undefined"));
     // Teams of robots that the embedding does not know are as good as none.
     bench.receive(teams(3, 1, &[("t1", "a b"), ("t2", "x y")], ""));
-    assert_eq!(bench.audits().pop().unwrap().verdict, Verdict::Undefined);
+    assert_eq!(bench.audits().pop().unwrap().quality, Quality::Undefined);
 }
 
 #[test]
 fn the_verdict_follows_the_thresholds() {
     let (mut bench, audit) = scored();
-    assert_eq!(audit.verdict, Verdict::Good);
+    assert_eq!(audit.quality, Quality::Good);
     assert_eq!(bench.status().state, "good, mean silhouette 0.84");
     // New thresholds apply to the old silhouettes at once, without a job.
     bench.get("service/auditor/settings", Some(r#"{"good":0.95}"#)).unwrap();
-    assert_eq!(bench.audit().verdict, Verdict::Fair);
+    assert_eq!(bench.audit().quality, Quality::Fair);
     bench.get("service/auditor/settings", Some(r#"{"poor":0.9}"#)).unwrap();
-    assert_eq!(bench.audit().verdict, Verdict::Poor);
+    assert_eq!(bench.audit().quality, Quality::Poor);
     assert_eq!(bench.jobs_run, 1);
     assert!(bench.get("service/auditor/settings", Some(r#"{"good":0.1}"#)).is_err());
     assert!(bench.audits().is_empty());
@@ -238,7 +238,7 @@ fn of_two_frames_with_equally_many_robots_the_first_by_name_counts() {
 fn lasting_bad_quality_raises_one_alert() {
     let (mut bench, _) = scored();
     bench.receive(teams(2, 1, CROSSED, ""));
-    assert!(bench.audit().verdict == Verdict::Poor && bench.events().is_empty());
+    assert!(bench.audit().quality == Quality::Poor && bench.events().is_empty());
     bench.wait(2.9);
     assert!(bench.events().is_empty());
     assert_eq!(bench.host.deadline(), Some(START.after(Duration::from_secs(3))));

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_auditor::Auditor;
-use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
+use muster_model::audit::{Audit, Quality, SilhouetteReport, Space};
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::EventKind;

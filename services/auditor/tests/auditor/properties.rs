@@ -27,7 +27,7 @@ proptest! {
         bench.receive(teams(1, 1, &division, ""));
         let audit = bench.audit();
         if division.len() < 2 {
-            prop_assert_eq!(audit.verdict, Verdict::Undefined);
+            prop_assert_eq!(audit.quality, Quality::Undefined);
         } else {
             let points: Vec<Vec<f64>> = points.iter().map(|point| point.to_vec()).collect();
             let labels: Vec<usize> = robots.iter().map(|robot| robot.1).collect();

@@ -119,7 +119,7 @@ fn the_embedding_of_the_division_is_kept_with_the_newest() {
 
 #[test]
 fn the_last_audit_is_answered_for_the_auditor() {
-    use muster_model::audit::{Audit, SilhouetteReport, Space, Verdict};
+    use muster_model::audit::{Audit, Quality, SilhouetteReport, Space};
     let mut bench = Bench::leading(teams(2));
     for epoch in [2, 1] {
         bench.receive(Message::Audit(Arc::new(Audit {
@@ -128,7 +128,7 @@ fn the_last_audit_is_answered_for_the_auditor() {
             embedding: Revision::default(),
             in_embedding: SilhouetteReport::undefined(Space::Embedding),
             in_physical: SilhouetteReport::undefined(Space::Physical),
-            verdict: Verdict::Undefined,
+            quality: Quality::Undefined,
         })));
     }
     for selector in ["audit", "json/audit"] {

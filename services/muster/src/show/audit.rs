@@ -40,7 +40,7 @@ impl Shown for Audit {
         let mut lines = vec![
             format!(
                 "fleet {}  epoch {}  verdict {:?}",
-                self.header.fleet, self.header.revision.epoch, self.verdict
+                self.header.fleet, self.header.revision.epoch, self.quality
             ),
             format!(
                 "silhouette {} in the embedding, {} in physical space",

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport, Space, Verdict};
+use muster_model::audit::{Audit, Quality, SilhouetteMethod, SilhouetteReport, Space};
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
@@ -180,7 +180,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         embedding: revision(43),
         in_embedding: report(Space::Embedding, Some(0.5)),
         in_physical: report(Space::Physical, None),
-        verdict: Verdict::Good,
+        quality: Quality::Good,
     };
     let event = |kind| {
         Message::Event(Event {
