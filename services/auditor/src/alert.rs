@@ -1,11 +1,11 @@
-//! When bad quality is worth an operator's attention.
+//! When an operator is alerted of low quality.
 
 use muster_model::event::EventKind;
 use muster_model::settings::AuditorSettings;
 use muster_model::time::{Tick, seconds};
 
 /// Watches the mean silhouette: an alert needs quality that stays low, and lasts until it is
-/// clearly better, so that a division on the border raises one alert and not many.
+/// clearly better, so that a division on the border raises only one alert.
 #[derive(Debug, Default)]
 pub(crate) struct Alert {
     low_since: Option<Tick>,
@@ -13,8 +13,8 @@ pub(crate) struct Alert {
 }
 
 impl Alert {
-    /// Takes in the mean silhouette as it is now; none where it is not defined, which says nothing
-    /// bad and nothing good.
+    /// Accepts the current mean silhouette; none where it is undefined, which counts as neither low nor
+    /// high.
     pub(crate) fn observe(
         &mut self,
         now: Tick,

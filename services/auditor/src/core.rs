@@ -107,7 +107,7 @@ impl Auditor {
         let revision = teams.header.revision;
         let last = self.newest.as_ref().map(|newest| newest.teams.header.revision);
         if last.is_some_and(|last| revision <= last) {
-            // The same one may well come twice: by subscription and by fetch.
+            // The same one may come twice: by subscription and by fetch.
             return if last == Some(revision) { Acceptance::Kept } else { Acceptance::Old };
         }
         // Divisions go forward through the embeddings: no later one names what lies before this
@@ -357,7 +357,7 @@ impl Core for Auditor {
         }
     }
 
-    /// The thresholds judge the same silhouettes.
+    /// The same scores may have another quality by the new thresholds.
     fn on_settings(&mut self, context: &mut Context<'_>) {
         self.publish(context);
         self.watch(context);
@@ -393,7 +393,7 @@ impl Core for Auditor {
     }
 
     fn on_job(&mut self, context: &mut Context<'_>, end: JobEnd<Self::Done>) {
-        match self.flight.ended(context, |_| "judgement", end) {
+        match self.flight.ended(context, |_| "score", end) {
             Some(scores) => self.accept_scores(context, scores),
             None => self.consider(context),
         }
@@ -426,7 +426,7 @@ impl Core for Auditor {
             (None, Some(_)) if self.fetch_at.is_some() => {
                 "waiting for the embedding of a division".to_owned()
             }
-            (None, Some(_)) => "judging the first division".to_owned(),
+            (None, Some(_)) => "scoring the first division".to_owned(),
             (None, None) => "waiting for a division".to_owned(),
         }
     }

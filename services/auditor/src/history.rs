@@ -8,7 +8,7 @@ use muster_model::header::Revision;
 use muster_model::roster::Roster;
 
 /// Most messages that are kept: three seconds at ten per second, longer than a division takes.
-const MOST: usize = 32;
+const MAX_MESSAGES: usize = 32;
 
 /// A message that comes in the order of its revision.
 pub(crate) trait Revised {
@@ -59,7 +59,7 @@ impl<T: Revised> History<T> {
             Err(at) if at == kept.len() || is_wanted => kept.insert(at, message),
             Err(_) => return Acceptance::Old,
         }
-        if kept.len() > MOST {
+        if kept.len() > MAX_MESSAGES {
             // What is wanted stays, however old it is.
             let removed = usize::from(kept.front().map(|message| message.revision()) == wanted);
             kept.remove(removed);

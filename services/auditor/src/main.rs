@@ -4,6 +4,6 @@ use std::process::ExitCode;
 
 fn main() -> ExitCode {
     muster_runtime::service::main::<muster_auditor::Auditor>(
-        "Judges every division by silhouettes, independent of the service that made it",
+        "Scores every division by silhouettes, independent of the service that made it",
     )
 }

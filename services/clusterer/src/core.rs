@@ -219,7 +219,7 @@ impl Core for Clusterer {
             context.abandon_job();
             self.flight = SingleFlight::default();
         }
-        self.rotation.hurry();
+        self.rotation.make_due();
         if self.published.is_some() {
             self.republish(context);
         } else {
@@ -250,7 +250,7 @@ impl Core for Clusterer {
         if connectivity == Connectivity::Online {
             let patterns = [Key::Embedding, Key::Roster].map(Pattern::One);
             context.fetch(MissedInputs, patterns.to_vec());
-            self.rotation.hurry();
+            self.rotation.make_due();
             self.republish(context);
             self.consider(context);
         }

@@ -8,9 +8,9 @@ use muster_model::limits::{MAX_ROBOTS, MAX_TEAMS};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 
-/// How long a robot's last team, and a team that ended, are remembered: a platoon that drives
-/// through a tunnel or is restarted comes back within it; after it, who comes is somebody else.
-pub(crate) const REMEMBERED: Duration = Duration::from_secs(60);
+/// How long a robot's last team, and a team that ended, are remembered: a platoon that drives through a
+/// tunnel or is restarted is back within it, and one that comes later is another platoon.
+pub(crate) const TEAM_MEMORY_TIME: Duration = Duration::from_secs(60);
 
 /// What is remembered of divisions before the last.
 #[derive(Debug, Clone, Default)]
@@ -20,7 +20,7 @@ pub(crate) struct Memory {
     last: BTreeMap<RobotId, (TeamId, Tick)>,
     /// Teams that ended. At most [`MAX_TEAMS`] with [`MAX_ROBOTS`] robots in all.
     pub(crate) ended: BTreeMap<TeamId, Ended>,
-    /// No lower number was free in any division that was received.
+    /// No division that was received has this team number or a higher one.
     pub(crate) next_team: u64,
 }
 
@@ -32,7 +32,7 @@ pub(crate) struct Ended {
 }
 
 impl Memory {
-    /// Takes in that one division follows another.
+    /// One division follows another.
     pub(crate) fn follow(&mut self, now: Tick, before: Option<&Teams>, after: &Teams) {
         let placed: BTreeSet<&RobotId> = after.assignments().map(|(robot, _)| robot).collect();
         let living: BTreeSet<&TeamId> = after.teams.iter().map(|team| &team.id).collect();
@@ -55,7 +55,7 @@ impl Memory {
 
     /// Drops the oldest of what is too much.
     fn bound(&mut self) {
-        if let Some(excess) = self.last.len().checked_sub(MAX_ROBOTS).filter(|many| *many > 0) {
+        if let Some(excess) = self.last.len().checked_sub(MAX_ROBOTS).filter(|excess| *excess > 0) {
             let mut ages: Vec<(Tick, RobotId)> =
                 self.last.iter().map(|(robot, (_, at))| (*at, robot.clone())).collect();
             ages.sort_unstable();
@@ -116,21 +116,21 @@ impl Memory {
             for cluster in places.iter().flatten() {
                 *shared.entry(*cluster).or_default() += 1;
             }
-            let most = shared.into_iter().find(|(cluster, many)| {
-                many * 2 > places.len() && many * 2 > clusters[*cluster].len()
+            let most = shared.into_iter().find(|(cluster, count)| {
+                count * 2 > places.len() && count * 2 > clusters[*cluster].len()
             });
-            if let Some((cluster, many)) = most {
-                let candidate = (many as u64, ended.at, id);
+            if let Some((cluster, count)) = most {
+                let candidate = (count as u64, ended.at, id);
                 let entry = best.entry(cluster).or_insert(candidate);
                 *entry = (*entry).max(candidate);
             }
         }
-        best.into_iter().map(|(cluster, (many, _, id))| (id, cluster, many)).collect()
+        best.into_iter().map(|(cluster, (count, _, id))| (id, cluster, count)).collect()
     }
 }
 
 fn is_over(now: Tick, at: Tick) -> bool {
-    now.since(at) >= REMEMBERED
+    now.since(at) >= TEAM_MEMORY_TIME
 }
 
 #[cfg(test)]

@@ -27,8 +27,8 @@ impl Rotation {
         self.informed.map_or(Tick(0), |informed| informed.after(every))
     }
 
-    /// The next robots are to be informed at once.
-    pub(crate) fn hurry(&mut self) {
+    /// Makes the rotation due at once.
+    pub(crate) fn make_due(&mut self) {
         self.informed = None;
     }
 

@@ -33,7 +33,7 @@ pub(crate) struct Basis {
     pub(crate) teams: Option<u32>,
     /// Whether the fleet is at rest, so that there is time for the scales and the decay of exactly these
     /// graphs, and for more digits.
-    pub(crate) settled: bool,
+    pub(crate) at_rest: bool,
 }
 
 impl Basis {
@@ -118,7 +118,7 @@ fn compute(
     frames: &mut Frames,
     stopwatch: &mut Stopwatch,
 ) -> Result<Computed, MethodError> {
-    let pace = if basis.settled { Pace::AtRest } else { Pace::Moving };
+    let pace = if basis.at_rest { Pace::AtRest } else { Pace::Moving };
     // The rule for the dimension does not need the teams where the dimension is fixed.
     let teams = basis.teams.unwrap_or(2) as usize;
     let params = EmbeddingParams {

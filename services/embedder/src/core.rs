@@ -1,5 +1,4 @@
-//! State and policy: when an embedding is computed, published and published again, and how faults are
-//! reported.
+//! When an embedding is computed, and which job is next.
 
 mod input;
 mod output;
@@ -224,7 +223,7 @@ impl Core for Embedder {
     /// Does what has become due, whatever happened.
     fn after_input(&mut self, context: &mut Context<'_>) {
         let now = context.now();
-        if self.follow.settle(now) {
+        if self.follow.make_frame(now) {
             context.count("frames_consistent");
         }
         // A standby holds the graphs as well: it answers for an ingest that is gone.
@@ -249,7 +248,7 @@ impl Core for Embedder {
         }
         let Some(slot) = context.free_job_slot() else { return };
         let next = next.filter(|(basis, _)| self.flight.should_start(now, basis));
-        // Questions take turns with embeddings, however many are asked.
+        // Comparisons alternate with embeddings, however many gets wait.
         let asked = self.questions.wait();
         match next {
             Some((basis, frame)) if self.last_job == LastJob::Comparison || !asked => {
@@ -331,8 +330,7 @@ impl Embedder {
         self.follow.frame().filter(|frame| was_published || !frame.robots.is_empty())
     }
 
-    /// What the embedding of a frame rests on by the settings in force; notes when the fleet will be
-    /// at rest.
+    /// The basis of the embedding of a frame; notes when the fleet will be at rest.
     fn basis(&mut self, context: &Context<'_>, frame: &Frame) -> Basis {
         let settings = context.settings().clone();
         let graphs = frame.graphs.iter().map(|(name, graph)| (name.clone(), graph.revision()));
@@ -341,14 +339,14 @@ impl Embedder {
             graphs: graphs.collect(),
             teams: (settings.dimension == Dimension::Auto).then_some(self.teams.teams()),
             settings,
-            settled: false,
+            at_rest: false,
         };
         if let Some((computed, since)) = &self.computed
             && computed.is_of(&basis)
         {
             let due = since.after(REST_TIME);
-            basis.settled = computed.settled || due <= context.now();
-            self.rest = (!basis.settled).then_some(due);
+            basis.at_rest = computed.at_rest || due <= context.now();
+            self.rest = (!basis.at_rest).then_some(due);
         }
         basis
     }

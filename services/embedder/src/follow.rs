@@ -56,7 +56,7 @@ pub(crate) enum Acceptance {
     Known,
     /// It is older than what is known.
     Old,
-    /// A delta starts from a revision that was never seen; the graph is to be fetched.
+    /// A delta starts from a revision that was never received; the graph is to be fetched.
     Gap,
     /// It is of one modality more than a fleet may have.
     Ignored,
@@ -224,7 +224,7 @@ impl Follower {
     }
 
     /// Makes a frame if roster and graphs belong together now; whether there is a new one.
-    pub(crate) fn settle(&mut self, now: Tick) -> bool {
+    pub(crate) fn make_frame(&mut self, now: Tick) -> bool {
         let Some(roster) = &self.roster else { return false };
         let is_at = |(name, revision): &(Modality, _)| {
             self.graphs.get(name).is_some_and(|followed| followed.graph.revision() == *revision)

@@ -232,7 +232,7 @@ fn a_lost_announcement_is_asked_for_again() {
     bench.answer_fetch(fetch, vec![announced(&teams(3))]);
     assert_eq!(bench.last().dimension, 6);
     bench.wait(30.0);
-    assert_eq!(bench.settings_fetches.len(), 3, "whether anybody answers or not");
+    assert_eq!(bench.settings_fetches.len(), 3, "whether they are answered or not");
 }
 
 #[test]

@@ -22,7 +22,7 @@ fn fleet() -> Ingest {
     Ingest::two_cliques(&NAMES, 4)
 }
 
-/// A bench that has seen one whole frame.
+/// A bench that has received one whole frame.
 fn following() -> (Bench, Ingest) {
     let (mut bench, mut ingest) = (Bench::fresh(), fleet());
     bench.frame(&mut ingest);
@@ -334,7 +334,7 @@ fn a_graph_is_not_taken_back_while_its_roster_may_be_on_the_way() {
     assert_eq!(bench.counter("graphs_taken_back"), 0);
     bench.receive(next.roster());
     assert_eq!(bench.last().roster, next.roster.header.revision);
-    // Nor by what somebody puts on the bus, nor to anything but what the roster lists.
+    // Nor by a forged message, nor to anything but what the roster lists.
     bench.receive(forged(&first));
     bench.wait(3.0);
     bench.receive(first.graph("spatial"));

@@ -59,7 +59,7 @@ fn a_thorough_embedding_takes_the_header_of_what_was_published_while_it_was_made
     bench.run_job();
     assert!(bench.last().quality.residual <= 1e-10);
     assert!(bench.last().roster >= again);
-    // Neither does one that comes too late for its graphs take anybody back.
+    // Nor does one that comes too late for its graphs lead readers back to an older roster.
     ingest.edge("links", "r0000", "r0001", 0.51);
     bench.frame(&mut ingest);
     bench.run_job();

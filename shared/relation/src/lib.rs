@@ -1,6 +1,6 @@
 //! From observations of robots to one weighted directed graph per modality.
 //!
-//! Robots are indices from 0 here; whoever calls knows their names. Every function is pure, so that
+//! Robots are indices from 0 here; the caller knows their names. Every function is pure, so that
 //! the live fleet and a fleet in a file have the same rules. All edge lists are ordered by
 //! source, then target, and name no edge twice.
 

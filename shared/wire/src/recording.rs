@@ -122,7 +122,7 @@ impl<R: Read> Reader<R> {
         }
         let at = reader.offset;
         let content = reader.content(MAX_HEAD)?.ok_or(RecordingError::BreaksOff(at))?;
-        // The text may hold what somebody else has put into the file.
+        // The text may hold arbitrary bytes of the file.
         let head = serde_json::from_slice(&content)
             .map_err(|error| RecordingError::Damaged { at, problem: quoted(&error.to_string()) })?;
         Ok((reader, head))

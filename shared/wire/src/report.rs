@@ -16,8 +16,8 @@ use crate::envelope::{self, EnvelopeError, Kind};
 use crate::key::Key;
 use crate::packet::{Format, Outbound, binary_encoding};
 
-/// A report in binary form. The robot stands inside as well as in the key, so that a message that is put
-/// to another robot's key is seen.
+/// A report in binary form. The robot is in the content as well as in the key, so that a report on another
+/// robot's key is noticed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct FromRobot<R, T> {
     robot: R,

@@ -6,8 +6,8 @@
     reason = "this is a test, and so are its helpers"
 )]
 
-mod judging;
 mod properties;
+mod scoring;
 mod service;
 
 use std::ops::{Deref, DerefMut};

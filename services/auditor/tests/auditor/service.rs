@@ -59,7 +59,7 @@ fn a_division_waits_for_its_embedding() {
     bench.wait(0.5);
     let mut fetches = bench.take_fetches();
     assert_eq!(fetches.len(), 1);
-    // Whoever still has it answers, though a newer one is there.
+    // A reader that still has it answers, though there is a newer one.
     bench.forget_audits();
     let messages = vec![teams(3, 2, CROSSED, ""), embedding(2, FOUR)];
     bench.answer_fetch(fetches.remove(0), messages);

@@ -20,7 +20,7 @@ impl Clusterer {
         }
     }
 
-    /// Takes answers, the newest first, so that no older one is divided before it.
+    /// Accepts answers, the newest first, so that no older embedding is divided before it.
     pub(super) fn accept_all(&mut self, context: &mut Context<'_>, mut messages: Vec<Message>) {
         let revision = |message: &Message| message.header().map(|header| header.revision);
         messages.sort_by_key(|message| std::cmp::Reverse(revision(message)));
@@ -40,7 +40,7 @@ impl Clusterer {
         let revision = embedding.header.revision;
         let last = self.newest.as_ref().map(|newest| newest.embedding.header.revision);
         if last.is_some_and(|last| revision <= last) {
-            // The same one may well come twice: by subscription and by fetch.
+            // The same one may come twice: by subscription and by fetch.
             if last != Some(revision) {
                 context.count("messages_old");
             }
@@ -61,7 +61,7 @@ impl Clusterer {
             return;
         }
         self.roster = Some(roster);
-        // Robots went silent, left, or command others now: the same labels, published again.
+        // Robots became stale, left, or have other superiors: the same labels are republished.
         if let (Some(published), Some(division)) = (&self.published, &self.division) {
             let (leaders, stale) = self.roster_view(division, &published.source.embedding);
             let led = division.teams.iter().zip(leaders);

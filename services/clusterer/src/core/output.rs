@@ -15,8 +15,8 @@ use super::{Clusterer, Context, Published, Received, View};
 use crate::leader::leaders;
 use crate::publishing::{robots_to_inform, shortage};
 
-/// Most changes of one division that are published as events: when a whole fleet is divided anew, the
-/// division itself says it better than one event per robot. The others are counted.
+/// Most changes of one division that are published as events; the others are only counted. When a whole fleet
+/// changes teams, the division itself is the better report.
 const MAX_CHANGE_EVENTS: usize = 64;
 
 impl Clusterer {
@@ -63,8 +63,8 @@ impl Clusterer {
         }
     }
 
-    /// What the newest roster says of the division of an embedding: the leader of each team, and who
-    /// is stale. A robot that is missing from a roster that is not older than the embedding's is about to go.
+    /// The leader of each team of a division, and the stale robots of its embedding, by the newest roster. A
+    /// robot that is missing from a roster no older than the embedding's counts as stale: it is about to leave.
     pub(super) fn roster_view(
         &self,
         teams: &Teams,
@@ -115,7 +115,7 @@ impl Clusterer {
         }
     }
 
-    /// Publishes the last division of this leader again, if there is one.
+    /// Republishes the last division of this leader, if there is one.
     pub(super) fn republish(&mut self, context: &mut Context<'_>) {
         if let Some(published) = &self.published {
             let source = published.source.clone();
@@ -123,7 +123,7 @@ impl Clusterer {
         }
     }
 
-    /// Publishes the last division again, as it stands by the newest roster.
+    /// Republishes the last division with the leaders and stale robots of the newest roster.
     pub(super) fn republish_from(&mut self, context: &mut Context<'_>, source: Received) {
         let Some(division) = &self.division else { return };
         let mut teams = Teams::clone(division);
@@ -133,14 +133,14 @@ impl Clusterer {
         self.publish(context, teams, source);
     }
 
-    /// When the next robots are to be informed again.
+    /// When the rotation is due.
     pub(super) fn rotation_at(&self, view: &View<'_>) -> Option<Tick> {
         self.published.as_ref().filter(|_| view.is_leading())?;
         Some(self.rotation.due(seconds(view.settings().heartbeat_s)))
     }
 
-    /// Publishes the team of those robots again whose turn it is, if it is time, but for those that
-    /// were just informed.
+    /// Republishes the teams of the next robots in rotation when that is due, except those that were just
+    /// informed.
     pub(super) fn inform_in_rotation(
         &mut self,
         context: &mut Context<'_>,

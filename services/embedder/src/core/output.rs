@@ -30,14 +30,14 @@ impl Embedder {
         let now = context.now();
         context.count("jobs_done");
         self.computed = Some((basis.clone(), now));
-        let frame = if basis.settled { self.newest_of(context, &basis, frame) } else { frame };
+        let frame = if basis.at_rest { self.newest_of(context, &basis, frame) } else { frame };
         let roster = &frame.roster;
         let last = self.embedding.as_ref().map(|last| last.roster);
-        if basis.settled && last > Some(roster.header.revision) {
+        if basis.at_rest && last > Some(roster.header.revision) {
             // It was published again for a later frame meanwhile, and there is a newer one to come.
             return;
         }
-        if basis.settled && self.is_published(context.settings(), &computed) {
+        if basis.at_rest && self.is_published(context.settings(), &computed) {
             // Readers need not receive the same digits again.
             context.count("embeddings_confirmed");
             return;

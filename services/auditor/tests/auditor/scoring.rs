@@ -64,8 +64,8 @@ fn a_division_is_scored_in_both_spaces() {
 }
 
 #[test]
-fn a_large_fleet_is_judged_by_a_sample_and_each_robot_by_squared_distances() {
-    // Two heaps, one of them half as wide, and somebody of the first in the other's team.
+fn a_large_fleet_is_scored_by_a_sample_and_each_robot_by_squared_distances() {
+    // Two heaps, one of them half as wide, and a robot of the first in the other's team.
     let place = |robot: usize| {
         let (heap, at) = (robot % 2, robot / 2);
         [(at % 100) as f64 / (1 + heap) as f64 + 150.0 * heap as f64, (at / 100) as f64]
@@ -121,7 +121,7 @@ fn a_large_fleet_is_judged_by_a_sample_and_each_robot_by_squared_distances() {
 }
 
 #[test]
-fn fewer_than_two_teams_are_not_judged() {
+fn fewer_than_two_teams_are_not_scored() {
     let mut bench = Bench::leading(vec![]);
     bench.receive(embedding(1, FOUR));
     for (epoch, division) in (1..).zip([&[][..], &[("t1", "a b c d")][..]]) {
@@ -140,7 +140,7 @@ fn fewer_than_two_teams_are_not_judged() {
 }
 
 #[test]
-fn the_verdict_follows_the_thresholds() {
+fn the_quality_follows_the_thresholds() {
     let (mut bench, audit) = scored();
     assert_eq!(audit.quality, Quality::Good);
     assert_eq!(bench.status().state, "good, mean silhouette 0.84");
