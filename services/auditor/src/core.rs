@@ -41,7 +41,7 @@ const HEARTBEAT: Duration = Duration::from_secs(1);
 /// other on the bus by far less.
 const EMBEDDING_GRACE: Duration = Duration::from_millis(250);
 
-/// How long after a fetch that did not help the next one follows.
+/// Time between two fetches of a missing embedding.
 const FETCH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A division, and when it was received.
@@ -110,8 +110,7 @@ impl Auditor {
             // The same one may come twice: by subscription and by fetch.
             return if last == Some(revision) { Acceptance::Kept } else { Acceptance::Old };
         }
-        // Divisions go forward through the embeddings: no later one names what lies before this
-        // one.
+        // No later division names an older embedding.
         self.embeddings.drop_before(teams.embedding);
         self.newest = Some(Received { teams, at: context.now() });
         Acceptance::Wanted
@@ -230,9 +229,8 @@ impl Auditor {
         }
     }
 
-    /// Accepts answers, which come in no order: divisions last, when all that they may name is
-    /// there, and the older of two before the newer. An embedding that a division among them names
-    /// is kept however old it is.
+    /// Accepts answers, which come in no order: divisions last, when all that they may name is there, and
+    /// older ones before newer ones. An embedding that a division among them names is kept however old it is.
     fn accept_all(&mut self, context: &mut Context<'_>, mut messages: Vec<Message>) {
         messages.sort_by_key(|message| {
             let teams = matches!(message, Message::Teams { .. });

@@ -214,7 +214,7 @@ impl Core for Clusterer {
                 memory.next_team = memory.next_team.max(teams.next_team);
             }
         }
-        // The job that runs knows neither those numbers nor, at first, that division.
+        // The running job has neither those numbers nor, at first, that division.
         if context.view().is_job_running() {
             context.abandon_job();
             self.flight = SingleFlight::default();

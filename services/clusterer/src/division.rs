@@ -51,7 +51,7 @@ pub(crate) fn same_data(left: &Embedding, right: &Embedding) -> bool {
     std::ptr::eq(left, right)
         || left.dimension == right.dimension
             && left.robots == right.robots
-            && left.unseen == right.unseen
+            && left.without_embedding == right.without_embedding
             && left.values == right.values
 }
 
@@ -71,7 +71,7 @@ pub(crate) fn divide(job: &Job) -> Result<Teams, DivisionError> {
     let inertia = found.inertia;
     let clusters = gather(&found);
     let unassigned: Vec<RobotId> = (0..embedding.robots.len())
-        .filter(|&i| embedding.unseen[i])
+        .filter(|&i| embedding.without_embedding[i])
         .map(|i| embedding.robots[i].clone())
         .collect();
 
@@ -119,7 +119,7 @@ fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
         embedding.robots.iter().map(|robot| team_of.get(robot).copied()).collect()
     });
     let params = DivisionParams::new(settings).check()?;
-    Ok(divide_robots(x, &embedding.unseen, &params, warm.as_deref(), &mut |_| {})?)
+    Ok(divide_robots(x, &embedding.without_embedding, &params, warm.as_deref(), &mut |_| {})?)
 }
 
 /// The clusters, ordered by their smallest member, so that nothing rests on how they were numbered.

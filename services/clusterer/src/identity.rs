@@ -35,16 +35,15 @@ fn number(id: &TeamId) -> Option<u64> {
     (TeamId::numbered(number) == *id).then_some(number)
 }
 
-/// How much a robot of a team that lives counts, against one of a team that ended: the living win
-/// where both would be right.
+/// The weight of a robot of a living team against one of a team that ended: on a tie the living team wins.
 const LIVING: u64 = 2;
 
-/// Names clusters of robots after the teams with which they share most, and those without such a
-/// team by the next free numbers, in the order in which they are given.
+/// Gives each cluster the id of the team with which it shares most robots, and new numbers, in order, to
+/// clusters without such a team.
 ///
-/// A robot without a team counts for the one that it had last, as long as that is remembered. A team
-/// that ended lives again under its id if most of its robots that are there are most of a cluster;
-/// that is reported as a birth, or as a split where most robots come from a team that lives on.
+/// A robot without a team counts for its last one, as long as that is remembered. A team that ended is
+/// revived under its id if most of its present robots are most of a cluster; that is reported as a birth, or
+/// as a split where most robots come from a living team.
 pub(crate) fn name(
     clusters: &[Vec<&RobotId>],
     unassigned: &[RobotId],

@@ -6,9 +6,9 @@ use muster_model::id::{RobotId, TeamId};
 use muster_model::roster::Roster;
 use muster_model::teams::{Team, Teams};
 
-/// The leader of each team, among its members that are not absent. Among those that command equally
-/// many, the one before stays, and otherwise the first by name leads. Where all are absent, the one
-/// before stays. A team without members, which there is not, has none.
+/// The leader of each team: of its members that are not absent, the one that commands most others. On a tie
+/// the previous leader stays, otherwise the first by name leads. If all members are absent, the previous
+/// leader stays. A team without members has no leader; there is no such team.
 pub(crate) fn leaders(
     teams: &[Team],
     roster: Option<&Roster>,
@@ -46,9 +46,9 @@ pub(crate) fn leaders(
 /// How many others of its team each robot commands, over any number of steps and through robots of
 /// any team. Robots without subordinates may be left out.
 ///
-/// One walk through the forest of superiors: the count of a team between entering a robot
-/// and leaving it is what lies below that robot. Where the superiors run in a circle, each robot of
-/// the circle commands all that hangs on it. Linear in the robots, however long the chains are.
+/// One depth-first walk through the forest of superiors: a robot commands those of its team that are entered
+/// between entering and leaving the robot. Each robot of a circle of superiors commands all robots below the
+/// circle. Linear in the robots, however long the chains are.
 fn commanded<'a>(teams: &'a [Team], roster: Option<&'a Roster>) -> BTreeMap<&'a RobotId, u64> {
     let Some(roster) = roster else { return BTreeMap::new() };
     if roster.robots.iter().all(|entry| entry.superior.is_none()) {
@@ -90,14 +90,14 @@ fn count_below(superior: &[Option<usize>], team_of: &[Option<usize>], teams: usi
     let mut walk = Walk {
         inferiors,
         team_of,
-        seen: vec![0; teams],
+        entered: vec![0; teams],
         visited: vec![false; superior.len()],
         below: vec![0; superior.len()],
     };
     for (at, _) in superior.iter().enumerate().filter(|(_, above)| above.is_none()) {
         walk.descend(&[at]);
     }
-    // What no top reaches hangs on a circle: as many steps up as there are robots end on it.
+    // What no top reaches is below a circle of superiors.
     for at in 0..superior.len() {
         if walk.visited[at] {
             continue;
@@ -129,19 +129,19 @@ struct Walk<'a> {
     inferiors: Vec<Vec<usize>>,
     team_of: &'a [Option<usize>],
     /// How many of each team have been entered.
-    seen: Vec<u64>,
+    entered: Vec<u64>,
     visited: Vec<bool>,
     below: Vec<u64>,
 }
 
 impl Walk<'_> {
-    /// Walks through all that hangs on a top, or on a circle whose robots all stand above it.
+    /// Walks through all robots below a top, or below a circle.
     fn descend(&mut self, tops: &[usize]) {
         enum Step {
             Enter(usize),
             Leave(usize, u64),
         }
-        let count = |walk: &Self, at: usize| walk.team_of[at].map_or(0, |team| walk.seen[team]);
+        let count = |walk: &Self, at: usize| walk.team_of[at].map_or(0, |team| walk.entered[team]);
         let before: Vec<u64> = tops.iter().map(|at| count(self, *at)).collect();
         let mut steps: Vec<Step> = tops.iter().map(|at| Step::Enter(*at)).collect();
         while let Some(step) = steps.pop() {
@@ -152,7 +152,7 @@ impl Walk<'_> {
                     }
                     steps.push(Step::Leave(at, count(self, at)));
                     if let Some(team) = self.team_of[at] {
-                        self.seen[team] += 1;
+                        self.entered[team] += 1;
                     }
                     steps.extend(self.inferiors[at].iter().map(|at| Step::Enter(*at)));
                 }

@@ -8,13 +8,12 @@
 //!
 //! What holds at all times:
 //! - A robot of the embedding stands in exactly one team, or among those without one.
-//! - A team keeps its id for as long as it shares most with itself, and gets it back if it ended and
-//!   is formed again by the same robots within a minute; an id is never given to another team, also
-//!   over restarts, as long as any service remembers the last division.
-//! - The same embedding under the same settings is divided once. What is published again is the same
-//!   division with a new revision, and its data grows older honestly.
-//! - A job that fails changes nothing: the last division stands and is published on. One that panics is
-//!   tried again.
+//! - A team keeps its id while most of its robots stay together, and gets it back if the same robots form it
+//!   again within a minute of its end. No id is given to another team, not even after a restart, as long as
+//!   any service holds the last division.
+//! - The same embedding under the same settings is divided once. What is republished is the same division
+//!   with a new revision, and its data grows older.
+//! - A job that fails changes nothing: the last division is republished. A job that panics is tried again.
 //! - A robot is informed of its team when that changes. All robots are also informed again in rotation, a
 //!   bounded number in each heartbeat, so that a lost message is repaired without a burst.
 //! - A robot that has left the fleet counts as stale until the next embedding, and leads no team

@@ -71,7 +71,7 @@ impl Memory {
         }
     }
 
-    /// How many robots are remembered, each as often as it stands in a team that ended.
+    /// How many robots are remembered; a robot counts once for each team that ended with it.
     pub(crate) fn robot_count(&self) -> usize {
         self.last.len() + self.ended.values().map(|ended| ended.members.len()).sum::<usize>()
     }
@@ -93,8 +93,8 @@ impl Memory {
         self.last.get(robot).map(|(team, _)| team)
     }
 
-    /// Teams that ended and of whose robots most of those that are there are most of a cluster, with
-    /// the number of that cluster and how many robots these are. For each cluster at most one.
+    /// Teams that ended and may be revived, each with its cluster and how many robots they share: more than
+    /// half of the team's present robots, and more than half of the cluster. At most one for each cluster.
     pub(crate) fn revivable(
         &self,
         clusters: &[Vec<&RobotId>],
@@ -137,8 +137,7 @@ fn is_over(now: Tick, at: Tick) -> bool {
 mod tests {
     use super::*;
 
-    /// As many robots that left as are given, and one ended team for each count of members; what has a
-    /// higher number is newer.
+    /// A memory of `left` robots and of one ended team for each count of members; higher numbers are newer.
     fn memory(left: usize, ended: &[usize]) -> Memory {
         let robot = |number: usize| RobotId::new(format!("r{number:06}")).unwrap();
         let at = |number: usize| Tick(1000 + number as u64);

@@ -9,8 +9,8 @@ use muster_model::limits::MAX_MEMBERS_PUBLISHED;
 use muster_model::teams::{Team, Teams};
 use muster_model::time::Tick;
 
-/// How many robots are informed of their team again in each heartbeat, in rotation: that repairs lost
-/// messages without a burst.
+/// How many robots are informed of their team again in each heartbeat: that repairs lost messages without a
+/// burst.
 const ROBOTS_INFORMED_PER_HEARTBEAT: usize = 64;
 
 /// Which robots are informed of their team next, so that a lost message is repaired in the end.
@@ -32,7 +32,7 @@ impl Rotation {
         self.informed = None;
     }
 
-    /// The robots whose turn it is, out of all of them, ordered by name.
+    /// The next robots in rotation, of all robots ordered by name.
     pub(crate) fn next(&mut self, now: Tick, robots: &[RobotId]) -> Vec<RobotId> {
         self.informed = Some(now);
         let last = self.last.as_ref();
@@ -88,7 +88,7 @@ pub(crate) fn robots_to_inform<'a>(teams: &'a Teams, before: Option<&Teams>) -> 
     robots
 }
 
-/// Whether the members that a team keeps are sent the same as before.
+/// Whether members that stay in a team would be sent the same as before.
 fn same_for_members(old: &Team, new: &Team) -> bool {
     let is_large = |team: &Team| team.members.len() > MAX_MEMBERS_PUBLISHED;
     let same_names = || {

@@ -92,7 +92,7 @@ pub(crate) struct Computed {
     pub(crate) graphs: Vec<(Modality, Revision, f64)>,
     pub(crate) dimension: u32,
     pub(crate) values: Vec<f64>,
-    pub(crate) unseen: Vec<bool>,
+    pub(crate) without_embedding: Vec<bool>,
     pub(crate) centrality: Vec<f64>,
     pub(crate) quality: EmbeddingQuality,
 }
@@ -153,7 +153,7 @@ fn computed(
     Computed {
         graphs: named.map(|((name, at), weight)| (name.clone(), *at, weight)).collect(),
         dimension: u32::try_from(x.cols()).unwrap_or(u32::MAX),
-        unseen: without_embedding,
+        without_embedding,
         centrality,
         quality: EmbeddingQuality {
             spectral_radius: (decay.radius.lower, decay.radius.upper),

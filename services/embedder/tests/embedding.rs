@@ -42,7 +42,7 @@ fn two_cliques_have_vectors_apart() {
             assert!(dot(a, b).abs() < 1e-9);
         }
     }
-    assert!(embedding.unseen.iter().all(|unseen| !unseen));
+    assert!(embedding.without_embedding.iter().all(|without| !without));
     assert_eq!(embedding.dimension, 4);
     assert!(embedding.quality.residual < 1e-12 && embedding.quality.katz_residual < 1e-12);
     assert_eq!(embedding.quality.mode, EmbeddingMode::Dense);
@@ -55,13 +55,14 @@ fn two_cliques_have_vectors_apart() {
 }
 
 #[test]
-fn robots_without_relations_are_unseen() {
+fn robots_without_relations_have_no_embedding() {
     let (mut bench, mut ingest) = following();
     ingest.join("loner");
     bench.frame(&mut ingest);
     let embedding = bench.last();
-    let unseen = embedding.robots.iter().zip(&embedding.unseen).filter(|(_, unseen)| **unseen);
-    assert!(unseen.map(|(name, _)| name).eq([&robot("loner")]));
+    let without =
+        embedding.robots.iter().zip(&embedding.without_embedding).filter(|(_, without)| **without);
+    assert!(without.map(|(name, _)| name).eq([&robot("loner")]));
     assert!(row(embedding, "loner").iter().all(|value| *value == 0.0));
 }
 
@@ -76,11 +77,11 @@ fn small_and_empty_fleets_have_an_answer_or_none() {
         bench.frame(&mut ingest);
         let embedding = bench.last();
         assert_eq!((embedding.robots.len(), embedding.dimension), (count, 2));
-        assert_eq!(embedding.unseen, vec![true; count]);
+        assert_eq!(embedding.without_embedding, vec![true; count]);
     }
     ingest.edge("spatial", "r1", "r2", 1.0);
     bench.frame(&mut ingest);
-    assert!(bench.last().unseen.iter().any(|unseen| !unseen));
+    assert!(bench.last().without_embedding.iter().any(|without| !without));
     bench.set(r#"{"dimension": 64}"#);
     assert_eq!(bench.last().dimension, 4, "no more than two columns per robot");
 }
@@ -251,7 +252,7 @@ fn a_forged_announcement_lasts_until_the_clusterer_has_contradicted_twice() {
 }
 
 #[test]
-fn no_group_is_unseen_and_the_dimension_does_not_flap() {
+fn every_group_has_an_embedding_and_the_dimension_does_not_flap() {
     // Three groups of five, two teams: by noise of the distances, each group is the least at times.
     let mut ingest = Ingest::new(&["spatial"]);
     for prefix in ["a", "b", "c"] {
@@ -273,15 +274,15 @@ fn no_group_is_unseen_and_the_dimension_does_not_flap() {
             }
         }
         bench.frame(&mut ingest);
-        assert!(bench.last().unseen.iter().all(|unseen| !unseen));
+        assert!(bench.last().without_embedding.iter().all(|without| !without));
         assert_eq!(bench.last().dimension, 6);
     }
     ingest.join("loner");
     bench.frame(&mut ingest);
-    assert_eq!(bench.last().unseen.iter().filter(|unseen| **unseen).count(), 1);
+    assert_eq!(bench.last().without_embedding.iter().filter(|without| **without).count(), 1);
     // A dimension that is set is obeyed.
     bench.set(r#"{"dimension": 4}"#);
-    assert_eq!(bench.last().unseen.iter().filter(|unseen| **unseen).count(), 6);
+    assert_eq!(bench.last().without_embedding.iter().filter(|without| **without).count(), 6);
 }
 
 #[test]

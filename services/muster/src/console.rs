@@ -55,7 +55,7 @@ pub(crate) fn exit_error(error: Error) -> ExitError {
     }
 }
 
-/// The reply to a get; none if nobody replied.
+/// The reply to a get; none if there was none.
 ///
 /// # Errors
 /// Every other error of the client.

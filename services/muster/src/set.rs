@@ -31,7 +31,7 @@ pub(crate) struct SetArgs {
 /// Shows or changes settings.
 ///
 /// # Errors
-/// If nobody answers, or the service refuses the change.
+/// If the service does not answer, or refuses the change.
 pub(crate) async fn run(args: &SetArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let patch = (!args.assignments.is_empty()).then(|| parse_assignments(&args.assignments));
     let patch = patch.transpose().map_err(ExitError::usage)?;

@@ -64,8 +64,8 @@ pub struct Embedding {
     pub dimension: u32,
     /// The vectors, row after row.
     pub values: Vec<f64>,
-    /// Robots that the K leading singular vectors do not see: no division can be read off their row.
-    pub unseen: Vec<bool>,
+    /// Which robots have no embedding: the K leading singular vectors are zero in their rows.
+    pub without_embedding: Vec<bool>,
     /// Katz centrality of each robot, at least 1: the weight of all walks that begin at it, each step
     /// damped by the decay, the walk of no step included.
     pub centrality: Vec<f64>,
@@ -77,7 +77,7 @@ impl Content for Embedding {
     /// All fields have the lengths that `robots` and `dimension` give, and all numbers are finite.
     fn check(&self) -> Result<(), ContentError> {
         let robots = self.robots.len();
-        if self.unseen.len() != robots {
+        if self.without_embedding.len() != robots {
             return refuse("unseen", "must have one entry per robot");
         }
         if robots.checked_mul(self.dimension as usize) != Some(self.values.len()) {

@@ -457,7 +457,7 @@ pub(crate) struct EmbeddingForm<'a> {
 
 impl EdgeJson for Embedding {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
-        let unseen = self.robots.iter().zip(&self.unseen).filter(|(_, unseen)| **unseen);
+        let unseen = self.robots.iter().zip(&self.without_embedding).filter(|(_, unseen)| **unseen);
         serde_json::to_vec(&EmbeddingForm {
             head: head(&self.header, now),
             robots: &self.robots,

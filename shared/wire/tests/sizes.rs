@@ -53,7 +53,7 @@ fn an_embedding_of_thirty_thousand_robots_fits_a_message() {
     });
     let mut embedding = (*sample.unwrap()).clone();
     embedding.robots = robots(30_000);
-    embedding.unseen = vec![false; embedding.robots.len()];
+    embedding.without_embedding = vec![false; embedding.robots.len()];
     embedding.dimension = MAX_DIMENSION;
     embedding.values = vec![0.1; embedding.robots.len() * MAX_DIMENSION as usize];
     embedding.graphs = Vec::new();

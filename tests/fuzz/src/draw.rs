@@ -291,7 +291,7 @@ impl Author {
             graphs: graphs.into_iter().map(|(name, at)| (name, at, draw.weight())).collect(),
             dimension,
             values: (0..values.min(256)).map(|_| draw.number()).collect(),
-            unseen: robots.iter().map(|_| draw.below(4) == 1).collect(),
+            without_embedding: robots.iter().map(|_| draw.below(4) == 1).collect(),
             centrality: robots.iter().map(|_| draw.number()).collect(),
             robots,
             quality: EmbeddingQuality {

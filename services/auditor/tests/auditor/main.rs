@@ -137,7 +137,7 @@ fn embedding(epoch: u64, rows: Rows<'_>) -> Message {
         robots: rows.iter().map(|row| robot(row.0)).collect(),
         dimension: 2,
         values: rows.iter().flat_map(|row| row.1).collect(),
-        unseen: vec![false; rows.len()],
+        without_embedding: vec![false; rows.len()],
         centrality: vec![1.0; rows.len()],
         quality: EmbeddingQuality {
             spectral_radius: (1.0, 1.0),

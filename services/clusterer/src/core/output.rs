@@ -32,7 +32,7 @@ impl Clusterer {
         let revision = context.next_revision();
         let stage = context.stage(source.at);
         teams.embedding = source.embedding.header.revision;
-        // A restart goes by the division alone, so that it says which numbers others have given.
+        // After a restart only the division says which numbers were given.
         teams.next_team = teams.next_team.max(self.memory.next_team);
         teams.header = source.embedding.header.next_stage(revision, stage);
 

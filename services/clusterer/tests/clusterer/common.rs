@@ -137,15 +137,15 @@ pub fn header(term: u64, epoch: u64) -> Header {
 }
 
 /// An embedding of term 1: `(names, place)` puts some robots at one place, a bit apart from each
-/// other; a name that ends in `!` is unseen.
+/// other; a name that ends in `!` has no embedding.
 pub fn embedding(epoch: u64, groups: &[(&str, [f64; 2])]) -> Checked<Embedding> {
     let mut rows: Vec<(RobotId, Vec<f64>, bool)> = Vec::new();
     for (names, place) in groups {
         for (i, name) in names.split_whitespace().enumerate() {
-            let unseen = name.ends_with('!');
+            let without = name.ends_with('!');
             let apart = f64::from(u32::try_from(i).unwrap()) * 1e-3;
             let name = robot(name.trim_end_matches('!'));
-            rows.push((name, vec![place[0] + apart, place[1] - apart * apart], unseen));
+            rows.push((name, vec![place[0] + apart, place[1] - apart * apart], without));
         }
     }
     from_rows(1, epoch, rows)
@@ -164,7 +164,7 @@ pub fn from_rows(
         robots: rows.iter().map(|row| row.0.clone()).collect(),
         dimension: 2,
         values: rows.iter().flat_map(|row| row.1.clone()).collect(),
-        unseen: rows.iter().map(|row| row.2).collect(),
+        without_embedding: rows.iter().map(|row| row.2).collect(),
         centrality: vec![1.0; rows.len()],
         quality: EmbeddingQuality {
             spectral_radius: (1.0, 1.0),

@@ -195,7 +195,7 @@ fn what_cannot_be_divided_fails_without_a_panic() {
     assert!(
         matches!(&sent.events[..], [EventKind::JobFailed { reason }] if reason.contains("large"))
     );
-    let broken = Embedding { unseen: vec![], ..(*embedding(3, &[("a", WEST)])).clone() };
+    let broken = Embedding { without_embedding: vec![], ..(*embedding(3, &[("a", WEST)])).clone() };
     let broken = Message::Embedding(Checked::new_unchecked(broken));
     let space = muster_wire::KeySpace::new(header(1, 1).fleet);
     bench.receive_packet(broken.to_packet(&space));

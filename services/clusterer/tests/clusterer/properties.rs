@@ -5,7 +5,7 @@ use super::*;
 /// What may happen to a clusterer.
 #[derive(Debug, Clone)]
 enum Act {
-    /// An embedding: per robot absent, or a place on a small grid and whether it is unseen.
+    /// An embedding: per robot absent, or a place on a small grid and whether it has no embedding.
     Embedding(Vec<Option<(i8, i8, bool)>>),
     /// Another number of teams.
     Teams(u32),
@@ -122,8 +122,8 @@ proptest! {
             match act {
                 Act::Embedding(places) => {
                     let rows = places.into_iter().enumerate().filter_map(|(i, place)| {
-                        let (x, y, unseen) = place?;
-                        Some((robot(&format!("r{i}")), vec![f64::from(x), f64::from(y)], unseen))
+                        let (x, y, without) = place?;
+                        Some((robot(&format!("r{i}")), vec![f64::from(x), f64::from(y)], without))
                     });
                     let next = from_rows(1, epoch, rows.collect());
                     bench.receive_embedding(&next);
@@ -150,8 +150,8 @@ proptest! {
                 robot_teams(teams).map(|team| team.robot).collect();
             robots.sort_unstable();
             prop_assert_eq!(&robots, &embedding.robots);
-            let unseen = embedding.robots.iter().zip(&embedding.unseen).filter(|(_, u)| **u);
-            prop_assert!(unseen.map(|(robot, _)| robot).eq(&teams.unassigned));
+            let without = embedding.robots.iter().zip(&embedding.without_embedding).filter(|(_, u)| **u);
+            prop_assert!(without.map(|(robot, _)| robot).eq(&teams.unassigned));
             prop_assert!(teams.teams.len() <= settings.teams as usize);
             prop_assert!(teams.teams.iter().all(|team| !team.members.is_empty()));
             let number = |id: &TeamId| id.as_str()[1..].parse::<u64>().unwrap();

@@ -47,8 +47,8 @@ impl Embedder {
         }
     }
 
-    /// Accepts the answers of a fetch: graphs first, since the roster says which belong together.
-    /// Several services answer, and what is older than what is known is nothing unusual.
+    /// Accepts the answers of a fetch: graphs first, since the roster says which belong together. Answers
+    /// that are older than what is known are normal, because several services answer.
     pub(super) fn accept_answers(&mut self, context: &mut Context<'_>, messages: Vec<Message>) {
         let mut rosters = Vec::new();
         let mut old = Vec::new();

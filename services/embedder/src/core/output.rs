@@ -12,8 +12,8 @@ use super::{Context, Embedder};
 use crate::compute::{Basis, Computed};
 use crate::follow::Frame;
 
-/// How often an embedding is published again while rosters go on and nothing that it rests on changes,
-/// so that its readers see that the data behind it is fresh.
+/// How often an embedding is republished while rosters arrive and its basis does not change, so that its
+/// readers see that the data behind it is fresh.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 
 /// Difference of two coordinates of the same vector that is rounding.
@@ -34,7 +34,7 @@ impl Embedder {
         let roster = &frame.roster;
         let last = self.embedding.as_ref().map(|last| last.roster);
         if basis.at_rest && last > Some(roster.header.revision) {
-            // It was published again for a later frame meanwhile, and there is a newer one to come.
+            // It was republished for a later frame meanwhile, and a newer one is to come.
             return;
         }
         if basis.at_rest && self.is_published(context.settings(), &computed) {
@@ -50,7 +50,7 @@ impl Embedder {
             robots: basis.robots.to_vec(),
             dimension: computed.dimension,
             values: computed.values,
-            unseen: computed.unseen,
+            without_embedding: computed.without_embedding,
             centrality: computed.centrality,
             quality: computed.quality,
         };
@@ -58,14 +58,14 @@ impl Embedder {
         self.publish(context, embedding);
     }
 
-    /// The newest frame if it rests on the same as the one that a job was begun with: while the job ran,
-    /// the embedding may have been published again with the header of a later roster.
+    /// The newest frame if it has the same basis as the frame of the job: while the job ran, the embedding
+    /// may have been republished with the header of a later roster.
     fn newest_of(&mut self, context: &Context<'_>, basis: &Basis, frame: Arc<Frame>) -> Arc<Frame> {
         let newest = self.follow.frame().cloned();
         newest.filter(|newest| self.basis(context, newest).is_of(basis)).unwrap_or(frame)
     }
 
-    /// Whether what was computed for a fleet at rest is what was published, as exactly as is promised.
+    /// Whether what was computed for a fleet at rest equals what was published, within the tolerance.
     fn is_published(&self, settings: &EmbedderSettings, computed: &Computed) -> bool {
         let Some(last) = &self.embedding else { return false };
         let near = |(new, old): (&f64, &f64)| (new - old).abs() <= ROUNDING;
@@ -83,7 +83,7 @@ impl Embedder {
         context.publish(Message::Embedding(embedding));
     }
 
-    /// Publishes the last good embedding again as it is, with the next revision.
+    /// Republishes the last good embedding as it is, with the next revision.
     pub(super) fn republish(&mut self, context: &mut Context<'_>) {
         let Some(embedding) = &self.embedding else { return };
         let mut republished = unchanged(embedding);
@@ -97,8 +97,8 @@ impl Embedder {
         self.publish(context, republished);
     }
 
-    /// Publishes the embedding again with the header of the newest roster, if it still is that of the
-    /// newest frame and was not published lately; or notes when that will be due.
+    /// Republishes the embedding with the header of the newest roster, if its basis is that of the newest
+    /// frame and the heartbeat is due; or notes when that will be due.
     pub(super) fn republish_when_due(
         &mut self,
         context: &mut Context<'_>,

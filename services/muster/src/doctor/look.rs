@@ -103,7 +103,7 @@ impl Look {
         })
     }
 
-    /// The status of a service's leader, or the newest of anybody who answers for it.
+    /// The status of a service's leader, or the newest of any other instance that answers.
     pub(super) fn status(&self, service: ServiceName) -> Option<&ServiceStatus> {
         let all = self.after.iter().filter(|status| status.service == service);
         all.max_by_key(|status| (status.standing == ReplicaState::Leading, status.revision))
@@ -178,7 +178,7 @@ async fn statuses(
         instances.push(Instance {
             service: status.service,
             instance: status.instance.clone(),
-            // Anybody may answer a get: what is printed is made harmless.
+            // Any client may answer a get: control characters are removed before they are printed.
             version: quoted(&status.version),
             standing: status.standing,
             term: status.revision.term,

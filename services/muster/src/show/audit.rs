@@ -17,7 +17,7 @@ const LOWEST_ROBOTS: usize = 5;
 /// Shows the silhouettes, or every change of them.
 ///
 /// # Errors
-/// If no router answers, or nobody knows the silhouettes.
+/// If no router or no service answers.
 pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let client = console::open(config).await?;
     if args.watch {

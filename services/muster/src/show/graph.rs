@@ -36,7 +36,7 @@ pub(crate) struct GraphArgs {
 /// Shows the graphs, or every change of them.
 ///
 /// # Errors
-/// If no router answers, or nobody knows the graphs.
+/// If no router or no service answers.
 pub(crate) async fn run(args: &GraphArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let client = console::open(config).await?;
     if let Some([from, to]) = args.katz.as_deref() {

@@ -14,7 +14,7 @@ use crate::console::exit_error;
 /// Shows the similarity of two robots in both directions.
 ///
 /// # Errors
-/// If a robot is not known, or nobody answers.
+/// If a robot is not known, or no service answers.
 pub(crate) async fn run(
     client: &Client,
     [one, other]: [&RobotId; 2],

@@ -48,10 +48,10 @@ impl Column {
     }
 }
 
-/// How a line is meant.
+/// The style of a line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) enum Tone {
-    /// As any other.
+    /// Plain.
     #[default]
     Plain,
     /// All is well.

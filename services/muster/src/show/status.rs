@@ -118,7 +118,7 @@ impl FleetStatus {
                 status.revision.epoch.to_string(),
                 format!("{} s", status.now.since(status.started).as_secs()),
                 refused.to_string(),
-                // Anybody may answer a get: what is printed is made harmless.
+                // Any client may answer a get: control characters are removed before they are printed.
                 quoted(&status.state),
             ]
         };

@@ -14,7 +14,7 @@ use crate::console::{self, exit_error};
 /// Shows the teams, or every change of them.
 ///
 /// # Errors
-/// If no router answers, or nobody knows the teams.
+/// If no router or no service answers.
 pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let client = console::open(config).await?;
     if args.watch {

@@ -76,7 +76,7 @@ impl<T> Drop for Polled<T> {
 }
 
 impl<T: Send + Sync + 'static> Polled<T> {
-    /// Asks every second, after a first content. `ask` returns none if nobody replies.
+    /// Asks every second, after a first content. `ask` returns none without a reply.
     pub(crate) fn start<F>(client: &Client, first: T, ask: impl Fn() -> F + Send + 'static) -> Self
     where
         F: Future<Output = Result<Option<T>, Error>> + Send + 'static,
@@ -227,7 +227,7 @@ mod tests {
     struct Number(u32);
 
     impl Shown for Number {
-        const PUBLISHER: &'static str = "nobody";
+        const PUBLISHER: &'static str = "service";
 
         fn lines(&self, _: &Page, _: Tick) -> Vec<String> {
             vec![self.0.to_string()]

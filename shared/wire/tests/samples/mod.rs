@@ -120,7 +120,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         robots: vec![robot("r1"), robot("r2")],
         dimension: 2,
         values: vec![0.25, -0.5, 0.0, 0.0],
-        unseen: vec![false, true],
+        without_embedding: vec![false, true],
         centrality: vec![1.5, 1.0],
         quality: EmbeddingQuality {
             spectral_radius: (0.5, 0.5),

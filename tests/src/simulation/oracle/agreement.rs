@@ -251,7 +251,7 @@ fn same_vectors(left: &Embedding, right: &Embedding) -> bool {
     left.dimension == right.dimension
         && left.robots == right.robots
         && left.values == right.values
-        && left.unseen == right.unseen
+        && left.without_embedding == right.without_embedding
 }
 
 /// The same teams by name, with the same members and leaders.

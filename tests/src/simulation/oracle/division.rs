@@ -39,7 +39,9 @@ pub(crate) fn check_embedding(
         );
     }
     let wanted = embedding.robots.len() * embedding.dimension as usize;
-    if embedding.values.len() != wanted || embedding.unseen.len() != embedding.robots.len() {
+    if embedding.values.len() != wanted
+        || embedding.without_embedding.len() != embedding.robots.len()
+    {
         return breach(
             "an embedding has one vector for each robot",
             format!("embedding {revision:?}: {} numbers, not {wanted}", embedding.values.len()),

@@ -134,7 +134,7 @@ pub(super) fn denied(look: &Look) -> Vec<Finding> {
             error(
                 "access_denied",
                 format!(
-                    "its service has published it, and nobody answers for {}",
+                    "its service has published it, and no service answers for {}",
                     unanswered.join(", ")
                 ),
                 format!(
