@@ -8,8 +8,7 @@ use std::time::Duration;
 
 use muster_model::time::Tick;
 
-use crate::context::Context;
-use crate::core::{Core, JobEnd};
+use crate::{Context, Core, JobEnd};
 
 /// How long after a panic the same task is tried again: a fault that comes and goes must not stop a
 /// service for good, and a lasting one must not keep a processor busy.

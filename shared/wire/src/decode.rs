@@ -94,39 +94,41 @@ pub(crate) fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, DecodeEr
     Ok(serde_json::from_slice::<Object<T>>(bytes)?.0)
 }
 
-/// The head of a message of a service, as JSON writes it.
-pub(crate) struct JsonHead {
-    pub(crate) fleet: FleetId,
-    pub(crate) revision: Revision,
-    pub(crate) data_age_s: Option<f64>,
-    pub(crate) stages: Vec<JsonStage>,
+/// The head of a service's message, as JSON writes it. Unknown fields are ignored.
+#[derive(Deserialize)]
+struct JsonHead {
+    fleet: FleetId,
+    term: u64,
+    epoch: u64,
+    data_age_s: Option<f64>,
+    stages: Vec<JsonStage>,
 }
 
 /// When a service received its input and published its output, in seconds since 1970.
 #[derive(Deserialize)]
-pub(crate) struct JsonStage {
+struct JsonStage {
     stage: ServiceName,
     received: f64,
     published: f64,
 }
 
-impl JsonHead {
-    /// The header. The age of the data counts back from `now`, the moment of arrival.
-    pub(crate) fn into_header(self, now: Tick) -> Header {
-        let moment = |at: f64| Tick(0).after(seconds(at));
-        let stages = self.stages.into_iter().map(|stage| StageTime {
-            stage: stage.stage,
-            received: moment(stage.received),
-            published: moment(stage.published),
-        });
-        Header {
-            fleet: self.fleet,
-            revision: self.revision,
-            oldest: self.data_age_s.map(|age| now.before(seconds(age))),
-            newest: None,
-            stages: stages.collect(),
-        }
-    }
+/// The header of a service's message in JSON. The age of the data counts back from `now`, the moment of
+/// arrival.
+pub(crate) fn header_from_json(bytes: &[u8], now: Tick) -> Result<Header, DecodeError> {
+    let head: JsonHead = serde_json::from_slice(bytes)?;
+    let moment = |at: f64| Tick(0).after(seconds(at));
+    let stages = head.stages.into_iter().map(|stage| StageTime {
+        stage: stage.stage,
+        received: moment(stage.received),
+        published: moment(stage.published),
+    });
+    Ok(Header {
+        fleet: head.fleet,
+        revision: Revision { term: head.term, epoch: head.epoch },
+        oldest: head.data_age_s.map(|age| now.before(seconds(age))),
+        newest: None,
+        stages: stages.collect(),
+    })
 }
 
 /// The payload of a packet, if the key may have so many bytes.

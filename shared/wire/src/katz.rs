@@ -3,24 +3,18 @@
 use std::collections::BTreeMap;
 
 use muster_model::content::Content;
-use muster_model::header::Revision;
-use muster_model::id::{FleetId, Modality, RobotId};
+use muster_model::id::{Modality, RobotId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::time::Tick;
 use serde::Deserialize;
 
-use crate::decode::{self, DecodeError, JsonHead, JsonStage};
+use crate::decode::{self, DecodeError};
 use crate::key::{Key, KeySpace};
 use crate::packet::{Packet, Rejection};
 
-/// The JSON form. Unknown fields are ignored, so that a console reads what newer services send.
+/// The JSON form after its head. Unknown fields are ignored, so that a console reads what newer services send.
 #[derive(Deserialize)]
 struct Form {
-    fleet: FleetId,
-    term: u64,
-    epoch: u64,
-    data_age_s: Option<f64>,
-    stages: Vec<JsonStage>,
     from: RobotId,
     to: RobotId,
     similarity: f64,
@@ -54,14 +48,8 @@ fn read(space: &KeySpace, packet: &Packet, now: Tick) -> Result<PairSimilarity, 
 
 fn from_json(bytes: &[u8], now: Tick) -> Result<PairSimilarity, DecodeError> {
     let form: Form = serde_json::from_slice(bytes)?;
-    let head = JsonHead {
-        fleet: form.fleet,
-        revision: Revision { term: form.term, epoch: form.epoch },
-        data_age_s: form.data_age_s,
-        stages: form.stages,
-    };
     Ok(PairSimilarity {
-        header: head.into_header(now),
+        header: decode::header_from_json(bytes, now)?,
         from: form.from,
         to: form.to,
         similarity: form.similarity,
@@ -74,8 +62,8 @@ fn from_json(bytes: &[u8], now: Tick) -> Result<PairSimilarity, DecodeError> {
 
 #[cfg(test)]
 mod tests {
-    use muster_model::header::{Header, StageTime};
-    use muster_model::id::ServiceName;
+    use muster_model::header::{Header, Revision, StageTime};
+    use muster_model::id::{FleetId, ServiceName};
     use serde_json::{Value, json};
 
     use super::*;

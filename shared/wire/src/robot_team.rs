@@ -1,25 +1,19 @@
 //! The team of a robot, as robots read it: in JSON as it is published, or in binary form.
 
 use muster_model::content::Content;
-use muster_model::header::Revision;
-use muster_model::id::{FleetId, RobotId, TeamId};
+use muster_model::id::{RobotId, TeamId};
 use muster_model::teams::RobotTeam;
 use muster_model::time::Tick;
 use serde::Deserialize;
 
-use crate::decode::{self, DecodeError, JsonHead, JsonStage};
+use crate::decode::{self, DecodeError};
 use crate::envelope;
 use crate::key::{Key, KeySpace};
 use crate::packet::{Format, Packet, Rejection, Source};
 
-/// The JSON form. Unknown fields are ignored, so that a robot can read newer services.
+/// The JSON form after its head. Unknown fields are ignored, so that a robot can read newer services.
 #[derive(Deserialize)]
 struct Form {
-    fleet: FleetId,
-    term: u64,
-    epoch: u64,
-    data_age_s: Option<f64>,
-    stages: Vec<JsonStage>,
     robot: RobotId,
     team: Option<TeamId>,
     members: Option<Vec<RobotId>>,
@@ -58,14 +52,8 @@ fn read(space: &KeySpace, packet: &Packet, now: Tick) -> Result<RobotTeam, Decod
 
 fn from_json(bytes: &[u8], now: Tick) -> Result<RobotTeam, DecodeError> {
     let form: Form = serde_json::from_slice(bytes)?;
-    let head = JsonHead {
-        fleet: form.fleet,
-        revision: Revision { term: form.term, epoch: form.epoch },
-        data_age_s: form.data_age_s,
-        stages: form.stages,
-    };
     Ok(RobotTeam {
-        header: head.into_header(now),
+        header: decode::header_from_json(bytes, now)?,
         robot: form.robot,
         team: form.team,
         members: form.members,
@@ -76,8 +64,8 @@ fn from_json(bytes: &[u8], now: Tick) -> Result<RobotTeam, DecodeError> {
 
 #[cfg(test)]
 mod tests {
-    use muster_model::header::{Header, StageTime};
-    use muster_model::id::ServiceName;
+    use muster_model::header::{Header, Revision, StageTime};
+    use muster_model::id::{FleetId, ServiceName};
 
     use super::*;
     use crate::message::Message;

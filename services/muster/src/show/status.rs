@@ -50,7 +50,7 @@ pub(crate) async fn run(args: &ShowArgs, config: &ProcessConfig) -> anyhow::Resu
     client.close().await;
     print(&first, args.json)?;
     if first.services.is_empty() && first.joined == 0 {
-        let problem = format!("nobody answers for fleet {fleet}; is --fleet right?");
+        let problem = format!("no service answers for fleet {fleet}; is --fleet right?");
         return Err(ExitError::unreachable(problem).into());
     }
     Ok(())
