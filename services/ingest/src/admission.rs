@@ -4,7 +4,10 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use muster_model::id::{Modality, RobotId};
-use muster_model::observation::{Link, Links, Pose, Provenance, Rank, Relation, Report, Stream};
+use muster_model::limits::MAX_GRAPH_EDGES;
+use muster_model::observation::{
+    Link, Links, ObservationError, Pose, Provenance, Rank, Relation, Report, Stream,
+};
 use muster_model::settings::{ConnectivitySettings, IngestSettings, LinkUnit};
 use muster_model::time::{Tick, seconds};
 use muster_relation::hierarchy::DEFAULT_TIE;
@@ -127,21 +130,47 @@ pub(crate) struct Observed {
 }
 
 /// Why a message is refused.
-#[derive(Debug, PartialEq, Eq)]
+#[derive(Debug, PartialEq, thiserror::Error)]
 pub(crate) enum Refusal {
     /// It is a duplicate, or comes after a later one.
-    Late(String),
+    #[error("replayed or out of order: {0}")]
+    Late(&'static str),
     /// It looks late, but the robot itself may have restarted. Such messages are accepted once they have come
     /// for `stale_after_s`; until then they only extend the robot's grace period.
-    Ambiguous(String),
-    /// Anything else.
-    Wrong(String),
-}
-
-impl From<String> for Refusal {
-    fn from(reason: String) -> Self {
-        Self::Wrong(reason)
-    }
+    #[error("replayed or out of order: {0}")]
+    Ambiguous(&'static str),
+    /// The robot has put more messages per second than this on the stream.
+    #[error("rate: at most {0} messages per second")]
+    Rate(f64),
+    /// A pose is in a frame that the settings do not name.
+    #[error("frame: {frame:?} is not known; there are {known}")]
+    Frame {
+        /// The frame of the pose.
+        frame: String,
+        /// The frames of the settings.
+        known: String,
+    },
+    /// A link is out of range for the unit of the settings.
+    #[error(transparent)]
+    Link(#[from] ObservationError),
+    /// The settings do not declare the modality.
+    #[error("modality {0} is not declared in the settings of ingest")]
+    Modality(Modality),
+    /// The graph of the stream would have too many edges.
+    #[error(
+        "{field}: all robots together would report more than {MAX_GRAPH_EDGES}, which fit no message; let \
+         each report only its strongest"
+    )]
+    Edges {
+        /// The field of the report that lists them.
+        field: &'static str,
+    },
+    /// As many robots have joined as the settings allow.
+    #[error("the fleet is full: max_robots is {0}")]
+    FleetFull(u32),
+    /// Every node number of the term is given.
+    #[error("no node number is left in this term; restart ingest to begin another")]
+    NoNodeLeft,
 }
 
 /// Ready for the graphs: ordered by name.
@@ -154,7 +183,7 @@ fn in_order<T>(mut edges: Vec<(RobotId, T)>) -> Vec<(RobotId, T)> {
 ///
 /// # Errors
 /// Names the field that does not fit them, and what would.
-pub(crate) fn observed(settings: &IngestSettings, report: Report) -> Result<Observed, String> {
+pub(crate) fn observed(settings: &IngestSettings, report: Report) -> Result<Observed, Refusal> {
     let (stream, provenance) = (report.stream(), report.provenance());
     let content = match report {
         Report::Pose(pose) => self::pose(settings, pose)?,
@@ -166,24 +195,24 @@ pub(crate) fn observed(settings: &IngestSettings, report: Report) -> Result<Obse
 }
 
 /// The content of a pose.
-pub(crate) fn pose(settings: &IngestSettings, pose: Pose) -> Result<Content, String> {
+pub(crate) fn pose(settings: &IngestSettings, pose: Pose) -> Result<Content, Refusal> {
     let frame = match pose.frame {
         None => settings.frames.first().cloned().unwrap_or_default(),
         Some(frame) if settings.frames.contains(&frame) => frame,
         Some(frame) => {
             let known = settings.frames.join(", ");
-            return Err(format!("frame: {frame:?} is not known; there are {known}"));
+            return Err(Refusal::Frame { frame, known });
         }
     };
     let position = [pose.x, pose.y, pose.z.unwrap_or(0.0)];
     Ok(Content::Pose { position, heading: pose.heading, frame })
 }
 
-fn links(settings: &IngestSettings, links: Links) -> Result<Content, String> {
+fn links(settings: &IngestSettings, links: Links) -> Result<Content, Refusal> {
     let mut edges = Vec::new();
     for Link { peer, quality } in links.links {
         let weight = link_weight(&settings.connectivity, quality);
-        match (settings.connectivity.unit, weight.map_err(|error| error.to_string())?) {
+        match (settings.connectivity.unit, weight?) {
             (LinkUnit::RssiDbm, _) => edges.push((peer, Strength::Signal(quality))),
             (LinkUnit::Quality | LinkUnit::DeliveryRatio, 0.0) => {}
             (LinkUnit::Quality | LinkUnit::DeliveryRatio, weight) => {
@@ -204,9 +233,9 @@ fn relation(
     settings: &IngestSettings,
     modality: &Modality,
     relation: Relation,
-) -> Result<Content, String> {
+) -> Result<Content, Refusal> {
     if !settings.modalities.contains(modality) {
-        return Err(format!("modality {modality} is not declared in the settings of ingest"));
+        return Err(Refusal::Modality(modality.clone()));
     }
     let edges = relation.edges.into_iter().filter(|(_, _, weight)| *weight > 0.0);
     let edges = edges.map(|(_, to, weight)| (to, Strength::Weight(weight)));
@@ -313,8 +342,7 @@ impl Gate {
         let refill = now.since(self.passed).as_secs_f64() * settings.max_rate_hz;
         let allowance = (self.allowance + refill).min(capacity(settings));
         if allowance < 1.0 {
-            let rate = settings.max_rate_hz;
-            return Err(Refusal::Wrong(format!("rate: at most {rate} messages per second")));
+            return Err(Refusal::Rate(settings.max_rate_hz));
         }
         self.allowance = allowance - 1.0;
         self.passed = now;
@@ -350,7 +378,7 @@ impl Gate {
         let (reason, may_restart) = match late {
             None => return Ok(()),
             Some(Late::Proven(reason)) => {
-                return Err(Refusal::Late(format!("replayed or out of order: {reason}")));
+                return Err(Refusal::Late(reason));
             }
             Some(Late::Unproven(reason)) => {
                 let since = *self.late_since.get_or_insert(now);
@@ -361,8 +389,7 @@ impl Gate {
                 (reason, now.since(self.passed) >= grace)
             }
         };
-        let refusal = || Refusal::Ambiguous(format!("replayed or out of order: {reason}"));
-        if may_restart { Ok(()) } else { Err(refusal()) }
+        if may_restart { Ok(()) } else { Err(Refusal::Ambiguous(reason)) }
     }
 }
 

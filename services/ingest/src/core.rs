@@ -64,7 +64,7 @@ impl Ingest {
         let stream = report.stream();
         match admission::observed(context.settings(), report) {
             Ok(observed) => self.observe(context, &robot, observed),
-            Err(reason) => refuse(context, &Key::Stream(robot, stream), reason.into()),
+            Err(refusal) => refuse(context, &Key::Stream(robot, stream), &refusal),
         }
     }
 
@@ -81,7 +81,7 @@ impl Ingest {
                 }
                 self.changed(context, robot, change);
             }
-            Err(refusal) => refuse(context, &Key::Stream(robot.clone(), stream), refusal),
+            Err(refusal) => refuse(context, &Key::Stream(robot.clone(), stream), &refusal),
         }
     }
 
@@ -147,15 +147,11 @@ impl Ingest {
     }
 }
 
-fn refuse(context: &mut Context<'_>, key: &Key, refusal: Refusal) {
-    let reason = match refusal {
-        Refusal::Late(reason) | Refusal::Ambiguous(reason) => {
-            context.count("messages_late");
-            reason
-        }
-        Refusal::Wrong(reason) => reason,
-    };
-    context.refuse(key, reason);
+fn refuse(context: &mut Context<'_>, key: &Key, refusal: &Refusal) {
+    if matches!(refusal, Refusal::Late(_) | Refusal::Ambiguous(_)) {
+        context.count("messages_late");
+    }
+    context.refuse(key, refusal.to_string());
 }
 
 /// Counts and reports that a robot joined. One that did before the term began is reported then.
@@ -253,7 +249,7 @@ impl Core for Ingest {
             Message::RobotToken { robot, alive } => {
                 match self.fleet.token(context.now(), &robot, alive, context.settings()) {
                     Ok(change) => self.changed(context, &robot, change),
-                    Err(refusal) => refuse(context, &Key::RobotToken(robot), refusal),
+                    Err(refusal) => refuse(context, &Key::RobotToken(robot), &refusal),
                 }
             }
             // Nothing else is subscribed to.

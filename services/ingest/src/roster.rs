@@ -60,17 +60,13 @@ impl Fleet {
         name: &RobotId,
         stream: &Stream,
         content: &Content,
-    ) -> Result<usize, String> {
+    ) -> Result<usize, Refusal> {
         let before = self.robots.get(name).map_or(0, |robot| robot.edges(stream).len());
         let added = content.edge_count();
         let others = self.edges.get(stream).copied().unwrap_or(0).saturating_sub(before);
         let edges = others.saturating_add(added);
         if added > before && edges as u64 > MAX_GRAPH_EDGES {
-            let field = stream.list_field();
-            return Err(format!(
-                "{field}: all robots together would report more than {MAX_GRAPH_EDGES}, which fit no \
-                 message; let each report only its strongest"
-            ));
+            return Err(Refusal::Edges { field: stream.list_field() });
         }
         Ok(edges)
     }
@@ -186,14 +182,11 @@ impl Fleet {
     ) -> Result<(&mut Robot, bool), Refusal> {
         let joins = !self.robots.contains_key(name);
         if joins && self.robots.len() >= settings.max_robots as usize {
-            let most = settings.max_robots;
-            return Err(format!("the fleet is full: max_robots is {most}").into());
+            return Err(Refusal::FleetFull(settings.max_robots));
         }
         let node = self.next_node;
         if joins {
-            self.next_node = node.checked_add(1).ok_or_else(|| {
-                "no node number is left in this term; restart ingest to begin another".to_owned()
-            })?;
+            self.next_node = node.checked_add(1).ok_or(Refusal::NoNodeLeft)?;
         }
         let token =
             if joins && self.lingering.remove(name) { Token::Alive } else { Token::Unknown };
@@ -329,7 +322,7 @@ mod tests {
         fleet.edges.insert(Stream::Links, most - 1);
         report(&mut fleet, "r1", 4).unwrap();
         for (name, links) in [("r1", 5), ("r3", 1)] {
-            let Err(Refusal::Wrong(reason)) = report(&mut fleet, name, links) else { panic!() };
+            let reason = report(&mut fleet, name, links).unwrap_err().to_string();
             assert!(reason.starts_with("links: ") && reason.contains("strongest"), "{reason}");
         }
         assert!(!fleet.robots.contains_key(&robot("r3")));

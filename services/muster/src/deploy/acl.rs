@@ -56,7 +56,7 @@ pub(crate) struct AclArgs {
 /// Names the file that is invalid, exists already, or cannot be written.
 pub(super) fn run(args: &AclArgs) -> anyhow::Result<()> {
     let fleet = FleetFile::read(&args.fleet_file)?;
-    let router = fleet.router(args.router.as_deref()).map_err(ExitError::usage)?;
+    let router = fleet.router(args.router.as_deref())?;
     if args.out.exists() && !args.force {
         let out = args.out.display();
         return Err(

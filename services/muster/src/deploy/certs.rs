@@ -101,8 +101,8 @@ pub(super) fn run(args: &CertsArgs) -> anyhow::Result<()> {
         if there && !args.force {
             let pem = |name| read(&folder.join(name));
             let certificate = pem(CERTIFICATE)?;
-            match kept(&fleet, &identity, &folder, &certificate, &authority)? {
-                Ok(days) => {
+            match state(&fleet, &identity, &folder, &certificate, &authority)? {
+                State::Valid { days } => {
                     writeln!(out, "{identity}: kept, valid for {days} more days")?;
                     // The routers in the configuration of a client may have changed.
                     write_identity(
@@ -115,7 +115,7 @@ pub(super) fn run(args: &CertsArgs) -> anyhow::Result<()> {
                     )?;
                     continue;
                 }
-                Err(reason) => made = reason,
+                State::Replace { reason } => made = reason,
             }
         }
         let (certificate, key) = certify(&fleet, &identity, &authority)
@@ -129,18 +129,26 @@ pub(super) fn run(args: &CertsArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Days for which the certificate of an identity is still valid, or why it must be replaced: no link
-/// opens with a certificate of another authority, or without all addresses of its router.
-fn kept(
+/// The state of an existing certificate.
+enum State {
+    /// It stays valid for so many days.
+    Valid { days: i64 },
+    /// It must be replaced.
+    Replace { reason: &'static str },
+}
+
+/// The state of the certificate of an identity: no link opens with a certificate of another authority, or
+/// without all addresses of its router.
+fn state(
     fleet: &FleetFile,
     identity: &Identity,
     folder: &Path,
     certificate: &str,
     authority: &Authority,
-) -> anyhow::Result<Result<i64, &'static str>> {
+) -> anyhow::Result<State> {
     let of = folder.join(AUTHORITY);
     if !of.exists() || read(&of)? != authority.certificate {
-        return Ok(Err("replaced, because the authority is another"));
+        return Ok(State::Replace { reason: "replaced, because the authority is another" });
     }
     let path = folder.join(CERTIFICATE);
     let damaged = |error: String| damaged(&path, &error);
@@ -162,13 +170,13 @@ fn kept(
     let router = fleet.routers.iter().find(|router| router.name == identity.name);
     let router = router.filter(|_| identity.kind == Kind::Router);
     if router.is_some_and(|router| !router.addresses.iter().all(named)) {
-        return Ok(Err("replaced, because its addresses have changed"));
+        return Ok(State::Replace { reason: "replaced, because its addresses have changed" });
     }
     let left = parsed.validity().not_after.timestamp() - OffsetDateTime::now_utc().unix_timestamp();
     if left <= 0 {
-        return Ok(Err("replaced, because it was no longer valid"));
+        return Ok(State::Replace { reason: "replaced, because it was no longer valid" });
     }
-    Ok(Ok(left / SECONDS_PER_DAY))
+    Ok(State::Valid { days: left / SECONDS_PER_DAY })
 }
 
 fn choose(fleet: &FleetFile, only: &[String]) -> Result<Vec<Identity>, ExitError> {

@@ -106,6 +106,26 @@ pub(super) struct Router {
     pub(super) port: u16,
 }
 
+/// Why a fleet file is refused.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum FleetFileError {
+    /// It is no TOML of this form.
+    #[error(transparent)]
+    Toml(#[from] toml::de::Error),
+    /// A field is wrong.
+    #[error("{field}: {problem}")]
+    Field {
+        /// The field, with the name of its router.
+        field: String,
+        /// What is wrong, and the remedy.
+        problem: String,
+    },
+}
+
+fn refuse(field: impl Into<String>, problem: impl Into<String>) -> Result<(), FleetFileError> {
+    Err(FleetFileError::Field { field: field.into(), problem: problem.into() })
+}
+
 /// The content of a fleet file.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -185,54 +205,61 @@ impl FleetFile {
     /// # Errors
     /// Names the file, the field that is wrong, and the remedy.
     pub(super) fn read(path: &Path) -> Result<Self, ExitError> {
-        let fail =
-            |problem: String| ExitError::usage(format!("fleet file {}: {problem}", path.display()));
-        let bytes = read_at_most(path, MAX_FILE).map_err(|error| fail(error.to_string()))?;
-        let text = String::from_utf8(bytes).map_err(|error| fail(error.to_string()))?;
-        Self::parse(&text).map_err(fail)
+        let fail = |problem: &dyn fmt::Display| {
+            ExitError::usage(format!("fleet file {}: {problem}", path.display()))
+        };
+        let bytes = read_at_most(path, MAX_FILE).map_err(|error| fail(&error))?;
+        let text = String::from_utf8(bytes).map_err(|error| fail(&error))?;
+        Self::parse(&text).map_err(|error| fail(&error))
     }
 
     /// Reads and checks the text of a file.
     ///
     /// # Errors
     /// Names the field that is wrong, and the remedy.
-    pub(super) fn parse(text: &str) -> Result<Self, String> {
-        let file: Self = toml::from_str(text).map_err(|error| error.to_string())?;
+    pub(super) fn parse(text: &str) -> Result<Self, FleetFileError> {
+        let file: Self = toml::from_str(text)?;
         file.check()?;
         Ok(file)
     }
 
-    fn check(&self) -> Result<(), String> {
-        if self.routers.is_empty() || self.routers.len() > MAX_ROUTERS {
-            return Err(format!(
-                "routers: must be 1 to {MAX_ROUTERS}, these are {}",
-                self.routers.len()
-            ));
+    fn check(&self) -> Result<(), FleetFileError> {
+        let count = self.routers.len();
+        if !(1..=MAX_ROUTERS).contains(&count) {
+            return refuse("routers", format!("must be 1 to {MAX_ROUTERS}, these are {count}"));
         }
         for router in &self.routers {
             let name = quoted(&router.name);
+            let addresses = format!("routers.{name}.addresses");
             if router.addresses.is_empty() {
-                return Err(format!("routers.{name}.addresses: must name at least one address"));
+                return refuse(addresses, "must name at least one address");
             }
-            for address in &router.addresses {
-                check_address(address)
-                    .map_err(|problem| format!("routers.{name}.addresses: {problem}"))?;
+            if let Some(address) = router.addresses.iter().find(|address| !is_address(address)) {
+                let problem = format!(
+                    "{:?} is neither a host name nor an address; write one like base.local or 192.168.1.10, \
+                     without a port",
+                    quoted(address)
+                );
+                return refuse(addresses, problem);
             }
             if router.port == 0 {
-                return Err(format!("routers.{name}.port: must be 1 to 65535"));
+                return refuse(format!("routers.{name}.port"), "must be 1 to 65535");
             }
         }
         for (field, days) in
             [("certificate_days", self.certificate_days), ("authority_days", self.authority_days)]
         {
             if !(1..=MAX_DAYS).contains(&days) {
-                return Err(format!("{field}: must be 1 to {MAX_DAYS}, this is {days}"));
+                return refuse(field, format!("must be 1 to {MAX_DAYS}, this is {days}"));
             }
         }
         if let Some(modality) = self.modalities.iter().find(|modality| modality.is_built_in()) {
-            return Err(format!("modalities: {modality} is built in; name only declared ones"));
+            return refuse(
+                "modalities",
+                format!("{modality} is built in; name only declared ones"),
+            );
         }
-        let mut seen = BTreeSet::new();
+        let mut named = BTreeSet::new();
         for identity in self.identities() {
             let field = match identity.kind {
                 Kind::Router => "routers",
@@ -241,17 +268,18 @@ impl FleetFile {
                 Kind::Operator => "operators",
                 Kind::Viewer => "viewers",
             };
-            check_id(&identity.name).map_err(|error| format!("{field}: {error}"))?;
+            check_id(&identity.name).or_else(|error| refuse(field, error.to_string()))?;
             let length = self.common_name(&identity).len();
             if length > MAX_COMMON_NAME {
-                return Err(format!(
-                    "{field}: the certificate of {} would have a name of {length} characters, and may have \
+                let problem = format!(
+                    "the certificate of {} would have a name of {length} characters, and may have \
                      {MAX_COMMON_NAME}; choose a shorter name for it or the fleet",
                     identity.name
-                ));
+                );
+                return refuse(field, problem);
             }
-            if !seen.insert(identity.clone()) {
-                return Err(format!("{field}: {} is named twice", identity.name));
+            if !named.insert(identity.clone()) {
+                return refuse(field, format!("{} is named twice", identity.name));
             }
         }
         Ok(())
@@ -278,34 +306,28 @@ impl FleetFile {
     ///
     /// # Errors
     /// Names the routers of the fleet.
-    pub(super) fn router(&self, name: Option<&str>) -> Result<&Router, String> {
+    pub(super) fn router(&self, name: Option<&str>) -> Result<&Router, ExitError> {
         let found = match name {
             Some(name) => self.routers.iter().find(|router| router.name == name),
             None => self.routers.first().filter(|_| self.routers.len() == 1),
         };
         found.ok_or_else(|| {
             let names: Vec<_> = self.routers.iter().map(|router| router.name.as_str()).collect();
-            format!("--router: must be one of {}", names.join(", "))
+            ExitError::usage(format!("--router: must be one of {}", names.join(", ")))
         })
     }
 }
 
-/// Checks that a host name or an address is valid in an endpoint and in a certificate.
-fn check_address(address: &str) -> Result<(), String> {
-    let named = address.split('.').all(|label| {
+/// Whether a host name or an address is valid in an endpoint and in a certificate.
+fn is_address(address: &str) -> bool {
+    let is_name = address.split('.').all(|label| {
         !label.is_empty()
             && label.len() <= 63
             && label.chars().all(|c| c.is_ascii_alphanumeric() || c == '-')
             && !label.starts_with('-')
             && !label.ends_with('-')
     });
-    if address.parse::<IpAddr>().is_ok() || (named && address.len() <= MAX_ADDRESS) {
-        return Ok(());
-    }
-    Err(format!(
-        "{:?} is neither a host name nor an address; write one like base.local or 192.168.1.10, without a port",
-        quoted(address)
-    ))
+    address.parse::<IpAddr>().is_ok() || (is_name && address.len() <= MAX_ADDRESS)
 }
 
 #[cfg(test)]
@@ -329,7 +351,7 @@ mod tests {
     fn an_error_names_the_field() {
         let with = |from: &str, to: &str| {
             assert!(EXAMPLE.contains(from), "{from}");
-            FleetFile::parse(&EXAMPLE.replace(from, to)).unwrap_err()
+            FleetFile::parse(&EXAMPLE.replace(from, to)).unwrap_err().to_string()
         };
         assert!(with("\"r3\"", "\"R 3\"").contains("a-z"));
         assert!(with("\"r3\"", "\"r1\"").contains("robots: r1 is named twice"));
@@ -351,6 +373,6 @@ mod tests {
         let over_tcp = FleetFile::parse(&EXAMPLE.replace("\"quic\"", "\"tls\"")).unwrap();
         assert_eq!(over_tcp.endpoint(&over_tcp.routers[0]), "tls/base.local:7447");
         assert!(with("\"quic\"", "\"tcp\"").contains("quic"));
-        assert!(address.router(Some("other")).unwrap_err().contains("base"));
+        assert!(address.router(Some("other")).unwrap_err().message.contains("base"));
     }
 }
