@@ -17,9 +17,9 @@ use crate::neighbours::{
     Neighbour, Point, distance, k_nearest, length_scale, nearest_distances, placed,
 };
 
-/// The least and the largest number of the nearest robot that a fleet is measured by unless it is set. By
-/// its nearest alone, a robot beside another one would be measured by chance; the 8th is where the 16
-/// nearest, to which those of a large fleet are related, do not end with a jump.
+/// Lowest and highest number of the neighbour whose distance is a robot's scale, unless it is set. With the
+/// first neighbour the scale of two close robots would be chance; up to the eighth, the edges to the 16
+/// nearest robots of a large fleet end without a jump.
 const SCALE_NEIGHBOURS: (f64, f64) = (2.0, 8.0);
 
 /// The root of the number of robots is divided by this. Teams of large fleets are large: measured by
@@ -27,14 +27,14 @@ const SCALE_NEIGHBOURS: (f64, f64) = (2.0, 8.0);
 /// (`cargo run -p muster-solve --example kernels` and the experiments of the formations).
 const ROOT_PER_NEIGHBOUR: f64 = 2.2;
 
-/// No robot is measured by more than so many times the distance to its nearest. One that has a single
-/// companion, as in teams of two, would be measured by the next team, which then seems as near as its own.
-/// Any number from 3 to 5 serves (`cargo run -p muster-experiments -- grid`, the fleets plain to see).
-const LONGEST_SCALE: f64 = 3.0;
+/// Largest scale of a robot as a multiple of the distance to its nearest neighbour. In teams of two the
+/// second neighbour is in another team, which would then seem as near as its own. Any number from 3 to 5
+/// gives the same divisions (`cargo run -p muster-experiments -- grid`, the fleets plain to see).
+const MAX_SCALE_PER_NEAREST: f64 = 3.0;
 
-/// No robot is measured by less than this share of the median distance to the nearest neighbour: of
-/// robots that stand on each other, as in a dock, the nearest are no measure of who else is near.
-const SHORTEST_SCALE: f64 = 0.1;
+/// Smallest scale of a robot as a share of the median distance to the nearest neighbour: for robots that
+/// stand on each other, as in a dock, the distance to the nearest means nothing.
+const MIN_SCALE_PER_MEDIAN: f64 = 0.1;
 
 /// The spatial edges of robots whose positions are given in metres east, north and up in one frame.
 ///
@@ -46,8 +46,8 @@ const SHORTEST_SCALE: f64 = 0.1;
 /// Zelnik-Manor and P. Perona, "Self-tuning spectral clustering", NIPS 2004. A team that keeps close and
 /// one that is spread out are then equally tied together, and robots halfway between the two belong to
 /// neither more than their distances say. Where most robots stand on each other, so that the median is
-/// 0, the median over their distinct positions takes its place, and no s is below [`SHORTEST_SCALE`]
-/// times it, nor above [`LONGEST_SCALE`] times the distance to the robot's own nearest.
+/// 0, the median over their distinct positions takes its place, and no s is below [`MIN_SCALE_PER_MEDIAN`]
+/// times it, nor above [`MAX_SCALE_PER_NEAREST`] times the distance to the robot's own nearest.
 ///
 /// Gaussian and exponential: fleets of more than `all_pairs_up_to` robots relate those of which one is
 /// among the `neighbours` nearest of the other. Edges longer than `radius_m` or weaker than
@@ -56,10 +56,9 @@ const SHORTEST_SCALE: f64 = 0.1;
 /// Wendland's: the radius R of the support is at most `radius_m`. In fleets of more than
 /// `all_pairs_up_to` robots, none is related to more than 4 × `neighbours` others: each has a radius of
 /// its own, which is R or, if more others are within R, the distance to the nearest of those that are
-/// too many, and the smaller radius of two robots is that of their edge. A crowd thus shortens the
-/// radius of those who are in it, and of nobody else. Robots that stand on one spot with more others
-/// than that have no radius left; each is related to half as many that follow it by index and, in turn,
-/// to those that it follows.
+/// too many, and the smaller radius of two robots is that of their edge. A crowd thus shortens
+/// the radii of its own robots only. Robots on one spot with more others than that have radius 0; each is
+/// related to half as many robots that follow it by index, and to those that it follows.
 ///
 /// Its weights are continuous in the positions, but for edges below [`MIN_WEIGHT`]: a median of
 /// distances and the distance to the n-th nearest change by at most 2δ when robots move by at most δ,
@@ -123,8 +122,8 @@ impl Measure {
             let last = row.len().min(place).checked_sub(1);
             let own = last.and_then(|last| metres(row, last)).unwrap_or(0.0) * settings.width;
             let nearest = metres(row, 0).unwrap_or(0.0) * settings.width;
-            let own = own.min(LONGEST_SCALE * nearest);
-            own.max(SHORTEST_SCALE * kernel.length_m()).sqrt()
+            let own = own.min(MAX_SCALE_PER_NEAREST * nearest);
+            own.max(MIN_SCALE_PER_MEDIAN * kernel.length_m()).sqrt()
         };
         Self { kernel, roots: nearest.iter().map(root).collect() }
     }

@@ -92,7 +92,7 @@ fn every_get_has_exactly_one_answer() {
     }
     assert_eq!(bench.get("robot/*/team", None).unwrap().len(), 4);
     assert_eq!(bench.get("robot/$*a/team", None).unwrap().len(), 1);
-    assert!(bench.get("robot/nobody/team", None).unwrap().is_empty());
+    assert!(bench.get("robot/absent/team", None).unwrap().is_empty());
     assert!(bench.get("roster", None).unwrap().is_empty());
     assert_eq!(bench.get("*", None).unwrap().len(), 2);
     let error = bench.get("service/clusterer/settings", Some("{\"teams\":0}")).unwrap_err();

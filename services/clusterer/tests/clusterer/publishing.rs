@@ -22,7 +22,7 @@ fn the_one_who_commands_most_leads() {
     bench.receive_embedding(&embedding(3, &[("a b d", WEST), ("x y c", EAST)]));
     assert_eq!(leaders(&bench.division()), ["a", "x"]);
     // In a circle all command as many; one above them commands more.
-    bench.receive_roster(roster(4, "a<b b<d d<a x<y y<x c<nobody"));
+    bench.receive_roster(roster(4, "a<b b<d d<a x<y y<x c<absent"));
     assert!(bench.take().teams.is_empty());
     bench.receive_roster(roster(5, "a<b b<d d<a x<y y<c c"));
     assert_eq!(leaders(&bench.division()), ["a", "c"]);

@@ -53,7 +53,7 @@ impl fmt::Display for Kind {
     }
 }
 
-/// The holder of a certificate.
+/// The subject of a certificate.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Identity {
     /// The kind of identity.
@@ -297,7 +297,7 @@ impl FleetFile {
         all
     }
 
-    /// The common name of a certificate, by which routers identify its holder.
+    /// The common name of a certificate, by which routers identify its subject.
     pub(super) fn common_name(&self, identity: &Identity) -> String {
         format!("{identity}.{}", self.fleet)
     }
