@@ -12,7 +12,7 @@ use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::settings::{Alpha, Dimension, EmbedderSettings, MAX_DIMENSION};
 use muster_service::Input;
-use muster_wire::{Message, Rejection};
+use muster_wire::Message;
 
 const NAMES: [&str; 3] = ["connectivity", "hierarchy", "spatial"];
 
@@ -519,15 +519,6 @@ fn every_get_is_answered_once() {
         assert_eq!(bench.get(key, None).unwrap().len(), count, "{key}");
     }
     assert_eq!(bench.get("*", None).unwrap().len(), 2);
-}
-
-#[test]
-fn refused_packets_are_reported() {
-    let mut bench = Bench::fresh();
-    let key = bench.space().format(&muster_wire::Key::Roster);
-    let rejection = Rejection::new(bench.space(), &key, "cut off");
-    bench.receive_refused(rejection);
-    assert_eq!(bench.quarantined().len(), 1);
 }
 
 #[test]

@@ -112,14 +112,3 @@ fn an_answer_has_an_end() {
     assert_eq!(bench.get("robot/r1/team", None).unwrap().len(), 1);
     assert_eq!(bench.get("teams", None).unwrap().len(), 1);
 }
-
-#[test]
-fn refused_packets_are_reported() {
-    let mut bench = Bench::leading(teams(2));
-    bench.take();
-    let rejection =
-        Rejection { robot: None, key: "muster/v1/f/embedding".into(), reason: "broken".into() };
-    bench.receive_refused(rejection);
-    assert!(matches!(bench.take().events[..], [EventKind::Quarantined { count: 1, .. }]));
-    assert_eq!(bench.counter("messages_refused"), 1);
-}

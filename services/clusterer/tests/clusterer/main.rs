@@ -32,7 +32,7 @@ use muster_model::id::{RobotId, ServiceName, TeamId};
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_service::{Core, Input, ServedKey, Stored};
-use muster_wire::{Key, Message, Pattern, Rejection};
+use muster_wire::{Key, Message, Pattern};
 use proptest::prelude::*;
 
 const WEST: [f64; 2] = [0.0, 0.0];

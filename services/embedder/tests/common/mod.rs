@@ -19,7 +19,7 @@ use muster_model::settings::EmbedderSettings;
 use muster_model::time::Tick;
 use muster_service::{Ask, Input, Start, Stored, testkit};
 use muster_wire::envelope::AnnouncedSettings;
-use muster_wire::{Key, Message, Pattern, Rejection};
+use muster_wire::{Key, KeySpace, Message, Pattern};
 
 /// Seconds since the epoch at which every test begins, in microseconds.
 const BEGIN: Tick = Tick(1_000_000_000_000);
@@ -372,13 +372,8 @@ impl Bench {
 
     /// A message arrives as a packet, and is decoded.
     pub fn receive_encoded(&mut self, message: &Message) {
-        let space = muster_wire::KeySpace::new(FleetId::new("f").unwrap());
+        let space = KeySpace::new(FleetId::new("f").unwrap());
         self.kit.receive_packet(message.to_packet(&space));
-        self.read();
-    }
-
-    pub fn receive_refused(&mut self, rejection: Rejection) {
-        self.kit.receive_refused(rejection);
         self.read();
     }
 
