@@ -436,12 +436,15 @@ impl<C: Core> Host<C> {
     }
 
     /// Renews the lease, asks the readers what they have seen and announces the settings, each when it
-    /// is time.
+    /// is due.
     fn renew(&mut self) {
         let facilities = &mut self.facilities;
         if facilities.replica.election.renews(facilities.now) {
             let renewal = facilities.replica.renewal(facilities.now);
             facilities.publish(renewal);
+            if facilities.replica.settings.are_announced_again() {
+                facilities.announce_settings();
+            }
         }
         if facilities.replica.election.checks_term(facilities.now) {
             facilities.fetch(Purpose::TermCheck, vec![Pattern::One(C::output())]);

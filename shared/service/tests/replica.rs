@@ -40,6 +40,19 @@ fn a_leader_announces_its_settings_at_intervals() {
 }
 
 #[test]
+fn changed_settings_are_announced_again_with_the_next_renewals() {
+    let mut driven = Driven::leading();
+    driven.input(small::get(1, &SETTINGS, Some(r#"{"teams":7}"#)));
+    assert_eq!(driven.announced(), [7]);
+    for _ in 0..3 {
+        driven.wait(0.5);
+        assert_eq!(driven.announced(), [7]);
+    }
+    driven.wait(2.0);
+    assert!(driven.announced().is_empty());
+}
+
+#[test]
 fn what_a_suspect_changed_is_announced_once_it_leads_again() {
     let mut driven = Driven::leading();
     driven.input(Input::LinkLost);
