@@ -8,8 +8,8 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_wire::{KeySpace, Packet, Pattern};
 
-use crate::core::Delivery;
 use crate::io::Arrival;
+use crate::wiring::Delivery;
 
 /// Most items that wait: four streams of 25,000 robots.
 const MAX_ITEMS: usize = 100_000;

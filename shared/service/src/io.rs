@@ -8,7 +8,7 @@ use muster_model::role::ReplicaState;
 use muster_wire::{Key, KeySpace, Message, Packet, Pattern, Rejection};
 use serde::{Deserialize, Serialize};
 
-use crate::core::Stored;
+use crate::start::Stored;
 
 /// Names a get that waits for its answer. The caller of the host gives it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -124,9 +124,9 @@ pub enum Input {
     },
     /// A packet of a subscription or a liveliness token.
     Arrived(Arrival),
-    /// [`Host::deadline`](crate::Host::deadline) has passed.
+    /// `Host::deadline` has passed.
     Timer,
-    /// The job has ended. [`Host::finish_job`](crate::Host::finish_job) brought its result, unless it
+    /// The job has ended. `Host::finish_job` brought its result, unless it
     /// panicked.
     JobEnded {
         /// The times that the job measured, in microseconds.
@@ -134,7 +134,7 @@ pub enum Input {
         /// What the panic said, if it panicked.
         panic: Option<String>,
     },
-    /// A question has been answered, or nobody answered in time.
+    /// A question has been answered, or its time is over.
     Answered {
         /// Which one.
         ask: AskId,
@@ -254,7 +254,7 @@ pub enum Command {
     Publish(Publication),
     /// Answer a get. Every get is answered exactly once.
     Reply(Reply),
-    /// Run the job that [`Host::take_job`](crate::Host::take_job) gives; its end comes back as
+    /// Run the job that `Host::take_job` gives; its end comes back as
     /// [`Input::JobEnded`].
     RunJob,
     /// Ask the bus; [`Input::Answered`] comes back in any case, after [`Ask::within`] at the latest.

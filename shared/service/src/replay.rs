@@ -11,10 +11,11 @@ use muster_model::time::Tick;
 use muster_wire::message::quoted;
 use muster_wire::recording::RecordingError;
 
-use crate::core::{Core, Start};
+use crate::core::Core;
 use crate::host::Host;
 use crate::io::{Command, Input};
 use crate::recording::{Entry, Head};
+use crate::start::Start;
 use crate::stopwatch::Stopwatch;
 
 /// Why an input cannot be handed to the host again.

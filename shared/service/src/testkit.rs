@@ -1,5 +1,5 @@
 //! A host on a bench, for tests, fuzzing and experiments: time stands still unless it is moved, jobs
-//! run at once unless they are held, and nobody else is on the bus unless the caller says so.
+//! run at once unless they are held, and the bus holds what the caller answers.
 
 use std::time::Duration;
 
@@ -8,12 +8,13 @@ use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_wire::{Key, KeySpace, Message, Packet, Pattern, Rejection};
 
-use crate::core::{Core, Start, Stored};
+use crate::core::Core;
 use crate::host::Host;
 use crate::io::{Arrival, Ask, Command, GetId, IncomingGet, Input, Reply};
+use crate::start::{Start, Stored};
 use crate::stopwatch::Stopwatch;
 
-/// How long an instance goes on asking where nobody answers, before it begins from nothing.
+/// How long an instance repeats unanswered questions before it begins from nothing.
 pub const START_RETRY_TIME: Duration = Duration::from_secs(2);
 
 /// Most inputs that one call of a bench leads to; more are a loop.
@@ -87,7 +88,7 @@ impl<C: Core> Bench<C> {
     }
 
     /// Starts the instance so that its inquiry ends now, with these answers: it began to ask a moment
-    /// before, as nobody answers most of its questions.
+    /// before, since most of its questions are not answered.
     pub fn start(&mut self, answers: Vec<Message>) {
         let until = self.now;
         self.now = until.before(START_RETRY_TIME);

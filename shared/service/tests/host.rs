@@ -203,7 +203,10 @@ fn the_output_of_a_suspect_is_suppressed() {
     assert_eq!(driven.jobs, 0, "nor jobs");
     driven.input(Input::LinkRestored);
     driven.receive(order("output"));
-    assert!(driven.published.is_empty(), "it does not know yet that nobody has taken over");
+    assert!(
+        driven.published.is_empty(),
+        "it does not know yet whether another instance has taken over"
+    );
     let query = driven.leader_queries().remove(0);
     driven.answer(&query, Vec::new());
     driven.receive(order("output"));
@@ -314,7 +317,7 @@ fn where_every_instance_works_for_itself_it_leads_at_once_without_an_election() 
     let outputs = bench.published.iter().filter(|m| matches!(m, Message::Teams { .. }));
     assert_eq!(outputs.count(), 1, "the bus drops what it cannot carry");
     assert!(!bench.published.iter().any(|message| matches!(message, Message::LeaseRenewal(_))));
-    assert!(bench.asks.is_empty(), "nobody is asked who leads or what was received");
+    assert!(bench.asks.is_empty(), "it asks neither who leads nor what was received");
     assert_eq!(bench.host.core().log, ["leads with 0 messages", "Offline", "Online"]);
     let wiring = Wiring::of::<Small<EVERY_INSTANCE>>();
     assert!(wiring.tokens.is_empty() && wiring.subscriptions.is_empty());

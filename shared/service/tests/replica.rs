@@ -74,7 +74,7 @@ fn a_standby_adopts_the_newest_settings() {
     assert_eq!(receive_settings(&mut driven, 6, 9, 3), 5, "a leader before");
     assert_eq!(receive_settings(&mut driven, 7, 4, 3), 5, "overtaken on the way");
     assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6, "changed between two outputs");
-    // Nobody stands behind these, and they must not shut out the leader's for good.
+    // No leader published these, and they must not shut out the leader's for good.
     assert_eq!(receive_settings(&mut driven, 9, 1, 9), 9);
     assert_eq!(receive_settings(&mut driven, 6, 9, 3), 9);
     assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6);

@@ -1,5 +1,5 @@
 //! The settings in force: what file and flags say, what operators have changed, and what a standby
-//! takes over from its leader.
+//! adopts from its leader.
 
 use muster_model::header::Revision;
 use muster_model::settings::Settings;
@@ -26,7 +26,7 @@ pub(crate) struct ReplicaSettings<S> {
     patch: Map<String, Value>,
     /// Stored fields that do not fit the settings any more.
     dropped: Vec<String>,
-    /// The revision of the announcement that the settings are from; an older one is not gone back to.
+    /// The revision of the announcement that the settings are from; an older one is not adopted.
     adopted: Revision,
     /// How many lease renewals are still to be followed by an announcement.
     announcements_left: u8,
@@ -112,10 +112,10 @@ impl<S: Settings> ReplicaSettings<S> {
         self.current = settings;
     }
 
-    /// Takes the leader's settings over, so that what an operator has changed outlives the leader.
+    /// Adopts the leader's settings, so that what an operator has changed outlives the leader.
     /// Settings that do not fit this program are left where they are, and so are those of an older
-    /// revision than the ones in force, unless these claim a later one than the followed leader
-    /// itself: nobody stands behind them.
+    /// revision than the ones in force, unless the revision in force is
+    /// above the followed leader's own: then no leader published it.
     pub(crate) fn adopt(
         &mut self,
         announced: &AnnouncedSettings,
