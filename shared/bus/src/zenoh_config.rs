@@ -5,8 +5,8 @@ use std::path::Path;
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use zenoh::config::EndPoint;
 
-use crate::bus::OpenError;
 use crate::config::BusConfig;
+use crate::error::OpenError;
 
 /// How long a silent link counts as alive. Zenoh's own default of 10 s would leave a lost robot
 /// unnoticed for as long.
@@ -15,8 +15,7 @@ const LEASE_MS: u64 = 2000;
 /// How soon a lost router is tried again, at first and at most.
 pub(crate) const RETRY_MS: (u64, u64) = (100, 500);
 
-/// What of Zenoh is logged only if it is an error: a router that is away would be told of twice a second,
-/// by its address, as long as it is away.
+/// What of Zenoh is logged only if it is an error: an absent router would be logged twice a second.
 pub const QUIET_LOG: &str = "zenoh::net::runtime::orchestrator=error";
 
 /// How long a message may wait for a busy link before it is dropped: long enough for a snapshot of
@@ -69,7 +68,7 @@ pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenErro
     values.push(("mode", format!("\"{}\"", config.mode.value)));
     values.push(("connect/endpoints", endpoints(&config.connect.value)));
     values.push(("listen/endpoints", endpoints(&config.listen.value)));
-    let said = |key: &str| match key {
+    let is_chosen = |key: &str| match key {
         "mode" => config.mode.chosen,
         "connect/endpoints" => config.connect.chosen,
         "listen/endpoints" => config.listen.chosen,
@@ -78,7 +77,7 @@ pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenErro
     for (key, value) in values {
         // What the user's file leaves as Zenoh has it by default is ours to choose.
         let untouched = zenoh.get_json(key).ok() == plain.get_json(key).ok();
-        if untouched || said(key) {
+        if untouched || is_chosen(key) {
             zenoh.insert_json5(key, &value).map_err(|error| {
                 OpenError::Config(format!("Zenoh refuses {key} = {value}: {error}"))
             })?;
@@ -138,7 +137,7 @@ fn built_in_values() -> Vec<(&'static str, String)> {
     vec![
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
-        // A router waits so long for others before it opens; nobody is scouted, so that none comes.
+        // A router waits so long for others before it opens; without scouting none comes.
         ("scouting/delay", "1".to_owned()),
         ("connect/timeout_ms", "-1".to_owned()),
         ("connect/exit_on_failure", "false".to_owned()),

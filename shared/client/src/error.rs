@@ -11,7 +11,7 @@ pub enum Error {
     /// A value of the caller is wrong. Nothing was sent.
     #[error("{field}: {problem}")]
     Input {
-        /// The field, as it stands in JSON or in [`Config`](crate::Config).
+        /// The field, as it stands in JSON or in `Config`.
         field: &'static str,
         /// What is wrong and what would be right.
         problem: String,
@@ -22,7 +22,7 @@ pub enum Error {
          #[tokio::test(flavor = \"multi_thread\")], or runtime::Builder::new_multi_thread()"
     )]
     Runtime,
-    /// No router answered within [`Config::connect_timeout`](crate::Config::connect_timeout).
+    /// No router answered within `Config::connect_timeout`.
     #[error(
         "no router answers at {}; start one with `muster router`, or name another in \
          Config::routers", routers.join(", ")
@@ -43,7 +43,7 @@ pub enum Error {
         fleet: FleetId,
     },
     /// No service replied to a get in time.
-    #[error("nobody answers for {key} of fleet {fleet}; see `muster status` for what runs")]
+    #[error("no answer for {key} of fleet {fleet}; see `muster status` for what runs")]
     Unanswered {
         /// The key below the fleet's prefix, or the pattern.
         key: String,

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use futures_util::{Stream, StreamExt as _, stream};
-use muster_bus::{Answer, Ask, Bus, Subscription};
+use muster_bus::{Answer, Ask, Bus, Subscription, Target};
 use muster_wire::message::quoted;
 use muster_wire::{Key, KeySpace, Packet, Pattern, Rejection};
 use tokio::sync::watch;
@@ -218,8 +218,12 @@ async fn drive<T: Publication>(
 async fn get<T: Publication>(shared: Arc<Shared<T>>, source: Arc<Source<T>>) {
     let Source { bus, pattern, within, decode } = &*source;
     // The service itself serves the key completely; without it every cache replies.
-    let ask =
-        Ask { parameters: "format=bincode", payload: None, within: *within, everybody: false };
+    let ask = Ask {
+        parameters: "format=bincode",
+        payload: None,
+        within: *within,
+        target: Target::Complete,
+    };
     match bus.get(pattern, ask).await {
         Ok(answers) => {
             for answer in answers {

@@ -9,7 +9,7 @@ use muster_model::id::{InstanceId, ServiceName};
 use muster_service::Core;
 use tracing::Instrument as _;
 
-use crate::bus::{self, Bus, Patience};
+use crate::bus::{self, Bus, ConnectTimeout};
 use crate::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use crate::exit::{self, ExitError};
 use crate::instance::instance_name;
@@ -164,7 +164,7 @@ async fn run_instance<C: Core>(
 /// Opens the bus, and tells the service manager if it has to wait for a router: that may take long,
 /// and is no failure of this process.
 async fn open(config: &ProcessConfig) -> anyhow::Result<Bus> {
-    let mut opening = std::pin::pin!(Bus::open(config, Patience::Forever));
+    let mut opening = std::pin::pin!(Bus::open(config, ConnectTimeout::Never));
     if let Ok(bus) = tokio::time::timeout(READY_AFTER, &mut opening).await {
         return Ok(bus?);
     }

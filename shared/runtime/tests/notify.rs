@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use muster_model::id::{InstanceId, ServiceName};
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
-use muster_runtime::bus::{Bus, Patience};
+use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
 use muster_runtime::observe::Observatory;
 use muster_runtime::records::RecordStore;
@@ -116,14 +116,14 @@ fn config(mode: Mode, listen: Option<&str>, connect: Option<&str>) -> ProcessCon
 #[ignore = "the process that the other tests look at"]
 async fn a_process_with_two_loops() {
     let router = config(Mode::Router, Some("tcp/127.0.0.1:0"), None);
-    let router = Bus::open(&router, Patience::Forever).await.unwrap();
+    let router = Bus::open(&router, ConnectTimeout::Never).await.unwrap();
     let endpoint = router.locators().await[0].clone();
     let (_stopper, stop) = stop::channel();
     let hangs = std::env::var_os(HANG).is_some();
     let mut loops = tokio::task::JoinSet::new();
     for (number, teams) in [(1, 2), (2, if hangs { 7 } else { 2 })] {
         let bus = config(Mode::Client, None, Some(&endpoint));
-        let bus = Bus::open(&bus, Patience::Forever).await.unwrap();
+        let bus = Bus::open(&bus, ConnectTimeout::Never).await.unwrap();
         let options = ServiceOptions {
             instance: InstanceId::of_process("test", number, number),
             settings: ClustererSettings { teams, ..ClustererSettings::default() },

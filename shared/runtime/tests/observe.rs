@@ -10,7 +10,7 @@ use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::observation::Stream;
 use muster_model::settings::IngestSettings;
 use muster_model::time::Tick;
-use muster_runtime::bus::{Bus, Patience};
+use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
 use muster_runtime::observe::Observatory;
 use muster_runtime::records::RecordStore;
@@ -132,7 +132,7 @@ async fn a_core_that_hangs_is_told_by_healthz_and_one_that_goes_on_as_well() {
         listen: Some(vec!["tcp/127.0.0.1:0".to_owned()]),
         ..ProcessArgs::default()
     });
-    let router = Bus::open(&router, Patience::Forever).await.unwrap();
+    let router = Bus::open(&router, ConnectTimeout::Never).await.unwrap();
     let client = with_port(&router.locators().await[0]);
     let observatory = Observatory::open(&client, &[ServiceName::Ingest]).unwrap();
     let address = observatory.address().unwrap();
@@ -141,7 +141,7 @@ async fn a_core_that_hangs_is_told_by_healthz_and_one_that_goes_on_as_well() {
     assert_eq!(before.0, 503);
     assert!(before.1.contains("no router has answered yet"), "{}", before.1);
 
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let options = ServiceOptions {
         instance: InstanceId::of_process("test", 1, 1),
         settings: IngestSettings::default(),

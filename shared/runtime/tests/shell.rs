@@ -11,7 +11,7 @@ use muster_model::id::{InstanceId, ServiceName};
 use muster_model::observation::Stream;
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
-use muster_runtime::bus::{Answer, Ask, Bus, Patience, Urgency};
+use muster_runtime::bus::{Answer, Ask, Bus, ConnectTimeout, Target, Urgency};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
 use muster_runtime::observe::Observatory;
 use muster_runtime::recording::RecordTo;
@@ -168,7 +168,7 @@ fn config(mode: Mode, flags: &[(&str, &str)]) -> ProcessConfig {
 /// A router, and the bus of a client of it.
 async fn bus() -> (Bus, ProcessConfig) {
     let router = config(Mode::Router, &[("listen", "tcp/127.0.0.1:0")]);
-    let router = Bus::open(&router, Patience::Forever).await.unwrap();
+    let router = Bus::open(&router, ConnectTimeout::Never).await.unwrap();
     let endpoint = router.locators().await[0].clone();
     (router, config(Mode::Client, &[("connect", &endpoint)]))
 }
@@ -199,13 +199,13 @@ async fn status(bus: &Bus, counter: &str) -> u64 {
 }
 
 fn ask(payload: Option<&[u8]>) -> Ask<'_> {
-    Ask { parameters: "", payload, within: Duration::from_secs(3), everybody: false }
+    Ask { parameters: "", payload, within: Duration::from_secs(3), target: Target::Complete }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_panic_in_a_job_becomes_an_event_and_the_service_goes_on() {
     let (_router, client) = bus().await;
-    let watcher = Bus::open(&client, Patience::Forever).await.unwrap();
+    let watcher = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let (events, mut received) = tokio::sync::mpsc::channel(64);
     let space = watcher.space().clone();
     let receive = move |packet: Packet| {
@@ -215,7 +215,7 @@ async fn a_panic_in_a_job_becomes_an_event_and_the_service_goes_on() {
     };
     watcher.subscribe(&Pattern::One(Key::Event), receive).await.unwrap();
     let (stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let store = Store::new(None, watcher.space().fleet(), ServiceName::Clusterer);
     let service = tokio::spawn(shell::run::<Probe>(bus, options(store), stop));
     let mut reasons = Vec::new();
@@ -238,9 +238,9 @@ async fn a_panic_in_a_job_becomes_an_event_and_the_service_goes_on() {
 #[tokio::test(flavor = "multi_thread")]
 async fn deadlines_are_met_under_steady_traffic() {
     let (_router, client) = bus().await;
-    let talker = Bus::open(&client, Patience::Forever).await.unwrap();
+    let talker = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let (stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let store = Store::new(None, talker.space().fleet(), ServiceName::Clusterer);
     let service = tokio::spawn(shell::run::<Probe>(bus, options(store), stop));
     let start = Instant::now();
@@ -272,12 +272,12 @@ async fn deadlines_are_met_under_steady_traffic() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_setting_is_on_disk_before_it_is_confirmed_or_the_failure_is_reported() {
     let (_router, client) = bus().await;
-    let asker = Bus::open(&client, Patience::Forever).await.unwrap();
+    let asker = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let directory = tempfile::tempdir().unwrap();
     let fleet = asker.space().fleet().clone();
     let store = Store::new(Some(directory.path()), &fleet, ServiceName::Clusterer);
     let (stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let service = tokio::spawn(shell::run::<Probe>(bus, options(store.clone()), stop));
     let settings = Pattern::One(Key::Settings(ServiceName::Clusterer));
     let start = Instant::now();
@@ -305,10 +305,10 @@ async fn a_setting_is_on_disk_before_it_is_confirmed_or_the_failure_is_reported(
 #[tokio::test(flavor = "multi_thread")]
 async fn what_a_core_panicked_at_stands_in_its_recording() {
     let (_router, client) = bus().await;
-    let talker = Bus::open(&client, Patience::Forever).await.unwrap();
+    let talker = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let folder = tempfile::tempdir().unwrap();
     let (_stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let mut options = options(Store::new(None, talker.space().fleet(), ServiceName::Clusterer));
     let path = folder.path().join("probe.rec");
     let to = RecordTo { path: path.clone(), several: false };
@@ -355,9 +355,9 @@ async fn what_a_core_panicked_at_stands_in_its_recording() {
 #[tokio::test(flavor = "multi_thread")]
 async fn tokens_are_declared_and_records_are_looked_up() {
     let (_router, client) = bus().await;
-    let asker = Bus::open(&client, Patience::Forever).await.unwrap();
+    let asker = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let (stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let store = Store::new(None, asker.space().fleet(), ServiceName::Clusterer);
     let service = tokio::spawn(shell::run::<Probe>(bus, options(store), stop));
     let start = Instant::now();
@@ -373,12 +373,12 @@ async fn tokens_are_declared_and_records_are_looked_up() {
 #[tokio::test(flavor = "multi_thread")]
 async fn packets_of_other_programs_cross_the_bus_with_their_attachments() {
     let (_router, client) = bus().await;
-    let other = Bus::open(&client, Patience::Forever).await.unwrap();
+    let other = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let (replies, mut received) = tokio::sync::mpsc::channel(64);
     let reply = Pattern::Foreign(ForeignPattern::new("other/reply").unwrap());
     other.subscribe(&reply, move |packet| drop(replies.try_send(packet))).await.unwrap();
     let (stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let store = Store::new(None, other.space().fleet(), ServiceName::Clusterer);
     let service = tokio::spawn(shell::run::<Probe>(bus, options(store), stop));
     let start = Instant::now();

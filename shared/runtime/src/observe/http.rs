@@ -21,7 +21,8 @@ use serde_json::{Map, Value, json};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
-use super::{Shared, health, metrics};
+use super::observer::Shared;
+use super::{health, metrics};
 use crate::exit::{Exit, ExitError};
 
 /// Most connections at once: a handful of probes and scrapers.

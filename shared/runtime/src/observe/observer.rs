@@ -10,6 +10,7 @@ use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
+use muster_service::inbox::InboxCounts;
 use muster_wire::Message;
 use muster_wire::message::quoted;
 use prometheus_client::metrics::counter::Counter;
@@ -21,28 +22,31 @@ use super::health::{self, Look};
 use super::metrics::{
     HistogramsWith, Metrics, Number, OfNamed, OfWith, count, observe, of, set_counter,
 };
+use crate::bus::send_queue::SendCounts;
+use crate::send_queue::Backlog;
 
-/// What waits for a service, and what has become of what waited.
+/// What waits for a service and what it wants sent, and what has become of what waited.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Queues {
-    /// Messages that wait for the core, and their bytes.
-    pub inbox: (usize, usize),
-    /// Messages that a newer one of their key replaced.
-    pub superseded: u64,
-    /// Messages that were dropped because too many waited.
-    pub inbox_dropped: u64,
-    /// Messages that wait to be sent, and their bytes.
-    pub outbox: (usize, usize),
-    /// Messages that were sent.
-    pub sent: u64,
-    /// Messages that were dropped because too many waited to be sent.
-    pub outbox_dropped: u64,
+    /// The way in.
+    pub inbox: InboxCounts,
+    /// What waits to be sent.
+    pub send_queue: Backlog,
+    /// What was sent.
+    pub sending: SendCounts,
 }
 
 /// What the shell of one service tells of what passes. Nothing here waits, and nothing is kept that
 /// grows.
 #[derive(Debug, Clone)]
 pub struct Observer(Arc<Watched>);
+
+/// What the port and the observers share.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) metrics: Metrics,
+    pub(super) watched: Vec<Arc<Watched>>,
+}
 
 /// One service under observation.
 #[derive(Debug)]
@@ -239,14 +243,14 @@ impl Observer {
                 }
             }
         }
-        own.inbox.0.set(count(queues.inbox.0));
-        own.inbox.1.set(count(queues.inbox.1));
-        own.outbox.0.set(count(queues.outbox.0));
-        own.outbox.1.set(count(queues.outbox.1));
-        set_counter(&own.superseded, queues.superseded);
-        set_counter(&own.inbox_dropped, queues.inbox_dropped);
-        set_counter(&own.sent, queues.sent);
-        set_counter(&own.outbox_dropped, queues.outbox_dropped);
+        own.inbox.0.set(count(queues.inbox.waiting_items));
+        own.inbox.1.set(count(queues.inbox.waiting_bytes));
+        own.outbox.0.set(count(queues.send_queue.messages));
+        own.outbox.1.set(count(queues.send_queue.bytes));
+        set_counter(&own.superseded, queues.inbox.superseded);
+        set_counter(&own.inbox_dropped, queues.inbox.dropped);
+        set_counter(&own.sent, queues.sending.sent);
+        set_counter(&own.outbox_dropped, queues.sending.dropped);
     }
 
     /// The loop has ended, as it should.
