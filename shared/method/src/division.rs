@@ -88,7 +88,7 @@ pub fn divide(
 
 impl Division {
     /// One number per robot, by first appearance. Robots without an embedding share a number of their own,
-    /// which is returned beside the list if there are any.
+    /// which is returned with the list if there are any.
     #[must_use]
     pub fn numbered(&self) -> Numbered {
         let mut numbers = BTreeMap::new();

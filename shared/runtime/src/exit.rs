@@ -11,7 +11,7 @@ pub enum Exit {
     Failure = 1,
     /// A flag, a file or a setting is wrong.
     Usage = 2,
-    /// The bus cannot be reached, or nobody answered on it.
+    /// The bus cannot be reached, or no answer came.
     Unreachable = 3,
 }
 
@@ -23,7 +23,7 @@ impl From<Exit> for ExitCode {
 
 /// What `--help` says of them.
 pub const HELP: &str = "Exit codes: 0 done, or stopped by a signal; 1 something failed while running; \
-2 a flag, file or setting is wrong; 3 the bus cannot be reached or nobody answered.";
+2 a flag, file or setting is wrong; 3 the bus cannot be reached or no answer came.";
 
 /// An error that knows its exit code.
 #[derive(Debug, thiserror::Error)]

@@ -23,7 +23,7 @@ use tracing_subscriber::registry::LookupSpan;
 const DEFAULT_FILTER: &str = "warn,muster=info";
 
 /// Most lines that one place in the code writes in [`WINDOW`]: enough to see what repeats and how
-/// often. More are counted, and the number is told afterwards.
+/// often. More are counted, and the count is logged afterwards.
 const MAX_LINES: u32 = 20;
 
 /// The time in which they are counted.

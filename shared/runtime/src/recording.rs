@@ -349,7 +349,7 @@ mod tests {
         assert!(nowhere.unwrap_err().message.contains("cannot be made"));
     }
 
-    /// A disk that hangs until it is told to go on, and then takes so many bytes.
+    /// A disk that hangs until it is released, and then takes so many bytes.
     struct Disk {
         file: File,
         hangs: Option<Receiver<()>>,

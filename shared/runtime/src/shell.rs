@@ -149,7 +149,7 @@ pub async fn run<C: Core>(
         };
         tokio::select! {
             () = stop.stopped() => break,
-            () = watchdog.due() => watchdog.beat(),
+            () = watchdog.due() => watchdog.report(),
             () = due => shell.handle(Input::Timer),
             _ = show.tick() => shell.show(),
             () = inbox.arrived() => shell.handle_packets(),

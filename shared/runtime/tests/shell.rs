@@ -3,17 +3,19 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+mod common;
+
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
+use common::{config, connected, passive_core, router};
 use muster_model::event::{EventKind, Severity};
-use muster_model::id::{InstanceId, ServiceName};
+use muster_model::id::ServiceName;
 use muster_model::observation::Stream;
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
 use muster_runtime::bus::{Answer, Ask, Bus, ConnectTimeout, Target, Urgency};
-use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
-use muster_runtime::observe::Observatory;
+use muster_runtime::config::ProcessConfig;
 use muster_runtime::recording::RecordTo;
 use muster_runtime::records::RecordStore;
 use muster_runtime::shell::{self, ServiceOptions};
@@ -41,8 +43,9 @@ struct Probe {
 }
 
 impl Core for Probe {
+    passive_core!();
+
     type Settings = ClustererSettings;
-    type Fetch = std::convert::Infallible;
     type Job = &'static str;
     type Done = &'static str;
     const SERVICE: ServiceName = ServiceName::Clusterer;
@@ -59,16 +62,8 @@ impl Core for Probe {
         }
     }
 
-    fn initial() -> Vec<Pattern> {
-        Vec::new()
-    }
-
     fn output() -> Key {
         Key::Teams
-    }
-
-    fn is_output(_: &Message) -> bool {
-        false
     }
 
     fn new(now: Tick, _: &ClustererSettings) -> Self {
@@ -81,21 +76,11 @@ impl Core for Probe {
         context.look_up(7, RecordRange { from: 0, until: u64::MAX, limit: 10 });
     }
 
-    fn on_follow(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
-
-    fn on_stand_down(&mut self, _: &mut Context<'_, Self>) {}
-
-    fn on_new_term(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
-
     fn on_message(&mut self, context: &mut Context<'_, Self>, message: Message) {
         if let Message::Report(report) = message {
             assert!(report.robot().as_str() != "cursed", "a pose that must not be");
             context.count("poses");
         }
-    }
-
-    fn on_get(&mut self, context: &mut Context<'_, Self>, get: Get) {
-        context.reply(get, Vec::new());
     }
 
     fn on_records(&mut self, context: &mut Context<'_, Self>, lookup: u64, records: Vec<Record>) {
@@ -144,49 +129,21 @@ impl Core for Probe {
         Some(self.next)
     }
 
-    fn state(&self, _: &View<'_, Self>) -> String {
-        "probing".to_owned()
-    }
-
     fn run(job: &'static str, _: &mut Stopwatch) -> &'static str {
         assert!(job == "calm", "a job that panics on purpose");
         job
     }
 }
 
-fn config(mode: Mode, flags: &[(&str, &str)]) -> ProcessConfig {
-    let mut args = ProcessArgs { mode: Some(mode), ..ProcessArgs::default() };
-    for (flag, value) in flags {
-        match *flag {
-            "listen" => args.listen = Some(vec![(*value).to_owned()]),
-            _ => args.connect = Some(vec![(*value).to_owned()]),
-        }
-    }
-    ProcessConfig::resolve(&args, mode, &|_| None).unwrap()
-}
-
-/// A router, and the bus of a client of it.
+/// A router, and the configuration of a client of it.
 async fn bus() -> (Bus, ProcessConfig) {
-    let router = config(Mode::Router, &[("listen", "tcp/127.0.0.1:0")]);
-    let router = Bus::open(&router, ConnectTimeout::Never).await.unwrap();
-    let endpoint = router.locators().await[0].clone();
-    (router, config(Mode::Client, &[("connect", &endpoint)]))
-}
-
-/// One that shows nothing.
-fn observatory() -> Observatory {
-    Observatory::open(&config(Mode::Client, &[]), &[]).unwrap()
+    let (router, endpoint) = router().await;
+    (router, config(connected(&endpoint)))
 }
 
 fn options(store: Store) -> ServiceOptions<ClustererSettings> {
-    ServiceOptions {
-        instance: InstanceId::of_process("test", 1, 1),
-        settings: ClustererSettings::default(),
-        records: RecordStore::new(None, &"f".parse().unwrap(), ServiceName::Clusterer),
-        store,
-        record: None,
-        observer: observatory().observer(ServiceName::Clusterer),
-    }
+    let options = common::options::<Probe>(ClustererSettings::default());
+    ServiceOptions { store, ..options }
 }
 
 async fn status(bus: &Bus, counter: &str) -> u64 {

@@ -16,7 +16,7 @@ use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 
 use super::edges::Edges;
-use super::{SolveError, tidy};
+use super::error::{SolveError, tidy};
 
 /// The file as it is written.
 #[derive(Deserialize)]
@@ -131,7 +131,7 @@ impl<'de> Deserialize<'de> for Decay {
     }
 }
 
-/// What the JSON output holds beside the results that it always holds.
+/// What the JSON output holds in addition to the results that it always holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Emit {

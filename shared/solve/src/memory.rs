@@ -3,7 +3,7 @@
 use muster_method::decomposition::Path;
 
 use super::cost::Size;
-use super::{SolveError, refuse};
+use super::error::{SolveError, refuse};
 
 /// Fleets of up to so many robots fit everywhere.
 pub(super) const SMALL_ROBOTS: usize = 1000;

@@ -14,11 +14,11 @@ use muster_numeric::spectral_radius::SpectralRadius;
 
 use super::cost::Size;
 use super::division::{Divided, divide, wanted_teams};
+use super::error::{SolveError, refuse};
 use super::file::Emit;
 use super::memory::admit_path;
 use super::options::PathChoice;
 use super::problem::Problem;
-use super::{SolveError, refuse};
 
 /// Most robots that a warning names.
 const MAX_NAMED_ROBOTS: usize = 10;

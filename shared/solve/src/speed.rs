@@ -171,7 +171,7 @@ fn search_products(robots: f64, edges: f64, carried: f64, space: f64) -> f64 {
     carried * (GRAPH_PRODUCTS * edges + SPACE_PRODUCTS * space * robots)
 }
 
-/// Robots on a grid, each related to those beside it, less or more.
+/// Robots on a grid, each related to its neighbours, less or more.
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
 fn grid(columns: usize, rows: usize) -> impl Iterator<Item = (usize, usize, f64)> {
     let edges = move |robot: usize| {

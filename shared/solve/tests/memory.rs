@@ -17,7 +17,7 @@ fn names(robots: usize) -> Vec<String> {
     (0..robots).map(|robot| format!("r{robot}")).collect()
 }
 
-/// Robots on a grid, who are related to those beside them or to everybody.
+/// Robots on a grid, related to their neighbours or to all.
 fn dense_file(robots: usize, is_complete: bool) -> Value {
     let columns = robots.isqrt();
     let weight = |i: usize, j: usize| {

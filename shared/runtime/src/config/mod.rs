@@ -59,7 +59,7 @@ pub struct ProcessConfig {
     pub log: Sourced<Option<String>>,
     /// Whether logs are JSON lines.
     pub log_json: Sourced<bool>,
-    /// Where services are recorded. Only a flag says so: nobody is to fill a disk unawares.
+    /// Where services are recorded. By a flag alone: no file is to fill a disk unnoticed.
     pub record: Option<RecordTo>,
     /// Where health, readiness and metrics are served.
     pub http: Sourced<Option<SocketAddr>>,

@@ -179,7 +179,7 @@ impl Metrics {
         );
         gauge("ready", "1 while the service is ready, as /readyz has it", &self.ready);
         gauge("term", "Term of the last output: counts the holders of the role", &self.term);
-        gauge("epoch", "Epoch of the last output: counts the outputs of one holder", &self.epoch);
+        gauge("epoch", "Epoch of the last output: counts the outputs of one leader", &self.epoch);
         gauge("link_up", "1 while a router is linked", &self.link);
         gauge("jobs_running", "Computations that run", &self.jobs_running);
         gauge("inbox_messages", "Messages that wait for the service", &self.inbox);
@@ -309,7 +309,7 @@ impl Metrics {
         Ok(text)
     }
 
-    /// Where the system tells nothing of a process, the last that it told stands.
+    /// Where the system reports nothing of a process, the last values stay.
     fn look_at_process(&self) {
         let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
         let number = |name: &str| {

@@ -1,4 +1,4 @@
-//! What the shell of one service tells of what passes, and what is known of it at any moment.
+//! What the shell of one service reports of its messages, and what is known of it at any moment.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -36,7 +36,7 @@ pub struct Queues {
     pub sending: SendCounts,
 }
 
-/// What the shell of one service tells of what passes. Nothing here waits, and nothing is kept that
+/// What the shell of one service reports of its messages. Nothing here waits, and nothing is kept that
 /// grows.
 #[derive(Debug, Clone)]
 pub struct Observer(Arc<Watched>);
@@ -351,7 +351,7 @@ impl Observer {
                     }
                 }
             }
-            Message::Event(event) => return tell(event),
+            Message::Event(event) => return log_event(event),
             _ => return,
         }
         let Some(header) = message.header() else { return };
@@ -396,9 +396,9 @@ impl Observer {
     }
 }
 
-/// What consoles are told goes to the log as well, by how much it matters to who runs the process:
+/// Events for consoles go to the log as well, by how much they matter to who runs the process:
 /// what robots do wrong is not wrong with the process.
-fn tell(event: &FleetEvent) {
+fn log_event(event: &FleetEvent) {
     let text = || quoted(&serde_json::to_string(&event.kind).unwrap_or_default());
     match event.severity {
         Severity::Error => tracing::error!("event {}", text()),
