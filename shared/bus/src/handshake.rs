@@ -194,7 +194,7 @@ async fn receive(stream: &mut TcpStream) -> Result<TransportBody, Option<String>
     let wanted = usize::from(u16::from_le_bytes(length));
     let mut bytes = vec![0; wanted];
     let mut read = 0;
-    // What is no message of Zenoh is rarely as long as its first two bytes say: the text that came is
+    // What is no message of Zenoh is rarely as long as its first two bytes state: the text that came is
     // looked at as soon as nothing more comes.
     while read < wanted {
         let more =

@@ -4,12 +4,12 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// What waits in a queue, bounded: how many messages, and which one gives way to another.
+/// What waits in a queue, bounded: how many messages, and which one is dropped for another.
 pub trait Waiting: Default + Send + 'static {
     /// What is sent.
     type Message: Send;
 
-    /// Adds a message; returns how many others gave way to it.
+    /// Adds a message; returns how many others were dropped for it.
     fn push(&mut self, message: Self::Message) -> u64;
 
     /// Removes the message that is sent next.
@@ -46,7 +46,7 @@ pub struct Closed;
 pub struct SendCounts {
     /// Messages that were sent.
     pub sent: u64,
-    /// Messages that gave way to others before they were sent.
+    /// Messages that were dropped for others before they were sent.
     pub dropped: u64,
 }
 

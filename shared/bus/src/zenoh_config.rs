@@ -31,7 +31,7 @@ const MAX_MESSAGE: usize = MAX_SERVICE_PAYLOAD + 64 * 1024;
 /// Checks the form of an endpoint.
 ///
 /// # Errors
-/// Says what an endpoint looks like.
+/// A text with the right form of an endpoint.
 pub fn check_endpoint(text: &str) -> Result<(), String> {
     let wrong = |problem: &str| {
         let text = muster_wire::message::quoted(text);
@@ -53,7 +53,7 @@ pub fn check_endpoint(text: &str) -> Result<(), String> {
 }
 
 /// Zenoh's configuration for a process: its own defaults, then ours, then the user's file, then what
-/// a flag, variable or file of ours says about mode and endpoints.
+/// a flag, variable or file of ours sets of mode and endpoints.
 ///
 /// # Errors
 /// If the user's file is wrong, or Zenoh refuses a value.
@@ -98,7 +98,7 @@ pub(crate) fn is_client(zenoh: &zenoh::Config) -> bool {
     zenoh.get_json("mode").is_ok_and(|mode| mode == "\"client\"")
 }
 
-/// The routers that a process will look for, whoever named them: a flag, a file of ours, or Zenoh's.
+/// The routers that a process will look for, by a flag, a file of ours, or Zenoh's.
 ///
 /// # Errors
 /// If the file with Zenoh's own configuration is wrong.
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn the_routers_are_those_of_whoever_named_them() {
+    fn the_routers_are_those_of_the_flag_or_the_file() {
         let path =
             std::env::temp_dir().join(format!("muster-routers-{}.json5", std::process::id()));
         std::fs::write(&path, "{connect: {endpoints: [\"tls/base:7447\"]}}").unwrap();

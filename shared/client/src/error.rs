@@ -64,7 +64,7 @@ pub enum Error {
     /// The bus failed.
     #[error("the bus failed: {reason}")]
     Bus {
-        /// What Zenoh or the operating system says.
+        /// The error of Zenoh or the operating system.
         reason: String,
     },
 }

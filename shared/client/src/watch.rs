@@ -68,7 +68,7 @@ impl<T: Publication> Shared<T> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes the state. Readers are notified if `change` says so, and see it in any case.
+    /// Changes the state. Readers are notified if `change` returns true, and see it in any case.
     fn change(&self, change: impl FnOnce(&mut Freshness<T>) -> bool) {
         let mut state = self.state();
         let changed = change(&mut state.freshness);
@@ -101,7 +101,7 @@ impl<T: Publication> Shared<T> {
 }
 
 impl<T> Watch<T> {
-    /// The newest message; none before the first one. It may turn stale later.
+    /// The newest message; none before the first one. It may become stale later.
     #[must_use]
     pub fn latest(&self) -> Option<Latest<T>> {
         self.receiver.borrow().clone()

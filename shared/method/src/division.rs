@@ -34,7 +34,7 @@ pub struct Numbered {
     pub unassigned: Option<usize>,
 }
 
-/// Divides the robots whose rows are those of `x`, N × D. `without_embedding` says of each robot whether it
+/// Divides the robots whose rows are those of `x`, N × D. `without_embedding` states of each robot whether it
 /// is to be left out; `previous` is the team of each robot before, any numbers, none for a robot without
 /// one.
 ///

@@ -21,7 +21,7 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// What `--help` says of them.
+/// Their part of `--help`.
 pub const HELP: &str = "Exit codes: 0 done, or stopped by a signal; 1 something failed while running; \
 2 a flag, file or setting is wrong; 3 the bus cannot be reached or no answer came.";
 
@@ -55,7 +55,7 @@ pub fn finish(result: anyhow::Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // A reader that has gone away, as in `muster teams | head -1`, is no failure to tell of.
+            // A reader that has gone away, as in `muster teams | head -1`, is no failure.
             if is_broken_pipe(&error) {
                 return ExitCode::SUCCESS;
             }

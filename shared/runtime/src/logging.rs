@@ -18,7 +18,7 @@ use tracing_subscriber::fmt::FmtContext;
 use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
 use tracing_subscriber::registry::LookupSpan;
 
-/// What is logged when neither a flag nor `MUSTER_LOG` says otherwise: what Muster does, and what
+/// What is logged without a flag and without `MUSTER_LOG`: what Muster does, and what
 /// goes wrong below it.
 const DEFAULT_FILTER: &str = "warn,muster=info";
 
@@ -29,7 +29,7 @@ const MAX_LINES: u32 = 20;
 /// The time in which they are counted.
 const WINDOW: Duration = Duration::from_secs(10);
 
-/// Longest line for people, in characters: what is longer is a payload that somebody prints.
+/// Longest line for people, in characters: what is longer is a payload.
 const MAX_LINE: usize = 8 * 1024;
 
 /// Checks a filter.
@@ -67,7 +67,7 @@ pub fn start(filter: Option<&str>, json: bool) -> Result<(), String> {
         let form = if colours { Form::Coloured } else { Form::Plain };
         builder.map_event_format(|inner| Bounded::new(inner.with_ansi(colours), form)).try_init()
     };
-    // Another subscriber is there already: whoever set it wins.
+    // Another subscriber is there already, and stays.
     drop(started);
     Ok(())
 }

@@ -38,7 +38,7 @@ pub struct Backlog {
     pub bytes: usize,
 }
 
-/// Packets in order. When there are too many, the oldest gives way: newer ones say more.
+/// Packets in order. When there are too many, the oldest is dropped: newer ones matter more.
 #[derive(Debug, Default)]
 struct Packets {
     waiting: VecDeque<Packet>,

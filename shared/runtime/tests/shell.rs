@@ -297,11 +297,11 @@ async fn what_a_core_panicked_at_stands_in_its_recording() {
     assert_eq!(difference.step, *steps.last().unwrap());
     assert!(difference.step.commands.is_none());
     assert!(
-        matches!(&difference.now, Err(ReplayError::Panicked(said)) if said.contains("must not"))
+        matches!(&difference.now, Err(ReplayError::Panicked(text)) if text.contains("must not"))
     );
     let has = |what: &dyn Fn(&Input) -> bool| steps.iter().any(|step| what(&step.input));
     let panicked = |input: &Input| match input {
-        Input::JobEnded { panic: Some(said), .. } => said.contains("purpose"),
+        Input::JobEnded { panic: Some(text), .. } => text.contains("purpose"),
         _ => false,
     };
     assert!(has(&panicked));

@@ -1,4 +1,4 @@
-//! What a service is: a core with hooks that say what happened, and what its hooks may do.
+//! What a service is: a core with a hook for everything that can happen, and what its hooks may do.
 
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::{Revision, StageTime};
@@ -29,7 +29,7 @@ pub struct MemoryUse {
     pub offenders: usize,
 }
 
-/// Whether silence on the bus says anything about others.
+/// Whether silence on the bus proves anything about other instances and robots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Connectivity {
     /// The link to the router is up, and this instance's place among the others is known again.
@@ -45,7 +45,7 @@ pub enum Connectivity {
 pub enum JobEnd<Done> {
     /// With a result.
     Finished(Done),
-    /// With a panic, and what it said: at most a line, without control characters.
+    /// With a panic, and its text: at most a line, without control characters.
     Panicked(String),
 }
 
@@ -57,7 +57,7 @@ pub enum JobEnd<Done> {
 pub trait Core: Send + Sized + 'static {
     /// Its settings.
     type Settings: Settings;
-    /// Names its fetches, so that it can tell their answers apart.
+    /// Names its fetches, and so their answers.
     type Fetch: std::fmt::Debug + Copy + Eq + Send + 'static;
     /// Long work.
     type Job: Send + 'static;

@@ -38,12 +38,12 @@ pub(crate) struct Facilities<S, F, J> {
     pub(crate) commands: Vec<Command>,
 }
 
-/// What an answer says about stored state.
+/// Whether an answer confirms stored state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ReplyKind {
-    /// Nothing.
+    /// It does not.
     Plain,
-    /// That something is stored, so that it is wrong if that fails.
+    /// It does, so that it is an error if storing fails.
     ConfirmsStore,
 }
 

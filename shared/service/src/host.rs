@@ -111,7 +111,7 @@ impl<C: Core> Host<C> {
         }
     }
 
-    /// Brings the result of the job; [`Input::JobEnded`] says next that it has ended.
+    /// Brings the result of the job; [`Input::JobEnded`] is the next input.
     pub fn finish_job(&mut self, done: C::Done) {
         self.done = Some(done);
     }

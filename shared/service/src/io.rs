@@ -18,7 +18,7 @@ pub struct GetId(pub u64);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct AskId(pub u64);
 
-/// A packet on its way to the core. It is decoded as it arrives, or when its turn comes.
+/// A packet on its way to the core. It is decoded as it arrives, or as it is handled.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Arrival {
     packet: Packet,
@@ -35,7 +35,7 @@ impl PartialEq for Arrival {
 }
 
 impl Arrival {
-    /// A packet that is decoded when its turn comes. Messages between services may be large, take
+    /// A packet that is decoded as it is handled. Messages between services may be large, take
     /// many times their bytes once decoded, and may be superseded before.
     #[must_use]
     pub fn encoded(packet: Packet) -> Self {
@@ -131,7 +131,7 @@ pub enum Input {
     JobEnded {
         /// The times that the job measured, in microseconds.
         laps: Vec<u64>,
-        /// What the panic said, if it panicked.
+        /// The text of the panic, if it panicked.
         panic: Option<String>,
     },
     /// A question has been answered, or its time is over.
@@ -141,7 +141,7 @@ pub enum Input {
         /// The answers.
         answers: Vec<Arrival>,
     },
-    /// Somebody gets a key that the service serves.
+    /// A get of a key that the service serves.
     Get(IncomingGet),
     /// The link to the router is lost.
     LinkLost,
@@ -212,7 +212,7 @@ pub struct Publication {
     pub message: Option<Message>,
 }
 
-/// One question to the bus: everyone who serves the key expression is asked.
+/// One question to all who serve a key expression.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ask {
     /// To be named in [`Input::Answered`].

@@ -1,6 +1,6 @@
 //! What a service is, whatever runs it.
 //!
-//! A service is a [`Core`]: a deterministic state machine whose hooks say what happened. A [`Host`]
+//! A service is a [`Core`]: a deterministic state machine with a hook for everything that can happen. A [`Host`]
 //! wraps it and owns what every service needs: election and terms, suppressed output, settings,
 //! refused messages, fetches with retries, gets, the one job, and the order in which all of that is
 //! handled. A host takes one [`Input`] and returns [`Command`]s; it reads no clock, starts no thread,

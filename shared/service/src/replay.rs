@@ -21,7 +21,7 @@ use crate::stopwatch::Stopwatch;
 /// Why an input cannot be handed to the host again.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ReplayError {
-    /// The recording says what this program does not understand.
+    /// The recording holds what this program does not understand.
     #[error("{0}")]
     Unreadable(String),
     /// The host does something else than it did.
@@ -226,7 +226,7 @@ pub fn compare<C: Core>(
     Ok(done)
 }
 
-/// What a panic said, fit for a log line.
+/// The text of a panic, fit for a log line.
 #[must_use]
 pub fn panic_text(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic

@@ -226,9 +226,9 @@ impl<C: Core> Bench<C> {
     }
 
     /// The job that waits panics.
-    pub fn panic_job(&mut self, said: &str) {
+    pub fn panic_job(&mut self, text: &str) {
         self.job = None;
-        self.input(Input::JobEnded { laps: Vec::new(), panic: Some(said.to_owned()) });
+        self.input(Input::JobEnded { laps: Vec::new(), panic: Some(text.to_owned()) });
     }
 
     /// Lets time pass, with a timer whenever the host wants one. The process runs all the while.

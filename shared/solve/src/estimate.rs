@@ -28,7 +28,7 @@ pub struct Estimate {
     path: Path,
     /// At the worst moment of all.
     peak_mib: u64,
-    /// Memory that can be had now; none where the system does not tell.
+    /// Memory that can be had now; none where the system does not report it.
     available_mib: Option<u64>,
     fits: bool,
     seconds: f64,

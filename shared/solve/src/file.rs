@@ -159,7 +159,7 @@ pub(super) fn read(text: &[u8]) -> Result<File, SolveError> {
     Ok(file.0)
 }
 
-/// What the error says, with a hint where the text holds a number that JSON does not have.
+/// The text of the error, with a hint where the text holds a number that JSON does not have.
 pub(super) fn explained(error: &serde_json::Error, text: &[u8]) -> String {
     let hint = "; NaN and Infinity are no JSON, every number must be finite";
     let hint = if is_not_finite(error, text) { hint } else { "" };

@@ -8,7 +8,7 @@ use super::error::{SolveError, refuse};
 /// Fleets of up to so many robots fit everywhere.
 pub(super) const SMALL_ROBOTS: usize = 1000;
 
-/// Whether a fleet fits by a path. Where the system does not say how much memory is available, every fleet
+/// Whether a fleet fits by a path. Where the system does not report how much memory is available, every fleet
 /// does.
 pub(super) fn fits_path(
     path: Path,

@@ -44,7 +44,7 @@ pub(super) struct Solution {
 
 impl Solution {
     /// Bound on the sine of the angle by which the spaces of U and of V are turned against the true ones
-    /// (Wedin, BIT 12, 1972): the residuals of all K triplets over the gap behind them. 1 says nothing.
+    /// (Wedin, BIT 12, 1972): the residuals of all K triplets over the gap behind them. 1 proves nothing.
     pub(super) fn angle_bound(&self) -> f64 {
         let svd = &self.decomposition.svd;
         #[expect(clippy::cast_precision_loss, reason = "there are a few triplets")]

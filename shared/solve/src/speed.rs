@@ -11,7 +11,7 @@ use muster_numeric::silhouette::silhouette;
 use muster_numeric::spectral_radius::spectral_radius;
 use muster_numeric::svd::full_svd;
 
-/// Columns and rows of the grids on which the robots of the small problems stand. Two sizes tell what
+/// Columns and rows of the grids on which the robots of the small problems stand. Two sizes show what
 /// is done per pair of robots, such as copies, from what is done per pair and robot; the larger one is
 /// small enough that all of it takes some hundredths of a second.
 const SMALLER: (usize, usize) = (8, 12);

@@ -62,11 +62,11 @@ fn check(what: &str, text: &str, options: Options) {
         }
         ALLOCATOR.reset_peak_usage();
     };
-    let mut tell = |step| match step {
+    let mut watch = |step| match step {
         Step::KMeans { done: 1.., .. } | Step::Search { round: 1.., .. } => {}
         step => close(Some(step)),
     };
-    Solved::watched(text.as_bytes(), options, &mut tell).unwrap();
+    Solved::watched(text.as_bytes(), options, &mut watch).unwrap();
     close(None);
     let steps = estimate["steps"].as_array().unwrap();
     assert_eq!(steps.len(), held.len());

@@ -1,6 +1,6 @@
 //! The configuration of a process: defaults, then file, then environment, then flags.
 //!
-//! Every value remembers where it came from, so that `--print-config` can tell. Unknown keys are
+//! Every value remembers where it came from, which `--print-config` shows. Unknown keys are
 //! errors at every level. One file may serve all services of a host: each reads the table of its own
 //! name, and `--check-config` checks them all.
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 
-/// How long the loop of a service may take for one turn. Nothing in it waits; the longest events take
+/// How long the loop of a service may take for one round. Nothing in it waits; the longest events take
 /// milliseconds, and a machine that is busy with other things delays them by less than this.
 pub(super) const LOOP_HANGS_AFTER: Duration = Duration::from_secs(5);
 
@@ -36,7 +36,7 @@ pub(super) struct Look {
     pub(super) peopled_for: Option<Duration>,
 }
 
-/// Whether the loop of a service turns. One that still waits for its router has none that could hang.
+/// Whether the loop of a service runs. One that still waits for its router has none that could hang.
 pub(super) fn is_alive(look: &Look) -> bool {
     look.since_turn.is_none_or(|since| since < LOOP_HANGS_AFTER)
 }

@@ -172,13 +172,9 @@ impl Metrics {
         let mut gauge = |name: &str, help: &str, metric: &Family<Of, Gauge>| {
             to.register(name, help, metric.clone());
         };
-        gauge(
-            "loop_turning",
-            "1 while the loop of the service turns, as /healthz has it",
-            &self.up,
-        );
+        gauge("loop_turning", "1 while the loop of the service runs, as /healthz has it", &self.up);
         gauge("ready", "1 while the service is ready, as /readyz has it", &self.ready);
-        gauge("term", "Term of the last output: counts the holders of the role", &self.term);
+        gauge("term", "Term of the last output: counts the leaders of the service", &self.term);
         gauge("epoch", "Epoch of the last output: counts the outputs of one leader", &self.epoch);
         gauge("link_up", "1 while a router is linked", &self.link);
         gauge("jobs_running", "Computations that run", &self.jobs_running);

@@ -222,7 +222,7 @@ impl Observer {
         Self(watched)
     }
 
-    /// The loop turns; this is how the service stands.
+    /// The loop runs, and the service has this status.
     pub fn turned(&self, status: &ServiceStatus, queues: &Queues) {
         let (own, mut state) = (&self.0.metrics, self.0.state());
         state.turned = Some(Instant::now());
@@ -396,7 +396,7 @@ impl Observer {
     }
 }
 
-/// Events for consoles go to the log as well, by how much they matter to who runs the process:
+/// Events for consoles go to the log as well, by their severity for the operator of the process:
 /// what robots do wrong is not wrong with the process.
 fn log_event(event: &FleetEvent) {
     let text = || quoted(&serde_json::to_string(&event.kind).unwrap_or_default());

@@ -169,12 +169,10 @@ impl<C: Core> Host<C> {
         let replica = &mut self.facilities.replica;
         let seen = found.iter().filter_map(|message| Some(message.header()?.revision)).max();
         let own = replica.revision();
-        match replica.election.term_checked(self.facilities.now, seen, own) {
-            TermCheck::Sound => {}
-            TermCheck::Outrun(revision) => {
-                self.begin_term(Some(revision));
-                self.core.on_new_term(&mut Context(&mut self.facilities), found);
-            }
+        let Some(lease) = replica.election.lease() else { return };
+        if let TermCheck::Outrun(revision) = lease.term_checked(self.facilities.now, seen, own) {
+            self.begin_term(Some(revision));
+            self.core.on_new_term(&mut Context(&mut self.facilities), found);
         }
     }
 
@@ -182,15 +180,16 @@ impl<C: Core> Host<C> {
     /// is due.
     pub(super) fn renew(&mut self) {
         let facilities = &mut self.facilities;
-        let mut announces = false;
-        if facilities.replica.election.renews(facilities.now) {
-            let renewal = facilities.replica.renewal(facilities.now);
+        let now = facilities.now;
+        let Some(lease) = facilities.replica.election.lease() else { return };
+        let (renews, checks) = (lease.renews(now), lease.checks_term(now));
+        let announces = checks || (renews && facilities.replica.settings.are_announced_again());
+        if renews {
+            let renewal = facilities.replica.renewal(now);
             facilities.publish(renewal);
-            announces = facilities.replica.settings.are_announced_again();
         }
-        if facilities.replica.election.checks_term(facilities.now) {
+        if checks {
             facilities.fetch(Purpose::TermCheck, vec![Pattern::One(C::output())]);
-            announces = true;
         }
         if announces {
             facilities.announce_settings();

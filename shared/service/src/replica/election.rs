@@ -13,7 +13,7 @@ use muster_model::id::InstanceId;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::time::Tick;
 
-use crate::replica::lease::{Lease, RENEWAL_INTERVAL, TermCheck};
+use crate::replica::lease::{Lease, RENEWAL_INTERVAL};
 use crate::replica::peers::Peers;
 use crate::wiring::Replication;
 
@@ -422,34 +422,11 @@ impl Election {
         true
     }
 
-    /// The lease of an elected leader.
-    fn lease_mut(&mut self) -> Option<&mut Lease> {
+    /// The lease of an elected leader; none while the instance does not lead.
+    pub(crate) fn lease(&mut self) -> Option<&mut Lease> {
         match &mut self.state {
             State::Leading(lease) if self.replication == Replication::OneLeads => Some(lease),
             _ => None,
-        }
-    }
-
-    /// Whether the lease is to be renewed now.
-    pub(crate) fn renews(&mut self, now: Tick) -> bool {
-        self.lease_mut().is_some_and(|lease| lease.renews(now))
-    }
-
-    /// Whether the readers are to be asked now what they have seen.
-    pub(crate) fn checks_term(&mut self, now: Tick) -> bool {
-        self.lease_mut().is_some_and(|lease| lease.checks_term(now))
-    }
-
-    /// Receives the highest revision that readers have seen. `own` is the revision of the last output.
-    pub(crate) fn term_checked(
-        &mut self,
-        now: Tick,
-        seen: Option<Revision>,
-        own: Revision,
-    ) -> TermCheck {
-        match &mut self.state {
-            State::Leading(lease) => lease.term_checked(now, seen, own),
-            _ => TermCheck::Sound,
         }
     }
 

@@ -365,7 +365,7 @@ impl<const KIND: u8> Driven<KIND> {
         }
     }
 
-    /// The questions who leads, which wait no more.
+    /// The questions who leads, which do not wait afterwards.
     pub(crate) fn leader_queries(&mut self) -> Vec<Ask> {
         let of_leader =
             |ask: &mut Ask| ask.pattern == Pattern::One(Key::Lease(ServiceName::Clusterer));
