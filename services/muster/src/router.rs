@@ -46,7 +46,7 @@ pub(crate) async fn run(
             () = watched.due() => {
                 // Who answers this is not stuck.
                 bus.locators().await;
-                watched.beat();
+                watched.report();
             }
         }
     }

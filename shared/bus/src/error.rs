@@ -1,4 +1,14 @@
-//! Why a session does not open.
+//! Why an endpoint is refused, and why a session does not open.
+
+/// A text that is no endpoint.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{endpoint:?} {problem}; write one like tcp/192.168.1.10:7447")]
+pub struct EndpointError {
+    /// The text, fit for a log line.
+    pub endpoint: String,
+    /// What is wrong with it.
+    pub problem: &'static str,
+}
 
 /// Why a session does not open.
 #[derive(Debug, thiserror::Error)]

@@ -18,7 +18,7 @@ mod zenoh_config;
 
 pub use bus::{Bus, ConnectTimeout, Subscription, Token, Urgency};
 pub use config::{BusConfig, Mode};
-pub use error::OpenError;
+pub use error::{EndpointError, OpenError};
 pub use get::{Answer, Ask, Target};
 pub use serve::{IncomingQuery, Query, Served};
 /// A session of Zenoh, for callers that have one of their own.

@@ -6,7 +6,7 @@ use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use zenoh::config::EndPoint;
 
 use crate::config::BusConfig;
-use crate::error::OpenError;
+use crate::error::{EndpointError, OpenError};
 
 /// How long a silent link counts as alive. Zenoh's own default of 10 s would leave a lost robot
 /// unnoticed for as long.
@@ -31,12 +31,10 @@ const MAX_MESSAGE: usize = MAX_SERVICE_PAYLOAD + 64 * 1024;
 /// Checks the form of an endpoint.
 ///
 /// # Errors
-/// A text with the right form of an endpoint.
-pub fn check_endpoint(text: &str) -> Result<(), String> {
-    let wrong = |problem: &str| {
-        let text = muster_wire::message::quoted(text);
-        Err(format!("{text:?} {problem}; write one like tcp/192.168.1.10:7447"))
-    };
+/// An [`EndpointError`] that shows the right form.
+pub fn check_endpoint(text: &str) -> Result<(), EndpointError> {
+    let wrong =
+        |problem| Err(EndpointError { endpoint: muster_wire::message::quoted(text), problem });
     let Ok(endpoint) = text.parse::<EndPoint>() else { return wrong("is no endpoint") };
     match endpoint.protocol().as_str() {
         "unixsock-stream" => Ok(()),

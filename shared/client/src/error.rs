@@ -70,12 +70,12 @@ pub enum Error {
 }
 
 impl Error {
-    pub(crate) fn input(field: &'static str, problem: impl Into<String>) -> Self {
-        Self::Input { field, problem: problem.into() }
+    pub(crate) fn input(field: &'static str, problem: impl std::fmt::Display) -> Self {
+        Self::Input { field, problem: problem.to_string() }
     }
 
     pub(crate) fn id(field: &'static str) -> impl Fn(IdError) -> Self {
-        move |error| Self::input(field, error.to_string())
+        move |error| Self::input(field, error)
     }
 
     pub(crate) fn bus(error: impl std::fmt::Display) -> Self {

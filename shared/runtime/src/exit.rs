@@ -1,5 +1,6 @@
 //! Exit codes, the same for every program.
 
+use std::fmt;
 use std::process::ExitCode;
 
 use crate::bus::OpenError;
@@ -38,14 +39,14 @@ pub struct ExitError {
 impl ExitError {
     /// A wrong flag, file or setting.
     #[must_use]
-    pub fn usage(message: impl Into<String>) -> Self {
-        Self { exit: Exit::Usage, message: message.into() }
+    pub fn usage(message: impl fmt::Display) -> Self {
+        Self { exit: Exit::Usage, message: message.to_string() }
     }
 
     /// An unreachable bus.
     #[must_use]
-    pub fn unreachable(message: impl Into<String>) -> Self {
-        Self { exit: Exit::Unreachable, message: message.into() }
+    pub fn unreachable(message: impl fmt::Display) -> Self {
+        Self { exit: Exit::Unreachable, message: message.to_string() }
     }
 }
 

@@ -10,7 +10,7 @@ mod layers;
 mod print;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use muster_model::id::{FleetId, ServiceName};
 use muster_model::settings::{
@@ -19,7 +19,7 @@ use muster_model::settings::{
 use serde_json::Value;
 
 pub use self::args::{Mode, ProcessArgs};
-pub use self::assignments::parse_assignments;
+pub use self::assignments::{AssignmentError, parse_assignments};
 pub use self::layers::{Environment, Origin, Sourced, process_environment};
 use self::layers::{Layers, default_state_directory, patch_of, read_file, split};
 
@@ -131,13 +131,10 @@ impl ProcessConfig {
             file.mode,
             default_mode,
         )?;
-        let default_connect = match mode.value {
-            Mode::Router => Vec::new(),
-            Mode::Client | Mode::Peer => vec![DEFAULT_ENDPOINT.to_owned()],
-        };
-        let default_listen = match mode.value {
-            Mode::Router => vec![DEFAULT_ENDPOINT.to_owned()],
-            Mode::Client | Mode::Peer => Vec::new(),
+        let own_endpoint = vec![DEFAULT_ENDPOINT.to_owned()];
+        let (default_connect, default_listen) = match mode.value {
+            Mode::Router => (Vec::new(), own_endpoint),
+            Mode::Client | Mode::Peer => (own_endpoint, Vec::new()),
         };
         let connect = layers.pick(
             args.connect.clone(),
@@ -205,28 +202,13 @@ impl ProcessConfig {
         let address = address.map(read_address).transpose().map_err(ExitError::usage)?;
         let http = Sourced { value: address, origin: http.origin };
 
-        let mut patches = Vec::new();
         let tables = [
             (ServiceName::Ingest, file.ingest),
             (ServiceName::Embedder, file.embedder),
             (ServiceName::Clusterer, file.clusterer),
             (ServiceName::Auditor, file.auditor),
         ];
-        for (service, table) in tables {
-            if let (Some(table), Some(path)) = (table, &path) {
-                let patch = patch_of(table).map_err(|problem| {
-                    ExitError::usage(format!("config {}: {service}.{problem}", path.display()))
-                })?;
-                patches.push((service, Origin::File(path.clone()), patch));
-            }
-            let variable = format!("MUSTER_{}", service.as_str().to_uppercase());
-            if let Some(text) = environment(&variable) {
-                let patch = serde_json::from_str(&text).map_err(|error| {
-                    ExitError::usage(format!("{variable}: must be a JSON object: {error}"))
-                })?;
-                patches.push((service, Origin::Environment(variable), patch));
-            }
-        }
+        let patches = patches(tables, path.as_deref(), environment)?;
         let config = Self {
             fleet,
             connect,
@@ -306,6 +288,31 @@ impl ProcessConfig {
         }
         Ok(settings)
     }
+}
+
+/// The patches of the services' settings, of the file and of the environment.
+fn patches(
+    tables: [(ServiceName, Option<toml::Table>); 4],
+    path: Option<&Path>,
+    environment: Environment<'_>,
+) -> Result<Vec<(ServiceName, Origin, Value)>, ExitError> {
+    let mut patches = Vec::new();
+    for (service, table) in tables {
+        if let (Some(table), Some(path)) = (table, path) {
+            let patch = patch_of(table).map_err(|problem| {
+                ExitError::usage(format!("config {}: {service}.{problem}", path.display()))
+            })?;
+            patches.push((service, Origin::File(path.to_owned()), patch));
+        }
+        let variable = format!("MUSTER_{}", service.as_str().to_uppercase());
+        if let Some(text) = environment(&variable) {
+            let patch = serde_json::from_str(&text).map_err(|error| {
+                ExitError::usage(format!("{variable}: must be a JSON object: {error}"))
+            })?;
+            patches.push((service, Origin::Environment(variable), patch));
+        }
+    }
+    Ok(patches)
 }
 
 fn read_address(text: &str) -> Result<SocketAddr, String> {
