@@ -17,7 +17,6 @@ use muster_model::time::Tick;
 use muster_runtime::bus::{Answer, Ask, Bus, ConnectTimeout, Target, Urgency};
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::recording::RecordTo;
-use muster_runtime::records::RecordStore;
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
 use muster_runtime::store::Store;

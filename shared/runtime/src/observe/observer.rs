@@ -19,9 +19,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 
 use super::health::{self, Look};
-use super::metrics::{
-    HistogramsWith, Metrics, Number, OfNamed, OfWith, count, observe, of, set_counter,
-};
+use super::metrics::{Metrics, OfNamed, OfWith, Results, count, observe, of, set_counter};
 use crate::bus::send_queue::SendCounts;
 use crate::send_queue::Backlog;
 
@@ -101,22 +99,6 @@ struct Own {
     results: Results,
 }
 
-/// The metrics that only one service has: they appear with the first result.
-#[derive(Debug)]
-struct Results {
-    robots: Family<OfWith, Gauge>,
-    teams: Family<super::metrics::Of, Gauge>,
-    teams_requested: Family<super::metrics::Of, Gauge>,
-    unassigned: Family<super::metrics::Of, Gauge>,
-    silhouette: Family<OfWith, Number>,
-    katz_residual: Family<super::metrics::Of, Number>,
-    residual: Family<super::metrics::Of, Number>,
-    spectral_radius: Family<super::metrics::Of, Number>,
-    alpha: Family<super::metrics::Of, Number>,
-    embeddings: Family<OfWith, Counter>,
-    embedding_stage: HistogramsWith,
-}
-
 impl Own {
     fn new(service: ServiceName, all: &Metrics) -> Self {
         let of = of(service);
@@ -150,19 +132,7 @@ impl Own {
             answered: all.answered.get_or_create_owned(&of),
             refused: all.refused.get_or_create_owned(&of),
             counted: all.counted.clone(),
-            results: Results {
-                robots: all.robots.clone(),
-                teams: all.teams.clone(),
-                teams_requested: all.teams_requested.clone(),
-                unassigned: all.unassigned.clone(),
-                silhouette: all.silhouette.clone(),
-                katz_residual: all.katz_residual.clone(),
-                residual: all.residual.clone(),
-                spectral_radius: all.spectral_radius.clone(),
-                alpha: all.alpha.clone(),
-                embeddings: all.embeddings.clone(),
-                embedding_stage: all.embedding_stage.clone(),
-            },
+            results: all.results.clone(),
         }
     }
 }
