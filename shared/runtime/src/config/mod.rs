@@ -108,48 +108,26 @@ impl ProcessConfig {
         let path = args.config.clone().or_else(|| environment("MUSTER_CONFIG").map(PathBuf::from));
         let file = path.as_deref().map(read_file).transpose()?.unwrap_or_default();
         let layers = Layers { environment, file: path.clone() };
+        let flag = args.clone();
         let text = |text: &str| Ok(text.to_owned());
-        let paths = |text: &str| Ok(Some(PathBuf::from(text)));
-        let lists = |text: &str| Ok(split(text));
+        let path_of = |text: &str| Ok(PathBuf::from(text));
+        let list = |text: &str| Ok(split(text));
+        let switch = |text: &str| text.parse().map_err(|_| "must be true or false".to_owned());
+        let mode = |text: &str| clap::ValueEnum::from_str(text, false);
 
-        let fleet = layers.pick(
-            args.fleet.clone(),
-            "MUSTER_FLEET",
-            text,
-            file.fleet,
-            DEFAULT_FLEET.to_owned(),
-        )?;
-        let fleet = Sourced {
-            value: FleetId::new(&fleet.value)
-                .map_err(|error| ExitError::usage(format!("fleet: {error}")))?,
-            origin: fleet.origin,
-        };
-        let mode = layers.pick(
-            args.mode,
-            "MUSTER_MODE",
-            |text| clap::ValueEnum::from_str(text, false),
-            file.mode,
-            default_mode,
-        )?;
+        let default_fleet = DEFAULT_FLEET.to_owned();
+        let fleet = layers.pick(flag.fleet, "MUSTER_FLEET", text, file.fleet, default_fleet)?;
+        let value = FleetId::new(&fleet.value)
+            .map_err(|error| ExitError::usage(format!("fleet: {error}")))?;
+        let fleet = Sourced { value, origin: fleet.origin };
+        let mode = layers.pick(flag.mode, "MUSTER_MODE", mode, file.mode, default_mode)?;
         let own_endpoint = vec![DEFAULT_ENDPOINT.to_owned()];
-        let (default_connect, default_listen) = match mode.value {
+        let (to, at) = match mode.value {
             Mode::Router => (Vec::new(), own_endpoint),
             Mode::Client | Mode::Peer => (own_endpoint, Vec::new()),
         };
-        let connect = layers.pick(
-            args.connect.clone(),
-            "MUSTER_CONNECT",
-            lists,
-            file.connect,
-            default_connect,
-        )?;
-        let listen = layers.pick(
-            args.listen.clone(),
-            "MUSTER_LISTEN",
-            lists,
-            file.listen,
-            default_listen,
-        )?;
+        let connect = layers.pick(flag.connect, "MUSTER_CONNECT", list, file.connect, to)?;
+        let listen = layers.pick(flag.listen, "MUSTER_LISTEN", list, file.listen, at)?;
         for (field, endpoints) in [("connect", &connect.value), ("listen", &listen.value)] {
             for endpoint in endpoints {
                 check_endpoint(endpoint)
@@ -160,15 +138,14 @@ impl ProcessConfig {
             let problem = "connect: must name at least one router; a client has no other way";
             return Err(ExitError::usage(problem));
         }
-        let zenoh_config = layers.pick(
-            args.zenoh_config.clone().map(Some),
+        let zenoh_config = layers.pick_optional(
+            flag.zenoh_config,
             "MUSTER_ZENOH_CONFIG",
-            paths,
-            file.zenoh_config.map(Some),
-            None,
+            path_of,
+            file.zenoh_config,
         )?;
         let mut state_directory = layers.pick(
-            args.state_directory.clone().map(Some),
+            flag.state_directory.map(Some),
             "STATE_DIRECTORY",
             // A service manager may name several directories with colons; the first is ours.
             |text| Ok(text.split(':').next().map(PathBuf::from)),
@@ -176,28 +153,10 @@ impl ProcessConfig {
             default_state_directory(environment),
         )?;
         state_directory.value.take_if(|directory| directory.as_os_str() == "none");
-        let log = layers.pick(
-            args.log.clone().map(Some),
-            "MUSTER_LOG",
-            |text| Ok(Some(text.to_owned())),
-            file.log.map(Some),
-            None,
-        )?;
-        let log_json = layers.pick(
-            args.log_json.then_some(true),
-            "MUSTER_LOG_JSON",
-            |text| text.parse().map_err(|_| "must be true or false".to_owned()),
-            file.log_json,
-            false,
-        )?;
-
-        let http = layers.pick(
-            args.http.clone().map(Some),
-            "MUSTER_HTTP",
-            |text| Ok(Some(text.to_owned())),
-            file.http.map(Some),
-            None,
-        )?;
+        let log = layers.pick_optional(flag.log, "MUSTER_LOG", text, file.log)?;
+        let log_json = flag.log_json.then_some(true);
+        let log_json = layers.pick(log_json, "MUSTER_LOG_JSON", switch, file.log_json, false)?;
+        let http = layers.pick_optional(flag.http, "MUSTER_HTTP", text, file.http)?;
         let address = http.value.as_deref().filter(|text| *text != "none");
         let address = address.map(read_address).transpose().map_err(ExitError::usage)?;
         let http = Sourced { value: address, origin: http.origin };
@@ -224,7 +183,7 @@ impl ProcessConfig {
         };
         crate::logging::check(config.log.value.as_deref()).map_err(ExitError::usage)?;
         if let Some(path) = &config.zenoh_config.value {
-            check_zenoh_config(path).map_err(|error| ExitError::usage(error.to_string()))?;
+            check_zenoh_config(path).map_err(ExitError::usage)?;
         }
         config.check_all_settings()?;
         Ok(config)
