@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use muster_client::Client;
 use muster_model::id::ServiceName;
-use muster_runtime::bus::{Bus, Patience};
+use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{DEFAULT_ENDPOINT, Origin, ProcessConfig, Sourced};
 use muster_runtime::exit::ExitError;
 use muster_runtime::observe::Observatory;
@@ -82,7 +82,7 @@ pub(crate) async fn run(
     };
     config.record = args.record.clone().map(|path| RecordTo { path, several: true });
     let observatory = Observatory::open(&config, &ServiceName::ALL)?;
-    let router = Bus::open(&config.as_router(listen), Patience::Forever).await?;
+    let router = Bus::open(&config.as_router(listen), ConnectTimeout::Never).await?;
     let endpoints = router.locators().await;
     let config = config.as_client(endpoints.clone());
     let mut services = up::start(&ServiceName::ALL, &config, &stop, &observatory);

@@ -2,7 +2,7 @@
 
 use std::io::Write as _;
 
-use muster_runtime::bus::{Bus, Patience};
+use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 use muster_runtime::notify;
@@ -33,7 +33,7 @@ pub(crate) async fn run(
     }
     let _port = Observatory::open(config, &[])?;
     let bus = tokio::select! {
-        bus = Bus::open(config, Patience::Forever) => bus?,
+        bus = Bus::open(config, ConnectTimeout::Never) => bus?,
         () = stop.stopped() => return Ok(()),
     };
     let listening = format!("router listens at {}", bus.locators().await.join(", "));
@@ -46,7 +46,7 @@ pub(crate) async fn run(
             () = watched.due() => {
                 // Who answers this is not stuck.
                 bus.locators().await;
-                watched.beat();
+                watched.report();
             }
         }
     }

@@ -9,7 +9,7 @@ use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
 use muster_model::id::ServiceName;
-use muster_runtime::bus::{Bus, Patience};
+use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{DEFAULT_ENDPOINT, ProcessConfig};
 use muster_runtime::exit::ExitError;
 use muster_runtime::observe::Observatory;
@@ -116,7 +116,7 @@ pub(crate) async fn run(
             [] => vec![DEFAULT_ENDPOINT.to_owned()],
             listen => listen.to_vec(),
         };
-        let bus = Bus::open(&config.as_router(listen), Patience::Forever).await?;
+        let bus = Bus::open(&config.as_router(listen), ConnectTimeout::Never).await?;
         let endpoints = bus.locators().await;
         writeln!(std::io::stdout(), "router listens at {}", endpoints.join(", "))?;
         config = config.as_client(endpoints);

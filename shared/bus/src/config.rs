@@ -8,7 +8,7 @@ use muster_model::id::FleetId;
 /// Where the router of this host listens, by the custom of Zenoh.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
-/// The fleet of a process that is told of none.
+/// The fleet of a process that names none.
 pub const DEFAULT_FLEET: &str = "default";
 
 /// How a process takes part in the bus.
@@ -32,7 +32,7 @@ impl fmt::Display for Mode {
     }
 }
 
-/// A value, and whether somebody chose it. A choice overrides Zenoh's own configuration file, a
+/// A value, and whether it was chosen. A choice overrides Zenoh's own configuration file, a
 /// default does not.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Choice<T> {
@@ -43,12 +43,12 @@ pub struct Choice<T> {
 }
 
 impl<T> Choice<T> {
-    /// A value that somebody chose.
+    /// A value that was chosen.
     pub const fn chosen(value: T) -> Self {
         Self { value, chosen: true }
     }
 
-    /// A value that holds where nobody chose.
+    /// A value that was not chosen.
     pub const fn default(value: T) -> Self {
         Self { value, chosen: false }
     }

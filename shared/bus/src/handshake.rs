@@ -1,9 +1,9 @@
 //! What answers at an endpoint, before any session is open: nothing, something else, or a router of
 //! Zenoh, with the lease that it announces.
 //!
-//! A session only says that it does not open. This opens a link by hand, as far as the router tells
+//! A session only reports that it does not open. This opens a link by hand, as far as the router states
 //! its terms, and lets go of it: nothing is declared on it and nothing is put. It serves `muster
-//! doctor`, and tells which router of a list to try first.
+//! doctor`, and finds which router of a list to try first.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -25,8 +25,8 @@ use zenoh_protocol::transport::{
 /// The lease that is announced for the moment that the link lasts.
 const OWN_LEASE: Duration = Duration::from_secs(2);
 
-/// How much of what something else says is looked at, in bytes.
-const MAX_SAID: usize = 64;
+/// Most bytes of the answer of another program that are shown.
+const MAX_TEXT: usize = 64;
 
 /// What answers at an endpoint.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -37,7 +37,7 @@ pub enum Reach {
     Refused,
     /// The host does not answer, or something on the way drops what is sent.
     Silent,
-    /// Something takes connections and does not speak Zenoh. What it said, if it said anything.
+    /// Something takes connections and does not speak Zenoh. The start of its answer, if it sent any.
     Foreign(Option<String>),
     /// It speaks Zenoh and does not let us in, such as one that wants a password or another version.
     Closed(String),
@@ -50,7 +50,7 @@ pub enum Reach {
     },
     /// Something listens; this protocol (TLS, a local socket) is not looked into further.
     Listens,
-    /// This protocol (QUIC, over UDP) tells nothing before a session is open.
+    /// This protocol (QUIC, over UDP) shows nothing before a session is open.
     Unseen,
 }
 
@@ -106,7 +106,7 @@ async fn connect(address: &str) -> Result<TcpStream, Reach> {
     Err(if refused { Reach::Refused } else { Reach::Silent })
 }
 
-/// Opens a link by hand. Something that says nothing has half of the time to say it.
+/// Opens a link by hand. A program that sends nothing has half of the time.
 async fn greet(stream: &mut TcpStream, within: Duration) -> Reach {
     let syn = TransportBody::InitSyn(InitSyn {
         version: VERSION,
@@ -129,7 +129,7 @@ async fn greet(stream: &mut TcpStream, within: Duration) -> Reach {
     };
     let answer = match tokio::time::timeout(within / 2, answered).await {
         Ok(Ok(answer)) => answer,
-        Ok(Err(said)) => return Reach::Foreign(said),
+        Ok(Err(text)) => return Reach::Foreign(text),
         Err(_) => return Reach::Foreign(None),
     };
     let ack = match answer {
@@ -137,7 +137,7 @@ async fn greet(stream: &mut TcpStream, within: Duration) -> Reach {
         TransportBody::Close(closed) => {
             return Reach::Closed(close::reason_to_str(closed.reason).to_owned());
         }
-        _ => return Reach::Closed("it answers out of turn".to_owned()),
+        _ => return Reach::Closed("it answers out of order".to_owned()),
     };
     let open = TransportBody::OpenSyn(OpenSyn {
         lease: OWN_LEASE,
@@ -152,7 +152,7 @@ async fn greet(stream: &mut TcpStream, within: Duration) -> Reach {
     });
     let opened = match send(stream, open).await {
         Ok(()) => receive(stream).await,
-        Err(said) => Err(said),
+        Err(text) => Err(text),
     };
     let reach = match opened {
         Ok(TransportBody::OpenAck(open)) => {
@@ -181,38 +181,38 @@ async fn send(stream: &mut TcpStream, body: TransportBody) -> Result<(), Option<
     stream.write_all(&all).await.map_err(|_| None)
 }
 
-/// Receives a message; the start of what was said instead, if it is none.
+/// Receives a message; the start of the answer instead, if it is none.
 async fn receive(stream: &mut TcpStream) -> Result<TransportBody, Option<String>> {
     let mut length = [0; 2];
     let mut read = 0;
     while read < length.len() {
         match stream.read(&mut length[read..]).await {
-            Ok(0) | Err(_) => return Err(said(&length[..read])),
+            Ok(0) | Err(_) => return Err(first_line(&length[..read])),
             Ok(more) => read += more,
         }
     }
     let wanted = usize::from(u16::from_le_bytes(length));
     let mut bytes = vec![0; wanted];
     let mut read = 0;
-    // What is no message of Zenoh is rarely as long as its first two bytes say: the text that came is
+    // What is no message of Zenoh is rarely as long as its first two bytes state: the text that came is
     // looked at as soon as nothing more comes.
     while read < wanted {
         let more =
             tokio::time::timeout(Duration::from_millis(500), stream.read(&mut bytes[read..]));
         match more.await {
             Ok(Ok(more)) if more > 0 => read += more,
-            _ => return Err(said(&[&length[..], &bytes[..read]].concat())),
+            _ => return Err(first_line(&[&length[..], &bytes[..read]].concat())),
         }
     }
     let message: Result<TransportMessage, _> = Zenoh080::new().read(&mut bytes.as_slice().reader());
     match message {
         Ok(message) => Ok(message.body),
-        Err(_) => Err(said(&[&length[..], &bytes].concat())),
+        Err(_) => Err(first_line(&[&length[..], &bytes].concat())),
     }
 }
 
-fn said(bytes: &[u8]) -> Option<String> {
-    let start = &bytes[..bytes.len().min(MAX_SAID)];
+fn first_line(bytes: &[u8]) -> Option<String> {
+    let start = &bytes[..bytes.len().min(MAX_TEXT)];
     let text = String::from_utf8_lossy(start);
     let line = text.lines().next().unwrap_or_default();
     (!line.is_empty()).then(|| quoted(line))

@@ -5,8 +5,8 @@ use std::path::Path;
 use muster_wire::envelope::MAX_SERVICE_PAYLOAD;
 use zenoh::config::EndPoint;
 
-use crate::bus::OpenError;
 use crate::config::BusConfig;
+use crate::error::{EndpointError, OpenError};
 
 /// How long a silent link counts as alive. Zenoh's own default of 10 s would leave a lost robot
 /// unnoticed for as long.
@@ -15,8 +15,7 @@ const LEASE_MS: u64 = 2000;
 /// How soon a lost router is tried again, at first and at most.
 pub(crate) const RETRY_MS: (u64, u64) = (100, 500);
 
-/// What of Zenoh is logged only if it is an error: a router that is away would be told of twice a second,
-/// by its address, as long as it is away.
+/// What of Zenoh is logged only if it is an error: an absent router would be logged twice a second.
 pub const QUIET_LOG: &str = "zenoh::net::runtime::orchestrator=error";
 
 /// How long a message may wait for a busy link before it is dropped: long enough for a snapshot of
@@ -32,12 +31,10 @@ const MAX_MESSAGE: usize = MAX_SERVICE_PAYLOAD + 64 * 1024;
 /// Checks the form of an endpoint.
 ///
 /// # Errors
-/// Says what an endpoint looks like.
-pub fn check_endpoint(text: &str) -> Result<(), String> {
-    let wrong = |problem: &str| {
-        let text = muster_wire::message::quoted(text);
-        Err(format!("{text:?} {problem}; write one like tcp/192.168.1.10:7447"))
-    };
+/// An [`EndpointError`] that shows the right form.
+pub fn check_endpoint(text: &str) -> Result<(), EndpointError> {
+    let wrong =
+        |problem| Err(EndpointError { endpoint: muster_wire::message::quoted(text), problem });
     let Ok(endpoint) = text.parse::<EndPoint>() else { return wrong("is no endpoint") };
     match endpoint.protocol().as_str() {
         "unixsock-stream" => Ok(()),
@@ -54,7 +51,7 @@ pub fn check_endpoint(text: &str) -> Result<(), String> {
 }
 
 /// Zenoh's configuration for a process: its own defaults, then ours, then the user's file, then what
-/// a flag, variable or file of ours says about mode and endpoints.
+/// a flag, variable or file of ours sets of mode and endpoints.
 ///
 /// # Errors
 /// If the user's file is wrong, or Zenoh refuses a value.
@@ -69,7 +66,7 @@ pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenErro
     values.push(("mode", format!("\"{}\"", config.mode.value)));
     values.push(("connect/endpoints", endpoints(&config.connect.value)));
     values.push(("listen/endpoints", endpoints(&config.listen.value)));
-    let said = |key: &str| match key {
+    let is_chosen = |key: &str| match key {
         "mode" => config.mode.chosen,
         "connect/endpoints" => config.connect.chosen,
         "listen/endpoints" => config.listen.chosen,
@@ -78,7 +75,7 @@ pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenErro
     for (key, value) in values {
         // What the user's file leaves as Zenoh has it by default is ours to choose.
         let untouched = zenoh.get_json(key).ok() == plain.get_json(key).ok();
-        if untouched || said(key) {
+        if untouched || is_chosen(key) {
             zenoh.insert_json5(key, &value).map_err(|error| {
                 OpenError::Config(format!("Zenoh refuses {key} = {value}: {error}"))
             })?;
@@ -99,7 +96,7 @@ pub(crate) fn is_client(zenoh: &zenoh::Config) -> bool {
     zenoh.get_json("mode").is_ok_and(|mode| mode == "\"client\"")
 }
 
-/// The routers that a process will look for, whoever named them: a flag, a file of ours, or Zenoh's.
+/// The routers that a process will look for, by a flag, a file of ours, or Zenoh's.
 ///
 /// # Errors
 /// If the file with Zenoh's own configuration is wrong.
@@ -138,7 +135,7 @@ fn built_in_values() -> Vec<(&'static str, String)> {
     vec![
         ("scouting/multicast/enabled", "false".to_owned()),
         ("scouting/gossip/enabled", "false".to_owned()),
-        // A router waits so long for others before it opens; nobody is scouted, so that none comes.
+        // A router waits so long for others before it opens; without scouting none comes.
         ("scouting/delay", "1".to_owned()),
         ("connect/timeout_ms", "-1".to_owned()),
         ("connect/exit_on_failure", "false".to_owned()),
@@ -192,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn the_routers_are_those_of_whoever_named_them() {
+    fn the_routers_are_those_of_the_flag_or_the_file() {
         let path =
             std::env::temp_dir().join(format!("muster-routers-{}.json5", std::process::id()));
         std::fs::write(&path, "{connect: {endpoints: [\"tls/base:7447\"]}}").unwrap();

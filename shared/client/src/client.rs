@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use muster_bus::{Bus, Session};
 use muster_model::audit::Audit;
@@ -17,9 +18,11 @@ use crate::config::Config;
 use crate::error::Error;
 use crate::feed::{self, Events, Feed, ReceivedPose};
 use crate::freshness::Publication;
-use crate::robot::{Robot, RobotPublisher};
 use crate::send_queue::SendQueue;
 use crate::watch::Watch;
+
+/// How long a robot that leaves, or a client that closes, waits until its last messages are sent.
+const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// A session on the bus, for one robot, for many in one process, or for a console. Clones share it.
 ///
@@ -39,7 +42,7 @@ struct Inner {
 impl Drop for Inner {
     fn drop(&mut self) {
         // The sending thread owns a clone of the session; it ends, and drops it.
-        self.queue.close();
+        self.queue.abandon();
     }
 }
 
@@ -60,7 +63,7 @@ impl Client {
         let bus = config.bus()?;
         // Zenoh's own configuration may name other routers.
         let routers = muster_bus::routers(&bus).unwrap_or_else(|_| bus.connect.value.clone());
-        let bus = Bus::open(bus, config.patience()).await;
+        let bus = Bus::open(bus, config.connect_timeout()).await;
         Self::on_bus(bus.map_err(|error| Error::open(error, &routers))?, config)
     }
 
@@ -80,7 +83,7 @@ impl Client {
     fn on_bus(bus: Bus, config: &Config) -> Result<Self, Error> {
         let queue = SendQueue::default();
         let sending = bus.clone();
-        let started = queue.start(move |message| {
+        let started = queue.start("muster-client", move |message| {
             if let Err(error) = sending.put(message) {
                 tracing::debug!("{error:#}");
             }
@@ -88,25 +91,6 @@ impl Client {
         started.map_err(Error::bus)?;
         let (config, joined) = (config.clone(), Mutex::default());
         Ok(Self(Arc::new(Inner { bus, config, queue, joined })))
-    }
-
-    /// Joins the fleet as a robot. Several robots may share a session.
-    ///
-    /// # Errors
-    /// [`Error::Input`] if the id is invalid, [`Error::Taken`] if another process has joined as the
-    /// robot and stays for longer than it takes to notice a dead one, [`Error::Bus`] if the bus fails.
-    pub async fn join(&self, robot: &str) -> Result<Robot, Error> {
-        let robot = RobotId::new(robot).map_err(Error::id("robot"))?;
-        Robot::begin(self.clone(), robot, false).await
-    }
-
-    /// Joins the fleet as a robot that only reports: it has no team, republishes nothing, and does not
-    /// look for another process with its id. For simulations of many robots in one process.
-    ///
-    /// # Errors
-    /// [`Error::Bus`] if the bus fails.
-    pub async fn join_as_publisher(&self, robot: RobotId) -> Result<RobotPublisher, Error> {
-        RobotPublisher::join(self.clone(), robot).await
     }
 
     /// Follows the division of the fleet.
@@ -175,14 +159,14 @@ impl Client {
     /// the link was busy.
     #[must_use]
     pub fn superseded(&self) -> u64 {
-        self.0.queue.superseded()
+        self.0.queue.counts().dropped
     }
 
     /// Sends what is queued, and closes the session for all clones. Their robots vanish from the fleet.
     /// A session that belongs to the caller stays open, and robots stay until they leave or are dropped.
     pub async fn close(self) {
         self.flush().await;
-        self.0.queue.close();
+        self.0.queue.abandon();
         self.0.bus.close().await;
     }
 
@@ -204,7 +188,7 @@ impl Client {
     pub(crate) async fn flush(&self) {
         let queue = self.0.queue.clone();
         // It fails only as the runtime ends; then nothing is left to wait for.
-        let _ = tokio::task::spawn_blocking(move || queue.flush()).await;
+        let _ = tokio::task::spawn_blocking(move || queue.flush(FLUSH_TIMEOUT)).await;
     }
 
     pub(crate) fn bus(&self) -> &Bus {

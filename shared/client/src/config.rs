@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use muster_bus::config::{Choice, DEFAULT_ENDPOINT, DEFAULT_FLEET};
-use muster_bus::{BusConfig, Patience, check_endpoint};
+use muster_bus::{BusConfig, ConnectTimeout, check_endpoint};
 use muster_model::id::FleetId;
 use muster_wire::Format;
 
@@ -162,8 +162,8 @@ impl Config {
         self.routers.clone().map_or_else(default, Choice::chosen)
     }
 
-    pub(crate) fn patience(&self) -> Patience {
-        self.connect_timeout.map_or(Patience::Forever, Patience::AtMost)
+    pub(crate) fn connect_timeout(&self) -> ConnectTimeout {
+        self.connect_timeout.map_or(ConnectTimeout::Never, ConnectTimeout::After)
     }
 }
 

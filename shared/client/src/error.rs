@@ -11,7 +11,7 @@ pub enum Error {
     /// A value of the caller is wrong. Nothing was sent.
     #[error("{field}: {problem}")]
     Input {
-        /// The field, as it stands in JSON or in [`Config`](crate::Config).
+        /// The field, as it stands in JSON or in `Config`.
         field: &'static str,
         /// What is wrong and what would be right.
         problem: String,
@@ -22,7 +22,7 @@ pub enum Error {
          #[tokio::test(flavor = \"multi_thread\")], or runtime::Builder::new_multi_thread()"
     )]
     Runtime,
-    /// No router answered within [`Config::connect_timeout`](crate::Config::connect_timeout).
+    /// No router answered within `Config::connect_timeout`.
     #[error(
         "no router answers at {}; start one with `muster router`, or name another in \
          Config::routers", routers.join(", ")
@@ -43,7 +43,7 @@ pub enum Error {
         fleet: FleetId,
     },
     /// No service replied to a get in time.
-    #[error("nobody answers for {key} of fleet {fleet}; see `muster status` for what runs")]
+    #[error("no answer for {key} of fleet {fleet}; see `muster status` for what runs")]
     Unanswered {
         /// The key below the fleet's prefix, or the pattern.
         key: String,
@@ -64,18 +64,18 @@ pub enum Error {
     /// The bus failed.
     #[error("the bus failed: {reason}")]
     Bus {
-        /// What Zenoh or the operating system says.
+        /// The error of Zenoh or the operating system.
         reason: String,
     },
 }
 
 impl Error {
-    pub(crate) fn input(field: &'static str, problem: impl Into<String>) -> Self {
-        Self::Input { field, problem: problem.into() }
+    pub(crate) fn input(field: &'static str, problem: impl std::fmt::Display) -> Self {
+        Self::Input { field, problem: problem.to_string() }
     }
 
     pub(crate) fn id(field: &'static str) -> impl Fn(IdError) -> Self {
-        move |error| Self::input(field, error.to_string())
+        move |error| Self::input(field, error)
     }
 
     pub(crate) fn bus(error: impl std::fmt::Display) -> Self {

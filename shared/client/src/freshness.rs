@@ -118,7 +118,7 @@ impl Publication for Roster {
     }
 }
 
-/// Who sent a message.
+/// How a message came.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Via {
     /// The publisher put it, so that it is valid now.
@@ -218,7 +218,7 @@ impl<T: Publication> Freshness<T> {
         }
     }
 
-    /// Says that services started again, once two lower revisions arrived. True if that is new.
+    /// Notices that services restarted, once two lower revisions arrived. True if that is new.
     fn mark_restarted(&mut self) -> bool {
         let rising = self.lower.is_some_and(|lower| lower.last > lower.since);
         match &mut self.latest {

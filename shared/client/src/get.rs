@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_bus::{Answer, Ask};
+use muster_bus::{Answer, Ask, Target};
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::graph::GraphDelta;
@@ -49,16 +49,7 @@ pub struct FleetPresence {
     pub robots: usize,
 }
 
-/// Who is to reply to a get.
-#[derive(Debug, Clone, Copy)]
-enum Target {
-    /// The service itself; only without it every cache.
-    Service,
-    /// Everybody who serves the key, caches too.
-    All,
-}
-
-/// What the error reply of a service says.
+/// The reason in the error reply of a service.
 fn reason(error: &str) -> String {
     let text = serde_json::from_str::<Value>(error).ok();
     let text = text.as_ref().and_then(|value| value.get("error")?.as_str());
@@ -73,7 +64,7 @@ impl Client {
     /// The newest division that anybody knows.
     ///
     /// # Errors
-    /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
+    /// [`Error::Unanswered`] without a reply, [`Error::Bus`] if the bus fails.
     pub async fn get_teams(&self) -> Result<Arc<Teams>, Error> {
         self.newest(Key::Teams, |message| match message {
             Message::Teams { teams, .. } => Some(teams.into_arc()),
@@ -85,7 +76,7 @@ impl Client {
     /// The newest audit that anybody knows.
     ///
     /// # Errors
-    /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
+    /// [`Error::Unanswered`] without a reply, [`Error::Bus`] if the bus fails.
     pub async fn get_audit(&self) -> Result<Arc<Audit>, Error> {
         self.newest(Key::Audit, |message| match message {
             Message::Audit(audit) => Some(audit),
@@ -97,7 +88,7 @@ impl Client {
     /// The newest roster that anybody knows.
     ///
     /// # Errors
-    /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
+    /// [`Error::Unanswered`] without a reply, [`Error::Bus`] if the bus fails.
     pub async fn get_roster(&self) -> Result<Arc<Roster>, Error> {
         self.newest(Key::Roster, |message| match message {
             Message::Roster(roster) => Some(roster.into_arc()),
@@ -109,7 +100,7 @@ impl Client {
     /// The newest embedding that anybody knows.
     ///
     /// # Errors
-    /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
+    /// [`Error::Unanswered`] without a reply, [`Error::Bus`] if the bus fails.
     pub async fn get_embedding(&self) -> Result<Arc<Embedding>, Error> {
         self.newest(Key::Embedding, |message| match message {
             Message::Embedding(embedding) => Some(embedding.into_arc()),
@@ -121,7 +112,7 @@ impl Client {
     /// The newest snapshot of one graph, or of each, by name.
     ///
     /// # Errors
-    /// [`Error::Unanswered`] if nobody replies, [`Error::Bus`] if the bus fails.
+    /// [`Error::Unanswered`] without a reply, [`Error::Bus`] if the bus fails.
     pub async fn get_graphs(
         &self,
         modality: Option<&Modality>,
@@ -161,7 +152,7 @@ impl Client {
             parameters: &format!("format=json;katz={from},{to}"),
             payload: None,
             within: SIMILARITY_TIMEOUT,
-            everybody: false,
+            target: Target::Complete,
         };
         match self.get(&Pattern::One(Key::Embedding), ask).await?.into_iter().next() {
             Some(Answer::Packet(packet)) => {
@@ -272,7 +263,7 @@ impl Client {
         service: ServiceName,
         patch: Option<&[u8]>,
     ) -> Result<Value, Error> {
-        let ask = Ask { payload: patch, ..ask_for("format=json", Target::Service) };
+        let ask = Ask { payload: patch, ..ask_for("format=json", Target::Complete) };
         let mut refused = None;
         for answer in self.get(&Pattern::One(Key::Settings(service)), ask).await? {
             match answer {
@@ -321,8 +312,7 @@ impl Client {
 }
 
 fn ask_for(parameters: &str, target: Target) -> Ask<'_> {
-    let everybody = matches!(target, Target::All);
-    Ask { parameters, payload: None, within: REPLY_TIMEOUT, everybody }
+    Ask { parameters, payload: None, within: REPLY_TIMEOUT, target }
 }
 
 #[cfg(test)]

@@ -43,7 +43,7 @@
 //! must be stale first, and the new ones must have kept arriving for as long. Consoles do the same.
 //!
 //! Two processes cannot be the same robot: the second is refused with [`Error::Taken`]. If both joined
-//! while they could not see each other, [`Robot::is_contested`] says so.
+//! while they could not see each other, [`Robot::is_contested`] is true.
 //!
 //! # A console
 //!
@@ -86,7 +86,7 @@
 //!
 //! Zenoh's TCP and TLS links read the environment variables `TCP_LINGER_TIMEOUT` and
 //! `TLS_LINGER_TIMEOUT` when they are compiled. A dependant sets both to 0 in a `.cargo/config.toml` of its
-//! own; `README.md` of this crate says how, and what happens without them.
+//! own; see `README.md` of this crate for how, and for what happens without them.
 //!
 //! # Modules
 //!

@@ -19,7 +19,7 @@ struct Valid {
     published: Instant,
 }
 
-/// Turns the reports of one robot into messages.
+/// Makes messages of the reports of one robot.
 #[derive(Debug)]
 pub(crate) struct Reporter {
     robot: RobotId,

@@ -81,7 +81,7 @@ impl RobotPublisher {
         let mut reporter = lock(&self.reporter);
         let message = reporter.publish(Instant::now(), report)?;
         // Under the lock, so that messages leave in the order of their numbers.
-        self.queue.push(message)
+        self.queue.push(message).map_err(|_| Error::Closed)
     }
 
     /// Leaves the fleet on purpose. What is queued is sent all the same.
@@ -89,6 +89,27 @@ impl RobotPublisher {
         if let Err(error) = self.token.withdraw().await {
             tracing::debug!("a token is not withdrawn: {error:#}");
         }
+    }
+}
+
+impl Client {
+    /// Joins the fleet as a robot. Several robots may share a session.
+    ///
+    /// # Errors
+    /// [`Error::Input`] if the id is invalid, [`Error::Taken`] if another process has joined as the
+    /// robot and stays for longer than it takes to notice a dead one, [`Error::Bus`] if the bus fails.
+    pub async fn join(&self, robot: &str) -> Result<Robot, Error> {
+        let robot = RobotId::new(robot).map_err(Error::id("robot"))?;
+        Robot::begin(self.clone(), robot, false).await
+    }
+
+    /// Joins the fleet as a robot that only reports: it has no team, republishes nothing, and does not
+    /// look for another process with its id. For simulations of many robots in one process.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn join_as_publisher(&self, robot: RobotId) -> Result<RobotPublisher, Error> {
+        RobotPublisher::join(self.clone(), robot).await
     }
 }
 
@@ -131,7 +152,7 @@ impl Robot {
     }
 
     pub(crate) async fn begin(client: Client, id: RobotId, alone: bool) -> Result<Self, Error> {
-        let name = Name::take(client.clone(), id.clone())?;
+        let name = Name::reserve(client.clone(), id.clone())?;
         wait_until_free(&client, &id).await?;
         let config = client.config();
         let reporter = Reporter::new(id.clone(), config.format);
@@ -281,7 +302,7 @@ struct Name {
 }
 
 impl Name {
-    fn take(client: Client, id: RobotId) -> Result<Self, Error> {
+    fn reserve(client: Client, id: RobotId) -> Result<Self, Error> {
         let free = client.joined().insert(id.clone());
         if free { Ok(Self { client, id }) } else { Err(taken(&client, &id)) }
     }

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use futures_util::{Stream, StreamExt as _, stream};
-use muster_bus::{Answer, Ask, Bus, Subscription};
+use muster_bus::{Answer, Ask, Bus, Subscription, Target};
 use muster_wire::message::quoted;
 use muster_wire::{Key, KeySpace, Packet, Pattern, Rejection};
 use tokio::sync::watch;
@@ -68,7 +68,7 @@ impl<T: Publication> Shared<T> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes the state. Readers are notified if `change` says so, and see it in any case.
+    /// Changes the state. Readers are notified if `change` returns true, and see it in any case.
     fn change(&self, change: impl FnOnce(&mut Freshness<T>) -> bool) {
         let mut state = self.state();
         let changed = change(&mut state.freshness);
@@ -101,7 +101,7 @@ impl<T: Publication> Shared<T> {
 }
 
 impl<T> Watch<T> {
-    /// The newest message; none before the first one. It may turn stale later.
+    /// The newest message; none before the first one. It may become stale later.
     #[must_use]
     pub fn latest(&self) -> Option<Latest<T>> {
         self.receiver.borrow().clone()
@@ -218,8 +218,12 @@ async fn drive<T: Publication>(
 async fn get<T: Publication>(shared: Arc<Shared<T>>, source: Arc<Source<T>>) {
     let Source { bus, pattern, within, decode } = &*source;
     // The service itself serves the key completely; without it every cache replies.
-    let ask =
-        Ask { parameters: "format=bincode", payload: None, within: *within, everybody: false };
+    let ask = Ask {
+        parameters: "format=bincode",
+        payload: None,
+        within: *within,
+        target: Target::Complete,
+    };
     match bus.get(pattern, ask).await {
         Ok(answers) => {
             for answer in answers {

@@ -269,7 +269,7 @@ impl LeadingTriplets {
         }
     }
 
-    /// Searches as often as the effort says.
+    /// Searches as often as the effort allows.
     fn search(
         &mut self,
         task: Task<'_>,

@@ -34,7 +34,7 @@ pub struct Numbered {
     pub unassigned: Option<usize>,
 }
 
-/// Divides the robots whose rows are those of `x`, N × D. `without_embedding` says of each robot whether it
+/// Divides the robots whose rows are those of `x`, N × D. `without_embedding` states of each robot whether it
 /// is to be left out; `previous` is the team of each robot before, any numbers, none for a robot without
 /// one.
 ///
@@ -88,7 +88,7 @@ pub fn divide(
 
 impl Division {
     /// One number per robot, by first appearance. Robots without an embedding share a number of their own,
-    /// which is returned beside the list if there are any.
+    /// which is returned with the list if there are any.
     #[must_use]
     pub fn numbered(&self) -> Numbered {
         let mut numbers = BTreeMap::new();

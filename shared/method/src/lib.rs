@@ -17,7 +17,7 @@
 //! experiments and benchmarks differ only in the fields of [`params::EmbeddingParams`] and
 //! [`params::DivisionParams`], each of which has one documented default.
 //!
-//! This crate reads no clock and starts no thread of its own; [`step::Progress`] says what it is doing.
+//! This crate reads no clock and starts no thread of its own; [`step::Progress`] reports what it is doing.
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 

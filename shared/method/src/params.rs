@@ -34,7 +34,7 @@ pub enum Effort {
 /// From graphs to vectors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EmbeddingParams {
-    /// Weight of each modality; empty for the default weights of [`crate::weights::weights`].
+    /// Weight of each modality; empty for the default weights of `weights::weights`.
     pub weights: BTreeMap<Modality, f64>,
     /// The share of its weight by which each edge of a modality also leads back, from 0 to 1; a modality
     /// that is not named has 0.

@@ -16,6 +16,6 @@ mod similarity;
 
 pub(crate) use alpha::check_alpha;
 pub use alpha::{Alpha, resolve_alpha};
-pub use centrality::{Centrality, katz_centrality};
+pub use centrality::Centrality;
 pub use error::KatzError;
 pub use similarity::{katz_probe, katz_similarity};

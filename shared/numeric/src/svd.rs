@@ -3,7 +3,7 @@
 //!
 //! Singular vectors are unique only up to a sign, and up to a rotation where singular values
 //! coincide. A rule fixes the signs, [`alignment`] the rotations between frames, and
-//! [`RankKSvd::ambiguous`] says when the cut itself falls between coinciding values.
+//! [`RankKSvd::ambiguous`] shows when the cut itself falls between coinciding values.
 
 pub mod alignment;
 mod davidson;
@@ -18,6 +18,6 @@ mod signs;
 mod spectrum;
 
 pub use error::SvdError;
-pub use full::{FullSvd, full_svd, rank_k_svd};
+pub use full::{FullSvd, full_svd};
 pub use rank_k::{AMBIGUOUS_GAP, RankKSvd};
 pub use signs::SIGN_TIE;

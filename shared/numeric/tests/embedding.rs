@@ -9,7 +9,7 @@ use muster_numeric::embedding::{Embedding, Rows, Scale, embed};
 use muster_numeric::katz::{Alpha, katz_similarity, resolve_alpha};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::spectral_radius;
-use muster_numeric::svd::{RankKSvd, rank_k_svd};
+use muster_numeric::svd::RankKSvd;
 use proptest::prelude::*;
 
 fn decompose(a: &SparseMatrix, k: usize) -> RankKSvd {

@@ -4,9 +4,7 @@
 mod common;
 
 use common::*;
-use muster_numeric::katz::{
-    Alpha, KatzError, katz_centrality, katz_probe, katz_similarity, resolve_alpha,
-};
+use muster_numeric::katz::{Alpha, KatzError, katz_probe, katz_similarity, resolve_alpha};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::spectral_radius;
 use proptest::prelude::*;

@@ -7,7 +7,7 @@ use common::*;
 use muster_numeric::katz::{Alpha, katz_similarity, resolve_alpha};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::spectral_radius::spectral_radius;
-use muster_numeric::svd::{SvdError, full_svd, rank_k_svd};
+use muster_numeric::svd::{SvdError, full_svd};
 use proptest::prelude::*;
 
 fn similarity(a: &SparseMatrix) -> DenseMatrix {

@@ -1,5 +1,6 @@
 //! Exit codes, the same for every program.
 
+use std::fmt;
 use std::process::ExitCode;
 
 use crate::bus::OpenError;
@@ -11,7 +12,7 @@ pub enum Exit {
     Failure = 1,
     /// A flag, a file or a setting is wrong.
     Usage = 2,
-    /// The bus cannot be reached, or nobody answered on it.
+    /// The bus cannot be reached, or no answer came.
     Unreachable = 3,
 }
 
@@ -21,9 +22,9 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// What `--help` says of them.
+/// Their part of `--help`.
 pub const HELP: &str = "Exit codes: 0 done, or stopped by a signal; 1 something failed while running; \
-2 a flag, file or setting is wrong; 3 the bus cannot be reached or nobody answered.";
+2 a flag, file or setting is wrong; 3 the bus cannot be reached or no answer came.";
 
 /// An error that knows its exit code.
 #[derive(Debug, thiserror::Error)]
@@ -38,14 +39,14 @@ pub struct ExitError {
 impl ExitError {
     /// A wrong flag, file or setting.
     #[must_use]
-    pub fn usage(message: impl Into<String>) -> Self {
-        Self { exit: Exit::Usage, message: message.into() }
+    pub fn usage(message: impl fmt::Display) -> Self {
+        Self { exit: Exit::Usage, message: message.to_string() }
     }
 
     /// An unreachable bus.
     #[must_use]
-    pub fn unreachable(message: impl Into<String>) -> Self {
-        Self { exit: Exit::Unreachable, message: message.into() }
+    pub fn unreachable(message: impl fmt::Display) -> Self {
+        Self { exit: Exit::Unreachable, message: message.to_string() }
     }
 }
 
@@ -55,7 +56,7 @@ pub fn finish(result: anyhow::Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // A reader that has gone away, as in `muster teams | head -1`, is no failure to tell of.
+            // A reader that has gone away, as in `muster teams | head -1`, is no failure.
             if is_broken_pipe(&error) {
                 return ExitCode::SUCCESS;
             }

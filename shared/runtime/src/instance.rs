@@ -5,7 +5,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use muster_model::id::InstanceId;
 
 /// The name of this process among the instances of its service: host, process id, and a number that
-/// tells two services of one process apart.
+/// distinguishes two services of one process.
 #[must_use]
 pub fn instance_name() -> InstanceId {
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();

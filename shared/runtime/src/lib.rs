@@ -1,14 +1,14 @@
 //! The shell around the pure cores: everything that touches the bus, a clock, a thread or a file.
 //!
-//! [`config`] reads flags, environment and file; [`bus`] is the session, from a crate of its own;
-//! [`inbox`] and [`send_queue`] are the bounded ways in and out, `reply_worker` is the thread that answers
-//! gets; [`shell`] runs the host of one service, [`observe`] shows it to probes and scrapers; [`store`]
-//! keeps settings over a restart, [`records`] what a service records, [`recording`] what happens to it; [`service`] is the whole
-//! `main` of a service binary; [`stop`] turns signals into a clean end; [`notify`] tells a service
-//! manager how the process is.
+//! [`service`] is the whole `main` of a service binary, and [`shell`] runs the host of one service. [`config`]
+//! reads flags, environment and file; [`bus`] is the session, from a crate of its own. Packets wait in
+//! [`inbox`] and [`send_queue`], gets for the thread of `reply_worker`. [`store`] keeps settings over a
+//! restart, [`records`] what a service records, [`recording`] what happens to it. [`observe`] serves health
+//! and metrics, [`notify`] informs a service manager, and [`stop`] turns signals into a clean end.
 
 pub mod clock;
 pub mod config;
+mod declarations;
 pub mod exit;
 pub mod inbox;
 pub mod instance;

@@ -18,40 +18,47 @@ use tracing_subscriber::fmt::FmtContext;
 use tracing_subscriber::fmt::format::{FormatEvent, FormatFields, Writer};
 use tracing_subscriber::registry::LookupSpan;
 
-/// What is logged when neither a flag nor `MUSTER_LOG` says otherwise: what Muster does, and what
+/// What is logged without a flag and without `MUSTER_LOG`: what Muster does, and what
 /// goes wrong below it.
 const DEFAULT_FILTER: &str = "warn,muster=info";
 
 /// Most lines that one place in the code writes in [`WINDOW`]: enough to see what repeats and how
-/// often. More are counted, and the number is told afterwards.
+/// often. More are counted, and the count is logged afterwards.
 const MAX_LINES: u32 = 20;
 
 /// The time in which they are counted.
 const WINDOW: Duration = Duration::from_secs(10);
 
-/// Longest line for people, in characters: what is longer is a payload that somebody prints.
+/// Longest line for people, in characters: what is longer is a payload.
 const MAX_LINE: usize = 8 * 1024;
+
+/// A filter that is not understood.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("log: {problem}; use a level such as info, or target=level pairs with commas")]
+pub struct FilterError {
+    /// What is wrong with it.
+    pub problem: String,
+}
 
 /// Checks a filter.
 ///
 /// # Errors
-/// Names the form.
-pub fn check(filter: Option<&str>) -> Result<(), String> {
+/// A [`FilterError`] that shows the right form.
+pub fn check(filter: Option<&str>) -> Result<(), FilterError> {
     read_filter(filter).map(drop)
 }
 
-fn read_filter(filter: Option<&str>) -> Result<EnvFilter, String> {
+fn read_filter(filter: Option<&str>) -> Result<EnvFilter, FilterError> {
     let default = || format!("{DEFAULT_FILTER},{}", crate::bus::QUIET_LOG);
-    EnvFilter::try_new(filter.map_or_else(default, str::to_owned)).map_err(|error| {
-        format!("log: {error}; use a level such as info, or target=level pairs with commas")
-    })
+    let filter = filter.map_or_else(default, str::to_owned);
+    EnvFilter::try_new(filter).map_err(|error| FilterError { problem: error.to_string() })
 }
 
 /// Starts logging. Calling it again, as tests do, changes nothing.
 ///
 /// # Errors
-/// If the filter is not understood; the text names the form.
-pub fn start(filter: Option<&str>, json: bool) -> Result<(), String> {
+/// As of [`check`].
+pub fn start(filter: Option<&str>, json: bool) -> Result<(), FilterError> {
     let filter = read_filter(filter)?;
     // Colours are for people: a file or a service manager gets plain text.
     let colours = std::io::stderr().is_terminal();
@@ -67,7 +74,7 @@ pub fn start(filter: Option<&str>, json: bool) -> Result<(), String> {
         let form = if colours { Form::Coloured } else { Form::Plain };
         builder.map_event_format(|inner| Bounded::new(inner.with_ansi(colours), form)).try_init()
     };
-    // Another subscriber is there already: whoever set it wins.
+    // Another subscriber is there already, and stays.
     drop(started);
     Ok(())
 }

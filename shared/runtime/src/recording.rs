@@ -40,7 +40,7 @@ struct Limits {
 /// disk of a robot.
 const LIMITS: Limits = Limits { entries: 16_384, bytes: 256 * 1024 * 1024, file: 4 << 30 };
 
-/// Where services are to be recorded, as `--record` says.
+/// Where services are to be recorded, from `--record`.
 #[derive(Debug, Clone)]
 pub struct RecordTo {
     /// A file; or a folder, in which every run of a service gets a file of its own.
@@ -70,7 +70,7 @@ impl RecordTo {
         };
         let mut options = OpenOptions::new();
         options.write(true).create_new(true);
-        // It holds everything that the service hears, settings and positions included.
+        // It holds everything that the service receives, settings and positions included.
         #[cfg(unix)]
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
         let file = options.open(&path).map_err(|error| {
@@ -349,7 +349,7 @@ mod tests {
         assert!(nowhere.unwrap_err().message.contains("cannot be made"));
     }
 
-    /// A disk that hangs until it is told to go on, and then takes so many bytes.
+    /// A disk that hangs until it is released, and then takes so many bytes.
     struct Disk {
         file: File,
         hangs: Option<Receiver<()>>,
@@ -401,18 +401,22 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_full_disk_and_a_full_file_end_the_recording() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("full");
-        let disk = Disk { file: File::create(&path).unwrap(), hangs: None, room: 2000 };
-        let mut recording = Recording::begin(disk, path.clone(), &head(), LIMITS).unwrap();
+    /// Records until the recording ends by itself.
+    fn fill(mut recording: Recording) {
         let start = Instant::now();
         while recording.sender.is_some() {
             assert!(start.elapsed() < Duration::from_secs(10));
             recording.add(|| entry(7));
         }
-        drop(recording);
+    }
+
+    #[test]
+    fn a_full_disk_and_a_full_file_end_the_recording() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("full");
+        let disk = Disk { file: File::create(&path).unwrap(), hangs: None, room: 2000 };
+        let recording = Recording::begin(disk, path.clone(), &head(), LIMITS).unwrap();
+        fill(recording);
         let (entries, error) = read(&path);
         assert!(matches!(error, Some(RecordingError::BreaksOff(_))), "{error:?}");
         assert!(entries.len() > 10 && entries.iter().all(|found| *found == entry_read(7)));
@@ -420,13 +424,8 @@ mod tests {
         let path = folder.path().join("long");
         let limits = Limits { file: 5000, ..LIMITS };
         let file = File::create(&path).unwrap();
-        let mut recording = Recording::begin(file, path.clone(), &head(), limits).unwrap();
-        let start = Instant::now();
-        while recording.sender.is_some() {
-            assert!(start.elapsed() < Duration::from_secs(10));
-            recording.add(|| entry(7));
-        }
-        drop(recording);
+        let recording = Recording::begin(file, path.clone(), &head(), limits).unwrap();
+        fill(recording);
         let (entries, error) = read(&path);
         assert!(error.is_none());
         assert!(end(&entries).contains("limit of 5000 bytes"), "{}", end(&entries));

@@ -10,7 +10,7 @@ use redb::{Database, ReadableDatabase, ReadableTable, ReadableTableMetadata, Tab
 /// Records by moment (microseconds since 1970) and number.
 const RECORDS: TableDefinition<'_, (u64, u64), &[u8]> = TableDefinition::new("records");
 
-/// Most records that are kept; the oldest gives way. A few weeks of events of a busy fleet.
+/// Most records that are kept; the oldest is dropped. A few weeks of events of a busy fleet.
 const MAX_RECORDS: u64 = 1_000_000;
 
 /// Most records of one lookup: what a console shows, many times over.

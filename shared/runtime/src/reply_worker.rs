@@ -1,5 +1,5 @@
-//! What a service does beside its loop, in order, on a thread of its own: keep state and records, and
-//! answer gets. All of it may wait, for a disk or for a busy link.
+//! A thread of its own that keeps state and records and answers gets, in order. All of it may wait, for
+//! a disk or for a busy link.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -106,7 +106,7 @@ impl ReplyWorker {
         unstored.newest = Some(stored);
         unstored.confirmations += 1;
         drop(unstored);
-        // If the queue is full, the tasks in it take the state along.
+        // If the queue is full, the next task in it stores the state as well.
         let _ = self.tasks.try_send(Task::Store);
     }
 
@@ -124,7 +124,7 @@ impl ReplyWorker {
         if let Err(dropped) = self.tasks.try_send(Task::Reply { query, answer, bytes }) {
             self.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
             tracing::warn!("an answer is dropped: too many wait");
-            // Dropping a get tells its sender that it is over, which may wait for a busy link.
+            // Dropping a get ends it for its sender, which may wait for a busy link.
             tokio::task::spawn_blocking(move || drop(dropped));
         }
     }

@@ -1,10 +1,9 @@
-//! The bounded way out: threads of its own send, so that no loop ever waits for the bus.
+//! What waits to be sent by a service: threads of their own send it, so that no loop waits for the bus.
 //!
-//! Lease renewals have a lane of their own with one slot. The bus may take longer for a large message
+//! Lease renewals have a queue of their own with one place. The bus may take longer for a large message
 //! than a leader may be silent, and a renewal that waits behind it would cost a living leader its lease.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -12,6 +11,7 @@ use muster_service::Publication;
 use muster_wire::Packet;
 
 use crate::bus::Urgency;
+use crate::bus::send_queue::{self, SendCounts, Waiting};
 
 /// Most messages that wait to be sent: the per-robot messages of a division of 10,000 robots.
 const MAX_WAITING: usize = 16_384;
@@ -20,153 +20,114 @@ const MAX_WAITING: usize = 16_384;
 const MAX_WAITING_BYTES: usize = 256 * 1024 * 1024;
 
 /// How long a closing queue goes on sending what waits.
-const FLUSH_WITHIN: Duration = Duration::from_millis(500);
+const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// The bounded way out. When it is full, the oldest message gives way: newer ones say more.
+/// The send queue of a service.
 #[derive(Debug, Clone, Default)]
-pub struct SendQueue(Arc<Shared>);
-
-#[derive(Debug, Default)]
-struct Shared {
-    state: Mutex<State>,
-    changed: Condvar,
+pub struct SendQueue {
+    packets: send_queue::SendQueue<Packets>,
+    renewal: send_queue::SendQueue<Option<Packet>>,
 }
 
+/// How much waits.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Backlog {
+    /// Messages.
+    pub messages: usize,
+    /// Their bytes.
+    pub bytes: usize,
+}
+
+/// Packets in order. When there are too many, the oldest is dropped: newer ones matter more.
 #[derive(Debug, Default)]
-struct State {
+struct Packets {
     waiting: VecDeque<Packet>,
     bytes: usize,
-    /// The newest lease renewal.
-    renewal: Option<Packet>,
-    closed: bool,
-    done: bool,
-    dropped: u64,
-    sent: u64,
 }
 
-impl State {
+impl Waiting for Packets {
+    type Message = Packet;
+
+    fn push(&mut self, packet: Packet) -> u64 {
+        self.bytes += packet.size();
+        self.waiting.push_back(packet);
+        let mut dropped = 0;
+        while self.waiting.len() > MAX_WAITING
+            || (self.bytes > MAX_WAITING_BYTES && self.waiting.len() > 1)
+        {
+            self.pop();
+            dropped += 1;
+        }
+        dropped
+    }
+
     fn pop(&mut self) -> Option<Packet> {
-        let message = self.waiting.pop_front()?;
-        self.bytes -= message.size();
-        Some(message)
+        let packet = self.waiting.pop_front()?;
+        self.bytes -= packet.size();
+        Some(packet)
+    }
+
+    fn is_empty(&self) -> bool {
+        self.waiting.is_empty()
     }
 }
 
 impl SendQueue {
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Hands packets to the sender. Never waits.
+    /// Queues the packets of a publication; a closed queue drops them. Never waits.
     pub fn push(&self, publication: Publication) {
-        let mut state = self.state();
-        if state.closed {
-            return;
-        }
         for packet in publication.packets {
-            if publication.is_lease_renewal {
-                // An older renewal says nothing more.
-                state.dropped += u64::from(state.renewal.replace(packet).is_some());
-                continue;
-            }
-            state.bytes += packet.size();
-            state.waiting.push_back(packet);
-            while state.waiting.len() > MAX_WAITING
-                || (state.bytes > MAX_WAITING_BYTES && state.waiting.len() > 1)
-            {
-                state.pop();
-                state.dropped += 1;
-            }
+            let _ = if publication.is_lease_renewal {
+                self.renewal.push(packet)
+            } else {
+                self.packets.push(packet)
+            };
         }
-        drop(state);
-        self.0.changed.notify_all();
     }
 
     /// How many messages were sent, and how many were dropped.
     #[must_use]
-    pub fn counts(&self) -> (u64, u64) {
-        let state = self.state();
-        (state.sent, state.dropped)
+    pub fn counts(&self) -> SendCounts {
+        let (packets, renewals) = (self.packets.counts(), self.renewal.counts());
+        SendCounts {
+            sent: packets.sent + renewals.sent,
+            dropped: packets.dropped + renewals.dropped,
+        }
     }
 
-    /// How many messages wait to be sent, and their bytes.
+    /// How much waits to be sent.
     #[must_use]
-    pub fn waiting(&self) -> (usize, usize) {
-        let state = self.state();
-        (state.waiting.len(), state.bytes)
+    pub fn backlog(&self) -> Backlog {
+        self.packets
+            .inspect(|packets| Backlog { messages: packets.waiting.len(), bytes: packets.bytes })
     }
 
-    /// Starts the threads that send; they end when the queue is closed and empty. The returned one
-    /// sends everything but lease renewals.
+    /// Starts the threads that send; they end when the queue is closed. The returned one sends everything
+    /// but lease renewals.
     ///
     /// # Errors
     /// If no thread can be started.
     pub fn start(
         &self,
-        send: impl FnMut(Packet, Urgency) + Clone + Send + 'static,
+        mut send: impl FnMut(Packet, Urgency) + Clone + Send + 'static,
     ) -> std::io::Result<JoinHandle<()>> {
-        self.start_lane(
-            "muster-renewals",
-            |state| state.renewal.take(),
-            Urgency::LeaseRenewal,
-            send.clone(),
-            |_| {},
-        )?;
-        self.start_lane("muster-sender", State::pop, Urgency::Normal, send, |state| {
-            state.done = true
-        })
+        let mut renew = send.clone();
+        self.renewal
+            .start("muster-renewals", move |packet| renew(packet, Urgency::LeaseRenewal))?;
+        self.packets.start("muster-sender", move |packet| send(packet, Urgency::Normal))
     }
 
-    fn start_lane(
-        &self,
-        name: &str,
-        pop: fn(&mut State) -> Option<Packet>,
-        urgency: Urgency,
-        mut send: impl FnMut(Packet, Urgency) + Send + 'static,
-        end: fn(&mut State),
-    ) -> std::io::Result<JoinHandle<()>> {
-        let queue = self.clone();
-        std::thread::Builder::new().name(name.to_owned()).spawn(move || {
-            while let Some(message) = queue.next(pop) {
-                send(message, urgency);
-                queue.state().sent += 1;
-            }
-            end(&mut queue.state());
-            queue.0.changed.notify_all();
-        })
-    }
-
-    fn next(&self, pop: fn(&mut State) -> Option<Packet>) -> Option<Packet> {
-        let mut state = self.state();
-        loop {
-            if let Some(message) = pop(&mut state) {
-                return Some(message);
-            }
-            if state.closed {
-                return None;
-            }
-            state = self.0.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
-        }
-    }
-
-    /// Takes no more messages, and waits a moment for those that wait. Blocks.
+    /// Accepts nothing more, and waits a moment until what waits is sent. Blocks.
     pub fn close(&self) {
-        let mut state = self.state();
-        state.closed = true;
-        self.0.changed.notify_all();
-        let (mut state, _) = self
-            .0
-            .changed
-            .wait_timeout_while(state, FLUSH_WITHIN, |state| !state.done)
-            .unwrap_or_else(PoisonError::into_inner);
-        state.waiting.clear();
-        state.bytes = 0;
+        self.renewal.close();
+        self.packets.close();
+        self.packets.flush(FLUSH_TIMEOUT);
+        self.packets.abandon();
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::mpsc;
+    use std::sync::{Arc, Mutex, mpsc};
 
     use super::*;
 
@@ -191,7 +152,7 @@ mod tests {
         queue.close();
         thread.join().unwrap();
         assert!(receiver.iter().eq(0..100));
-        assert_eq!(queue.counts(), (100, 0));
+        assert_eq!(queue.counts(), SendCounts { sent: 100, dropped: 0 });
     }
 
     #[test]
@@ -200,7 +161,7 @@ mod tests {
         for _ in 0..MAX_WAITING + 7 {
             queue.push(message(vec![0], false));
         }
-        assert_eq!(queue.counts(), (0, 7));
+        assert_eq!(queue.counts(), SendCounts { sent: 0, dropped: 7 });
     }
 
     #[test]
@@ -229,7 +190,7 @@ mod tests {
         assert_eq!(receiver.recv_timeout(within), Ok(9));
         queue.close();
         thread.join().unwrap();
-        assert_eq!(queue.counts().1, 1);
+        assert_eq!(queue.counts().dropped, 1);
     }
 
     #[test]
@@ -238,7 +199,7 @@ mod tests {
         for _ in 0..40 {
             queue.push(message(vec![0; 8 << 20], false));
         }
-        assert_eq!(queue.counts(), (0, 8));
-        assert!(queue.state().bytes <= MAX_WAITING_BYTES);
+        assert_eq!(queue.counts(), SendCounts { sent: 0, dropped: 8 });
+        assert!(queue.backlog().bytes <= MAX_WAITING_BYTES);
     }
 }

@@ -1,4 +1,4 @@
-//! The whole `main` of a service binary: build, start, run until told to stop, end.
+//! The whole `main` of a service binary: build, start, run until it is stopped, end.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -9,7 +9,7 @@ use muster_model::id::{InstanceId, ServiceName};
 use muster_service::Core;
 use tracing::Instrument as _;
 
-use crate::bus::{self, Bus, Patience};
+use crate::bus::{self, Bus, ConnectTimeout};
 use crate::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use crate::exit::{self, ExitError};
 use crate::instance::instance_name;
@@ -22,7 +22,7 @@ use crate::stop::{self, Stop};
 use crate::store::Store;
 
 /// How long computations that still run at the end are waited for.
-const SHUTDOWN_WITHIN: Duration = Duration::from_millis(500);
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// When a process that waits for its router counts as started.
 const READY_AFTER: Duration = Duration::from_secs(1);
@@ -111,7 +111,7 @@ where
         stop::on_signals(stopper.clone())?;
         job(config.clone(), stop).await
     });
-    runtime.shutdown_timeout(SHUTDOWN_WITHIN);
+    runtime.shutdown_timeout(SHUTDOWN_TIMEOUT);
     result
 }
 
@@ -138,7 +138,7 @@ async fn run_instance<C: Core>(
     observer: Observer,
     instance: InstanceId,
 ) -> anyhow::Result<()> {
-    // Made before the bus opens, so that a wrong name is told at once.
+    // Made before the bus opens, so that a wrong name is an error at once.
     let record = config.record.as_ref().map(|to| to.create(C::SERVICE, &instance)).transpose()?;
     let directory = config.state_directory.value.as_deref();
     let options = ServiceOptions {
@@ -161,10 +161,10 @@ async fn run_instance<C: Core>(
     shell::run::<C>(bus, options, stop).await
 }
 
-/// Opens the bus, and tells the service manager if it has to wait for a router: that may take long,
-/// and is no failure of this process.
+/// Opens the bus, and notes for the service manager if it waits for a router: that may take long, and is
+/// no failure of this process.
 async fn open(config: &ProcessConfig) -> anyhow::Result<Bus> {
-    let mut opening = std::pin::pin!(Bus::open(config, Patience::Forever));
+    let mut opening = std::pin::pin!(Bus::open(config, ConnectTimeout::Never));
     if let Ok(bus) = tokio::time::timeout(READY_AFTER, &mut opening).await {
         return Ok(bus?);
     }

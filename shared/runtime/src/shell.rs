@@ -1,4 +1,4 @@
-//! Runs the host of one service: a loop that hands it every input in turn and carries out its
+//! Runs the host of one service: a loop that hands it one input after another and carries out its
 //! commands.
 //!
 //! The loop never waits for the bus, a disk or a computation. Packets wait in the [`SharedInbox`], what
@@ -13,21 +13,18 @@ use std::time::Duration;
 
 use muster_model::id::InstanceId;
 use muster_model::role::ReplicaState;
-use muster_service::inbox::Parcel;
 use muster_service::recording::{Head, commands_frame, input_frame};
 use muster_service::replay::panic_text;
-use muster_service::{
-    Arrival, Authority, Command, Core, GetId, Host, IncomingGet, Input, ServedKey, Start,
-    Stopwatch, Wiring,
-};
+use muster_service::{Arrival, Command, Core, GetId, Host, IncomingGet, Input, Start, Stopwatch};
 use muster_wire::message::quoted;
 use muster_wire::{Key, KeySpace, Packet, Request};
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, sleep_until};
 use tracing::Instrument as _;
 
-use crate::bus::{Answer, Ask, Asked, Bus, Query, Token, Urgency};
+use crate::bus::{Answer, Ask, Bus, IncomingQuery, Query, Target, Urgency};
 use crate::clock::Clock;
+use crate::declarations::{TokenChange, declare, declare_tokens};
 use crate::inbox::SharedInbox;
 use crate::notify;
 use crate::observe::{Observer, Queues};
@@ -48,13 +45,10 @@ const REPLIES_TIMEOUT: Duration = Duration::from_secs(1);
 /// few fetches.
 const MAX_WAITING_INPUTS: usize = 64;
 
-/// Most tokens that wait to be declared or withdrawn.
-const MAX_WAITING_TOKENS: usize = 64;
+/// Most packets that are handled before deadlines and gets are looked at again.
+const MAX_PACKETS_PER_ROUND: usize = 256;
 
-/// How many packets are handled before deadlines and gets have their turn again.
-const PACKETS_PER_TURN: usize = 256;
-
-/// How often the loop shows that it turns, whatever else happens.
+/// How often the loop shows that it runs, whatever else happens.
 const SHOW_INTERVAL: Duration = Duration::from_millis(500);
 
 /// What a service is run with.
@@ -94,7 +88,7 @@ pub async fn run<C: Core>(
     let clock = Clock::start();
     let inbox = Arc::new(SharedInbox::default());
     let send_queue = SendQueue::default();
-    let (gets, mut asked) = mpsc::channel(MAX_WAITING_GETS);
+    let (gets, mut incoming) = mpsc::channel(MAX_WAITING_GETS);
     let (ended_sender, mut ended) = mpsc::channel(MAX_WAITING_INPUTS);
 
     let start = Start {
@@ -113,7 +107,7 @@ pub async fn run<C: Core>(
     let worker_ended = ended_sender.clone();
     let (replies, replies_done) =
         ReplyWorker::start(options.store, options.records, move |input| {
-            // The loop has ended if nobody receives; then nobody needs the input.
+            // Sending fails only after the loop has ended.
             let _ = worker_ended.blocking_send(Ended { input, done: None });
         })?;
     let observer = options.observer;
@@ -155,12 +149,12 @@ pub async fn run<C: Core>(
         };
         tokio::select! {
             () = stop.stopped() => break,
-            () = watchdog.due() => watchdog.beat(),
+            () = watchdog.due() => watchdog.report(),
             () = due => shell.handle(Input::Timer),
             _ = show.tick() => shell.show(),
             () = inbox.arrived() => shell.handle_packets(),
-            // Checked again with every turn of the loop, the next show at the latest.
-            Some(asked) = asked.recv(), if shell.replies.has_room() => shell.handle_get(asked),
+            // Checked again with every round of the loop, the next show at the latest.
+            Some(query) = incoming.recv(), if shell.replies.has_room() => shell.handle_get(query),
             Some(ended) = ended.recv() => shell.handle_ended(ended),
             Ok(()) = link.changed() => {
                 let up = *link.borrow_and_update();
@@ -202,100 +196,6 @@ fn start_sending(bus: &Bus, send_queue: &SendQueue) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Declares what comes in and what is served. The returned sender takes whether this instance leads.
-async fn declare<C: Core>(
-    bus: &Bus,
-    inbox: &Arc<SharedInbox>,
-    gets: mpsc::Sender<Asked>,
-    observer: &Observer,
-) -> anyhow::Result<watch::Sender<bool>> {
-    let wiring = Wiring::of::<C>();
-    let leads = serve(bus.clone(), wiring.served, gets).await?;
-    let push = |observer: &Observer| {
-        let (inbox, observer) = (Arc::clone(inbox), observer.clone());
-        move |parcel: Parcel| {
-            observer.arrived(parcel.size());
-            inbox.push(parcel);
-        }
-    };
-    for subscription in wiring.subscriptions {
-        let (push, space) = (push(observer), bus.space().clone());
-        let pattern = subscription.pattern.clone();
-        let receive = move |packet| {
-            push(Parcel::new(&space, packet, &pattern, subscription.delivery));
-        };
-        bus.subscribe(&subscription.pattern, receive).await?;
-    }
-    for pattern in &wiring.tokens {
-        let (push, space) = (push(observer), bus.space().clone());
-        bus.subscribe_tokens(pattern, move |packet| push(Parcel::token(&space, packet))).await?;
-    }
-    Ok(leads)
-}
-
-/// Serves keys until the returned sender is gone. The leader's answer suffices for the service's own
-/// output, but a get must not end at a standby, so that the keys are declared again whenever
-/// leadership comes or goes.
-async fn serve(
-    bus: Bus,
-    keys: Vec<ServedKey>,
-    gets: mpsc::Sender<Asked>,
-) -> anyhow::Result<watch::Sender<bool>> {
-    let (leads, mut changed) = watch::channel(false);
-    let mut served = Vec::new();
-    for key in &keys {
-        served.push(bus.serve(&key.pattern, false, gets.clone()).await?);
-    }
-    let following = async move {
-        while changed.changed().await.is_ok() {
-            let leads = *changed.borrow_and_update();
-            let own =
-                keys.iter().zip(&mut served).filter(|(key, _)| key.authority == Authority::Own);
-            for (key, served) in own {
-                // The new one first, so that the key is never unserved.
-                match bus.serve(&key.pattern, leads, gets.clone()).await {
-                    Ok(new) => drop(std::mem::replace(served, new)),
-                    Err(error) => tracing::error!("{error:#}"),
-                }
-            }
-        }
-    };
-    tokio::spawn(following.in_current_span());
-    Ok(leads)
-}
-
-/// What becomes of a liveliness token.
-enum TokenChange {
-    Declare(Key),
-    Withdraw(Key),
-}
-
-/// Declares and withdraws the tokens that a core asks for, in order, until the returned sender is
-/// gone.
-fn declare_tokens(bus: Bus) -> mpsc::Sender<TokenChange> {
-    let (sender, mut changes) = mpsc::channel(MAX_WAITING_TOKENS);
-    let declaring = async move {
-        let mut tokens: HashMap<Key, Token> = HashMap::new();
-        while let Some(change) = changes.recv().await {
-            match change {
-                TokenChange::Declare(key) => match bus.declare_token(&key).await {
-                    Ok(token) => drop(tokens.insert(key, token)),
-                    Err(error) => tracing::error!("{error:#}"),
-                },
-                TokenChange::Withdraw(key) => {
-                    if let Some(token) = tokens.remove(&key)
-                        && let Err(error) = token.withdraw().await
-                    {
-                        tracing::debug!("cannot withdraw {key}: {error:#}");
-                    }
-                }
-            }
-        }
-    };
-    tokio::spawn(declaring.in_current_span());
-    sender
-}
-
 struct Shell<C: Core> {
     host: Host<C>,
     bus: Bus,
@@ -304,7 +204,7 @@ struct Shell<C: Core> {
     send_queue: SendQueue,
     replies: ReplyWorker,
     ended: mpsc::Sender<Ended<C::Done>>,
-    /// Takes whether this instance leads.
+    /// For whether this instance leads.
     leads: watch::Sender<bool>,
     tokens: mpsc::Sender<TokenChange>,
     gets: HashMap<GetId, Query>,
@@ -390,24 +290,20 @@ impl<C: Core> Shell<C> {
         self.leads.send_if_modified(|before| std::mem::replace(before, leads) != leads);
     }
 
-    /// Shows that the loop turns, and how the service is.
+    /// Shows that the loop runs, and how the service is.
     fn show(&self) {
         let status = self.host.status(self.clock.now());
         let inbox = self.inbox.counts();
-        let (sent, outbox_dropped) = self.send_queue.counts();
         let queues = Queues {
-            inbox: (inbox.waiting_items, inbox.waiting_bytes),
-            superseded: inbox.superseded,
-            inbox_dropped: inbox.dropped,
-            outbox: self.send_queue.waiting(),
-            sent,
-            outbox_dropped,
+            inbox,
+            send_queue: self.send_queue.backlog(),
+            sending: self.send_queue.counts(),
         };
         self.observer.turned(&status, &queues);
     }
 
     fn handle_packets(&mut self) {
-        for _ in 0..PACKETS_PER_TURN {
+        for _ in 0..MAX_PACKETS_PER_ROUND {
             let Some(mut arrival) = self.inbox.pop() else { return };
             arrival.decode(self.host.space());
             if let Some(message) = arrival.message() {
@@ -418,8 +314,8 @@ impl<C: Core> Shell<C> {
         self.inbox.rewake();
     }
 
-    fn handle_get(&mut self, asked: Asked) {
-        let Asked { query, narrowed, payload } = asked;
+    fn handle_get(&mut self, incoming: IncomingQuery) {
+        let IncomingQuery { query, narrowed, payload } = incoming;
         let get = GetId(self.next_get);
         self.next_get += 1;
         let selector = query.selector().to_owned();
@@ -441,12 +337,12 @@ impl<C: Core> Shell<C> {
 
     fn process_counters(&self) -> BTreeMap<String, u64> {
         let inbox = self.inbox.counts();
-        let (sent, dropped) = self.send_queue.counts();
+        let sending = self.send_queue.counts();
         let counters = [
             ("inbox_superseded", inbox.superseded),
             ("inbox_dropped", inbox.dropped),
-            ("outbox_sent", sent),
-            ("outbox_dropped", dropped),
+            ("outbox_sent", sending.sent),
+            ("outbox_dropped", sending.dropped),
         ];
         counters.map(|(name, count)| (name.to_owned(), count)).into()
     }
@@ -468,7 +364,7 @@ impl<C: Core> Shell<C> {
             };
             observer.job_ended(start.elapsed());
             let input = Input::JobEnded { laps: stopwatch.laps().to_vec(), panic };
-            // The loop has ended if nobody receives; then nobody needs the result.
+            // Sending fails only after the loop has ended.
             let _ = ended.blocking_send(Ended { input, done });
         });
     }
@@ -484,7 +380,7 @@ impl<C: Core> Shell<C> {
     }
 }
 
-/// Whether a get may be one of the status, which tells the counters of the process.
+/// Whether a get may be one of the status, which holds the counters of the process.
 fn asks_for_status<C: Core>(space: &KeySpace, selector: &str) -> bool {
     let request = Request::new(selector, "", None);
     request.is_ok_and(|request| request.selects(space, &Key::Status(C::SERVICE)))
@@ -492,8 +388,12 @@ fn asks_for_status<C: Core>(space: &KeySpace, selector: &str) -> bool {
 
 /// What the bus answers in time, decoded on the way.
 async fn answers(bus: &Bus, ask: &muster_service::Ask) -> Vec<Arrival> {
-    let question =
-        Ask { parameters: "format=bincode", payload: None, within: ask.within, everybody: true };
+    let question = Ask {
+        parameters: "format=bincode",
+        payload: None,
+        within: ask.within,
+        target: Target::All,
+    };
     let answers = match bus.get(&ask.pattern, question).await {
         Ok(answers) => answers,
         Err(error) => {

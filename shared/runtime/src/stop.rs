@@ -1,4 +1,4 @@
-//! A clean end: signals and other reasons, told to every task of the process.
+//! A clean end: signals and other reasons stop every task of the process.
 
 use std::time::Duration;
 
@@ -6,19 +6,19 @@ use tokio::sync::watch;
 
 use crate::exit::Exit;
 
-/// When a process that was told to end, and has not, is ended whatever it does: service managers and
+/// When a process that should stop, and has not, is ended whatever it does: service managers and
 /// operators expect a few seconds, and everything that must be kept is stored as it happens.
-const ENDED_AFTER: Duration = Duration::from_secs(4);
+const STOP_TIMEOUT: Duration = Duration::from_secs(4);
 
-/// Tells tasks to stop.
+/// Stops tasks.
 #[derive(Debug, Clone)]
 pub struct Stopper(watch::Sender<bool>);
 
-/// Hears that it is time to stop.
+/// What a task waits on for its end.
 #[derive(Debug, Clone)]
 pub struct Stop(watch::Receiver<bool>);
 
-/// A stopper and what hears it.
+/// A stopper, and what tasks wait on.
 #[must_use]
 pub fn channel() -> (Stopper, Stop) {
     let (sender, receiver) = watch::channel(false);
@@ -26,14 +26,14 @@ pub fn channel() -> (Stopper, Stop) {
 }
 
 impl Stopper {
-    /// Tells every task to stop.
+    /// Stops every task.
     pub fn stop(&self) {
         self.0.send_replace(true);
     }
 }
 
 impl Stop {
-    /// Returns once it is time to stop, or nobody is left who could say so.
+    /// Returns once it is time to stop, or every [`Stopper`] is gone.
     pub async fn stopped(&mut self) {
         // An error means that the stopper is gone, which is an end as well.
         let _ = self.0.wait_for(|stop| *stop).await;
@@ -68,7 +68,7 @@ pub fn on_signals(stopper: Stopper) -> std::io::Result<()> {
             stopper.stop();
             // A thread of its own: nothing that blocks the runtime keeps the process from ending.
             std::thread::spawn(|| {
-                std::thread::sleep(ENDED_AFTER);
+                std::thread::sleep(STOP_TIMEOUT);
                 eprintln!("error: it did not stop in time and was ended");
                 std::process::exit(Exit::Failure as i32);
             });

@@ -25,20 +25,20 @@ impl Store {
         Self { path }
     }
 
-    /// What was kept; nothing if there is no file, or none that can be read. A damaged file is put
-    /// aside as `….bad`, for an operator to look at.
+    /// What was kept; nothing if there is no file, or none that can be read. A damaged file is
+    /// renamed to `….bad`, for an operator to look at.
     #[must_use]
     pub fn load(&self) -> Stored {
         let Some(path) = &self.path else { return Stored::default() };
         match self.read(path) {
             Ok(stored) => stored,
             Err(error) => {
-                let aside = path.with_extension("json.bad");
+                let bad = path.with_extension("json.bad");
                 tracing::error!(
-                    "the stored state is not used, and put aside as {}: {error:#}",
-                    aside.display()
+                    "the stored state is damaged, not used, and renamed to {}: {error:#}",
+                    bad.display()
                 );
-                let _ = std::fs::rename(path, aside);
+                let _ = std::fs::rename(path, bad);
                 Stored::default()
             }
         }
@@ -120,8 +120,8 @@ mod tests {
         for damage in ["", "{", "[1]", "{\"term\":-1,\"patch\":{}}", "{\"term\":1,\"x\":2}"] {
             std::fs::write(&path, damage).unwrap();
             assert_eq!(store.load(), Stored::default(), "{damage}");
-            let aside = directory.path().join("f/clusterer.json.bad");
-            assert_eq!(std::fs::read_to_string(aside).unwrap(), damage);
+            let bad = directory.path().join("f/clusterer.json.bad");
+            assert_eq!(std::fs::read_to_string(bad).unwrap(), damage);
         }
     }
 }

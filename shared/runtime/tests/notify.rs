@@ -1,32 +1,31 @@
 //! The watchdog of a service manager is fed by the loops themselves: one that hangs starves it, also
 //! while another loop of the same process, and all its threads, are well.
 //!
-//! What is told is read from the environment of a process, so that each case is a process of its own:
+//! Where to send notes is read from the environment of a process, so that each case is a process of its own:
 //! this program, which then runs the test called `a_process_with_two_loops`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod common;
 
 use std::os::unix::net::UnixDatagram;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use common::{config, connected, options, passive_core, router};
 use muster_model::id::{InstanceId, ServiceName};
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
-use muster_runtime::bus::{Bus, Patience};
-use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
-use muster_runtime::observe::Observatory;
-use muster_runtime::records::RecordStore;
+use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
-use muster_runtime::store::Store;
 use muster_service::{Context, Core, Get, Stopwatch, View, Wiring};
 use muster_wire::{Key, Message, Pattern};
 
-/// Within which the manager wants to hear that the loops turn.
+/// How soon the manager wants the next note that the loops run.
 const WATCHDOG: Duration = Duration::from_secs(1);
 
-/// After which one of the loops hangs.
+/// When one of the loops hangs.
 const HANGS_AFTER: Duration = Duration::from_secs(3);
 
 /// How long it hangs: longer than the test looks.
@@ -35,7 +34,7 @@ const HANGS_FOR: Duration = Duration::from_secs(60);
 /// How long the test waits for anything.
 const SOON: Duration = Duration::from_secs(30);
 
-/// By which a process is told that its second loop is to hang.
+/// The variable that makes the second loop of a process hang.
 const HANG: &str = "MUSTER_TEST_HANG";
 
 /// A core that hangs at its deadline, or does nothing at all.
@@ -44,8 +43,9 @@ struct Probe {
 }
 
 impl Core for Probe {
+    passive_core!();
+
     type Settings = ClustererSettings;
-    type Fetch = std::convert::Infallible;
     type Job = ();
     type Done = ();
     const SERVICE: ServiceName = ServiceName::Clusterer;
@@ -54,16 +54,8 @@ impl Core for Probe {
         Wiring::default()
     }
 
-    fn initial() -> Vec<Pattern> {
-        Vec::new()
-    }
-
     fn output() -> Key {
         Key::Teams
-    }
-
-    fn is_output(_: &Message) -> bool {
-        false
     }
 
     fn new(now: Tick, settings: &ClustererSettings) -> Self {
@@ -72,17 +64,7 @@ impl Core for Probe {
 
     fn on_lead(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
 
-    fn on_follow(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
-
-    fn on_stand_down(&mut self, _: &mut Context<'_, Self>) {}
-
-    fn on_new_term(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
-
     fn on_message(&mut self, _: &mut Context<'_, Self>, _: Message) {}
-
-    fn on_get(&mut self, context: &mut Context<'_, Self>, get: Get) {
-        context.reply(get, Vec::new());
-    }
 
     fn on_timer(&mut self, context: &mut Context<'_, Self>) {
         if self.hangs_at.is_some_and(|at| at <= context.now()) {
@@ -94,46 +76,22 @@ impl Core for Probe {
         self.hangs_at
     }
 
-    fn state(&self, _: &View<'_, Self>) -> String {
-        "probing".to_owned()
-    }
-
     fn run((): (), _: &mut Stopwatch) {}
-}
-
-fn config(mode: Mode, listen: Option<&str>, connect: Option<&str>) -> ProcessConfig {
-    let list = |endpoint: Option<&str>| endpoint.map(|endpoint| vec![endpoint.to_owned()]);
-    let args = ProcessArgs {
-        mode: Some(mode),
-        listen: list(listen),
-        connect: list(connect),
-        ..ProcessArgs::default()
-    };
-    ProcessConfig::resolve(&args, mode, &|_| None).unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]
 #[ignore = "the process that the other tests look at"]
 async fn a_process_with_two_loops() {
-    let router = config(Mode::Router, Some("tcp/127.0.0.1:0"), None);
-    let router = Bus::open(&router, Patience::Forever).await.unwrap();
-    let endpoint = router.locators().await[0].clone();
+    let (_router, endpoint) = router().await;
     let (_stopper, stop) = stop::channel();
     let hangs = std::env::var_os(HANG).is_some();
     let mut loops = tokio::task::JoinSet::new();
     for (number, teams) in [(1, 2), (2, if hangs { 7 } else { 2 })] {
-        let bus = config(Mode::Client, None, Some(&endpoint));
-        let bus = Bus::open(&bus, Patience::Forever).await.unwrap();
-        let options = ServiceOptions {
-            instance: InstanceId::of_process("test", number, number),
-            settings: ClustererSettings { teams, ..ClustererSettings::default() },
-            record: None,
-            observer: Observatory::open(&config(Mode::Client, None, None), &[])
-                .unwrap()
-                .observer(ServiceName::Clusterer),
-            records: RecordStore::new(None, bus.space().fleet(), ServiceName::Clusterer),
-            store: Store::new(None, bus.space().fleet(), ServiceName::Clusterer),
-        };
+        let bus = config(connected(&endpoint));
+        let bus = Bus::open(&bus, ConnectTimeout::Never).await.unwrap();
+        let settings = ClustererSettings { teams, ..ClustererSettings::default() };
+        let instance = InstanceId::of_process("test", number, number);
+        let options = ServiceOptions { instance, ..options::<Probe>(settings) };
         loops.spawn(shell::run::<Probe>(bus, options, stop.clone()));
     }
     while loops.join_next().await.is_some() {}
@@ -191,7 +149,7 @@ impl Looked {
 }
 
 #[test]
-fn loops_that_turn_feed_the_watchdog() {
+fn loops_that_run_feed_the_watchdog() {
     let looked = Looked::start(false);
     assert_eq!(looked.fed(SOON, 20), 20);
 }

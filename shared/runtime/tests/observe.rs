@@ -1,22 +1,23 @@
-//! The port of a process: what it answers, what it refuses, and what it says of a core that hangs.
+//! The port of a process: what it answers, what it refuses, and what it reports of a core that hangs.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod common;
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-use muster_model::id::{InstanceId, RobotId, ServiceName};
+use common::{config, connected, options, passive_core, router};
+use muster_model::id::{RobotId, ServiceName};
 use muster_model::observation::Stream;
 use muster_model::settings::IngestSettings;
 use muster_model::time::Tick;
-use muster_runtime::bus::{Bus, Patience};
-use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
+use muster_runtime::bus::{Bus, ConnectTimeout};
+use muster_runtime::config::{ProcessArgs, ProcessConfig};
 use muster_runtime::observe::Observatory;
-use muster_runtime::records::RecordStore;
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
-use muster_runtime::store::Store;
 use muster_service::{Context, Core, Delivery, Get, Stopwatch, Subscription, View, Wiring};
 use muster_wire::{Key, Message, Outbound, Pattern};
 
@@ -30,8 +31,9 @@ const SOON: Duration = Duration::from_secs(15);
 struct Sleeper;
 
 impl Core for Sleeper {
+    passive_core!();
+
     type Settings = IngestSettings;
-    type Fetch = std::convert::Infallible;
     type Job = ();
     type Done = ();
     const SERVICE: ServiceName = ServiceName::Ingest;
@@ -42,16 +44,8 @@ impl Core for Sleeper {
         Wiring { subscriptions: vec![poses], ..Wiring::default() }
     }
 
-    fn initial() -> Vec<Pattern> {
-        Vec::new()
-    }
-
     fn output() -> Key {
         Key::Roster
-    }
-
-    fn is_output(_: &Message) -> bool {
-        false
     }
 
     fn new(_: Tick, _: &IngestSettings) -> Self {
@@ -60,44 +54,21 @@ impl Core for Sleeper {
 
     fn on_lead(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
 
-    fn on_follow(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
-
-    fn on_stand_down(&mut self, _: &mut Context<'_, Self>) {}
-
-    fn on_new_term(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
-
     fn on_message(&mut self, _: &mut Context<'_, Self>, message: Message) {
         if matches!(message, Message::Report(_)) {
             std::thread::sleep(HANGS);
         }
     }
 
-    fn on_get(&mut self, context: &mut Context<'_, Self>, get: Get) {
-        context.reply(get, Vec::new());
-    }
-
     fn deadline(&self, _: &View<'_, Self>) -> Option<Tick> {
         None
-    }
-
-    fn state(&self, _: &View<'_, Self>) -> String {
-        "sleeping".to_owned()
     }
 
     fn run((): (), _: &mut Stopwatch) {}
 }
 
-fn config(args: ProcessArgs) -> ProcessConfig {
-    let mode = args.mode.unwrap_or(Mode::Client);
-    ProcessConfig::resolve(&args, mode, &|_| None).unwrap()
-}
-
 fn with_port(connect: &str) -> ProcessConfig {
-    config(ProcessArgs {
-        connect: Some(vec![connect.to_owned()]),
-        http: Some("127.0.0.1:0".to_owned()),
-        ..ProcessArgs::default()
-    })
+    config(ProcessArgs { http: Some("127.0.0.1:0".to_owned()), ..connected(connect) })
 }
 
 /// Sends bytes and returns everything that is answered until the connection closes.
@@ -126,14 +97,9 @@ fn until(what: &str, right: impl Fn() -> bool) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_core_that_hangs_is_told_by_healthz_and_one_that_goes_on_as_well() {
-    let router = config(ProcessArgs {
-        mode: Some(Mode::Router),
-        listen: Some(vec!["tcp/127.0.0.1:0".to_owned()]),
-        ..ProcessArgs::default()
-    });
-    let router = Bus::open(&router, Patience::Forever).await.unwrap();
-    let client = with_port(&router.locators().await[0]);
+async fn healthz_reports_a_core_that_hangs_and_one_that_goes_on() {
+    let (router, endpoint) = router().await;
+    let client = with_port(&endpoint);
     let observatory = Observatory::open(&client, &[ServiceName::Ingest]).unwrap();
     let address = observatory.address().unwrap();
     let before = get(address, "/readyz");
@@ -141,15 +107,9 @@ async fn a_core_that_hangs_is_told_by_healthz_and_one_that_goes_on_as_well() {
     assert_eq!(before.0, 503);
     assert!(before.1.contains("no router has answered yet"), "{}", before.1);
 
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
-    let options = ServiceOptions {
-        instance: InstanceId::of_process("test", 1, 1),
-        settings: IngestSettings::default(),
-        records: RecordStore::new(None, bus.space().fleet(), ServiceName::Ingest),
-        store: Store::new(None, bus.space().fleet(), ServiceName::Ingest),
-        record: None,
-        observer: observatory.observer(ServiceName::Ingest),
-    };
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
+    let observer = observatory.observer(ServiceName::Ingest);
+    let options = ServiceOptions { observer, ..options::<Sleeper>(IngestSettings::default()) };
     let (stopper, stop) = stop::channel();
     let service = tokio::spawn(shell::run::<Sleeper>(bus, options, stop));
     until("it becomes ready", || get(address, "/readyz").0 == 200);
@@ -207,14 +167,14 @@ fn the_port_answers_three_paths_to_get_and_head_and_nothing_else() {
 }
 
 #[test]
-fn clients_that_say_nothing_take_neither_the_port_nor_time() {
+fn clients_that_send_nothing_take_neither_the_port_nor_time() {
     let observatory = Observatory::open(&with_port("tcp/127.0.0.1:1"), &[]).unwrap();
     let address = observatory.address().unwrap();
     let slow: Vec<_> = (0..200).filter_map(|_| TcpStream::connect(address).ok()).collect();
     let mut drip = TcpStream::connect(address).unwrap();
     let _ = drip.write_all(b"GET /healthz HTTP/1.1\r\nX: ");
     assert!(slow.len() > 100);
-    // Nobody of them lets go, and the port need not wait until their time is over.
+    // None of them closes, and the port does not wait until their time is over.
     let begun = Instant::now();
     assert_eq!(get(address, "/healthz").0, 200);
     assert!(begun.elapsed() < Duration::from_secs(3), "{:?}", begun.elapsed());
@@ -222,7 +182,7 @@ fn clients_that_say_nothing_take_neither_the_port_nor_time() {
 }
 
 #[test]
-fn a_port_that_is_taken_is_told_with_the_flag() {
+fn the_error_of_a_port_that_is_taken_names_the_flag() {
     let first = Observatory::open(&with_port("tcp/127.0.0.1:1"), &[]).unwrap();
     let address = first.address().unwrap().to_string();
     let again = config(ProcessArgs { http: Some(address.clone()), ..ProcessArgs::default() });

@@ -3,19 +3,20 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+mod common;
+
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
+use common::{config, connected, passive_core, router};
 use muster_model::event::{EventKind, Severity};
-use muster_model::id::{InstanceId, ServiceName};
+use muster_model::id::ServiceName;
 use muster_model::observation::Stream;
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
-use muster_runtime::bus::{Answer, Ask, Bus, Patience, Urgency};
-use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
-use muster_runtime::observe::Observatory;
+use muster_runtime::bus::{Answer, Ask, Bus, ConnectTimeout, Target, Urgency};
+use muster_runtime::config::ProcessConfig;
 use muster_runtime::recording::RecordTo;
-use muster_runtime::records::RecordStore;
 use muster_runtime::shell::{self, ServiceOptions};
 use muster_runtime::stop;
 use muster_runtime::store::Store;
@@ -41,8 +42,9 @@ struct Probe {
 }
 
 impl Core for Probe {
+    passive_core!();
+
     type Settings = ClustererSettings;
-    type Fetch = std::convert::Infallible;
     type Job = &'static str;
     type Done = &'static str;
     const SERVICE: ServiceName = ServiceName::Clusterer;
@@ -59,16 +61,8 @@ impl Core for Probe {
         }
     }
 
-    fn initial() -> Vec<Pattern> {
-        Vec::new()
-    }
-
     fn output() -> Key {
         Key::Teams
-    }
-
-    fn is_output(_: &Message) -> bool {
-        false
     }
 
     fn new(now: Tick, _: &ClustererSettings) -> Self {
@@ -81,21 +75,11 @@ impl Core for Probe {
         context.look_up(7, RecordRange { from: 0, until: u64::MAX, limit: 10 });
     }
 
-    fn on_follow(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
-
-    fn on_stand_down(&mut self, _: &mut Context<'_, Self>) {}
-
-    fn on_new_term(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
-
     fn on_message(&mut self, context: &mut Context<'_, Self>, message: Message) {
         if let Message::Report(report) = message {
             assert!(report.robot().as_str() != "cursed", "a pose that must not be");
             context.count("poses");
         }
-    }
-
-    fn on_get(&mut self, context: &mut Context<'_, Self>, get: Get) {
-        context.reply(get, Vec::new());
     }
 
     fn on_records(&mut self, context: &mut Context<'_, Self>, lookup: u64, records: Vec<Record>) {
@@ -144,49 +128,21 @@ impl Core for Probe {
         Some(self.next)
     }
 
-    fn state(&self, _: &View<'_, Self>) -> String {
-        "probing".to_owned()
-    }
-
     fn run(job: &'static str, _: &mut Stopwatch) -> &'static str {
         assert!(job == "calm", "a job that panics on purpose");
         job
     }
 }
 
-fn config(mode: Mode, flags: &[(&str, &str)]) -> ProcessConfig {
-    let mut args = ProcessArgs { mode: Some(mode), ..ProcessArgs::default() };
-    for (flag, value) in flags {
-        match *flag {
-            "listen" => args.listen = Some(vec![(*value).to_owned()]),
-            _ => args.connect = Some(vec![(*value).to_owned()]),
-        }
-    }
-    ProcessConfig::resolve(&args, mode, &|_| None).unwrap()
-}
-
-/// A router, and the bus of a client of it.
+/// A router, and the configuration of a client of it.
 async fn bus() -> (Bus, ProcessConfig) {
-    let router = config(Mode::Router, &[("listen", "tcp/127.0.0.1:0")]);
-    let router = Bus::open(&router, Patience::Forever).await.unwrap();
-    let endpoint = router.locators().await[0].clone();
-    (router, config(Mode::Client, &[("connect", &endpoint)]))
-}
-
-/// One that shows nothing.
-fn observatory() -> Observatory {
-    Observatory::open(&config(Mode::Client, &[]), &[]).unwrap()
+    let (router, endpoint) = router().await;
+    (router, config(connected(&endpoint)))
 }
 
 fn options(store: Store) -> ServiceOptions<ClustererSettings> {
-    ServiceOptions {
-        instance: InstanceId::of_process("test", 1, 1),
-        settings: ClustererSettings::default(),
-        records: RecordStore::new(None, &"f".parse().unwrap(), ServiceName::Clusterer),
-        store,
-        record: None,
-        observer: observatory().observer(ServiceName::Clusterer),
-    }
+    let options = common::options::<Probe>(ClustererSettings::default());
+    ServiceOptions { store, ..options }
 }
 
 async fn status(bus: &Bus, counter: &str) -> u64 {
@@ -199,13 +155,13 @@ async fn status(bus: &Bus, counter: &str) -> u64 {
 }
 
 fn ask(payload: Option<&[u8]>) -> Ask<'_> {
-    Ask { parameters: "", payload, within: Duration::from_secs(3), everybody: false }
+    Ask { parameters: "", payload, within: Duration::from_secs(3), target: Target::Complete }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_panic_in_a_job_becomes_an_event_and_the_service_goes_on() {
     let (_router, client) = bus().await;
-    let watcher = Bus::open(&client, Patience::Forever).await.unwrap();
+    let watcher = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let (events, mut received) = tokio::sync::mpsc::channel(64);
     let space = watcher.space().clone();
     let receive = move |packet: Packet| {
@@ -215,7 +171,7 @@ async fn a_panic_in_a_job_becomes_an_event_and_the_service_goes_on() {
     };
     watcher.subscribe(&Pattern::One(Key::Event), receive).await.unwrap();
     let (stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let store = Store::new(None, watcher.space().fleet(), ServiceName::Clusterer);
     let service = tokio::spawn(shell::run::<Probe>(bus, options(store), stop));
     let mut reasons = Vec::new();
@@ -238,9 +194,9 @@ async fn a_panic_in_a_job_becomes_an_event_and_the_service_goes_on() {
 #[tokio::test(flavor = "multi_thread")]
 async fn deadlines_are_met_under_steady_traffic() {
     let (_router, client) = bus().await;
-    let talker = Bus::open(&client, Patience::Forever).await.unwrap();
+    let talker = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let (stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let store = Store::new(None, talker.space().fleet(), ServiceName::Clusterer);
     let service = tokio::spawn(shell::run::<Probe>(bus, options(store), stop));
     let start = Instant::now();
@@ -272,12 +228,12 @@ async fn deadlines_are_met_under_steady_traffic() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_setting_is_on_disk_before_it_is_confirmed_or_the_failure_is_reported() {
     let (_router, client) = bus().await;
-    let asker = Bus::open(&client, Patience::Forever).await.unwrap();
+    let asker = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let directory = tempfile::tempdir().unwrap();
     let fleet = asker.space().fleet().clone();
     let store = Store::new(Some(directory.path()), &fleet, ServiceName::Clusterer);
     let (stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let service = tokio::spawn(shell::run::<Probe>(bus, options(store.clone()), stop));
     let settings = Pattern::One(Key::Settings(ServiceName::Clusterer));
     let start = Instant::now();
@@ -305,10 +261,10 @@ async fn a_setting_is_on_disk_before_it_is_confirmed_or_the_failure_is_reported(
 #[tokio::test(flavor = "multi_thread")]
 async fn what_a_core_panicked_at_stands_in_its_recording() {
     let (_router, client) = bus().await;
-    let talker = Bus::open(&client, Patience::Forever).await.unwrap();
+    let talker = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let folder = tempfile::tempdir().unwrap();
     let (_stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let mut options = options(Store::new(None, talker.space().fleet(), ServiceName::Clusterer));
     let path = folder.path().join("probe.rec");
     let to = RecordTo { path: path.clone(), several: false };
@@ -340,11 +296,11 @@ async fn what_a_core_panicked_at_stands_in_its_recording() {
     assert_eq!(difference.step, *steps.last().unwrap());
     assert!(difference.step.commands.is_none());
     assert!(
-        matches!(&difference.now, Err(ReplayError::Panicked(said)) if said.contains("must not"))
+        matches!(&difference.now, Err(ReplayError::Panicked(text)) if text.contains("must not"))
     );
     let has = |what: &dyn Fn(&Input) -> bool| steps.iter().any(|step| what(&step.input));
     let panicked = |input: &Input| match input {
-        Input::JobEnded { panic: Some(said), .. } => said.contains("purpose"),
+        Input::JobEnded { panic: Some(text), .. } => text.contains("purpose"),
         _ => false,
     };
     assert!(has(&panicked));
@@ -355,9 +311,9 @@ async fn what_a_core_panicked_at_stands_in_its_recording() {
 #[tokio::test(flavor = "multi_thread")]
 async fn tokens_are_declared_and_records_are_looked_up() {
     let (_router, client) = bus().await;
-    let asker = Bus::open(&client, Patience::Forever).await.unwrap();
+    let asker = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let (stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let store = Store::new(None, asker.space().fleet(), ServiceName::Clusterer);
     let service = tokio::spawn(shell::run::<Probe>(bus, options(store), stop));
     let start = Instant::now();
@@ -373,12 +329,12 @@ async fn tokens_are_declared_and_records_are_looked_up() {
 #[tokio::test(flavor = "multi_thread")]
 async fn packets_of_other_programs_cross_the_bus_with_their_attachments() {
     let (_router, client) = bus().await;
-    let other = Bus::open(&client, Patience::Forever).await.unwrap();
+    let other = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let (replies, mut received) = tokio::sync::mpsc::channel(64);
     let reply = Pattern::Foreign(ForeignPattern::new("other/reply").unwrap());
     other.subscribe(&reply, move |packet| drop(replies.try_send(packet))).await.unwrap();
     let (stopper, stop) = stop::channel();
-    let bus = Bus::open(&client, Patience::Forever).await.unwrap();
+    let bus = Bus::open(&client, ConnectTimeout::Never).await.unwrap();
     let store = Store::new(None, other.space().fleet(), ServiceName::Clusterer);
     let service = tokio::spawn(shell::run::<Probe>(bus, options(store), stop));
     let start = Instant::now();

@@ -1,165 +1,19 @@
-//! What a service is: hooks that say what happened, and the keys that it reads and serves.
+//! What a service is: a core with a hook for everything that can happen, and what its hooks may do.
 
-use muster_model::id::{FleetId, InstanceId, ServiceName};
+use muster_model::event::{EventKind, Severity};
+use muster_model::header::{Revision, StageTime};
+use muster_model::id::{FleetId, ServiceName};
+use muster_model::role::ReplicaState;
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
-use muster_wire::{Key, Message, Packet, Pattern};
-use serde::{Deserialize, Serialize};
-use serde_json::{Map, Value};
+use muster_wire::{Attachment, ForeignKey, Key, KeySpace, Message, Packet, Pattern, Rejection};
 
-use crate::context::{Context, View};
+use crate::facilities::{Facilities, JobSlot, ReplyKind};
+use crate::fetches::Purpose;
 use crate::gets::Get;
-use crate::io::Record;
+use crate::io::{Command, Publication, Record, RecordRange};
 use crate::stopwatch::Stopwatch;
-
-/// What a service keeps over a restart.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Stored {
-    /// The last term that it began on this host.
-    pub term: u64,
-    /// The fields of the settings that operators have changed.
-    #[serde(with = "patch_form")]
-    pub patch: Map<String, Value>,
-}
-
-/// A patch is written as it is where the form describes itself, as JSON does, and as JSON text where it
-/// does not, as in a recording.
-mod patch_form {
-    use serde::de::Error as _;
-    use serde::ser::Error as _;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-    use serde_json::{Map, Value};
-
-    pub(super) fn serialize<S: Serializer>(
-        patch: &Map<String, Value>,
-        serializer: S,
-    ) -> Result<S::Ok, S::Error> {
-        if serializer.is_human_readable() {
-            return patch.serialize(serializer);
-        }
-        let text = serde_json::to_string(patch).map_err(S::Error::custom)?;
-        text.serialize(serializer)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
-        deserializer: D,
-    ) -> Result<Map<String, Value>, D::Error> {
-        if deserializer.is_human_readable() {
-            return Map::deserialize(deserializer);
-        }
-        let text = String::deserialize(deserializer)?;
-        serde_json::from_str(&text).map_err(D::Error::custom)
-    }
-}
-
-/// What an instance begins with.
-#[derive(Debug, Clone)]
-pub struct Start<S> {
-    /// The fleet.
-    pub fleet: FleetId,
-    /// This process.
-    pub instance: InstanceId,
-    /// Now.
-    pub now: Tick,
-    /// The settings by defaults, file, environment and flags.
-    pub settings: S,
-    /// What the service kept from its last run.
-    pub stored: Stored,
-}
-
-/// How packets of a subscription wait for the core.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Delivery {
-    /// One slot per key; a newer packet replaces the waiting one.
-    Latest,
-    /// A queue of at most so many packets per key; a newer packet drops the oldest. For deltas,
-    /// whose gaps the core detects and repairs with a fetch.
-    Queue(usize),
-}
-
-/// One subscription.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Subscription {
-    /// Which keys.
-    pub pattern: Pattern,
-    /// How packets wait.
-    pub delivery: Delivery,
-}
-
-/// Whose output a served key holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Authority {
-    /// The service's own output. The leader's answer alone suffices.
-    Own,
-    /// The last output of another service that this one received: an answer in case that service is
-    /// gone.
-    Cached,
-}
-
-/// One key expression that a service answers gets for.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ServedKey {
-    /// Which keys.
-    pub pattern: Pattern,
-    /// Whose output they hold.
-    pub authority: Authority,
-}
-
-impl ServedKey {
-    /// A key of the service's own output.
-    #[must_use]
-    pub fn own(pattern: Pattern) -> Self {
-        Self { pattern, authority: Authority::Own }
-    }
-
-    /// A key of another service's output.
-    #[must_use]
-    pub fn cached(pattern: Pattern) -> Self {
-        Self { pattern, authority: Authority::Cached }
-    }
-}
-
-/// Which keys a service subscribes to, and which it serves.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Wiring {
-    /// Subscriptions.
-    pub subscriptions: Vec<Subscription>,
-    /// Liveliness tokens that it follows.
-    pub tokens: Vec<Pattern>,
-    /// Keys that it answers gets for.
-    pub served: Vec<ServedKey>,
-}
-
-impl Wiring {
-    /// The wiring of a core with what the host adds: lease renewals, settings and tokens of the other
-    /// instances come in; settings, status, the leader and the schema are served.
-    #[must_use]
-    pub fn of<C: Core>() -> Self {
-        let mut wiring = C::wiring();
-        let service = C::SERVICE;
-        let mut served = vec![Key::Settings(service), Key::Status(service), Key::Schema];
-        if C::REPLICATION == Replication::OneLeads {
-            for key in [Key::Lease(service), Key::Settings(service)] {
-                let pattern = Pattern::One(key);
-                wiring.subscriptions.push(Subscription { pattern, delivery: Delivery::Latest });
-            }
-            wiring.tokens.push(Pattern::InstanceTokens(service));
-            served.push(Key::Lease(service));
-        }
-        wiring.served.extend(served.into_iter().map(|key| ServedKey::own(Pattern::One(key))));
-        wiring
-    }
-}
-
-/// How many instances of a service publish.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Replication {
-    /// One instance leads and publishes; the others stand by and take over.
-    OneLeads,
-    /// Every instance works for itself, such as a recorder or a console: there is no election.
-    EveryInstance,
-}
+use crate::wiring::{Delivery, Replication, ServedKey, Subscription, Wiring};
 
 /// What a core holds in memory, counted. Settings and `model::limits` bound every count.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -175,7 +29,7 @@ pub struct MemoryUse {
     pub offenders: usize,
 }
 
-/// Whether silence on the bus says anything about others.
+/// Whether silence on the bus proves anything about other instances and robots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Connectivity {
     /// The link to the router is up, and this instance's place among the others is known again.
@@ -191,7 +45,7 @@ pub enum Connectivity {
 pub enum JobEnd<Done> {
     /// With a result.
     Finished(Done),
-    /// With a panic, and what it said: at most a line, without control characters.
+    /// With a panic, and its text: at most a line, without control characters.
     Panicked(String),
 }
 
@@ -203,7 +57,7 @@ pub enum JobEnd<Done> {
 pub trait Core: Send + Sized + 'static {
     /// Its settings.
     type Settings: Settings;
-    /// Names its fetches, so that it can tell their answers apart.
+    /// Names its fetches, and so their answers.
     type Fetch: std::fmt::Debug + Copy + Eq + Send + 'static;
     /// Long work.
     type Job: Send + 'static;
@@ -287,8 +141,8 @@ pub trait Core: Send + Sized + 'static {
     /// An operator has changed the settings.
     fn on_settings(&mut self, _context: &mut Context<'_, Self>) {}
 
-    /// Silence says something else than before. A leader that is cut off is told [`Connectivity::Online`]
-    /// only once it knows that no other instance has taken over.
+    /// Silence on the bus means something else than before. A leader that was cut off gets [`Connectivity::Online`] only
+    /// once it knows that no other instance has taken over.
     fn on_connectivity(&mut self, _context: &mut Context<'_, Self>, _connectivity: Connectivity) {}
 
     /// Before every input. `now` is the moment at which all commands of the input before were
@@ -311,4 +165,244 @@ pub trait Core: Send + Sized + 'static {
 
     /// Does long work. Runs on another thread and depends on nothing but the job and the stopwatch.
     fn run(job: Self::Job, stopwatch: &mut Stopwatch) -> Self::Done;
+}
+
+impl Wiring {
+    /// The wiring of a core with what the host adds: lease renewals, settings and tokens of the other
+    /// instances come in; settings, status, the leader and the schema are served.
+    #[must_use]
+    pub fn of<C: Core>() -> Self {
+        let mut wiring = C::wiring();
+        let service = C::SERVICE;
+        let mut served = vec![Key::Settings(service), Key::Status(service), Key::Schema];
+        if C::REPLICATION == Replication::OneLeads {
+            for key in [Key::Lease(service), Key::Settings(service)] {
+                let pattern = Pattern::One(key);
+                wiring.subscriptions.push(Subscription { pattern, delivery: Delivery::Latest });
+            }
+            wiring.tokens.push(Pattern::InstanceTokens(service));
+            served.push(Key::Lease(service));
+        }
+        wiring.served.extend(served.into_iter().map(|key| ServedKey::own(Pattern::One(key))));
+        wiring
+    }
+}
+
+/// What the host does for a core.
+pub(crate) type CoreFacilities<C> =
+    Facilities<<C as Core>::Settings, <C as Core>::Fetch, <C as Core>::Job>;
+
+/// The right to start a job: none runs, and this instance leads.
+#[derive(Debug)]
+pub struct FreeJobSlot(());
+
+/// What a core may look at when it is asked for its deadline or state.
+pub struct View<'a, C: Core>(pub(crate) &'a CoreFacilities<C>);
+
+impl<C: Core> View<'_, C> {
+    /// The settings in force.
+    #[must_use]
+    pub fn settings(&self) -> &C::Settings {
+        self.0.replica.settings.current()
+    }
+
+    /// Whether this instance leads, so that its output is published.
+    #[must_use]
+    pub fn is_leading(&self) -> bool {
+        self.0.replica.election.is_leading()
+    }
+
+    /// Whether this instance has begun a term and not stood down since. A suspect has.
+    #[must_use]
+    pub fn has_term(&self) -> bool {
+        self.0.replica.election.has_term()
+    }
+
+    /// Where this instance stands in the election.
+    #[must_use]
+    pub fn replica_state(&self) -> ReplicaState {
+        self.0.replica.election.state()
+    }
+
+    /// Whether a job runs.
+    #[must_use]
+    pub fn is_job_running(&self) -> bool {
+        !matches!(self.0.job, JobSlot::Free)
+    }
+}
+
+/// What a hook may do. Output of an instance that does not lead is suppressed.
+pub struct Context<'a, C: Core>(pub(crate) &'a mut CoreFacilities<C>);
+
+impl<C: Core> Context<'_, C> {
+    /// What may be looked at.
+    #[must_use]
+    pub fn view(&self) -> View<'_, C> {
+        View(self.0)
+    }
+
+    /// The moment of the input.
+    #[must_use]
+    pub fn now(&self) -> Tick {
+        self.0.now
+    }
+
+    /// The keys of the fleet.
+    #[must_use]
+    pub fn space(&self) -> &KeySpace {
+        &self.0.replica.space
+    }
+
+    /// The fleet.
+    #[must_use]
+    pub fn fleet(&self) -> &FleetId {
+        self.0.replica.fleet()
+    }
+
+    /// The settings in force.
+    #[must_use]
+    pub fn settings(&self) -> &C::Settings {
+        self.0.replica.settings.current()
+    }
+
+    /// Whether this instance leads, so that its output is published.
+    #[must_use]
+    pub fn is_leading(&self) -> bool {
+        self.view().is_leading()
+    }
+
+    /// Whether this instance has begun a term and not stood down since. A suspect has.
+    #[must_use]
+    pub fn has_term(&self) -> bool {
+        self.view().has_term()
+    }
+
+    /// Where this instance stands in the election.
+    #[must_use]
+    pub fn replica_state(&self) -> ReplicaState {
+        self.view().replica_state()
+    }
+
+    /// Publishes a message, if this instance leads.
+    pub fn publish(&mut self, message: Message) {
+        self.0.publish_as_leader(message);
+    }
+
+    /// Publishes a packet on a key of another program, if this instance leads.
+    pub fn publish_foreign(
+        &mut self,
+        key: &ForeignKey,
+        encoding: &str,
+        payload: Vec<u8>,
+        attachment: Option<Attachment>,
+    ) {
+        if self.is_leading() {
+            let packet = Packet::put(key.as_str(), encoding, payload);
+            let packets = vec![Packet { attachment, ..packet }];
+            let publication = Publication { packets, is_lease_renewal: false, message: None };
+            self.0.commands.push(Command::Publish(publication));
+        }
+    }
+
+    /// Publishes an event of the service, if this instance leads.
+    pub fn publish_event(&mut self, severity: Severity, kind: EventKind) {
+        self.0.publish_event(severity, kind);
+    }
+
+    /// The revision of the next output.
+    pub fn next_revision(&mut self) -> Revision {
+        self.0.replica.next_revision()
+    }
+
+    /// The stage of this service for the header of an output that is published now. `received` is
+    /// when its input came.
+    #[must_use]
+    pub fn stage(&self, received: Tick) -> StageTime {
+        self.0.replica.stage(received, self.0.now)
+    }
+
+    /// Adds one to a counter of the status.
+    pub fn count(&mut self, counter: &'static str) {
+        self.add(counter, 1);
+    }
+
+    /// Adds to a counter of the status.
+    pub fn add(&mut self, counter: &'static str, count: u64) {
+        self.0.replica.add(counter, count);
+    }
+
+    /// Refuses the content of a message: it is counted, and reported by an event at a bounded rate.
+    pub fn refuse(&mut self, key: &Key, reason: impl AsRef<str>) {
+        let space = &self.0.replica.space;
+        let rejection = Rejection::new(space, &space.format(key), reason);
+        self.0.refuse(rejection);
+    }
+
+    /// Asks the bus for the newest messages. The answers come by [`Core::on_answers`], within a
+    /// bounded time even without an answer.
+    pub fn fetch(&mut self, fetch: C::Fetch, patterns: Vec<Pattern>) {
+        self.0.fetch(Purpose::Core(fetch), patterns);
+    }
+
+    /// The right to start a job; none if one runs or this instance does not lead.
+    #[must_use]
+    pub fn free_job_slot(&self) -> Option<FreeJobSlot> {
+        let is_free = self.is_leading() && !self.view().is_job_running();
+        is_free.then_some(FreeJobSlot(()))
+    }
+
+    /// Starts a job. Its end comes by [`Core::on_job`]. Of two jobs that a core starts at once, the
+    /// second is dropped and counted.
+    pub fn start_job(&mut self, _slot: FreeJobSlot, job: C::Job) {
+        if !matches!(self.0.job, JobSlot::Free) {
+            return self.count("jobs_dropped");
+        }
+        self.0.job = JobSlot::Ready(job);
+        self.0.commands.push(Command::RunJob);
+    }
+
+    /// Gives up on the running job, if one runs: its result is dropped, and
+    /// [`Core::on_job_slot_free`] follows its end.
+    pub fn abandon_job(&mut self) {
+        self.0.abandon_job();
+    }
+
+    /// Counts a failed job and reports it by an event, at a bounded rate for each kind.
+    pub fn report_job_failure(&mut self, kind: &'static str, reason: &str) {
+        self.count("jobs_failed");
+        if self.0.failures.is_to_be_reported(self.0.now, kind) {
+            let kind = EventKind::JobFailed { reason: reason.to_owned() };
+            self.publish_event(Severity::Error, kind);
+        }
+    }
+
+    /// Answers a get with messages, of which those are sent that it selects.
+    pub fn reply(&mut self, get: Get, messages: Vec<Message>) {
+        self.0.reply(get.id, Ok(messages), ReplyKind::Plain);
+    }
+
+    /// Answers a get with an error text that names the remedy.
+    pub fn reply_error(&mut self, get: Get, error: impl Into<String>) {
+        self.0.reply(get.id, Err(error.into()), ReplyKind::Plain);
+    }
+
+    /// Declares a liveliness token of the service's own.
+    pub fn declare_token(&mut self, key: Key) {
+        self.0.commands.push(Command::DeclareToken(key));
+    }
+
+    /// Withdraws a liveliness token.
+    pub fn withdraw_token(&mut self, key: Key) {
+        self.0.commands.push(Command::WithdrawToken(key));
+    }
+
+    /// Appends a record to the service's own, with the moment of the input.
+    pub fn append(&mut self, content: Vec<u8>) {
+        self.0.commands.push(Command::Append(Record { at: self.0.now.0, content }));
+    }
+
+    /// Looks records up. They come by [`Core::on_records`] with the number.
+    pub fn look_up(&mut self, lookup: u64, range: RecordRange) {
+        self.0.commands.push(Command::LookUp { lookup, range });
+    }
 }

@@ -11,12 +11,12 @@ use crate::io::{Ask, AskId};
 /// How long a question waits for answers: a service that hangs must not hold up one that starts.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How long a service that starts goes on asking where nobody answers. After a failure of the router
-/// those who know its last output need a moment to reconnect, and an instance that begins without
-/// them begins from nothing. It is twice the slowest reconnection, and some.
+/// How long a service that starts repeats unanswered questions. After a failure of the router those who
+/// know its last output need a moment to reconnect, and an instance that begins without them begins from
+/// nothing. It is more than twice the slowest reconnection.
 const START_RETRY_TIME: Duration = Duration::from_secs(2);
 
-/// How soon it asks again.
+/// How soon it repeats them.
 const START_RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Most questions under way. Each is answered within [`ANSWER_TIMEOUT`], and cores ask a few at a
@@ -28,7 +28,7 @@ const MAX_OPEN_ASKS: usize = 256;
 pub(crate) enum Purpose<F> {
     /// An instance asks what there is before it leads.
     Start,
-    /// A standby does, whose turn it is to take over: nobody is waited for.
+    /// A standby asks the same to take over, and does not wait for absent readers.
     TakeOver,
     /// A suspect asks who leads. The number names the query.
     Leader(u64),
@@ -50,7 +50,7 @@ struct Fetch<F> {
     purpose: Purpose<F>,
     /// How many key expressions have no final answer yet.
     open: usize,
-    /// Until then, what nobody answers is asked again.
+    /// Until when unanswered questions are repeated.
     retry_until: Tick,
     answers: Vec<Message>,
 }
@@ -59,7 +59,7 @@ struct Fetch<F> {
 struct Question {
     fetch: u64,
     pattern: Pattern,
-    /// Whether it is asked again while nobody answers.
+    /// Whether it is repeated while it is unanswered.
     retries: bool,
 }
 
@@ -82,8 +82,8 @@ impl<F> Default for Fetches<F> {
 }
 
 impl<F: Copy> Fetches<F> {
-    /// Begins a fetch. `retries` says which key expressions are asked for again while nobody answers.
-    /// What is to be asked is added to `asks`; a fetch that asks for nothing has ended already.
+    /// Begins a fetch. `retries` says which key expressions are asked for again while
+    /// they are unanswered. What is to be asked is added to `asks`; a fetch that asks for nothing has ended already.
     pub(crate) fn begin(
         &mut self,
         now: Tick,

@@ -14,7 +14,7 @@ const MAX_OPEN_GETS: usize = 512;
 const MAX_HELD_REPLIES: usize = 512;
 
 /// A get of a key that the core serves. It cannot be copied: the core answers it exactly once, by
-/// [`Context::reply`](crate::Context::reply).
+/// `Context::reply`.
 #[derive(Debug)]
 #[must_use = "every get is answered exactly once"]
 pub struct Get {

@@ -8,8 +8,8 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_wire::{KeySpace, Packet, Pattern};
 
-use crate::core::Delivery;
 use crate::io::Arrival;
+use crate::wiring::Delivery;
 
 /// Most items that wait: four streams of 25,000 robots.
 const MAX_ITEMS: usize = 100_000;
@@ -28,8 +28,8 @@ pub struct Parcel {
 
 impl Parcel {
     /// A packet of a subscription. What robots send is decoded at once, and a refused packet waits in
-    /// a slot of its own: it must not take that of a good message of the same key. Services publish
-    /// again and again, and their messages may be large: they are decoded when their turn comes.
+    /// a slot of its own: it must not take that of a good message of the same key. Services
+    /// republish, and their messages may be large: they are decoded as they are handled.
     #[must_use]
     pub fn new(space: &KeySpace, packet: Packet, pattern: &Pattern, delivery: Delivery) -> Self {
         let size = packet.key.len() + packet.size();
@@ -95,7 +95,7 @@ pub struct Inbox {
 }
 
 impl Inbox {
-    /// Takes a packet.
+    /// Adds a packet.
     pub fn push(&mut self, parcel: Parcel) {
         let Parcel { slot, arrival, size, delivery } = parcel;
         let room = match delivery {

@@ -8,7 +8,7 @@ use muster_model::role::ReplicaState;
 use muster_wire::{Key, KeySpace, Message, Packet, Pattern, Rejection};
 use serde::{Deserialize, Serialize};
 
-use crate::core::Stored;
+use crate::start::Stored;
 
 /// Names a get that waits for its answer. The caller of the host gives it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -18,7 +18,7 @@ pub struct GetId(pub u64);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct AskId(pub u64);
 
-/// A packet on its way to the core. It is decoded as it arrives, or when its turn comes.
+/// A packet on its way to the core. It is decoded as it arrives, or as it is handled.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Arrival {
     packet: Packet,
@@ -35,7 +35,7 @@ impl PartialEq for Arrival {
 }
 
 impl Arrival {
-    /// A packet that is decoded when its turn comes. Messages between services may be large, take
+    /// A packet that is decoded as it is handled. Messages between services may be large, take
     /// many times their bytes once decoded, and may be superseded before.
     #[must_use]
     pub fn encoded(packet: Packet) -> Self {
@@ -124,24 +124,24 @@ pub enum Input {
     },
     /// A packet of a subscription or a liveliness token.
     Arrived(Arrival),
-    /// [`Host::deadline`](crate::Host::deadline) has passed.
+    /// `Host::deadline` has passed.
     Timer,
-    /// The job has ended. [`Host::finish_job`](crate::Host::finish_job) brought its result, unless it
+    /// The job has ended. `Host::finish_job` brought its result, unless it
     /// panicked.
     JobEnded {
         /// The times that the job measured, in microseconds.
         laps: Vec<u64>,
-        /// What the panic said, if it panicked.
+        /// The text of the panic, if it panicked.
         panic: Option<String>,
     },
-    /// A question has been answered, or nobody answered in time.
+    /// A question has been answered, or its time is over.
     Answered {
         /// Which one.
         ask: AskId,
         /// The answers.
         answers: Vec<Arrival>,
     },
-    /// Somebody gets a key that the service serves.
+    /// A get of a key that the service serves.
     Get(IncomingGet),
     /// The link to the router is lost.
     LinkLost,
@@ -212,7 +212,7 @@ pub struct Publication {
     pub message: Option<Message>,
 }
 
-/// One question to the bus: everyone who serves the key expression is asked.
+/// One question to all who serve a key expression.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ask {
     /// To be named in [`Input::Answered`].
@@ -254,7 +254,7 @@ pub enum Command {
     Publish(Publication),
     /// Answer a get. Every get is answered exactly once.
     Reply(Reply),
-    /// Run the job that [`Host::take_job`](crate::Host::take_job) gives; its end comes back as
+    /// Run the job that `Host::take_job` gives; its end comes back as
     /// [`Input::JobEnded`].
     RunJob,
     /// Ask the bus; [`Input::Answered`] comes back in any case, after [`Ask::within`] at the latest.

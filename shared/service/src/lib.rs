@@ -1,6 +1,6 @@
 //! What a service is, whatever runs it.
 //!
-//! A service is a [`Core`]: a deterministic state machine whose hooks say what happened. A [`Host`]
+//! A service is a [`Core`]: a deterministic state machine with a hook for everything that can happen. A [`Host`]
 //! wraps it and owns what every service needs: election and terms, suppressed output, settings,
 //! refused messages, fetches with retries, gets, the one job, and the order in which all of that is
 //! handled. A host takes one [`Input`] and returns [`Command`]s; it reads no clock, starts no thread,
@@ -10,8 +10,8 @@
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
-mod context;
 mod core;
+mod facilities;
 mod failures;
 mod fetches;
 mod gets;
@@ -23,21 +23,22 @@ pub mod replay;
 mod replica;
 mod robot_teams;
 mod single_flight;
+mod start;
 mod stopwatch;
 pub mod testkit;
+mod wiring;
 
-pub use crate::context::{Context, FreeJobSlot, View};
-pub use crate::core::{
-    Authority, Connectivity, Core, Delivery, JobEnd, MemoryUse, Replication, ServedKey, Start,
-    Stored, Subscription, Wiring,
-};
+pub use crate::core::{Connectivity, Context, Core, FreeJobSlot, JobEnd, MemoryUse, View};
 pub use gets::Get;
 pub use host::Host;
 pub use io::{
     Arrival, Ask, AskId, Command, GetId, IncomingGet, Input, Publication, Record, RecordRange,
     Reply,
 };
-pub use replica::election::{LEASE, RENEWAL_INTERVAL};
+pub use replica::election::LEASE;
+pub use replica::lease::RENEWAL_INTERVAL;
 pub use robot_teams::answer_teams;
 pub use single_flight::SingleFlight;
+pub use start::{Start, Stored};
 pub use stopwatch::Stopwatch;
+pub use wiring::{Authority, Delivery, Replication, ServedKey, Subscription, Wiring};

@@ -1,8 +1,8 @@
 //! The life of a service as a list of entries: every input with its moment, and the commands that
 //! followed, as they are.
 //!
-//! The shell writes an input down before the host takes it, so that an input at which the core panics
-//! is there as well, and the commands after. [`crate::replay`] hands the inputs to a host again.
+//! The shell writes an input before the host handles it, so that an input at which the core panics
+//! is there as well, and the commands after. `replay` hands the inputs to a host again.
 
 use muster_model::id::{FleetId, InstanceId, ServiceName};
 use muster_model::time::Tick;
@@ -11,8 +11,9 @@ use muster_wire::recording::frame;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::core::{Core, Start, Stored};
+use crate::core::Core;
 use crate::io::{Command, Input};
+use crate::start::{Start, Stored};
 
 /// What a recording begins with: everything that a host is made from, and where it ran.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -61,7 +62,7 @@ impl Head {
 #[expect(clippy::large_enum_variant, reason = "entries are read one at a time")]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Entry {
-    /// The host is about to take an input.
+    /// The host is about to handle an input.
     Input {
         /// The moment that the host is given.
         tick: Tick,

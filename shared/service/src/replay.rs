@@ -11,16 +11,17 @@ use muster_model::time::Tick;
 use muster_wire::message::quoted;
 use muster_wire::recording::RecordingError;
 
-use crate::core::{Core, Start};
+use crate::core::Core;
 use crate::host::Host;
 use crate::io::{Command, Input};
 use crate::recording::{Entry, Head};
+use crate::start::Start;
 use crate::stopwatch::Stopwatch;
 
 /// Why an input cannot be handed to the host again.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ReplayError {
-    /// The recording says what this program does not understand.
+    /// The recording holds what this program does not understand.
     #[error("{0}")]
     Unreadable(String),
     /// The host does something else than it did.
@@ -225,7 +226,7 @@ pub fn compare<C: Core>(
     Ok(done)
 }
 
-/// What a panic said, fit for a log line.
+/// The text of a panic, fit for a log line.
 #[must_use]
 pub fn panic_text(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic

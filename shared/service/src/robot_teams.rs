@@ -1,13 +1,13 @@
-//! Answers of gets of a division and of what each robot is told of it, alike for its author and for
-//! those who repeat it.
+//! Answers to gets of a division and of the teams of single robots, alike for its author and for readers
+//! that cached it.
 
 use muster_model::content::Checked;
 use muster_model::id::RobotId;
 use muster_model::teams::Teams;
 use muster_wire::{Key, KeySpace, Message, Request};
 
-/// Most names in all the answers to one get of robots' teams. Each robot of a small team is told all
-/// its members, so that the answer for a whole fleet grows with the square of its teams.
+/// Most names in all the answers to one get of robots' teams. The answer for each robot of a small
+/// team names all its members, so that the answer for a whole fleet grows with the square of its teams.
 const MAX_NAMES_ANSWERED: usize = 4_000_000;
 
 /// What a division answers to a get of `teams`, `json/teams` and `robot/*/team`.
@@ -45,7 +45,7 @@ pub fn answer_teams(
     Ok(messages)
 }
 
-/// The robots whose team is asked for, each with how many names it is told.
+/// The robots whose team is asked for, each with how many names its answer holds.
 fn selected<'a>(
     space: &KeySpace,
     request: &Request,
@@ -109,13 +109,13 @@ mod tests {
     #[test]
     fn a_get_selects_what_it_names() {
         let teams = division(3, &["0", "x"]);
-        let expected = [
+        let cases = [
             ("teams", 1),
             ("json/teams", 1),
             ("embedding", 0),
             ("robot/x/team", 1),
             ("robot/r00001/team", 1),
-            ("robot/nobody/team", 0),
+            ("robot/absent/team", 0),
             ("robot/*/team", 5),
             ("robot/r$*/team", 3),
             ("robot/$*0/team", 2),
@@ -123,13 +123,13 @@ mod tests {
             ("*", 1),
             ("**", 6),
         ];
-        for (selector, many) in expected {
-            assert_eq!(count(selector, &teams), many, "{selector}");
+        for (selector, expected) in cases {
+            assert_eq!(count(selector, &teams), expected, "{selector}");
         }
     }
 
     #[test]
-    fn large_teams_name_nobody_and_so_fit_one_answer() {
+    fn large_teams_name_no_members_and_so_fit_one_answer() {
         assert_eq!(count("robot/*/team", &division(3000, &[])), 3000);
     }
 }

@@ -1,5 +1,5 @@
 //! A host on a bench, for tests, fuzzing and experiments: time stands still unless it is moved, jobs
-//! run at once unless they are held, and nobody else is on the bus unless the caller says so.
+//! run at once unless they are held, and the bus holds what the caller answers.
 
 use std::time::Duration;
 
@@ -8,12 +8,13 @@ use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_wire::{Key, KeySpace, Message, Packet, Pattern, Rejection};
 
-use crate::core::{Core, Start, Stored};
+use crate::core::Core;
 use crate::host::Host;
 use crate::io::{Arrival, Ask, Command, GetId, IncomingGet, Input, Reply};
+use crate::start::{Start, Stored};
 use crate::stopwatch::Stopwatch;
 
-/// How long an instance goes on asking where nobody answers, before it begins from nothing.
+/// How long an instance repeats unanswered questions before it begins from nothing.
 pub const START_RETRY_TIME: Duration = Duration::from_secs(2);
 
 /// Most inputs that one call of a bench leads to; more are a loop.
@@ -27,8 +28,7 @@ pub struct Bench<C: Core> {
     pub now: Tick,
     /// What was published, oldest first.
     pub published: Vec<Message>,
-    /// Questions that wait for [`Bench::answer`]. Those for the current leader alone are answered at
-    /// once: there is no other instance.
+    /// Questions that wait for [`Bench::answer`].
     pub asks: Vec<Ask>,
     /// What is kept over a restart.
     pub stored: Stored,
@@ -40,6 +40,10 @@ pub struct Bench<C: Core> {
     pub others: Vec<Command>,
     /// Jobs wait in `job` instead of being run at once.
     pub hold_jobs: bool,
+    /// State waits for [`Input::Stored`], with its command in `others`, instead of being kept at once.
+    pub hold_stores: bool,
+    /// Queries for the current leader wait in `asks`, instead of going unanswered at once.
+    pub hold_leader_queries: bool,
     /// The job that waits.
     pub job: Option<C::Job>,
     /// How many jobs were run.
@@ -63,6 +67,8 @@ impl<C: Core> Bench<C> {
             unencodable: Vec::new(),
             others: Vec::new(),
             hold_jobs: false,
+            hold_stores: false,
+            hold_leader_queries: false,
             job: None,
             jobs_run: 0,
             space,
@@ -87,7 +93,7 @@ impl<C: Core> Bench<C> {
     }
 
     /// Starts the instance so that its inquiry ends now, with these answers: it began to ask a moment
-    /// before, as nobody answers most of its questions.
+    /// before, since most of its questions are not answered.
     pub fn start(&mut self, answers: Vec<Message>) {
         let until = self.now;
         self.now = until.before(START_RETRY_TIME);
@@ -97,7 +103,7 @@ impl<C: Core> Bench<C> {
             for ask in std::mem::take(&mut self.asks) {
                 let answers =
                     if self.now < until { Vec::new() } else { answers.take().unwrap_or_default() };
-                self.answer(ask, answers);
+                self.answer(&ask, answers);
             }
             if self.now >= until && self.asks.is_empty() {
                 break;
@@ -108,7 +114,7 @@ impl<C: Core> Bench<C> {
     }
 
     /// Answers one question. It need not be one of [`Bench::asks`] any more.
-    pub fn answer(&mut self, ask: Ask, answers: Vec<Message>) {
+    pub fn answer(&mut self, ask: &Ask, answers: Vec<Message>) {
         let of_message = |message| Arrival::of_message(&self.space, message);
         let answers = answers.into_iter().map(of_message).collect();
         self.input(Input::Answered { ask: ask.ask, answers });
@@ -137,7 +143,7 @@ impl<C: Core> Bench<C> {
     pub fn answer_fetch(&mut self, fetch: Vec<Ask>, answers: Vec<Message>) {
         let mut answers = Some(answers);
         for ask in fetch {
-            self.answer(ask, answers.take().unwrap_or_default());
+            self.answer(&ask, answers.take().unwrap_or_default());
         }
     }
 
@@ -151,7 +157,7 @@ impl<C: Core> Bench<C> {
         for _ in 0..100 {
             if let Some(at) = self.asks.iter().position(of_output) {
                 let ask = self.asks.remove(at);
-                return self.answer(ask, seen);
+                return self.answer(&ask, seen);
             }
             self.wait(0.1);
         }
@@ -189,11 +195,14 @@ impl<C: Core> Bench<C> {
                         assert!(self.job.is_none(), "one job at a time");
                         self.job = self.host.take_job();
                     }
-                    Command::Ask(ask) if ask.pattern == Pattern::One(Key::Lease(C::SERVICE)) => {
+                    Command::Ask(ask)
+                        if !self.hold_leader_queries
+                            && ask.pattern == Pattern::One(Key::Lease(C::SERVICE)) =>
+                    {
                         inputs.push_back(Input::Answered { ask: ask.ask, answers: Vec::new() });
                     }
                     Command::Ask(ask) => self.asks.push(ask),
-                    Command::Store(stored) => {
+                    Command::Store(stored) if !self.hold_stores => {
                         self.stored = stored;
                         inputs.push_back(Input::Stored { error: None });
                     }
@@ -225,9 +234,9 @@ impl<C: Core> Bench<C> {
     }
 
     /// The job that waits panics.
-    pub fn panic_job(&mut self, said: &str) {
+    pub fn panic_job(&mut self, text: &str) {
         self.job = None;
-        self.input(Input::JobEnded { laps: Vec::new(), panic: Some(said.to_owned()) });
+        self.input(Input::JobEnded { laps: Vec::new(), panic: Some(text.to_owned()) });
     }
 
     /// Lets time pass, with a timer whenever the host wants one. The process runs all the while.

@@ -302,8 +302,8 @@ fn a_core_that_panics_does_so_again_where_its_recording_breaks_off() {
     let difference = compared.difference.unwrap();
     assert_eq!(difference.step.number, INPUTS + 1);
     assert_eq!(difference.step.commands, None);
-    let Err(ReplayError::Panicked(said)) = difference.now else { panic!("{difference:?}") };
-    assert!(said.contains("must not be"), "{said}");
+    let Err(ReplayError::Panicked(text)) = difference.now else { panic!("{difference:?}") };
+    assert!(text.contains("must not be"), "{text}");
     // A good input whose commands were not written any more is no difference.
     let mut cut = self::life();
     cut.bytes.extend(input_frame(cut.now, &Input::Timer).unwrap());
@@ -480,7 +480,7 @@ fn the_checksum_here_is_that_of_the_recordings() {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Damage that the checksum does not show, as somebody may do it on purpose.
+    /// Damage that the checksum does not show, as an attacker may do it.
     #[test]
     fn no_forged_entry_panics(
         at in any::<prop::sample::Index>(),

@@ -40,6 +40,19 @@ fn a_leader_announces_its_settings_at_intervals() {
 }
 
 #[test]
+fn changed_settings_are_announced_again_with_the_next_renewals() {
+    let mut driven = Driven::leading();
+    driven.input(small::get(1, &SETTINGS, Some(r#"{"teams":7}"#)));
+    assert_eq!(driven.announced(), [7]);
+    for _ in 0..3 {
+        driven.wait(0.5);
+        assert_eq!(driven.announced(), [7]);
+    }
+    driven.wait(2.0);
+    assert!(driven.announced().is_empty());
+}
+
+#[test]
 fn what_a_suspect_changed_is_announced_once_it_leads_again() {
     let mut driven = Driven::leading();
     driven.input(Input::LinkLost);
@@ -61,7 +74,7 @@ fn a_standby_adopts_the_newest_settings() {
     assert_eq!(receive_settings(&mut driven, 6, 9, 3), 5, "a leader before");
     assert_eq!(receive_settings(&mut driven, 7, 4, 3), 5, "overtaken on the way");
     assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6, "changed between two outputs");
-    // Nobody stands behind these, and they must not shut out the leader's for good.
+    // No leader published these, and they must not shut out the leader's for good.
     assert_eq!(receive_settings(&mut driven, 9, 1, 9), 9);
     assert_eq!(receive_settings(&mut driven, 6, 9, 3), 9);
     assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6);

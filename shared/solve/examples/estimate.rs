@@ -3,7 +3,7 @@
 //!
 //! `cargo run --release -p muster-solve --example estimate -- 500 1000 2000`
 
-#![allow(clippy::unwrap_used, reason = "an example may end where it has nothing to say")]
+#![allow(clippy::unwrap_used, reason = "an example may end where it has nothing to show")]
 
 use std::time::Instant;
 
@@ -41,11 +41,11 @@ fn main() {
         print!("{}", estimate.summary());
         let begin = Instant::now();
         let mut steps: Vec<(Step, Instant)> = Vec::new();
-        let mut tell = |step| match step {
+        let mut watch = |step| match step {
             Step::KMeans { done: 1.., .. } => {}
             step => steps.push((step, Instant::now())),
         };
-        let solved = Solved::watched(text.as_bytes(), Options::default(), &mut tell).unwrap();
+        let solved = Solved::watched(text.as_bytes(), Options::default(), &mut watch).unwrap();
         let ends = steps.iter().skip(1).map(|step| step.1).chain([Instant::now()]);
         for ((step, begin), end) in steps.iter().zip(ends) {
             println!("  took: {:30}{:>10.3} s", step.to_string(), (end - *begin).as_secs_f64());

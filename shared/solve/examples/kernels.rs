@@ -6,7 +6,7 @@
 //! number of robots behind it, only fleets of that size. The column `±` is the standard error of the mean
 //! difference to the default, fleet by fleet.
 
-#![allow(clippy::unwrap_used, reason = "an example may end where it has nothing to say")]
+#![allow(clippy::unwrap_used, reason = "an example may end where it has nothing to show")]
 
 use std::collections::BTreeMap;
 

@@ -55,7 +55,7 @@ pub(super) struct Size {
 /// A step of a path.
 pub(super) struct Cost {
     pub(super) step: Step,
-    /// Bytes at the worst moment of the step, beside the graphs and the robots themselves.
+    /// Bytes at the worst moment of the step, in addition to the graphs and the robots.
     bytes: fn(&Size) -> f64,
     /// Seconds on a machine of this speed.
     pub(super) seconds: fn(&Size, &Speed) -> f64,
@@ -199,7 +199,7 @@ impl Size {
         speed.radius_per_product * self.edges * self.robots.min(SWEEPS)
     }
 
-    /// The space and its image, six blocks of vectors beside it, three in single precision, and the
+    /// The space and its image, six more blocks of vectors, three in single precision, and the
     /// samples that the preconditioner is fitted to; the graph in two directions and precisions.
     fn search_bytes(&self) -> f64 {
         let carried = self.carried();

@@ -14,9 +14,9 @@ use muster_model::settings::ClustererSettings;
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::Scores;
 
+use super::error::{SolveError, refuse};
 use super::options::{EXACT_ROBOTS, SilhouetteChoice};
 use super::problem::{Division, Problem};
-use super::{SolveError, refuse};
 
 /// Robots times teams times restarts from which k-means is shared out over all cores: it takes some
 /// milliseconds then, and starting threads a tenth of one.
@@ -114,7 +114,7 @@ fn cluster(
     let teams = found.centroids.rows();
     if teams < wanted {
         warnings.push(format!(
-            "{wanted} teams were asked for, but only {teams} can be told apart: robots that stand \
+            "{wanted} teams were asked for, but only {teams} can be separated: robots that stand \
              in the same relations have the same row"
         ));
     }

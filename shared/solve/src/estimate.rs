@@ -11,8 +11,8 @@ use muster_method::decomposition::Path;
 use muster_model::id::Modality;
 use serde::Serialize;
 
-use super::SolveError;
 use super::cost::{Size, steps, whole};
+use super::error::SolveError;
 use super::memory::{admit, available_mib, fits};
 use super::options::Options;
 use super::path::{description, path_of};
@@ -28,7 +28,7 @@ pub struct Estimate {
     path: Path,
     /// At the worst moment of all.
     peak_mib: u64,
-    /// Memory that can be had now; none where the system does not tell.
+    /// Memory that can be had now; none where the system does not report it.
     available_mib: Option<u64>,
     fits: bool,
     seconds: f64,
@@ -89,7 +89,7 @@ impl Estimate {
     /// # Errors
     /// Names the field that is wrong and the remedy.
     pub fn new(text: &[u8], options: Options) -> Result<Self, SolveError> {
-        estimate(&super::parse(text, options)?)
+        estimate(&super::input::parse(text, options)?)
     }
 
     /// Whether it fits into the memory that is available.

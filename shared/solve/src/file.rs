@@ -16,7 +16,7 @@ use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value};
 
 use super::edges::Edges;
-use super::{SolveError, tidy};
+use super::error::{SolveError, tidy};
 
 /// The file as it is written.
 #[derive(Deserialize)]
@@ -131,7 +131,7 @@ impl<'de> Deserialize<'de> for Decay {
     }
 }
 
-/// What the JSON output holds beside the results that it always holds.
+/// What the JSON output holds in addition to the results that it always holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Emit {
@@ -159,7 +159,7 @@ pub(super) fn read(text: &[u8]) -> Result<File, SolveError> {
     Ok(file.0)
 }
 
-/// What the error says, with a hint where the text holds a number that JSON does not have.
+/// The text of the error, with a hint where the text holds a number that JSON does not have.
 pub(super) fn explained(error: &serde_json::Error, text: &[u8]) -> String {
     let hint = "; NaN and Infinity are no JSON, every number must be finite";
     let hint = if is_not_finite(error, text) { hint } else { "" };

@@ -1,16 +1,18 @@
 //! `muster solve`: the whole method once, offline, on one file.
 //!
-//! The input goes through [`file`], which reads it, and [`problem`], which checks it, with
+//! The input goes through [`input`], which reads it, and [`problem`], which checks it, with
 //! [`observations`] for raw observations; [`path`] decides how the similarity is decomposed; [`method`]
 //! applies `muster-method`, with [`division`] for the teams, and [`output`] writes. Nothing here knows the
-//! bus. [`estimate`] says beforehand what it will take, by the tables of [`cost`], [`memory`]
-//! refuses what does not fit, and [`line`] says meanwhile what is being done.
+//! bus. [`estimate`] says beforehand how much it needs, by the tables of [`cost`], [`memory`]
+//! refuses what does not fit, and [`line`] shows the step that runs.
 
 mod cost;
 mod division;
 mod edges;
+mod error;
 mod estimate;
 mod file;
+mod input;
 mod line;
 mod memory;
 mod method;
@@ -18,27 +20,24 @@ mod observations;
 mod options;
 mod output;
 mod path;
+mod places;
 mod problem;
 mod saved;
 mod speed;
 #[cfg(test)]
 mod tests;
 
-use std::io::{IsTerminal, Read};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
+pub use error::SolveError;
+use error::tidy;
 pub use estimate::Estimate;
+use input::{parse, read};
 pub use muster_method::step::{Progress, Step};
 pub use options::{Options, PathChoice, SilhouetteChoice, TOLERANCES};
-
-/// Largest file that is read: the matrix of the largest fleet that is decomposed whole in short decimals
-/// fits, and so do a dozen edges for each of a million robots.
-const MAX_FILE_BYTES: u64 = 1 << 30;
-
-/// Longest error message in characters; the rest of it is text of the file.
-const MAX_MESSAGE: usize = 800;
 
 const AFTER_HELP: &str = r#"A minimal file (edges that are not given do not exist; [from, to, weight]):
 
@@ -121,54 +120,6 @@ pub struct SolveArgs {
     options: Options,
 }
 
-/// What is wrong with the input.
-#[derive(Debug, thiserror::Error)]
-pub enum SolveError {
-    /// The file cannot be read.
-    #[error("cannot be read: {0}")]
-    Read(std::io::Error),
-    /// The file is larger than [`MAX_FILE_BYTES`].
-    #[error("has more than {MAX_FILE_BYTES} bytes")]
-    Size,
-    /// A field is wrong.
-    #[error("{field}: {problem}")]
-    Field {
-        /// Its path, such as `modalities[1].matrix[0][2]`.
-        field: String,
-        /// What is wrong and what would be right.
-        problem: String,
-    },
-    /// The text is no JSON, or lacks a field.
-    #[error("{0}")]
-    Json(String),
-}
-
-/// An error of one field.
-fn refuse<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, SolveError> {
-    Err(SolveError::Field { field: tidy(&field.into()), problem: tidy(&problem.into()) })
-}
-
-/// Text of the file as it may stand on a terminal: control characters escaped, and not too long.
-fn tidy(text: &str) -> String {
-    let mut tidied = String::new();
-    let mut length = 0;
-    for character in text.chars() {
-        if length >= MAX_MESSAGE {
-            tidied.push('…');
-            break;
-        }
-        let before = tidied.len();
-        if character.is_control() {
-            tidied.extend(character.escape_default());
-            length += tidied.len() - before;
-        } else {
-            tidied.push(character);
-            length += 1;
-        }
-    }
-    tidied
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -223,7 +174,7 @@ impl Solved {
         Self::watched(text, options, &mut |_| {})
     }
 
-    /// The same, telling each step when it begins, and each round of a search and each restart of k-means when
+    /// The same, reporting each step when it begins, and each round of a search and each restart of k-means when
     /// it is done.
     ///
     /// # Errors
@@ -267,28 +218,4 @@ fn solve(
     let path = path::path_of(problem, problem.options.path)?;
     memory::admit_path(path, problem.robots.len(), &cost::Size::of(problem))?;
     method::solve(problem, path, progress)
-}
-
-/// A text as a checked input.
-fn parse(text: &[u8], options: Options) -> Result<problem::Problem, SolveError> {
-    match file::read(text) {
-        Ok(file) => problem::check(file, options),
-        Err(error) => match saved::SavedFleet::read(text)? {
-            Some(fleet) => fleet.into_problem(options),
-            None => Err(error),
-        },
-    }
-}
-
-fn read(path: &Path) -> Result<Vec<u8>, SolveError> {
-    if path == Path::new("-") {
-        return read_limited(std::io::stdin().lock());
-    }
-    read_limited(std::fs::File::open(path).map_err(SolveError::Read)?)
-}
-
-fn read_limited(source: impl Read) -> Result<Vec<u8>, SolveError> {
-    let mut text = Vec::new();
-    source.take(MAX_FILE_BYTES + 1).read_to_end(&mut text).map_err(SolveError::Read)?;
-    if text.len() as u64 > MAX_FILE_BYTES { Err(SolveError::Size) } else { Ok(text) }
 }

@@ -72,17 +72,17 @@ fn write(received: &Receiver<Step>) {
                 Some(step) => text(step, begin.elapsed()),
                 None => text(&"read the file", begin.elapsed()),
             };
-            say(&format!("{ERASE}{text}"));
+            print(&format!("{ERASE}{text}"));
             written = Some(Instant::now());
         }
     }
     if written.is_some() {
-        say(ERASE);
+        print(ERASE);
     }
 }
 
 /// Writes to standard error; a failure does not matter to the solve.
-fn say(text: &str) {
+fn print(text: &str) {
     let mut out = std::io::stderr().lock();
     let _ = out.write_all(text.as_bytes()).and_then(|()| out.flush());
 }

@@ -3,12 +3,12 @@
 use muster_method::decomposition::Path;
 
 use super::cost::Size;
-use super::{SolveError, refuse};
+use super::error::{SolveError, refuse};
 
 /// Fleets of up to so many robots fit everywhere.
 pub(super) const SMALL_ROBOTS: usize = 1000;
 
-/// Whether a fleet fits by a path. Where the system does not say how much memory is available, every fleet
+/// Whether a fleet fits by a path. Where the system does not report how much memory is available, every fleet
 /// does.
 pub(super) fn fits_path(
     path: Path,

@@ -14,11 +14,11 @@ use muster_numeric::spectral_radius::SpectralRadius;
 
 use super::cost::Size;
 use super::division::{Divided, divide, wanted_teams};
+use super::error::{SolveError, refuse};
 use super::file::Emit;
 use super::memory::admit_path;
 use super::options::PathChoice;
 use super::problem::Problem;
-use super::{SolveError, refuse};
 
 /// Most robots that a warning names.
 const MAX_NAMED_ROBOTS: usize = 10;
@@ -44,7 +44,7 @@ pub(super) struct Solution {
 
 impl Solution {
     /// Bound on the sine of the angle by which the spaces of U and of V are turned against the true ones
-    /// (Wedin, BIT 12, 1972): the residuals of all K triplets over the gap behind them. 1 says nothing.
+    /// (Wedin, BIT 12, 1972): the residuals of all K triplets over the gap behind them. 1 proves nothing.
     pub(super) fn angle_bound(&self) -> f64 {
         let svd = &self.decomposition.svd;
         #[expect(clippy::cast_precision_loss, reason = "there are a few triplets")]

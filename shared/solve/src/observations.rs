@@ -10,16 +10,13 @@ use muster_numeric::matrix::SparseMatrix;
 use muster_relation::{Edge, connectivity_edges, hierarchy_edges, link_weight, spatial_edges};
 use serde_json::{Map, Value};
 
+use super::error::{SolveError, refuse};
 use super::file::Named;
-use super::problem::place;
-use super::{SolveError, refuse};
+use super::places::{Places, place};
 
 /// Graphs before their weights are checked: where the weight stands in the file, the modality, the
 /// weight if it is given, and the matrix.
 pub(super) type Graphs = Vec<(String, Modality, Option<f64>, SparseMatrix)>;
-
-/// The index of each robot.
-type Places = HashMap<RobotId, usize>;
 
 /// The three streams of a file, and the settings tables that go with them.
 pub(super) struct Observations {
@@ -133,14 +130,14 @@ fn of_links(
 ) -> Result<Vec<Edge>, SolveError> {
     let mut reports = Vec::with_capacity(links.0.len());
     for (robot, links) in &links.0 {
-        let hearer = index(place(places, robot, || format!("links.{robot}"))?);
+        let receiver = index(place(places, robot, || format!("links.{robot}"))?);
         let mut report: Vec<(u32, f64)> = Vec::with_capacity(links.len());
         let mut peers = HashMap::with_capacity(links.len());
         for (number, Object(link)) in links.iter().enumerate() {
             let field = |part: &str| format!("links.{robot}[{number}].{part}");
             let peer = index(place(places, &link.peer, || field("peer"))?);
-            if peer == hearer {
-                return refuse(field("peer"), "no robot hears itself");
+            if peer == receiver {
+                return refuse(field("peer"), "no robot receives itself");
             }
             if let Some(first) = peers.insert(peer, number) {
                 let problem = format!("{} is named twice, first as [{first}]", link.peer);
@@ -150,9 +147,9 @@ fn of_links(
                 .or_else(|error| refuse(field("quality"), error.problem))?;
             report.push((peer, weight));
         }
-        reports.push((hearer, report));
+        reports.push((receiver, report));
     }
-    let reports = reports.iter().map(|(hearer, report)| (*hearer, report.as_slice()));
+    let reports = reports.iter().map(|(receiver, report)| (*receiver, report.as_slice()));
     connectivity_edges(reports).or_else(|error| refuse("links", error.to_string()))
 }
 

@@ -4,11 +4,11 @@ use muster_method::decomposition::Path;
 use muster_numeric::matrix::MAX_DENSE_ENTRIES;
 
 use super::cost::Size;
+use super::error::{SolveError, refuse};
 use super::file::Emit;
 use super::memory::{available_mib, fits_path};
 use super::options::PathChoice;
 use super::problem::Problem;
-use super::{SolveError, refuse};
 
 /// Fleets up to this size are decomposed whole, which takes a few seconds and is exact to rounding.
 pub(super) const DENSE_ROBOTS: usize = 2000;

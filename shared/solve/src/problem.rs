@@ -1,6 +1,6 @@
 //! The checks on an input, and what passes them.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use muster_model::id::{Modality, RobotId};
@@ -13,13 +13,11 @@ use muster_model::settings::{
 use muster_numeric::matrix::{MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
 
 use super::edges::Edges;
+use super::error::{SolveError, refuse};
 use super::file::{Emit, File, ModalityEntry, Named};
 use super::observations::{Graphs, Observations};
 use super::options::Options;
-use super::{SolveError, refuse};
-
-/// Most robots: the largest file holds a dozen edges for each of so many, and hardly more.
-pub(super) const MAX_SOLVE_ROBOTS: usize = 1 << 20;
+use super::places::{Places, places};
 
 /// A checked input.
 #[derive(Debug)]
@@ -32,7 +30,7 @@ pub(super) struct Problem {
     pub(super) settings: EmbedderSettings,
     pub(super) division: Division,
     pub(super) emit: BTreeSet<Emit>,
-    /// What was chosen beside the file.
+    /// What was chosen by flags.
     pub(super) options: Options,
 }
 
@@ -94,7 +92,7 @@ impl Problem {
 /// The graphs of a file, with what leads back in them.
 fn graphs(
     file: &mut File,
-    places: &HashMap<RobotId, usize>,
+    places: &Places,
     normalize_weights: bool,
 ) -> Result<Vec<Graph>, SolveError> {
     // Graphs that are given are taken as they are, observations as in the live fleet.
@@ -106,10 +104,10 @@ fn graphs(
     let is_own = file.modalities.is_none();
     check_reciprocity(&reciprocity).or_else(|error| refuse(error.field, error.problem))?;
     let mut graphs = reported(file, places, normalize_weights)?;
-    let stranger = reciprocity.keys().find(|name| {
+    let unknown = reciprocity.keys().find(|name| {
         !(is_own && name.is_built_in()) && graphs.iter().all(|graph| graph.name != **name)
     });
-    if let Some(name) = stranger {
+    if let Some(name) = unknown {
         let known: Vec<_> = graphs.iter().map(|graph| graph.name.as_str()).collect();
         let problem = format!("is no modality of this file: {}", known.join(", "));
         return refuse(format!("reciprocity.{name}"), problem);
@@ -129,7 +127,7 @@ fn graphs(
 /// The graphs of a file, which gives either them or observations.
 fn reported(
     file: &mut File,
-    places: &HashMap<RobotId, usize>,
+    places: &Places,
     normalize_weights: bool,
 ) -> Result<Vec<Graph>, SolveError> {
     let observed = [
@@ -143,7 +141,7 @@ fn reported(
     let observed = observed.into_iter().find(|(_, given)| *given).map(|(field, _)| field);
     if let Some(modalities) = file.modalities.take() {
         if let Some(field) = observed {
-            let problem = "must not stand beside \"modalities\", which are graphs with weights; \
+            let problem = "must not be given with \"modalities\", which are graphs with weights; \
                            give either them or \"poses\", \"links\" and \"ranks\"";
             return refuse(field, problem);
         }
@@ -190,50 +188,14 @@ fn division(file: &mut File) -> Result<Division, SolveError> {
             refuse("teams", "is missing; say how many, or give \"labels\" to judge them")
         }
         (Some(_), Some(_)) => {
-            refuse("teams", "must not stand beside \"labels\": give one of the two")
+            refuse("teams", "must not be given with \"labels\": give one of the two")
         }
-    }
-}
-
-/// The index of each robot.
-fn places(robots: &[RobotId]) -> Result<HashMap<RobotId, usize>, SolveError> {
-    if robots.is_empty() {
-        return refuse("robots", "must name at least one robot");
-    }
-    if robots.len() > MAX_SOLVE_ROBOTS {
-        let count = robots.len();
-        return refuse(
-            "robots",
-            format!("{count} are too many: there may be {MAX_SOLVE_ROBOTS} at most"),
-        );
-    }
-    let mut places = HashMap::with_capacity(robots.len());
-    for (place, robot) in robots.iter().enumerate() {
-        if let Some(first) = places.insert(robot.clone(), place) {
-            return refuse(
-                format!("robots[{place}]"),
-                format!("{robot} is named twice, first as robots[{first}]"),
-            );
-        }
-    }
-    Ok(places)
-}
-
-/// The place of a robot that a field names.
-pub(super) fn place(
-    places: &HashMap<RobotId, usize>,
-    robot: &RobotId,
-    field: impl FnOnce() -> String,
-) -> Result<usize, SolveError> {
-    match places.get(robot) {
-        Some(place) => Ok(*place),
-        None => refuse(field(), format!("{robot} is not among \"robots\"")),
     }
 }
 
 fn modality_graphs(
     modalities: Vec<Object<ModalityEntry>>,
-    places: &HashMap<RobotId, usize>,
+    places: &Places,
 ) -> Result<Graphs, SolveError> {
     if modalities.is_empty() {
         return refuse("modalities", "must hold at least one graph");
@@ -293,7 +255,7 @@ fn matrix_triplets(
 
 pub(super) fn edge_triplets(
     edges: &Edges,
-    places: &HashMap<RobotId, usize>,
+    places: &Places,
     path: &str,
 ) -> Result<Vec<(usize, usize, f64)>, SolveError> {
     let named: Vec<Option<usize>> =

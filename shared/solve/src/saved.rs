@@ -17,10 +17,11 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use super::edges::Edges;
+use super::error::{SolveError, refuse, tidy};
 use super::file::explained;
 use super::options::Options;
-use super::problem::{Division, Graph, MAX_SOLVE_ROBOTS, Problem, edge_triplets};
-use super::{SolveError, refuse, tidy};
+use super::places::MAX_SOLVE_ROBOTS;
+use super::problem::{Division, Graph, Problem, edge_triplets};
 
 /// One graph as `muster graph --json` prints it.
 #[derive(Deserialize)]

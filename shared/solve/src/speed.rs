@@ -11,7 +11,7 @@ use muster_numeric::silhouette::silhouette;
 use muster_numeric::spectral_radius::spectral_radius;
 use muster_numeric::svd::full_svd;
 
-/// Columns and rows of the grids on which the robots of the small problems stand. Two sizes tell what
+/// Columns and rows of the grids on which the robots of the small problems stand. Two sizes show what
 /// is done per pair of robots, such as copies, from what is done per pair and robot; the larger one is
 /// small enough that all of it takes some hundredths of a second.
 const SMALLER: (usize, usize) = (8, 12);
@@ -171,7 +171,7 @@ fn search_products(robots: f64, edges: f64, carried: f64, space: f64) -> f64 {
     carried * (GRAPH_PRODUCTS * edges + SPACE_PRODUCTS * space * robots)
 }
 
-/// Robots on a grid, each related to those beside it, less or more.
+/// Robots on a grid, each related to its neighbours, less or more.
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
 fn grid(columns: usize, rows: usize) -> impl Iterator<Item = (usize, usize, f64)> {
     let edges = move |robot: usize| {

@@ -17,7 +17,7 @@ fn names(robots: usize) -> Vec<String> {
     (0..robots).map(|robot| format!("r{robot}")).collect()
 }
 
-/// Robots on a grid, who are related to those beside them or to everybody.
+/// Robots on a grid, related to their neighbours or to all.
 fn dense_file(robots: usize, is_complete: bool) -> Value {
     let columns = robots.isqrt();
     let weight = |i: usize, j: usize| {
@@ -62,11 +62,11 @@ fn check(what: &str, text: &str, options: Options) {
         }
         ALLOCATOR.reset_peak_usage();
     };
-    let mut tell = |step| match step {
+    let mut watch = |step| match step {
         Step::KMeans { done: 1.., .. } | Step::Search { round: 1.., .. } => {}
         step => close(Some(step)),
     };
-    Solved::watched(text.as_bytes(), options, &mut tell).unwrap();
+    Solved::watched(text.as_bytes(), options, &mut watch).unwrap();
     close(None);
     let steps = estimate["steps"].as_array().unwrap();
     assert_eq!(steps.len(), held.len());

@@ -12,7 +12,7 @@ use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
 use muster_model::id::{ServiceName, TeamId};
-use muster_runtime::bus::{Bus, Patience};
+use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::{Mode, Origin, ProcessArgs, ProcessConfig, Sourced};
 use muster_runtime::observe::Observatory;
@@ -84,7 +84,7 @@ async fn play_on_bus(
     let mut config = ProcessConfig::resolve(&ProcessArgs::default(), Mode::Client, &|_| None)?;
     config.state_directory = Sourced { value: None, origin: Origin::Flag };
     config.set(ServiceName::Clusterer, &[format!("teams={teams}")])?;
-    let patience = Patience::AtMost(PATIENCE);
+    let patience = ConnectTimeout::After(PATIENCE);
     let router = Bus::open(&config.as_router(vec![LISTEN.to_owned()]), patience).await?;
     let endpoints = router.locators().await;
     let config = config.as_client(endpoints.clone());

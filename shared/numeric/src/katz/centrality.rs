@@ -1,8 +1,8 @@
-//! Katz centralities: row sums of S + I, from S or without it.
+//! Katz centralities: row sums of S + I, without S.
 
 use super::alpha::check_alpha;
 use super::error::KatzError;
-use crate::linalg::matrix::{DenseMatrix, SparseMatrix};
+use crate::linalg::matrix::SparseMatrix;
 use crate::radius::Chebyshev;
 use crate::radius::tracker::{RadiusBound, RadiusTracker};
 
@@ -15,14 +15,6 @@ const DIVERGENCE_RATIO: f64 = 4.0;
 /// Sweeps after which Chebyshev steps must be ahead of as many of the Neumann series, as they are
 /// for real spectra.
 const TRIAL_SWEEPS: i32 = 32;
-
-/// Katz centrality of every node: row sums of S + I, the solution x of (I − αA) x = 1.
-///
-/// Entry i weighs all walks that leave node i, the empty walk included, so it is at least 1.
-#[must_use]
-pub fn katz_centrality(s: &DenseMatrix) -> Vec<f64> {
-    s.iter_rows().map(|row| 1.0 + row.iter().sum::<f64>()).collect()
-}
 
 /// Accuracy of a centrality.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -48,12 +48,6 @@ pub struct RadiusBound {
 
 impl RadiusBound {
     const ZERO: Self = Self { lower: 0.0, upper: 0.0, acyclic: true, sweeps: 0 };
-
-    /// Width of the bracket relative to its upper end; 0 for an acyclic graph.
-    #[must_use]
-    pub fn relative_width(&self) -> f64 {
-        if self.upper > 0.0 { (self.upper - self.lower) / self.upper } else { 0.0 }
-    }
 }
 
 /// The relative width that was asked for is negative or not a number.

@@ -50,14 +50,6 @@ pub fn full_svd(s: &DenseMatrix) -> Result<FullSvd, SvdError> {
     Ok(FullSvd { u: factors.u, sigma: factors.sigma, v: factors.v })
 }
 
-/// The K leading singular triplets of the square matrix `s`, see [`full_svd`].
-///
-/// # Errors
-/// [`SvdError::NotSquare`], and [`SvdError::Rank`] unless 1 ≤ k ≤ n.
-pub fn rank_k_svd(s: &DenseMatrix, k: usize) -> Result<RankKSvd, SvdError> {
-    full_svd(s)?.truncate(k)
-}
-
 /// The library's decomposition, of the transpose if it fails (a known defect affects single
 /// matrices at random), and one-sided Jacobi if that fails too.
 fn robust_svd(s: &DenseMatrix) -> Factors {

@@ -2,7 +2,7 @@
 //!
 //! A product reads the rows of all neighbours of a node, which should be in the cache already.
 //! Where the caller's order leaves neighbours far apart, nodes are renumbered (see
-//! [`crate::graph::ordering`]). Outside of this module and of [`super::davidson`] only the caller's
+//! [`crate::graph::ordering`]). Outside of this module and of `davidson` only the caller's
 //! order exists.
 
 mod products;

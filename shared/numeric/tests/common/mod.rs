@@ -5,7 +5,23 @@ pub(crate) mod fleet;
 pub(crate) mod precise;
 
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
+use muster_numeric::radius_bound::RadiusBound;
+use muster_numeric::svd::{RankKSvd, SvdError, full_svd};
 use proptest::prelude::*;
+
+/// Katz centralities by their definition: row sums of S + I.
+pub(crate) fn katz_centrality(s: &DenseMatrix) -> Vec<f64> {
+    s.iter_rows().map(|row| 1.0 + row.iter().sum::<f64>()).collect()
+}
+
+pub(crate) fn rank_k_svd(s: &DenseMatrix, k: usize) -> Result<RankKSvd, SvdError> {
+    full_svd(s)?.truncate(k)
+}
+
+/// Width of the bracket relative to its upper end; 0 for an acyclic graph.
+pub(crate) fn relative_width(bound: &RadiusBound) -> f64 {
+    if bound.upper > 0.0 { (bound.upper - bound.lower) / bound.upper } else { 0.0 }
+}
 
 pub(crate) fn graph(n: usize, edges: &[(usize, usize, f64)]) -> SparseMatrix {
     SparseMatrix::from_triplets(n, edges.iter().copied()).unwrap()

@@ -176,7 +176,7 @@ pub(crate) fn decomposed(s: &Columns) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
         .collect();
     let top = rotated.iter().map(|column| dot(column, column).value()).fold(0.0, f64::max);
     for _ in 0..60 {
-        let mut turns = 0;
+        let mut rotations = 0;
         for p in 0..n {
             for q in p + 1..n {
                 let (a, b) = (dot(&rotated[p], &rotated[p]), dot(&rotated[q], &rotated[q]));
@@ -184,7 +184,7 @@ pub(crate) fn decomposed(s: &Columns) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
                 if c.value().abs() <= 1e-29 * (a.value() * b.value()).sqrt() + 1e-60 * top {
                     continue;
                 }
-                turns += 1;
+                rotations += 1;
                 let zeta = (b - a) * (c + c).inverse();
                 let length = (Precise::new(1.0) + zeta * zeta).root();
                 let tangent = if zeta.value() >= 0.0 {
@@ -202,7 +202,7 @@ pub(crate) fn decomposed(s: &Columns) -> Vec<(f64, Vec<f64>, Vec<f64>)> {
                 }
             }
         }
-        if turns == 0 {
+        if rotations == 0 {
             break;
         }
     }

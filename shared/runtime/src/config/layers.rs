@@ -101,6 +101,18 @@ impl Layers<'_> {
             _ => Ok(Sourced { value: default, origin: Origin::Default }),
         }
     }
+
+    /// A value that has no default.
+    pub(super) fn pick_optional<T>(
+        &self,
+        flag: Option<T>,
+        variable: &str,
+        parse: impl Fn(&str) -> Result<T, String>,
+        file: Option<T>,
+    ) -> Result<Sourced<Option<T>>, ExitError> {
+        let parse = |text: &str| parse(text).map(Some);
+        self.pick(flag.map(Some), variable, parse, file.map(Some), None)
+    }
 }
 
 pub(super) fn read_file(path: &Path) -> Result<File, ExitError> {

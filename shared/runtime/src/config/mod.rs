@@ -1,6 +1,6 @@
 //! The configuration of a process: defaults, then file, then environment, then flags.
 //!
-//! Every value remembers where it came from, so that `--print-config` can tell. Unknown keys are
+//! Every value remembers where it came from, which `--print-config` shows. Unknown keys are
 //! errors at every level. One file may serve all services of a host: each reads the table of its own
 //! name, and `--check-config` checks them all.
 
@@ -10,7 +10,7 @@ mod layers;
 mod print;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use muster_model::id::{FleetId, ServiceName};
 use muster_model::settings::{
@@ -19,7 +19,7 @@ use muster_model::settings::{
 use serde_json::Value;
 
 pub use self::args::{Mode, ProcessArgs};
-pub use self::assignments::parse_assignments;
+pub use self::assignments::{AssignmentError, parse_assignments};
 pub use self::layers::{Environment, Origin, Sourced, process_environment};
 use self::layers::{Layers, default_state_directory, patch_of, read_file, split};
 
@@ -59,7 +59,7 @@ pub struct ProcessConfig {
     pub log: Sourced<Option<String>>,
     /// Whether logs are JSON lines.
     pub log_json: Sourced<bool>,
-    /// Where services are recorded. Only a flag says so: nobody is to fill a disk unawares.
+    /// Where services are recorded. By a flag alone: no file is to fill a disk unnoticed.
     pub record: Option<RecordTo>,
     /// Where health, readiness and metrics are served.
     pub http: Sourced<Option<SocketAddr>>,
@@ -108,51 +108,26 @@ impl ProcessConfig {
         let path = args.config.clone().or_else(|| environment("MUSTER_CONFIG").map(PathBuf::from));
         let file = path.as_deref().map(read_file).transpose()?.unwrap_or_default();
         let layers = Layers { environment, file: path.clone() };
+        let flag = args.clone();
         let text = |text: &str| Ok(text.to_owned());
-        let paths = |text: &str| Ok(Some(PathBuf::from(text)));
-        let lists = |text: &str| Ok(split(text));
+        let path_of = |text: &str| Ok(PathBuf::from(text));
+        let list = |text: &str| Ok(split(text));
+        let switch = |text: &str| text.parse().map_err(|_| "must be true or false".to_owned());
+        let mode = |text: &str| clap::ValueEnum::from_str(text, false);
 
-        let fleet = layers.pick(
-            args.fleet.clone(),
-            "MUSTER_FLEET",
-            text,
-            file.fleet,
-            DEFAULT_FLEET.to_owned(),
-        )?;
-        let fleet = Sourced {
-            value: FleetId::new(&fleet.value)
-                .map_err(|error| ExitError::usage(format!("fleet: {error}")))?,
-            origin: fleet.origin,
+        let default_fleet = DEFAULT_FLEET.to_owned();
+        let fleet = layers.pick(flag.fleet, "MUSTER_FLEET", text, file.fleet, default_fleet)?;
+        let value = FleetId::new(&fleet.value)
+            .map_err(|error| ExitError::usage(format!("fleet: {error}")))?;
+        let fleet = Sourced { value, origin: fleet.origin };
+        let mode = layers.pick(flag.mode, "MUSTER_MODE", mode, file.mode, default_mode)?;
+        let own_endpoint = vec![DEFAULT_ENDPOINT.to_owned()];
+        let (to, at) = match mode.value {
+            Mode::Router => (Vec::new(), own_endpoint),
+            Mode::Client | Mode::Peer => (own_endpoint, Vec::new()),
         };
-        let mode = layers.pick(
-            args.mode,
-            "MUSTER_MODE",
-            |text| clap::ValueEnum::from_str(text, false),
-            file.mode,
-            default_mode,
-        )?;
-        let default_connect = match mode.value {
-            Mode::Router => Vec::new(),
-            Mode::Client | Mode::Peer => vec![DEFAULT_ENDPOINT.to_owned()],
-        };
-        let default_listen = match mode.value {
-            Mode::Router => vec![DEFAULT_ENDPOINT.to_owned()],
-            Mode::Client | Mode::Peer => Vec::new(),
-        };
-        let connect = layers.pick(
-            args.connect.clone(),
-            "MUSTER_CONNECT",
-            lists,
-            file.connect,
-            default_connect,
-        )?;
-        let listen = layers.pick(
-            args.listen.clone(),
-            "MUSTER_LISTEN",
-            lists,
-            file.listen,
-            default_listen,
-        )?;
+        let connect = layers.pick(flag.connect, "MUSTER_CONNECT", list, file.connect, to)?;
+        let listen = layers.pick(flag.listen, "MUSTER_LISTEN", list, file.listen, at)?;
         for (field, endpoints) in [("connect", &connect.value), ("listen", &listen.value)] {
             for endpoint in endpoints {
                 check_endpoint(endpoint)
@@ -163,15 +138,14 @@ impl ProcessConfig {
             let problem = "connect: must name at least one router; a client has no other way";
             return Err(ExitError::usage(problem));
         }
-        let zenoh_config = layers.pick(
-            args.zenoh_config.clone().map(Some),
+        let zenoh_config = layers.pick_optional(
+            flag.zenoh_config,
             "MUSTER_ZENOH_CONFIG",
-            paths,
-            file.zenoh_config.map(Some),
-            None,
+            path_of,
+            file.zenoh_config,
         )?;
         let mut state_directory = layers.pick(
-            args.state_directory.clone().map(Some),
+            flag.state_directory.map(Some),
             "STATE_DIRECTORY",
             // A service manager may name several directories with colons; the first is ours.
             |text| Ok(text.split(':').next().map(PathBuf::from)),
@@ -179,54 +153,21 @@ impl ProcessConfig {
             default_state_directory(environment),
         )?;
         state_directory.value.take_if(|directory| directory.as_os_str() == "none");
-        let log = layers.pick(
-            args.log.clone().map(Some),
-            "MUSTER_LOG",
-            |text| Ok(Some(text.to_owned())),
-            file.log.map(Some),
-            None,
-        )?;
-        let log_json = layers.pick(
-            args.log_json.then_some(true),
-            "MUSTER_LOG_JSON",
-            |text| text.parse().map_err(|_| "must be true or false".to_owned()),
-            file.log_json,
-            false,
-        )?;
-
-        let http = layers.pick(
-            args.http.clone().map(Some),
-            "MUSTER_HTTP",
-            |text| Ok(Some(text.to_owned())),
-            file.http.map(Some),
-            None,
-        )?;
+        let log = layers.pick_optional(flag.log, "MUSTER_LOG", text, file.log)?;
+        let log_json = flag.log_json.then_some(true);
+        let log_json = layers.pick(log_json, "MUSTER_LOG_JSON", switch, file.log_json, false)?;
+        let http = layers.pick_optional(flag.http, "MUSTER_HTTP", text, file.http)?;
         let address = http.value.as_deref().filter(|text| *text != "none");
         let address = address.map(read_address).transpose().map_err(ExitError::usage)?;
         let http = Sourced { value: address, origin: http.origin };
 
-        let mut patches = Vec::new();
         let tables = [
             (ServiceName::Ingest, file.ingest),
             (ServiceName::Embedder, file.embedder),
             (ServiceName::Clusterer, file.clusterer),
             (ServiceName::Auditor, file.auditor),
         ];
-        for (service, table) in tables {
-            if let (Some(table), Some(path)) = (table, &path) {
-                let patch = patch_of(table).map_err(|problem| {
-                    ExitError::usage(format!("config {}: {service}.{problem}", path.display()))
-                })?;
-                patches.push((service, Origin::File(path.clone()), patch));
-            }
-            let variable = format!("MUSTER_{}", service.as_str().to_uppercase());
-            if let Some(text) = environment(&variable) {
-                let patch = serde_json::from_str(&text).map_err(|error| {
-                    ExitError::usage(format!("{variable}: must be a JSON object: {error}"))
-                })?;
-                patches.push((service, Origin::Environment(variable), patch));
-            }
-        }
+        let patches = patches(tables, path.as_deref(), environment)?;
         let config = Self {
             fleet,
             connect,
@@ -242,7 +183,7 @@ impl ProcessConfig {
         };
         crate::logging::check(config.log.value.as_deref()).map_err(ExitError::usage)?;
         if let Some(path) = &config.zenoh_config.value {
-            check_zenoh_config(path).map_err(|error| ExitError::usage(error.to_string()))?;
+            check_zenoh_config(path).map_err(ExitError::usage)?;
         }
         config.check_all_settings()?;
         Ok(config)
@@ -306,6 +247,31 @@ impl ProcessConfig {
         }
         Ok(settings)
     }
+}
+
+/// The patches of the services' settings, of the file and of the environment.
+fn patches(
+    tables: [(ServiceName, Option<toml::Table>); 4],
+    path: Option<&Path>,
+    environment: Environment<'_>,
+) -> Result<Vec<(ServiceName, Origin, Value)>, ExitError> {
+    let mut patches = Vec::new();
+    for (service, table) in tables {
+        if let (Some(table), Some(path)) = (table, path) {
+            let patch = patch_of(table).map_err(|problem| {
+                ExitError::usage(format!("config {}: {service}.{problem}", path.display()))
+            })?;
+            patches.push((service, Origin::File(path.to_owned()), patch));
+        }
+        let variable = format!("MUSTER_{}", service.as_str().to_uppercase());
+        if let Some(text) = environment(&variable) {
+            let patch = serde_json::from_str(&text).map_err(|error| {
+                ExitError::usage(format!("{variable}: must be a JSON object: {error}"))
+            })?;
+            patches.push((service, Origin::Environment(variable), patch));
+        }
+    }
+    Ok(patches)
 }
 
 fn read_address(text: &str) -> Result<SocketAddr, String> {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 
-/// How long the loop of a service may take for one turn. Nothing in it waits; the longest events take
+/// How long the loop of a service may take for one round. Nothing in it waits; the longest events take
 /// milliseconds, and a machine that is busy with other things delays them by less than this.
 pub(super) const LOOP_HANGS_AFTER: Duration = Duration::from_secs(5);
 
@@ -36,7 +36,7 @@ pub(super) struct Look {
     pub(super) peopled_for: Option<Duration>,
 }
 
-/// Whether the loop of a service turns. One that still waits for its router has none that could hang.
+/// Whether the loop of a service runs. One that still waits for its router has none that could hang.
 pub(super) fn is_alive(look: &Look) -> bool {
     look.since_turn.is_none_or(|since| since < LOOP_HANGS_AFTER)
 }
@@ -67,29 +67,29 @@ pub(super) fn reasons(service: ServiceName, look: &Look) -> Vec<String> {
         // A fleet without robots is no fault of the service that waits for them.
         return reasons;
     }
-    let silent = |since: Option<Duration>, patience: Duration, begun: Duration| {
-        // What came last before the link was lost says nothing about what comes now.
-        since.unwrap_or(begun).min(begun) >= patience
+    let silent = |since: Option<Duration>, limit: Duration, begun: Duration| {
+        // What came before the link was lost proves nothing about now.
+        since.unwrap_or(begun).min(begun) >= limit
     };
-    let mut tell = |what: &str, source: ServiceName, since: Option<Duration>| {
+    let mut report = |what: &str, source: ServiceName, since: Option<Duration>| {
         reasons.push(match since {
             Some(_) => format!("{what} has come from {source} for {}", seconds(since)),
             None => format!("{what} has ever come from {source}"),
         });
     };
     if silent(look.since_roster, ROSTER_SILENT_AFTER, look.linked_for) {
-        tell("no roster", ServiceName::Ingest, look.since_roster);
+        report("no roster", ServiceName::Ingest, look.since_roster);
         return reasons;
     }
     let Some(peopled) = look.peopled_for else { return reasons };
     let begun = peopled.min(look.linked_for);
     if service != ServiceName::Embedder && silent(look.since_embedding, RESULT_SILENT_AFTER, begun)
     {
-        tell("no embedding", ServiceName::Embedder, look.since_embedding);
+        report("no embedding", ServiceName::Embedder, look.since_embedding);
     } else if service == ServiceName::Auditor
         && silent(look.since_teams, RESULT_SILENT_AFTER, begun)
     {
-        tell("no division", ServiceName::Clusterer, look.since_teams);
+        report("no division", ServiceName::Clusterer, look.since_teams);
     }
     reasons
 }
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_is_just_back_gives_everybody_time() {
+    fn a_link_that_is_just_back_gives_every_service_time() {
         let look = Look { linked_for: S, since_roster: Some(20 * S), ..well() };
         assert_eq!(reason(ServiceName::Auditor, &look), "");
     }

@@ -1,8 +1,8 @@
 //! The port: `/healthz`, `/readyz` and `/metrics`, and nothing else.
 //!
-//! It runs on a thread of its own. Every connection is bounded in time and bytes, and there are at
-//! most so many, of which the oldest gives way: whoever can reach the port can watch the process, and
-//! neither slow it down nor keep others out by connections that say nothing.
+//! It runs on a thread of its own. Every connection is bounded in time and bytes, and so is their
+//! number: one more closes the oldest. A client of the port can watch the process, but
+//! neither slow it down nor keep others out by silent connections.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -17,11 +17,14 @@ use hyper::header::{ALLOW, CACHE_CONTROL, CONTENT_TYPE, HeaderValue};
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
+use muster_model::id::ServiceName;
 use serde_json::{Map, Value, json};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
-use super::{Shared, health, metrics};
+use super::health::Look;
+use super::observer::Shared;
+use super::{health, metrics};
 use crate::exit::{Exit, ExitError};
 
 /// Most connections at once: a handful of probes and scrapers.
@@ -154,37 +157,37 @@ fn answer(request: &Request<Incoming>, shared: &Shared) -> Response<Full<Bytes>>
 }
 
 fn healthz(shared: &Shared) -> Response<Full<Bytes>> {
-    let mut all = true;
-    let services: Map<String, Value> = shared
-        .watched
-        .iter()
-        .map(|watched| {
-            let look = watched.look();
-            let alive = health::is_alive(&look);
-            all &= alive;
-            let since = look.since_turn.map(|since| since.as_secs_f64());
-            (watched.service.to_string(), json!({"alive": alive, "last_turn_s": since}))
-        })
-        .collect();
-    json_answer(all, &json!({"alive": all, "services": services}))
+    let alive = |_, look: &Look| {
+        let alive = health::is_alive(look);
+        let since = look.since_turn.map(|since| since.as_secs_f64());
+        (alive, json!({"alive": alive, "last_turn_s": since}))
+    };
+    answer_for_all(shared, "alive", alive)
 }
 
 fn readyz(shared: &Shared) -> Response<Full<Bytes>> {
+    let ready = |service, look: &Look| {
+        let reasons = health::reasons(service, look);
+        let (ready, standing) = (reasons.is_empty(), look.standing);
+        (ready, json!({"ready": ready, "standing": standing, "reasons": reasons}))
+    };
+    answer_for_all(shared, "ready", ready)
+}
+
+/// The states of all services, and whether all are good under `name`.
+fn answer_for_all(
+    shared: &Shared,
+    name: &str,
+    state: impl Fn(ServiceName, &Look) -> (bool, Value),
+) -> Response<Full<Bytes>> {
     let mut all = true;
-    let services: Map<String, Value> = shared
-        .watched
-        .iter()
-        .map(|watched| {
-            let look = watched.look();
-            let reasons = health::reasons(watched.service, &look);
-            all &= reasons.is_empty();
-            let standing = look.standing;
-            let state =
-                json!({"ready": reasons.is_empty(), "standing": standing, "reasons": reasons});
-            (watched.service.to_string(), state)
-        })
-        .collect();
-    json_answer(all, &json!({"ready": all, "services": services}))
+    let mut services = Map::new();
+    for watched in &shared.watched {
+        let (good, state) = state(watched.service, &watched.look());
+        all &= good;
+        services.insert(watched.service.to_string(), state);
+    }
+    json_answer(all, &json!({name: all, "services": services}))
 }
 
 fn json_answer(good: bool, value: &Value) -> Response<Full<Bytes>> {

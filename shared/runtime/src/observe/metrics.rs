@@ -1,15 +1,18 @@
 //! The metrics of a process, by the conventions of Prometheus, as OpenMetrics text.
 
+use std::fmt::Debug;
+use std::hash::Hash;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use muster_model::id::{FleetId, ServiceName};
+use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::{encode_eof, encode_registry};
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::metrics::info::Info;
-use prometheus_client::registry::{Registry, Unit};
+use prometheus_client::registry::{Metric, Registry, Unit};
 
 /// What `/metrics` answers with.
 pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -44,10 +47,6 @@ fn stage() -> Histogram {
 /// All metrics of a process.
 #[derive(Debug)]
 pub(super) struct Metrics {
-    /// What Muster counts, all under `muster_` and with the fleet as a label.
-    registry: Registry,
-    /// What every process has, under the names that Prometheus gives it.
-    process: Registry,
     memory: Gauge,
     threads: Gauge,
     files: Gauge,
@@ -78,6 +77,16 @@ pub(super) struct Metrics {
     pub(super) answered: Family<Of, Counter>,
     pub(super) refused: Family<Of, Counter>,
     pub(super) counted: Family<OfNamed, Counter>,
+    pub(super) results: Results,
+    /// What every process has, under the names that Prometheus gives it.
+    process: Registry,
+    /// What Muster counts, all under `muster_` and with the fleet as a label.
+    registry: Registry,
+}
+
+/// The metrics that only one service has: they appear with the first result.
+#[derive(Debug, Clone)]
+pub(super) struct Results {
     pub(super) robots: Family<OfWith, Gauge>,
     pub(super) teams: Family<Of, Gauge>,
     pub(super) teams_requested: Family<Of, Gauge>,
@@ -91,6 +100,71 @@ pub(super) struct Metrics {
     pub(super) embedding_stage: HistogramsWith,
 }
 
+/// A new metric under a name.
+fn metric<M: Metric + Clone + Default>(to: &mut Registry, name: &str, help: &str) -> M {
+    let metric = M::default();
+    to.register(name, help, metric.clone());
+    metric
+}
+
+/// A new metric in bytes.
+fn bytes<M: Metric + Clone + Default>(to: &mut Registry, name: &str, help: &str) -> M {
+    let metric = M::default();
+    to.register_with_unit(name, help, Unit::Bytes, metric.clone());
+    metric
+}
+
+/// New histograms in seconds.
+fn seconds<L: EncodeLabelSet + Clone + Eq + Hash + Send + Sync + Debug + 'static>(
+    to: &mut Registry,
+    buckets: fn() -> Histogram,
+    name: &str,
+    help: &str,
+) -> Family<L, Histogram, fn() -> Histogram> {
+    let histograms = Family::new_with_constructor(buckets);
+    to.register_with_unit(name, help, Unit::Seconds, Family::clone(&histograms));
+    histograms
+}
+
+impl Results {
+    fn new(to: &mut Registry) -> Self {
+        Self {
+            robots: metric(to, "robots", "Robots of the roster, by presence"),
+            teams: metric(to, "teams", "Teams of the division"),
+            teams_requested: metric(to, "teams_requested", "Teams that were asked for"),
+            unassigned: metric(to, "robots_unassigned", "Robots that no relation ties to a team"),
+            silhouette: metric(
+                to,
+                "silhouette_mean",
+                "Mean silhouette of the division, by the space that it is taken in",
+            ),
+            katz_residual: metric(to, "katz_residual", "Relative residual of the Katz similarity"),
+            residual: metric(
+                to,
+                "embedding_residual",
+                "Largest relative residual of the singular triplets",
+            ),
+            spectral_radius: metric(
+                to,
+                "spectral_radius",
+                "Upper bound of the spectral radius (rho) of the fused graph",
+            ),
+            alpha: metric(to, "katz_alpha", "Decay (alpha) of the Katz similarity"),
+            embeddings: metric(
+                to,
+                "embeddings",
+                "Embeddings that were published, by how they were computed",
+            ),
+            embedding_stage: seconds(
+                to,
+                handling,
+                "embedding_stage",
+                "Time that each stage of an embedding took",
+            ),
+        }
+    }
+}
+
 impl Metrics {
     /// The metrics of a process of a fleet, all at zero.
     pub(super) fn new(fleet: &FleetId) -> Self {
@@ -102,197 +176,82 @@ impl Metrics {
         let started = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let start = Number::default();
         start.set(started.as_secs_f64());
-        let (memory, threads, files) = Default::default();
-        process.register_with_unit(
-            "start_time",
-            "When the process started, since 1970",
-            Unit::Seconds,
-            start,
-        );
-        process.register_with_unit(
-            "resident_memory",
-            "Resident memory of the process",
-            Unit::Bytes,
-            Gauge::clone(&memory),
-        );
-        process.register("threads", "Threads of the process", Gauge::clone(&threads));
-        process.register("open_fds", "Open file descriptors of the process", Gauge::clone(&files));
-        let mut metrics = Self {
-            registry: Registry::default(),
-            process,
-            memory,
-            threads,
-            files,
-            up: Family::default(),
-            ready: Family::default(),
-            term: Family::default(),
-            epoch: Family::default(),
-            standing: Family::default(),
-            link: Family::default(),
-            reconnects: Family::default(),
-            data_age: Family::new_with_constructor(stage),
-            stage: Family::new_with_constructor(stage),
-            events: Family::default(),
-            handling: Family::new_with_constructor(handling),
-            jobs_running: Family::default(),
-            job: Family::new_with_constructor(stage),
-            jobs_failed: Family::default(),
-            inbox: Family::default(),
-            inbox_bytes: Family::default(),
-            inbox_superseded: Family::default(),
-            inbox_dropped: Family::default(),
-            outbox: Family::default(),
-            outbox_bytes: Family::default(),
-            outbox_sent: Family::default(),
-            outbox_dropped: Family::default(),
-            received_bytes: Family::default(),
-            published_bytes: Family::default(),
-            answered: Family::default(),
-            refused: Family::default(),
-            counted: Family::default(),
-            robots: Family::default(),
-            teams: Family::default(),
-            teams_requested: Family::default(),
-            unassigned: Family::default(),
-            silhouette: Family::default(),
-            katz_residual: Family::default(),
-            residual: Family::default(),
-            spectral_radius: Family::default(),
-            alpha: Family::default(),
-            embeddings: Family::default(),
-            embedding_stage: Family::new_with_constructor(handling),
-        };
-        metrics.register_shell(&mut registry);
-        metrics.register_results(&mut registry);
-        metrics.registry = registry;
-        metrics
-    }
-
-    fn register_shell(&self, to: &mut Registry) {
-        let mut gauge = |name: &str, help: &str, metric: &Family<Of, Gauge>| {
-            to.register(name, help, metric.clone());
-        };
-        gauge(
-            "loop_turning",
-            "1 while the loop of the service turns, as /healthz has it",
-            &self.up,
-        );
-        gauge("ready", "1 while the service is ready, as /readyz has it", &self.ready);
-        gauge("term", "Term of the last output: counts the holders of the role", &self.term);
-        gauge("epoch", "Epoch of the last output: counts the outputs of one holder", &self.epoch);
-        gauge("link_up", "1 while a router is linked", &self.link);
-        gauge("jobs_running", "Computations that run", &self.jobs_running);
-        gauge("inbox_messages", "Messages that wait for the service", &self.inbox);
-        gauge("outbox_messages", "Messages that wait to be sent", &self.outbox);
-        to.register(
-            "standing",
-            "1 for where the instance stands towards its role",
-            self.standing.clone(),
-        );
-        for (name, help, metric) in [
-            ("inbox", "Bytes of the messages that wait for the service", &self.inbox_bytes),
-            ("outbox", "Bytes of the messages that wait to be sent", &self.outbox_bytes),
-        ] {
-            to.register_with_unit(name, help, Unit::Bytes, metric.clone());
-        }
-        for (name, help, metric) in [
-            ("received", "Bytes of messages that arrived, with their keys", &self.received_bytes),
-            ("published", "Bytes of messages that were published", &self.published_bytes),
-        ] {
-            to.register_with_unit(name, help, Unit::Bytes, metric.clone());
-        }
-        for (name, help, metric) in [
-            (
+        let help = "When the process started, since 1970";
+        process.register_with_unit("start_time", help, Unit::Seconds, start);
+        let to = &mut registry;
+        Self {
+            memory: bytes(&mut process, "resident_memory", "Resident memory of the process"),
+            threads: metric(&mut process, "threads", "Threads of the process"),
+            files: metric(&mut process, "open_fds", "Open file descriptors of the process"),
+            up: metric(
+                to,
+                "loop_turning",
+                "1 while the loop of the service runs, as /healthz has it",
+            ),
+            ready: metric(to, "ready", "1 while the service is ready, as /readyz has it"),
+            term: metric(to, "term", "Term of the last output: counts the leaders of the service"),
+            epoch: metric(
+                to,
+                "epoch",
+                "Epoch of the last output: counts the outputs of one leader",
+            ),
+            standing: metric(to, "standing", "1 for where the instance stands towards its role"),
+            link: metric(to, "link_up", "1 while a router is linked"),
+            reconnects: metric(to, "reconnects", "Times that a lost link came back"),
+            data_age: seconds(
+                to,
+                stage,
                 "data_age",
                 "Age of the oldest pose behind an output, when that was published",
-                &self.data_age,
             ),
-            (
+            stage: seconds(
+                to,
+                stage,
                 "stage",
                 "From when a service had received what it needed until it published",
-                &self.stage,
             ),
-            (
+            events: metric(to, "events", "Events that the service handled, by kind"),
+            handling: seconds(
+                to,
+                handling,
                 "event_handling",
                 "Time in which one event was handled, with what it led to",
-                &self.handling,
             ),
-            ("job", "Time that computations took", &self.job),
-        ] {
-            to.register_with_unit(name, help, Unit::Seconds, metric.clone());
-        }
-        for (name, help, metric) in [
-            ("reconnects", "Times that a lost link came back", &self.reconnects),
-            ("jobs_failed", "Computations that failed or panicked", &self.jobs_failed),
-            (
+            jobs_running: metric(to, "jobs_running", "Computations that run"),
+            job: seconds(to, stage, "job", "Time that computations took"),
+            jobs_failed: metric(to, "jobs_failed", "Computations that failed or panicked"),
+            inbox: metric(to, "inbox_messages", "Messages that wait for the service"),
+            inbox_bytes: bytes(to, "inbox", "Bytes of the messages that wait for the service"),
+            inbox_superseded: metric(
+                to,
                 "inbox_superseded",
                 "Messages that a newer one of their key replaced before they were handled",
-                &self.inbox_superseded,
             ),
-            (
+            inbox_dropped: metric(
+                to,
                 "inbox_dropped",
                 "Messages that were dropped because too many waited",
-                &self.inbox_dropped,
             ),
-            ("outbox_sent", "Messages that were sent", &self.outbox_sent),
-            (
+            outbox: metric(to, "outbox_messages", "Messages that wait to be sent"),
+            outbox_bytes: bytes(to, "outbox", "Bytes of the messages that wait to be sent"),
+            outbox_sent: metric(to, "outbox_sent", "Messages that were sent"),
+            outbox_dropped: metric(
+                to,
                 "outbox_dropped",
                 "Messages that were dropped because too many waited to be sent",
-                &self.outbox_dropped,
             ),
-            ("gets_answered", "Gets that were answered", &self.answered),
-            ("messages_refused", "Messages that were refused", &self.refused),
-        ] {
-            to.register(name, help, metric.clone());
-        }
-        to.register("events", "Events that the service handled, by kind", self.events.clone());
-        to.register(
-            "counted",
-            "Everything else that the service counts, by name",
-            self.counted.clone(),
-        );
-    }
-
-    fn register_results(&self, to: &mut Registry) {
-        to.register("robots", "Robots of the roster, by presence", self.robots.clone());
-        to.register(
-            "silhouette_mean",
-            "Mean silhouette of the division, by the space that it is taken in",
-            self.silhouette.clone(),
-        );
-        to.register(
-            "embeddings",
-            "Embeddings that were published, by how they were computed",
-            self.embeddings.clone(),
-        );
-        to.register_with_unit(
-            "embedding_stage",
-            "Time that each stage of an embedding took",
-            Unit::Seconds,
-            self.embedding_stage.clone(),
-        );
-        for (name, help, metric) in [
-            ("teams", "Teams of the division", &self.teams),
-            ("teams_requested", "Teams that were asked for", &self.teams_requested),
-            ("robots_unassigned", "Robots that no relation ties to a team", &self.unassigned),
-        ] {
-            to.register(name, help, metric.clone());
-        }
-        for (name, help, metric) in [
-            ("katz_residual", "Relative residual of the Katz similarity", &self.katz_residual),
-            (
-                "embedding_residual",
-                "Largest relative residual of the singular triplets",
-                &self.residual,
+            received_bytes: bytes(
+                to,
+                "received",
+                "Bytes of messages that arrived, with their keys",
             ),
-            (
-                "spectral_radius",
-                "Upper bound of the spectral radius (rho) of the fused graph",
-                &self.spectral_radius,
-            ),
-            ("katz_alpha", "Decay (alpha) of the Katz similarity", &self.alpha),
-        ] {
-            to.register(name, help, metric.clone());
+            published_bytes: bytes(to, "published", "Bytes of messages that were published"),
+            answered: metric(to, "gets_answered", "Gets that were answered"),
+            refused: metric(to, "messages_refused", "Messages that were refused"),
+            counted: metric(to, "counted", "Everything else that the service counts, by name"),
+            results: Results::new(to),
+            process,
+            registry,
         }
     }
 
@@ -309,7 +268,7 @@ impl Metrics {
         Ok(text)
     }
 
-    /// Where the system tells nothing of a process, the last that it told stands.
+    /// Where the system reports nothing of a process, the last values stay.
     fn look_at_process(&self) {
         let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
         let number = |name: &str| {

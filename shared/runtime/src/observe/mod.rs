@@ -1,7 +1,7 @@
 //! What can be seen of a process from outside of the bus: health, readiness and metrics over HTTP.
 //!
 //! An [`Observatory`] belongs to a process and owns the port, if one is asked for; each service has an
-//! [`Observer`], which its shell tells what happens. The cores know nothing of it: what is measured is
+//! [`Observer`], to which its shell reports what happens. The cores know nothing of it: what is measured is
 //! what the shell sees pass, and the [`muster_model::status::ServiceStatus`] that every core has
 //! anyway. The port is served by a thread of its own, so that it answers when everything else hangs.
 
@@ -15,8 +15,8 @@ use std::sync::Arc;
 use muster_model::id::ServiceName;
 
 use self::metrics::Metrics;
-use self::observer::Watched;
 pub use self::observer::{Observer, Queues};
+use self::observer::{Shared, Watched};
 use crate::config::ProcessConfig;
 
 /// What a process shows of itself.
@@ -25,13 +25,6 @@ pub struct Observatory {
     shared: Arc<Shared>,
     /// Where it is shown; nowhere if no port is asked for. The port closes with it.
     port: Option<http::Port>,
-}
-
-/// What the port and the observers share.
-#[derive(Debug)]
-struct Shared {
-    metrics: Metrics,
-    watched: Vec<Arc<Watched>>,
 }
 
 impl Observatory {

@@ -1,4 +1,4 @@
-//! What the shell of one service tells of what passes, and what is known of it at any moment.
+//! What the shell of one service reports of its messages, and what is known of it at any moment.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -10,6 +10,7 @@ use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
+use muster_service::inbox::InboxCounts;
 use muster_wire::Message;
 use muster_wire::message::quoted;
 use prometheus_client::metrics::counter::Counter;
@@ -18,31 +19,32 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 
 use super::health::{self, Look};
-use super::metrics::{
-    HistogramsWith, Metrics, Number, OfNamed, OfWith, count, observe, of, set_counter,
-};
+use super::metrics::{Metrics, OfNamed, OfWith, Results, count, observe, of, set_counter};
+use crate::bus::send_queue::SendCounts;
+use crate::send_queue::Backlog;
 
-/// What waits for a service, and what has become of what waited.
+/// What waits for a service and what it wants sent, and what has become of what waited.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Queues {
-    /// Messages that wait for the core, and their bytes.
-    pub inbox: (usize, usize),
-    /// Messages that a newer one of their key replaced.
-    pub superseded: u64,
-    /// Messages that were dropped because too many waited.
-    pub inbox_dropped: u64,
-    /// Messages that wait to be sent, and their bytes.
-    pub outbox: (usize, usize),
-    /// Messages that were sent.
-    pub sent: u64,
-    /// Messages that were dropped because too many waited to be sent.
-    pub outbox_dropped: u64,
+    /// The way in.
+    pub inbox: InboxCounts,
+    /// What waits to be sent.
+    pub send_queue: Backlog,
+    /// What was sent.
+    pub sending: SendCounts,
 }
 
-/// What the shell of one service tells of what passes. Nothing here waits, and nothing is kept that
+/// What the shell of one service reports of its messages. Nothing here waits, and nothing is kept that
 /// grows.
 #[derive(Debug, Clone)]
 pub struct Observer(Arc<Watched>);
+
+/// What the port and the observers share.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) metrics: Metrics,
+    pub(super) watched: Vec<Arc<Watched>>,
+}
 
 /// One service under observation.
 #[derive(Debug)]
@@ -97,22 +99,6 @@ struct Own {
     results: Results,
 }
 
-/// The metrics that only one service has: they appear with the first result.
-#[derive(Debug)]
-struct Results {
-    robots: Family<OfWith, Gauge>,
-    teams: Family<super::metrics::Of, Gauge>,
-    teams_requested: Family<super::metrics::Of, Gauge>,
-    unassigned: Family<super::metrics::Of, Gauge>,
-    silhouette: Family<OfWith, Number>,
-    katz_residual: Family<super::metrics::Of, Number>,
-    residual: Family<super::metrics::Of, Number>,
-    spectral_radius: Family<super::metrics::Of, Number>,
-    alpha: Family<super::metrics::Of, Number>,
-    embeddings: Family<OfWith, Counter>,
-    embedding_stage: HistogramsWith,
-}
-
 impl Own {
     fn new(service: ServiceName, all: &Metrics) -> Self {
         let of = of(service);
@@ -146,19 +132,7 @@ impl Own {
             answered: all.answered.get_or_create_owned(&of),
             refused: all.refused.get_or_create_owned(&of),
             counted: all.counted.clone(),
-            results: Results {
-                robots: all.robots.clone(),
-                teams: all.teams.clone(),
-                teams_requested: all.teams_requested.clone(),
-                unassigned: all.unassigned.clone(),
-                silhouette: all.silhouette.clone(),
-                katz_residual: all.katz_residual.clone(),
-                residual: all.residual.clone(),
-                spectral_radius: all.spectral_radius.clone(),
-                alpha: all.alpha.clone(),
-                embeddings: all.embeddings.clone(),
-                embedding_stage: all.embedding_stage.clone(),
-            },
+            results: all.results.clone(),
         }
     }
 }
@@ -218,7 +192,7 @@ impl Observer {
         Self(watched)
     }
 
-    /// The loop turns; this is how the service stands.
+    /// The loop runs, and the service has this status.
     pub fn turned(&self, status: &ServiceStatus, queues: &Queues) {
         let (own, mut state) = (&self.0.metrics, self.0.state());
         state.turned = Some(Instant::now());
@@ -239,14 +213,14 @@ impl Observer {
                 }
             }
         }
-        own.inbox.0.set(count(queues.inbox.0));
-        own.inbox.1.set(count(queues.inbox.1));
-        own.outbox.0.set(count(queues.outbox.0));
-        own.outbox.1.set(count(queues.outbox.1));
-        set_counter(&own.superseded, queues.superseded);
-        set_counter(&own.inbox_dropped, queues.inbox_dropped);
-        set_counter(&own.sent, queues.sent);
-        set_counter(&own.outbox_dropped, queues.outbox_dropped);
+        own.inbox.0.set(count(queues.inbox.waiting_items));
+        own.inbox.1.set(count(queues.inbox.waiting_bytes));
+        own.outbox.0.set(count(queues.send_queue.messages));
+        own.outbox.1.set(count(queues.send_queue.bytes));
+        set_counter(&own.superseded, queues.inbox.superseded);
+        set_counter(&own.inbox_dropped, queues.inbox.dropped);
+        set_counter(&own.sent, queues.sending.sent);
+        set_counter(&own.outbox_dropped, queues.sending.dropped);
     }
 
     /// The loop has ended, as it should.
@@ -347,7 +321,7 @@ impl Observer {
                     }
                 }
             }
-            Message::Event(event) => return tell(event),
+            Message::Event(event) => return log_event(event),
             _ => return,
         }
         let Some(header) = message.header() else { return };
@@ -392,9 +366,9 @@ impl Observer {
     }
 }
 
-/// What consoles are told goes to the log as well, by how much it matters to who runs the process:
+/// Events for consoles go to the log as well, by their severity for the operator of the process:
 /// what robots do wrong is not wrong with the process.
-fn tell(event: &FleetEvent) {
+fn log_event(event: &FleetEvent) {
     let text = || quoted(&serde_json::to_string(&event.kind).unwrap_or_default());
     match event.severity {
         Severity::Error => tracing::error!("event {}", text()),

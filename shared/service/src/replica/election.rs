@@ -4,9 +4,8 @@
 //! its token is lost or it falls silent, the lowest standby takes over. Terms give safety: a new
 //! leader begins a higher term, and a leader that receives a higher one stands down. A leader that
 //! lost its link or was paused becomes *suspect*: its output is suppressed until a query for the
-//! current leader goes unanswered. Nobody replaces a leader that lives.
+//! current leader goes unanswered. No instance replaces a leader that lives.
 
-use std::collections::BTreeSet;
 use std::time::Duration;
 
 use muster_model::header::Revision;
@@ -14,11 +13,9 @@ use muster_model::id::InstanceId;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::time::Tick;
 
-use crate::core::Replication;
-
-/// How often a leader renews its lease. Several renewals fit into [`LEASE`], so that one lost message
-/// changes nothing.
-pub const RENEWAL_INTERVAL: Duration = Duration::from_millis(500);
+use crate::replica::lease::{Lease, RENEWAL_INTERVAL};
+use crate::replica::peers::Peers;
+use crate::wiring::Replication;
 
 /// How long a leader may be silent before another instance takes over: the lease of the bus, so that
 /// a process that hangs with its link up is replaced as soon as one whose link is dead.
@@ -33,24 +30,9 @@ const PAUSE: Duration = Duration::from_millis(1500);
 /// whoever took over was received.
 const LINK_PROOF: Duration = RENEWAL_INTERVAL.saturating_add(Duration::from_millis(200));
 
-/// How much longer each further standby waits, so that one takes over and the others see it.
-const STAGGER: Duration = Duration::from_millis(300);
-
 /// Grace period for a lost token: a lost link takes all tokens away a moment before it is noticed
-/// itself, and then says nothing about anybody.
+/// itself, and then proves nothing about any instance.
 const TOKEN_GRACE: Duration = Duration::from_millis(200);
-
-/// Most other instances that are told apart; two or three make sense.
-const MAX_PEERS: usize = 16;
-
-/// How often a leader asks its readers whether they have seen a higher revision than its own, which
-/// happens if its start could not reach them: they would drop all that it publishes. As often it
-/// announces its settings again: a standby that missed a change would bring the old ones back.
-const TERM_CHECK_INTERVAL: Duration = Duration::from_secs(5);
-
-/// How soon it asks again when they have. Another leader that lives goes on meanwhile, and is left
-/// alone.
-const TERM_RECHECK_DELAY: Duration = Duration::from_secs(1);
 
 /// Another instance that leads.
 #[derive(Debug, Clone)]
@@ -68,7 +50,7 @@ struct Candidate {
     take_over_at: Tick,
     /// Whether it has asked the bus and waits for the answers.
     asking: bool,
-    /// Whether the standbys before it have had their turn.
+    /// Whether the standbys before it had time to take over.
     waited: bool,
 }
 
@@ -80,15 +62,6 @@ struct Suspicion {
     query: Option<u64>,
     /// Whether that query went unanswered.
     unopposed: bool,
-}
-
-/// What a leader does next.
-#[derive(Debug, Clone)]
-struct Lease {
-    renew_at: Tick,
-    check_at: Tick,
-    /// A higher revision that readers had seen at the last check.
-    higher: Option<Revision>,
 }
 
 #[derive(Debug, Clone)]
@@ -105,16 +78,11 @@ pub(crate) struct Election {
     instance: InstanceId,
     replication: Replication,
     state: State,
-    /// The other instances whose tokens are there.
-    peers: BTreeSet<InstanceId>,
-    /// Whether there ever was another instance.
-    had_peers: bool,
-    /// Whether there ever were more tokens than are told apart.
-    crowded: bool,
+    peers: Peers,
     /// The highest term that another instance has claimed.
     highest_term: u64,
     linked: bool,
-    /// From when on silence of the bus means that there is nobody.
+    /// From when on an unanswered query means that there is no other instance.
     silence_proves_from: Tick,
     /// When this instance last ran.
     last_run: Tick,
@@ -149,17 +117,8 @@ pub(crate) enum Reconnection {
     Resume,
     /// It goes on, and asks the bus what there is.
     Inquire,
-    /// A suspect asks who leads, and says nothing until it knows.
+    /// A suspect asks who leads; its output stays suppressed until it knows.
     AskForLeader,
-}
-
-/// What readers know of this leader's output.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum TermCheck {
-    /// Nothing above its own.
-    Sound,
-    /// A higher revision, for the second time and from nobody who goes on.
-    Outrun(Revision),
 }
 
 impl Election {
@@ -168,9 +127,7 @@ impl Election {
             instance,
             replication,
             state: State::Starting(Candidate::new(now)),
-            peers: BTreeSet::new(),
-            had_peers: false,
-            crowded: false,
+            peers: Peers::default(),
             highest_term: 0,
             linked: true,
             silence_proves_from: now,
@@ -273,18 +230,17 @@ impl Election {
         }
     }
 
-    /// Whether a suspect leads again from now on: nobody has taken over.
+    /// Whether a suspect leads again from now on: no other instance has taken over.
     pub(crate) fn confirm(&mut self, now: Tick) -> bool {
         let State::Suspect(suspicion) = &self.state else { return false };
         let confirmed = suspicion.unopposed && self.silence_proves_from <= now;
         if confirmed {
-            self.state = State::Leading(Lease { renew_at: now, check_at: now, higher: None });
+            self.state = State::Leading(Lease::confirmed(now));
         }
         confirmed
     }
 
-    /// The instance asks the bus what there is. True if it does so to take over, as a standby whose
-    /// turn has come.
+    /// The instance asks the bus what there is. True if it does so to take over, as a standby.
     pub(crate) fn inquire(&mut self) -> bool {
         let Some(candidate) = self.candidate_mut() else { return false };
         candidate.asking = true;
@@ -330,8 +286,7 @@ impl Election {
 
     /// The instance has begun a term.
     pub(crate) fn lead(&mut self, now: Tick) {
-        let check_at = now.after(TERM_CHECK_INTERVAL);
-        self.state = State::Leading(Lease { renew_at: now, check_at, higher: None });
+        self.state = State::Leading(Lease::new_term(now));
     }
 
     /// The link is lost.
@@ -354,16 +309,16 @@ impl Election {
             }
             State::Starting(candidate) if !candidate.asking => Reconnection::Inquire,
             State::Leading(lease) => {
-                lease.check_at = now;
+                lease.check_soon(now);
                 Reconnection::Resume
             }
             State::Starting(_) | State::Standby(_) => Reconnection::Resume,
         }
     }
 
-    /// An instance that never had peers need not wait for anybody to speak.
+    /// An instance that never had peers need not wait for others to answer.
     fn distrust_silence(&mut self, now: Tick) {
-        self.silence_proves_from = if self.had_peers { now.after(LINK_PROOF) } else { now };
+        self.silence_proves_from = if self.peers.had_any() { now.after(LINK_PROOF) } else { now };
     }
 
     /// The leader could not be received until now.
@@ -380,9 +335,7 @@ impl Election {
     /// How long this instance lets those before it go first.
     fn stagger(&self) -> Duration {
         let leader = self.candidate().and_then(|candidate| candidate.leader.as_ref());
-        let leader = leader.map(|leader| &leader.instance);
-        let before = self.peers.range(..&self.instance).filter(|peer| Some(*peer) != leader);
-        STAGGER * u32::try_from(before.count()).unwrap_or(u32::MAX).min(MAX_PEERS as u32)
+        self.peers.stagger(&self.instance, leader.map(|leader| &leader.instance))
     }
 
     /// A token of an instance appeared or was lost.
@@ -390,16 +343,10 @@ impl Election {
         if instance == self.instance {
             return;
         }
-        self.had_peers |= alive;
         if alive {
-            if self.peers.len() < MAX_PEERS {
-                self.peers.insert(instance);
-            } else {
-                self.crowded |= !self.peers.contains(&instance);
-            }
-            return;
+            return self.peers.appeared(instance);
         }
-        self.peers.remove(&instance);
+        self.peers.lost(&instance);
         let take_over_at = now.after(TOKEN_GRACE + self.stagger());
         if let Some(candidate) = self.candidate_mut()
             && candidate.leader.as_ref().is_some_and(|leader| leader.instance == instance)
@@ -420,17 +367,12 @@ impl Election {
             return Rivalry::None;
         }
         let revision = renewal.header.revision;
-        // A renewal counts if an instance stands behind it. An answer to a get proves that; otherwise
-        // there must be a token, and the next renewal comes soon if that is still on its way. Once there
-        // were more tokens than are told apart it is not known who has one, and they must not shut a
-        // leader out.
-        if source == RenewalSource::Published
-            && !self.crowded
-            && !self.peers.contains(&renewal.instance)
-        {
+        // A renewal counts if an instance runs that sent it. An answer to a get proves that; otherwise
+        // there must be a token, and the next renewal comes soon if that is still on its way.
+        if source == RenewalSource::Published && !self.peers.may_have_token(&renewal.instance) {
             return Rivalry::None;
         }
-        self.had_peers = true;
+        self.peers.proved();
         self.highest_term = self.highest_term.max(revision.term);
         if self.has_term() {
             if revision.term < term {
@@ -480,51 +422,12 @@ impl Election {
         true
     }
 
-    /// The lease of an elected leader.
-    fn lease_mut(&mut self) -> Option<&mut Lease> {
+    /// The lease of an elected leader; none while the instance does not lead.
+    pub(crate) fn lease(&mut self) -> Option<&mut Lease> {
         match &mut self.state {
             State::Leading(lease) if self.replication == Replication::OneLeads => Some(lease),
             _ => None,
         }
-    }
-
-    /// Whether the lease is to be renewed now.
-    pub(crate) fn renews(&mut self, now: Tick) -> bool {
-        let Some(lease) = self.lease_mut() else { return false };
-        let due = lease.renew_at <= now;
-        if due {
-            lease.renew_at = now.after(RENEWAL_INTERVAL);
-        }
-        due
-    }
-
-    /// Whether the readers are to be asked now what they have seen.
-    pub(crate) fn checks_term(&mut self, now: Tick) -> bool {
-        let Some(lease) = self.lease_mut() else { return false };
-        let due = lease.check_at <= now;
-        if due {
-            lease.check_at = now.after(TERM_CHECK_INTERVAL);
-        }
-        due
-    }
-
-    /// Takes what readers have seen at most. `own` is the revision of the last output.
-    pub(crate) fn term_checked(
-        &mut self,
-        now: Tick,
-        seen: Option<Revision>,
-        own: Revision,
-    ) -> TermCheck {
-        let State::Leading(lease) = &mut self.state else { return TermCheck::Sound };
-        let higher = seen.filter(|seen| *seen > own);
-        if let Some(seen) = higher {
-            if lease.higher == higher {
-                return TermCheck::Outrun(seen);
-            }
-            lease.check_at = now.after(TERM_RECHECK_DELAY);
-        }
-        lease.higher = higher;
-        TermCheck::Sound
     }
 
     /// When the instance has something to do.
@@ -534,7 +437,7 @@ impl Election {
             State::Starting(_) => None,
             State::Suspect(suspicion) => suspicion.unopposed.then_some(self.silence_proves_from),
             State::Leading(_) if self.replication == Replication::EveryInstance => None,
-            State::Leading(lease) => Some(lease.renew_at.min(lease.check_at)),
+            State::Leading(lease) => Some(lease.deadline()),
             // It runs as often as a leader renews, so that it notices its own pauses.
             State::Standby(candidate) if self.linked => Some(candidate.take_over_at.min(next_look)),
             State::Standby(_) => Some(next_look),
@@ -558,233 +461,4 @@ pub(crate) enum RenewalSource {
 }
 
 #[cfg(test)]
-mod tests {
-    use muster_model::header::Header;
-    use muster_model::id::{FleetId, ServiceName};
-
-    use super::RenewalSource::{Answered, Published};
-    use super::*;
-
-    const START: Tick = Tick(1_000_000_000);
-
-    fn at(seconds: f64) -> Tick {
-        START.after(Duration::from_secs_f64(seconds))
-    }
-
-    fn name(host: &str) -> InstanceId {
-        InstanceId::of_process(host, 1, 1)
-    }
-
-    fn renewal(host: &str, term: u64) -> LeaseRenewal {
-        LeaseRenewal {
-            header: Header {
-                fleet: FleetId::new("f").unwrap(),
-                revision: Revision { term, epoch: 5 },
-                oldest: None,
-                newest: None,
-                stages: Vec::new(),
-            },
-            service: ServiceName::Ingest,
-            instance: name(host),
-        }
-    }
-
-    /// An instance on host `b` that knows of hosts `a` and `c`.
-    fn between() -> Election {
-        let mut election = Election::new(name("b"), START, Replication::OneLeads);
-        election.token(START, name("a"), true);
-        election.token(START, name("c"), true);
-        election
-    }
-
-    /// The same as the leader.
-    fn leading() -> Election {
-        let mut election = between();
-        election.lead(START);
-        election
-    }
-
-    /// The same as a standby of a leader on a host.
-    fn standby_of(host: &str) -> Election {
-        let mut election = between();
-        assert_eq!(election.renewal(START, &renewal(host, 3), Answered, 0), Rivalry::None);
-        assert_eq!(election.decide(START), Decision::StandBy);
-        election
-    }
-
-    /// The instance asks who leads, and nobody else answers.
-    fn unanswered(election: &mut Election, query: u64) {
-        election.leader_query_sent(query);
-        election.leader_query_unanswered(query);
-    }
-
-    /// Lets an instance run until it takes over; when that is.
-    fn takes_over(election: &mut Election, from: f64, until: f64) -> Option<f64> {
-        let mut now = at(from);
-        while now <= at(until) {
-            assert!(!election.notice_pause(now));
-            if election.takes_over(now) {
-                return Some(now.since(START).as_secs_f64());
-            }
-            now = election.deadline().unwrap().max(now.after(Duration::from_millis(1)));
-        }
-        None
-    }
-
-    #[test]
-    fn the_first_leads_and_those_after_it_wait_for_their_turn() {
-        let mut alone = Election::new(name("b"), START, Replication::OneLeads);
-        assert_eq!(alone.decide(START), Decision::Lead);
-        let mut second = between();
-        assert_eq!(second.decide(START), Decision::StandBy);
-        let turn = takes_over(&mut second, 0.0, 10.0).unwrap();
-        assert!((0.5..0.6).contains(&turn), "{turn}");
-        assert_eq!(second.decide(at(turn)), Decision::Lead);
-        // The first leads meanwhile.
-        let mut second = between();
-        second.decide(START);
-        second.renewal(at(0.1), &renewal("a", 1), Published, 0);
-        assert_eq!(takes_over(&mut second, 0.0, 2.0), None);
-    }
-
-    #[test]
-    fn a_standby_takes_over_at_once_after_a_lost_token_and_after_the_lease_when_there_is_silence() {
-        let mut election = standby_of("a");
-        election.token(at(1.0), name("a"), false);
-        let taken = takes_over(&mut election, 0.9, 9.0).unwrap();
-        assert!((1.2..1.3).contains(&taken), "{taken}");
-
-        let taken = takes_over(&mut standby_of("a"), 0.0, 9.0).unwrap();
-        assert!((2.0..2.1).contains(&taken), "{taken}");
-        // One with a lower name has its turn first.
-        let taken = takes_over(&mut standby_of("c"), 0.0, 9.0).unwrap();
-        assert!((2.3..2.4).contains(&taken), "{taken}");
-    }
-
-    #[test]
-    fn nobody_replaces_a_leader_that_renews_its_lease() {
-        let mut election = standby_of("c");
-        for half in 1..40 {
-            let now = f64::from(half) * 0.5;
-            assert_eq!(takes_over(&mut election, now - 0.5, now - 0.1), None);
-            election.renewal(at(now), &renewal("c", 3), Published, 0);
-        }
-    }
-
-    #[test]
-    fn a_lost_link_says_nothing_about_the_leader() {
-        let mut election = standby_of("a");
-        election.token(at(0.5), name("a"), false);
-        election.link_lost();
-        assert_eq!(takes_over(&mut election, 0.5, 60.0), None);
-        election.link_restored(at(60.1));
-        let taken = takes_over(&mut election, 60.1, 70.0).unwrap();
-        assert!((62.1..62.2).contains(&taken), "{taken}");
-    }
-
-    #[test]
-    fn a_standby_that_was_paused_gives_its_leader_the_whole_lease_again() {
-        let mut election = standby_of("a");
-        assert!(!election.notice_pause(at(30.0)), "only a leader becomes suspect");
-        assert!(!election.takes_over(at(30.0)));
-        assert_eq!(takes_over(&mut election, 30.0, 31.9), None);
-        assert!(takes_over(&mut election, 31.9, 32.1).is_some());
-    }
-
-    #[test]
-    fn a_leader_that_was_paused_or_cut_off_is_suspect() {
-        let mut election = leading();
-        assert!(!election.notice_pause(at(1.0)));
-        assert!(election.notice_pause(at(3.0)));
-        assert_eq!(election.state(), ReplicaState::Suspect);
-        assert!(!election.renews(at(3.0)));
-        assert!(!election.confirm(at(4.0)), "nobody was asked");
-        unanswered(&mut election, 1);
-        assert!(!election.confirm(at(3.1)), "the link may be given up at its other end");
-        assert_eq!(election.deadline(), Some(at(3.0).after(LINK_PROOF)));
-        assert!(election.confirm(at(3.0).after(LINK_PROOF)));
-        assert!(election.renews(at(3.7)));
-        election.link_lost();
-        assert_eq!(election.state(), ReplicaState::Suspect);
-    }
-
-    #[test]
-    fn an_unanswered_query_on_a_link_that_turns_out_to_be_lost_proves_nothing() {
-        let mut election = leading();
-        assert!(election.notice_pause(at(3.0)));
-        unanswered(&mut election, 1);
-        election.link_lost();
-        assert!(!election.confirm(at(9.0)));
-        assert_eq!(election.deadline(), None);
-        unanswered(&mut election, 1);
-        assert!(!election.confirm(at(9.0)), "it was asked on the lost link");
-        // On a new link, a renewal of whoever has taken over arrives.
-        election.link_restored(at(9.0));
-        unanswered(&mut election, 1);
-        assert!(!election.confirm(at(9.1)), "it may be too new to carry a question");
-        assert!(election.confirm(at(9.0).after(LINK_PROOF)));
-    }
-
-    #[test]
-    fn an_instance_that_never_had_peers_waits_for_nobody() {
-        let mut election = Election::new(name("b"), START, Replication::OneLeads);
-        election.lead(START);
-        assert!(election.notice_pause(at(3.0)));
-        unanswered(&mut election, 1);
-        assert!(election.confirm(at(3.0)));
-    }
-
-    #[test]
-    fn the_higher_term_wins_and_in_the_same_the_lower_name() {
-        assert_eq!(leading().renewal(START, &renewal("a", 4), Published, 5), Rivalry::None);
-        assert_eq!(leading().renewal(START, &renewal("c", 6), Published, 5), Rivalry::StandDown);
-        assert_eq!(leading().renewal(START, &renewal("a", 5), Published, 5), Rivalry::StandDown);
-        let raise = Rivalry::RaiseTerm(Revision { term: 5, epoch: 5 });
-        assert_eq!(leading().renewal(START, &renewal("c", 5), Published, 5), raise);
-        assert_eq!(
-            leading().renewal(START, &renewal("b", 9), Published, 5),
-            Rivalry::None,
-            "its own"
-        );
-    }
-
-    #[test]
-    fn a_published_renewal_without_a_token_is_ignored() {
-        assert_eq!(leading().renewal(START, &renewal("nobody", 900), Published, 5), Rivalry::None);
-        assert_eq!(
-            leading().renewal(START, &renewal("nobody", 900), Answered, 5),
-            Rivalry::StandDown
-        );
-    }
-
-    #[test]
-    fn without_a_link_nobody_leads() {
-        let mut election = Election::new(name("b"), START, Replication::OneLeads);
-        election.link_lost();
-        assert_eq!(election.decide(START), Decision::Wait);
-        election.link_restored(START);
-        assert_eq!(election.decide(START), Decision::Lead);
-    }
-
-    #[test]
-    fn the_instances_that_are_told_apart_are_bounded() {
-        let mut election = Election::new(name("b"), START, Replication::OneLeads);
-        for other in 0..1000 {
-            election.token(START, InstanceId::of_process("z", other, 1), true);
-        }
-        assert_eq!(election.peers.len(), MAX_PEERS);
-    }
-
-    #[test]
-    fn a_crowd_of_tokens_does_not_shut_the_leader_out() {
-        let mut election = Election::new(name("b"), START, Replication::OneLeads);
-        for other in 0..1000 {
-            election.token(START, InstanceId::of_process("z", other, 1), true);
-        }
-        election.token(START, name("a"), true);
-        election.token(START, InstanceId::of_process("z", 0, 1), false);
-        election.renewal(START, &renewal("a", 3), Published, 0);
-        assert_eq!(election.decide(START), Decision::StandBy);
-        assert_eq!(election.followed(), Some(Revision { term: 3, epoch: 5 }));
-    }
-}
+mod tests;

@@ -2,6 +2,8 @@
 //! output, its settings, counters, and refused messages.
 
 pub(crate) mod election;
+pub(crate) mod lease;
+pub(crate) mod peers;
 pub(crate) mod refusals;
 pub(crate) mod settings;
 
@@ -20,7 +22,8 @@ use muster_wire::{KeySpace, Message};
 use self::election::Election;
 use self::refusals::Refusals;
 use self::settings::ReplicaSettings;
-use crate::core::{Replication, Start, Stored};
+use crate::start::{Start, Stored};
+use crate::wiring::Replication;
 
 /// One instance of a service.
 #[derive(Debug)]
@@ -148,7 +151,7 @@ impl<S: Settings> Replica<S> {
             now,
             standing,
             revision: self.election.followed().unwrap_or(self.revision),
-            state: if standing == ReplicaState::Standby { "stands by".to_owned() } else { state },
+            state: if standing == ReplicaState::Standby { "standby".to_owned() } else { state },
             counters: counters.collect(),
         }
     }

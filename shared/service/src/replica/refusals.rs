@@ -21,7 +21,7 @@ struct Offender {
     unreported: u64,
 }
 
-/// Who has sent refused messages lately.
+/// Senders of refused messages.
 #[derive(Debug, Default)]
 pub(crate) struct Refusals {
     offenders: BTreeMap<(Option<RobotId>, String), Offender>,
@@ -33,7 +33,7 @@ impl Refusals {
         self.offenders.len()
     }
 
-    /// Takes one refused message; how many of the same robot and key are to be reported now, if any.
+    /// Counts one refused message; how many of the same robot and key are to be reported now, if any.
     pub(crate) fn add(&mut self, now: Tick, rejection: &Rejection) -> Option<u64> {
         let is_recent = |offender: &Offender| now.since(offender.reported) < REPORT_INTERVAL;
         let key = (rejection.robot.clone(), rejection.key.clone());

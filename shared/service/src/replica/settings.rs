@@ -1,5 +1,5 @@
 //! The settings in force: what file and flags say, what operators have changed, and what a standby
-//! takes over from its leader.
+//! adopts from its leader.
 
 use muster_model::header::Revision;
 use muster_model::settings::Settings;
@@ -11,6 +11,11 @@ use serde_json::{Map, Value};
 /// Largest patch of settings in bytes.
 const MAX_PATCH_BYTES: usize = MAX_SMALL_PAYLOAD;
 
+/// How many of its next lease renewals a leader sends together with changed settings. One announcement
+/// may be lost, and the leader right after it: the standby would then lead with the old settings. Three
+/// more within 1.5 s are rarely all lost, and a leader is rarely lost so soon after a change.
+const REPEATED_ANNOUNCEMENTS: u8 = 3;
+
 /// The settings of one instance.
 #[derive(Debug)]
 pub(crate) struct ReplicaSettings<S> {
@@ -21,8 +26,10 @@ pub(crate) struct ReplicaSettings<S> {
     patch: Map<String, Value>,
     /// Stored fields that do not fit the settings any more.
     dropped: Vec<String>,
-    /// The revision of the announcement that the settings are from; an older one is not gone back to.
+    /// The revision of the announcement that the settings are from; an older one is not adopted.
     adopted: Revision,
+    /// How many lease renewals are still to be followed by an announcement.
+    announcements_left: u8,
 }
 
 /// What became of an announcement of the leader's settings.
@@ -46,7 +53,7 @@ impl<S: Settings> ReplicaSettings<S> {
     pub(crate) fn new(base: S, patch: &Map<String, Value>, revision: Revision) -> Self {
         let (current, dropped) = restore(&base, patch);
         let patch = difference(&base, &current);
-        Self { base, current, patch, dropped, adopted: revision }
+        Self { base, current, patch, dropped, adopted: revision, announcements_left: 0 }
     }
 
     pub(crate) fn current(&self) -> &S {
@@ -70,6 +77,7 @@ impl<S: Settings> ReplicaSettings<S> {
     /// An instance that stood down goes by announcements from its own last output on.
     pub(crate) fn stood_down(&mut self, revision: Revision) {
         self.adopted = revision;
+        self.announcements_left = 0;
     }
 
     /// Changes the settings, as a whole or not at all.
@@ -88,7 +96,15 @@ impl<S: Settings> ReplicaSettings<S> {
             .patched(&patch)
             .map_err(|error| problem_json(&error.field, &error.problem))?;
         self.accept(settings);
+        self.announcements_left = REPEATED_ANNOUNCEMENTS;
         Ok(())
+    }
+
+    /// Whether changed settings are announced again, now that the lease is renewed.
+    pub(crate) fn are_announced_again(&mut self) -> bool {
+        let is_due = self.announcements_left > 0;
+        self.announcements_left = self.announcements_left.saturating_sub(1);
+        is_due
     }
 
     fn accept(&mut self, settings: S) {
@@ -96,10 +112,10 @@ impl<S: Settings> ReplicaSettings<S> {
         self.current = settings;
     }
 
-    /// Takes the leader's settings over, so that what an operator has changed outlives the leader.
+    /// Adopts the leader's settings, so that what an operator has changed outlives the leader.
     /// Settings that do not fit this program are left where they are, and so are those of an older
-    /// revision than the ones in force, unless these claim a later one than the followed leader
-    /// itself: nobody stands behind them.
+    /// revision than the ones in force, unless the revision in force is
+    /// above the followed leader's own: then no leader published it.
     pub(crate) fn adopt(
         &mut self,
         announced: &AnnouncedSettings,

@@ -3,6 +3,7 @@
 #![allow(dead_code, reason = "each test file uses another part")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
+use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
 use muster_model::content::Checked;
@@ -14,9 +15,10 @@ use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
+use muster_service::testkit::Bench;
 use muster_service::{
-    Arrival, Ask, Command, Connectivity, Context, Core, Get, GetId, Host, IncomingGet, Input,
-    JobEnd, Record, RecordRange, Replication, Reply, Start, Stopwatch, Stored, View, Wiring,
+    Ask, Connectivity, Context, Core, Get, GetId, IncomingGet, Input, JobEnd, Record, RecordRange,
+    Replication, Start, Stopwatch, Stored, View, Wiring,
 };
 use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{ForeignKey, Key, KeySpace, Message, Packet, Pattern};
@@ -277,39 +279,34 @@ pub(crate) fn get(id: u64, key: &Key, payload: Option<&str>) -> Input {
     })
 }
 
-/// A host of the core. State is written at once unless `hold_stores`; all else is done by hand.
-pub(crate) struct Driven<const KIND: u8 = ONE_LEADS> {
-    pub(crate) host: Host<Small<KIND>>,
-    pub(crate) now: Tick,
-    pub(crate) hold_stores: bool,
-    pub(crate) published: Vec<Message>,
-    pub(crate) asks: Vec<Ask>,
-    pub(crate) replies: Vec<Reply>,
-    /// How many jobs were to be run.
-    pub(crate) jobs: usize,
-    /// All other commands.
-    pub(crate) others: Vec<Command>,
+/// A bench that runs no job by itself, and answers no question for the leader.
+pub(crate) struct Driven<const KIND: u8 = ONE_LEADS>(Bench<Small<KIND>>);
+
+impl<const KIND: u8> Deref for Driven<KIND> {
+    type Target = Bench<Small<KIND>>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl<const KIND: u8> DerefMut for Driven<KIND> {
+    fn deref_mut(&mut self) -> &mut Self::Target {
+        &mut self.0
+    }
 }
 
 impl<const KIND: u8> Driven<KIND> {
     pub(crate) fn new() -> Self {
-        let host = Host::new(Start {
+        let mut bench = Bench::new(Start {
             fleet: space().fleet().clone(),
             instance: instance("b"),
             now: START,
             settings: ClustererSettings::default(),
             stored: Stored::default(),
         });
-        Self {
-            host,
-            now: START,
-            hold_stores: false,
-            published: Vec::new(),
-            asks: Vec::new(),
-            replies: Vec::new(),
-            jobs: 0,
-            others: Vec::new(),
-        }
+        (bench.hold_jobs, bench.hold_leader_queries) = (true, true);
+        Self(bench)
     }
 
     /// One that has asked the bus, and whose last questions are answered now.
@@ -331,49 +328,11 @@ impl<const KIND: u8> Driven<KIND> {
         driven
     }
 
-    pub(crate) fn input(&mut self, input: Input) {
-        let mut stores = 0;
-        for command in self.host.handle(self.now, input) {
-            match command {
-                Command::Publish(publication) => self.published.extend(publication.message),
-                Command::Ask(ask) => self.asks.push(ask),
-                Command::Reply(reply) => self.replies.push(reply),
-                Command::RunJob => self.jobs += 1,
-                Command::Store(_) if !self.hold_stores => stores += 1,
-                other => self.others.push(other),
-            }
-        }
-        for _ in 0..stores {
-            self.input(Input::Stored { error: None });
-        }
-    }
-
-    pub(crate) fn receive(&mut self, message: Message) {
-        self.input(Input::Arrived(Arrival::of_message(&space(), message)));
-    }
-
-    pub(crate) fn answer(&mut self, ask: &Ask, messages: Vec<Message>) {
-        let answers = messages.into_iter().map(|message| Arrival::of_message(&space(), message));
-        self.input(Input::Answered { ask: ask.ask, answers: answers.collect() });
-    }
-
-    /// Answers the first question that waits with messages, the others with none.
-    pub(crate) fn answer_all(&mut self, messages: Vec<Message>) {
-        let mut messages = Some(messages);
-        for ask in std::mem::take(&mut self.asks) {
-            self.answer(&ask, messages.take().unwrap_or_default());
-        }
-    }
-
-    /// The questions who leads, which wait no more.
+    /// The questions who leads, which do not wait afterwards.
     pub(crate) fn leader_queries(&mut self) -> Vec<Ask> {
         let of_leader =
             |ask: &mut Ask| ask.pattern == Pattern::One(Key::Lease(ServiceName::Clusterer));
         self.asks.extract_if(.., of_leader).collect()
-    }
-
-    pub(crate) fn asked(&self) -> Vec<Pattern> {
-        self.asks.iter().map(|ask| ask.pattern.clone()).collect()
     }
 
     /// Lets time pass; the process runs all the while.
@@ -383,12 +342,6 @@ impl<const KIND: u8> Driven<KIND> {
             self.now = self.now.after(Duration::from_millis(500)).min(end);
             self.input(Input::Timer);
         }
-    }
-
-    pub(crate) fn run_job(&mut self) {
-        let job = self.host.take_job().unwrap();
-        self.host.finish_job(Small::<KIND>::run(job, &mut Stopwatch::still()));
-        self.input(Input::JobEnded { laps: Vec::new(), panic: None });
     }
 
     /// What the core wrote down after so many lines.

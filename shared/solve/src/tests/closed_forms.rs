@@ -110,7 +110,7 @@ fn two_cliques_are_two_teams_and_their_silhouettes_are_known() {
     assert_eq!(silhouette.details.per_cluster.iter().map(|c| c.0).collect::<Vec<_>>(), [2, 7]);
     assert_near(silhouette.details.per_cluster[1].1, 0.25, "label 7");
 
-    // Equal rows cannot be told apart: three teams cannot be made of two points.
+    // Equal rows cannot be separated: three teams cannot be made of two points.
     let three = solved(&with(file, json!({"teams": 3, "dimension": 4})));
     assert_eq!(three.divided.labels, [0, 0, 0, 1, 1, 1]);
     assert!(three.warnings[0].contains("only 2"), "{:?}", three.warnings);

@@ -1,4 +1,4 @@
-//! What a file may say, and what it is told when it says something else.
+//! What a file may hold, and the errors of everything else.
 
 use serde_json::{Value, json};
 
@@ -63,7 +63,7 @@ fn observations_become_the_live_graphs() {
     let near = (-0.5 / (0.7_f64 * 0.7)).exp();
     assert_eq!(edges[0].iter().map(|(i, j, _)| (*i, *j)).collect::<Vec<_>>(), [(0, 1), (1, 0)]);
     edges[0].iter().for_each(|(_, _, weight)| assert_near(*weight, near, "near"));
-    assert_eq!(edges[1], [(1, 0, 0.5)], "from the one who is heard");
+    assert_eq!(edges[1], [(1, 0, 0.5)], "from the sender");
     assert_eq!(edges[2], [(0, 1, 2.0), (1, 0, 1.0)], "from the superior, and half as much back");
 
     let changed = with(
@@ -112,7 +112,7 @@ fn observations_become_the_live_graphs() {
         (json!({"reciprocity": {"hierarchy": 2}}), "reciprocity.hierarchy: "),
         (json!({"reciprocity": {"radio": 0.5}}), "reciprocity.radio: is no modality"),
         (json!({"poses": null, "weights": null, "spatial": {}}), "spatial: needs \"poses\""),
-        (json!({"modalities": []}), "poses: must not stand beside \"modalities\""),
+        (json!({"modalities": []}), "poses: must not be given with \"modalities\""),
     ];
     for (changes, start) in refusals {
         let message = refused(&with(file.clone(), changes).to_string());
@@ -187,8 +187,8 @@ fn every_mistake_is_named_by_its_field() {
         (edges(json!([["r1", 2, 1]])), "modalities[0].edges[0][1]: invalid type: integer `2`"),
         (edges(json!([["r1", "r2", "1"]])), "modalities[0].edges[0][2]: invalid type: string"),
         (edges(json!({"r1": "r2"})), "modalities[0].edges: invalid type: map"),
-        (json!({"weights": {"x": 1}}), "weights: must not stand beside \"modalities\""),
-        (json!({"spatial": {}}), "spatial: must not stand beside \"modalities\""),
+        (json!({"weights": {"x": 1}}), "weights: must not be given with \"modalities\""),
+        (json!({"spatial": {}}), "spatial: must not be given with \"modalities\""),
         (json!({"normalize": "norm"}), "normalize: "),
         (json!({"scale": "sqrt"}), "scale: "),
         (json!({"rows": 1}), "rows: "),
@@ -209,7 +209,7 @@ fn every_mistake_is_named_by_its_field() {
         (json!({"teams": 4}), "teams: 4 teams cannot be made of 3 robots"),
         (json!({"teams": 2.5}), "teams: "),
         (json!({"teams": null}), "teams: is missing"),
-        (json!({"labels": [0, 0, 1]}), "teams: must not stand beside \"labels\""),
+        (json!({"labels": [0, 0, 1]}), "teams: must not be given with \"labels\""),
         (json!({"teams": null, "labels": [0, 1]}), "labels: "),
         (json!({"teams": null, "labels": [0, 1, -1]}), "labels[2]: "),
         (json!({"teams": null, "labels": [0, 1, "a"]}), "labels[2]: "),

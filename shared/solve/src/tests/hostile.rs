@@ -1,4 +1,4 @@
-//! Texts that nobody would write.
+//! Texts that no user would write.
 
 use serde_json::{Value, json};
 

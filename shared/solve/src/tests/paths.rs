@@ -101,7 +101,7 @@ fn the_residual_that_is_asked_for_is_kept() {
         let residual = found.residual;
         let most = (1.0 + found.decomposition.svd.sigma[0]) * tolerance;
         assert!(found.decomposition.converged && residual <= most, "{residual:e}");
-        // It is a bound on what the similarity itself says.
+        // The same bound holds for the similarity itself.
         let (_, dense) = solve_with(
             &with(file_of(&text), json!({"emit": ["katz"]})).to_string(),
             Options::default(),

@@ -1,4 +1,4 @@
-//! What is told of a solve, meanwhile and in the end.
+//! What a solve reports, meanwhile and in the end.
 
 use serde_json::{Value, json};
 
@@ -10,9 +10,10 @@ use crate::{Solved, Step};
 #[test]
 fn each_step_is_told_when_it_begins_and_each_round_and_restart_when_it_is_done() {
     let steps = |file: &Value, options| {
-        let mut told = Vec::new();
-        Solved::watched(file.to_string().as_bytes(), options, &mut |step| told.push(step)).unwrap();
-        told
+        let mut reported = Vec::new();
+        Solved::watched(file.to_string().as_bytes(), options, &mut |step| reported.push(step))
+            .unwrap();
+        reported
     };
     let file = with(plain(6, &cliques(&[3, 3]), 0.25), json!({"teams": 2, "restarts": 3}));
     let kmeans = |done| Step::KMeans { done, restarts: 3 };
@@ -23,10 +24,10 @@ fn each_step_is_told_when_it_begins_and_each_round_and_restart_when_it_is_done()
     let judged = with(file, json!({"teams": null, "labels": [0, 0, 0, 1, 1, 1]}));
     assert_eq!(steps(&judged, options), [&before[..], &[Step::Silhouettes]].concat());
     let options = Options { path: PathChoice::InverseFree, ..options };
-    let told = steps(&with(judged, json!({"emit": []})), options);
-    assert_eq!(told[..3], [Step::Fuse, Step::SpectralRadius, Step::SEARCH]);
-    assert_eq!(told.last(), Some(&Step::Silhouettes));
-    let rounds = &told[3..told.len() - 1];
+    let reported = steps(&with(judged, json!({"emit": []})), options);
+    assert_eq!(reported[..3], [Step::Fuse, Step::SpectralRadius, Step::SEARCH]);
+    assert_eq!(reported.last(), Some(&Step::Silhouettes));
+    let rounds = &reported[3..reported.len() - 1];
     assert!(!rounds.is_empty());
     for (done, step) in rounds.iter().enumerate() {
         let Step::Search { round, open, rank } = *step else { panic!("{step}") };

@@ -3,7 +3,7 @@
 pub use muster_model::audit::SilhouetteMethod as Method;
 use thiserror::Error;
 
-/// The parameter of [`SilhouetteOptions`](super::SilhouetteOptions) that is out of its range.
+/// The parameter of `SilhouetteOptions` that is out of its range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 pub enum SilhouetteOptionsError {
     /// A sample of fewer than two points has no standard error.

@@ -99,24 +99,6 @@ impl SparseMatrix {
         Self::from_sorted(nodes, &entries)
     }
 
-    /// Matrix from a dense square one with non-negative entries.
-    ///
-    /// # Errors
-    /// [`MatrixError::Shape`] when `dense` is not square, otherwise as
-    /// [`SparseMatrix::from_triplets`].
-    pub fn from_dense(dense: &DenseMatrix) -> Result<Self, MatrixError> {
-        if dense.rows() != dense.cols() {
-            return Err(MatrixError::Shape {
-                rows: dense.rows(),
-                cols: dense.rows(),
-                len: dense.data().len(),
-            });
-        }
-        let n = dense.cols();
-        let entries = dense.data().iter().enumerate().filter(|e| *e.1 != 0.0);
-        Self::from_triplets(n, entries.map(|(at, &value)| (at / n, at % n, value)))
-    }
-
     /// Number of nodes n.
     #[must_use]
     pub fn nodes(&self) -> usize {

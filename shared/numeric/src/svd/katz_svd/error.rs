@@ -31,7 +31,7 @@ pub enum KatzSvdError {
         nodes: usize,
     },
     /// A changed row is beyond the graph.
-    #[error("row {row} is said to have changed in a graph of {nodes} nodes")]
+    #[error("row {row} is marked as changed in a graph of {nodes} nodes")]
     Changed {
         /// The row.
         row: usize,

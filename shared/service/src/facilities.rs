@@ -1,0 +1,150 @@
+//! What the host keeps and does for a core.
+
+use std::collections::VecDeque;
+
+use muster_model::event::{EventKind, Severity};
+use muster_model::settings::Settings;
+use muster_model::time::Tick;
+use muster_wire::{Key, Message, Pattern, Rejection};
+
+use crate::failures::Failures;
+use crate::fetches::{Fetched, Fetches, Purpose};
+use crate::gets::{Gets, encode_answer};
+use crate::io::{Command, GetId, Publication, Reply};
+use crate::replica::Replica;
+
+/// The one job of a service.
+pub(crate) enum JobSlot<Job> {
+    /// None runs.
+    Free,
+    /// One is handed out next.
+    Ready(Job),
+    /// One runs.
+    Running,
+    /// One runs whose result is dropped.
+    Abandoned,
+}
+
+/// What the host does for a core, over the types of its settings, fetches and jobs.
+pub(crate) struct Facilities<S, F, J> {
+    pub(crate) now: Tick,
+    pub(crate) replica: Replica<S>,
+    pub(crate) fetches: Fetches<F>,
+    /// Fetches that have ended within the current input.
+    pub(crate) fetched: VecDeque<Fetched<F>>,
+    pub(crate) gets: Gets,
+    pub(crate) job: JobSlot<J>,
+    pub(crate) failures: Failures,
+    pub(crate) commands: Vec<Command>,
+}
+
+/// Whether an answer confirms stored state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ReplyKind {
+    /// It does not.
+    Plain,
+    /// It does, so that it is an error if storing fails.
+    ConfirmsStore,
+}
+
+impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
+    /// Publishes a message, if this instance leads.
+    pub(crate) fn publish_as_leader(&mut self, message: Message) {
+        if self.replica.election.is_leading() {
+            self.publish(message);
+        }
+    }
+
+    /// Publishes an event of the service, if this instance leads.
+    pub(crate) fn publish_event(&mut self, severity: Severity, kind: EventKind) {
+        if self.replica.election.has_term() {
+            let event = self.replica.event(self.now, severity, kind);
+            self.publish_as_leader(event);
+        }
+    }
+
+    /// Publishes a message, whatever state the instance is in.
+    pub(crate) fn publish(&mut self, message: Message) {
+        match message.publish(self.now) {
+            Ok(outbound) => {
+                let space = &self.replica.space;
+                let packets = outbound.into_iter().map(|outbound| outbound.into_packet(space));
+                self.commands.push(Command::Publish(Publication {
+                    packets: packets.collect(),
+                    is_lease_renewal: matches!(message, Message::LeaseRenewal(_)),
+                    message: Some(message),
+                }));
+            }
+            Err(error) => {
+                let problem = format!("{} is not published: {error}", message.keys().0);
+                self.commands.push(Command::Unencodable(problem));
+            }
+        }
+    }
+
+    /// Counts a refused message and reports it, unless the term has not begun or the like has just
+    /// been reported.
+    pub(crate) fn refuse(&mut self, rejection: Rejection) {
+        self.replica.add("messages_refused", 1);
+        if !self.replica.election.has_term() {
+            return;
+        }
+        let Some(count) = self.replica.refusals.add(self.now, &rejection) else { return };
+        let Rejection { robot, key, reason } = rejection;
+        let kind = EventKind::Quarantined { robot, key, reason, count };
+        self.publish_event(Severity::Warning, kind);
+    }
+
+    pub(crate) fn fetch(&mut self, purpose: Purpose<F>, patterns: Vec<Pattern>) {
+        let service = self.replica.service;
+        let of_host = [Key::Lease(service), Key::Settings(service)].map(Pattern::One);
+        // After a failure of the router, those who know the last output may need a moment to reconnect. A
+        // leader answers at once, or there is none.
+        let retries = |pattern: &Pattern| purpose == Purpose::Start && !of_host.contains(pattern);
+        let mut asks = Vec::new();
+        let ended = self.fetches.begin(self.now, purpose, patterns, retries, &mut asks);
+        self.fetched.extend(ended);
+        self.commands.extend(asks.into_iter().map(Command::Ask));
+    }
+
+    pub(crate) fn abandon_job(&mut self) {
+        match self.job {
+            JobSlot::Running => self.job = JobSlot::Abandoned,
+            JobSlot::Ready(_) => {
+                self.job = JobSlot::Free;
+                self.commands.retain(|command| *command != Command::RunJob);
+            }
+            JobSlot::Free | JobSlot::Abandoned => {}
+        }
+    }
+
+    pub(crate) fn store(&mut self) {
+        self.gets.store_started();
+        self.commands.push(Command::Store(self.replica.stored()));
+    }
+
+    pub(crate) fn reply(
+        &mut self,
+        get: GetId,
+        answer: Result<Vec<Message>, String>,
+        kind: ReplyKind,
+    ) {
+        let Some(request) = self.gets.close(get) else { return };
+        let (answer, messages) = match answer {
+            Ok(messages) => {
+                let packets = encode_answer(&self.replica.space, &request, &messages, self.now);
+                (packets, messages)
+            }
+            Err(error) => (Err(error), Vec::new()),
+        };
+        let reply = Reply { get, answer, messages };
+        let reply = self.gets.pass(reply, kind == ReplyKind::ConfirmsStore);
+        self.commands.extend(reply.map(Command::Reply));
+    }
+
+    /// Publishes the settings, so that standbys and other services follow them.
+    pub(crate) fn announce_settings(&mut self) {
+        let message = self.replica.settings_message(self.now);
+        self.publish_as_leader(message);
+    }
+}

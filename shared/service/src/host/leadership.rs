@@ -1,0 +1,198 @@
+//! How an instance begins, leads, becomes suspect, stands down and takes over.
+
+use muster_model::event::{EventKind, Severity};
+use muster_model::header::Revision;
+use muster_model::role::LeaseRenewal;
+use muster_wire::envelope::AnnouncedSettings;
+use muster_wire::{Key, Message, Pattern};
+
+use super::Host;
+use crate::core::{Connectivity, Context, Core};
+use crate::fetches::Purpose;
+use crate::replica::election::{Decision, Reconnection, RenewalSource, Rivalry};
+use crate::replica::lease::TermCheck;
+use crate::replica::settings::Adoption;
+use crate::wiring::Replication;
+
+impl<C: Core> Host<C> {
+    /// Asks the bus for what an instance begins with: what the core wants, who leads, and with which
+    /// settings.
+    pub(super) fn inquire(&mut self) {
+        let takes_over = self.facilities.replica.election.inquire();
+        let purpose = if takes_over { Purpose::TakeOver } else { Purpose::Start };
+        let mut patterns = C::initial();
+        if C::REPLICATION == Replication::OneLeads {
+            let of_leader = [Key::Lease(C::SERVICE), Key::Settings(C::SERVICE)];
+            patterns.extend(of_leader.map(Pattern::One));
+        }
+        self.core.on_inquiry(&mut Context(&mut self.facilities));
+        self.facilities.fetch(purpose, patterns);
+    }
+
+    pub(super) fn ask_for_leader(&mut self) {
+        self.next_query += 1;
+        let query = self.next_query;
+        self.facilities.replica.election.leader_query_sent(query);
+        let patterns = vec![Pattern::One(Key::Lease(C::SERVICE))];
+        self.facilities.fetch(Purpose::Leader(query), patterns);
+    }
+
+    /// A suspect leads again once it knows that no other instance has taken over. The core's hook comes
+    /// before everything else, so that its output of that hook is published.
+    pub(super) fn confirm_leadership(&mut self) {
+        if self.facilities.replica.election.confirm(self.facilities.now) {
+            self.report_connectivity(Connectivity::Online);
+        }
+    }
+
+    pub(super) fn link_restored(&mut self) {
+        match self.facilities.replica.election.link_restored(self.facilities.now) {
+            Reconnection::Resume => self.report_connectivity(Connectivity::Online),
+            Reconnection::Inquire => {
+                self.report_connectivity(Connectivity::Online);
+                self.inquire();
+            }
+            Reconnection::AskForLeader => self.ask_for_leader(),
+        }
+    }
+
+    pub(super) fn renewal(&mut self, renewal: &LeaseRenewal, source: RenewalSource) -> Rivalry {
+        let replica = &mut self.facilities.replica;
+        let term = replica.revision().term;
+        replica.election.renewal(self.facilities.now, renewal, source, term)
+    }
+
+    /// Settles which of two leaders goes on.
+    pub(super) fn resolve(&mut self, rivalry: Rivalry) {
+        match rivalry {
+            Rivalry::None => {}
+            Rivalry::StandDown => self.stand_down(),
+            Rivalry::RaiseTerm(revision) => {
+                let was_suspect = !self.facilities.replica.election.is_leading();
+                self.begin_term(Some(revision));
+                if was_suspect {
+                    self.report_connectivity(Connectivity::Online);
+                }
+                self.core.on_new_term(&mut Context(&mut self.facilities), Vec::new());
+            }
+        }
+    }
+
+    pub(super) fn stand_down(&mut self) {
+        let replica = &mut self.facilities.replica;
+        replica.settings.stood_down(replica.revision());
+        self.facilities.fetches.forget();
+        self.facilities.fetched.clear();
+        self.facilities.abandon_job();
+        self.core.on_stand_down(&mut Context(&mut self.facilities));
+        self.inquire();
+    }
+
+    pub(super) fn adopt(&mut self, announced: &AnnouncedSettings) {
+        let replica = &mut self.facilities.replica;
+        if replica.election.has_term() {
+            return;
+        }
+        let followed = replica.election.followed();
+        match replica.settings.adopt(announced, followed) {
+            Adoption::Changed => self.facilities.store(),
+            Adoption::Unchanged | Adoption::WithoutTerm => {}
+            Adoption::Old => replica.add("settings_old", 1),
+            Adoption::Misfit => replica.add("settings_not_adopted", 1),
+        }
+    }
+
+    /// Receives the lease renewals among answers to a get. Terms are raised for published ones alone:
+    /// the sender publishes the next one soon.
+    pub(super) fn renewals_among(&mut self, answers: &[Message]) -> Rivalry {
+        let mut rivalry = Rivalry::None;
+        for answer in answers {
+            if let Message::LeaseRenewal(renewal) = answer
+                && renewal.service == C::SERVICE
+                && self.renewal(renewal, RenewalSource::Answered) == Rivalry::StandDown
+            {
+                rivalry = Rivalry::StandDown;
+            }
+        }
+        rivalry
+    }
+
+    pub(super) fn inquiry_answered(&mut self, answers: Vec<Message>) {
+        if !self.facilities.replica.election.inquiry_answered() {
+            return;
+        }
+        self.renewals_among(&answers);
+        let decision = self.facilities.replica.election.decide(self.facilities.now);
+        if decision == Decision::Wait {
+            return;
+        }
+        let mut wanted = Vec::new();
+        for answer in answers {
+            match answer {
+                Message::LeaseRenewal(_) => {}
+                // A suspect answers as well, with what it could not announce.
+                Message::Settings(announced) if announced.service == C::SERVICE => {
+                    self.adopt(&announced);
+                }
+                answer => wanted.push(answer),
+            }
+        }
+        match decision {
+            Decision::Lead => self.lead(wanted),
+            Decision::StandBy | Decision::Wait => {
+                self.core.on_follow(&mut Context(&mut self.facilities), wanted);
+            }
+        }
+    }
+
+    fn lead(&mut self, answers: Vec<Message>) {
+        let outputs = answers.iter().filter(|answer| C::is_output(answer));
+        let seen = outputs.filter_map(|output| Some(output.header()?.revision)).max();
+        self.begin_term(seen);
+        self.core.on_lead(&mut Context(&mut self.facilities), answers);
+    }
+
+    fn begin_term(&mut self, seen: Option<Revision>) {
+        let facilities = &mut self.facilities;
+        facilities.replica.begin_term(facilities.now, seen);
+        facilities.store();
+        let term = facilities.replica.revision().term;
+        facilities.publish_event(Severity::Info, EventKind::ServiceStarted { term });
+        facilities.announce_settings();
+        for field in facilities.replica.settings.take_dropped() {
+            let kind = EventKind::SettingDropped { field };
+            facilities.publish_event(Severity::Warning, kind);
+        }
+    }
+
+    pub(super) fn term_checked(&mut self, found: Vec<Message>) {
+        let replica = &mut self.facilities.replica;
+        let seen = found.iter().filter_map(|message| Some(message.header()?.revision)).max();
+        let own = replica.revision();
+        let Some(lease) = replica.election.lease() else { return };
+        if let TermCheck::Outrun(revision) = lease.term_checked(self.facilities.now, seen, own) {
+            self.begin_term(Some(revision));
+            self.core.on_new_term(&mut Context(&mut self.facilities), found);
+        }
+    }
+
+    /// Renews the lease, asks the readers what they have seen and announces the settings, each when it
+    /// is due.
+    pub(super) fn renew(&mut self) {
+        let facilities = &mut self.facilities;
+        let now = facilities.now;
+        let Some(lease) = facilities.replica.election.lease() else { return };
+        let (renews, checks) = (lease.renews(now), lease.checks_term(now));
+        let announces = checks || (renews && facilities.replica.settings.are_announced_again());
+        if renews {
+            let renewal = facilities.replica.renewal(now);
+            facilities.publish(renewal);
+        }
+        if checks {
+            facilities.fetch(Purpose::TermCheck, vec![Pattern::One(C::output())]);
+        }
+        if announces {
+            facilities.announce_settings();
+        }
+    }
+}
