@@ -17,7 +17,7 @@ use crate::score::correct;
 use crate::spaces::{Silhouettes, in_vectors};
 use crate::statistics::Estimate;
 
-/// Who is told what is being done.
+/// Shows what is being done.
 pub type Progress<'a> = dyn Fn(&str) + 'a;
 
 /// Sizes and numbers of teams of Scenario II.
@@ -115,8 +115,8 @@ pub fn formations(
         "## Scenario I: formations",
         &format!(
             "Squads and platoons on the march, over {} held-out seeds of spacing and places, with 95 % intervals. \
-             Robots in the right team in percent, of 306; *range*: whoever is within 40 m is heard, *net*: all of \
-             one radio net are. The paper tells neither distances nor radios.",
+             Robots in the right team in percent, of 306; *range*: links between all within 40 m, *net*: links \
+             between all of one radio net. The paper states neither distances nor radios.",
             seeds.len()
         ),
     );
@@ -264,7 +264,7 @@ pub fn noise(
     Ok(page)
 }
 
-/// Scenario II: random systems, of which nobody knows the right division.
+/// Scenario II: random systems, whose right division is unknown.
 ///
 /// # Errors
 /// If a method fails, or a drawing.

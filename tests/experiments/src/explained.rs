@@ -92,7 +92,7 @@ fn counts(run: &Page, page: &mut Page) {
              finds depends on the formations, on what counts and on how teams are matched, and on nothing else. \
              Here it has {found} right in all of {runs} runs, {share:.2} %; the paper prints {printed:.2} %. So the \
              formations, their divisions and the matching are the paper's, as far as this can \
-             tell.\n\nThe paper's own numbers agree: {whole} \
+             show.\n\nThe paper's own numbers agree: {whole} \
              of its {all} accuracies are whole numbers of {robots} robots, so that its table is a single run and \
              not a mean. Its text has HOPE on the spatial graph at {squads:.2} % of squads and {platoons:.2} % of \
              platoons, which are {in_squads} of {of_squads} and {in_platoons} of {of_platoons} robots, as many as \
@@ -233,7 +233,7 @@ fn spaces(run: &Page, page: &mut Page) {
              best, method by method: {}. Over all methods, a row is off on average by: {}.\n\nFor the paper's own \
              method, {:.3} is printed. Its divisions have {:.3} in its own fused vectors, {:.3} where robots stand \
              and {:.3} in the common space: {} come nearest, and still miss the printed value by {:.3}. How campus, \
-             radios and chain of command were made is not told, so that this is a likely reading and no proof.",
+             radios and chain of command were made is not stated, so this is a likely reading and no proof.",
             nearest.join("; "),
             over_all.join("; "),
             of_plain[4],
@@ -328,24 +328,24 @@ fn rows_of_means(page: &mut Page, names: &[String]) {
     let mut rows = Vec::new();
     let (mut of_printed, mut of_all) = (0, 0);
     for name in names {
-        let Some((_, told)) = paper::scenario_one(name) else { continue };
+        let Some((_, stated)) = paper::scenario_one(name) else { continue };
         let [printed, unprinted] = paper::scenario_one_silhouettes(name);
         let means = [mean(&printed), mean(&[printed, unprinted].concat())];
         // As good as three digits can be.
-        let [is_printed, is_all] = means.map(|mean| (mean - told).abs() < 0.001);
+        let [is_printed, is_all] = means.map(|mean| (mean - stated).abs() < 0.001);
         of_printed += usize::from(is_printed);
         of_all += usize::from(is_all);
-        let numbers = [told, means[0], means[1]].map(|value| format!("{value:.3}"));
+        let numbers = [stated, means[0], means[1]].map(|value| format!("{value:.3}"));
         rows.push([vec![name.clone()], numbers.to_vec()].concat());
     }
     let [printed, unprinted] = paper::scenario_one_silhouettes(PLAIN);
-    let told = paper::scenario_one(PLAIN).map_or(f64::NAN, |(_, silhouette)| silhouette);
+    let stated = paper::scenario_one(PLAIN).map_or(f64::NAN, |(_, silhouette)| silhouette);
     page.say(
         "### Of which rows the paper's means are",
         &format!(
             "The paper's table of silhouettes in Scenario I prints {} rows, and its source has {} more, those of \
              platoons in four teams, which are commented out. The means that it prints are those of all {} rows for \
-             {of_all} of {} methods, and those of the printed rows for {of_printed}. For its own method, {told:.3} is \
+             {of_all} of {} methods, and those of the printed rows for {of_printed}. For its own method, {stated:.3} is \
              printed; the rows that are left out have a mean of {:.3}, the printed ones of {:.3}.",
             printed.len(),
             unprinted.len(),
@@ -366,13 +366,13 @@ mod tests {
     use crate::seeds::TRAINING;
 
     #[test]
-    fn shares_of_robots_are_told_from_others() {
+    fn shares_of_whole_robots_are_recognised() {
         assert!(is_whole(0.3922, 306) && is_whole(0.9673, 306));
         assert!(!is_whole(0.3935, 306));
     }
 
     #[test]
-    fn the_page_tells_the_numbers_of_the_run() {
+    fn the_page_has_the_numbers_of_the_run() {
         let seeds: Vec<u64> = TRAINING.take(1).collect();
         let formations = Formation::all().unwrap();
         let methods = Method::all();

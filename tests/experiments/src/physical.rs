@@ -1,10 +1,10 @@
 //! The physical case: ten robots in four layouts under a camera, as in the paper's case study, and what the camera
 //! has seen of them.
 //!
-//! There are no robots and no camera here. A recording is what a camera above marked robots would tell: at
+//! There are no robots and no camera here. A recording is what a camera above marked robots would report: at
 //! [`RATE_HZ`], each place off by [`JITTER_M`] (standard deviation along each axis), a mark not recognised in
-//! [`MISSED`] of all cases and a whole picture lost in [`DROPPED`]. Recordings stand in files, so that everybody
-//! replays the same; `muster-experiments record` makes them again from their seeds.
+//! [`MISSED`] of all cases and a whole picture lost in [`DROPPED`]. Recordings are files, so every run replays the
+//! same; `muster-experiments record` makes them again from their seeds.
 
 use std::fmt::Write as _;
 
@@ -15,7 +15,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::seeds::judging;
+use crate::seeds::held_out;
 
 /// The layouts with their recordings. How robots command each other follows the paper's rule, within teams that
 /// are known: the robot of a team that is nearest to the middle of all leads it, and the nearest of the leaders
@@ -46,8 +46,8 @@ pub const DROPPED: f64 = 0.01;
 /// Pictures of a recording: ten seconds.
 const PICTURES: u32 = 100;
 
-/// How far a robot is heard on average, in metres: across half of the room.
-pub const HEARD_M: f64 = 2.0;
+/// Mean range of a radio in metres: half of the room.
+pub const RADIO_RANGE_M: f64 = 2.0;
 
 /// What a recording begins with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -103,7 +103,7 @@ impl Case {
     /// # Errors
     /// If a file is none.
     pub fn all() -> anyhow::Result<Vec<Self>> {
-        let seeds = judging(FILES.len());
+        let seeds = held_out(FILES.len());
         let read = |((layout, recording), seed): (&(&str, &'static str), u64)| {
             Ok(Self { layout: Layout::read(layout)?, seed, recording })
         };
@@ -126,13 +126,13 @@ impl Case {
         let options = FleetOptions {
             seed: self.seed,
             noise_m: JITTER_M,
-            radio_range_m: HEARD_M,
+            radio_range_m: RADIO_RANGE_M,
             ..FleetOptions::default()
         };
         Ok(Fleet::of_layout(&self.layout, options)?)
     }
 
-    /// Whom the robots hear.
+    /// The incoming links of each robot.
     ///
     /// # Errors
     /// If there is no fleet.
@@ -140,7 +140,7 @@ impl Case {
         Ok(self.fleet()?.links(0.0))
     }
 
-    /// Makes the recording anew.
+    /// Makes the recording from its seed.
     ///
     /// # Errors
     /// If there is no fleet.
@@ -217,7 +217,7 @@ mod tests {
             assert_eq!(layout.teams(0), 3);
             assert!(layout.divisions[0].iter().all(Option::is_some));
             assert_eq!(layout.superiors.iter().filter(|superior| superior.is_none()).count(), 1);
-            // Nobody answers to another team, leaders apart.
+            // Only leaders answer to another team.
             for (robot, superior) in layout.superiors.iter().enumerate() {
                 let team = |robot: usize| layout.divisions[0][robot];
                 let leads = layout.superiors.contains(&Some(robot));
@@ -233,7 +233,7 @@ mod tests {
         for case in Case::all().unwrap() {
             let recording = case.record().unwrap();
             let name = &case.layout.name;
-            assert!(case.recording().unwrap() == recording, "{name}: make it anew by `record`");
+            assert!(case.recording().unwrap() == recording, "{name}: make it again by `record`");
             assert!(case.recording == recording.text().unwrap(), "{name} reads back otherwise");
             assert_eq!(recording.head.layout, case.layout.name);
             bytes += case.recording.len();

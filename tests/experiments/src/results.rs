@@ -20,7 +20,7 @@ pub struct Record {
     pub method: String,
     /// Seed of the system and of all choices of the method.
     pub seed: u64,
-    /// What is told: `accuracy`, or robots that are `right` among those `counted`; `silhouette own`, `silhouette
+    /// What is measured: `accuracy`, or robots that are `right` among those `counted`; `silhouette own`, `silhouette
     /// physical`, `silhouette common`, and `silhouette fused` in the vectors of the paper's method.
     pub measure: &'static str,
     /// The number.
@@ -38,7 +38,7 @@ pub struct Page {
     pub plots: Vec<(String, String)>,
 }
 
-/// The folder of pictures beside the page.
+/// The folder of pictures next to the page.
 pub const PLOTS: &str = "plots";
 
 impl Page {

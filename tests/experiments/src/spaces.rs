@@ -33,15 +33,15 @@ impl Distances {
         Self::new(system.robots(), |i, j| (at[i][0] - at[j][0]).hypot(at[i][1] - at[j][1]))
     }
 
-    /// The fewest links by which a message gets from one robot to the other, whichever way; those whom
-    /// none reaches are as far as there are robots.
+    /// The fewest links by which a message gets from one robot to the other, whichever way; unreachable robots
+    /// are as far as there are robots.
     #[must_use]
     pub fn hops(system: &System) -> Self {
         let mut near = vec![Vec::new(); system.robots()];
-        for (hearer, links) in system.heard.iter().enumerate() {
+        for (robot, links) in system.links.iter().enumerate() {
             for &(peer, _) in links {
-                near[hearer].push(peer as usize);
-                near[peer as usize].push(hearer);
+                near[robot].push(peer as usize);
+                near[peer as usize].push(robot);
             }
         }
         Self::steps(&near)
@@ -170,7 +170,7 @@ mod tests {
     fn system() -> System {
         System {
             positions: vec![[0.0, 0.0], [1.0, 0.0], [10.0, 0.0], [11.0, 0.0]],
-            heard: vec![vec![(1, 1.0)], vec![], vec![(3, 0.5)], vec![]],
+            links: vec![vec![(1, 1.0)], vec![], vec![(3, 0.5)], vec![]],
             superiors: vec![None, Some(0), Some(0), Some(2)],
             measured: None,
         }

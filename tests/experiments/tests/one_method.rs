@@ -58,7 +58,7 @@ fn reports(seed: u64) -> Reports {
     let (groups, teams) = (chance.random_range(1..=8_usize), chance.random_range(1..=6_u32));
     let has = loop {
         let has = [(); 3].map(|()| chance.random_bool(0.65));
-        // Orders alone give all who have the same superior the same row: rounding would tell them apart.
+        // Orders alone give all who have the same superior the same row: rounding alone would separate them.
         if has[0] || has[1] {
             break has;
         }

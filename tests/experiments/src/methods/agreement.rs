@@ -6,8 +6,8 @@
 //!
 //! The live system does not do so. In planted fleets whose positions belong to other robots it finds 96 instead of 81 %
 //! (`grid/RESULTS.md`), and nothing is worse; but reports of a whole modality are hardly ever those of other
-//! robots, fleets of less than some twenty robots are too small to tell, and a fleet that has got new orders
-//! before anybody has moved looks just like one whose orders are wrong.
+//! robots, fleets of fewer than about twenty robots are too small to decide, and a fleet with new orders looks, until
+//! robots move, just like one whose orders are wrong.
 
 use muster_numeric::matrix::{MatrixError, SparseMatrix};
 
@@ -20,7 +20,7 @@ const CHANCE: f64 = 1.5;
 
 /// The weights of graphs over the same robots, where those have none that agree with no other although others
 /// agree with each other and outweigh them. A graph that relates all pairs alike, or none, agrees and disagrees
-/// with nobody; it keeps its weight.
+/// with none; it keeps its weight.
 ///
 /// # Errors
 /// [`MatrixError`] for graphs that are none.

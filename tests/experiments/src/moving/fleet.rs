@@ -1,4 +1,4 @@
-//! Who is in a fleet that moves: teams of squads with their chain of command, and where everybody belongs.
+//! The robots of a fleet that moves: teams of squads with their chain of command and formation.
 //!
 //! A team is a unit of units down to squads of up to nine, each with a leader in its first place. Leaders of
 //! teams answer to the leader of the first team. Teams march side by side.
@@ -10,7 +10,7 @@ use muster_model::id::{IdError, RobotId};
 /// Most robots of a squad, with its leader.
 const SQUAD: usize = 9;
 
-/// Robots of a squad beside its leader, where there are many squads.
+/// Robots of a squad without its leader, where there are many squads.
 const FOLLOWERS: usize = 8;
 
 /// Most units under one leader: above that there is one more level of command.
@@ -47,9 +47,9 @@ pub const LEAST_TEAMS: usize = 4;
 pub struct Robot {
     /// Its name.
     pub name: RobotId,
-    /// Whom it answers to where everybody is in his own team, by place in the fleet.
+    /// Its superior while every robot is in its own team, by place in the fleet.
     pub superior: Option<usize>,
-    /// Its team, where everybody is in his own.
+    /// Its own team.
     pub team: usize,
     /// Whether it belongs to the part of its team that splits off.
     pub splits: bool,
@@ -193,7 +193,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn everybody_answers_to_somebody_of_his_team_but_for_the_leaders() {
+    fn all_but_leaders_answer_to_a_robot_of_their_team() {
         for (robots, teams) in [(48, 4), (50, 4), (200, 8), (500, 10), (5000, 10)] {
             let fleet = Fleet::new(robots, teams).unwrap();
             assert_eq!((fleet.robots.len(), fleet.leaders.len()), (robots, teams));
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_stands_on_anothers_place_and_teams_keep_their_distance() {
+    fn no_two_robots_share_a_place_and_teams_keep_their_distance() {
         let fleet = Fleet::new(200, 8).unwrap();
         for (number, one) in fleet.robots.iter().enumerate() {
             for other in &fleet.robots[..number] {

@@ -13,7 +13,7 @@ use muster_numeric::matching::{MatchError, match_by_overlap, overlap_table};
 use super::mission::{Act, Mission};
 use crate::score::adjusted_rand_index;
 
-/// When the start is over, in seconds: `ingest` waits a second for everybody.
+/// When the start is over, in seconds: `ingest` waits a second for all robots.
 pub const BEGUN_S: f64 = 3.0;
 
 /// What counts as following, as a share of robots in the right team.
@@ -100,7 +100,7 @@ impl Outcome {
 
 /// Compares a mission's divisions with the truth.
 #[derive(Debug)]
-pub struct Judge<'a> {
+pub struct Scorer<'a> {
     mission: &'a Mission,
     places: HashMap<RobotId, usize>,
     last: Option<Arc<Teams>>,
@@ -112,7 +112,7 @@ pub struct Judge<'a> {
     series: Vec<Sample>,
 }
 
-impl<'a> Judge<'a> {
+impl<'a> Scorer<'a> {
     /// Nothing has been compared yet.
     #[must_use]
     pub fn new(mission: &'a Mission) -> Self {

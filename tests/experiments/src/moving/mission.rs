@@ -12,7 +12,7 @@ use super::fleet::{Fleet, JOINED, JOINS, SPACING_M, SPLITS, SQUAD_GAP_M, TEAM_GA
 /// they wait for it.
 pub const PACE_M_S: f64 = 1.75;
 
-/// How long whoever sets out takes to come up to [`PACE_M_S`], in seconds.
+/// Time from standing still to [`PACE_M_S`], in seconds.
 const SETTING_OUT_S: f64 = 1.0;
 
 /// How far the part that splits off falls back at most, in metres.
@@ -32,21 +32,21 @@ const RADIOS_FAIL_S: (f64, f64) = (8.0, 14.0);
 /// See [`RADIOS_FAIL_S`].
 const SILENT_FROM_S: f64 = 18.0;
 
-/// How everybody sways about his place: greatest way in metres, shortest and longest period in seconds. For
-/// teams, squads and robots.
+/// How teams, squads and robots sway about their places: amplitude in metres, shortest and longest period in
+/// seconds.
 const SWAY: [(f64, f64, f64); 3] = [(2.0, 20.0, 30.0), (1.0, 12.0, 20.0), (0.5, 5.0, 10.0)];
 
 /// What a fleet lives through.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Case {
-    /// Nobody moves, and distances are measured with [`REST_NOISE`].
+    /// No robot moves, and distances are measured with [`REST_NOISE`].
     Rest,
     /// All march, and nothing changes.
     March,
     /// A part of a team gets a task of its own, and later comes back. The operator asks for one team more, and
     /// later for one less.
     Split,
-    /// A team splits while another one joins a third, and later everybody goes back. The number of teams stays.
+    /// A team splits while another one joins a third, and later all go back. The number of teams stays.
     Regroup,
     /// Some radios fail for a while, then some robots fall silent for good.
     Losses,
@@ -208,15 +208,15 @@ impl Mission {
         self.case == Case::Losses && t >= SILENT_FROM_S && self.falls_silent[robot]
     }
 
-    /// Whether a robot neither hears nor is heard by other robots.
+    /// Whether a robot has no links in either direction.
     #[must_use]
     pub fn is_deaf(&self, robot: usize, t: f64) -> bool {
         let fails = (RADIOS_FAIL_S.0..RADIOS_FAIL_S.1).contains(&t) && self.radio_fails[robot];
         self.is_silent(robot, t) || self.case == Case::Losses && fails
     }
 
-    /// Whom a robot answers to: his superior in what goes on, or the first below or above that one who has not
-    /// fallen silent.
+    /// The superior of a robot at this moment, or, if that one has fallen silent, the first below or above it that
+    /// has not.
     #[must_use]
     pub fn superior(&self, robot: usize, t: f64) -> Option<usize> {
         let act = self.act(t);
@@ -249,7 +249,7 @@ impl Mission {
         }
     }
 
-    /// Where everybody is, in metres ahead and to the left of a point that moves with the fleet: what all share
+    /// Where all robots are, in metres ahead and to the left of a point that moves with the fleet: shared motion
     /// changes no distance.
     #[must_use]
     pub fn places(&self, t: f64) -> Vec<[f64; 2]> {
@@ -270,7 +270,7 @@ impl Mission {
         self.fleet.robots.iter().enumerate().map(place).collect()
     }
 
-    /// How far somebody has gone who sets out anew in each phase, for where it wants him.
+    /// How far a robot has gone that sets out in each phase for the goal of that phase.
     fn way(&self, t: f64, goal: impl Fn(Act) -> f64) -> f64 {
         let phases = self.case.phases();
         let mut at = 0.0_f64;
@@ -283,7 +283,7 @@ impl Mission {
     }
 }
 
-/// How far one comes in so many seconds.
+/// Distance in metres after so many seconds, from standing still.
 fn walked(seconds: f64) -> f64 {
     if seconds < SETTING_OUT_S {
         0.5 * PACE_M_S * seconds * seconds / SETTING_OUT_S
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_leaps() {
+    fn no_robot_leaps() {
         for case in Case::ALL {
             let mission = mission(case);
             let mut before = mission.places(0.0);
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_answers_to_one_who_is_silent() {
+    fn no_robot_answers_to_a_silent_one() {
         let mission = mission(Case::Losses);
         let silent = (0..48).filter(|robot| mission.is_silent(*robot, 20.0)).count();
         assert!(silent > 0);

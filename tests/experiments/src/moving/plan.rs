@@ -70,9 +70,9 @@ pub fn planned(quick: bool) -> Vec<Planned> {
         let setup =
             |case, radio, fault| Setup { robots: *robots, teams: *teams, case, radio, fault };
         for case in Case::ALL {
-            let is_told = *robots <= SMALL || matches!(case, Case::March | Case::Split);
+            let is_in_nets = *robots <= SMALL || matches!(case, Case::March | Case::Split);
             let radios = if *robots < SMALL && !quick { &Radio::ALL[..] } else { &Radio::ALL[..1] };
-            for radio in radios.iter().filter(|_| is_told) {
+            for radio in radios.iter().filter(|_| is_in_nets) {
                 all.push(Planned { setup: setup(case, *radio, None), seeds: *seeds });
             }
         }

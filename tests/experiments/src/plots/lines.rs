@@ -40,7 +40,7 @@ pub struct Panel {
     pub series: Vec<Series>,
 }
 
-/// Draws panels beside each other, `columns` in a row, over a legend of all lines.
+/// Draws panels side by side, `columns` in a row, over a legend of all lines.
 ///
 /// # Errors
 /// If the drawing fails.

@@ -26,9 +26,9 @@ pub struct Map {
     pub teams: Vec<Option<usize>>,
     /// Robots with a ring, which command others.
     pub leaders: Vec<bool>,
-    /// Pairs of robots that a solid line joins: who answers to whom.
+    /// Pairs of robots that a solid line joins: robot and superior.
     pub command: Vec<(usize, usize)>,
-    /// Pairs of robots that a thin pale line joins: who hears whom.
+    /// Pairs of robots that a thin pale line joins: radio links.
     pub links: Vec<(usize, usize)>,
     /// Whether teams have boxes about them.
     pub boxes: bool,
@@ -66,7 +66,7 @@ impl Scale {
     }
 }
 
-/// Draws fleets beside each other, `columns` in a row, over a legend of the teams by their names and a line
+/// Draws fleets side by side, `columns` in a row, over a legend of the teams by their names and a line
 /// that says what else is drawn.
 ///
 /// # Errors
