@@ -166,8 +166,8 @@ async fn a_robot_in_ten_lines_gets_its_team_and_consoles_see_it() {
     assert_eq!(division.teams.len(), 2);
     assert!(!division.is_stale());
     let mut audits = late.audits().await.unwrap();
-    let judged = async { while audits.changed().await.unwrap().verdict == Verdict::Undefined {} };
-    timeout(RECEIVED_WITHIN, judged).await.expect("an audit with a verdict");
+    let audited = async { while audits.changed().await.unwrap().verdict == Verdict::Undefined {} };
+    timeout(RECEIVED_WITHIN, audited).await.expect("an audit with a verdict");
     let settings = late.get_settings(ServiceName::Clusterer).await.unwrap();
     assert_eq!(settings["teams"], 2);
     late.close().await;
@@ -193,7 +193,7 @@ async fn the_examples_run_as_they_are_shown() {
     let outside = cluster.client().await.unwrap();
     let began = Instant::now();
     while outside.get_one("service/clusterer/settings").await.is_err() {
-        assert!(began.elapsed() < FORMED_WITHIN, "nobody answers for the settings");
+        assert!(began.elapsed() < FORMED_WITHIN, "no instance answers for the settings");
         sleep(Duration::from_millis(50)).await;
     }
     let console = start("examples/console", &[]);
@@ -439,7 +439,7 @@ async fn a_robot_that_leaves_is_gone_and_may_come_back() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn two_robots_of_one_id_are_told_apart() {
+async fn a_second_robot_of_an_id_is_refused() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let _router = start_router(&endpoint, folder.path()).unwrap();
@@ -484,7 +484,7 @@ async fn two_robots_of_one_id_are_told_apart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_robot_waits_for_its_router_as_long_as_it_is_told() {
+async fn a_robot_waits_for_its_router_until_its_timeout() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let connect_timeout = Some(Duration::from_millis(500));
@@ -494,8 +494,8 @@ async fn a_robot_waits_for_its_router_as_long_as_it_is_told() {
     assert!(matches!(error, Error::Unreachable { .. }), "{error}");
     assert!(error.to_string().contains(&endpoint), "{error}");
     assert!(start.elapsed() < RECEIVED_WITHIN);
-    let patient = Config { connect_timeout: None, format: Format::Binary, ..hasty };
-    let joining = tokio::spawn(async move { Robot::join(&patient, "r1").await });
+    let without_timeout = Config { connect_timeout: None, format: Format::Binary, ..hasty };
+    let joining = tokio::spawn(async move { Robot::join(&without_timeout, "r1").await });
     sleep(Duration::from_secs(1)).await;
     assert!(!joining.is_finished());
     let mut router = start_router(&endpoint, folder.path()).unwrap();

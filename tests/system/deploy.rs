@@ -48,7 +48,7 @@ fn the_configuration_of_each_service_is_the_built_in_one() {
         for value in built_in.iter().filter(|value| !value.starts_with(['[', '#'])) {
             let name = value.split(" = ").next().unwrap();
             let last = name.rsplit('.').next().unwrap();
-            assert!(text.contains(&format!("{last} = ")), "{service}: {name} is not told of");
+            assert!(text.contains(&format!("{last} = ")), "{service}: {name} is missing");
         }
     }
 }
@@ -188,7 +188,7 @@ fn the_containers_run_what_is_built() {
 }
 
 #[test]
-fn the_image_is_small_pinned_and_nobody_s() {
+fn the_image_is_small_pinned_and_not_root_s() {
     let file = read("Containerfile");
     let lines: Vec<&str> = file.lines().map(str::trim).collect();
     let arguments: Vec<_> = lines.iter().filter_map(|line| line.strip_prefix("ARG ")).collect();

@@ -302,7 +302,7 @@ async fn faults_of_robots_are_found_and_gone_again() {
     let report = until_found(&cluster, "robots_elsewhere", "muster/v1/alpha/");
     assert_eq!(report["other_fleets"], json!([{"fleet": "alhpa", "services": 0, "robots": 1}]));
     lost.undeclare().await.unwrap();
-    let everybody = robots(&cluster);
+    let fleet = robots(&cluster);
     until_well(&cluster);
 
     // A token and nothing else: known, and nowhere.
@@ -351,7 +351,7 @@ async fn faults_of_robots_are_found_and_gone_again() {
     speech.abort();
     token.undeclare().await.unwrap();
     until_well(&cluster);
-    drop(everybody);
+    drop(fleet);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -260,8 +260,8 @@ fn the_format_of_solve_is_complete_and_its_defaults_are_true() {
             let keys = |value: &Value| value.as_object().unwrap().len();
             assert_eq!(keys(&silent) + 2, keys(&plain), "nothing is added by default");
         } else {
-            let told = solved(&with(fleet(), &key, default)).unwrap();
-            assert_eq!(told, plain, "{key} has another default");
+            let explicit = solved(&with(fleet(), &key, default)).unwrap();
+            assert_eq!(explicit, plain, "{key} has another default");
         }
         compared.insert(key);
     }

@@ -136,7 +136,7 @@ async fn the_robot_and_the_dashboard_of_the_document_work_as_they_stand() {
     // Nothing that the programs put was refused.
     assert!(!dashboard.output().contains("quarantined"), "{}", dashboard.output());
 
-    // Neither goes back to an older message, whoever repeats it.
+    // Neither goes back to an older message, whatever repeats it.
     let old = json!({"fleet": "alpha", "term": 0, "epoch": 1, "data_age_s": null, "stages": []});
     let with = |more: Value| {
         let mut message = old.clone();

@@ -9,6 +9,7 @@
 
 mod cli;
 mod client;
+mod conformance;
 mod demo;
 mod deploy;
 mod doctor;
@@ -29,4 +30,3 @@ mod secured;
 mod secured_client;
 mod settings;
 mod standby;
-mod verdicts;

@@ -79,14 +79,18 @@ async fn each_service_dies_alone_and_the_teams_keep_their_ids() {
     let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
     let teams = client.watch("json/teams").await.unwrap();
     let audits = client.watch("json/audit").await.unwrap();
-    let told = client.watch("robot/*/team").await.unwrap();
+    let robot_teams = client.watch("robot/*/team").await.unwrap();
     for service in SERVICES {
         cluster.service(service).unwrap().kill().unwrap();
         tokio::time::sleep(Duration::from_secs(1)).await;
-        // The last good answer is there while the service is not.
+        // Readers answer with the last division while the service is down.
         let answers = client.get("teams?format=json", None).await.unwrap();
         let last = answers.iter().find_map(|(_, answer)| answer.as_ref().ok());
-        assert_eq!(division(last.expect("somebody knows the teams")), wanted, "without {service}");
+        assert_eq!(
+            division(last.expect("a reader answers with the teams")),
+            wanted,
+            "without {service}"
+        );
 
         let since = now();
         cluster.start_service(service).unwrap();
@@ -103,12 +107,12 @@ async fn each_service_dies_alone_and_the_teams_keep_their_ids() {
             same_again(&teams, &wanted, |value| stage(value, service) > since).await
         };
         eprintln!("{service}: teams from fresh data after {took:?}");
-        // No division in between told anybody else.
+        // No division in between differs.
         for (_, value) in teams.all() {
             assert_eq!(division(&value), wanted, "while {service} came back");
         }
     }
-    for (key, value) in told.all() {
+    for (key, value) in robot_teams.all() {
         let robot = value["robot"].as_str().unwrap();
         assert_eq!(value["team"].as_str().map(str::to_owned), wanted[robot], "{key}");
     }
@@ -140,7 +144,7 @@ async fn terms_rise_with_each_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_router_that_dies_costs_nobody_a_team() {
+async fn teams_survive_the_death_of_a_router() {
     let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
@@ -169,7 +173,7 @@ async fn a_router_that_dies_costs_nobody_a_team() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_base_station_that_reboots_costs_nobody_a_team() {
+async fn teams_survive_the_reboot_of_a_base_station() {
     for service in ["ingest", "clusterer"] {
         let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
         let _robots = cluster.robots(&SCENARIO).unwrap();
@@ -239,7 +243,7 @@ async fn edges(client: &Client, wanted: &[(&str, usize)]) -> Vec<Value> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_robots_said_once_survives_the_death_of_ingest() {
+async fn reports_put_once_survive_the_death_of_ingest() {
     let mut cluster = Cluster::start("alpha", &[("ingest", "modalities=[\"thermal\"]")]).unwrap();
     let client = cluster.client().await.unwrap();
     edges(&client, &[("thermal", 0)]).await;
@@ -266,7 +270,7 @@ async fn what_robots_said_once_survives_the_death_of_ingest() {
     let before = edges(&client, &wanted).await;
     assert_eq!(before[0], json!([["r1", "r2", 0.5], ["r3", "r4", 1.0]]));
     assert_eq!(before[1], json!([["r2", "r1", 0.75]]));
-    // Others must have heard of it before it can be asked back.
+    // Readers must have received it before `ingest` can fetch it from them.
     tokio::time::sleep(Duration::from_secs(1)).await;
     cluster.service("ingest").unwrap().kill().unwrap();
     tokio::time::sleep(Duration::from_secs(1)).await;

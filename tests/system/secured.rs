@@ -1,5 +1,5 @@
-//! A bus with certificates and rules: who belongs to the fleet works as ever, and nobody else, nor
-//! anybody beyond its part, gets anywhere. Every refusal stands beside what is not refused.
+//! A bus with certificates and rules: members of the fleet work as on a plain bus; others are refused, and so are
+//! members that exceed their rights. Every refusal is tested with its counterpart that is allowed.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 const SOON: Duration = Duration::from_secs(20);
 
-/// How long somebody who is not taken in tries.
+/// How long a client that is refused tries.
 const REFUSED_WITHIN_MS: &str = "3000";
 
 /// Robots on two places.
@@ -87,7 +87,7 @@ impl Secured {
         self.folder.path().join("identities").join(name).join("zenoh.json5")
     }
 
-    /// Starts a service, beside other instances of it that run.
+    /// Starts one more instance of a service.
     fn start_service(&mut self, service: &str) {
         let state = self.folder.path().join("state");
         let config = self.identity(&format!("service.{service}"));
@@ -126,7 +126,7 @@ async fn open(identity: &Path, changes: &[(&str, &str)]) -> anyhow::Result<Clien
     Client::open(config, "alpha").await
 }
 
-/// Lets robots speak until the operator sees two teams that rest on what they say from now on.
+/// Lets robots report until the operator sees two teams made of their reports from now on.
 async fn form(robots: &[(Client, f64)], teams: &Watch) -> Value {
     let since = crate::restarts::now();
     let right = |value: &Value| {
@@ -139,7 +139,7 @@ async fn form(robots: &[(Client, f64)], teams: &Watch) -> Value {
             && division["a1"] != division["b1"]
     };
     for _ in 0..200 {
-        speak(robots).await;
+        put_poses(robots).await;
         tokio::time::sleep(Duration::from_millis(100)).await;
         if let Some(teams) = teams.newest().filter(right) {
             return teams;
@@ -148,7 +148,7 @@ async fn form(robots: &[(Client, f64)], teams: &Watch) -> Value {
     panic!("four robots do not make two teams; the newest is {:?}", teams.newest());
 }
 
-async fn speak(robots: &[(Client, f64)]) {
+async fn put_poses(robots: &[(Client, f64)]) {
     for ((name, _), (robot, x)) in ROBOTS.iter().zip(robots) {
         let pose = json!({"x": x, "y": 0.0});
         robot.put(&format!("robot/{name}/pose"), &pose).await.unwrap();
@@ -164,7 +164,7 @@ async fn robots(secured: &Secured) -> Vec<(Client, f64)> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_belongs_to_a_secured_fleet_works_as_ever() {
+async fn members_of_a_secured_fleet_work_as_on_a_plain_bus() {
     let mut secured = Secured::start(&["base"]);
     let operator = secured.client("operator.op").await;
     let teams = operator.watch("json/teams").await.unwrap();
@@ -177,30 +177,30 @@ async fn who_belongs_to_a_secured_fleet_works_as_ever() {
     let mine = robots[0].0.watch("robot/a1/team").await.unwrap();
     let others = robots[0].0.watch("robot/b1/team").await.unwrap();
     let all = robots[0].0.watch("**").await.unwrap();
-    // A declared publisher says nothing unless it is told that somebody listens.
+    // A declared publisher sends nothing until it knows of a subscriber.
     let publisher =
         robots[0].0.session().declare_publisher(robots[0].0.key("robot/a1/links")).await.unwrap();
     let formed = form(&robots, &teams).await;
     let links = json!({"links": [{"peer": "a2", "quality": 0.9}]}).to_string();
     publisher.put(links).await.unwrap();
 
-    // The robot is told its team, and nothing of others.
-    let right = |told: &Value| told["members"] == json!(["a1", "a2"]);
-    let told = mine.until("a1 is told its team", SOON, right).await.unwrap();
+    // The robot receives its team, and nothing of others.
+    let right = |team: &Value| team["members"] == json!(["a1", "a2"]);
+    let received = mine.until("a1 receives its team", SOON, right).await.unwrap();
     let got = robots[0].0.get_one("robot/a1/team").await.unwrap();
-    assert_eq!(got["team"], told["team"]);
+    assert_eq!(got["team"], received["team"]);
     let foreign = |(key, _): &(String, Value)| !key.starts_with("robot/a1/");
     assert!(others.all().is_empty() && !all.all().iter().any(foreign), "{others:?} {all:?}");
     assert!(robots[0].0.get("robot/b1/team", None).await.unwrap().is_empty());
     assert!(robots[0].0.get("json/teams", None).await.unwrap().is_empty());
     let start = Instant::now();
     loop {
-        speak(&robots).await;
+        put_poses(&robots).await;
         let graph = operator.get_one("graph/connectivity?format=json").await.unwrap();
         if graph["edges"].as_array().is_some_and(|edges| edges.len() == 1) {
             break;
         }
-        assert!(start.elapsed() < SOON, "the declared publisher is not heard: {graph}");
+        assert!(start.elapsed() < SOON, "the declared publisher is not received: {graph}");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
 
@@ -214,7 +214,7 @@ async fn who_belongs_to_a_secured_fleet_works_as_ever() {
     seen.until("the viewer sees teams", SOON, |_| true).await.unwrap();
     assert_eq!(division(&viewer.get_one("json/teams").await.unwrap()), division(&formed));
 
-    // The operator changes settings, and nobody else does.
+    // Only the operator can change settings.
     let settings = "service/clusterer/settings";
     for (name, client) in [("robot", &robots[0].0), ("viewer", &viewer)] {
         let answers = client.get(settings, Some(&json!({"hysteresis": 0.5}))).await.unwrap();
@@ -225,17 +225,17 @@ async fn who_belongs_to_a_secured_fleet_works_as_ever() {
     assert_eq!(code, Some(0), "{err}");
     assert_eq!(operator.get_one(settings).await.unwrap()["hysteresis"], 0.06);
 
-    // A service that starts anew learns from its witnesses where it was.
+    // A service that restarts without state gets its last output from its readers.
     for service in ["clusterer", "embedder", "ingest"] {
         let term = |status: &Value| status["revision"]["term"].as_u64().unwrap();
         let key = format!("service/{service}/status");
         let before = term(&operator.get_one(&key).await.unwrap());
         secured.services.retain(|(name, _)| name != service);
-        secured.folder_state_is_lost();
+        secured.remove_state();
         secured.start_service(service);
         let start = Instant::now();
         loop {
-            speak(&robots).await;
+            put_poses(&robots).await;
             tokio::time::sleep(Duration::from_millis(100)).await;
             let status = operator.get_one(&key).await;
             if status.as_ref().is_ok_and(|status| term(status) > before) {
@@ -247,7 +247,7 @@ async fn who_belongs_to_a_secured_fleet_works_as_ever() {
         let again = form(&robots, &teams).await;
         assert_eq!(division(&again), division(&formed), "after {service}");
     }
-    // A second instance stands by, with the same identity, and takes over.
+    // A second instance is a standby, with the same identity, and takes over.
     secured.start_service("clusterer");
     let instances = || async {
         let key = operator.key("service/clusterer/*");
@@ -261,26 +261,26 @@ async fn who_belongs_to_a_secured_fleet_works_as_ever() {
     let start = Instant::now();
     while instances().await != 2 {
         assert!(start.elapsed() < SOON, "the second instance is not there");
-        speak(&robots).await;
+        put_poses(&robots).await;
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
     for _ in 0..20 {
-        speak(&robots).await;
+        put_poses(&robots).await;
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
     let first = secured.services.iter().position(|(name, _)| name == "clusterer").unwrap();
     secured.services.remove(first);
     teams.clear();
     let again = form(&robots, &teams).await;
-    assert_eq!(division(&again), division(&formed), "after the holder died");
+    assert_eq!(division(&again), division(&formed), "after the leader died");
     for (_, event) in events.all() {
         assert_ne!(event["event"], "quarantined", "{event}");
     }
 }
 
 impl Secured {
-    /// Removes what services have kept, so that only their witnesses know it.
-    fn folder_state_is_lost(&self) {
+    /// Removes the state files of the services, so that only their readers know it.
+    fn remove_state(&self) {
         let _ = std::fs::remove_dir_all(self.folder.path().join("state"));
     }
 }
@@ -288,7 +288,7 @@ impl Secured {
 #[tokio::test(flavor = "multi_thread")]
 async fn two_secured_routers_are_one_bus_and_stand_in_for_each_other() {
     let mut secured = Secured::start(&["base", "spare"]);
-    // Everybody connects to the first router, and this operator to the second.
+    // All connect to the first router, and this operator to the second.
     let config = std::fs::read_to_string(secured.identity("operator.op")).unwrap();
     let spare = config.split("quic/").nth(2).unwrap().split('"').next().unwrap();
     let spare = format!("[\"quic/{spare}\"]");
@@ -310,7 +310,7 @@ async fn two_secured_routers_are_one_bus_and_stand_in_for_each_other() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_does_not_belong_to_a_secured_fleet_is_not_taken_in() {
+async fn strangers_are_refused_by_a_secured_fleet() {
     let secured = Secured::start(&["base"]);
     let right = secured.identity("robot.a1");
     let config = std::fs::read_to_string(&right).unwrap();
@@ -341,32 +341,31 @@ async fn who_does_not_belong_to_a_secured_fleet_is_not_taken_in() {
         let with = |more: &[(&'static str, &str)]| {
             base.iter().chain(more).map(|(key, value)| (*key, (*value).to_owned())).collect()
         };
-        let taken_in = async |identity: &Path, changes: Vec<(&'static str, String)>| {
+        let is_admitted = async |identity: &Path, changes: Vec<(&'static str, String)>| {
             let changes: Vec<_> =
                 changes.iter().map(|(key, value)| (*key, value.as_str())).collect();
             open(identity, &changes).await.is_ok()
         };
-        assert!(taken_in(&right, with(&[])).await, "{protocol}: the right certificate");
+        assert!(is_admitted(&right, with(&[])).await, "{protocol}: the right certificate");
         let without = [
             ("transport/link/tls/enable_mtls", "false"),
             ("transport/link/tls/connect_certificate_base64", "null"),
             ("transport/link/tls/connect_private_key_base64", "null"),
         ];
-        assert!(!taken_in(&right, with(&without)).await, "{protocol}: no certificate");
-        assert!(!taken_in(&wrong, with(&[])).await, "{protocol}: an authority of its own");
+        assert!(!is_admitted(&right, with(&without)).await, "{protocol}: no certificate");
+        assert!(!is_admitted(&wrong, with(&[])).await, "{protocol}: an authority of its own");
         let trusting = [("transport/link/tls/root_ca_certificate_base64", authority)];
-        let trusted = taken_in(&wrong, with(&trusting)).await;
+        let trusted = is_admitted(&wrong, with(&trusting)).await;
         assert!(!trusted, "{protocol}: a certificate of another authority");
         // A router is only believed under the names of its certificate.
         let renamed = [("connect/endpoints", renamed.as_str())];
-        assert!(!taken_in(&right, with(&renamed)).await, "{protocol}: another name");
+        assert!(!is_admitted(&right, with(&renamed)).await, "{protocol}: another name");
     }
-    open(&right, &[]).await.expect("the right certificate is still taken in");
+    open(&right, &[]).await.expect("the right certificate is still admitted");
 }
 
-/// Puts what is forbidden and then what is allowed, in one session, whose order the bus keeps: when
-/// the one has arrived and the other has not, it never will. Again and again, as a session that has
-/// lost its router puts into the void.
+/// Puts what is forbidden and then what is allowed, in one session, whose order the bus keeps: once the latter has
+/// arrived, the former never will. Repeats both, because puts are lost while a session has no router.
 async fn nothing_but(client: &Client, watch: &Watch, forbidden: &[&str], allowed: &str) {
     watch.clear();
     let start = Instant::now();
@@ -385,13 +384,13 @@ async fn nothing_but(client: &Client, watch: &Watch, forbidden: &[&str], allowed
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nobody_gets_beyond_its_part() {
+async fn members_cannot_exceed_their_rights() {
     let secured = Secured::start(&["base"]);
     let operator = secured.client("operator.op").await;
     let watch = operator.watch("**").await.unwrap();
     let robot = secured.client("robot.a1").await;
 
-    // A robot speaks for itself only, also where it speaks to many places at once.
+    // A robot puts for itself alone, also by keys with wildcards.
     let forbidden = [
         "robot/a2/pose",
         "robot/a2/links",
@@ -417,7 +416,7 @@ async fn nobody_gets_beyond_its_part() {
     ];
     nothing_but(&robot, &watch, &forbidden, "robot/a1/pose").await;
 
-    // Each service says what is its own.
+    // Each service puts its own outputs alone.
     let outputs: [(&str, &[&str]); 4] = [
         ("ingest", &["roster", "graph/spatial", "graph/*"]),
         ("embedder", &["embedding"]),
@@ -440,7 +439,7 @@ async fn nobody_gets_beyond_its_part() {
         }
     }
 
-    // Who may only look says nothing; that it is heard nowhere is told from the operator's side.
+    // A viewer puts nothing: the operator receives none of its messages.
     let viewer = secured.client("viewer.wall").await;
     watch.clear();
     viewer.put("robot/a1/pose", &json!({"forged": true})).await.unwrap();
@@ -450,7 +449,7 @@ async fn nobody_gets_beyond_its_part() {
     watch.until("the control", SOON, |value| value["control"] == true).await.unwrap();
     assert!(!watch.all().iter().any(|(_, value)| value["forged"] == true));
 
-    // Tokens: a robot is there as itself.
+    // Tokens: a robot declares its own alone.
     let seen = || async {
         let found = operator.session().liveliness().get(operator.key("**")).await.unwrap();
         let mut keys = Vec::new();
@@ -477,11 +476,11 @@ async fn nobody_gets_beyond_its_part() {
     let _token = absent.token("robot/absent").await.unwrap();
     let start = Instant::now();
     while !seen().await.contains(&operator.key("robot/absent")) {
-        assert!(start.elapsed() < SOON, "the token of who it belongs to is not seen");
+        assert!(start.elapsed() < SOON, "the token of its owner is not seen");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
 
-    // Answers: nobody answers in place of a service but its witnesses.
+    // Answers: only its readers answer in place of a service.
     let forged = robot.key("service/ingest/status");
     let answer = forged.clone();
     robot
@@ -528,16 +527,16 @@ fn certificates_are_kept_renewed_and_guarded() {
     // A robot that joins later is signed by the same authority, and nothing else changes.
     let joined = std::fs::read_to_string(&fleet).unwrap().replace("\"a1\"", "\"a1\", \"a2\"");
     std::fs::write(&fleet, joined).unwrap();
-    let told = certs(&[]);
-    assert!(told.contains("robot.a1: kept") && told.contains("robot.a2: made"), "{told}");
+    let printed = certs(&[]);
+    assert!(printed.contains("robot.a1: kept") && printed.contains("robot.a2: made"), "{printed}");
     assert_eq!(keys(), before);
     assert_eq!(read("robot.a2/authority.pem"), read("authority/certificate.pem"));
     // A router that is reached by another name needs a certificate that names it.
     let moved = std::fs::read_to_string(&fleet).unwrap().replace("\"127.0.0.1\"", "\"base.local\"");
     std::fs::write(&fleet, moved).unwrap();
-    let told = certs(&[]);
-    assert!(told.contains("router.base: replaced, because its addresses"), "{told}");
-    assert!(told.contains("robot.a1: kept, valid for 36"), "{told}");
+    let printed = certs(&[]);
+    assert!(printed.contains("router.base: replaced, because its addresses"), "{printed}");
+    assert!(printed.contains("robot.a1: kept, valid for 36"), "{printed}");
     assert!(certs(&[]).contains("router.base: kept"));
     certs(&["--force", "--only", "robot.a1"]);
     let renewed = keys();
@@ -561,8 +560,8 @@ fn certificates_are_kept_renewed_and_guarded() {
     fails(&["certs", "--fleet-file", fleet, "--out", out], "key.pem is missing");
     // With a new authority, the certificates of the old one open no link.
     std::fs::remove_dir_all(folder.path().join("identities/authority")).unwrap();
-    let told = deploy(&["certs", "--fleet-file", fleet, "--out", out]);
-    assert!(told.contains("authority: made, valid"), "{told}");
-    assert!(told.contains("robot.a1: replaced, because the authority"), "{told}");
-    assert!(!told.contains("kept"), "{told}");
+    let printed = deploy(&["certs", "--fleet-file", fleet, "--out", out]);
+    assert!(printed.contains("authority: made, valid"), "{printed}");
+    assert!(printed.contains("robot.a1: replaced, because the authority"), "{printed}");
+    assert!(!printed.contains("kept"), "{printed}");
 }

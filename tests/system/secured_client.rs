@@ -46,12 +46,12 @@ async fn robots_by_the_client_crate_belong_by_their_certificates() {
         }
     };
     let (mut of_first, mut of_last) = (robots[0].0.team(), robots[3].0.team());
-    let everybody = async {
+    let all_formed = async {
         formed(&mut of_first, &["a1", "a2"]).await;
         formed(&mut of_last, &["b1", "b2"]).await;
     };
     tokio::select! {
-        () = everybody => {}
+        () = all_formed => {}
         () = moving => {}
     }
     // A copy of a robot's certificate does not give two processes the same name unnoticed.
