@@ -85,13 +85,13 @@ fn hosts_are_gone_when_a_test_panics_and_after_one_was_killed() {
         say(&format!("NOT TESTED: hosts are removed: {missing}"));
         return;
     }
-    let (told, heard) = std::sync::mpsc::channel();
+    let (sender, receiver) = std::sync::mpsc::channel();
     let failing = std::thread::spawn(move || {
         let lab = Lab::new().unwrap();
-        told.send(lab.namespace(Host::Base)).unwrap();
+        sender.send(lab.namespace(Host::Base)).unwrap();
         panic!("as a test that fails");
     });
-    let name = heard.recv().unwrap();
+    let name = receiver.recv().unwrap();
     assert!(failing.join().is_err());
     assert!(!namespaces().contains(&name), "{name} is left behind");
 

@@ -1,4 +1,4 @@
-//! The rules of the house that a compiler does not check: who may depend on whom.
+//! The rules that a compiler does not check: which crate may depend on which.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,4 +1,4 @@
-//! A robot or dashboard that somebody else wrote: plain Zenoh and JSON.
+//! A robot or dashboard without the client crate: plain Zenoh and JSON.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -197,7 +197,7 @@ impl Client {
         answers(get.await.map_err(fail)?, &self.prefix).await
     }
 
-    /// Gets JSON from everybody who answers, also where one answer would suffice.
+    /// Gets JSON from all that answer, also where one answer would suffice.
     ///
     /// # Errors
     /// If the session is closed.

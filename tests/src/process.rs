@@ -17,17 +17,17 @@ pub struct Process {
     log: PathBuf,
 }
 
-/// The path of a program of this workspace, as built beside the tests.
+/// The path of a program of this workspace, as built with the tests.
 ///
 /// # Errors
 /// If it is not built; the text names the remedy.
 pub fn program(name: &str) -> anyhow::Result<PathBuf> {
     let this = std::env::current_exe()?;
-    // Tests stand in a folder below the programs, programs of the tests beside them.
-    let beside = this.parent().context("the tests stand in no target folder")?;
-    let path = match beside.parent() {
-        Some(above) if beside.ends_with("deps") => above.join(name),
-        _ => beside.join(name),
+    // Tests are in a folder below the programs; programs of the tests are among the programs.
+    let folder = this.parent().context("the test is in no target folder")?;
+    let path = match folder.parent() {
+        Some(above) if folder.ends_with("deps") => above.join(name),
+        _ => folder.join(name),
     };
     ensure!(path.exists(), "{} is not built; run `cargo build --workspace` first", path.display());
     Ok(path)

@@ -42,7 +42,7 @@ struct Options {
     /// Change a setting of a service, such as ingest.tick_hz=20
     #[arg(long, value_name = "SERVICE.FIELD=VALUE")]
     set: Vec<String>,
-    /// Where the page goes; standard output without it. Its picture goes beside it, as .svg
+    /// Where the page goes; standard output without it. Its picture has the same name with .svg
     #[arg(long, value_name = "FILE.md")]
     out: Option<PathBuf>,
     /// What is written as the command

@@ -40,7 +40,7 @@ struct Args {
     /// Of all faults of the seed, only those with these numbers, such as 3,17; or none
     #[arg(long, value_parser = numbers)]
     only: Option<Numbers>,
-    /// How many robots appear in every second besides the faults of the seed, and report only once
+    /// How many robots appear in every second in addition to the faults of the seed, and report only once
     #[arg(long, default_value_t = 0)]
     ghosts: usize,
     /// How many threads; all processors if left out

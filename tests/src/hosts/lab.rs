@@ -143,7 +143,7 @@ fn look_for_missing() -> anyhow::Result<Option<String>> {
     }
     let lab = Lab::new()?;
     match lab.limit(Host::Robots, 64) {
-        Err(error) if NO_FILTER.iter().any(|said| error.to_string().contains(said)) => {
+        Err(error) if NO_FILTER.iter().any(|text| error.to_string().contains(text)) => {
             missing("the kernel has no token bucket filter")
         }
         Err(error) => Err(error),

@@ -318,9 +318,9 @@ impl Measured {
         }
         if self.fault.lets_robots_leave() {
             hold(between(self.gone, GONE_S), "silent robots leave in time");
-            hold(self.left == self.on_robots_host, "all silent robots leave, and nobody else");
+            hold(self.left == self.on_robots_host, "all silent robots leave, and no others");
         } else {
-            hold(self.left.is_empty(), "nobody leaves");
+            hold(self.left.is_empty(), "no robot leaves");
         }
         // With all robots behind a narrow link there are no other links to be held up.
         if self.fault.is_of_a_link() && self.on_robots_host.len() < ROBOTS {
@@ -334,7 +334,7 @@ impl Measured {
         // each time that it loses the same one; their robots are silent then.
         let falters = matches!(self.fault.kind, Kind::Narrow(_) | Kind::Slow);
         if !self.fault.cuts_robots_off() && !falters {
-            hold(self.stale.is_none(), "nobody is taken for silent");
+            hold(self.stale.is_none(), "no robot is marked stale");
         }
         if self.fault.lets_base_speak() {
             hold(self.pause <= 3.0, "divisions are published meanwhile");

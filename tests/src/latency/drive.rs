@@ -1,7 +1,7 @@
 //! A process of robots, which put poses at a rate, each with a phase of its own, and writes down when.
 //!
 //! The robots share one Zenoh session and put JSON, as `muster robot` does, by declared publishers: a
-//! router searches all keys of the fleet for the receivers of each message on a key that nobody declared.
+//! router searches all keys of the fleet for the receivers of each message on an undeclared key.
 //! Each robot has its token, and subscribes to its team. A robot that also reports links or its rank does so
 //! just before a pose, so that the pose is its last message: the roster then contains when `ingest` received
 //! it.

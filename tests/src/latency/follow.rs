@@ -174,13 +174,13 @@ mod tests {
             frame: 260_000,
             team: Some(team.to_owned()),
         };
-        let said = [
+        let messages = [
             message(1_000, 0, "t1"),
             message(280_000, 0, "t1"),
             message(290_000, 0, "t2"),
             message(290_000, 1, "t2"),
             message(300_000, 1, "t1"),
         ];
-        assert_eq!(follow_changes(&puts(), &frames, &said), [90.0, 50.0]);
+        assert_eq!(follow_changes(&puts(), &frames, &messages), [90.0, 50.0]);
     }
 }

@@ -36,9 +36,9 @@ pub struct Embedded {
     pub residual: f64,
 }
 
-/// A judgement that was received: when the division was published that it is about, and its own stage.
+/// A received audit: when its division was published, and its own stage.
 #[derive(Debug, Clone, Copy)]
-pub struct Judged {
+pub struct AuditTimes {
     /// When the division was published.
     pub divided: u64,
     /// That of `auditor`.
@@ -55,7 +55,7 @@ pub struct Received {
     /// In the order of arrival.
     pub embeddings: Vec<Embedded>,
     /// In the order of arrival.
-    pub judgements: Vec<Judged>,
+    pub audits: Vec<AuditTimes>,
     /// In the order of arrival.
     pub team_messages: Vec<TeamMessage>,
     /// Messages that could not be understood, or found too many waiting.
@@ -207,7 +207,7 @@ fn take(
             let audit: Audit = envelope::decode(bytes).ok()?;
             let divided = stage(&audit.header, ServiceName::Clusterer)?.1;
             let stage = stage(&audit.header, ServiceName::Auditor)?;
-            lock(received).judgements.push(Judged { divided, stage });
+            lock(received).audits.push(AuditTimes { divided, stage });
         }
         Kind::TeamMessage => {
             let value: Value = serde_json::from_slice(bytes).ok()?;

@@ -71,7 +71,7 @@ pub fn goals(measured: &Measured) -> Vec<Goal> {
 }
 
 /// What a program says of itself in one line, or "unknown".
-fn said(program: &str, arguments: &[&str]) -> String {
+fn output_of(program: &str, arguments: &[&str]) -> String {
     let output =
         Command::new(program).args(arguments).current_dir(env!("CARGO_MANIFEST_DIR")).output();
     let text = output.ok().and_then(|output| String::from_utf8(output.stdout).ok());
@@ -97,7 +97,7 @@ fn machine() -> String {
     let memory = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let kib: Option<f64> = memory.split_whitespace().nth(1).and_then(|kib| kib.parse().ok());
     let gib = kib.unwrap_or(f64::NAN) / f64::from(1 << 20);
-    format!("{cores} cores of {model}, {gib:.0} GiB, Linux {}", said("uname", &["-r"]))
+    format!("{cores} cores of {model}, {gib:.0} GiB, Linux {}", output_of("uname", &["-r"]))
 }
 
 fn spread(spread: Spread) -> String {
@@ -108,7 +108,7 @@ fn pair(spread: Spread) -> String {
     format!("{:.1} / {:.1}", spread.p50, spread.p99)
 }
 
-/// The page. `command` is how it was asked for, `plot` the name of the picture beside it.
+/// The page. `command` is how it was asked for, `plot` the name of its picture.
 ///
 /// # Errors
 /// Never; the signature is that of writing.
@@ -118,12 +118,12 @@ pub fn page(
     plot: Option<&str>,
 ) -> Result<String, std::fmt::Error> {
     let mut page = String::new();
-    let revision = said("git", &["describe", "--always", "--dirty", "--abbrev=10"]);
+    let revision = output_of("git", &["describe", "--always", "--dirty", "--abbrev=10"]);
     writeln!(page, "# From a pose to its team: latency, age, load\n")?;
     writeln!(
         page,
         "Written by `{command}` on {}.\n",
-        said("date", &["-u", "+%Y-%m-%d %H:%M UTC"])
+        output_of("date", &["-u", "+%Y-%m-%d %H:%M UTC"])
     )?;
     writeln!(page, "- machine: {}", machine())?;
     writeln!(
@@ -131,7 +131,7 @@ pub fn page(
         "- versions: Muster {} at {revision}, Zenoh {}, {}; {} build",
         env!("CARGO_PKG_VERSION"),
         locked("zenoh"),
-        said("rustc", &["--version"]),
+        output_of("rustc", &["--version"]),
         if cfg!(debug_assertions) { "debug" } else { "release" }
     )?;
     for measured in all {
@@ -252,8 +252,8 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
     row("embedder → clusterer", &|m| between(m, |d| (d.stages[1].1, d.stages[2].0)))?;
     row("clusterer", &|m| between(m, |d| (d.stages[2].0, d.stages[2].1)))?;
     row("clusterer → reader", &|m| between(m, |d| (d.stages[2].1, d.arrived)))?;
-    row("in parallel: division → audit", &|m| pair(m.judged[0]))?;
-    row("of it: auditor", &|m| pair(m.judged[1]))?;
+    row("in parallel: division → audit", &|m| pair(m.audit[0]))?;
+    row("of it: auditor", &|m| pair(m.audit[1]))?;
     writeln!(
         page,
         "\nThe time of a stage is from the receipt of its input to its output, with the wait for the \
@@ -271,7 +271,7 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
             measured.modes.values().sum::<usize>() as f64 / measured.seconds,
             modes.join(", "),
             measured.residual,
-            measured.judgements as f64 / measured.seconds
+            measured.audits as f64 / measured.seconds
         )?;
     }
     writeln!(page)

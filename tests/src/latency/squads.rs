@@ -52,7 +52,7 @@ struct Squad {
     phase: f64,
     /// Its robots, the leader first; couriers of other teams are not among them.
     robots: Vec<usize>,
-    /// Whom the leader answers to.
+    /// The superior of the leader.
     superior: Option<usize>,
 }
 
@@ -145,8 +145,8 @@ impl Squads {
         }
     }
 
-    /// Whom a robot hears, with the quality from 0 to 1: the robots of the squad that it is with; its
-    /// leader also its own superior.
+    /// The incoming links of a robot, with qualities from 0 to 1: from the robots of the squad that it is with; its
+    /// leader also has one from its own superior.
     #[must_use]
     pub fn links(&self, robot: usize, t: f64) -> Vec<(usize, f64)> {
         let squad = &self.squads[self.squad(robot, t)];
@@ -163,7 +163,7 @@ impl Squads {
         received.collect()
     }
 
-    /// Whom a robot answers to: the leader of its squad; that one to the leader of its team.
+    /// The superior of a robot: the leader of its squad; that one's is the leader of its team.
     #[must_use]
     pub fn superior(&self, robot: usize, t: f64) -> Option<usize> {
         let squad = &self.squads[self.squad(robot, t)];
@@ -191,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn everybody_moves_at_the_pace_of_a_robot_and_couriers_fly() {
+    fn all_move_at_the_pace_of_a_robot_and_couriers_fly() {
         let fleet = Squads::new(503, 5);
         assert_eq!(fleet.len(), 503);
         let mut couriers = 0;

@@ -1,4 +1,4 @@
-//! Mutants: faults of the code under test that are made on purpose, to prove that the judge finds them.
+//! Mutants: faults of the code under test that are made on purpose, to prove that the oracle finds them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -143,7 +143,7 @@ impl Node {
         }
     }
 
-    /// Its process, as the judge knows it.
+    /// Its process, as the oracle knows it.
     pub(crate) fn publisher(&self) -> Publisher {
         Publisher { service: self.service, instance: self.instance, process: self.life }
     }

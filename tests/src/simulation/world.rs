@@ -1,5 +1,5 @@
 //! The whole: services, robots, an operator and an attacker around one router, and an agenda of what
-//! happens next. One event at a time is taken from the agenda, and after each the judge is asked.
+//! happens next. One event at a time is taken from the agenda, and after each the oracle is asked.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -19,7 +19,7 @@ use super::log::Log;
 use super::mutants::Mutator;
 use super::node::Node;
 use super::operator::Operator;
-use super::oracle::{Bounds, Breach, Judge, MEMORY, Settled, Verdict};
+use super::oracle::{Bounds, Breach, Checked, MEMORY, Oracle, Settled};
 use super::plan::{Injection, Place};
 use super::robots::{RobotStream, Robots};
 use super::router::{Answer, BusGetId, Carried, LinkId, Router};
@@ -116,7 +116,7 @@ pub(super) struct World {
     pub(super) links: Vec<Link>,
     pub(super) robots: Robots,
     pub(super) router: Router,
-    pub(super) judge: Judge,
+    pub(super) oracle: Oracle,
     pub(super) log: Log,
     pub(super) injections: Vec<Injection>,
     pub(super) operator: Operator,
@@ -205,7 +205,7 @@ impl World {
             nodes,
             robots,
             router: Router::default(),
-            judge: Judge::default(),
+            oracle: Oracle::default(),
             log: Log::new(logged),
             injections,
             pending: BTreeMap::new(),
@@ -254,9 +254,9 @@ impl World {
         self.agenda.push(Reverse(scheduled));
     }
 
-    /// Accepts the verdict of a rule. The first breach ends the run.
-    pub(super) fn judged(&mut self, verdict: Verdict) {
-        if let Err(breach) = verdict
+    /// Accepts the result of a rule. The first breach ends the run.
+    pub(super) fn require(&mut self, checked: Checked) {
+        if let Err(breach) = checked
             && self.breach.is_none()
         {
             self.log.line(self.now, format_args!("BROKEN: {}: {}", breach.promise, breach.seen));
@@ -279,7 +279,7 @@ impl World {
             self.happen(next.event);
             if self.stats.events > MAX_EVENTS {
                 let seen = "the run does not end".to_owned();
-                self.judged(Err(Breach { promise: "a run ends", seen }));
+                self.require(Err(Breach { promise: "a run ends", seen }));
             }
             if self.finished || self.breach.is_some() {
                 break;
@@ -289,7 +289,7 @@ impl World {
         self.stats.lost = self.damage.lost;
         self.stats.repeated = self.damage.repeated;
         self.stats.mixed = self.damage.mixed;
-        self.stats.takeovers = self.judge.order.takeovers;
+        self.stats.takeovers = self.oracle.order.takeovers;
         (self.stats, self.breach.map(|breach| (breach, self.now)), self.log.into_lines())
     }
 
@@ -397,8 +397,8 @@ impl World {
         self.send(link, Way::Up, &Carried::Put(Arc::new(packet)));
     }
 
-    /// Everything that goes wrong has an end: links are mended, processes run, and the robots stand
-    /// still and go on to repeat their last reports.
+    /// Ends all faults: links are restored, processes run, and the robots stand still and republish their last
+    /// reports.
     fn end_storm(&mut self) {
         self.storm_over = true;
         self.log.line(self.now, format_args!("the storm is over"));
@@ -431,7 +431,7 @@ impl World {
                 Err("an operator's settings are not confirmed".to_owned())
             } else {
                 one_leads_each_service(&self.nodes)
-                    .and_then(|()| self.judge.agreement(&ground_truth))
+                    .and_then(|()| self.oracle.agreement(&ground_truth))
             }
         };
         match (agreed, self.settled.take()) {
@@ -442,9 +442,9 @@ impl World {
                 }
                 self.settled = Some((since, now));
             }
-            (Ok(now), Some((at, before))) => match self.judge.unchanged(&before) {
+            (Ok(now), Some((at, before))) => match self.oracle.unchanged(&before) {
                 Ok(()) => self.settled = Some((at, before)),
-                Err(breach) if since > limit => self.judged(Err(breach)),
+                Err(breach) if since > limit => self.require(Err(breach)),
                 Err(_) => self.settled = Some((since, now)),
             },
             (Err(differs), _) => {
@@ -457,7 +457,7 @@ impl World {
         if since > limit && self.settled.is_none() {
             let promise = "after the last fault all agree within the stated time";
             let seen = self.differs.clone();
-            self.judged(Err(Breach { promise, seen }));
+            self.require(Err(Breach { promise, seen }));
             return;
         }
         if let Some((at, _)) = &self.settled {

@@ -12,7 +12,7 @@ use muster_wire::Message;
 
 use super::super::robots::TeamReport;
 use super::Publisher;
-use super::{Divided, Judge, Published, Verdict, breach, silhouettes};
+use super::{Checked, Divided, Oracle, Published, breach, silhouettes};
 
 /// How many epochs after its own a robot that has a lost revision is certain to have received its team
 /// again: that is published with every heartbeat, in which a quiet fleet has one epoch or two.
@@ -50,7 +50,7 @@ pub(crate) struct GroundTruth<'a> {
 /// The division that all have agreed on.
 #[derive(Debug, Clone)]
 pub(crate) struct Settled {
-    /// None where there never was anybody to divide.
+    /// None if the fleet never had a robot.
     division: Option<std::sync::Arc<Teams>>,
 }
 
@@ -61,7 +61,7 @@ impl Settled {
     }
 }
 
-impl Judge {
+impl Oracle {
     /// Whether all agree now; if not, on what they differ.
     pub(crate) fn agreement(&self, ground_truth: &GroundTruth<'_>) -> Result<Settled, String> {
         let roster = self.rosters.last().ok_or("there is no roster")?;
@@ -111,8 +111,8 @@ impl Judge {
             return Err(format!("the division lists {:?} as stale", teams.stale));
         }
         let audit = self.audits.last().ok_or("there is no audit")?;
-        let judged = self.divisions.named(audit.teams);
-        if !judged.iter().any(|other| same_division(other, teams))
+        let audited = self.divisions.named(audit.teams);
+        if !audited.iter().any(|other| same_division(other, teams))
             || !self.embeddings.named(audit.embedding).iter().any(|e| same_vectors(e, embedding))
         {
             return Err("the audit is not that of the division".to_owned());
@@ -126,7 +126,7 @@ impl Judge {
 
     /// A console that joins late receives what was published last when it asked, or something newer, and
     /// nothing that was never published.
-    pub(crate) fn joined_late(&self, last: &Message, received: &[Message]) -> Verdict {
+    pub(crate) fn joined_late(&self, last: &Message, received: &[Message]) -> Checked {
         let revision = |message: &Message| message.header().map(|header| header.revision);
         let newest = received.iter().max_by_key(|message| revision(message));
         let right = newest.is_some_and(|newest| revision(newest) >= revision(last))
@@ -202,7 +202,7 @@ impl Judge {
     }
 
     /// The same process divides the same vectors under the same settings as it did just before.
-    pub(super) fn check_same_again(&self, before: &Divided) -> Verdict {
+    pub(super) fn check_same_again(&self, before: &Divided) -> Checked {
         let Some(now) = &self.divided else { return Ok(()) };
         let same_vectors = || {
             let (old, new) = (before.teams.embedding, now.teams.embedding);
@@ -223,7 +223,7 @@ impl Judge {
     }
 
     /// Unchanged input leaves the division as all had agreed on it.
-    pub(crate) fn unchanged(&self, agreed: &Settled) -> Verdict {
+    pub(crate) fn unchanged(&self, agreed: &Settled) -> Checked {
         let (Some(last), Some(agreed)) = (self.divisions.last(), &agreed.division) else {
             return Ok(());
         };

@@ -8,10 +8,10 @@ use muster_model::id::RobotId;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 
-use super::{Published, Verdict, breach};
+use super::{Checked, Published, breach};
 
 /// No robot is twice in a roster, by name or by node.
-pub(crate) fn check_roster(roster: &Roster) -> Verdict {
+pub(crate) fn check_roster(roster: &Roster) -> Checked {
     let names: BTreeSet<_> = roster.robots.iter().map(|entry| &entry.robot).collect();
     let nodes: BTreeSet<_> = roster.robots.iter().map(|entry| entry.node).collect();
     if names.len() != roster.robots.len() || nodes.len() != roster.robots.len() {
@@ -24,7 +24,7 @@ pub(crate) fn check_roster(roster: &Roster) -> Verdict {
 }
 
 /// An embedding has one finite vector for each robot of the roster that it names.
-pub(crate) fn check_embedding(embedding: &Embedding, rosters: &Published<Roster>) -> Verdict {
+pub(crate) fn check_embedding(embedding: &Embedding, rosters: &Published<Roster>) -> Checked {
     let revision = embedding.header.revision;
     let of_roster =
         |roster: &Arc<Roster>| roster.robots.iter().map(|entry| &entry.robot).eq(&embedding.robots);
@@ -45,7 +45,7 @@ pub(crate) fn check_embedding(embedding: &Embedding, rosters: &Published<Roster>
 }
 
 /// Each robot of the embedding that a division names is in exactly one team, or in none.
-pub(crate) fn check_division(teams: &Teams, embeddings: &Published<Embedding>) -> Verdict {
+pub(crate) fn check_division(teams: &Teams, embeddings: &Published<Embedding>) -> Checked {
     let revision = teams.header.revision;
     let named = embeddings.named(teams.embedding);
     if named.is_empty() {
@@ -76,7 +76,7 @@ pub(crate) fn check_division(teams: &Teams, embeddings: &Published<Embedding>) -
 }
 
 /// The teams of a division are whole. Pins and limits of size will be checked here once there are any.
-fn check_teams(teams: &Teams) -> Verdict {
+fn check_teams(teams: &Teams) -> Checked {
     let revision = teams.header.revision;
     let ids: BTreeSet<_> = teams.teams.iter().map(|team| &team.id).collect();
     if ids.len() != teams.teams.len() || teams.teams.len() > teams.requested as usize {
@@ -100,7 +100,7 @@ fn check_teams(teams: &Teams) -> Verdict {
 }
 
 /// What is published for a robot agrees with the division.
-pub(crate) fn check_robot_team(report: &RobotTeam, divisions: &Published<Teams>) -> Verdict {
+pub(crate) fn check_robot_team(report: &RobotTeam, divisions: &Published<Teams>) -> Checked {
     let revision = report.header.revision;
     let agrees = |teams: &Arc<Teams>| {
         let team = teams

@@ -5,7 +5,7 @@ use muster_model::limits::{MAX_DECLARED_MODALITIES, MAX_LINKS, MAX_RELATION_EDGE
 use muster_service::MemoryUse;
 
 use super::super::clock::{Micros, SECOND};
-use super::{Verdict, breach};
+use super::{Checked, breach};
 
 /// Most senders of refused messages that a service watches.
 const OFFENDERS: usize = 256;
@@ -65,7 +65,7 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
 }
 
 /// Compares the memory use of a service with its limit.
-pub(crate) fn check_memory_use(service: ServiceName, held: MemoryUse, bounds: Bounds) -> Verdict {
+pub(crate) fn check_memory_use(service: ServiceName, held: MemoryUse, bounds: Bounds) -> Checked {
     let most = most(service, bounds);
     if held.robots > most.robots
         || held.edges > most.edges

@@ -1,8 +1,8 @@
-//! What must hold at every moment, judged from outside by what crosses the bus.
+//! What must hold at every moment, checked from outside by what crosses the bus.
 //!
-//! The judge sees every message that a service publishes, as it decodes from its bytes, and knows the
+//! The oracle sees every message that a service publishes, as it decodes from its bytes, and knows the
 //! truth about the fleet. Its rules are written a second time from the promises of the README, plainly and
-//! slowly, and share no code with what they judge but the types of the messages.
+//! slowly, and share no code with what they check but the types of the messages.
 
 mod agreement;
 mod division;
@@ -30,12 +30,12 @@ use super::plan::OutputKind;
 pub(crate) use agreement::{GroundTruth, RobotTruth, Settled};
 pub(crate) use memory::{Bounds, MEMORY, check_memory_use};
 
-/// How many messages of each kind the judge remembers: more than a minute of frames, longer than
+/// How many messages of each kind the oracle remembers: more than a minute of frames, longer than
 /// anything that names an older one is under way.
 const REMEMBERED: usize = 2048;
 
 /// The result of a rule: nothing, or what is wrong.
-pub(crate) type Verdict = Result<(), Breach>;
+pub(crate) type Checked = Result<(), Breach>;
 
 /// A broken promise.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -115,9 +115,9 @@ impl<T> Published<T> {
     }
 }
 
-/// What the judge knows.
+/// What the oracle knows.
 #[derive(Debug, Default)]
-pub(crate) struct Judge {
+pub(crate) struct Oracle {
     pub(crate) rosters: Published<Roster>,
     pub(crate) embeddings: Published<Embedding>,
     pub(crate) divisions: Published<Teams>,
@@ -130,7 +130,7 @@ pub(crate) struct Judge {
     settings: Option<Box<AnnouncedSettings>>,
 }
 
-impl Judge {
+impl Oracle {
     /// An instance has lost its disk: it cannot know the terms that it held.
     pub(crate) fn forget_order(&mut self, service: ServiceName, instance: usize) {
         self.order.forget(service, instance);
@@ -165,7 +165,7 @@ impl Judge {
     }
 
     /// Judges what a service answers a get with, which must be as right as what is published.
-    pub(crate) fn answered(&mut self, message: &Message) -> Verdict {
+    pub(crate) fn answered(&mut self, message: &Message) -> Checked {
         finite::check(message)?;
         match message {
             Message::Roster(roster) => {
@@ -196,7 +196,7 @@ impl Judge {
         publisher: Publisher,
         settings: u32,
         message: &Message,
-    ) -> Verdict {
+    ) -> Checked {
         let service = publisher.service;
         finite::check(message)?;
         self.order.check(now, publisher, message)?;

@@ -8,7 +8,7 @@ use muster_model::id::ServiceName;
 use muster_wire::Message;
 
 use super::super::clock::{MS, Micros};
-use super::{Publisher, Verdict, breach};
+use super::{Checked, Publisher, breach};
 
 /// How long after a lease renewal an instance that begins its term may not have handled it: links take a
 /// millisecond, inputs some, and those that wait before it as long.
@@ -27,7 +27,7 @@ pub(crate) struct Order {
     renewals: BTreeMap<Publisher, Micros>,
     /// Until when something may keep an instance of a service from receiving a lease renewal.
     disturbed_until: BTreeMap<ServiceName, Micros>,
-    /// How many takeovers were judged.
+    /// How many takeovers were checked.
     pub(crate) takeovers: u64,
 }
 
@@ -54,7 +54,7 @@ impl Order {
         now: Micros,
         publisher: Publisher,
         message: &Message,
-    ) -> Verdict {
+    ) -> Checked {
         let Some(header) = message.header() else { return Ok(()) };
         let revision = header.revision;
         let key = message.keys().0.to_string();
@@ -110,7 +110,7 @@ impl Order {
         key: &str,
         message: &Message,
         revision: Revision,
-    ) -> Verdict {
+    ) -> Checked {
         match message {
             Message::LeaseRenewal(_) => {
                 self.renewals.insert(publisher, now);
