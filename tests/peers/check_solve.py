@@ -219,7 +219,7 @@ def automatic(u, sigma, v, fused, teams):
     if ruled >= rank:
         return ruled
     raised = min(k for k, count in counts.items() if count == most)
-    # Which of several equal directions come first is arbitrary, and so is whom they hold.
+    # Which of several equal directions come first is arbitrary, and so are their members.
     for k in range(ruled, raised + 1):
         if k < n and (sigma[k - 1] - sigma[k]) / sigma[0] < GAP and raised > ruled:
             return None
@@ -282,13 +282,13 @@ def observations(rng, robots):
         np.fill_diagonal(a, 0.0)
         graphs.append(a * (a >= 1e-12))
         names.append("spatial")
-    heard = rng.uniform(0.0, 1.0, (n, n)) * (rng.random((n, n)) < min(1.0, 4.0 / n))
-    np.fill_diagonal(heard, 0.0)
+    quality = rng.uniform(0.0, 1.0, (n, n)) * (rng.random((n, n)) < min(1.0, 4.0 / n))
+    np.fill_diagonal(quality, 0.0)
     case["links"] = {
-        r: [{"peer": robots[j], "quality": heard[i, j]} for j in np.flatnonzero(heard[i])]
+        r: [{"peer": robots[j], "quality": quality[i, j]} for j in np.flatnonzero(quality[i])]
         for i, r in enumerate(robots)
     }
-    graphs.append(heard.T.copy())
+    graphs.append(quality.T.copy())
     names.append("connectivity")
     if rng.random() < 0.8:
         a = command_tree(rng, n) * rng.uniform(0.5, 2.0)

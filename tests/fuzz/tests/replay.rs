@@ -43,7 +43,7 @@ fn inputs(folder: &Path) -> Vec<Vec<u8>> {
     paths.iter().map(|path| std::fs::read(path).unwrap()).collect()
 }
 
-/// Runs one input. One that breaks a promise is kept for whoever mends it.
+/// Runs one input, and keeps it if it breaks a promise.
 fn run(target: &Target, input: &[u8]) {
     let since = Instant::now();
     let result = catch_unwind(AssertUnwindSafe(|| (target.run)(input)));
@@ -54,7 +54,7 @@ fn run(target: &Target, input: &[u8]) {
         let path = folder.join(target.name);
         std::fs::write(&path, input).unwrap();
         panic!(
-            "{} breaks a promise, after {took:?}; the input is {}: once the fault is mended, copy \
+            "{} breaks a promise, after {took:?}; the input is {}: once the fault is fixed, copy \
              it to {}",
             target.name,
             path.display(),
