@@ -23,8 +23,8 @@ use muster_service::{
 use muster_wire::{Format, Key, KeySpace, Message, Packet, Pattern, Request, Source, report};
 
 use crate::draw::{Author, Draw, Drawn};
-use crate::packets::{BINARY, NOW, space, understood};
-use crate::{allocation, text};
+use crate::packets::{BINARY, NOW, decoded, space};
+use crate::{Outcome, allocation, text};
 
 /// Bytes that a core may hold for each byte of its input: a message is kept, copied into a job, and
 /// answered in two forms.
@@ -104,26 +104,26 @@ const PARAMETERS: [&str; 8] = [
     "katz=r1,r1",
 ];
 
-pub(crate) fn ingest(data: &[u8]) {
-    run::<Ingest>(data);
+pub(crate) fn ingest(data: &[u8]) -> Outcome {
+    run::<Ingest>(data)
 }
 
-pub(crate) fn embedder(data: &[u8]) {
-    run::<Embedder>(data);
+pub(crate) fn embedder(data: &[u8]) -> Outcome {
+    run::<Embedder>(data)
 }
 
-pub(crate) fn clusterer(data: &[u8]) {
-    run::<Clusterer>(data);
+pub(crate) fn clusterer(data: &[u8]) -> Outcome {
+    run::<Clusterer>(data)
 }
 
-pub(crate) fn auditor(data: &[u8]) {
-    run::<Auditor>(data);
+pub(crate) fn auditor(data: &[u8]) -> Outcome {
+    run::<Auditor>(data)
 }
 
-fn run<C: Core>(data: &[u8]) {
+fn run<C: Core>(data: &[u8]) -> Outcome {
     let limit = HELD_PER_BYTE * data.len() + HELD_ANYWAY;
     let what = format!("{} with all that it received", C::SERVICE);
-    allocation::at_most(limit, &what, || World::<C>::new().live(&mut Draw(data)));
+    allocation::at_most(limit, &what, || World::<C>::new().live(&mut Draw(data)))
 }
 
 /// A host, and what its shell knows of it.
@@ -143,6 +143,7 @@ struct World<C: Core> {
     /// The last revision on each key.
     published: BTreeMap<Key, Revision>,
     graphs: BTreeMap<Modality, GraphReplica>,
+    outcome: Outcome,
 }
 
 /// A get that is not answered yet.
@@ -175,11 +176,12 @@ impl<C: Core> World<C> {
             term: 0,
             published: BTreeMap::new(),
             graphs: BTreeMap::new(),
+            outcome: Outcome::Refused,
         }
     }
 
     /// Lets everything happen that the bytes choose; then all that is under way ends.
-    fn live(&mut self, draw: &mut Draw<'_>) {
+    fn live(mut self, draw: &mut Draw<'_>) -> Outcome {
         // The start has asked for so long that its questions are not repeated.
         self.handle(Input::Started { linked: true });
         while self.now < NOW {
@@ -197,6 +199,7 @@ impl<C: Core> World<C> {
         self.handle(Input::Timer);
         self.end_all();
         assert!(self.open.is_empty(), "a get is not answered");
+        self.outcome
     }
 
     /// Ends what is under way.
@@ -296,7 +299,7 @@ impl<C: Core> World<C> {
 
     /// A packet that is decoded when its turn comes; what decoding makes of it is checked here.
     fn arrival(&self, packet: Packet) -> Arrival {
-        let _ = understood(&self.space, &packet);
+        let _ = decoded(&self.space, &packet);
         Arrival::encoded(packet)
     }
 
@@ -391,7 +394,7 @@ impl<C: Core> World<C> {
         let (key, _) = message.keys();
         for packet in &publication.packets {
             if packet.encoding.starts_with("application/octet-stream") {
-                let read = understood(&self.space, packet);
+                let read = decoded(&self.space, packet);
                 assert!(read.is_ok(), "what is published is refused: {read:?}");
             } else {
                 let payload = packet.payload.as_ref().unwrap();
@@ -408,6 +411,16 @@ impl<C: Core> World<C> {
                 before < header.revision || (repeats && before == header.revision)
             });
             assert!(in_order, "{key} goes from {before:?} to {:?}", header.revision);
+        }
+        let is_result = match message {
+            Message::Graph(delta) => delta.rows.iter().any(|row| !row.edges.is_empty()),
+            Message::Embedding(embedding) => !embedding.robots.is_empty(),
+            Message::Teams { teams, .. } => teams.assignments().next().is_some(),
+            Message::Audit(audit) => audit.in_embedding.mean.is_some(),
+            _ => false,
+        };
+        if is_result {
+            self.outcome = Outcome::Accepted;
         }
         match message {
             Message::Graph(delta) => {

@@ -3,7 +3,7 @@
 use muster_solve::{Options, PathChoice, SilhouetteChoice, Solved};
 use serde_json::Value;
 
-use crate::{allocation, text};
+use crate::{Outcome, allocation, text};
 
 /// Longest error in characters: a field and a problem.
 const MAX_ERROR: usize = 1700;
@@ -22,23 +22,27 @@ const MAY_HOLD: usize = 8 << 20;
 const ROUNDING: f64 = 1e-12;
 
 /// The options, in one byte, and the text of a file.
-pub(crate) fn solve(data: &[u8]) {
-    let Some((choices, text)) = data.split_first() else { return };
+pub(crate) fn solve(data: &[u8]) -> Outcome {
+    let Some((choices, text)) = data.split_first() else { return Outcome::Refused };
     let options = options(*choices);
     if let Ok(file) = serde_json::from_slice::<Value>(text) {
         let robots = file.get("robots").and_then(Value::as_array).map_or(0, Vec::len);
         let restarts = file.get("restarts").and_then(Value::as_u64).unwrap_or_default();
         if robots > MAX_ROBOTS || restarts > MAX_RESTARTS {
-            return;
+            return Outcome::Refused;
         }
     }
     let solved = allocation::at_most(MAY_HOLD, "solving", || Solved::new(text, options));
     match solved {
-        Err(error) => text::check(&error.to_string(), MAX_ERROR),
+        Err(error) => {
+            text::check(&error.to_string(), MAX_ERROR);
+            Outcome::Refused
+        }
         Ok(solved) => {
             assert!(!solved.summary().is_empty());
             let json: Value = serde_json::from_str(&solved.to_json().unwrap()).unwrap();
             check(&json);
+            Outcome::Accepted
         }
     }
 }
