@@ -27,6 +27,5 @@ mod record;
 mod restarts;
 mod schema;
 mod secured;
-mod secured_client;
 mod settings;
 mod standby;
