@@ -118,6 +118,20 @@ impl Process {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
 
+    /// Waits until it has printed a text.
+    ///
+    /// # Errors
+    /// If it has ended, or has not printed it in time; the text holds what it has printed.
+    pub fn until_prints(&mut self, text: &str, within: Duration) -> anyhow::Result<()> {
+        let start = Instant::now();
+        while !self.output().contains(text) {
+            let is_waiting = self.is_running()? && start.elapsed() < within;
+            ensure!(is_waiting, "{} has not printed {text:?}:\n{}", self.name, self.output());
+            std::thread::sleep(LOOK_EVERY);
+        }
+        Ok(())
+    }
+
     /// Ends it at once, as a crash would.
     ///
     /// # Errors

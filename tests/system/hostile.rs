@@ -240,25 +240,13 @@ async fn garbage_right_behind_a_good_message_does_not_displace_it() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let client = cluster.client().await.unwrap();
     // A single put is lost without a subscriber.
-    let start = std::time::Instant::now();
-    while client.get_one("service/ingest/status").await.is_err() {
-        assert!(start.elapsed() < Duration::from_secs(10));
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    client.until("service/ingest/status", Duration::from_secs(10), |_| true).await.unwrap();
     for robot in 1..=20 {
         let key = format!("robot/r{robot}/rank");
         client.put(&key, &json!({"superior": "r0"})).await.unwrap();
         client.put_bytes(&key, b"garbage".to_vec(), "application/json").await.unwrap();
     }
     client.put("robot/r0/pose", &json!({"x": 0.0, "y": 0.0})).await.unwrap();
-    let start = std::time::Instant::now();
-    loop {
-        let graph = client.get_one("graph/hierarchy?format=json").await.unwrap_or_default();
-        let edges = graph["edges"].as_array().map_or(0, Vec::len);
-        if edges == 20 {
-            break;
-        }
-        assert!(start.elapsed() < Duration::from_secs(8), "{edges} of 20 ranks");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    let has_all = |graph: &Value| graph["edges"].as_array().is_some_and(|edges| edges.len() == 20);
+    client.until("graph/hierarchy?format=json", Duration::from_secs(8), has_all).await.unwrap();
 }

@@ -213,11 +213,7 @@ async fn python_programs_follow_services_that_restarted_with_lower_terms() {
 async fn the_check_of_the_document_accepts_what_is_right_and_names_what_is_wrong() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let client = cluster.client().await.unwrap();
-    let start = Instant::now();
-    while client.get_one("schema").await.is_err() {
-        assert!(start.elapsed() < FORMED_WITHIN, "no reply with the schema");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    client.until("schema", FORMED_WITHIN, |_| true).await.unwrap();
     let path = written("check.py", cluster.folder());
     let check = |name: &str, message: &str| {
         use std::io::Write as _;

@@ -1,7 +1,7 @@
 //! Every service of a live fleet is recorded, and replayed by `muster replay-core`.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use muster_service::recording::{Entry, Head};
 use muster_service::{Command, Input};
@@ -79,16 +79,8 @@ async fn live(recorded: &Path) -> Cluster {
     let embedder = cluster.service("embedder").unwrap();
     embedder.kill().unwrap();
     cluster.start_service("embedder").unwrap();
-    let start = Instant::now();
-    loop {
-        if let Ok(status) = client.get_one("service/embedder/status").await
-            && status["revision"]["epoch"].as_u64().is_some_and(|epoch| epoch > 3)
-        {
-            break;
-        }
-        assert!(start.elapsed() < SOON);
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    let is_back = |status: &Value| status["revision"]["epoch"].as_u64() > Some(3);
+    client.until("service/embedder/status", SOON, is_back).await.unwrap();
     for key in ["teams", "embedding", "roster", "graph/*", "audit", "robot/*/team"] {
         client.get(&format!("{key}?format=json"), None).await.unwrap();
     }

@@ -206,40 +206,23 @@ async fn services_wait_for_their_router_and_say_so() {
     let endpoint = free_endpoint().unwrap();
     let arguments = ["--connect", endpoint.as_str(), "--state-directory", "none"];
     let mut service = Process::start("muster-ingest", &arguments, &[], folder.path()).unwrap();
-    let start = Instant::now();
-    while !service.output().contains("muster router") {
-        assert!(start.elapsed() < Duration::from_secs(10), "{}", service.output());
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    service.until_prints("muster router", Duration::from_secs(10)).unwrap();
     assert!(service.is_running().unwrap());
     let _router = start_router(&endpoint, folder.path()).unwrap();
     let client = Client::connect(&endpoint, "default").await.unwrap();
-    let start = Instant::now();
-    while client.get_one("service/ingest/status").await.is_err() {
-        assert!(start.elapsed() < Duration::from_secs(10), "{}", service.output());
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    client.until("service/ingest/status", Duration::from_secs(10), |_| true).await.unwrap();
 }
 
-/// The edges of each graph, once all of them have as many as wanted.
+/// The edges of each graph, once it has as many as wanted.
 async fn edges(client: &Client, wanted: &[(&str, usize)]) -> Vec<Value> {
-    let start = Instant::now();
-    loop {
-        let mut all = Vec::new();
-        for (modality, _) in wanted {
-            let graph = client.get_one(&format!("graph/{modality}?format=json")).await;
-            all.push(graph.map_or(Value::Null, |graph| graph["edges"].clone()));
-        }
-        let complete = all
-            .iter()
-            .zip(wanted)
-            .all(|(edges, (_, count))| edges.as_array().map(Vec::len) == Some(*count));
-        if complete {
-            return all;
-        }
-        assert!(start.elapsed() < Duration::from_secs(10), "{all:?}");
-        tokio::time::sleep(Duration::from_millis(50)).await;
+    let mut all = Vec::new();
+    for (modality, count) in wanted {
+        let tail = format!("graph/{modality}?format=json");
+        let right = |graph: &Value| graph["edges"].as_array().map(Vec::len) == Some(*count);
+        let graph = client.until(&tail, Duration::from_secs(10), right).await.unwrap();
+        all.push(graph["edges"].clone());
     }
+    all
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -275,16 +258,8 @@ async fn reports_put_once_survive_the_death_of_ingest() {
     cluster.service("ingest").unwrap().kill().unwrap();
     tokio::time::sleep(Duration::from_secs(1)).await;
     cluster.start_service("ingest").unwrap();
-    let start = Instant::now();
-    while client
-        .get_one("service/ingest/status")
-        .await
-        .map_or(0, |status| status["revision"]["term"].as_u64().unwrap_or_default())
-        < 2
-    {
-        assert!(start.elapsed() < RECOVERED_WITHIN);
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    let is_back = |status: &Value| status["revision"]["term"].as_u64() >= Some(2);
+    client.until("service/ingest/status", RECOVERED_WITHIN, is_back).await.unwrap();
     assert_eq!(edges(&client, &wanted).await, before);
     poses.abort();
 }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write as _;
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use muster_tests::client::Client;
 use muster_tests::cluster::{Cluster, SERVICES};
@@ -46,14 +46,7 @@ fn offline() -> Value {
 }
 
 pub(crate) async fn answered(client: &Client, tail: &str) -> Value {
-    let start = Instant::now();
-    loop {
-        match client.get_one(tail).await {
-            Ok(value) => return value,
-            Err(error) => assert!(start.elapsed() < FORMED_WITHIN, "{error}"),
-        }
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    client.until(tail, FORMED_WITHIN, |_| true).await.unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]

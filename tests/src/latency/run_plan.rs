@@ -349,17 +349,8 @@ async fn watch(
 
 /// The status of a service, as soon as an instance leads.
 async fn serving(client: &Client, service: &str) -> anyhow::Result<Value> {
-    let begin = Instant::now();
-    loop {
-        let status = client.get_one(&format!("service/{service}/status")).await;
-        if let Ok(status) = &status
-            && status["standing"] == "holding"
-        {
-            return Ok(status.clone());
-        }
-        anyhow::ensure!(begin.elapsed() < FORMED_WITHIN, "{service} does not serve: {status:?}");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    let leads = |status: &Value| status["standing"] == "holding";
+    client.until(&format!("service/{service}/status"), FORMED_WITHIN, leads).await
 }
 
 /// What each service has side.

@@ -139,11 +139,7 @@ async fn a_second_robot_of_an_id_is_refused() {
     let environment = [("MUSTER_CONNECT", endpoint.as_str())];
     let mut killed =
         Process::start("examples/robot", &["r1"], &environment, folder.path()).unwrap();
-    let start = Instant::now();
-    while !killed.output().contains("r1 has joined") {
-        assert!(killed.is_running().unwrap() && start.elapsed() < RECEIVED_WITHIN);
-        sleep(Duration::from_millis(20)).await;
-    }
+    killed.until_prints("r1 has joined", RECEIVED_WITHIN).unwrap();
     killed.kill().unwrap();
     let again = Robot::join(&config, "r1").await.unwrap();
     again.put_pose(Pose::at(0.0, 0.0)).unwrap();
@@ -187,11 +183,7 @@ async fn what_zenoh_can_do_is_a_matter_of_its_own_configuration() {
     let guarded = file("router.json5", auth(format!("dictionary_file: {users:?}")));
     let arguments = ["router", "--listen", &endpoint, "--zenoh-config", guarded.to_str().unwrap()];
     let mut router = Process::start("muster", &arguments, &[], folder.path()).unwrap();
-    let start = Instant::now();
-    while !router.output().contains("router listens at") {
-        assert!(router.is_running().unwrap() && start.elapsed() < RECEIVED_WITHIN);
-        sleep(Duration::from_millis(20)).await;
-    }
+    router.until_prints("router listens at", RECEIVED_WITHIN).unwrap();
     let config = |password: &str| {
         let inside = format!("user: 'r1', password: '{password}'");
         Config {

@@ -191,10 +191,7 @@ async fn the_examples_run_as_they_are_shown() {
     // The console asks for the settings once, and fails where no instance leads yet.
     let outside = cluster.client().await.unwrap();
     let began = Instant::now();
-    while outside.get_one("service/clusterer/settings").await.is_err() {
-        assert!(began.elapsed() < FORMED_WITHIN, "no instance answers for the settings");
-        sleep(Duration::from_millis(50)).await;
-    }
+    outside.until("service/clusterer/settings", FORMED_WITHIN, |_| true).await.unwrap();
     let console = start("examples/console", &[]);
     let shown = |process: &Process, words: &[&str]| {
         let output = process.output();
@@ -272,14 +269,8 @@ async fn a_robot_that_loses_its_router_keeps_its_team_and_marks_it_stale() {
 /// Waits until the services know that a2 answers to another robot.
 async fn answers_to(outside: &muster_tests::client::Client, superior: &str) {
     let start = Instant::now();
-    loop {
-        let graph = outside.get_one("graph/hierarchy?format=json").await.unwrap_or_default();
-        if graph["edges"] == json!([[superior, "a2", 1.0]]) {
-            break;
-        }
-        assert!(start.elapsed() < RECEIVED_WITHIN, "a2 answers to {superior}: {graph}");
-        sleep(Duration::from_millis(100)).await;
-    }
+    let right = |graph: &Value| graph["edges"] == json!([[superior, "a2", 1.0]]);
+    outside.until("graph/hierarchy?format=json", RECEIVED_WITHIN, right).await.unwrap();
     eprintln!("known after {:?}", start.elapsed());
 }
 

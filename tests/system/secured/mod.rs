@@ -7,7 +7,7 @@ mod members;
 mod refusals;
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use muster_tests::client::{Client, Watch, division};
 use muster_tests::cluster::{SERVICES, free_endpoint};
@@ -74,12 +74,9 @@ impl Secured {
             let files = ["--identity", identity, "--out", text(&config)];
             deploy(&[&arguments[..], &files].concat());
             let arguments = ["router", "--zenoh-config", text(&config)];
-            let process = Process::start("muster", &arguments, &[], secured.folder.path()).unwrap();
-            let start = Instant::now();
-            while !process.output().contains("router listens at") {
-                assert!(start.elapsed() < SOON, "{}", process.output());
-                std::thread::sleep(Duration::from_millis(20));
-            }
+            let folder = secured.folder.path();
+            let mut process = Process::start("muster", &arguments, &[], folder).unwrap();
+            process.until_prints("router listens at", SOON).unwrap();
             secured.routers.push(process);
         }
         for service in SERVICES {
