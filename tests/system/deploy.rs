@@ -14,7 +14,7 @@ const SOON: Duration = Duration::from_secs(20);
 
 /// Highest exposure that `systemd-analyze security` may see, in tenths: 10.0 is a process of root
 /// without any restriction.
-const EXPOSURE: &str = "20";
+const MAX_EXPOSURE_TENTHS: &str = "20";
 
 fn deploy() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy").canonicalize().unwrap()
@@ -91,7 +91,7 @@ fn systemd_finds_nothing_to_complain_of() {
             .filter(|line| !line.contains("RestartSteps") && !line.contains("RestartMaxDelaySec"))
             .collect();
         assert!(good && complaints.is_empty(), "{}: {complaints:?}", unit.display());
-        let threshold = format!("--threshold={EXPOSURE}");
+        let threshold = format!("--threshold={MAX_EXPOSURE_TENTHS}");
         let (good, text) = systemd_analyze(&["security", "--offline=true", &threshold], unit);
         assert!(good, "{}", text.lines().last().unwrap_or_default());
     }
@@ -101,7 +101,7 @@ fn systemd_finds_nothing_to_complain_of() {
     std::fs::write(&bad, text.replace("/muster router", "/no-such-program router")).unwrap();
     assert!(!systemd_analyze(&["verify"], &bad).0);
     std::fs::write(&bad, "[Service]\nExecStart=/bin/true\n").unwrap();
-    let threshold = format!("--threshold={EXPOSURE}");
+    let threshold = format!("--threshold={MAX_EXPOSURE_TENTHS}");
     assert!(!systemd_analyze(&["security", "--offline=true", &threshold], &bad).0);
 }
 

@@ -408,15 +408,15 @@ async fn a_router_that_denies_or_has_a_long_lease_is_reported() {
 
     let keys = ["muster/v1/alpha/service/*/status"];
     let mut router = router_with(&cluster, &denying(&["query"], &keys));
-    const SILENT: &str = "denials of access control are silent";
-    until_found_when(&cluster, "service_silent", SILENT, |report| {
+    const SILENT_DENIALS: &str = "denials of access control are silent";
+    until_found_when(&cluster, "service_silent", SILENT_DENIALS, |report| {
         found(report, "service_missing").is_none()
             && subjects(found(report, "service_silent").unwrap()).len() == SERVICES.len()
     });
     router.kill().unwrap();
 
     let mut router = router_with(&cluster, &denying(&["query"], &["muster/v1/alpha/roster"]));
-    until_found_when(&cluster, "access_denied", SILENT, |report| {
+    until_found_when(&cluster, "access_denied", SILENT_DENIALS, |report| {
         subjects(found(report, "access_denied").unwrap()) == BTreeSet::from(["roster"])
     });
     router.kill().unwrap();

@@ -3,7 +3,7 @@
 use crate::experiments::Progress;
 use crate::figures::{command, leaders, team_names};
 use crate::live::{TeamsReceived, play};
-use crate::physical::{Case, DROPPED, JITTER_M, MISSED, RADIO_RANGE_M, RATE_HZ};
+use crate::physical::{Case, DROPPED_SHARE, JITTER_M, MISSED_SHARE, RADIO_RANGE_M, RATE_HZ};
 use crate::plots::map::{Map, maps};
 use crate::results::{Page, Record};
 use crate::score::{Correct, correct};
@@ -30,7 +30,7 @@ pub fn physical(seconds: f64, progress: &Progress<'_>) -> anyhow::Result<Page> {
         });
         rows.push(vec![
             case.layout.name.clone(),
-            format!("{} of {}", right.right, right.counted),
+            format!("{} of {}", right.right, right.total),
             whole,
             received.moves.to_string(),
             format!("{:.2}", received.settled_s),
@@ -55,8 +55,8 @@ pub fn physical(seconds: f64, progress: &Progress<'_>) -> anyhow::Result<Page> {
              `ingest` had received the newest and the oldest pose behind them. The paper shows pictures of its four \
              layouts and no numbers, so there is nothing to compare.",
             1e3 * JITTER_M,
-            100.0 * MISSED,
-            100.0 * DROPPED
+            100.0 * MISSED_SHARE,
+            100.0 * DROPPED_SHARE
         ),
     );
     let note = "rings: robots that command others; dark lines: robots and their superiors; pale lines: radio links";
@@ -88,7 +88,7 @@ fn right(received: &TeamsReceived, case: &Case) -> Correct {
     let (found, wanted): (Vec<usize>, Vec<Option<usize>>) = known.unzip();
     // Both have been made of the same robots.
     let right = correct(&found, &wanted).unwrap_or_default().right;
-    Correct { right, counted: truth.iter().flatten().count() as u64 }
+    Correct { right, total: truth.iter().flatten().count() as u64 }
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
@@ -105,7 +105,7 @@ fn records(case: &Case, received: &TeamsReceived, right: Correct) -> Vec<Record>
     };
     let once = [
         ("right", right.right as f64),
-        ("counted", right.counted as f64),
+        ("counted", right.total as f64),
         ("moves", received.moves as f64),
         ("settled s", received.settled_s),
     ];
@@ -134,7 +134,7 @@ fn picture(case: &Case, received: &TeamsReceived, right: Correct) -> anyhow::Res
         peers.map(move |peer| (robot, peer)).collect::<Vec<_>>()
     });
     Ok(Map {
-        title: format!("{}: {} of {} right", layout.name, right.right, right.counted),
+        title: format!("{}: {} of {} right", layout.name, right.right, right.total),
         places: layout.places.clone(),
         teams: received.teams.clone(),
         leaders: leaders(&layout.superiors),
@@ -153,11 +153,11 @@ mod tests {
         let case = &Case::all().unwrap()[0];
         let mut received =
             TeamsReceived { teams: case.layout.divisions[0].clone(), ..TeamsReceived::default() };
-        assert_eq!(right(&received, case), Correct { right: 10, counted: 10 });
+        assert_eq!(right(&received, case), Correct { right: 10, total: 10 });
         received.teams[0] = None;
-        assert_eq!(right(&received, case), Correct { right: 9, counted: 10 });
+        assert_eq!(right(&received, case), Correct { right: 9, total: 10 });
         received.teams.fill(None);
-        assert_eq!(right(&received, case), Correct { right: 0, counted: 10 });
+        assert_eq!(right(&received, case), Correct { right: 0, total: 10 });
         assert_eq!(picture(case, &received, right(&received, case)).unwrap().places.len(), 10);
     }
 

@@ -60,14 +60,14 @@ pub(crate) fn over_seeds(page: &Page, is_asked: impl Fn(&Record) -> bool) -> Est
 pub(crate) fn share(page: &Page, is_asked: impl Fn(&Record) -> bool) -> Estimate {
     let mut sums: BTreeMap<u64, (f64, f64)> = BTreeMap::new();
     for record in page.records.iter().filter(|record| is_asked(record)) {
-        let (right, counted) = sums.entry(record.seed).or_default();
+        let (right, total) = sums.entry(record.seed).or_default();
         match record.measure {
             "right" => *right += record.value,
-            "counted" => *counted += record.value,
+            "counted" => *total += record.value,
             _ => {}
         }
     }
-    Estimate::of(&sums.into_values().map(|(right, counted)| right / counted).collect::<Vec<_>>())
+    Estimate::of(&sums.into_values().map(|(right, total)| right / total).collect::<Vec<_>>())
 }
 
 /// Scenario I: formations on the march, by all methods and both radios.
@@ -103,7 +103,7 @@ pub fn formations(
                     };
                     // Robots, so that sums over formations are those of the paper.
                     page.records.push(record("right", outcome.correct.right as f64));
-                    page.records.push(record("counted", outcome.correct.counted as f64));
+                    page.records.push(record("counted", outcome.correct.total as f64));
                     for (measure, value) in of_silhouettes(outcome.silhouettes) {
                         page.records.extend(value.map(|value| record(measure, value)));
                     }

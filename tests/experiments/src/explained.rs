@@ -11,7 +11,7 @@ use crate::results::{Page, Record};
 use crate::statistics::{Estimate, correlation};
 
 /// By how many points an accuracy may miss the printed one and still be called near it.
-const NEAR: f64 = 3.0;
+const NEAR_POINTS: f64 = 3.0;
 
 /// The methods of a run that the paper has too, in the order of its records.
 fn methods_of_the_paper(run: &Page) -> Vec<String> {
@@ -73,7 +73,7 @@ fn counts(run: &Page, page: &mut Page) {
         }
     }
     let found: Vec<String> =
-        right.iter().map(|(right, counted)| format!("{right} of {counted} robots")).collect();
+        right.iter().map(|(right, total)| format!("{right} of {total} robots")).collect();
     let printed = paper::scenario_one(name).map_or(f64::NAN, |(accuracy, _)| 100.0 * accuracy);
     let share = right.iter().next().map_or(f64::NAN, |(r, c)| 100.0 * *r as f64 / *c as f64);
     let whole = methods_of_the_paper(run).into_iter().filter(|name| {
@@ -134,7 +134,7 @@ fn accuracies(run: &Page, page: &mut Page) {
         let found = Radio::ALL.map(of);
         let off = found.map(|found| found - printed);
         let least = if off[0].abs() <= off[1].abs() { off[0] } else { off[1] };
-        if least.abs() <= NEAR { &mut near } else { &mut far }.push(name.clone());
+        if least.abs() <= NEAR_POINTS { &mut near } else { &mut far }.push(name.clone());
         if name.ends_with("(hierarchy)") {
             hierarchy.push(format!("{name} {:.2} instead of {printed:.2}", found[0]));
         }
@@ -145,8 +145,8 @@ fn accuracies(run: &Page, page: &mut Page) {
     page.say(
         "### What depends on distances and radios comes out in part",
         &format!(
-            "Accuracy in percent; *off* is the difference of the nearer radio. Within {NEAR} points of the paper: \
-             {}. Not: {}.\n\nDistances and radios may explain what is related to them. They cannot explain the graph \
+            "Accuracy in percent; *off* is the difference of the nearer radio. Within {NEAR_POINTS} points of the \
+             paper: {}. Not: {}.\n\nDistances and radios may explain what is related to them. They cannot explain the graph \
              of command, which has neither: {}. The paper's graph of command must be another one, or embedded in \
              another way, and it does not say which. The paper's own method starts k-means once and at random: its \
              single runs are between {:.2} and {:.2} % here, so that one run, as the paper has it, says little.",
@@ -169,7 +169,7 @@ fn single_runs(run: &Page, name: &str) -> (f64, f64) {
         let sums = sums.entry((&record.condition, record.seed)).or_default();
         place.into_iter().for_each(|place| sums[place] += record.value);
     }
-    let shares = sums.values().map(|[right, counted]| 100.0 * right / counted);
+    let shares = sums.values().map(|[right, total]| 100.0 * right / total);
     shares.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), s| (low.min(s), high.max(s)))
 }
 
@@ -345,8 +345,8 @@ fn rows_of_means(page: &mut Page, names: &[String]) {
         &format!(
             "The paper's table of silhouettes in Scenario I prints {} rows, and its source has {} more, those of \
              platoons in four teams, which are commented out. The means that it prints are those of all {} rows for \
-             {of_all} of {} methods, and those of the printed rows for {of_printed}. For its own method, {stated:.3} is \
-             printed; the rows that are left out have a mean of {:.3}, the printed ones of {:.3}.",
+             {of_all} of {} methods, and those of the printed rows for {of_printed}. For its own method, {stated:.3} \
+             is printed; the rows that are left out have a mean of {:.3}, the printed ones of {:.3}.",
             printed.len(),
             unprinted.len(),
             printed.len() + unprinted.len(),

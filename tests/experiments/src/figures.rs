@@ -238,7 +238,7 @@ pub fn formations(formations: &[Formation], method: &Method) -> Result<String, P
                 "{}, {teams} teams: {} of {} right",
                 formation.name.replace('-', " "),
                 found.right,
-                found.counted
+                found.total
             ),
             places: layout.places.clone(),
             teams: labels.into_iter().map(Some).collect(),

@@ -3,8 +3,8 @@
 //!
 //! There are no robots and no camera here. A recording is what a camera above marked robots would report: at
 //! [`RATE_HZ`], each place off by [`JITTER_M`] (standard deviation along each axis), a mark not recognised in
-//! [`MISSED`] of all cases and a whole picture lost in [`DROPPED`]. Recordings are files, so every run replays the
-//! same; `muster-experiments record` makes them again from their seeds.
+//! [`MISSED_SHARE`] of all cases and a whole picture lost in [`DROPPED_SHARE`]. Recordings are files, so every run
+//! replays the same; `muster-experiments record` makes them again from their seeds.
 
 use std::fmt::Write as _;
 
@@ -38,10 +38,10 @@ pub const RATE_HZ: f64 = 10.0;
 pub const JITTER_M: f64 = 0.01;
 
 /// Share of marks that are not recognised in a picture.
-pub const MISSED: f64 = 0.02;
+pub const MISSED_SHARE: f64 = 0.02;
 
 /// Share of pictures that are lost as a whole.
-pub const DROPPED: f64 = 0.01;
+pub const DROPPED_SHARE: f64 = 0.01;
 
 /// Pictures of a recording: ten seconds.
 const PICTURES: u32 = 100;
@@ -61,9 +61,9 @@ pub struct Head {
     pub rate_hz: f64,
     /// See [`JITTER_M`].
     pub jitter_m: f64,
-    /// See [`MISSED`].
+    /// See [`MISSED_SHARE`].
     pub missed: f64,
-    /// See [`DROPPED`].
+    /// See [`DROPPED_SHARE`].
     pub dropped: f64,
 }
 
@@ -150,9 +150,9 @@ impl Case {
         let mut pictures = Vec::new();
         for number in 0..PICTURES {
             let t = f64::from(number) / RATE_HZ;
-            let is_dropped = chance.random::<f64>() < DROPPED;
+            let is_dropped = chance.random::<f64>() < DROPPED_SHARE;
             let seen: Vec<bool> =
-                fleet.robots().iter().map(|_| chance.random::<f64>() >= MISSED).collect();
+                fleet.robots().iter().map(|_| chance.random::<f64>() >= MISSED_SHARE).collect();
             let millimetres = |metres: f64| (1e3 * metres).round() / 1e3;
             let places = fleet
                 .poses(t)
@@ -168,8 +168,8 @@ impl Case {
             seed: self.seed,
             rate_hz: RATE_HZ,
             jitter_m: JITTER_M,
-            missed: MISSED,
-            dropped: DROPPED,
+            missed: MISSED_SHARE,
+            dropped: DROPPED_SHARE,
         };
         Ok(Recording { head, pictures })
     }
@@ -260,7 +260,7 @@ mod tests {
         let deviation = (off.iter().map(|off| off * off).sum::<f64>() / off.len() as f64).sqrt();
         assert!((deviation - JITTER_M).abs() < 0.001, "{deviation}");
         let share = f64::from(missed) / marks as f64;
-        assert!((share - MISSED).abs() < 0.01, "{share}");
+        assert!((share - MISSED_SHARE).abs() < 0.01, "{share}");
         assert!((380..=399).contains(&pictures), "{pictures}");
         assert!(Recording::read("{}").is_err());
     }

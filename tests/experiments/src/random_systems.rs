@@ -18,7 +18,7 @@ const BUILDINGS: f64 = 0.2;
 const WALL_M: (f64, f64) = (8.0, 30.0);
 
 /// Tries to place a robot outside of all buildings. More would say that there is no such place.
-const TRIES: usize = 1000;
+const MAX_ATTEMPTS: usize = 1000;
 
 /// Robots of a planted team.
 const TEAM_ROBOTS: (usize, usize) = (4, 10);
@@ -76,7 +76,7 @@ pub fn campus(robots: usize, seed: u64) -> System {
         .collect();
     let mut place = || {
         let mut at = [0.0; 2];
-        for _ in 0..TRIES {
+        for _ in 0..MAX_ATTEMPTS {
             at = [(); 2].map(|()| side * chance.random::<f64>());
             if !buildings.iter().any(|building| within(building, at)) {
                 break;
@@ -139,7 +139,7 @@ pub fn planted(teams: usize, seed: u64) -> (System, Vec<Option<usize>>) {
     while middles.len() < teams {
         // The last try counts: a fleet may be crowded.
         let mut at = [0.0; 2];
-        for _ in 0..TRIES {
+        for _ in 0..MAX_ATTEMPTS {
             at = [(); 2].map(|()| side * chance.random::<f64>());
             if middles.iter().all(|other| metres(at, *other) >= MIN_SEPARATION_SPREADS * SPREAD_M) {
                 break;

@@ -120,7 +120,7 @@ mod tests {
         let method = Method::GirvanNewman(0);
         let found = run(&formations, &method, Radio::Range, None).unwrap();
         assert_eq!(found.len(), 15);
-        assert_eq!(total(&found).counted, 306);
+        assert_eq!(total(&found).total, 306);
     }
 
     /// The check of the reconstruction: 39.22 % of the paper's robots, whatever their distances, since all
@@ -130,7 +130,7 @@ mod tests {
         let formations = Formation::all().unwrap();
         for seed in [None, Some(1), Some(2)] {
             let found = run(&formations, &Method::GirvanNewman(0), Radio::Range, seed).unwrap();
-            assert_eq!(total(&found), Correct { right: 120, counted: 306 });
+            assert_eq!(total(&found), Correct { right: 120, total: 306 });
         }
     }
 }

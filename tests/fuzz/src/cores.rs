@@ -28,11 +28,11 @@ use crate::{Outcome, allocation, text};
 
 /// Bytes that a core may hold for each byte of its input: a message is kept, copied into a job, and
 /// answered in two forms.
-const HELD_PER_BYTE: usize = 1024;
+const BYTES_PER_INPUT_BYTE: usize = 1024;
 
 /// Bytes that it may hold beyond that: the working space of the mathematics, and what serde trusts a
 /// count for.
-const HELD_ANYWAY: usize = 32 << 20;
+const BASE_BYTES: usize = 32 << 20;
 
 /// Most inputs of one run that bytes choose.
 const MAX_INPUTS: usize = 400;
@@ -121,7 +121,7 @@ pub(crate) fn auditor(data: &[u8]) -> Outcome {
 }
 
 fn run<C: Core>(data: &[u8]) -> Outcome {
-    let limit = HELD_PER_BYTE * data.len() + HELD_ANYWAY;
+    let limit = BYTES_PER_INPUT_BYTE * data.len() + BASE_BYTES;
     let what = format!("{} with all that it received", C::SERVICE);
     allocation::at_most(limit, &what, || World::<C>::new().live(&mut Draw(data)))
 }
@@ -257,7 +257,7 @@ impl<C: Core> World<C> {
         }
     }
 
-    /// A packet whose payload stands in the input.
+    /// A packet with its payload from the input.
     fn raw(&self, draw: &mut Draw<'_>) -> Packet {
         let choice = draw.byte();
         let encoding = if choice & 16 == 0 { BINARY } else { "" };
@@ -297,7 +297,7 @@ impl<C: Core> World<C> {
         }
     }
 
-    /// A packet that is decoded when its turn comes; what decoding makes of it is checked here.
+    /// A packet that the host decodes later; what decoding makes of it is checked here.
     fn arrival(&self, packet: Packet) -> Arrival {
         let _ = decoded(&self.space, &packet);
         Arrival::encoded(packet)

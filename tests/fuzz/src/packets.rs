@@ -27,15 +27,15 @@ const MAX_REFUSAL: usize = 120;
 
 /// Bytes that decoding a packet may hold for each byte of it: the smallest entry of a roster has
 /// eleven bytes on the bus and some two hundred in memory, and vectors grow by doubling.
-const HELD_PER_BYTE: usize = 64;
+const BYTES_PER_INPUT_BYTE: usize = 64;
 
 /// Bytes that it may hold beyond that: serde trusts the count of a list for one mebibyte, and lists
 /// stand in lists.
-const HELD_ANYWAY: usize = 4 << 20;
+const BASE_BYTES: usize = 4 << 20;
 
 /// Most memory in bytes that an input of a length may take.
 pub(crate) const fn may_hold(length: usize) -> usize {
-    HELD_PER_BYTE * length + HELD_ANYWAY
+    BYTES_PER_INPUT_BYTE * length + BASE_BYTES
 }
 
 /// The keys of all targets.
@@ -69,7 +69,7 @@ pub(crate) fn decoded(space: &KeySpace, packet: &Packet) -> Result<Message, Reje
 
 fn check_message(space: &KeySpace, packet: &Packet, message: &Message) {
     let (key, mirror) = message.keys();
-    assert_eq!(space.format(&key), packet.key, "a message stands on another key than it came from");
+    assert_eq!(space.format(&key), packet.key, "a message has another key than it came from");
     let json = message.encode(key.clone(), Format::Json, NOW).unwrap();
     if let Message::RobotToken { .. } = message {
         return;

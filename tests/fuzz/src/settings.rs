@@ -84,7 +84,7 @@ fn started<C: Core>(stored: Stored) {
     };
     let mut first = bench(stored);
     first.start(Vec::new());
-    assert!(first.stored.term > term || term == u64::MAX, "the term goes on");
+    assert!(first.stored.term > term || term == u64::MAX, "the term does not rise");
     assert_eq!(first.unencodable, Vec::<String>::new());
     for message in &first.published {
         for out in message.publish(NOW).unwrap() {

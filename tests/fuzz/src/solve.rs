@@ -16,7 +16,7 @@ const MAX_RESTARTS: u64 = 64;
 
 /// Bytes that the method may hold: a dozen dense matrices of [`MAX_ROBOTS`], working space, and the
 /// table.
-const MAY_HOLD: usize = 8 << 20;
+const MAX_BYTES_HELD: usize = 8 << 20;
 
 /// How far a silhouette may be outside of -1 to 1, by rounding.
 const ROUNDING: f64 = 1e-12;
@@ -32,7 +32,7 @@ pub(crate) fn solve(data: &[u8]) -> Outcome {
             return Outcome::Refused;
         }
     }
-    let solved = allocation::at_most(MAY_HOLD, "solving", || Solved::new(text, options));
+    let solved = allocation::at_most(MAX_BYTES_HELD, "solving", || Solved::new(text, options));
     match solved {
         Err(error) => {
             text::check(&error.to_string(), MAX_ERROR);

@@ -28,7 +28,7 @@ struct Args {
     /// With --seed: print every event
     #[arg(long, requires = "seed")]
     log: bool,
-    /// How long the faults go on, in steps of 10 ms of virtual time
+    /// How long faults happen, in steps of 10 ms of virtual time
     #[arg(long, default_value_t = Options::default().steps, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
     steps: u64,
     /// How many robots; by the seed if left out

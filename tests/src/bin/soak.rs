@@ -2,8 +2,8 @@
 //!
 //! `soak [--robots N] [--minutes M] [--teams K] [--plot FILE.svg]` starts a router, the four services
 //! and the robots, samples each process and the division every second, and prints once a minute what it
-//! measured. It ends with 1 if the memory of a process grows faster than [`MOST_GROWTH`] once it has warmed
-//! up (half of the run, at most five minutes), if divisions paused for longer than [`MOST_PAUSE`], or if
+//! measured. It ends with 1 if the memory of a process grows faster than [`MAX_GROWTH_KIB`] once it has warmed
+//! up (half of the run, at most five minutes), if divisions paused for longer than [`MAX_PAUSE_S`], or if
 //! robots or messages were lost.
 
 use std::collections::BTreeMap;
@@ -19,21 +19,21 @@ use serde_json::Value;
 
 /// Growth of a process that counts as flat, in KiB a minute: at this rate a day costs less than 400 MiB,
 /// and a run of ten minutes can distinguish it from the noise of an allocator.
-const MOST_GROWTH: f64 = 256.0;
+const MAX_GROWTH_KIB: f64 = 256.0;
 
 /// Longest pause of the division, in seconds: it is published once a second, and a busy machine may be late.
-const MOST_PAUSE: f64 = 5.0;
+const MAX_PAUSE_S: f64 = 5.0;
 
 /// How much of the run is warming up, and how many seconds at most: buffers grow to what the fleet
 /// needs, and an allocator takes the memory for them in steps over the first minutes.
-const WARM_UP_PART: f64 = 0.5;
-const WARM_UP_AT_MOST: f64 = 300.0;
+const WARM_UP_SHARE: f64 = 0.5;
+const MAX_WARM_UP_S: f64 = 300.0;
 
 /// How long the fleet may take to be whole.
 const FORMED_WITHIN: Duration = Duration::from_secs(60);
 
 /// Counters of what was lost because too much waited, which must not be where nothing fails.
-const LOST: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
+const LOSS_COUNTERS: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
 
 /// The counter of what a newer message of the same key replaced before it was looked at, as is meant
 /// for a service that is slower than its senders.
@@ -97,20 +97,20 @@ fn plot(samples: &BTreeMap<&str, Vec<ProcessStats>>) -> String {
     svg + "</svg>\n"
 }
 
-/// What each service counted of some names, where it is not nothing.
-async fn counted(client: &Client, names: &[&str]) -> anyhow::Result<BTreeMap<String, u64>> {
-    let mut counted = BTreeMap::new();
+/// What each service counters of some names, where it is not nothing.
+async fn counters(client: &Client, names: &[&str]) -> anyhow::Result<BTreeMap<String, u64>> {
+    let mut counters = BTreeMap::new();
     for service in SERVICES {
         let status = client.get_one(&format!("service/{service}/status")).await?;
         for name in names {
             let count = status["counters"][name].as_u64();
             let count = count.with_context(|| format!("{service} does not count {name}"))?;
             if count > 0 {
-                counted.insert(format!("{service} {name}"), count);
+                counters.insert(format!("{service} {name}"), count);
             }
         }
     }
-    Ok(counted)
+    Ok(counters)
 }
 
 #[tokio::main]
@@ -183,7 +183,7 @@ async fn main() -> anyhow::Result<ExitCode> {
             minute += 1.0;
         }
     }
-    let warm = (lasts * WARM_UP_PART).min(WARM_UP_AT_MOST);
+    let warm = (lasts * WARM_UP_SHARE).min(MAX_WARM_UP_S);
     let mut kept = true;
     writeln!(
         out,
@@ -205,9 +205,9 @@ async fn main() -> anyhow::Result<ExitCode> {
             last.memory / 1024.0,
             spent * 100.0
         )?;
-        if growth > MOST_GROWTH {
+        if growth > MAX_GROWTH_KIB {
             kept = false;
-            writeln!(out, "{name} grows faster than {MOST_GROWTH} KiB a minute")?;
+            writeln!(out, "{name} grows faster than {MAX_GROWTH_KIB} KiB a minute")?;
         }
     }
     ages.sort_by(f64::total_cmp);
@@ -219,14 +219,14 @@ async fn main() -> anyhow::Result<ExitCode> {
         quantile(&ages, 0.99),
         quantile(&ages, 1.0)
     )?;
-    let lost = counted(&client, &LOST).await?;
+    let lost = counters(&client, &LOSS_COUNTERS).await?;
     writeln!(
         out,
         "{left} times a robot left, {incomplete} divisions incomplete; messages lost: {lost:?}, \
          replaced by newer ones: {:?}",
-        counted(&client, &[SUPERSEDED]).await?
+        counters(&client, &[SUPERSEDED]).await?
     )?;
-    kept &= lost.is_empty() && left == 0 && incomplete == 0 && longest <= MOST_PAUSE;
+    kept &= lost.is_empty() && left == 0 && incomplete == 0 && longest <= MAX_PAUSE_S;
     if let Some(path) = &options.plot {
         std::fs::write(path, plot(&samples)).with_context(|| format!("--plot {path}"))?;
     }

@@ -28,7 +28,7 @@ const ROBOTS: usize = 12;
 const FORMED_WITHIN: Duration = Duration::from_secs(40);
 
 /// Time without a change before a fault, so that its effects differ from those of the start.
-const CALM: Duration = Duration::from_secs(2);
+const QUIET_TIME: Duration = Duration::from_secs(2);
 
 /// How long a fleet is watched once it is whole again: contradictions may come later.
 const WATCHED: Duration = Duration::from_secs(2);
@@ -234,7 +234,7 @@ impl World {
 pub fn run(fault: Fault) -> anyhow::Result<Measured> {
     let (mut world, there) = World::start(&fault)?;
     let wanted = world.formed()?;
-    sleep(CALM);
+    sleep(QUIET_TIME);
     ensure!(world.formed()? == wanted, "the teams change before the fault:\n{}", world.logs());
 
     let begin = now();

@@ -21,7 +21,7 @@ use super::{now_us, robot_of};
 use crate::client::Client;
 
 /// Messages that wait to be read: seconds of the busiest fleet.
-const MOST_WAITING: usize = 1 << 17;
+const MAX_WAITING_MESSAGES: usize = 1 << 17;
 
 /// An embedding that was received.
 #[derive(Debug, Clone)]
@@ -100,7 +100,7 @@ impl Listener {
     /// If the session is closed.
     pub async fn start(client: &Client, robots: usize) -> anyhow::Result<Self> {
         let received = Arc::new(Mutex::new(Received::default()));
-        let (sender, receiver) = mpsc::sync_channel::<(u64, Kind, ZBytes)>(MOST_WAITING);
+        let (sender, receiver) = mpsc::sync_channel::<(u64, Kind, ZBytes)>(MAX_WAITING_MESSAGES);
         for (tail, kind) in KINDS {
             let (sender, received) = (sender.clone(), Arc::clone(&received));
             client

@@ -12,15 +12,15 @@ const TICK_MS: f64 = 100.0;
 /// What is wanted of the 99th percentile beyond the frame, in milliseconds, by the number of robots.
 const GOALS_MS: [(usize, f64); 2] = [(50, 20.0), (500, 60.0)];
 
-/// From so many robots on, at least [`LEAST_RATE`] divisions per second are wanted instead.
-const LARGE: usize = 5000;
+/// From so many robots on, at least [`MIN_DIVISION_RATE_HZ`] divisions per second are wanted instead.
+const LARGE_FLEET_ROBOTS: usize = 5000;
 
 /// Divisions per second.
-const LEAST_RATE: f64 = 2.0;
+const MIN_DIVISION_RATE_HZ: f64 = 2.0;
 
 /// Growth of the age that counts as none, in milliseconds per minute: in half an hour it would not be
 /// noticed, and a fit through some hundred divisions is not better than that.
-const MOST_GROWTH: f64 = 100.0;
+const MAX_AGE_GROWTH_MS: f64 = 100.0;
 
 /// A goal, what was measured, and whether it is reached.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,17 +46,21 @@ pub fn goals(measured: &Measured) -> Vec<Goal> {
             reached: p99 <= *most,
         });
     }
-    if robots >= LARGE {
+    if robots >= LARGE_FLEET_ROBOTS {
         goals.push(Goal {
-            wanted: format!("{robots} robots: at least {LEAST_RATE} divisions per second"),
+            wanted: format!(
+                "{robots} robots: at least {MIN_DIVISION_RATE_HZ} divisions per second"
+            ),
             measured: format!("{:.1}", measured.rate()),
-            reached: measured.rate() >= LEAST_RATE,
+            reached: measured.rate() >= MIN_DIVISION_RATE_HZ,
         });
     }
     goals.push(Goal {
-        wanted: format!("{robots} robots: the age does not grow (at most {MOST_GROWTH} ms/min)"),
+        wanted: format!(
+            "{robots} robots: the age does not grow (at most {MAX_AGE_GROWTH_MS} ms/min)"
+        ),
         measured: format!("{:+.0} ms/min", measured.growth()),
-        reached: measured.growth() <= MOST_GROWTH,
+        reached: measured.growth() <= MAX_AGE_GROWTH_MS,
     });
     let lost = measured.lost_on_the_way.max(0);
     goals.push(Goal {
@@ -147,7 +151,7 @@ pub fn page(
             settings.collect::<String>()
         )?;
     }
-    writeln!(page, "\n{HOW}")?;
+    writeln!(page, "\n{DEFINITIONS}")?;
     goals_table(&mut page, all)?;
     ways_table(&mut page, all)?;
     ages_table(&mut page, all)?;
@@ -161,7 +165,7 @@ pub fn page(
 }
 
 /// What the numbers are, for who reads the page alone.
-const HOW: &str = "\
+const DEFINITIONS: &str = "\
 A router, the four services and all robots run as processes of one host, over TCP on loopback, with \
 default settings but for the number of teams. The robots march in squads and move with every pose; \
 each has a phase of its own. They join 1,000 a second. They also put links twice a second and ranks \

@@ -27,10 +27,10 @@ const DRAINED_WITHIN: Duration = Duration::from_secs(20);
 
 /// What services count of messages that came to an end: accepted, refused, replaced in the inbox by a
 /// newer one of the same robot.
-const TAKEN: [&str; 3] = ["poses_accepted", "links_accepted", "ranks_accepted"];
+const ACCEPTED_COUNTERS: [&str; 3] = ["poses_accepted", "links_accepted", "ranks_accepted"];
 
 /// Counters of what was lost because too much waited, which must not be.
-const DROPPED: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
+const LOSS_COUNTERS: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
 
 /// What to run.
 #[derive(Debug, Clone)]
@@ -226,7 +226,7 @@ pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Me
     .await?;
     let puts = puts.context("the robots have written no log")?;
     let last: Vec<_> = puts.poses.iter().map(|poses| (poses.len() as u64).checked_sub(1)).collect();
-    // If it does not come to that, what is missing is side.
+    // What is still missing then is counted.
     let drained = until(DRAINED_WITHIN, "the last poses", || Ok(listener.covered() == last)).await;
     if let Err(error) = drained {
         progress(format!("{robots} robots: {error}"));
@@ -277,8 +277,9 @@ fn measured(
     let ingest = side.counters.get("ingest");
     let count = |name: &str| ingest.and_then(|counters| counters.get(name)).copied().unwrap_or(0);
     let refused = count("messages_refused");
-    let seen =
-        TAKEN.iter().map(|name| count(name)).sum::<u64>() + count("inbox_superseded") + refused;
+    let seen = ACCEPTED_COUNTERS.iter().map(|name| count(name)).sum::<u64>()
+        + count("inbox_superseded")
+        + refused;
     let named = |names: &[&str]| -> BTreeMap<String, u64> {
         let all = side.counters.iter().flat_map(|(service, counters)| {
             names.iter().filter_map(move |name| {
@@ -288,7 +289,7 @@ fn measured(
         });
         all.filter(|(_, count)| *count > 0).collect()
     };
-    let mut dropped = named(&DROPPED);
+    let mut dropped = named(&LOSS_COUNTERS);
     dropped.extend(named(&["messages_refused", "jobs_failed"]));
     if received.lost > 0 {
         dropped.insert("listener".to_owned(), received.lost);

@@ -10,7 +10,7 @@ use super::chance::{Chance, Purpose};
 use super::clock::{MS, Micros, SECOND};
 
 /// How much quiet a fleet has before the first fault, so that there is something to break.
-const CALM_BEFORE: Micros = 2 * SECOND;
+const QUIET_TIME: Micros = 2 * SECOND;
 
 /// Who is connected to the router by a link of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -310,7 +310,7 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
     let mut chance = Chance::new(seed, Purpose::Plan, 0);
     let end = scale.storm;
     let mut injections = Vec::new();
-    let begin = CALM_BEFORE.min(end / 4);
+    let begin = QUIET_TIME.min(end / 4);
     // Some seeds are rough and some nearly calm: what hides in a crowd of faults shows alone.
     let most = [1, 4, 10, 25, 40][chance.below(5)];
     for _ in 0..chance.between(0, most) {

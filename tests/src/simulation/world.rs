@@ -19,20 +19,20 @@ use super::log::Log;
 use super::mutants::Mutator;
 use super::node::Node;
 use super::operator::Operator;
-use super::oracle::{Bounds, Breach, Checked, MEMORY, Oracle, Settled};
+use super::oracle::{Agreed, Bounds, Breach, Checked, MEMORY, Oracle};
 use super::plan::{Injection, Place};
 use super::robots::{RobotStream, Robots};
 use super::router::{Answer, BusGetId, Carried, LinkId, Router};
 use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
 
 /// How long all must have agreed without a change before a run ends.
-const HELD: Micros = 6 * SECOND;
+const AGREED_TIME: Micros = 6 * SECOND;
 
 /// One run in so many goes on past the time within which all must have agreed.
-const LONG_RUNS: u64 = 8;
+const LONG_RUN_EVERY: u64 = 8;
 
-/// How long such a run goes on: longer than the longest interval at which a service asks again.
-const LONG: Micros = 12 * SECOND;
+/// How long such a run continues: longer than the longest interval at which a service asks again.
+const LONG_RUN_TIME: Micros = 12 * SECOND;
 
 /// Most events of a run: far more than one of the longest has.
 const MAX_EVENTS: u64 = 20_000_000;
@@ -130,7 +130,7 @@ pub(super) struct World {
     pub(super) stats: Stats,
     storm: Micros,
     storm_over: bool,
-    settled: Option<(Micros, Settled)>,
+    settled: Option<(Micros, Agreed)>,
     differs: String,
     finished: bool,
     breach: Option<Breach>,
@@ -462,8 +462,9 @@ impl World {
         }
         if let Some((at, _)) = &self.settled {
             self.stats.agreement = *at;
-            let is_long = self.seed.is_multiple_of(LONG_RUNS);
-            self.finished = if is_long { since > limit + LONG } else { since >= at + HELD };
+            let is_long = self.seed.is_multiple_of(LONG_RUN_EVERY);
+            self.finished =
+                if is_long { since > limit + LONG_RUN_TIME } else { since >= at + AGREED_TIME };
         }
         self.schedule(self.now + TICK, Event::Poll);
     }

@@ -8,13 +8,13 @@ use std::ops::Range;
 use muster_model::id::{IdError, RobotId};
 
 /// Most robots of a squad, with its leader.
-const SQUAD: usize = 9;
+const SQUAD_ROBOTS: usize = 9;
 
 /// Robots of a squad without its leader, where there are many squads.
-const FOLLOWERS: usize = 8;
+const SQUAD_FOLLOWERS: usize = 8;
 
 /// Most units under one leader: above that there is one more level of command.
-const UNITS: usize = 8;
+const MAX_UNITS: usize = 8;
 
 /// Metres between neighbours of a squad.
 pub const SPACING_M: f64 = 6.0;
@@ -83,7 +83,10 @@ impl Fleet {
     /// # Panics
     /// For fewer than [`LEAST_TEAMS`] teams, or teams that are no more than a squad.
     pub fn new(robots: usize, teams: usize) -> Result<Self, IdError> {
-        assert!(teams >= LEAST_TEAMS && robots / teams > SQUAD, "too few teams, or too small ones");
+        assert!(
+            teams >= LEAST_TEAMS && robots / teams > SQUAD_ROBOTS,
+            "too few teams, or too small ones"
+        );
         let mut draft = Draft::default();
         let mut leaders = Vec::new();
         let mut head = 0;
@@ -135,7 +138,7 @@ impl Draft {
     fn unit(&mut self, robots: Range<usize>, superior: Option<usize>) -> Vec<Range<usize>> {
         let leader = robots.start;
         self.superiors.push(superior);
-        if robots.len() <= SQUAD {
+        if robots.len() <= SQUAD_ROBOTS {
             self.superiors.extend((leader + 1..robots.end).map(|_| Some(leader)));
             let ahead = std::mem::take(&mut self.leading);
             self.squads.push((robots.start - ahead..robots.end, ahead));
@@ -143,11 +146,11 @@ impl Draft {
         }
         self.leading += 1;
         let followers = leader + 1..robots.end;
-        let squads = followers.len().div_ceil(FOLLOWERS).max(2);
-        let parts = if squads <= UNITS + 1 {
+        let squads = followers.len().div_ceil(SQUAD_FOLLOWERS).max(2);
+        let parts = if squads <= MAX_UNITS + 1 {
             squads
         } else {
-            followers.len().div_ceil(UNITS * FOLLOWERS + 1).max(2)
+            followers.len().div_ceil(MAX_UNITS * SQUAD_FOLLOWERS + 1).max(2)
         };
         let parts = evenly(followers, parts);
         for part in &parts {

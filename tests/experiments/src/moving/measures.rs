@@ -14,13 +14,13 @@ use super::mission::{Act, Mission};
 use crate::score::adjusted_rand_index;
 
 /// When the start is over, in seconds: `ingest` waits a second for all robots.
-pub const BEGUN_S: f64 = 3.0;
+pub const START_TIME_S: f64 = 3.0;
 
 /// What counts as following, as a share of robots in the right team.
-pub const FOLLOWED: f64 = 0.95;
+pub const FOLLOWED_SHARE: f64 = 0.95;
 
-/// How many comparisons in a row must find it: a second.
-const STAYS: usize = 10;
+/// Comparisons in a row that must find it: a second.
+const FOLLOWED_SAMPLES: usize = 10;
 
 /// How long after a change of the truth a division may be wrong, in seconds: the goal.
 pub const GRACE_S: f64 = 2.0;
@@ -75,7 +75,7 @@ impl Outcome {
         let counts = |sample: &&Sample| {
             let just =
                 |change: &Following| (change.at..change.at + GRACE_S - 1e-9).contains(&sample.t);
-            sample.t >= BEGUN_S && !(settled && self.followings.iter().any(just))
+            sample.t >= START_TIME_S && !(settled && self.followings.iter().any(just))
         };
         let (mut sum, mut count) = (0.0, 0.0_f64);
         for sample in self.series.iter().filter(counts) {
@@ -91,7 +91,7 @@ impl Outcome {
         let after: Vec<u32> = self
             .series
             .iter()
-            .filter(|sample| sample.t >= BEGUN_S)
+            .filter(|sample| sample.t >= START_TIME_S)
             .map(|sample| sample.dimension)
             .collect();
         after.windows(2).filter(|two| two[0] != two[1]).count()
@@ -140,7 +140,7 @@ impl<'a> Scorer<'a> {
         silhouette: Option<f64>,
         dimension: u32,
     ) -> Result<(), MatchError> {
-        self.take(t, teams);
+        self.accept(t, teams);
         let robots = self.now.len();
         let truth: Vec<_> = (0..robots).map(|robot| self.mission.team(robot, t)).collect();
         // Robots without a team are together in one that is none of the true ones.
@@ -161,8 +161,8 @@ impl<'a> Scorer<'a> {
         Ok(())
     }
 
-    /// Takes a division in, if it is a new one.
-    fn take(&mut self, t: f64, teams: Option<&Arc<Teams>>) {
+    /// Accepts a division, if it is a new one.
+    fn accept(&mut self, t: f64, teams: Option<&Arc<Teams>>) {
         let Some(teams) = teams else { return };
         if self.last.as_ref().is_some_and(|last| Arc::ptr_eq(last, teams)) {
             return;
@@ -181,7 +181,7 @@ impl<'a> Scorer<'a> {
             }
         }
         for (robot, (new, old)) in now.iter().zip(&self.now).enumerate() {
-            let counts = t >= BEGUN_S && !self.mission.is_silent(robot, t);
+            let counts = t >= START_TIME_S && !self.mission.is_silent(robot, t);
             self.changes[robot] += usize::from(counts && new != old);
         }
         self.now = now;
@@ -224,18 +224,19 @@ impl<'a> Scorer<'a> {
         let needless: usize = (self.changes.iter().enumerate())
             .map(|(robot, changes)| changes.saturating_sub(self.mission.moves(robot)))
             .sum();
-        let minutes = (end - BEGUN_S) / 60.0;
+        let minutes = (end - START_TIME_S) / 60.0;
         let needless_rate = needless as f64 / (minutes * self.changes.len() as f64);
         Outcome { series: self.series, followings, needless, needless_rate }
     }
 }
 
-/// After how many seconds all and those involved are in the right team by [`FOLLOWED`], and stay so for a second.
+/// After how many seconds all and those involved are in the right team by [`FOLLOWED_SHARE`], and stay so for a second.
 fn followed(series: &[Sample], at: f64, until: f64) -> Option<f64> {
     let within: Vec<&Sample> =
         series.iter().filter(|s| s.t >= at - 1e-9 && s.t < until - 1e-9).collect();
-    let good = |sample: &&Sample| sample.accuracy >= FOLLOWED && sample.involved >= FOLLOWED;
-    let runs = within.windows(STAYS).find(|run| run.iter().all(good))?;
+    let good =
+        |sample: &&Sample| sample.accuracy >= FOLLOWED_SHARE && sample.involved >= FOLLOWED_SHARE;
+    let runs = within.windows(FOLLOWED_SAMPLES).find(|run| run.iter().all(good))?;
     Some(runs[0].t - at)
 }
 

@@ -16,7 +16,7 @@ pub const PACE_M_S: f64 = 1.75;
 const SETTING_OUT_S: f64 = 1.0;
 
 /// How far the part that splits off falls back at most, in metres.
-const APART_M: f64 = 40.0;
+const SPLIT_DISTANCE_M: f64 = 40.0;
 
 /// Standard deviation of reported positions on the march, in metres along each axis.
 const MARCH_NOISE_M: f64 = 0.15;
@@ -25,7 +25,7 @@ const MARCH_NOISE_M: f64 = 0.15;
 pub const REST_NOISE: f64 = 0.1;
 
 /// Share of the robots whose radio fails, and of those who fall silent.
-pub const STRUCK: f64 = 0.1;
+pub const STRUCK_SHARE: f64 = 0.1;
 
 /// When radios fail and work again, and when robots fall silent, in seconds.
 const RADIOS_FAIL_S: (f64, f64) = (8.0, 14.0);
@@ -143,8 +143,9 @@ impl Mission {
             };
             (0..counts[kind]).map(|_| [axis(), axis()]).collect()
         });
-        let mut struck =
-            || fleet.robots.iter().map(|_| chance.random::<f64>() < STRUCK).collect::<Vec<_>>();
+        let mut struck = || {
+            fleet.robots.iter().map(|_| chance.random::<f64>() < STRUCK_SHARE).collect::<Vec<_>>()
+        };
         let (radio_fails, falls_silent) = (struck(), struck());
         let noise_m = match case {
             // The distance of two robots errs by the noise of both.
@@ -154,11 +155,11 @@ impl Mission {
         Self { fleet, case, noise_m, sways, radio_fails, falls_silent }
     }
 
-    /// What goes on at a moment.
+    /// What happens at a moment.
     #[must_use]
     pub fn act(&self, t: f64) -> Act {
-        let begun = self.case.phases().iter().rev().find(|(from, _)| *from <= t);
-        begun.map_or(Act::Together, |(_, act)| *act)
+        let phase = self.case.phases().iter().rev().find(|(from, _)| *from <= t);
+        phase.map_or(Act::Together, |(_, act)| *act)
     }
 
     /// When the truth changes, and what comes then.
@@ -253,7 +254,7 @@ impl Mission {
     /// changes no distance.
     #[must_use]
     pub fn places(&self, t: f64) -> Vec<[f64; 2]> {
-        let back = self.way(t, |act| if act == Act::Together { 0.0 } else { APART_M });
+        let back = self.way(t, |act| if act == Act::Together { 0.0 } else { SPLIT_DISTANCE_M });
         let left = self.way(t, |act| match act {
             Act::Regroup => TEAM_GAP_M - SQUAD_GAP_M,
             _ => 0.0,

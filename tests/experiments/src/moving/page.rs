@@ -3,7 +3,7 @@
 use super::faults::{Fault, Sense};
 use super::measures::{Outcome, Sample};
 use super::mission::Case;
-use super::plan::{FAULTY, Tried, condition, planned, tried};
+use super::plan::{FAULTY_CASES, Tried, condition, planned, tried};
 use crate::experiments::Progress;
 use crate::figures;
 use crate::results::{Page, Record};
@@ -129,7 +129,7 @@ fn faulty(page: &mut Page, all: &[Tried]) {
     let mut sizes: Vec<usize> = all.iter().map(|tried| tried.setup.robots).collect();
     sizes.dedup();
     for robots in sizes {
-        for case in FAULTY {
+        for case in FAULTY_CASES {
             for sense in Sense::ALL {
                 let of = |fault| {
                     all.iter().find(move |tried| {

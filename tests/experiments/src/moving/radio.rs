@@ -16,7 +16,7 @@ const RANGE_M: f64 = 40.0;
 const NET_QUALITY: f64 = 0.9;
 
 /// Greatest error of a reported quality.
-const FADING: f64 = 0.1;
+const MAX_QUALITY_ERROR: f64 = 0.1;
 
 /// Links of less quality than this are not reported.
 const MIN_QUALITY: f64 = 0.05;
@@ -68,7 +68,7 @@ impl<'a> Air<'a> {
             .into_iter()
             .filter(|(peer, _)| !self.mission.is_deaf(*peer, self.t))
             .map(|(peer, quality)| {
-                let error = FADING * (2.0 * chance.random::<f64>() - 1.0);
+                let error = MAX_QUALITY_ERROR * (2.0 * chance.random::<f64>() - 1.0);
                 (peer, (quality + error).min(1.0))
             })
             .filter(|(_, quality)| *quality >= MIN_QUALITY)

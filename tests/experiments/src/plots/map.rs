@@ -10,7 +10,7 @@ use super::{
 
 /// Size of the picture of one fleet in pixels, and what is left free at its sides.
 const PANEL: (u32, u32) = (440, 400);
-const FREE: i32 = 34;
+const MARGIN: i32 = 34;
 
 /// Half of the width of a robot in pixels.
 const ROBOT: i32 = 7;
@@ -49,7 +49,7 @@ impl Scale {
             })
         });
         let room =
-            [PANEL.0, PANEL.1 - LEGEND_LINE].map(|pixels| f64::from(signed(pixels) - 2 * FREE));
+            [PANEL.0, PANEL.1 - LEGEND_LINE].map(|pixels| f64::from(signed(pixels) - 2 * MARGIN));
         let fit = |axis: usize| room[axis] / (ends[axis].1 - ends[axis].0).max(1e-9);
         Self {
             middle: ends.map(|(low, high)| 0.5 * (low + high)),

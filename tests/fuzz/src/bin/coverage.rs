@@ -1,4 +1,4 @@
-//! One target under LLVM's fuzzer, guided by coverage; which one stands in `MUSTER_FUZZ_TARGET`.
+//! One target under LLVM's fuzzer, guided by coverage; `MUSTER_FUZZ_TARGET` names it.
 //! `tests/fuzz/run` builds and starts it.
 
 #![no_main]

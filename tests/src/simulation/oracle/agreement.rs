@@ -47,14 +47,14 @@ pub(crate) struct GroundTruth<'a> {
     pub(crate) teams: Option<u32>,
 }
 
-/// The division that all have agreed on.
+/// What all have agreed on.
 #[derive(Debug, Clone)]
-pub(crate) struct Settled {
+pub(crate) struct Agreed {
     /// None if the fleet never had a robot.
     division: Option<std::sync::Arc<Teams>>,
 }
 
-impl Settled {
+impl Agreed {
     /// Whether there were robots to divide.
     pub(crate) fn has_robots(&self) -> bool {
         self.division.is_some()
@@ -63,7 +63,7 @@ impl Settled {
 
 impl Oracle {
     /// Whether all agree now; if not, on what they differ.
-    pub(crate) fn agreement(&self, ground_truth: &GroundTruth<'_>) -> Result<Settled, String> {
+    pub(crate) fn agreement(&self, ground_truth: &GroundTruth<'_>) -> Result<Agreed, String> {
         let roster = self.rosters.last().ok_or("there is no roster")?;
         let known = roster.robots.iter().map(|entry| &entry.robot);
         if !known.clone().eq(ground_truth.fleet.keys().copied()) {
@@ -121,7 +121,7 @@ impl Oracle {
             return Err("the audit is not that of the positions in the roster".to_owned());
         }
         self.check_reports(teams, ground_truth)?;
-        Ok(Settled { division: Some(std::sync::Arc::clone(teams)) })
+        Ok(Agreed { division: Some(std::sync::Arc::clone(teams)) })
     }
 
     /// A console that joins late receives what was published last when it asked, or something newer, and
@@ -154,7 +154,7 @@ impl Oracle {
 
     /// Where no robot lives, no service that runs may still publish robots. If it was killed together with
     /// all that remembered its output, it need not publish an empty one.
-    fn without_robots(&self, ground_truth: &GroundTruth<'_>) -> Result<Settled, String> {
+    fn without_robots(&self, ground_truth: &GroundTruth<'_>) -> Result<Agreed, String> {
         let runs = |service: ServiceName| {
             let last = self.last_by.get(&service);
             last.is_some_and(|publisher| ground_truth.running.contains(publisher))
@@ -166,7 +166,7 @@ impl Oracle {
         if runs(ServiceName::Embedder) && embedded || runs(ServiceName::Clusterer) && divided {
             return Err("robots that have left are still embedded or divided".to_owned());
         }
-        Ok(Settled { division: None })
+        Ok(Agreed { division: None })
     }
 
     fn check_reports(&self, teams: &Teams, ground_truth: &GroundTruth<'_>) -> Result<(), String> {
@@ -223,7 +223,7 @@ impl Oracle {
     }
 
     /// Unchanged input leaves the division as all had agreed on it.
-    pub(crate) fn unchanged(&self, agreed: &Settled) -> Checked {
+    pub(crate) fn unchanged(&self, agreed: &Agreed) -> Checked {
         let (Some(last), Some(agreed)) = (self.divisions.last(), &agreed.division) else {
             return Ok(());
         };

@@ -11,7 +11,7 @@ use super::{Checked, breach};
 const OFFENDERS: usize = 256;
 
 /// Most whole messages of each kind that the auditor keeps for divisions that name them.
-const HISTORY: usize = 32;
+const MAX_AUDITOR_MESSAGES: usize = 32;
 
 /// How long a robot may be remembered after its last report: the clusterer's minute since it left,
 /// the longest time until it is taken for gone, and some more for what was under way.
@@ -56,9 +56,9 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
             offenders: OFFENDERS,
         },
         ServiceName::Auditor => MemoryUse {
-            robots: HISTORY * robots,
+            robots: MAX_AUDITOR_MESSAGES * robots,
             edges: 0,
-            messages: 2 * HISTORY + 3,
+            messages: 2 * MAX_AUDITOR_MESSAGES + 3,
             offenders: OFFENDERS,
         },
     }

@@ -27,12 +27,12 @@ use muster_wire::envelope::AnnouncedSettings;
 use super::clock::Micros;
 use super::plan::OutputKind;
 
-pub(crate) use agreement::{GroundTruth, RobotTruth, Settled};
+pub(crate) use agreement::{Agreed, GroundTruth, RobotTruth};
 pub(crate) use memory::{Bounds, MEMORY, check_memory_use};
 
 /// How many messages of each kind the oracle remembers: more than a minute of frames, longer than
 /// anything that names an older one is under way.
-const REMEMBERED: usize = 2048;
+const MAX_REMEMBERED_MESSAGES: usize = 2048;
 
 /// The result of a rule: nothing, or what is wrong.
 pub(crate) type Checked = Result<(), Breach>;
@@ -87,7 +87,7 @@ impl<T> Published<T> {
     fn add(&mut self, revision: Revision, content: &Arc<T>) {
         self.all.entry(revision).or_default().push(Arc::clone(content));
         self.order.push_back(revision);
-        if self.order.len() > REMEMBERED
+        if self.order.len() > MAX_REMEMBERED_MESSAGES
             && let Some(oldest) = self.order.pop_front()
         {
             self.all.remove(&oldest);
