@@ -115,7 +115,7 @@ impl Client {
         Self::open(client_of(endpoint, "-1")?, fleet).await
     }
 
-    /// Connects as a configuration of Zenoh says.
+    /// Connects by a configuration of Zenoh.
     ///
     /// # Errors
     /// If no router admits it.
@@ -155,7 +155,7 @@ impl Client {
         encoding: &str,
     ) -> anyhow::Result<()> {
         let put = self.session.put(self.key(tail), bytes).encoding(Encoding::from(encoding));
-        // A test asks what becomes of a message; one that the link drops would say nothing.
+        // A message that the link drops would test nothing.
         put.congestion_control(CongestionControl::Block).await.map_err(fail)
     }
 

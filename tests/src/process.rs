@@ -67,7 +67,7 @@ impl Process {
         Self::start_at(&program(program_name)?, program_name, arguments, environment, folder)
     }
 
-    /// Starts a program that stands anywhere, under a name.
+    /// Starts a program at a path, under a name.
     ///
     /// # Errors
     /// If it does not start.

@@ -1,4 +1,4 @@
-//! What stands in `deploy/` fits the programs: files are accepted, command lines are understood, and
+//! The files in `deploy/` fit the programs: files are accepted, command lines are understood, and
 //! service managers find nothing to complain of.
 
 use std::collections::BTreeSet;
@@ -41,7 +41,7 @@ fn the_configuration_of_each_service_is_the_built_in_one() {
         assert_eq!(code, Some(0), "{service}: {err}");
         let built_in = values(&name, &["--print-config"]);
         assert_eq!(values(&name, &["--print-config", "--config", path]), built_in, "{service}");
-        // Every setting of the service stands in its file, with a value or commented out.
+        // Every setting of the service is in its file, with a value or commented out.
         let text = std::fs::read_to_string(path).unwrap();
         let (code, out, _) = run("muster", &["deploy", "config", service], SOON).unwrap();
         assert_eq!((code, out.as_str()), (Some(0), text.as_str()));

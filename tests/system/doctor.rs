@@ -131,7 +131,7 @@ fn no_router_is_reported_with_what_answers_instead() {
     let missing = report["findings"].as_array().unwrap();
     assert_eq!(missing.len(), 4, "{report}");
     assert!(missing.iter().all(|finding| finding["id"] == "service_missing"));
-    // One of two routers is enough; the other is reported as missing all the same.
+    // One of two routers is enough; the other is still reported as missing.
     let gone = free_endpoint().unwrap();
     let (code, report) = look(&format!("{gone},{free}"), "alpha", "1");
     assert_eq!(code, 1);

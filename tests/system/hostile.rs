@@ -1,4 +1,4 @@
-//! Whatever is put on whatever key changes nothing but counters and events.
+//! Hostile messages on any key change nothing but counters and events.
 
 use std::collections::BTreeSet;
 use std::time::Duration;

@@ -18,7 +18,7 @@ use crate::pipeline::FORMED_WITHIN;
 /// The document with the programs for robots and consoles.
 const CLIENT: &str = "shared/client/README.md";
 
-/// The text of the fenced block behind a marker, all blocks of that marker in the document in order.
+/// The text of the fenced block after a marker, all blocks of that marker in the document in order.
 pub(crate) fn blocks(document: &str, marker: &str) -> Vec<String> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(document);
     let text = std::fs::read_to_string(&path).expect(document);
@@ -108,7 +108,7 @@ async fn the_robot_and_the_dashboard_of_the_document_work_as_they_stand() {
         let wanted = format!("{name} is in team {}, led by {leader}: {members}", team(name));
         printed(&mut robots[robot], &wanted, |line| line == wanted).await;
     }
-    // The teams are numbered, and stand in this order.
+    // The teams are numbered, in this order.
     let mut wanted = [format!("{}: r1 r2", team("r1")), format!("{}: s1 s2", team("s1"))];
     wanted.sort();
     let wanted = format!("teams  {}", wanted.join("  "));

@@ -1,4 +1,4 @@
-//! The measurement of latency measures what it says, on a fleet that is small enough for any machine.
+//! The measurement of latency is right, on a fleet that is small enough for any machine.
 
 use std::time::Duration;
 

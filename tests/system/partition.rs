@@ -125,7 +125,7 @@ async fn until_one_leads(client: &Client, of: usize, within: Duration, when: &st
     }
 }
 
-/// The divisions that a reader has seen who drops what is older than the last, as all readers do.
+/// The divisions that a reader accepts: none older than the last.
 fn seen(watch: &Watch) -> Vec<Division> {
     let mut newest = (0, 0);
     let in_order = watch.all().into_iter().filter(|(_, value)| {

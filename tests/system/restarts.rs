@@ -56,7 +56,7 @@ fn auditor_answers(routers: &str) {
 #[test]
 fn of_several_routers_any_that_answers_is_used() {
     let folder = tempfile::tempdir().unwrap();
-    // The first takes connections and says nothing, the second refuses.
+    // The first accepts connections and sends nothing, the second refuses.
     let silent_listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let silent = format!("tcp/{}", silent_listener.local_addr().unwrap());
     let (refusing, alive) = (free_endpoint().unwrap(), free_endpoint().unwrap());

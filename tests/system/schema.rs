@@ -1,4 +1,4 @@
-//! The JSON Schema says what the services do, by a validator that is not Muster's.
+//! Messages of the services are valid by the JSON Schema, for a validator that is not Muster's.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write as _;
@@ -13,7 +13,7 @@ use serde_json::{Map, Value, json};
 use crate::languages::blocks;
 use crate::pipeline::{FORMED_WITHIN, formed, truth};
 
-/// What the validator says of each message: none if its schema accepts it.
+/// The validator's error for each message: none if its schema accepts it.
 pub(crate) fn validated(
     document: &Value,
     alone: &[Value],
@@ -114,7 +114,7 @@ fn the_messages_of_the_document_are_valid() {
     }
 }
 
-/// The name of the schema of what stands on a key.
+/// The name of the schema of a key's messages.
 fn schema_of(key: &str) -> String {
     match key.split('/').collect::<Vec<_>>()[..] {
         ["json", name] => name.to_owned(),

@@ -82,7 +82,7 @@ pub fn physical(seconds: f64, progress: &Progress<'_>) -> anyhow::Result<Page> {
 /// Robots that received the right team; those without a team are wrong.
 fn right(received: &TeamsReceived, case: &Case) -> Correct {
     let truth = &case.layout.divisions[0];
-    // Without those who have none, so that they are no team of their own.
+    // Robots without a team are left out: they are no team of their own.
     let known =
         received.teams.iter().zip(truth).filter_map(|(team, truth)| Some(((*team)?, *truth)));
     let (found, wanted): (Vec<usize>, Vec<Option<usize>>) = known.unzip();

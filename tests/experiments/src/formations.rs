@@ -49,8 +49,8 @@ pub const RANGE_M: f64 = 40.0;
 /// By which factor a formation may be drawn out or pulled together.
 const SPACING: (f64, f64) = (0.8, 1.25);
 
-/// By how much a robot is off its place, in metres along each axis: most of what a march makes of ten metres
-/// between robots.
+/// By how much a robot is off its place, in metres along each axis: on a march, ten metres between robots
+/// vary by at most so much.
 const JITTER_M: f64 = 2.0;
 
 /// A formation of the list, by its place in it.
@@ -58,7 +58,7 @@ const JITTER_M: f64 = 2.0;
 pub struct Formation {
     /// Its name.
     pub name: &'static str,
-    /// What its file says.
+    /// The content of its file.
     pub layout: Layout,
 }
 

@@ -46,10 +46,10 @@ pub struct TeamsReceived {
     pub settled_s: f64,
     /// How often a robot received another team after all of them had known theirs.
     pub moves: usize,
-    /// Of each division, milliseconds from the moment in which `ingest` received the newest pose behind it until
+    /// Of each division, milliseconds from the moment in which `ingest` received its newest pose until
     /// it was received at a console.
     pub newest_ms: Vec<f64>,
-    /// The same from the oldest pose behind it.
+    /// The same from its oldest pose.
     pub oldest_ms: Vec<f64>,
 }
 
@@ -193,7 +193,7 @@ fn put_relations(case: &Case, robots: &[Robot]) -> anyhow::Result<()> {
 
 type Delays = Arc<Mutex<Vec<(f64, f64)>>>;
 
-/// Notes how old the newest and the oldest pose behind each division are as it arrives, in milliseconds, once
+/// Notes how old the newest and the oldest pose of each division are as it arrives, in milliseconds, once
 /// there are as many teams as asked for.
 async fn follow_divisions(console: &Bus, wanted: usize) -> anyhow::Result<Delays> {
     let (delays, clock, space) = (Delays::default(), Clock::start(), console.space().clone());

@@ -48,7 +48,7 @@ pub struct Recipe {
     pub nearness: Nearness,
     /// Weight of reports up the chain of command, relative to orders down.
     pub upward: f64,
-    /// By which share those who answer to the same superior are tied to each other.
+    /// Weight of ties between robots with the same superior.
     pub siblings: f64,
     /// The weight of each modality.
     pub weights: [f64; 3],
@@ -225,7 +225,7 @@ pub enum DivisionError {
     Lle(#[from] LleError),
 }
 
-/// A division, with the vectors that it rests on where there are some.
+/// A division, with the vectors that were divided where there are some.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Division {
     /// The team of each robot.

@@ -9,7 +9,7 @@ const SYSTEMS: &str = include_str!("../paper/scenario2_silhouette.csv");
 /// Silhouettes of Scenario I, by formation and teams.
 const FORMATIONS: &str = include_str!("../paper/scenario1_silhouette.csv");
 
-/// Those of four teams, which stand in the paper's source but are not printed.
+/// Those of four teams, which are in the paper's source but not printed.
 const UNPRINTED: &str = include_str!("../paper/scenario1_silhouette_unprinted.csv");
 
 /// Accuracy of HOPE on the spatial graph without noise, from 0 to 1, as the paper's text states it: squads and

@@ -89,11 +89,11 @@ pub struct Recording {
 /// A layout with its recording.
 #[derive(Debug, Clone)]
 pub struct Case {
-    /// What its file says.
+    /// The content of its file.
     pub layout: Layout,
     /// From which all chance follows.
     pub seed: u64,
-    /// As it stands in its file.
+    /// The text of its file.
     recording: &'static str,
 }
 

@@ -1,7 +1,7 @@
 //! Plots as SVG: data in, text out. What is in them is decided elsewhere ([`crate::figures`]).
 //!
 //! Colours are those of Okabe and Ito (Color Universal Design, 2008), which people of every colour vision can tell
-//! apart; a shape says the same again, for those who print in grey.
+//! apart; shapes repeat the distinction for print in grey.
 
 pub mod dots;
 pub mod lines;
@@ -99,7 +99,7 @@ pub struct Axis {
     pub title: String,
     /// Where it begins and ends.
     pub range: (f64, f64),
-    /// Digits behind the point.
+    /// Digits after the point.
     pub decimals: usize,
 }
 

@@ -9,7 +9,7 @@ use crate::system::System;
 /// Radio range in Scenario II along a free line of sight, in metres.
 const SIGHT_M: f64 = 40.0;
 
-/// Area for each robot of Scenario II, in square metres: a campus on which neighbours stand some twenty metres
+/// Area for each robot of Scenario II, in square metres: a campus on which neighbours are some twenty metres
 /// from each other.
 const AREA_M2: f64 = 400.0;
 
@@ -17,7 +17,7 @@ const AREA_M2: f64 = 400.0;
 const BUILDINGS: f64 = 0.2;
 const WALL_M: (f64, f64) = (8.0, 30.0);
 
-/// Tries to place a robot outside of all buildings. More would say that there is no such place.
+/// Tries to place a robot outside of all buildings. After more there is probably no such place.
 const MAX_ATTEMPTS: usize = 1000;
 
 /// Robots of a planted team.
@@ -26,7 +26,7 @@ const TEAM_ROBOTS: (usize, usize) = (4, 10);
 /// Standard deviation of a planted team's robots about its middle, along each axis in metres.
 const SPREAD_M: f64 = 10.0;
 
-/// Least distance of two middles, in spreads: some robots of neighbouring teams stand nearer to each other
+/// Least distance of two middles, in spreads: some robots of neighbouring teams are nearer to each other
 /// than to their own.
 const MIN_SEPARATION_SPREADS: f64 = 4.0;
 
@@ -125,7 +125,7 @@ fn links_in_range(
     (0..).zip(positions).map(of_robot).collect()
 }
 
-/// How far teams of [`plain_to_see`] stand apart, in metres.
+/// Distance between teams of [`plain_to_see`], in metres.
 const FAR_M: f64 = 90.0;
 
 /// A planted fleet and the team of each robot: teams scattered about their middles, whose members answer to a

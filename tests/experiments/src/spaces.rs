@@ -2,7 +2,7 @@
 //!
 //! A silhouette in a method's own vectors rewards vectors that collapse: the division is judged where its own
 //! k-means made it look best. So that methods can be compared, every division is scored in two more spaces that
-//! no method has made: where robots stand, and one in which every modality has the same say.
+//! no method has made: that of positions, and one in which every modality has the same weight.
 
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::silhouette;
@@ -92,7 +92,7 @@ impl Distances {
     }
 
     /// The common space: metres, links and steps of command, each relative to its mean, added up. Every
-    /// modality has the same say in it, and it is made of what was observed, not of any method's vectors.
+    /// modality has the same weight in it, and it is made of what was observed, not of any method's vectors.
     #[must_use]
     pub fn common(system: &System) -> Self {
         let parts = [Self::physical(system), Self::hops(system), Self::command(system)];

@@ -388,7 +388,7 @@ impl<C: Core> World<C> {
         assert!(is_explained, "{:?} is not answered: {error}", reply.messages);
     }
 
-    /// Checks that a message is finite, in order, and accepted by those who read it.
+    /// Checks that a message is finite, in order, and accepted by its readers.
     fn published(&mut self, publication: &Publication) {
         let message = publication.message.as_ref().expect("a publication has a message");
         let (key, _) = message.keys();

@@ -7,7 +7,7 @@
 //! The promises, beyond "it does not panic": what is accepted is written again and read back as the
 //! same; what is refused is refused in short words without control characters; memory stays within
 //! a multiple of the input ([`allocation`]); what a core publishes is finite, ordered, and accepted
-//! by those who read it.
+//! by its readers.
 
 #![allow(
     clippy::unwrap_used,

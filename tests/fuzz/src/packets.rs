@@ -30,7 +30,7 @@ const MAX_REFUSAL: usize = 120;
 const BYTES_PER_INPUT_BYTE: usize = 64;
 
 /// Bytes that it may hold beyond that: serde trusts the count of a list for one mebibyte, and lists
-/// stand in lists.
+/// contain lists.
 const BASE_BYTES: usize = 4 << 20;
 
 /// Most memory in bytes that an input of a length may take.

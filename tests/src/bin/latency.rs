@@ -1,4 +1,4 @@
-//! Measures how long a pose takes until the team that rests on it is received, and what every process
+//! Measures how long a pose takes until the team computed from it is received, and what every process
 //! takes for it. `latency --help` has the flags; `tests/peers/latency` builds and runs it in release.
 //!
 //! It ends with 1 if a goal is missed.

@@ -150,7 +150,7 @@ impl World {
             }
         }
         let observed = [endpoint.as_str(), FLEET];
-        // Who looks at poses and asks does so where that is no burden on the link of the robots' host.
+        // The observer that receives poses and gets runs where it does not load the link of the robots' host.
         let all = [&observed[..], &["all"]].concat();
         let console = start(&lab, folder.path(), Host::Router, "observer", &all)?;
         let on_board = start(&lab, folder.path(), Host::Robots, "observer", &observed)?;

@@ -107,7 +107,7 @@ impl Puts {
         let bytes: Vec<u8> = numbers.flat_map(u64::to_le_bytes).collect();
         let (partial, done) = (folder.join("puts.partial"), folder.join(LOG));
         std::fs::write(&partial, bytes)?;
-        // Who waits for it sees it whole or not at all.
+        // A reader finds the whole file or none.
         std::fs::rename(partial, done)?;
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! The round trip of one message through the router, with nothing of Muster's but the router between.
+//! The round trip of one message through the router alone.
 
 use std::sync::mpsc;
 use std::time::{Duration, Instant};

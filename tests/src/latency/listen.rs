@@ -58,7 +58,7 @@ pub struct Received {
     pub audits: Vec<AuditTimes>,
     /// In the order of arrival.
     pub team_messages: Vec<TeamMessage>,
-    /// Messages that could not be understood, or found too many waiting.
+    /// Messages that could not be decoded, or found a full queue.
     pub lost: u64,
 }
 
@@ -125,7 +125,7 @@ impl Listener {
         Ok(Self(received))
     }
 
-    /// Forgets everything but the frames, which later divisions may rest on.
+    /// Forgets everything but the frames, which later divisions may name.
     pub fn begin(&self) {
         let mut received = lock(&self.0);
         let frames = std::mem::take(&mut received.frames);
@@ -138,7 +138,7 @@ impl Listener {
         lock(&self.0).divisions.last().cloned()
     }
 
-    /// The number of the last pose of each robot that the newest division rests on.
+    /// The number of the last pose of each robot that the newest division contains.
     #[must_use]
     pub fn covered(&self) -> Vec<Option<u64>> {
         let received = lock(&self.0);

@@ -5,7 +5,7 @@
 //! what robots and consoles receive ([`listen`]). Which poses a division is computed from is not estimated: the
 //! heading of each pose is its number, rosters repeat it, and the head of a division names the frame of
 //! the roster by the moment in which `ingest` made it ([`follow`]). [`echo`] is the round trip of a
-//! message of the same size with nothing of Muster between, and [`report`] writes what was measured.
+//! message of the same size through the router alone, and [`report`] writes what was measured.
 //!
 //! All clocks are that of one host.
 

@@ -74,7 +74,7 @@ pub fn goals(measured: &Measured) -> Vec<Goal> {
     goals
 }
 
-/// What a program says of itself in one line, or "unknown".
+/// What a program prints in one line, or "unknown".
 fn output_of(program: &str, arguments: &[&str]) -> String {
     let output =
         Command::new(program).args(arguments).current_dir(env!("CARGO_MANIFEST_DIR")).output();
@@ -164,7 +164,7 @@ pub fn page(
     Ok(page)
 }
 
-/// What the numbers are, for who reads the page alone.
+/// What the numbers are, for readers of the page alone.
 const DEFINITIONS: &str = "\
 A router, the four services and all robots run as processes of one host, over TCP on loopback, with \
 default settings but for the number of teams. The robots march in squads and move with every pose; \

@@ -1,6 +1,6 @@
-//! A fleet that never stands still: teams of squads that circle about their places.
+//! A fleet that always moves: teams of squads that circle about their places.
 //!
-//! Each team is a disc of squads of [`SQUAD_ROBOTS`] robots, the teams stand in a row. Every squad moves along
+//! Each team is a disc of squads of [`SQUAD_ROBOTS`] robots, the teams are in a row. Every squad moves along
 //! a circle of its own and turns, at about 1 m/s, so that each pose is another one and the neighbours of
 //! robots at the rims of squads change. In each team but the last one robot is a courier, which flies to
 //! the next team, answers to a leader there, and comes back; so that divisions change.

@@ -32,7 +32,7 @@ pub enum Mutant {
     Fickle,
     /// Ingest gives every other roster the revision of the one before, once a service was killed.
     RevisionTwice,
-    /// Every new leader except the clusterer goes on with the term of the former leader, once a service
+    /// Every new leader except the clusterer keeps the term of the former leader, once a service
     /// was killed.
     TermTwice,
     /// The embedder names an older roster than before, once a service was killed.
@@ -248,7 +248,7 @@ impl Mutator {
         }
     }
 
-    /// What the bus makes of a packet.
+    /// What the bus does with a packet.
     pub(crate) fn carried(&mut self, space: &KeySpace, packet: Packet, now: Tick) -> Packet {
         let old = self.active && self.mutant == Some(Mutant::OldTermAsNewest);
         if !old || packet.key != space.format(&Key::Embedding) {

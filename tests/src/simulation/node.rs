@@ -224,8 +224,8 @@ impl Node {
         process.inbox.push(Parcel::token(space, Packet::token(&**key, alive)));
     }
 
-    /// The link is lost or back. The bus forgets the tokens of others with a lost link, and it is
-    /// chance which of the two the host is given first.
+    /// The link is lost or back. The bus forgets the tokens of others with a lost link; which of
+    /// the two the host receives first is random.
     pub(crate) fn link_changed(&mut self, space: &KeySpace, is_up: bool) {
         let Some(process) = &mut self.process else { return };
         process.completed.push_back(if is_up { Input::LinkRestored } else { Input::LinkLost });

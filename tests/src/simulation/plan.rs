@@ -12,7 +12,7 @@ use super::clock::{MS, Micros, SECOND};
 /// How much quiet a fleet has before the first fault, so that there is something to break.
 const QUIET_TIME: Micros = 2 * SECOND;
 
-/// Who is connected to the router by a link of its own.
+/// What is connected to the router by a link of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Place {
     /// The host of one instance of a service.
@@ -91,7 +91,7 @@ pub(crate) enum Fault {
     Blackout { lasts: Micros },
     /// An attacker repeats the last message on the key of a service, so many terms higher.
     ForgedTerm { what: OutputKind, terms: u64 },
-    /// A service is stopped as by SIGSTOP, and goes on after a while.
+    /// A service is stopped as by SIGSTOP, and continues after a while.
     Hang { at: Place, lasts: Micros },
     /// A service takes long over every event.
     Slow { at: Place, lasts: Micros, each: Micros },

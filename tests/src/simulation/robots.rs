@@ -18,7 +18,7 @@ use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
 use super::router::LinkId;
 
-/// How often the scenario goes on: robots that report in between repeat themselves.
+/// Time step of the scenario: robots that report in between repeat themselves.
 const SCENARIO_STEP: Micros = 200 * MS;
 
 /// One stream of a robot.

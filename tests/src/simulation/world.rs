@@ -28,7 +28,7 @@ use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
 /// How long all must have agreed without a change before a run ends.
 const AGREED_TIME: Micros = 6 * SECOND;
 
-/// One run in so many goes on past the time within which all must have agreed.
+/// One run in so many continues past the time within which all must have agreed.
 const LONG_RUN_EVERY: u64 = 8;
 
 /// How long such a run continues: longer than the longest interval at which a service asks again.
@@ -87,7 +87,7 @@ impl Ord for Scheduled {
     }
 }
 
-/// Who waits for a get.
+/// What waits for a get.
 #[derive(Debug)]
 pub(super) enum Asker {
     /// The host of a process.
@@ -98,7 +98,7 @@ pub(super) enum Asker {
     LateJoiner(Message),
 }
 
-/// A get as who asked knows it.
+/// A get as its sender knows it.
 #[derive(Debug)]
 pub(super) struct Pending {
     pub(super) asker: Asker,
@@ -337,7 +337,7 @@ impl World {
             return;
         }
         if wait > self.now {
-            // A process waits for its router; then it goes on at once.
+            // A process waits for its router; then it continues at once.
             self.schedule(wait, Event::Start { node: index });
             return;
         }

@@ -125,7 +125,7 @@ async fn a_second_robot_of_an_id_is_refused() {
     Robot::join(&elsewhere, "r1").await.unwrap().leave().await;
     assert!(!first.is_contested());
 
-    // A process that looks for no token puts poses all the same.
+    // A process that ignores tokens can put poses.
     let outside = Client::connect(&endpoint, "default").await.unwrap();
     let start = Instant::now();
     while !first.is_contested() {

@@ -42,7 +42,7 @@ fn config(cluster: &Cluster) -> Config {
     }
 }
 
-/// Robots that put their poses until they are let go.
+/// Robots that put their poses until they are dropped.
 struct Driving {
     robots: BTreeMap<&'static str, Arc<Robot>>,
     driver: JoinHandle<()>,
@@ -283,7 +283,7 @@ async fn a_clusterer_that_dies_leaves_teams_that_turn_stale_and_fresh() {
     let mut teams = client.teams().await.unwrap();
     let right = with_group(&["b1", "b2", "b3"]);
     let (before, _) = until(&mut team, FORMED_WITHIN, "b3 is in its group", &right).await;
-    // Services that live say so for longer than makes a team stale.
+    // Running services keep a team fresh for longer than it takes to become stale.
     let quiet = async {
         loop {
             assert!(!team.changed().await.unwrap().is_stale(), "the services live");

@@ -14,7 +14,7 @@ fn long(count: usize, item: impl Fn(usize) -> String) -> String {
     (0..count).map(item).collect::<Vec<_>>().join(",")
 }
 
-/// What a robot says, on which stream, and how it comes out. ME is the robot itself.
+/// The stream and the text of reports, and what is wanted. ME is the robot itself.
 fn reports() -> Vec<(&'static str, String, Wanted)> {
     let mut cases: Vec<(&'static str, String, Wanted)> = Vec::new();
     let mut add = |stream, wanted, texts: &[&str]| {

@@ -27,7 +27,7 @@ const ROBOTS: [(&str, f64); 4] = [("a1", 0.0), ("a2", 3.0), ("b1", 90.0), ("b2",
 pub(crate) struct Secured {
     services: Vec<(String, Process)>,
     routers: Vec<Process>,
-    // Dropped last: what the processes have printed stands in it.
+    // Dropped last: it has the output of the processes.
     folder: TempDir,
 }
 

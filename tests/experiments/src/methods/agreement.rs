@@ -1,7 +1,7 @@
 //! Robust fusion: graphs that contradict all others do not count.
 //!
 //! Two graphs agree as far as their entries are correlated over all pairs of robots (the quadratic assignment
-//! procedure: Krackhardt, Social Networks 10, 1988). Where one of them belongs to other robots than it says, its
+//! procedure: Krackhardt, Social Networks 10, 1988). Where one of them belongs to other robots than it names, its
 //! correlation is that of chance.
 //!
 //! The live system does not do so. In planted fleets whose positions belong to other robots it finds 96 instead of 81 %

@@ -127,7 +127,7 @@ struct Draft {
     squad_of: Vec<usize>,
     homes: Vec<[f64; 2]>,
     teams: Vec<(usize, bool)>,
-    /// The robots of each squad, those who lead larger units from in front of it first: how many these are.
+    /// The robots of each squad, first those in front of it that lead larger units, and the number of these.
     squads: Vec<(Range<usize>, usize)>,
     /// Leaders of larger units whose first squad is still to come.
     leading: usize,

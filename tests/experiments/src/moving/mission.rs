@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::fleet::{Fleet, JOINED, JOINS, SPACING_M, SPLITS, SQUAD_GAP_M, TEAM_GAP_M};
 
-/// How fast a part of the fleet parts from the others or closes up, in m/s: it stands while they march, or
+/// How fast a part of the fleet parts from the others or closes up, in m/s: it waits while they march, or
 /// they wait for it.
 pub const PACE_M_S: f64 = 1.75;
 
@@ -24,7 +24,7 @@ const MARCH_NOISE_M: f64 = 0.15;
 /// Noise of distances between neighbours of a fleet at rest, as a share of them.
 pub const REST_NOISE: f64 = 0.1;
 
-/// Share of the robots whose radio fails, and of those who fall silent.
+/// Share of the robots whose radio fails, and of those that fall silent.
 pub const STRUCK_SHARE: f64 = 0.1;
 
 /// When radios fail and work again, and when robots fall silent, in seconds.
@@ -66,7 +66,7 @@ impl Case {
         }
     }
 
-    /// From when on who acts how, in seconds.
+    /// The acts, with their starts in seconds.
     #[must_use]
     pub fn phases(self) -> &'static [(f64, Act)] {
         match self {
@@ -89,7 +89,7 @@ impl fmt::Display for Case {
     }
 }
 
-/// Who forms a team.
+/// How robots form teams.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Act {
     /// Everybody is in his own.
@@ -115,7 +115,7 @@ impl Act {
 /// A fleet with what it lives through.
 #[derive(Debug, Clone)]
 pub struct Mission {
-    /// Who takes part.
+    /// The robots that take part.
     pub fleet: Fleet,
     /// What they live through.
     pub case: Case,
@@ -123,13 +123,13 @@ pub struct Mission {
     pub noise_m: f64,
     /// How teams, squads and robots sway: along each axis way, pulse in radians per second, and phase.
     sways: [Vec<[[f64; 3]; 2]>; 3],
-    /// Whose radio fails, and who falls silent.
+    /// By robot: whether its radio fails, and whether it falls silent.
     radio_fails: Vec<bool>,
     falls_silent: Vec<bool>,
 }
 
 impl Mission {
-    /// A mission of a fleet; who sways how and who is struck follows from the seed.
+    /// A mission of a fleet; how robots sway and which fail follows from the seed.
     #[must_use]
     pub fn new(fleet: Fleet, case: Case, seed: u64) -> Self {
         let mut chance = ChaCha8Rng::seed_from_u64(seed);

@@ -208,7 +208,7 @@ impl Pipeline {
         self.clusterer.refusal.take().map_or(Ok(()), |reason| Err(PipelineError::Refused(reason)))
     }
 
-    /// Time goes on to a moment, and everything happens that is due until then.
+    /// Advances the time to a moment, and does everything that is due until then.
     pub fn advance(&mut self, until: Tick) {
         loop {
             let dues =

@@ -66,7 +66,7 @@ pub fn lines(panels: &[Panel], columns: usize, x: &Axis, y: &Axis) -> Result<Str
     })
 }
 
-/// Draws a panel in its area; what stands at coordinates of the chart, in pixels of the whole.
+/// Draws a panel in its area; marks at coordinates of the chart are drawn in pixels of the whole.
 fn draw(
     area: &Area<'_>,
     whole: &Area<'_>,

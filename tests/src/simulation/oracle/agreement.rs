@@ -1,4 +1,4 @@
-//! After the last fault, all come to agree with the truth and with each other; and what was agreed on
+//! After the last fault, all agree with the truth and with each other in the end; and what was agreed on
 //! does not change while nothing changes.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -255,7 +255,7 @@ fn same_division(left: &Teams, right: &Teams) -> bool {
         && left.teams.iter().zip(&right.teams).all(|(l, r)| l.leader == r.leader)
 }
 
-/// The same teams by name, with the same members: who leads them rests on the roster too.
+/// The same teams by name, with the same members: their leaders depend on the roster too.
 fn same_members(left: &Teams, right: &Teams) -> bool {
     short(left) == short(right) && left.unassigned == right.unassigned
 }

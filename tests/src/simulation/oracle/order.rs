@@ -21,7 +21,7 @@ pub(crate) struct Order {
     given: BTreeMap<(ServiceName, usize, String), Revision>,
     /// The last of another service's that a process went by.
     taken: BTreeMap<(Publisher, &'static str), Revision>,
-    /// Who published last on each key, and the highest term on it.
+    /// The last publisher of each key, and its highest term.
     publishers: BTreeMap<String, (Publisher, u64)>,
     /// When each process last renewed its lease.
     renewals: BTreeMap<Publisher, Micros>,

@@ -44,7 +44,7 @@ pub(crate) fn check(audit: &Audit, oracle: &Oracle) -> Checked {
             format!("{name}: {:?}, by the definition {wanted:?}", audit.in_embedding),
         );
     }
-    // An audit may rest on a newer roster than the embedding, where that one did not come, and on none
+    // An audit may use a newer roster than the embedding, where that one did not come, and none
     // as long as none has come; once all agree, it must be the last.
     let exact = embeddings.iter().flat_map(|embedding| oracle.rosters.named(embedding.roster));
     let by_positions = exact.chain(oracle.rosters.newest_first()).any(|roster| {
