@@ -19,7 +19,7 @@ fn outcomes(case: Case, fault: Option<(Sense, Fault)>) -> Vec<Outcome> {
 }
 
 fn accuracy(outcome: &Outcome) -> f64 {
-    outcome.mean(true, |sample| sample.accuracy)
+    outcome.settled_mean(|sample| sample.accuracy)
 }
 
 #[test]

@@ -7,7 +7,7 @@
 //! robots or messages were lost.
 
 use std::collections::BTreeMap;
-use std::io::Write as _;
+use std::io::Write;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
@@ -113,6 +113,42 @@ async fn counters(client: &Client, names: &[&str]) -> anyhow::Result<BTreeMap<St
     Ok(counters)
 }
 
+/// Writes what each process took; whether the memory of all is flat after so many seconds of warming up.
+fn write_processes(
+    out: &mut impl Write,
+    processes: &[(&str, u32)],
+    samples: &BTreeMap<&str, Vec<ProcessStats>>,
+    warm: f64,
+) -> anyhow::Result<bool> {
+    let mut kept = true;
+    writeln!(
+        out,
+        "\n| process | MiB at first | MiB at last | KiB/min after {warm:.0} s | CPU % |"
+    )?;
+    writeln!(out, "| --- | --- | --- | --- | --- |")?;
+    for (name, _) in processes {
+        let all = samples.get(name).map(Vec::as_slice).unwrap_or_default();
+        let later = &all[all.partition_point(|sample| sample.at < warm)..];
+        let (Some(first), Some(last)) = (later.first(), later.last()) else { continue };
+        let points: Vec<_> = later.iter().map(|sample| (sample.at, sample.memory)).collect();
+        // In KiB a minute.
+        let growth = slope(&points) * 60.0;
+        let spent = (last.busy - first.busy) / (last.at - first.at);
+        writeln!(
+            out,
+            "| {name} | {:.1} | {:.1} | {growth:.1} | {:.1} |",
+            all.first().unwrap_or(first).memory / 1024.0,
+            last.memory / 1024.0,
+            spent * 100.0
+        )?;
+        if growth > MAX_GROWTH_KIB {
+            kept = false;
+            writeln!(out, "{name} grows faster than {MAX_GROWTH_KIB} KiB a minute")?;
+        }
+    }
+    Ok(kept)
+}
+
 #[tokio::main]
 async fn main() -> anyhow::Result<ExitCode> {
     let options = options()?;
@@ -184,32 +220,7 @@ async fn main() -> anyhow::Result<ExitCode> {
         }
     }
     let warm = (lasts * WARM_UP_SHARE).min(MAX_WARM_UP_S);
-    let mut kept = true;
-    writeln!(
-        out,
-        "\n| process | MiB at first | MiB at last | KiB/min after {warm:.0} s | CPU % |"
-    )?;
-    writeln!(out, "| --- | --- | --- | --- | --- |")?;
-    for (name, _) in &processes {
-        let all = samples.get(name).map(Vec::as_slice).unwrap_or_default();
-        let later = &all[all.partition_point(|sample| sample.at < warm)..];
-        let (Some(first), Some(last)) = (later.first(), later.last()) else { continue };
-        let points: Vec<_> = later.iter().map(|sample| (sample.at, sample.memory)).collect();
-        // In KiB a minute.
-        let growth = slope(&points) * 60.0;
-        let spent = (last.busy - first.busy) / (last.at - first.at);
-        writeln!(
-            out,
-            "| {name} | {:.1} | {:.1} | {growth:.1} | {:.1} |",
-            all.first().unwrap_or(first).memory / 1024.0,
-            last.memory / 1024.0,
-            spent * 100.0
-        )?;
-        if growth > MAX_GROWTH_KIB {
-            kept = false;
-            writeln!(out, "{name} grows faster than {MAX_GROWTH_KIB} KiB a minute")?;
-        }
-    }
+    let mut kept = write_processes(&mut out, &processes, &samples, warm)?;
     ages.sort_by(f64::total_cmp);
     writeln!(
         out,

@@ -69,20 +69,19 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// The mean of a number over all samples after the start; with `settled` without those within [`GRACE_S`] of
-    /// a change of the truth.
-    pub fn mean(&self, settled: bool, number: impl Fn(&Sample) -> f64) -> f64 {
-        let counts = |sample: &&Sample| {
+    /// The mean of a number over all samples after the start.
+    pub fn mean(&self, number: impl Fn(&Sample) -> f64) -> f64 {
+        mean_of(&self.series, |sample| sample.t >= START_TIME_S, number)
+    }
+
+    /// The same without the samples within [`GRACE_S`] of a change of the truth.
+    pub fn settled_mean(&self, number: impl Fn(&Sample) -> f64) -> f64 {
+        let is_settled = |sample: &Sample| {
             let just =
                 |change: &Following| (change.at..change.at + GRACE_S - 1e-9).contains(&sample.t);
-            sample.t >= START_TIME_S && !(settled && self.followings.iter().any(just))
+            sample.t >= START_TIME_S && !self.followings.iter().any(just)
         };
-        let (mut sum, mut count) = (0.0, 0.0_f64);
-        for sample in self.series.iter().filter(counts) {
-            sum += number(sample);
-            count += 1.0;
-        }
-        sum / count.max(1.0)
+        mean_of(&self.series, is_settled, number)
     }
 
     /// How often the dimension of the embedding changed after the start.
@@ -96,6 +95,15 @@ impl Outcome {
             .collect();
         after.windows(2).filter(|two| two[0] != two[1]).count()
     }
+}
+
+fn mean_of(
+    series: &[Sample],
+    counts: impl Fn(&Sample) -> bool,
+    number: impl Fn(&Sample) -> f64,
+) -> f64 {
+    let numbers: Vec<f64> = series.iter().filter(|s| counts(s)).map(number).collect();
+    numbers.iter().sum::<f64>() / (numbers.len() as f64).max(1.0)
 }
 
 /// Compares a mission's divisions with the truth.

@@ -57,7 +57,7 @@ pub fn moving(quick: bool, seeds: &[u64], progress: &Progress<'_>) -> anyhow::Re
 }
 
 fn settled(outcome: &Outcome) -> f64 {
-    outcome.mean(true, |sample| sample.accuracy)
+    outcome.settled_mean(|sample| sample.accuracy)
 }
 
 /// Seconds to follow a change and how often that was in time; nothing where nothing changes.
@@ -101,10 +101,10 @@ fn whole(page: &mut Page, all: &[Tried]) {
             tried.setup.case.to_string(),
             condition(&tried.setup),
             tried.outcomes.len().to_string(),
-            percent(&|outcome| outcome.mean(false, |sample| sample.accuracy)),
+            percent(&|outcome| outcome.mean(|sample| sample.accuracy)),
             percent(&settled),
-            percent(&|outcome| outcome.mean(true, |sample| sample.involved)),
-            Estimate::of(&tried.each(|outcome| outcome.mean(true, |sample| sample.rand))).plain(),
+            percent(&|outcome| outcome.settled_mean(|sample| sample.involved)),
+            Estimate::of(&tried.each(|outcome| outcome.settled_mean(|sample| sample.rand))).plain(),
             Estimate::of(&tried.each(|outcome| outcome.needless_rate)).plain(),
             following(tried, 0),
             following(tried, 1),
@@ -198,12 +198,12 @@ fn record(page: &mut Page, tried: &Tried) {
                 value,
             });
         };
-        let settled = |number: fn(&Sample) -> f64| outcome.mean(true, number);
-        add("accuracy", outcome.mean(false, |sample| sample.accuracy));
+        let settled = |number: fn(&Sample) -> f64| outcome.settled_mean(number);
+        add("accuracy", outcome.mean(|sample| sample.accuracy));
         add("settled accuracy", settled(|sample| sample.accuracy));
         add("settled accuracy of those involved", settled(|sample| sample.involved));
         add("settled adjusted rand index", settled(|sample| sample.rand));
-        add("silhouette", outcome.mean(false, |sample| sample.silhouette.unwrap_or(0.0)));
+        add("silhouette", outcome.mean(|sample| sample.silhouette.unwrap_or(0.0)));
         add("needless changes per robot and minute", outcome.needless_rate);
         add("changes of the dimension", outcome.dimension_changes() as f64);
         let names = ["first change followed after s", "way back followed after s"];
