@@ -1,4 +1,4 @@
-//! What the corpus has begun with: messages that are frozen in golden files, built-in settings, files
+//! The seeds of the corpus: messages that are frozen in golden files, built-in settings, files
 //! that the manual shows, and what the services publish of a simulated fleet.
 
 use std::path::Path;

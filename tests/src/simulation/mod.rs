@@ -1,7 +1,7 @@
 //! The whole fleet in one thread: the real hosts and cores of all services, robots, an operator and an
 //! attacker around a virtual router, with virtual clocks, and with the faults that a seed decides.
 //!
-//! A run has a *storm*, in which the faults of its [`plan`] happen, and a *quiet*, in which nothing
+//! A run has a *storm*, in which the faults of its [`mod@plan`] happen, and a *quiet*, in which nothing
 //! happens any more and all must come to agree. Messages cross links as the bytes that they are on the
 //! bus, through the real bounded inbox, and each service is the one host that the real shell runs. What
 //! is left to the simulation is the world around hosts: the network, disks, the time that jobs take, and

@@ -76,7 +76,7 @@ impl Mutant {
     }
 }
 
-/// How many epochs later a term is continued that another leader has begun: more than a run has.
+/// How many epochs later a term is continued that another leader began: more than a run has.
 const CONTINUED_EPOCHS: u64 = 1 << 20;
 
 /// Makes the faults of a mutant.

@@ -61,7 +61,7 @@ pub(crate) struct Process {
 pub(crate) struct UnansweredGet {
     /// The get as the bus knows it.
     pub(crate) bus_get: BusGetId,
-    /// How many stores had begun once the host had taken the get; none if it has not.
+    /// How many stores had started when the host took the get; none if it has not.
     pub(crate) stores_before: Option<u64>,
 }
 

@@ -243,7 +243,7 @@ async fn schema_and_ingest_accept_the_same_reports() {
     let cluster = Cluster::start("alpha", &[("ingest", "modalities=[\"thermal\"]")]).unwrap();
     let client = cluster.client().await.unwrap();
     let document = answered(&client, "schema").await;
-    // Before its term has begun it refuses in silence.
+    // Before its term begins it refuses without an event.
     let start = Instant::now();
     while answered(&client, "service/ingest/status").await["revision"]["term"] == 0 {
         assert!(start.elapsed() < FORMED_WITHIN, "ingest begins no term");

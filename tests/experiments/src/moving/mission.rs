@@ -92,7 +92,7 @@ impl fmt::Display for Case {
 /// How robots form teams.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Act {
-    /// Everybody is in his own.
+    /// Every robot is in its own team.
     Together,
     /// A part of a team is a team of its own.
     Split,

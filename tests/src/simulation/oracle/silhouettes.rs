@@ -109,7 +109,7 @@ fn distance(left: &[f64], right: &[f64]) -> f64 {
 }
 
 /// (b − a) / max(a, b) of each point: a is the mean distance to the others of its team, b the least
-/// mean distance to another team. Whoever is alone in a team has 0. None with fewer than two teams.
+/// mean distance to another team. A robot alone in its team has 0. None with fewer than two teams.
 fn scores(points: &[Point<'_>]) -> Option<Vec<f64>> {
     let mut teams: Vec<_> = points.iter().map(|point| point.1).collect();
     teams.sort();
