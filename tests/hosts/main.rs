@@ -1,7 +1,7 @@
 //! Faults of hosts and links: what the users of a fleet on three hosts see of each.
 //!
 //! They need root, and a kernel with network namespaces, virtual links and bridges. Where one of
-//! these is missing they say so on standard error and test nothing; whatever else is wrong fails them.
+//! these is missing they report that on standard error and test nothing; anything else that is wrong fails them.
 
 #![allow(
     clippy::unwrap_used,
@@ -18,7 +18,7 @@ use muster_tests::hosts::fault::{FAULTS, Fault};
 use muster_tests::hosts::lab::{self, Host, Lab};
 use muster_tests::hosts::run_plan;
 
-/// Says something past the test harness, which keeps back what a good test prints.
+/// Prints past the test harness, which hides what a passing test prints.
 #[allow(clippy::explicit_write, reason = "what eprintln prints is kept back")]
 fn say(text: &str) {
     writeln!(std::io::stderr(), "{text}").unwrap();
@@ -85,13 +85,13 @@ fn hosts_are_gone_when_a_test_panics_and_after_one_was_killed() {
         say(&format!("NOT TESTED: hosts are removed: {missing}"));
         return;
     }
-    let (told, heard) = std::sync::mpsc::channel();
+    let (sender, receiver) = std::sync::mpsc::channel();
     let failing = std::thread::spawn(move || {
         let lab = Lab::new().unwrap();
-        told.send(lab.namespace(Host::Base)).unwrap();
+        sender.send(lab.namespace(Host::Base)).unwrap();
         panic!("as a test that fails");
     });
-    let name = heard.recv().unwrap();
+    let name = receiver.recv().unwrap();
     assert!(failing.join().is_err());
     assert!(!namespaces().contains(&name), "{name} is left behind");
 

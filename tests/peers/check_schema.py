@@ -1,4 +1,4 @@
-"""Judges messages by their JSON Schema with a validator that is not Muster's.
+"""Validates messages by their JSON Schema with a validator that is not Muster's.
 
 Standard input is one JSON object: `document`, the schema of all messages, `alone`, schemas that stand
 by themselves, and `cases`, pairs of the name of a message and its text. Standard output is one array:
@@ -16,7 +16,7 @@ def refuse_constant(name):
     raise ValueError(f"{name} is no JSON")
 
 
-def verdict(validators, name, text):
+def problem(validators, name, text):
     try:
         message = json.loads(text, parse_constant=refuse_constant)
     except ValueError as error:
@@ -34,7 +34,7 @@ def main():
     validators = {
         name: Draft202012Validator({**document, "$ref": f"#/$defs/{name}"}) for name in names
     }
-    json.dump([verdict(validators, name, text) for name, text in task["cases"]], sys.stdout)
+    json.dump([problem(validators, name, text) for name, text in task["cases"]], sys.stdout)
 
 
 main()

@@ -1,4 +1,4 @@
-//! The rules of the house that a compiler does not check: who may depend on whom.
+//! The rules that a compiler does not check: which crate may depend on which.
 
 #![allow(
     clippy::unwrap_used,
@@ -139,7 +139,7 @@ fn the_console_talks_to_a_fleet_through_the_client_alone() {
             continue;
         }
         for what in BUS {
-            assert!(!text.contains(what), "{name} speaks of {what}");
+            assert!(!text.contains(what), "{name} names {what}");
         }
     }
     assert_eq!(exempt, WITH_A_BUS.len(), "each exemption is needed");
@@ -173,7 +173,7 @@ fn each_foreign_crate_is_spoken_to_in_one_place() {
     {
         for folder in ["services", "shared"] {
             for (name, text) in sources(&root.join(folder), place) {
-                assert!(!text.contains(what), "{name} speaks to {what}");
+                assert!(!text.contains(what), "{name} uses {what}");
             }
         }
     }

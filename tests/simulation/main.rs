@@ -79,7 +79,7 @@ fn every_promise_holds_for_three_hundred_seeds() {
     }
     let total = &summary.total;
     assert!(total.lost > 0 && total.repeated > 0 && total.mixed > 0 && total.panics > 0);
-    // Rules that never had anything to judge would prove nothing either.
+    // Rules that never had anything to check would prove nothing either.
     assert!(total.takeovers > 0 && total.joined > SEEDS, "{}", summary.text());
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }

@@ -1,4 +1,4 @@
-//! A robot or dashboard that somebody else wrote: plain Zenoh and JSON.
+//! A robot or dashboard without the client crate: plain Zenoh and JSON.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -94,8 +94,8 @@ impl Client {
         Self::open(client_of(endpoint, "10000")?, fleet).await
     }
 
-    /// Connects to a router for many robots at once. What they say together waits longer for a busy link than
-    /// Zenoh lets the words of one wait, as long as `muster-client` does.
+    /// Connects to a router for many robots at once. Their messages wait longer for a busy link than by Zenoh's
+    /// default, as long as those of `muster-client`.
     ///
     /// # Errors
     /// If the router does not answer.
@@ -115,10 +115,10 @@ impl Client {
         Self::open(client_of(endpoint, "-1")?, fleet).await
     }
 
-    /// Connects as a configuration of Zenoh says.
+    /// Connects by a configuration of Zenoh.
     ///
     /// # Errors
-    /// If no router takes it in.
+    /// If no router admits it.
     pub async fn open(config: zenoh::Config, fleet: &str) -> anyhow::Result<Self> {
         let session = zenoh::open(config).await.map_err(fail)?;
         Ok(Self { session, prefix: format!("muster/v1/{fleet}/") })
@@ -155,7 +155,7 @@ impl Client {
         encoding: &str,
     ) -> anyhow::Result<()> {
         let put = self.session.put(self.key(tail), bytes).encoding(Encoding::from(encoding));
-        // A test asks what becomes of a message; one that the link drops would say nothing.
+        // A message that the link drops would test nothing.
         put.congestion_control(CongestionControl::Block).await.map_err(fail)
     }
 
@@ -197,7 +197,28 @@ impl Client {
         answers(get.await.map_err(fail)?, &self.prefix).await
     }
 
-    /// Gets JSON from everybody who answers, also where one answer would suffice.
+    /// Gets a key until its first good answer is right, and returns that.
+    ///
+    /// # Errors
+    /// If there is none in time; the text holds what was answered last.
+    pub async fn until(
+        &self,
+        tail: &str,
+        within: Duration,
+        right: impl Fn(&Value) -> bool,
+    ) -> anyhow::Result<Value> {
+        let start = Instant::now();
+        loop {
+            let answer = self.get_one(tail).await;
+            if answer.as_ref().is_ok_and(&right) {
+                return answer;
+            }
+            anyhow::ensure!(start.elapsed() < within, "{tail}, not within {within:?}: {answer:?}");
+            sleep(LOOK_EVERY).await;
+        }
+    }
+
+    /// Gets JSON from all that answer, also where one answer would suffice.
     ///
     /// # Errors
     /// If the session is closed.

@@ -46,15 +46,7 @@ pub fn free_endpoint() -> anyhow::Result<String> {
 /// If it does not start to listen in time.
 pub fn start_router(endpoint: &str, folder: &Path) -> anyhow::Result<Process> {
     let mut router = Process::start("muster", &["router", "--listen", endpoint], &[], folder)?;
-    let start = std::time::Instant::now();
-    while !router.output().contains("router listens at") {
-        anyhow::ensure!(
-            router.is_running()? && start.elapsed() < ROUTER_WITHIN,
-            "the router does not listen:\n{}",
-            router.output()
-        );
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    router.until_prints("router listens at", ROUTER_WITHIN)?;
     Ok(router)
 }
 

@@ -1,10 +1,10 @@
 //! Two ways to look at Muster from outside.
 //!
-//! Whole processes: [`client`] speaks plain Zenoh and JSON, as a robot or dashboard in another language
-//! would, with nothing of Muster's own code between a test and the bus; [`process`] starts, kills and
+//! Whole processes: [`client`] uses plain Zenoh and JSON, as a robot or dashboard in another language
+//! would, without Muster's own code between a test and the bus; [`process`] starts, kills and
 //! stops programs; [`cluster`] is a router with the four services, each of which can be killed alone;
-//! [`hosts`] puts them on three hosts and breaks the links between; [`manager`] is what a service
-//! manager learns of them; [`process_stats`] is what they take; [`latency`] measures the way from a pose
+//! [`hosts`] puts them on three hosts and breaks the links between; [`manager`] is what they report
+//! to a service manager; [`process_stats`] is what they take; [`latency`] measures the way from a pose
 //! to a team.
 //!
 //! And the [`simulation`]: the cores of all services in one thread, on a virtual bus, with seeded

@@ -17,17 +17,17 @@ pub struct Process {
     log: PathBuf,
 }
 
-/// The path of a program of this workspace, as built beside the tests.
+/// The path of a program of this workspace, as built with the tests.
 ///
 /// # Errors
 /// If it is not built; the text names the remedy.
 pub fn program(name: &str) -> anyhow::Result<PathBuf> {
     let this = std::env::current_exe()?;
-    // Tests stand in a folder below the programs, programs of the tests beside them.
-    let beside = this.parent().context("the tests stand in no target folder")?;
-    let path = match beside.parent() {
-        Some(above) if beside.ends_with("deps") => above.join(name),
-        _ => beside.join(name),
+    // Tests are in a folder below the programs; programs of the tests are among the programs.
+    let folder = this.parent().context("the test is in no target folder")?;
+    let path = match folder.parent() {
+        Some(above) if folder.ends_with("deps") => above.join(name),
+        _ => folder.join(name),
     };
     ensure!(path.exists(), "{} is not built; run `cargo build --workspace` first", path.display());
     Ok(path)
@@ -67,7 +67,7 @@ impl Process {
         Self::start_at(&program(program_name)?, program_name, arguments, environment, folder)
     }
 
-    /// Starts a program that stands anywhere, under a name.
+    /// Starts a program at a path, under a name.
     ///
     /// # Errors
     /// If it does not start.
@@ -116,6 +116,20 @@ impl Process {
     #[must_use]
     pub fn output(&self) -> String {
         std::fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
+    /// Waits until it has printed a text.
+    ///
+    /// # Errors
+    /// If it has ended, or has not printed it in time; the text holds what it has printed.
+    pub fn until_prints(&mut self, text: &str, within: Duration) -> anyhow::Result<()> {
+        let start = Instant::now();
+        while !self.output().contains(text) {
+            let is_waiting = self.is_running()? && start.elapsed() < within;
+            ensure!(is_waiting, "{} has not printed {text:?}:\n{}", self.name, self.output());
+            std::thread::sleep(LOOK_EVERY);
+        }
+        Ok(())
     }
 
     /// Ends it at once, as a crash would.

@@ -29,7 +29,7 @@ pub fn process_stats(process: u32, at: f64) -> anyhow::Result<ProcessStats> {
         .and_then(|number| number.parse().ok())
         .context("a process has no memory; has it ended?")?;
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat"))?;
-    // The name of the program stands in brackets and may hold blanks.
+    // The name of the program is in brackets and may contain blanks.
     let fields = stat.rsplit_once(") ").map_or("", |(_, rest)| rest).split(' ');
     let ticks: f64 = fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum();
     Ok(ProcessStats { at, memory, busy: ticks / TICKS_HZ })

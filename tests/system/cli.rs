@@ -66,11 +66,7 @@ async fn the_console_shows_the_live_fleet() {
         ["teams", "--watch", "--json", "--fleet", "alpha", "--connect", &cluster.endpoint];
     let mut watch = Process::start("muster", &arguments, &[], cluster.folder()).unwrap();
     client.get("service/clusterer/settings", Some(&serde_json::json!({"teams": 4}))).await.unwrap();
-    let start = Instant::now();
-    while !watch.output().lines().any(|line| line.contains("\"t4\"")) {
-        assert!(start.elapsed() < SOON, "{}", watch.output());
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    watch.until_prints("\"t4\"", SOON).unwrap();
     watch.signal("INT").unwrap();
     assert_eq!(watch.wait(Duration::from_secs(5)).unwrap().code(), Some(0));
 }
@@ -112,7 +108,7 @@ async fn a_watch_follows_services_that_restarted_with_lower_terms() {
     let folder = tempfile::tempdir().unwrap();
     let mut router = start_router(&endpoint, folder.path()).unwrap();
     let arguments = ["teams", "--watch", "--fleet", "alpha", "--connect", &endpoint];
-    let watch = Process::start("muster", &arguments, &[], folder.path()).unwrap();
+    let mut watch = Process::start("muster", &arguments, &[], folder.path()).unwrap();
     let client = Client::connect(&endpoint, "alpha").await.unwrap();
     // The outputs of a clusterer, without one.
     let shown_within = async |term: u64, team: u64, limit: Duration| {
@@ -130,17 +126,10 @@ async fn a_watch_follows_services_that_restarted_with_lower_terms() {
     let took = shown_within(1, 1, FOLLOWED_WITHIN + SOON).await;
     eprintln!("followed after {took:?}");
     assert!(took > Duration::from_secs(5), "the newest division was fresh: {took:?}");
-    let printed = async |words: &str| {
-        let start = Instant::now();
-        while !watch.output().contains(words) {
-            assert!(start.elapsed() < SOON, "{words}: {}", watch.output());
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
-    };
-    printed("clusterer is silent").await;
-    printed("clusterer started again with lower terms").await;
+    watch.until_prints("clusterer is silent", SOON).unwrap();
+    watch.until_prints("clusterer started again with lower terms", SOON).unwrap();
     router.kill().unwrap();
-    printed("the link to the router is lost").await;
+    watch.until_prints("the link to the router is lost", SOON).unwrap();
     assert!(!watch.output().contains('\u{1b}'), "no escape codes in a pipe: {}", watch.output());
 }
 

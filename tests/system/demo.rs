@@ -1,7 +1,7 @@
 //! The demo: one command, everything real.
 
 use std::collections::BTreeSet;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use muster_tests::cluster::free_endpoint;
 use muster_tests::process::{Process, run};
@@ -57,11 +57,7 @@ fn the_demo_ends_on_a_signal_and_can_be_looked_at_meanwhile() {
     let endpoint = free_endpoint().unwrap();
     let arguments = ["demo", "--listen", &endpoint];
     let mut demo = Process::start("muster", &arguments, &[], folder.path()).unwrap();
-    let start = Instant::now();
-    while !demo.output().contains("t2") {
-        assert!(start.elapsed() < Duration::from_secs(20), "{}", demo.output());
-        std::thread::sleep(Duration::from_millis(100));
-    }
+    demo.until_prints("t2", Duration::from_secs(20)).unwrap();
     let teams = ["teams", "--json", "--connect", &endpoint];
     let (code, out, err) = run("muster", &teams, Duration::from_secs(10)).unwrap();
     assert_eq!(code, Some(0), "{err}");

@@ -1,4 +1,4 @@
-//! What stands in `deploy/` fits the programs: files are accepted, command lines are understood, and
+//! The files in `deploy/` fit the programs: files are accepted, command lines are understood, and
 //! service managers find nothing to complain of.
 
 use std::collections::BTreeSet;
@@ -14,7 +14,7 @@ const SOON: Duration = Duration::from_secs(20);
 
 /// Highest exposure that `systemd-analyze security` may see, in tenths: 10.0 is a process of root
 /// without any restriction.
-const EXPOSURE: &str = "20";
+const MAX_EXPOSURE_TENTHS: &str = "20";
 
 fn deploy() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy").canonicalize().unwrap()
@@ -41,14 +41,14 @@ fn the_configuration_of_each_service_is_the_built_in_one() {
         assert_eq!(code, Some(0), "{service}: {err}");
         let built_in = values(&name, &["--print-config"]);
         assert_eq!(values(&name, &["--print-config", "--config", path]), built_in, "{service}");
-        // Every setting of the service stands in its file, with a value or commented out.
+        // Every setting of the service is in its file, with a value or commented out.
         let text = std::fs::read_to_string(path).unwrap();
         let (code, out, _) = run("muster", &["deploy", "config", service], SOON).unwrap();
         assert_eq!((code, out.as_str()), (Some(0), text.as_str()));
         for value in built_in.iter().filter(|value| !value.starts_with(['[', '#'])) {
             let name = value.split(" = ").next().unwrap();
             let last = name.rsplit('.').next().unwrap();
-            assert!(text.contains(&format!("{last} = ")), "{service}: {name} is not told of");
+            assert!(text.contains(&format!("{last} = ")), "{service}: {name} is missing");
         }
     }
 }
@@ -91,7 +91,7 @@ fn systemd_finds_nothing_to_complain_of() {
             .filter(|line| !line.contains("RestartSteps") && !line.contains("RestartMaxDelaySec"))
             .collect();
         assert!(good && complaints.is_empty(), "{}: {complaints:?}", unit.display());
-        let threshold = format!("--threshold={EXPOSURE}");
+        let threshold = format!("--threshold={MAX_EXPOSURE_TENTHS}");
         let (good, text) = systemd_analyze(&["security", "--offline=true", &threshold], unit);
         assert!(good, "{}", text.lines().last().unwrap_or_default());
     }
@@ -101,7 +101,7 @@ fn systemd_finds_nothing_to_complain_of() {
     std::fs::write(&bad, text.replace("/muster router", "/no-such-program router")).unwrap();
     assert!(!systemd_analyze(&["verify"], &bad).0);
     std::fs::write(&bad, "[Service]\nExecStart=/bin/true\n").unwrap();
-    let threshold = format!("--threshold={EXPOSURE}");
+    let threshold = format!("--threshold={MAX_EXPOSURE_TENTHS}");
     assert!(!systemd_analyze(&["security", "--offline=true", &threshold], &bad).0);
 }
 
@@ -188,7 +188,7 @@ fn the_containers_run_what_is_built() {
 }
 
 #[test]
-fn the_image_is_small_pinned_and_nobody_s() {
+fn the_image_is_small_pinned_and_not_root_s() {
     let file = read("Containerfile");
     let lines: Vec<&str> = file.lines().map(str::trim).collect();
     let arguments: Vec<_> = lines.iter().filter_map(|line| line.strip_prefix("ARG ")).collect();

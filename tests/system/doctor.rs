@@ -131,7 +131,7 @@ fn no_router_is_reported_with_what_answers_instead() {
     let missing = report["findings"].as_array().unwrap();
     assert_eq!(missing.len(), 4, "{report}");
     assert!(missing.iter().all(|finding| finding["id"] == "service_missing"));
-    // One of two routers is enough; the other is reported as missing all the same.
+    // One of two routers is enough; the other is still reported as missing.
     let gone = free_endpoint().unwrap();
     let (code, report) = look(&format!("{gone},{free}"), "alpha", "1");
     assert_eq!(code, 1);
@@ -302,7 +302,7 @@ async fn faults_of_robots_are_found_and_gone_again() {
     let report = until_found(&cluster, "robots_elsewhere", "muster/v1/alpha/");
     assert_eq!(report["other_fleets"], json!([{"fleet": "alhpa", "services": 0, "robots": 1}]));
     lost.undeclare().await.unwrap();
-    let everybody = robots(&cluster);
+    let fleet = robots(&cluster);
     until_well(&cluster);
 
     // A token and nothing else: known, and nowhere.
@@ -351,7 +351,7 @@ async fn faults_of_robots_are_found_and_gone_again() {
     speech.abort();
     token.undeclare().await.unwrap();
     until_well(&cluster);
-    drop(everybody);
+    drop(fleet);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -408,15 +408,15 @@ async fn a_router_that_denies_or_has_a_long_lease_is_reported() {
 
     let keys = ["muster/v1/alpha/service/*/status"];
     let mut router = router_with(&cluster, &denying(&["query"], &keys));
-    const SILENT: &str = "denials of access control are silent";
-    until_found_when(&cluster, "service_silent", SILENT, |report| {
+    const SILENT_DENIALS: &str = "denials of access control are silent";
+    until_found_when(&cluster, "service_silent", SILENT_DENIALS, |report| {
         found(report, "service_missing").is_none()
             && subjects(found(report, "service_silent").unwrap()).len() == SERVICES.len()
     });
     router.kill().unwrap();
 
     let mut router = router_with(&cluster, &denying(&["query"], &["muster/v1/alpha/roster"]));
-    until_found_when(&cluster, "access_denied", SILENT, |report| {
+    until_found_when(&cluster, "access_denied", SILENT_DENIALS, |report| {
         subjects(found(report, "access_denied").unwrap()) == BTreeSet::from(["roster"])
     });
     router.kill().unwrap();

@@ -1,4 +1,4 @@
-//! The documents say what the programs do: links lead somewhere, lists are complete, defaults are true.
+//! The documents are true of the programs: links lead somewhere, lists are complete, defaults are true.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -51,7 +51,7 @@ fn documents(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// The names of the headings of a document, as they stand in links.
+/// The names of the headings of a document, as links have them.
 fn anchors(text: &str) -> BTreeSet<String> {
     let headings = text.lines().filter(|line| line.starts_with('#'));
     let anchor = |line: &str| -> String {
@@ -113,7 +113,7 @@ fn the_demo_prints_the_teams_that_the_readme_shows() {
     }
 }
 
-/// The rows of the table behind a marker, or the first one behind it: each as its cells.
+/// The rows of the first table after a marker: each as its cells.
 fn rows(document: &str, marker: &str) -> Vec<Vec<String>> {
     let text = read(document);
     let (_, text) = text.split_once(marker).expect(marker);
@@ -127,7 +127,7 @@ fn rows(document: &str, marker: &str) -> Vec<Vec<String>> {
         .collect()
 }
 
-/// What stands between backticks.
+/// The texts between backticks.
 fn quoted(cell: &str) -> Vec<String> {
     cell.split('`').skip(1).step_by(2).map(str::to_owned).collect()
 }
@@ -260,8 +260,8 @@ fn the_format_of_solve_is_complete_and_its_defaults_are_true() {
             let keys = |value: &Value| value.as_object().unwrap().len();
             assert_eq!(keys(&silent) + 2, keys(&plain), "nothing is added by default");
         } else {
-            let told = solved(&with(fleet(), &key, default)).unwrap();
-            assert_eq!(told, plain, "{key} has another default");
+            let explicit = solved(&with(fleet(), &key, default)).unwrap();
+            assert_eq!(explicit, plain, "{key} has another default");
         }
         compared.insert(key);
     }

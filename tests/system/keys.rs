@@ -1,4 +1,4 @@
-//! The bus itself agrees with what is said of the keys.
+//! The bus itself agrees with the rules of keys.
 
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::observation::Stream;

@@ -18,7 +18,7 @@ use crate::pipeline::FORMED_WITHIN;
 /// The document with the programs for robots and consoles.
 const CLIENT: &str = "shared/client/README.md";
 
-/// The text of the fenced block behind a marker, all blocks of that marker in the document in order.
+/// The text of the fenced block after a marker, all blocks of that marker in the document in order.
 pub(crate) fn blocks(document: &str, marker: &str) -> Vec<String> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(document);
     let text = std::fs::read_to_string(&path).expect(document);
@@ -108,7 +108,7 @@ async fn the_robot_and_the_dashboard_of_the_document_work_as_they_stand() {
         let wanted = format!("{name} is in team {}, led by {leader}: {members}", team(name));
         printed(&mut robots[robot], &wanted, |line| line == wanted).await;
     }
-    // The teams are numbered, and stand in this order.
+    // The teams are numbered, in this order.
     let mut wanted = [format!("{}: r1 r2", team("r1")), format!("{}: s1 s2", team("s1"))];
     wanted.sort();
     let wanted = format!("teams  {}", wanted.join("  "));
@@ -136,7 +136,7 @@ async fn the_robot_and_the_dashboard_of_the_document_work_as_they_stand() {
     // Nothing that the programs put was refused.
     assert!(!dashboard.output().contains("quarantined"), "{}", dashboard.output());
 
-    // Neither goes back to an older message, whoever repeats it.
+    // Neither goes back to an older message, whatever repeats it.
     let old = json!({"fleet": "alpha", "term": 0, "epoch": 1, "data_age_s": null, "stages": []});
     let with = |more: Value| {
         let mut message = old.clone();
@@ -213,11 +213,7 @@ async fn python_programs_follow_services_that_restarted_with_lower_terms() {
 async fn the_check_of_the_document_accepts_what_is_right_and_names_what_is_wrong() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let client = cluster.client().await.unwrap();
-    let start = Instant::now();
-    while client.get_one("schema").await.is_err() {
-        assert!(start.elapsed() < FORMED_WITHIN, "no reply with the schema");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    client.until("schema", FORMED_WITHIN, |_| true).await.unwrap();
     let path = written("check.py", cluster.folder());
     let check = |name: &str, message: &str| {
         use std::io::Write as _;

@@ -1,4 +1,4 @@
-//! The measurement of latency measures what it says, on a fleet that is small enough for any machine.
+//! The measurement of latency is right, on a fleet that is small enough for any machine.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ async fn every_pose_is_followed_to_a_division() {
         settings: vec![("ingest".to_owned(), "tick_hz=20".to_owned())],
     };
     let measured = run_plan::run(&plan, |_| {}).await.unwrap();
-    // Other tests run beside this one: bounds are generous where time is measured.
+    // Other tests run at the same time: bounds on time are generous.
     assert!((200..=540).contains(&measured.poses), "{} poses in 4 s", measured.poses);
     let ways = &measured.ways;
     assert_eq!(ways.whole.len() + ways.missing, measured.poses);

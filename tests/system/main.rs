@@ -9,6 +9,7 @@
 
 mod cli;
 mod client;
+mod conformance;
 mod demo;
 mod deploy;
 mod doctor;
@@ -26,7 +27,5 @@ mod record;
 mod restarts;
 mod schema;
 mod secured;
-mod secured_client;
 mod settings;
 mod standby;
-mod verdicts;

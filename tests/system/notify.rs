@@ -1,4 +1,4 @@
-//! What a service manager hears of the programs, and when it would start them anew.
+//! What the programs report to a service manager, and when it would restart them.
 
 use std::time::Duration;
 
@@ -8,15 +8,14 @@ use muster_tests::process::Process;
 
 const SOON: Duration = Duration::from_secs(20);
 
-/// Within which the manager wants to hear that the loop turns.
+/// Within which the manager wants a notice that the loop runs.
 const WATCHDOG: Duration = Duration::from_secs(2);
 
-/// How long the watchdog is looked at: the loop says four times per deadline that it turns, and on a
-/// busy machine at least once.
-const LOOK: Duration = Duration::from_secs(4);
+/// How long watchdog notices are counted: the loop sends four per deadline, and on a busy machine at least one.
+const COUNTING_TIME: Duration = Duration::from_secs(4);
 
-/// Fewest meals in that time that keep a manager from starting the program anew.
-const ENOUGH: usize = 2;
+/// Fewest notices in that time with which a manager does not restart the program.
+const MIN_NOTICES: usize = 2;
 
 fn start(manager: &Manager, name: &str, arguments: &[&str], folder: &std::path::Path) -> Process {
     let environment = manager.environment(WATCHDOG);
@@ -33,16 +32,16 @@ fn a_service_is_ready_and_fed_through_outages_of_its_router() {
     let arguments = ["--connect", &endpoint, "--state-directory", "none"];
     let mut service = start(&manager, "muster-clusterer", &arguments, folder.path());
 
-    // No router: it has started all the same, says what it waits for, and is not started anew.
+    // Without a router it has started all the same, reports what it waits for, and is not restarted.
     manager.until("READY=1", SOON).unwrap();
     manager.until(&format!("STATUS=waiting for a router at {endpoint}"), SOON).unwrap();
-    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.received);
+    assert!(manager.fed_in(COUNTING_TIME) >= MIN_NOTICES, "{:?}", manager.received);
     let router = start_router(&endpoint, folder.path()).unwrap();
     manager.until("STATUS=clusterer serves fleet default", SOON).unwrap();
-    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.received);
+    assert!(manager.fed_in(COUNTING_TIME) >= MIN_NOTICES, "{:?}", manager.received);
     drop(router);
     manager.until("STATUS=the link to the router is lost", SOON).unwrap();
-    assert!(manager.fed_in(LOOK) >= ENOUGH, "{:?}", manager.received);
+    assert!(manager.fed_in(COUNTING_TIME) >= MIN_NOTICES, "{:?}", manager.received);
     manager.received.clear();
     let _router = start_router(&endpoint, folder.path()).unwrap();
     manager.until("STATUS=clusterer serves fleet default", SOON).unwrap();
@@ -54,7 +53,7 @@ fn a_service_is_ready_and_fed_through_outages_of_its_router() {
 }
 
 #[test]
-fn every_program_tells_that_it_is_ready_and_that_it_stops() {
+fn every_program_reports_that_it_is_ready_and_that_it_stops() {
     let folder = tempfile::tempdir().unwrap();
     let endpoint = free_endpoint().unwrap();
     let of_router = tempfile::tempdir().unwrap();
@@ -63,7 +62,7 @@ fn every_program_tells_that_it_is_ready_and_that_it_stops() {
     let mut router = start(&router_manager, "muster", &arguments, folder.path());
     router_manager.until("READY=1", SOON).unwrap();
     router_manager.until("STATUS=router listens at", SOON).unwrap();
-    assert!(router_manager.fed_in(LOOK) >= ENOUGH, "{:?}", router_manager.received);
+    assert!(router_manager.fed_in(COUNTING_TIME) >= MIN_NOTICES, "{:?}", router_manager.received);
 
     let mut programs: Vec<_> =
         SERVICES.iter().map(|service| (format!("muster-{service}"), vec![])).collect();
@@ -76,7 +75,7 @@ fn every_program_tells_that_it_is_ready_and_that_it_stops() {
         let mut process = start(&manager, &program, &arguments, folder.path());
         manager.until("READY=1", SOON).unwrap();
         manager.until("serves fleet default", SOON).unwrap();
-        assert!(manager.fed_in(LOOK) >= ENOUGH, "{program}: {:?}", manager.received);
+        assert!(manager.fed_in(COUNTING_TIME) >= MIN_NOTICES, "{program}: {:?}", manager.received);
         process.signal("TERM").unwrap();
         manager.until("STOPPING=1", SOON).unwrap();
         assert_eq!(process.wait(Duration::from_secs(5)).unwrap().code(), Some(0));

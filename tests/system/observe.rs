@@ -19,7 +19,7 @@ fn free_address() -> String {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
 }
 
-/// The status and the body that a path is answered with; nothing while nobody listens.
+/// The status and the body that a path is answered with; none while the port is closed.
 fn get(address: &str, path: &str) -> Option<(u16, String)> {
     let mut stream = TcpStream::connect(address).ok()?;
     stream.set_read_timeout(Some(Duration::from_secs(5))).ok()?;
@@ -153,17 +153,17 @@ fn an_instance_that_stands_by_is_ready() {
         let arguments = ["--connect", &endpoint, "--http", address, "--state-directory", "none"];
         Process::start("muster-ingest", &arguments, &[], folder.path()).unwrap()
     };
-    let stands = |address: &str, as_what: &str| {
-        let standing = format!("\"standing\":\"{as_what}\"");
+    let is_ready = |address: &str, state: &str| {
+        let standing = format!("\"standing\":\"{state}\"");
         get(address, "/readyz").is_some_and(|(code, body)| code == 200 && body.contains(&standing))
     };
     let (first, second) = (free_address(), free_address());
-    let mut holder = start(&first);
-    until("the first one leads", || stands(&first, "holding"));
+    let mut leader = start(&first);
+    until("the first one leads", || is_ready(&first, "holding"));
     let _standby = start(&second);
-    until("the second one is a standby", || stands(&second, "standby"));
-    holder.kill().unwrap();
-    until("the second one takes over", || stands(&second, "holding"));
+    until("the second one is a standby", || is_ready(&second, "standby"));
+    leader.kill().unwrap();
+    until("the second one takes over", || is_ready(&second, "holding"));
 }
 
 #[test]
@@ -293,7 +293,7 @@ fn the_metrics_are_those_that_are_promised() {
 }
 
 #[test]
-fn the_port_is_off_by_default_and_a_taken_one_is_told() {
+fn the_port_is_off_by_default_and_a_taken_one_is_reported() {
     let (code, printed, _) = run("muster-ingest", &["--print-config"], SOON).unwrap();
     assert_eq!(code, Some(0));
     assert!(printed.contains("# http is not set  # default"), "{printed}");
@@ -339,7 +339,7 @@ fn logs_name_service_instance_and_fleet_and_follow_its_life() {
     let text = |line: &Value| line["fields"]["message"].as_str().unwrap_or_default().to_owned();
     for (step, at_most) in [
         ("ingest serves fleet alpha", 1),
-        // Once more when a holder that was cut off is certain again.
+        // Once more when a suspect leader leads again.
         ("ingest leads", 2),
         ("the link to the router is lost", 1),
         ("the link to the router is back", 1),

@@ -1,5 +1,5 @@
 //! Two sites with a router and all services each, whose link breaks for longer than any lease: each
-//! side goes on with a holder of its own, and afterwards there is one again and the same teams.
+//! side continues with a leader of its own, and afterwards there is one again and the same teams.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,11 +14,11 @@ use tokio::sync::watch;
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
 
-/// How long the sites are apart: longer than the lease and the turn of a standby, shorter than robots
-/// of the other site are kept for, so that both sides still know the whole fleet.
-const APART: Duration = Duration::from_secs(7);
+/// How long the sites are apart: longer than a lease and a takeover, shorter than silent robots are kept, so that
+/// both sides still know the whole fleet.
+const PARTITION_TIME: Duration = Duration::from_secs(7);
 
-/// How soon one side has given way once the sites see each other.
+/// How soon one leader is left once the sites are connected.
 const AGREED_WITHIN: Duration = Duration::from_secs(10);
 
 const FORMED_WITHIN: Duration = Duration::from_secs(20);
@@ -58,7 +58,7 @@ impl Wire {
         self.whole.send_replace(false);
     }
 
-    fn mend(&self) {
+    fn restore(&self) {
         self.whole.send_replace(true);
     }
 }
@@ -101,31 +101,31 @@ impl Site {
     }
 }
 
-/// How many instances of each service hold its role, and how many there are, seen from a site.
-async fn holders(client: &Client) -> Vec<(usize, usize)> {
+/// How many instances of each service lead, and how many there are, seen from a site.
+async fn leaders(client: &Client) -> Vec<(usize, usize)> {
     let mut counts = Vec::new();
     for service in SERVICES {
         let statuses = client.get_from_all(&format!("service/{service}/status")).await.unwrap();
-        let holding = statuses.iter().filter(|status| status["standing"] == "holding").count();
-        counts.push((holding, statuses.len()));
+        let leading = statuses.iter().filter(|status| status["standing"] == "holding").count();
+        counts.push((leading, statuses.len()));
     }
     counts
 }
 
-/// Waits until one of so many instances holds each role; how long that took.
-async fn until_held_once(client: &Client, of: usize, within: Duration, when: &str) -> Duration {
+/// Waits until one of so many instances of each service leads; how long that took.
+async fn until_one_leads(client: &Client, of: usize, within: Duration, when: &str) -> Duration {
     let start = Instant::now();
     loop {
-        let found = holders(client).await;
+        let found = leaders(client).await;
         if found == [(1, of); 4] {
             return start.elapsed();
         }
-        assert!(start.elapsed() < within, "{when}: {found:?} hold the roles");
+        assert!(start.elapsed() < within, "{when}: {found:?} lead");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
 }
 
-/// The divisions that a reader has seen who drops what is older than the last, as all readers do.
+/// The divisions that a reader accepts: none older than the last.
 fn seen(watch: &Watch) -> Vec<Division> {
     let mut newest = (0, 0);
     let in_order = watch.all().into_iter().filter(|(_, value)| {
@@ -147,7 +147,7 @@ async fn both_sides_of_a_partition_go_on_and_agree_afterwards() {
     let here = Site::start(&folder, "here", None);
     let wire = Arc::new(Wire::to(&here.endpoint).await);
     let near = Client::connect(&here.endpoint, "alpha").await.unwrap();
-    until_held_once(&near, 1, FORMED_WITHIN, "at the beginning").await;
+    until_one_leads(&near, 1, FORMED_WITHIN, "at the beginning").await;
     let there = Site::start(&folder, "there", Some(&wire.endpoint));
     let far = Client::connect_for_ever(&there.endpoint, "alpha").await.unwrap();
     let (_, list, _) =
@@ -172,17 +172,17 @@ async fn both_sides_of_a_partition_go_on_and_agree_afterwards() {
     teams_here.clear();
     teams_there.clear();
     wire.cut();
-    tokio::time::sleep(APART).await;
-    // Each side has a holder of its own, and robots of both sides are still told their teams.
-    assert_eq!(holders(&near).await, [(1, 1); 4], "on the one side");
-    assert_eq!(holders(&far).await, [(1, 1); 4], "on the other side");
+    tokio::time::sleep(PARTITION_TIME).await;
+    // Each side has a leader of its own, and robots of both sides still receive their teams.
+    assert_eq!(leaders(&near).await, [(1, 1); 4], "on the one side");
+    assert_eq!(leaders(&far).await, [(1, 1); 4], "on the other side");
     let (term_here, term_there) =
         (term(&teams_here.newest().unwrap()), term(&teams_there.newest().unwrap()));
-    assert!(term_there > term_here, "{term_there} was begun beside {term_here}");
+    assert!(term_there > term_here, "{term_there} began during {term_here}");
 
-    wire.mend();
-    let agreed = until_held_once(&near, 2, AGREED_WITHIN, "after the partition").await;
-    eprintln!("one holder of each role {agreed:?} after the link was mended");
+    wire.restore();
+    let agreed = until_one_leads(&near, 2, AGREED_WITHIN, "after the partition").await;
+    eprintln!("one leader of each service {agreed:?} after the link was restored");
     tokio::time::sleep(Duration::from_secs(3)).await;
     for (watch, side) in [(&teams_here, "here"), (&teams_there, "there")] {
         let seen = seen(watch);

@@ -1,4 +1,4 @@
-//! Robots on a bus become teams, and whoever comes late learns everything.
+//! Robots on a bus become teams, and late subscribers receive everything.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -68,7 +68,7 @@ async fn robots_in_bincode_form_the_same_teams() {
 async fn ten_lines_of_json_make_a_robot() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let client = cluster.client().await.unwrap();
-    let told = client.watch("robot/*/team").await.unwrap();
+    let robot_teams = client.watch("robot/*/team").await.unwrap();
     let teams = client.watch("json/teams").await.unwrap();
     let places = [("a1", 0.0), ("a2", 3.0), ("a3", 6.0), ("b1", 90.0), ("b2", 93.0), ("b3", 96.0)];
     let right = |value: &Value| {
@@ -101,7 +101,8 @@ async fn ten_lines_of_json_make_a_robot() {
 
     let right =
         |value: &Value| value["robot"] == "b2" && value["members"] == json!(["b1", "b2", "b3"]);
-    let mine = told.until("b2 is told its team", Duration::from_secs(3), right).await.unwrap();
+    let mine =
+        robot_teams.until("b2 receives its team", Duration::from_secs(3), right).await.unwrap();
     assert_eq!(
         Some(&mine["team"]),
         formed["teams"].as_array().unwrap().iter().find_map(|team| {
@@ -151,14 +152,14 @@ async fn a_late_subscriber_gets_everything() {
     assert_eq!(embedding["robots"].as_array().unwrap().len(), 8);
     assert!(embedding["quality"]["residual"].as_f64().unwrap() < 1e-8);
     let robot = truth.keys().next().unwrap();
-    let told = late.get_one(&format!("robot/{robot}/team")).await.unwrap();
-    assert_eq!(told["team"].as_str().map(str::to_owned), formed[robot]);
+    let team = late.get_one(&format!("robot/{robot}/team")).await.unwrap();
+    assert_eq!(team["team"].as_str().map(str::to_owned), formed[robot]);
     let all = late.get("robot/*/team", None).await.unwrap();
     assert_eq!(all.iter().map(|(key, _)| key).collect::<BTreeSet<_>>().len(), 8);
 
-    let heard = late.watch("json/teams").await.unwrap();
-    let told = heard.until("the heartbeat", Duration::from_secs(5), |_| true).await.unwrap();
-    assert_eq!(division(&told), formed);
+    let teams = late.watch("json/teams").await.unwrap();
+    let heartbeat = teams.until("the heartbeat", Duration::from_secs(5), |_| true).await.unwrap();
+    assert_eq!(division(&heartbeat), formed);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -60,17 +60,10 @@ async fn a_token_without_a_pose_is_known_and_unplaced() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let client = cluster.client().await.unwrap();
     let token = client.token("robot/quiet").await.unwrap();
-    let start = Instant::now();
-    let entry = loop {
-        let roster = client.get_one("roster?format=json").await.unwrap_or_default();
-        let robots = roster["robots"].as_array().cloned().unwrap_or_default();
-        if let Some(entry) = robots.iter().find(|entry| entry["robot"] == "quiet") {
-            break entry.clone();
-        }
-        assert!(start.elapsed() < Duration::from_secs(5), "{roster}");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    };
-    assert_eq!(entry["position"], Value::Null);
+    let is_known = |roster: &Value| roster["robots"][0]["robot"] == "quiet";
+    let within = Duration::from_secs(5);
+    let roster = client.until("roster?format=json", within, is_known).await.unwrap();
+    assert_eq!(roster["robots"][0]["position"], Value::Null);
     let teams = client.watch("json/teams").await.unwrap();
     let right = |value: &Value| value["unassigned"] == json!(["quiet"]);
     teams.until("it has no team", Duration::from_secs(5), right).await.unwrap();

@@ -1,7 +1,7 @@
-//! The life of every service of a live fleet is recorded, and lives again in `muster replay-core`.
+//! Every service of a live fleet is recorded, and replayed by `muster replay-core`.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use muster_service::recording::{Entry, Head};
 use muster_service::{Command, Input};
@@ -60,7 +60,7 @@ fn teams(count: usize) -> impl Fn(&Value) -> bool {
 }
 
 /// Robots join, are refused, fall silent and leave; the settings change; a service is killed and
-/// comes back; the router dies and comes back; everybody is asked; all end.
+/// comes back; the router dies and comes back; every output is asked for; all end.
 async fn live(recorded: &Path) -> Cluster {
     let settings = [("ingest", "stale_after_s=0.5"), ("ingest", "gone_after_s=1.5")];
     let flags = ["--record", recorded.to_str().unwrap()];
@@ -79,16 +79,8 @@ async fn live(recorded: &Path) -> Cluster {
     let embedder = cluster.service("embedder").unwrap();
     embedder.kill().unwrap();
     cluster.start_service("embedder").unwrap();
-    let start = Instant::now();
-    loop {
-        if let Ok(status) = client.get_one("service/embedder/status").await
-            && status["revision"]["epoch"].as_u64().is_some_and(|epoch| epoch > 3)
-        {
-            break;
-        }
-        assert!(start.elapsed() < SOON);
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    let is_back = |status: &Value| status["revision"]["epoch"].as_u64() > Some(3);
+    client.until("service/embedder/status", SOON, is_back).await.unwrap();
     for key in ["teams", "embedding", "roster", "graph/*", "audit", "robot/*/team"] {
         client.get(&format!("{key}?format=json"), None).await.unwrap();
     }
@@ -140,7 +132,7 @@ async fn the_recordings_of_a_live_run_come_out_the_same() {
     }
     everything_happened(&all);
     tampering_is_found(folder.path());
-    what_breaks_off_is_said(folder.path());
+    broken_off_files_are_reported(folder.path());
 }
 
 /// A life in which little happens would show little.
@@ -250,7 +242,7 @@ fn tampering_is_found(folder: &Path) {
     assert_eq!(replay(&tampered, &[]).0, Some(1));
 }
 
-fn what_breaks_off_is_said(folder: &Path) {
+fn broken_off_files_are_reported(folder: &Path) {
     let whole = std::fs::read(&recordings(folder, "clusterer")[0]).unwrap();
     let cut = folder.join("cut");
     for share in [3, 5, 7, 9] {
@@ -275,7 +267,7 @@ fn what_breaks_off_is_said(folder: &Path) {
 }
 
 #[test]
-fn wrong_files_are_told_with_their_remedy() {
+fn errors_about_files_name_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let old = folder.path().join("old");
     std::fs::write(&old, "precious").unwrap();

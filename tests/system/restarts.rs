@@ -56,7 +56,7 @@ fn auditor_answers(routers: &str) {
 #[test]
 fn of_several_routers_any_that_answers_is_used() {
     let folder = tempfile::tempdir().unwrap();
-    // The first takes connections and says nothing, the second refuses.
+    // The first accepts connections and sends nothing, the second refuses.
     let silent_listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let silent = format!("tcp/{}", silent_listener.local_addr().unwrap());
     let (refusing, alive) = (free_endpoint().unwrap(), free_endpoint().unwrap());
@@ -79,14 +79,18 @@ async fn each_service_dies_alone_and_the_teams_keep_their_ids() {
     let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
     let teams = client.watch("json/teams").await.unwrap();
     let audits = client.watch("json/audit").await.unwrap();
-    let told = client.watch("robot/*/team").await.unwrap();
+    let robot_teams = client.watch("robot/*/team").await.unwrap();
     for service in SERVICES {
         cluster.service(service).unwrap().kill().unwrap();
         tokio::time::sleep(Duration::from_secs(1)).await;
-        // The last good answer is there while the service is not.
+        // Readers answer with the last division while the service is down.
         let answers = client.get("teams?format=json", None).await.unwrap();
         let last = answers.iter().find_map(|(_, answer)| answer.as_ref().ok());
-        assert_eq!(division(last.expect("somebody knows the teams")), wanted, "without {service}");
+        assert_eq!(
+            division(last.expect("a reader answers with the teams")),
+            wanted,
+            "without {service}"
+        );
 
         let since = now();
         cluster.start_service(service).unwrap();
@@ -103,12 +107,12 @@ async fn each_service_dies_alone_and_the_teams_keep_their_ids() {
             same_again(&teams, &wanted, |value| stage(value, service) > since).await
         };
         eprintln!("{service}: teams from fresh data after {took:?}");
-        // No division in between told anybody else.
+        // No division in between differs.
         for (_, value) in teams.all() {
             assert_eq!(division(&value), wanted, "while {service} came back");
         }
     }
-    for (key, value) in told.all() {
+    for (key, value) in robot_teams.all() {
         let robot = value["robot"].as_str().unwrap();
         assert_eq!(value["team"].as_str().map(str::to_owned), wanted[robot], "{key}");
     }
@@ -140,7 +144,7 @@ async fn terms_rise_with_each_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_router_that_dies_costs_nobody_a_team() {
+async fn teams_survive_the_death_of_a_router() {
     let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
@@ -169,7 +173,7 @@ async fn a_router_that_dies_costs_nobody_a_team() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_base_station_that_reboots_costs_nobody_a_team() {
+async fn teams_survive_the_reboot_of_a_base_station() {
     for service in ["ingest", "clusterer"] {
         let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
         let _robots = cluster.robots(&SCENARIO).unwrap();
@@ -202,44 +206,27 @@ async fn services_wait_for_their_router_and_say_so() {
     let endpoint = free_endpoint().unwrap();
     let arguments = ["--connect", endpoint.as_str(), "--state-directory", "none"];
     let mut service = Process::start("muster-ingest", &arguments, &[], folder.path()).unwrap();
-    let start = Instant::now();
-    while !service.output().contains("muster router") {
-        assert!(start.elapsed() < Duration::from_secs(10), "{}", service.output());
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    service.until_prints("muster router", Duration::from_secs(10)).unwrap();
     assert!(service.is_running().unwrap());
     let _router = start_router(&endpoint, folder.path()).unwrap();
     let client = Client::connect(&endpoint, "default").await.unwrap();
-    let start = Instant::now();
-    while client.get_one("service/ingest/status").await.is_err() {
-        assert!(start.elapsed() < Duration::from_secs(10), "{}", service.output());
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    client.until("service/ingest/status", Duration::from_secs(10), |_| true).await.unwrap();
 }
 
-/// The edges of each graph, once all of them have as many as wanted.
+/// The edges of each graph, once it has as many as wanted.
 async fn edges(client: &Client, wanted: &[(&str, usize)]) -> Vec<Value> {
-    let start = Instant::now();
-    loop {
-        let mut all = Vec::new();
-        for (modality, _) in wanted {
-            let graph = client.get_one(&format!("graph/{modality}?format=json")).await;
-            all.push(graph.map_or(Value::Null, |graph| graph["edges"].clone()));
-        }
-        let complete = all
-            .iter()
-            .zip(wanted)
-            .all(|(edges, (_, count))| edges.as_array().map(Vec::len) == Some(*count));
-        if complete {
-            return all;
-        }
-        assert!(start.elapsed() < Duration::from_secs(10), "{all:?}");
-        tokio::time::sleep(Duration::from_millis(50)).await;
+    let mut all = Vec::new();
+    for (modality, count) in wanted {
+        let tail = format!("graph/{modality}?format=json");
+        let right = |graph: &Value| graph["edges"].as_array().map(Vec::len) == Some(*count);
+        let graph = client.until(&tail, Duration::from_secs(10), right).await.unwrap();
+        all.push(graph["edges"].clone());
     }
+    all
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_robots_said_once_survives_the_death_of_ingest() {
+async fn reports_put_once_survive_the_death_of_ingest() {
     let mut cluster = Cluster::start("alpha", &[("ingest", "modalities=[\"thermal\"]")]).unwrap();
     let client = cluster.client().await.unwrap();
     edges(&client, &[("thermal", 0)]).await;
@@ -266,21 +253,13 @@ async fn what_robots_said_once_survives_the_death_of_ingest() {
     let before = edges(&client, &wanted).await;
     assert_eq!(before[0], json!([["r1", "r2", 0.5], ["r3", "r4", 1.0]]));
     assert_eq!(before[1], json!([["r2", "r1", 0.75]]));
-    // Others must have heard of it before it can be asked back.
+    // Readers must have received it before `ingest` can fetch it from them.
     tokio::time::sleep(Duration::from_secs(1)).await;
     cluster.service("ingest").unwrap().kill().unwrap();
     tokio::time::sleep(Duration::from_secs(1)).await;
     cluster.start_service("ingest").unwrap();
-    let start = Instant::now();
-    while client
-        .get_one("service/ingest/status")
-        .await
-        .map_or(0, |status| status["revision"]["term"].as_u64().unwrap_or_default())
-        < 2
-    {
-        assert!(start.elapsed() < RECOVERED_WITHIN);
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    let is_back = |status: &Value| status["revision"]["term"].as_u64() >= Some(2);
+    client.until("service/ingest/status", RECOVERED_WITHIN, is_back).await.unwrap();
     assert_eq!(edges(&client, &wanted).await, before);
     poses.abort();
 }

@@ -1,9 +1,9 @@
-//! The JSON Schema says what the services do, judged by a validator that somebody else wrote.
+//! Messages of the services are valid by the JSON Schema, for a validator that is not Muster's.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write as _;
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use muster_tests::client::Client;
 use muster_tests::cluster::{Cluster, SERVICES};
@@ -13,8 +13,8 @@ use serde_json::{Map, Value, json};
 use crate::languages::blocks;
 use crate::pipeline::{FORMED_WITHIN, formed, truth};
 
-/// What the validator says of each message: none if its schema accepts it.
-pub(crate) fn judged(
+/// The validator's error for each message: none if its schema accepts it.
+pub(crate) fn validated(
     document: &Value,
     alone: &[Value],
     cases: &[(String, String)],
@@ -30,9 +30,9 @@ pub(crate) fn judged(
     child.stdin.take().unwrap().write_all(task.to_string().as_bytes()).unwrap();
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success(), "the validator failed");
-    let verdicts: Vec<Option<String>> = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(verdicts.len(), cases.len());
-    verdicts
+    let problems: Vec<Option<String>> = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(problems.len(), cases.len());
+    problems
 }
 
 fn muster(arguments: &[&str]) -> String {
@@ -46,14 +46,7 @@ fn offline() -> Value {
 }
 
 pub(crate) async fn answered(client: &Client, tail: &str) -> Value {
-    let start = Instant::now();
-    loop {
-        match client.get_one(tail).await {
-            Ok(value) => return value,
-            Err(error) => assert!(start.elapsed() < FORMED_WITHIN, "{error}"),
-        }
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    client.until(tail, FORMED_WITHIN, |_| true).await.unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -83,7 +76,7 @@ async fn every_service_serves_the_schema_that_the_command_prints() {
         .iter()
         .map(|name| serde_json::from_str(&muster(&["schema", name])).unwrap())
         .collect();
-    judged(&printed, &alone, &[]);
+    validated(&printed, &alone, &[]);
     let (code, _, err) = run("muster", &["schema", "poses"], Duration::from_secs(20)).unwrap();
     assert_eq!(code, Some(2));
     assert!(err.contains("there are audit"), "{err}");
@@ -116,12 +109,12 @@ fn the_messages_of_the_document_are_valid() {
     let names: BTreeSet<&str> = cases.iter().map(|(name, _)| name.as_str()).collect();
     let wanted = ["audit", "event", "links", "pose", "rank", "relation", "robot_team", "teams"];
     assert_eq!(names, BTreeSet::from(wanted));
-    for (verdict, case) in judged(&offline(), &[], &cases).iter().zip(&cases) {
-        assert_eq!(*verdict, None, "{case:?}");
+    for (problem, case) in validated(&offline(), &[], &cases).iter().zip(&cases) {
+        assert_eq!(*problem, None, "{case:?}");
     }
 }
 
-/// The name of the schema of what stands on a key.
+/// The name of the schema of a key's messages.
 fn schema_of(key: &str) -> String {
     match key.split('/').collect::<Vec<_>>()[..] {
         ["json", name] => name.to_owned(),
@@ -140,7 +133,8 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
     let settings = [("ingest", "modalities=[\"thermal\"]"), ("ingest", "gone_after_s=3.0")];
     let mut cluster = Cluster::start("alpha", &settings).unwrap();
     let client = cluster.client().await.unwrap();
-    let said = [client.watch("json/*").await.unwrap(), client.watch("robot/*/team").await.unwrap()];
+    let watched =
+        [client.watch("json/*").await.unwrap(), client.watch("robot/*/team").await.unwrap()];
     let scenario = ["--scenario", "clusters", "--robots", "8"];
     let mut robots = cluster.robots(&scenario).unwrap();
     formed(&client, &truth(&cluster, &scenario)).await;
@@ -182,7 +176,7 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
     cluster.service("auditor").unwrap().kill().unwrap();
     cluster.start_service("auditor").unwrap();
     robots.signal("STOP").unwrap();
-    let events = &said[0];
+    let events = &watched[0];
     let happened = async |kind: &str| {
         let right = |value: &Value| value["event"] == kind;
         events.until(kind, Duration::from_secs(20), right).await.unwrap();
@@ -198,7 +192,7 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
         happened(kind).await;
     }
     got.extend(get_all().await);
-    got.extend(said.iter().flat_map(muster_tests::client::Watch::all));
+    got.extend(watched.iter().flat_map(muster_tests::client::Watch::all));
 
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     for (key, value) in &got {
@@ -210,7 +204,7 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
     let mut wanted = vec!["audit", "claim", "embedding", "event", "graph", "robot_team", "roster"];
     wanted.extend(["katz", "status", "teams", "event robot_joined", "event robot_left"]);
     for name in wanted {
-        assert!(seen.contains_key(name), "nothing was said of {name}: {seen:?}");
+        assert!(seen.contains_key(name), "no message of {name}: {seen:?}");
     }
     for service in SERVICES {
         assert!(seen.contains_key(&format!("{service}_settings")), "{seen:?}");
@@ -229,10 +223,10 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
         assert!(cases.len() > before, "{get} was not refused");
     }
     let document = answered(&client, "schema").await;
-    for (verdict, case) in judged(&document, &[], &cases).iter().zip(&cases) {
-        assert_eq!(*verdict, None, "{case:?}");
+    for (problem, case) in validated(&document, &[], &cases).iter().zip(&cases) {
+        assert_eq!(*problem, None, "{case:?}");
     }
-    // The same look would see a field that nobody describes, and one that is missing.
+    // The same check finds a field that is not described, and one that is missing.
     for case in cases.iter().step_by(cases.len() / 40 + 1) {
         let mut message: Map<String, Value> = serde_json::from_str(&case.1).unwrap();
         let (first, value) = message.clone().into_iter().next().unwrap();
@@ -240,8 +234,8 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
         let less = (case.0.clone(), json!(message).to_string());
         message.extend([(first, value), ("undescribed".to_owned(), json!(1))]);
         let more = (case.0.clone(), json!(message).to_string());
-        for verdict in judged(&document, &[], &[less, more]) {
-            assert!(verdict.is_some(), "{case:?}");
+        for problem in validated(&document, &[], &[less, more]) {
+            assert!(problem.is_some(), "{case:?}");
         }
     }
     eprintln!("valid: {seen:?}");

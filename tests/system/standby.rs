@@ -1,4 +1,4 @@
-//! Two instances of each service: one holds the role, the other takes over.
+//! Two instances of each service: one leads, the other takes over.
 
 use std::time::{Duration, Instant};
 
@@ -14,8 +14,8 @@ const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots
 /// The promise: the lease of the bus and two seconds.
 const LONGEST_GAP: Duration = Duration::from_secs(4);
 
-/// How long an instance that runs again may take to see that another one holds.
-const STOOD_DOWN_WITHIN: Duration = Duration::from_secs(5);
+/// How long an instance that runs again may take to become a standby.
+const STANDBY_WITHIN: Duration = Duration::from_secs(5);
 
 /// The name of the second instance of a service.
 fn second(service: &str) -> String {
@@ -34,8 +34,8 @@ async fn doubled() -> (Cluster, muster_tests::process::Process, Client, Division
     (cluster, robots, client, wanted)
 }
 
-/// What the instances of a service tell of themselves: process id and standing.
-async fn standings(client: &Client, service: &str) -> Vec<(u32, String)> {
+/// Process id and replica state of each instance of a service.
+async fn replica_states(client: &Client, service: &str) -> Vec<(u32, String)> {
     let statuses = client.get_from_all(&format!("service/{service}/status")).await.unwrap();
     statuses
         .into_iter()
@@ -47,25 +47,29 @@ async fn standings(client: &Client, service: &str) -> Vec<(u32, String)> {
         .collect()
 }
 
-/// Waits until one instance of a service holds and the other stands by; returns the names of both.
-async fn settled(cluster: &mut Cluster, client: &Client, service: &str) -> (String, String) {
+/// Waits until one instance of a service leads and the other is a standby; returns the names of both.
+async fn leader_and_standby(
+    cluster: &mut Cluster,
+    client: &Client,
+    service: &str,
+) -> (String, String) {
     let start = Instant::now();
     let (first, other) = (service.to_owned(), second(service));
     loop {
-        let mut found = standings(client, service).await;
+        let mut found = replica_states(client, service).await;
         found.sort_by(|left, right| left.1.cmp(&right.1));
-        let words: Vec<&str> = found.iter().map(|(_, standing)| standing.as_str()).collect();
-        if words == ["holding", "standby"] {
+        let states: Vec<&str> = found.iter().map(|(_, state)| state.as_str()).collect();
+        if states == ["holding", "standby"] {
             let is_first = cluster.service(&first).unwrap().id() == found[0].0;
             return if is_first { (first, other) } else { (other, first) };
         }
-        assert!(start.elapsed() < STOOD_DOWN_WITHIN, "{service}: {found:?}");
+        assert!(start.elapsed() < STANDBY_WITHIN, "{service}: {found:?}");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
 }
 
 /// Waits for an output of the service that was made after `since`; how long that took.
-async fn told_anew(watch: &Watch, service: &str, since: f64) -> Duration {
+async fn fresh_output(watch: &Watch, service: &str, since: f64) -> Duration {
     let start = Instant::now();
     let fresh = |value: &Value| stage(value, service) > since + 0.001;
     watch.until(&format!("fresh data of {service}"), LONGEST_GAP, fresh).await.unwrap();
@@ -76,9 +80,9 @@ async fn told_anew(watch: &Watch, service: &str, since: f64) -> Duration {
 /// of processes on one machine are one, but a busy machine hands signals over when it finds time.
 const SIGNAL_S: f64 = 0.05;
 
-/// A stream that must neither pause nor go back, whoever holds the role.
+/// A stream that must neither pause nor go back, whichever instance leads.
 struct Stream {
-    /// Which service speaks.
+    /// The service that publishes it.
     service: &'static str,
     watch: Watch,
     last_arrival: f64,
@@ -91,10 +95,10 @@ impl Stream {
         Self { service, watch, last_arrival: now(), last_place: (0, 0) }
     }
 
-    /// Takes what has arrived since the last look. The pauses count from the last message before that
-    /// until now, so that none is missed between two looks. Of an older term may be what was on its way
-    /// as its maker was silenced, and which readers drop; nothing that it has made since.
-    fn look(&mut self, when: &str, silenced: f64) -> Vec<Value> {
+    /// Checks and returns what has arrived since the last call. Pauses count from the last message before that
+    /// until now, so that none is missed between two calls. Messages of an older term are allowed only if they
+    /// were on their way when their publisher was silenced: readers drop them.
+    fn check(&mut self, when: &str, silenced: f64) -> Vec<Value> {
         let mut longest: f64 = 0.0;
         let mut values = Vec::new();
         for (at, value) in self.watch.take() {
@@ -118,20 +122,20 @@ impl Stream {
     }
 }
 
-/// What consoles and robots are told while roles change hands.
+/// What consoles and robots receive while leaders change.
 struct Followed {
     wanted: Division,
     teams: Stream,
     audits: Stream,
-    told: Watch,
+    robot_teams: Watch,
 }
 
 impl Followed {
     async fn of(client: &Client, wanted: Division) -> Self {
         let teams = Stream::of(client, "clusterer", "json/teams").await;
         let audits = Stream::of(client, "auditor", "json/audit").await;
-        let told = client.watch("robot/*/team").await.unwrap();
-        Self { wanted, teams, audits, told }
+        let robot_teams = client.watch("robot/*/team").await.unwrap();
+        Self { wanted, teams, audits, robot_teams }
     }
 
     /// The stream in which fresh data of a service show.
@@ -139,13 +143,13 @@ impl Followed {
         if service == "auditor" { &self.audits.watch } else { &self.teams.watch }
     }
 
-    /// Everything that was told since the last look came without a pause and without another division.
-    fn look(&mut self, when: &str, silenced: f64) {
-        for value in self.teams.look(&format!("json/teams, {when}"), silenced) {
+    /// Checks that everything since the last call came without a pause and without another division.
+    fn check(&mut self, when: &str, silenced: f64) {
+        for value in self.teams.check(&format!("json/teams, {when}"), silenced) {
             assert_eq!(division(&value), self.wanted, "{when}");
         }
-        self.audits.look(&format!("json/audit, {when}"), silenced);
-        for (_, value) in self.told.take() {
+        self.audits.check(&format!("json/audit, {when}"), silenced);
+        for (_, value) in self.robot_teams.take() {
             let robot = value["robot"].as_str().unwrap();
             let team = value["team"].as_str().map(str::to_owned);
             assert_eq!(Some(&team), self.wanted.get(robot), "{robot}, {when}");
@@ -154,75 +158,75 @@ impl Followed {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_other_takes_over_from_a_holder_that_is_killed() {
+async fn the_standby_takes_over_from_a_leader_that_is_killed() {
     let (mut cluster, _robots, client, wanted) = doubled().await;
     let mut followed = Followed::of(&client, wanted).await;
     for service in SERVICES {
-        let (holder, _) = settled(&mut cluster, &client, service).await;
+        let (leader, _) = leader_and_standby(&mut cluster, &client, service).await;
         let since = now();
-        cluster.service(&holder).unwrap().kill().unwrap();
+        cluster.service(&leader).unwrap().kill().unwrap();
         let silenced = now();
-        // The service says something new by its other instance, to whoever follows it.
-        let gap = told_anew(followed.shows(service), service, since).await;
+        // The other instance publishes fresh data.
+        let gap = fresh_output(followed.shows(service), service, since).await;
         eprintln!("{service} killed: fresh data after {gap:?}");
-        cluster.start_instance(service, &holder).unwrap();
-        let (still, _) = settled(&mut cluster, &client, service).await;
-        assert_ne!(still, holder, "nobody takes the role of {service} from one that holds it");
-        followed.look(&format!("{service} was killed"), silenced);
+        cluster.start_instance(service, &leader).unwrap();
+        let (still, _) = leader_and_standby(&mut cluster, &client, service).await;
+        assert_ne!(still, leader, "the new leader of {service} stays");
+        followed.check(&format!("{service} was killed"), silenced);
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_holder_that_hangs_is_replaced_and_stands_by_when_it_goes_on() {
+async fn a_leader_that_hangs_is_replaced_and_is_a_standby_afterwards() {
     let (mut cluster, _robots, client, wanted) = doubled().await;
     let mut followed = Followed::of(&client, wanted).await;
     let mut went_back = Vec::new();
     for service in SERVICES {
-        let (holder, other) = settled(&mut cluster, &client, service).await;
+        let (leader, other) = leader_and_standby(&mut cluster, &client, service).await;
         let since = now();
-        cluster.service(&holder).unwrap().signal("STOP").unwrap();
+        cluster.service(&leader).unwrap().signal("STOP").unwrap();
         let mut silenced = now();
-        let gap = told_anew(followed.shows(service), service, since).await;
+        let gap = fresh_output(followed.shows(service), service, since).await;
         eprintln!("{service} stopped: fresh data after {gap:?}");
         tokio::time::sleep(Duration::from_secs(1)).await;
-        cluster.service(&holder).unwrap().signal("CONT").unwrap();
+        cluster.service(&leader).unwrap().signal("CONT").unwrap();
         tokio::time::sleep(Duration::from_secs(1)).await;
-        let (now_holds, _) = settled(&mut cluster, &client, service).await;
-        if now_holds != other {
+        let (leads_now, _) = leader_and_standby(&mut cluster, &client, service).await;
+        if leads_now != other {
             went_back.push(service);
-            // The one that has to give way then may have spoken until it heard so.
+            // The one that has to give way may have published until it received the renewal.
             silenced = f64::INFINITY;
         }
-        followed.look(&format!("{service} was stopped and went on"), silenced);
+        followed.check(&format!("{service} was stopped and went on"), silenced);
     }
-    // A machine that starves its processes may silence the new holder for a lease, so that the role
-    // rightly goes back. That happens to one service at most; to more it is a habit of the product.
-    eprintln!("the role went back for {went_back:?}");
-    assert!(went_back.len() <= 1, "a holder that goes on takes its role back: {went_back:?}");
+    // A machine that starves its processes may silence the new leader for a lease, so that the old one rightly
+    // leads again. One service at most: more would be a fault of the product.
+    eprintln!("the old leader leads again: {went_back:?}");
+    assert!(went_back.len() <= 1, "old leaders lead again: {went_back:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_second_host_takes_over_all_roles_and_the_settings() {
+async fn a_second_host_takes_over_all_services_and_the_settings() {
     let (mut cluster, _robots, client, wanted) = doubled().await;
-    let mut holders = Vec::new();
+    let mut leaders = Vec::new();
     for service in SERVICES {
-        holders.push(settled(&mut cluster, &client, service).await.0);
+        leaders.push(leader_and_standby(&mut cluster, &client, service).await.0);
     }
     let (code, _, error) = cluster.muster(&["set", "clusterer", "hysteresis=0.3"]).unwrap();
     assert_eq!(code, Some(0), "{error}");
     let mut followed = Followed::of(&client, wanted).await;
     tokio::time::sleep(Duration::from_millis(500)).await;
     let since = now();
-    for holder in &holders {
-        cluster.service(holder).unwrap().kill().unwrap();
+    for leader in &leaders {
+        cluster.service(leader).unwrap().kill().unwrap();
     }
     let silenced = now();
-    let gap = told_anew(followed.shows("ingest"), "ingest", since).await;
-    eprintln!("all holders killed: fresh data after {gap:?}");
+    let gap = fresh_output(followed.shows("ingest"), "ingest", since).await;
+    eprintln!("all leaders killed: fresh data after {gap:?}");
     for service in SERVICES {
-        told_anew(followed.shows(service), service, since).await;
+        fresh_output(followed.shows(service), service, since).await;
     }
-    followed.look("all holders were killed", silenced);
+    followed.check("all leaders were killed", silenced);
     let settings = client.get_one("service/clusterer/settings").await.unwrap();
-    assert_eq!(settings["hysteresis"], 0.3, "what an operator has changed outlives the holder");
+    assert_eq!(settings["hysteresis"], 0.3, "changed settings outlive the leader");
 }

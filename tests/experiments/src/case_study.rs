@@ -2,8 +2,8 @@
 
 use crate::experiments::Progress;
 use crate::figures::{command, leaders, team_names};
-use crate::live::{Told, play};
-use crate::physical::{Case, DROPPED, HEARD_M, JITTER_M, MISSED, RATE_HZ};
+use crate::live::{TeamsReceived, play};
+use crate::physical::{Case, DROPPED_SHARE, JITTER_M, MISSED_SHARE, RADIO_RANGE_M, RATE_HZ};
 use crate::plots::map::{Map, maps};
 use crate::results::{Page, Record};
 use crate::score::{Correct, correct};
@@ -20,49 +20,49 @@ pub fn physical(seconds: f64, progress: &Progress<'_>) -> anyhow::Result<Page> {
     let (mut rows, mut pictures) = (Vec::new(), Vec::new());
     for case in Case::all()? {
         progress(&format!("physical: {}", case.layout.name));
-        let told = play(&case, &case.recording()?, TEAMS, seconds)?;
-        let right = right(&told, &case);
-        page.records.extend(records(&case, &told, right));
-        let whole = told.whole_s.map_or("never".to_owned(), |whole| format!("{whole:.2}"));
-        let [newest, oldest] = [&told.newest_ms, &told.oldest_ms].map(|ms| {
+        let received = play(&case, &case.recording()?, TEAMS, seconds)?;
+        let right = right(&received, &case);
+        page.records.extend(records(&case, &received, right));
+        let whole = received.whole_s.map_or("never".to_owned(), |whole| format!("{whole:.2}"));
+        let [newest, oldest] = [&received.newest_ms, &received.oldest_ms].map(|ms| {
             let [half, most] = [0.5, 0.95].map(|share| quantile(ms, share));
             format!("{half:.1} / {most:.1}")
         });
         rows.push(vec![
             case.layout.name.clone(),
-            format!("{} of {}", right.right, right.counted),
+            format!("{} of {}", right.right, right.total),
             whole,
-            told.moves.to_string(),
-            format!("{:.2}", told.settled_s),
-            told.newest_ms.len().to_string(),
+            received.moves.to_string(),
+            format!("{:.2}", received.settled_s),
+            received.newest_ms.len().to_string(),
             newest,
             oldest,
         ]);
-        pictures.push(picture(&case, &told, right)?);
+        pictures.push(picture(&case, &received, right)?);
     }
     page.say(
         "## The physical case, recorded",
         &format!(
             "Ten robots in four layouts, as in the paper's study with ten TurtleBots, and three teams asked for. \
-             There are no robots here: what a camera would see of them was made by chance, {RATE_HZ} pictures a \
-             second with places off by {:.0} mm (standard deviation along each axis), {:.0} % of the marks not \
-             recognised and {:.0} % of the pictures lost. Everything else is real: a router, the four services with \
-             their defaults and ten robots with a session each speak to each other over sockets, for {seconds} s, \
-             from the moment in which the services were started. Robots hear each other up to about {HEARD_M} m, and \
-             those nearer to the middle command the others of their team.\n\nThe table has the robots that were \
-             told the right team in the end; after how many seconds all knew a team, how often one was told another \
-             one after that, and when the last change was; how many divisions a console received, and how many \
-             milliseconds (median / 95 %) after `ingest` had received the newest and the oldest pose behind them. \
-             The paper shows pictures of its four layouts and no numbers, so that there is nothing to compare.",
+             There are no robots here: what a camera would see of them is simulated, {RATE_HZ} pictures a second \
+             with places off by {:.0} mm (standard deviation along each axis), {:.0} % of the marks not recognised \
+             and {:.0} % of the pictures lost. Everything else is real: a router, the four services with their \
+             defaults and ten robots with a session each exchange messages over sockets for {seconds} s, starting \
+             with the services. Radios reach about {RADIO_RANGE_M} m, and robots nearer to the middle command the \
+             others of their team.\n\nThe table has how many robots had received the right team in the end; after \
+             how many seconds all had a team, how often one received another team after that, and when the last \
+             change was; how many divisions a console received, and how many milliseconds (median / 95 %) after \
+             `ingest` had received the newest and the oldest pose behind them. The paper shows pictures of its four \
+             layouts and no numbers, so there is nothing to compare.",
             1e3 * JITTER_M,
-            100.0 * MISSED,
-            100.0 * DROPPED
+            100.0 * MISSED_SHARE,
+            100.0 * DROPPED_SHARE
         ),
     );
-    let note = "rings: those who command others; dark lines: who answers to whom; pale lines: who hears whom";
+    let note = "rings: robots that command others; dark lines: robots and their superiors; pale lines: radio links";
     page.plot(
         "physical",
-        "Four layouts of ten robots, each in the colour of the team that it was told",
+        "Four layouts of ten robots, each in the colour of the team that it received",
         maps(&pictures, 2, &team_names(TEAMS), note)?,
     );
     let head = [
@@ -79,19 +79,20 @@ pub fn physical(seconds: f64, progress: &Progress<'_>) -> anyhow::Result<Page> {
     Ok(page)
 }
 
-/// Robots that were told the right team; those that were told none are wrong.
-fn right(told: &Told, case: &Case) -> Correct {
+/// Robots that received the right team; those without a team are wrong.
+fn right(received: &TeamsReceived, case: &Case) -> Correct {
     let truth = &case.layout.divisions[0];
-    // Without those who have none, so that they are no team of their own.
-    let known = told.teams.iter().zip(truth).filter_map(|(team, truth)| Some(((*team)?, *truth)));
+    // Robots without a team are left out: they are no team of their own.
+    let known =
+        received.teams.iter().zip(truth).filter_map(|(team, truth)| Some(((*team)?, *truth)));
     let (found, wanted): (Vec<usize>, Vec<Option<usize>>) = known.unzip();
     // Both have been made of the same robots.
     let right = correct(&found, &wanted).unwrap_or_default().right;
-    Correct { right, counted: truth.iter().flatten().count() as u64 }
+    Correct { right, total: truth.iter().flatten().count() as u64 }
 }
 
 #[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
-fn records(case: &Case, told: &Told, right: Correct) -> Vec<Record> {
+fn records(case: &Case, received: &TeamsReceived, right: Correct) -> Vec<Record> {
     let record = |measure: &'static str, value: f64| Record {
         experiment: "physical",
         case: case.layout.name.clone(),
@@ -104,15 +105,15 @@ fn records(case: &Case, told: &Told, right: Correct) -> Vec<Record> {
     };
     let once = [
         ("right", right.right as f64),
-        ("counted", right.counted as f64),
-        ("moves", told.moves as f64),
-        ("settled s", told.settled_s),
+        ("counted", right.total as f64),
+        ("moves", received.moves as f64),
+        ("settled s", received.settled_s),
     ];
     let mut records: Vec<Record> =
         once.into_iter().map(|(measure, value)| record(measure, value)).collect();
-    records.extend(told.whole_s.map(|whole| record("whole s", whole)));
-    records.extend(told.newest_ms.iter().map(|ms| record("newest pose ms", *ms)));
-    records.extend(told.oldest_ms.iter().map(|ms| record("oldest pose ms", *ms)));
+    records.extend(received.whole_s.map(|whole| record("whole s", whole)));
+    records.extend(received.newest_ms.iter().map(|ms| record("newest pose ms", *ms)));
+    records.extend(received.oldest_ms.iter().map(|ms| record("oldest pose ms", *ms)));
     records
 }
 
@@ -125,17 +126,17 @@ fn quantile(values: &[f64], share: f64) -> f64 {
     sorted.get(place.saturating_sub(1)).copied().unwrap_or(f64::NAN)
 }
 
-fn picture(case: &Case, told: &Told, right: Correct) -> anyhow::Result<Map> {
+fn picture(case: &Case, received: &TeamsReceived, right: Correct) -> anyhow::Result<Map> {
     let layout = &case.layout;
     let number = |robot: &str| layout.robots.iter().position(|other| other.as_str() == robot);
-    let links = case.links()?.into_iter().enumerate().flat_map(|(hearer, links)| {
-        let heard = links.links.into_iter().filter_map(|link| number(link.peer.as_str()));
-        heard.map(move |peer| (hearer, peer)).collect::<Vec<_>>()
+    let links = case.links()?.into_iter().enumerate().flat_map(|(robot, links)| {
+        let peers = links.links.into_iter().filter_map(|link| number(link.peer.as_str()));
+        peers.map(move |peer| (robot, peer)).collect::<Vec<_>>()
     });
     Ok(Map {
-        title: format!("{}: {} of {} right", layout.name, right.right, right.counted),
+        title: format!("{}: {} of {} right", layout.name, right.right, right.total),
         places: layout.places.clone(),
-        teams: told.teams.clone(),
+        teams: received.teams.clone(),
         leaders: leaders(&layout.superiors),
         command: command(&layout.superiors),
         links: links.collect(),
@@ -150,13 +151,14 @@ mod tests {
     #[test]
     fn robots_without_a_team_are_wrong() {
         let case = &Case::all().unwrap()[0];
-        let mut told = Told { teams: case.layout.divisions[0].clone(), ..Told::default() };
-        assert_eq!(right(&told, case), Correct { right: 10, counted: 10 });
-        told.teams[0] = None;
-        assert_eq!(right(&told, case), Correct { right: 9, counted: 10 });
-        told.teams.fill(None);
-        assert_eq!(right(&told, case), Correct { right: 0, counted: 10 });
-        assert_eq!(picture(case, &told, right(&told, case)).unwrap().places.len(), 10);
+        let mut received =
+            TeamsReceived { teams: case.layout.divisions[0].clone(), ..TeamsReceived::default() };
+        assert_eq!(right(&received, case), Correct { right: 10, total: 10 });
+        received.teams[0] = None;
+        assert_eq!(right(&received, case), Correct { right: 9, total: 10 });
+        received.teams.fill(None);
+        assert_eq!(right(&received, case), Correct { right: 0, total: 10 });
+        assert_eq!(picture(case, &received, right(&received, case)).unwrap().places.len(), 10);
     }
 
     #[test]

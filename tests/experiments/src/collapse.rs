@@ -1,4 +1,4 @@
-//! What a method's own vectors say of it when there are fewer of their coordinates: the paper's method with
+//! How a method scores in its own vectors when these have fewer coordinates: the paper's method with
 //! different K, scored in its own vectors and by the truth.
 
 use rayon::prelude::*;

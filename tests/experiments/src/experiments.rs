@@ -17,7 +17,7 @@ use crate::score::correct;
 use crate::spaces::{Silhouettes, in_vectors};
 use crate::statistics::Estimate;
 
-/// Who is told what is being done.
+/// Shows what is being done.
 pub type Progress<'a> = dyn Fn(&str) + 'a;
 
 /// Sizes and numbers of teams of Scenario II.
@@ -60,14 +60,14 @@ pub(crate) fn over_seeds(page: &Page, is_asked: impl Fn(&Record) -> bool) -> Est
 pub(crate) fn share(page: &Page, is_asked: impl Fn(&Record) -> bool) -> Estimate {
     let mut sums: BTreeMap<u64, (f64, f64)> = BTreeMap::new();
     for record in page.records.iter().filter(|record| is_asked(record)) {
-        let (right, counted) = sums.entry(record.seed).or_default();
+        let (right, total) = sums.entry(record.seed).or_default();
         match record.measure {
             "right" => *right += record.value,
-            "counted" => *counted += record.value,
+            "counted" => *total += record.value,
             _ => {}
         }
     }
-    Estimate::of(&sums.into_values().map(|(right, counted)| right / counted).collect::<Vec<_>>())
+    Estimate::of(&sums.into_values().map(|(right, total)| right / total).collect::<Vec<_>>())
 }
 
 /// Scenario I: formations on the march, by all methods and both radios.
@@ -103,7 +103,7 @@ pub fn formations(
                     };
                     // Robots, so that sums over formations are those of the paper.
                     page.records.push(record("right", outcome.correct.right as f64));
-                    page.records.push(record("counted", outcome.correct.counted as f64));
+                    page.records.push(record("counted", outcome.correct.total as f64));
                     for (measure, value) in of_silhouettes(outcome.silhouettes) {
                         page.records.extend(value.map(|value| record(measure, value)));
                     }
@@ -115,8 +115,8 @@ pub fn formations(
         "## Scenario I: formations",
         &format!(
             "Squads and platoons on the march, over {} held-out seeds of spacing and places, with 95 % intervals. \
-             Robots in the right team in percent, of 306; *range*: whoever is within 40 m is heard, *net*: all of \
-             one radio net are. The paper tells neither distances nor radios.",
+             Robots in the right team in percent, of 306; *range*: links between all within 40 m, *net*: links \
+             between all of one radio net. The paper states neither distances nor radios.",
             seeds.len()
         ),
     );
@@ -125,6 +125,20 @@ pub fn formations(
         "Robots in the right team by method, with both radios, and what the paper prints",
         figures::accuracy(&page)?,
     );
+    table_of_methods(&mut page, methods);
+    table_of_formations(&mut page, formations, methods);
+    if let Some(muster) = methods.iter().find(|method| method.name() == "muster") {
+        page.plot(
+            "formations",
+            "The six formations, each robot in the colour of the team that Muster finds",
+            figures::formations(formations, muster)?,
+        );
+    }
+    Ok(page)
+}
+
+/// The accuracy and the silhouettes of each method, over all formations.
+fn table_of_methods(page: &mut Page, methods: &[Method]) {
     let mut rows = Vec::new();
     for method in methods {
         let name = method.name();
@@ -136,11 +150,11 @@ pub fn formations(
         for radio in Radio::ALL {
             let condition = radio.to_string();
             let is_asked = |r: &Record| r.method == name && r.condition == condition;
-            row.push(share(&page, is_asked).percent());
+            row.push(share(page, is_asked).percent());
         }
         row.push(printed.map_or("–".to_owned(), |(_, silhouette)| format!("{silhouette:.3}")));
         for space in SPACES {
-            let found = over_seeds(&page, |r| r.method == name && r.measure == space);
+            let found = over_seeds(page, |r| r.method == name && r.measure == space);
             row.push(if found.count == 0 {
                 "–".to_owned()
             } else {
@@ -160,7 +174,10 @@ pub fn formations(
         "common space",
     ];
     page.table(&texts(&head), &rows);
+}
 
+/// The accuracy of all methods in each formation.
+fn table_of_formations(page: &mut Page, formations: &[Formation], methods: &[Method]) {
     let names: Vec<String> = methods.iter().map(Method::name).collect();
     let mut rows = Vec::new();
     for case in cases(formations) {
@@ -174,21 +191,13 @@ pub fn formations(
                     (r.case.as_str(), r.teams) == (formation.name, teams)
                         && (&r.method, &r.condition) == (name, &condition)
                 };
-                row.push(format!("{:.1}", 100.0 * share(&page, is_asked).mean));
+                row.push(format!("{:.1}", 100.0 * share(page, is_asked).mean));
             }
             rows.push(row);
         }
     }
     let head = [texts(&["formation", "k", "radio"]), names].concat();
     page.table(&head, &rows);
-    if let Some(muster) = methods.iter().find(|method| method.name() == "muster") {
-        page.plot(
-            "formations",
-            "The six formations, each robot in the colour of the team that Muster finds",
-            figures::formations(formations, muster)?,
-        );
-    }
-    Ok(page)
 }
 
 /// Scenario I with distances that are wrong by up to half of them.
@@ -264,7 +273,7 @@ pub fn noise(
     Ok(page)
 }
 
-/// Scenario II: random systems, of which nobody knows the right division.
+/// Scenario II: random systems, whose right division is unknown.
 ///
 /// # Errors
 /// If a method fails, or a drawing.
@@ -319,6 +328,12 @@ pub fn systems(methods: &[Method], seeds: &[u64], progress: &Progress<'_>) -> an
         "Silhouettes in the common space by number of robots, for three, four and five teams",
         figures::systems(&page)?,
     );
+    table_of_systems(&mut page, methods);
+    Ok(page)
+}
+
+/// The silhouettes of all methods for each size and number of teams.
+fn table_of_systems(page: &mut Page, methods: &[Method]) {
     let mut rows = Vec::new();
     for robots in ROBOTS {
         for teams in TEAMS {
@@ -346,7 +361,6 @@ pub fn systems(methods: &[Method], seeds: &[u64], progress: &Progress<'_>) -> an
     }
     let names: Vec<String> = methods.iter().map(Method::name).collect();
     page.table(&[texts(&["robots", "k"]), names].concat(), &rows);
-    Ok(page)
 }
 
 /// Planted fleets, whose division is known.

@@ -11,7 +11,7 @@ use crate::results::{Page, Record};
 use crate::statistics::{Estimate, correlation};
 
 /// By how many points an accuracy may miss the printed one and still be called near it.
-const NEAR: f64 = 3.0;
+const NEAR_POINTS: f64 = 3.0;
 
 /// The methods of a run that the paper has too, in the order of its records.
 fn methods_of_the_paper(run: &Page) -> Vec<String> {
@@ -73,7 +73,7 @@ fn counts(run: &Page, page: &mut Page) {
         }
     }
     let found: Vec<String> =
-        right.iter().map(|(right, counted)| format!("{right} of {counted} robots")).collect();
+        right.iter().map(|(right, total)| format!("{right} of {total} robots")).collect();
     let printed = paper::scenario_one(name).map_or(f64::NAN, |(accuracy, _)| 100.0 * accuracy);
     let share = right.iter().next().map_or(f64::NAN, |(r, c)| 100.0 * *r as f64 / *c as f64);
     let whole = methods_of_the_paper(run).into_iter().filter(|name| {
@@ -92,7 +92,7 @@ fn counts(run: &Page, page: &mut Page) {
              finds depends on the formations, on what counts and on how teams are matched, and on nothing else. \
              Here it has {found} right in all of {runs} runs, {share:.2} %; the paper prints {printed:.2} %. So the \
              formations, their divisions and the matching are the paper's, as far as this can \
-             tell.\n\nThe paper's own numbers agree: {whole} \
+             show.\n\nThe paper's own numbers agree: {whole} \
              of its {all} accuracies are whole numbers of {robots} robots, so that its table is a single run and \
              not a mean. Its text has HOPE on the spatial graph at {squads:.2} % of squads and {platoons:.2} % of \
              platoons, which are {in_squads} of {of_squads} and {in_platoons} of {of_platoons} robots, as many as \
@@ -134,7 +134,7 @@ fn accuracies(run: &Page, page: &mut Page) {
         let found = Radio::ALL.map(of);
         let off = found.map(|found| found - printed);
         let least = if off[0].abs() <= off[1].abs() { off[0] } else { off[1] };
-        if least.abs() <= NEAR { &mut near } else { &mut far }.push(name.clone());
+        if least.abs() <= NEAR_POINTS { &mut near } else { &mut far }.push(name.clone());
         if name.ends_with("(hierarchy)") {
             hierarchy.push(format!("{name} {:.2} instead of {printed:.2}", found[0]));
         }
@@ -145,8 +145,8 @@ fn accuracies(run: &Page, page: &mut Page) {
     page.say(
         "### What depends on distances and radios comes out in part",
         &format!(
-            "Accuracy in percent; *off* is the difference of the nearer radio. Within {NEAR} points of the paper: \
-             {}. Not: {}.\n\nDistances and radios may explain what is related to them. They cannot explain the graph \
+            "Accuracy in percent; *off* is the difference of the nearer radio. Within {NEAR_POINTS} points of the \
+             paper: {}. Not: {}.\n\nDistances and radios may explain what is related to them. They cannot explain the graph \
              of command, which has neither: {}. The paper's graph of command must be another one, or embedded in \
              another way, and it does not say which. The paper's own method starts k-means once and at random: its \
              single runs are between {:.2} and {:.2} % here, so that one run, as the paper has it, says little.",
@@ -169,7 +169,7 @@ fn single_runs(run: &Page, name: &str) -> (f64, f64) {
         let sums = sums.entry((&record.condition, record.seed)).or_default();
         place.into_iter().for_each(|place| sums[place] += record.value);
     }
-    let shares = sums.values().map(|[right, counted]| 100.0 * right / counted);
+    let shares = sums.values().map(|[right, total]| 100.0 * right / total);
     shares.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), s| (low.min(s), high.max(s)))
 }
 
@@ -233,7 +233,7 @@ fn spaces(run: &Page, page: &mut Page) {
              best, method by method: {}. Over all methods, a row is off on average by: {}.\n\nFor the paper's own \
              method, {:.3} is printed. Its divisions have {:.3} in its own fused vectors, {:.3} where robots stand \
              and {:.3} in the common space: {} come nearest, and still miss the printed value by {:.3}. How campus, \
-             radios and chain of command were made is not told, so that this is a likely reading and no proof.",
+             radios and chain of command were made is not stated, so this is a likely reading and no proof.",
             nearest.join("; "),
             over_all.join("; "),
             of_plain[4],
@@ -328,25 +328,25 @@ fn rows_of_means(page: &mut Page, names: &[String]) {
     let mut rows = Vec::new();
     let (mut of_printed, mut of_all) = (0, 0);
     for name in names {
-        let Some((_, told)) = paper::scenario_one(name) else { continue };
+        let Some((_, stated)) = paper::scenario_one(name) else { continue };
         let [printed, unprinted] = paper::scenario_one_silhouettes(name);
         let means = [mean(&printed), mean(&[printed, unprinted].concat())];
         // As good as three digits can be.
-        let [is_printed, is_all] = means.map(|mean| (mean - told).abs() < 0.001);
+        let [is_printed, is_all] = means.map(|mean| (mean - stated).abs() < 0.001);
         of_printed += usize::from(is_printed);
         of_all += usize::from(is_all);
-        let numbers = [told, means[0], means[1]].map(|value| format!("{value:.3}"));
+        let numbers = [stated, means[0], means[1]].map(|value| format!("{value:.3}"));
         rows.push([vec![name.clone()], numbers.to_vec()].concat());
     }
     let [printed, unprinted] = paper::scenario_one_silhouettes(PLAIN);
-    let told = paper::scenario_one(PLAIN).map_or(f64::NAN, |(_, silhouette)| silhouette);
+    let stated = paper::scenario_one(PLAIN).map_or(f64::NAN, |(_, silhouette)| silhouette);
     page.say(
         "### Of which rows the paper's means are",
         &format!(
             "The paper's table of silhouettes in Scenario I prints {} rows, and its source has {} more, those of \
              platoons in four teams, which are commented out. The means that it prints are those of all {} rows for \
-             {of_all} of {} methods, and those of the printed rows for {of_printed}. For its own method, {told:.3} is \
-             printed; the rows that are left out have a mean of {:.3}, the printed ones of {:.3}.",
+             {of_all} of {} methods, and those of the printed rows for {of_printed}. For its own method, {stated:.3} \
+             is printed; the rows that are left out have a mean of {:.3}, the printed ones of {:.3}.",
             printed.len(),
             unprinted.len(),
             printed.len() + unprinted.len(),
@@ -366,13 +366,13 @@ mod tests {
     use crate::seeds::TRAINING;
 
     #[test]
-    fn shares_of_robots_are_told_from_others() {
+    fn shares_of_whole_robots_are_recognised() {
         assert!(is_whole(0.3922, 306) && is_whole(0.9673, 306));
         assert!(!is_whole(0.3935, 306));
     }
 
     #[test]
-    fn the_page_tells_the_numbers_of_the_run() {
+    fn the_page_has_the_numbers_of_the_run() {
         let seeds: Vec<u64> = TRAINING.take(1).collect();
         let formations = Formation::all().unwrap();
         let methods = Method::all();

@@ -209,7 +209,7 @@ pub fn systems(page: &Page) -> Result<String, PlotError> {
 /// Why there is no picture of a fleet.
 #[derive(Debug, thiserror::Error)]
 pub enum PictureError {
-    /// Nobody divides it.
+    /// No method divides it.
     #[error(transparent)]
     Division(#[from] DivisionError),
     /// It cannot be drawn.
@@ -217,7 +217,7 @@ pub enum PictureError {
     Plot(#[from] PlotError),
 }
 
-/// All formations as their files have them, where all within range are heard, each divided by a method into the
+/// All formations as their files have them, with links between all within range, each divided by a method into the
 /// teams of its finest division.
 ///
 /// # Errors
@@ -238,7 +238,7 @@ pub fn formations(formations: &[Formation], method: &Method) -> Result<String, P
                 "{}, {teams} teams: {} of {} right",
                 formation.name.replace('-', " "),
                 found.right,
-                found.counted
+                found.total
             ),
             places: layout.places.clone(),
             teams: labels.into_iter().map(Some).collect(),
@@ -248,7 +248,12 @@ pub fn formations(formations: &[Formation], method: &Method) -> Result<String, P
         });
     }
     let names = team_names(most);
-    Ok(maps(&pictures, 3, &names, "rings: those who command others; lines: who answers to whom")?)
+    Ok(maps(
+        &pictures,
+        3,
+        &names,
+        "rings: robots that command others; lines: robots and their superiors",
+    )?)
 }
 
 /// The legend of so many teams.

@@ -20,7 +20,7 @@ pub const FILES: [(&str, &str); 6] = [
     ("platoon-vee", include_str!("../formations/platoon-vee.json")),
 ];
 
-/// Who hears whom.
+/// Between which robots there are links.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Radio {
     /// All within [`RANGE_M`], the better the nearer.
@@ -43,15 +43,14 @@ impl fmt::Display for Radio {
     }
 }
 
-/// How far a robot is heard, in metres: a hand-held radio among obstacles, which is less than a squad in
-/// column is long.
+/// Radio range in metres: a hand-held radio among obstacles, less than the length of a squad in column.
 pub const RANGE_M: f64 = 40.0;
 
 /// By which factor a formation may be drawn out or pulled together.
 const SPACING: (f64, f64) = (0.8, 1.25);
 
-/// By how much a robot is off its place, in metres along each axis: most of what a march makes of ten metres
-/// between robots.
+/// By how much a robot is off its place, in metres along each axis: on a march, ten metres between robots
+/// vary by at most so much.
 const JITTER_M: f64 = 2.0;
 
 /// A formation of the list, by its place in it.
@@ -59,7 +58,7 @@ const JITTER_M: f64 = 2.0;
 pub struct Formation {
     /// Its name.
     pub name: &'static str,
-    /// What its file says.
+    /// The content of its file.
     pub layout: Layout,
 }
 
@@ -87,7 +86,7 @@ impl Formation {
         self.system(self.layout.places.clone(), radio)
     }
 
-    /// The formation on the march: drawn out or pulled together, and nobody quite in his place.
+    /// The formation on the march: drawn out or pulled together, and every robot a little off its place.
     #[must_use]
     pub fn marching(&self, radio: Radio, seed: u64) -> System {
         let mut chance = ChaCha8Rng::seed_from_u64(seed);
@@ -98,17 +97,17 @@ impl Formation {
     }
 
     fn system(&self, positions: Vec<[f64; 2]>, radio: Radio) -> System {
-        let heard = match radio {
+        let links = match radio {
             Radio::Range => in_range(&positions),
             Radio::Net => in_nets(positions.len(), &self.layout.nets),
         };
         let superiors = self.layout.superiors.iter().map(|superior| superior.map(|s| s as u32));
-        System { positions, heard, superiors: superiors.collect(), measured: None }
+        System { positions, links, superiors: superiors.collect(), measured: None }
     }
 }
 
 fn in_range(positions: &[[f64; 2]]) -> Vec<Vec<(u32, f64)>> {
-    let hears = |(i, at): (usize, &[f64; 2])| {
+    let of_robot = |(i, at): (usize, &[f64; 2])| {
         let others = (0..).zip(positions).filter(|(j, _)| *j as usize != i);
         let links = others.map(|(j, from)| {
             let share = (at[0] - from[0]).hypot(at[1] - from[1]) / RANGE_M;
@@ -116,18 +115,18 @@ fn in_range(positions: &[[f64; 2]]) -> Vec<Vec<(u32, f64)>> {
         });
         links.filter(|(_, quality)| *quality > 0.0).collect()
     };
-    positions.iter().enumerate().map(hears).collect()
+    positions.iter().enumerate().map(of_robot).collect()
 }
 
 fn in_nets(robots: usize, nets: &[Vec<usize>]) -> Vec<Vec<(u32, f64)>> {
-    let mut heard = vec![Vec::new(); robots];
+    let mut peers = vec![Vec::new(); robots];
     for net in nets {
-        for &hearer in net {
-            heard[hearer].extend(net.iter().filter(|peer| **peer != hearer).map(|p| *p as u32));
+        for &robot in net {
+            peers[robot].extend(net.iter().filter(|peer| **peer != robot).map(|p| *p as u32));
         }
     }
     // Two leaders may be on two nets together.
-    let links = heard.into_iter().map(|mut peers: Vec<u32>| {
+    let links = peers.into_iter().map(|mut peers: Vec<u32>| {
         peers.sort_unstable();
         peers.dedup();
         peers.into_iter().map(|peer| (peer, 1.0)).collect()

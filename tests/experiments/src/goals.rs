@@ -125,7 +125,7 @@ fn of_systems(run: &Page) -> String {
         Estimate::of(&run.values(is_asked)).mean
     };
     let rows = || ROBOTS.into_iter().flat_map(|robots| TEAMS.map(|teams| (robots, teams)));
-    let told: Vec<String> = others
+    let comparisons: Vec<String> = others
         .iter()
         .map(|other| {
             let behind = rows()
@@ -144,9 +144,9 @@ fn of_systems(run: &Page) -> String {
         "In Scenario II the silhouette in the common space should be at least that of each method on a single \
          modality and of concatenated HOPE in every one of the {} rows. It is at least that of {}. Methods that \
          split off single robots and leave the rest together, as Girvan and Newman's does, have good silhouettes \
-         and no teams; accuracy cannot be told where nobody knows the truth.\n\n",
+         and no teams; accuracy is undefined where the truth is unknown.\n\n",
         rows().count(),
-        told.join(", of ")
+        comparisons.join(", of ")
     )
 }
 

@@ -41,8 +41,8 @@ pub struct Scores {
     pub planted: Vec<f64>,
     /// Small fleets that are plain to see, by each choice of relations.
     pub plain: Vec<f64>,
-    /// Planted fleets of all numbers of teams, where everybody reports of one modality what is true of
-    /// another robot, by modality. No part of what a recipe is worth.
+    /// Planted fleets of all numbers of teams, where every robot reports one modality of another robot, by
+    /// modality. No part of what a recipe is worth.
     pub mistaken: [Vec<f64>; 3],
 }
 

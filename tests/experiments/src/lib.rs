@@ -8,7 +8,7 @@
 //!
 //! Fleets that move ([`moving`]) go through the cores of all services, with their truth at any moment.
 //!
-//! `cargo run --release -p muster-experiments -- --help` tells what can be run.
+//! `cargo run --release -p muster-experiments -- --help` lists what can be run.
 
 #[cfg(feature = "bus")]
 pub mod case_study;

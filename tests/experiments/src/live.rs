@@ -1,5 +1,5 @@
 //! The physical case through the real services: a router, the four services and ten robots in one process, each
-//! with a session of its own over a real socket, as in `muster demo`. What counts is what robots are told.
+//! with a session of its own over a real socket, as in `muster demo`. What counts is the teams that robots receive.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -25,36 +25,36 @@ use tokio::time::{Instant, sleep_until};
 
 use crate::physical::{Case, Recording};
 
-/// How long anything may take to find the router.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// How long a session may take to find the router.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Most words of robots that are kept: each is told its team once a second and with every change, for seconds.
-const MOST_WORDS: usize = 16_384;
+/// Most queued updates: each robot receives its team once a second and after every change, for ten seconds.
+const MAX_QUEUED_UPDATES: usize = 16_384;
 
 /// Where the router listens: the system chooses a free port.
 const LISTEN: &str = "tcp/127.0.0.1:0";
 
-/// What the robots were told.
+/// The teams that the robots received.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Told {
+pub struct TeamsReceived {
     /// The team of each robot in the end, numbered from 0; none if it has none.
     pub teams: Vec<Option<usize>>,
     /// Seconds from the first picture until every robot knew its team and there were as many as asked for; none
     /// if that was never so.
     pub whole_s: Option<f64>,
-    /// Seconds from the first picture until the last robot was told another team than before.
+    /// Seconds from the first picture until a robot last received another team.
     pub settled_s: f64,
-    /// How often a robot was told another team after all of them had known theirs.
+    /// How often a robot received another team after all of them had known theirs.
     pub moves: usize,
-    /// Of each division, milliseconds from the moment in which `ingest` received the newest pose behind it until
+    /// Of each division, milliseconds from the moment in which `ingest` received its newest pose until
     /// it was received at a console.
     pub newest_ms: Vec<f64>,
-    /// The same from the oldest pose behind it.
+    /// The same from its oldest pose.
     pub oldest_ms: Vec<f64>,
 }
 
-/// A robot is told a team.
-struct Word {
+/// A robot received its team.
+struct TeamUpdate {
     at: Instant,
     robot: usize,
     team: Option<TeamId>,
@@ -69,7 +69,7 @@ pub fn play(
     recording: &Recording,
     teams: usize,
     seconds: f64,
-) -> anyhow::Result<Told> {
+) -> anyhow::Result<TeamsReceived> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     runtime.block_on(play_on_bus(case, recording, teams, seconds))
 }
@@ -79,12 +79,12 @@ async fn play_on_bus(
     recording: &Recording,
     teams: usize,
     seconds: f64,
-) -> anyhow::Result<Told> {
+) -> anyhow::Result<TeamsReceived> {
     // Neither flags nor variables nor files: a run is the same everywhere.
     let mut config = ProcessConfig::resolve(&ProcessArgs::default(), Mode::Client, &|_| None)?;
     config.state_directory = Sourced { value: None, origin: Origin::Flag };
     config.set(ServiceName::Clusterer, &[format!("teams={teams}")])?;
-    let patience = ConnectTimeout::After(PATIENCE);
+    let patience = ConnectTimeout::After(CONNECT_TIMEOUT);
     let router = Bus::open(&config.as_router(vec![LISTEN.to_owned()]), patience).await?;
     let endpoints = router.locators().await;
     let config = config.as_client(endpoints.clone());
@@ -93,15 +93,18 @@ async fn play_on_bus(
 
     let console = Bus::open(&config, patience).await?;
     let delays = follow_divisions(&console, teams).await?;
-    let client =
-        Config { routers: Some(endpoints), connect_timeout: Some(PATIENCE), ..Config::default() };
+    let client = Config {
+        routers: Some(endpoints),
+        connect_timeout: Some(CONNECT_TIMEOUT),
+        ..Config::default()
+    };
     let robots = join(case, &client).await?;
-    let (words, mut told) = mpsc::channel(MOST_WORDS);
+    let (sender, mut receiver) = mpsc::channel(MAX_QUEUED_UPDATES);
     for (robot, joined) in robots.iter().enumerate() {
-        listen(robot, joined, words.clone());
+        forward_team(robot, joined, sender.clone());
     }
     let start = Instant::now();
-    say_relations(case, &robots)?;
+    put_relations(case, &robots)?;
     for picture in recording.pictures.iter().take_while(|picture| picture.t < seconds) {
         sleep_until(start + Duration::from_secs_f64(picture.t)).await;
         for (robot, at) in robots.iter().zip(&picture.at) {
@@ -110,11 +113,11 @@ async fn play_on_bus(
             }
         }
     }
-    let mut heard = Vec::new();
-    while let Ok(word) = told.try_recv() {
-        heard.push(word);
+    let mut updates = Vec::new();
+    while let Ok(update) = receiver.try_recv() {
+        updates.push(update);
     }
-    let mut summary = summary(&heard, robots.len(), teams, start);
+    let mut summary = summary(&updates, robots.len(), teams, start);
     let delays = std::mem::take(&mut *delays.lock().unwrap_or_else(PoisonError::into_inner));
     (summary.newest_ms, summary.oldest_ms) = delays.into_iter().unzip();
     if let Some(ended) = services.try_join_next() {
@@ -168,21 +171,21 @@ async fn join(case: &Case, config: &Config) -> anyhow::Result<Vec<Robot>> {
     Ok(robots.into_iter().map(|(_, robot)| robot).collect())
 }
 
-/// Hands on what a robot is told, until nobody listens, there is no room, or nothing is told any more.
-fn listen(robot: usize, joined: &Robot, words: mpsc::Sender<Word>) {
+/// Queues every team that a robot receives, until the queue is full or closed, or the robot has left.
+fn forward_team(robot: usize, joined: &Robot, updates: mpsc::Sender<TeamUpdate>) {
     let mut team = joined.team();
     tokio::spawn(async move {
         while let Ok(latest) = team.changed().await {
-            let word = Word { at: Instant::now(), robot, team: latest.value.team.clone() };
-            if words.try_send(word).is_err() {
+            let team = latest.value.team.clone();
+            if updates.try_send(TeamUpdate { at: Instant::now(), robot, team }).is_err() {
                 break;
             }
         }
     });
 }
 
-/// Links and ranks once; the client says them again by itself.
-fn say_relations(case: &Case, robots: &[Robot]) -> anyhow::Result<()> {
+/// Puts links and ranks once; the client republishes them.
+fn put_relations(case: &Case, robots: &[Robot]) -> anyhow::Result<()> {
     let named = |robot: &usize| case.layout.robots[*robot].as_str();
     for ((robot, links), superior) in robots.iter().zip(case.links()?).zip(&case.layout.superiors) {
         robot.put_links(links.links.iter().map(|link| (link.peer.as_str(), link.quality)))?;
@@ -193,7 +196,7 @@ fn say_relations(case: &Case, robots: &[Robot]) -> anyhow::Result<()> {
 
 type Delays = Arc<Mutex<Vec<(f64, f64)>>>;
 
-/// Notes how old the newest and the oldest pose behind each division are as it arrives, in milliseconds, once
+/// Notes how old the newest and the oldest pose of each division are as it arrives, in milliseconds, once
 /// there are as many teams as asked for.
 async fn follow_divisions(console: &Bus, wanted: usize) -> anyhow::Result<Delays> {
     let (delays, clock, space) = (Delays::default(), Clock::start(), console.space().clone());
@@ -213,30 +216,30 @@ async fn follow_divisions(console: &Bus, wanted: usize) -> anyhow::Result<Delays
     Ok(delays)
 }
 
-/// What the words come to, in their order.
-fn summary(words: &[Word], robots: usize, wanted: usize, start: Instant) -> Told {
-    let mut told = Told::default();
+/// The teams in the end, and when they changed.
+fn summary(updates: &[TeamUpdate], robots: usize, wanted: usize, start: Instant) -> TeamsReceived {
+    let mut received = TeamsReceived::default();
     let mut teams: Vec<Option<TeamId>> = vec![None; robots];
-    let mut sorted: Vec<&Word> = words.iter().collect();
-    sorted.sort_by_key(|word| word.at);
-    for word in sorted {
+    let mut sorted: Vec<&TeamUpdate> = updates.iter().collect();
+    sorted.sort_by_key(|update| update.at);
+    for update in sorted {
         // The same team with other members is no other team.
-        if teams[word.robot] == word.team {
+        if teams[update.robot] == update.team {
             continue;
         }
-        teams[word.robot].clone_from(&word.team);
-        told.settled_s = (word.at - start).as_secs_f64();
+        teams[update.robot].clone_from(&update.team);
+        received.settled_s = (update.at - start).as_secs_f64();
         let different: BTreeSet<_> = teams.iter().flatten().collect();
-        if told.whole_s.is_some() {
-            told.moves += 1;
+        if received.whole_s.is_some() {
+            received.moves += 1;
         } else if teams.iter().all(Option::is_some) && different.len() == wanted {
-            told.whole_s = Some(told.settled_s);
+            received.whole_s = Some(received.settled_s);
         }
     }
     let different: BTreeSet<&TeamId> = teams.iter().flatten().collect();
     let numbers: BTreeMap<&TeamId, usize> = different.into_iter().zip(0..).collect();
-    told.teams = teams.iter().map(|team| numbers.get(team.as_ref()?).copied()).collect();
-    told
+    received.teams = teams.iter().map(|team| numbers.get(team.as_ref()?).copied()).collect();
+    received
 }
 
 #[cfg(test)]
@@ -244,35 +247,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_come_to_a_division_and_its_changes() {
+    fn updates_give_a_division_and_its_changes() {
         let start = Instant::now();
-        let word = |seconds: f64, robot: usize, team: &str| Word {
+        let update = |seconds: f64, robot: usize, team: &str| TeamUpdate {
             at: start + Duration::from_secs_f64(seconds),
             robot,
             team: Some(team.parse().unwrap()),
         };
-        let words = [
-            word(0.3, 2, "t2"),
-            word(0.1, 0, "t1"),
-            word(0.2, 1, "t1"),
-            word(0.5, 0, "t1"),
-            word(0.7, 1, "t2"),
+        let updates = [
+            update(0.3, 2, "t2"),
+            update(0.1, 0, "t1"),
+            update(0.2, 1, "t1"),
+            update(0.5, 0, "t1"),
+            update(0.7, 1, "t2"),
         ];
-        let told = summary(&words, 3, 2, start);
-        assert_eq!(told.teams, [Some(0), Some(1), Some(1)]);
-        assert_eq!((told.whole_s, told.settled_s, told.moves), (Some(0.3), 0.7, 1));
-        assert_eq!(summary(&[], 1, 2, start), Told { teams: vec![None], ..Told::default() });
-    }
-
-    #[test]
-    fn robots_are_told_the_teams_that_they_form() {
-        let case = &Case::all().unwrap()[0];
-        // Two seconds are enough; other tests run beside this one.
-        let told = play(case, &case.recording().unwrap(), 3, 8.0).unwrap();
-        assert_eq!(told.teams.len(), 10);
-        assert!(told.whole_s.is_some() && !told.newest_ms.is_empty(), "{told:?}");
-        assert!(
-            told.newest_ms.iter().zip(&told.oldest_ms).all(|(newest, oldest)| newest <= oldest)
+        let received = summary(&updates, 3, 2, start);
+        assert_eq!(received.teams, [Some(0), Some(1), Some(1)]);
+        assert_eq!((received.whole_s, received.settled_s, received.moves), (Some(0.3), 0.7, 1));
+        assert_eq!(
+            summary(&[], 1, 2, start),
+            TeamsReceived { teams: vec![None], ..TeamsReceived::default() }
         );
     }
 }

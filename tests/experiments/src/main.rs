@@ -16,10 +16,10 @@ use muster_experiments::moving::page::moving;
 use muster_experiments::physical::Case;
 use muster_experiments::progress::Bar;
 use muster_experiments::results::Page;
-use muster_experiments::seeds::{HELD_OUT, TRAINING, judging};
+use muster_experiments::seeds::{HELD_OUT, TRAINING, held_out};
 use muster_experiments::statistics::Estimate;
 
-/// Divides formations, random systems and planted fleets by all methods, and tells how well.
+/// Divides formations, random systems and planted fleets by all methods, and reports how well.
 #[derive(Debug, Parser)]
 #[command(
     version,
@@ -46,7 +46,7 @@ enum What {
     Formations,
     /// The same with wrong distances
     Noise,
-    /// Random systems, of which nobody knows the right division
+    /// Random systems, whose right division is unknown
     Systems,
     /// Planted fleets, whose division is known
     Planted,
@@ -55,34 +55,34 @@ enum What {
     /// Ten robots in four layouts, recorded, through the real services; takes ten seconds each
     #[cfg(feature = "bus")]
     Physical,
-    /// Make the recordings of the physical case anew from their seeds, in the folder --out
+    /// Make the recordings of the physical case again from their seeds, in the folder --out
     Record,
     /// What each choice of the method is worth, on training seeds
     Grid {
-        /// So many recipes made by chance, instead of all that differ from one in one choice
+        /// Number of random recipes, instead of all that differ from one in one choice
         #[arg(long, value_name = "RECIPES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
         random: Option<u32>,
     },
 }
 
-/// Seed of the recipes that chance makes.
+/// Seed of random recipes.
 const RECIPE_SEED: u64 = 1;
 
 /// What a page begins with.
 const TITLE: &str = "# Experiments\n\n";
 
 /// Seeds of a quick run.
-const FEW: usize = 5;
+const QUICK_SEEDS: usize = 5;
 
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
     if matches!(arguments.what, What::Record) {
         return record(arguments.out.as_deref());
     }
-    let count = if arguments.quick { FEW } else { HELD_OUT.count() };
-    let seeds: Vec<u64> = judging(count).collect();
+    let count = if arguments.quick { QUICK_SEEDS } else { HELD_OUT.count() };
+    let seeds: Vec<u64> = held_out(count).collect();
     let (formations, methods) = (Formation::all()?, Method::all());
-    // The paper looks at one embedding beside its own; Girvan and Newman's method sees no distances.
+    // The paper compares one other embedding; Girvan and Newman's method sees no distances.
     let noisy: Vec<Method> = methods
         .iter()
         .filter(|method| {
@@ -121,7 +121,7 @@ fn main() -> anyhow::Result<()> {
     }
     #[cfg(feature = "bus")]
     if is("physical") {
-        // The first seconds tell most: later pictures show the same robots again.
+        // The first seconds matter most: later pictures show the same robots again.
         let seconds = if arguments.quick { 3.0 } else { 10.0 };
         bar.count(Case::all()?.len());
         page.append(muster_experiments::case_study::physical(seconds, &progress)?);
@@ -130,8 +130,8 @@ fn main() -> anyhow::Result<()> {
         page.append(collapse(&formations, &seeds, &progress)?);
         let explained = papers_numbers(&page);
         page.append(explained);
-        let begun = goals(&page).text;
-        page.text = format!("{TITLE}{begun}{}", page.text.trim_start_matches(TITLE));
+        let goals = goals(&page).text;
+        page.text = format!("{TITLE}{goals}{}", page.text.trim_start_matches(TITLE));
     }
     if let What::Grid { random } = arguments.what {
         page.text = grid(count, random, &bar)?;
@@ -166,7 +166,7 @@ fn grid(seeds: usize, recipes: Option<u32>, bar: &Bar) -> anyhow::Result<String>
         page,
         "Robots in the right team in percent, over {} training seeds. *Worth* is the mean of formations with both \
          radios, of the same with distances wrong by up to half of them, of planted fleets, and of small fleets \
-         that are plain to see, with its 95 % interval. *Mistaken* are planted fleets in which everybody reports \
+         that are plain to see, with its 95 % interval. *Mistaken* are planted fleets in which every robot reports \
          the position, the links or the superior of another robot. *As it is*: {}.\n",
         seeds.len(),
         described(&Recipe::live())

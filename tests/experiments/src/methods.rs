@@ -46,9 +46,9 @@ pub type ModalityIndex = usize;
 pub struct Recipe {
     /// How distances become weights.
     pub nearness: Nearness,
-    /// By which share reports up the chain of command count beside orders down.
+    /// Weight of reports up the chain of command, relative to orders down.
     pub upward: f64,
-    /// By which share those who answer to the same superior are tied to each other.
+    /// Weight of ties between robots with the same superior.
     pub siblings: f64,
     /// The weight of each modality.
     pub weights: [f64; 3],
@@ -104,7 +104,7 @@ impl Recipe {
         if self.by_coverage { coverage(graph.related_share()) } else { 1.0 }
     }
 
-    /// What the live system does unless it is told otherwise: the defaults of its services.
+    /// What the live system does by default: the defaults of its services.
     #[must_use]
     pub fn live() -> Self {
         let (ingest, embedder) = (IngestSettings::default(), EmbedderSettings::default());
@@ -225,7 +225,7 @@ pub enum DivisionError {
     Lle(#[from] LleError),
 }
 
-/// A division, with the vectors that it rests on where there are some.
+/// A division, with the vectors that were divided where there are some.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Division {
     /// The team of each robot.

@@ -9,10 +9,10 @@ const SYSTEMS: &str = include_str!("../paper/scenario2_silhouette.csv");
 /// Silhouettes of Scenario I, by formation and teams.
 const FORMATIONS: &str = include_str!("../paper/scenario1_silhouette.csv");
 
-/// Those of four teams, which stand in the paper's source but are not printed.
+/// Those of four teams, which are in the paper's source but not printed.
 const UNPRINTED: &str = include_str!("../paper/scenario1_silhouette_unprinted.csv");
 
-/// Accuracy of HOPE on the spatial graph without noise, from 0 to 1, as the paper's text tells it: squads and
+/// Accuracy of HOPE on the spatial graph without noise, from 0 to 1, as the paper's text states it: squads and
 /// platoons, whose robots are 3 · (8 + 9) and 3 · (27 + 29 + 29).
 pub const HOPE_WITHOUT_NOISE: [(f64, usize); 2] = [(0.7647, 51), (0.8824, 255)];
 

@@ -1,9 +1,9 @@
 //! The physical case: ten robots in four layouts under a camera, as in the paper's case study, and what the camera
 //! has seen of them.
 //!
-//! There are no robots and no camera here. A recording is what a camera above marked robots would tell: at
+//! There are no robots and no camera here. A recording is what a camera above marked robots would report: at
 //! [`RATE_HZ`], each place off by [`JITTER_M`] (standard deviation along each axis), a mark not recognised in
-//! [`MISSED`] of all cases and a whole picture lost in [`DROPPED`]. Recordings stand in files, so that everybody
+//! [`MISSED_SHARE`] of all cases and a whole picture lost in [`DROPPED_SHARE`]. Recordings are files, so every run
 //! replays the same; `muster-experiments record` makes them again from their seeds.
 
 use std::fmt::Write as _;
@@ -15,7 +15,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::seeds::judging;
+use crate::seeds::held_out;
 
 /// The layouts with their recordings. How robots command each other follows the paper's rule, within teams that
 /// are known: the robot of a team that is nearest to the middle of all leads it, and the nearest of the leaders
@@ -38,16 +38,16 @@ pub const RATE_HZ: f64 = 10.0;
 pub const JITTER_M: f64 = 0.01;
 
 /// Share of marks that are not recognised in a picture.
-pub const MISSED: f64 = 0.02;
+pub const MISSED_SHARE: f64 = 0.02;
 
 /// Share of pictures that are lost as a whole.
-pub const DROPPED: f64 = 0.01;
+pub const DROPPED_SHARE: f64 = 0.01;
 
 /// Pictures of a recording: ten seconds.
 const PICTURES: u32 = 100;
 
-/// How far a robot is heard on average, in metres: across half of the room.
-pub const HEARD_M: f64 = 2.0;
+/// Mean range of a radio in metres: half of the room.
+pub const RADIO_RANGE_M: f64 = 2.0;
 
 /// What a recording begins with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -61,9 +61,9 @@ pub struct Head {
     pub rate_hz: f64,
     /// See [`JITTER_M`].
     pub jitter_m: f64,
-    /// See [`MISSED`].
+    /// See [`MISSED_SHARE`].
     pub missed: f64,
-    /// See [`DROPPED`].
+    /// See [`DROPPED_SHARE`].
     pub dropped: f64,
 }
 
@@ -89,11 +89,11 @@ pub struct Recording {
 /// A layout with its recording.
 #[derive(Debug, Clone)]
 pub struct Case {
-    /// What its file says.
+    /// The content of its file.
     pub layout: Layout,
     /// From which all chance follows.
     pub seed: u64,
-    /// As it stands in its file.
+    /// The text of its file.
     recording: &'static str,
 }
 
@@ -103,7 +103,7 @@ impl Case {
     /// # Errors
     /// If a file is none.
     pub fn all() -> anyhow::Result<Vec<Self>> {
-        let seeds = judging(FILES.len());
+        let seeds = held_out(FILES.len());
         let read = |((layout, recording), seed): (&(&str, &'static str), u64)| {
             Ok(Self { layout: Layout::read(layout)?, seed, recording })
         };
@@ -126,13 +126,13 @@ impl Case {
         let options = FleetOptions {
             seed: self.seed,
             noise_m: JITTER_M,
-            radio_range_m: HEARD_M,
+            radio_range_m: RADIO_RANGE_M,
             ..FleetOptions::default()
         };
         Ok(Fleet::of_layout(&self.layout, options)?)
     }
 
-    /// Whom the robots hear.
+    /// The incoming links of each robot.
     ///
     /// # Errors
     /// If there is no fleet.
@@ -140,7 +140,7 @@ impl Case {
         Ok(self.fleet()?.links(0.0))
     }
 
-    /// Makes the recording anew.
+    /// Makes the recording from its seed.
     ///
     /// # Errors
     /// If there is no fleet.
@@ -150,9 +150,9 @@ impl Case {
         let mut pictures = Vec::new();
         for number in 0..PICTURES {
             let t = f64::from(number) / RATE_HZ;
-            let is_dropped = chance.random::<f64>() < DROPPED;
+            let is_dropped = chance.random::<f64>() < DROPPED_SHARE;
             let seen: Vec<bool> =
-                fleet.robots().iter().map(|_| chance.random::<f64>() >= MISSED).collect();
+                fleet.robots().iter().map(|_| chance.random::<f64>() >= MISSED_SHARE).collect();
             let millimetres = |metres: f64| (1e3 * metres).round() / 1e3;
             let places = fleet
                 .poses(t)
@@ -168,8 +168,8 @@ impl Case {
             seed: self.seed,
             rate_hz: RATE_HZ,
             jitter_m: JITTER_M,
-            missed: MISSED,
-            dropped: DROPPED,
+            missed: MISSED_SHARE,
+            dropped: DROPPED_SHARE,
         };
         Ok(Recording { head, pictures })
     }
@@ -217,7 +217,7 @@ mod tests {
             assert_eq!(layout.teams(0), 3);
             assert!(layout.divisions[0].iter().all(Option::is_some));
             assert_eq!(layout.superiors.iter().filter(|superior| superior.is_none()).count(), 1);
-            // Nobody answers to another team, leaders apart.
+            // Only leaders answer to another team.
             for (robot, superior) in layout.superiors.iter().enumerate() {
                 let team = |robot: usize| layout.divisions[0][robot];
                 let leads = layout.superiors.contains(&Some(robot));
@@ -233,7 +233,7 @@ mod tests {
         for case in Case::all().unwrap() {
             let recording = case.record().unwrap();
             let name = &case.layout.name;
-            assert!(case.recording().unwrap() == recording, "{name}: make it anew by `record`");
+            assert!(case.recording().unwrap() == recording, "{name}: make it again by `record`");
             assert!(case.recording == recording.text().unwrap(), "{name} reads back otherwise");
             assert_eq!(recording.head.layout, case.layout.name);
             bytes += case.recording.len();
@@ -260,7 +260,7 @@ mod tests {
         let deviation = (off.iter().map(|off| off * off).sum::<f64>() / off.len() as f64).sqrt();
         assert!((deviation - JITTER_M).abs() < 0.001, "{deviation}");
         let share = f64::from(missed) / marks as f64;
-        assert!((share - MISSED).abs() < 0.01, "{share}");
+        assert!((share - MISSED_SHARE).abs() < 0.01, "{share}");
         assert!((380..=399).contains(&pictures), "{pictures}");
         assert!(Recording::read("{}").is_err());
     }

@@ -1,7 +1,7 @@
 //! Plots as SVG: data in, text out. What is in them is decided elsewhere ([`crate::figures`]).
 //!
-//! Colours are those of Okabe and Ito (Color Universal Design, 2008), which people of every colour vision tell
-//! apart; a shape says the same again, for those who print in grey.
+//! Colours are those of Okabe and Ito (Color Universal Design, 2008), which people of every colour vision can tell
+//! apart; shapes repeat the distinction for print in grey.
 
 pub mod dots;
 pub mod lines;
@@ -77,7 +77,7 @@ pub struct Look {
 }
 
 impl Look {
-    /// One of many that are told apart, the same for the same number.
+    /// One of many distinct colours, the same for the same number.
     #[must_use]
     pub fn of(number: usize) -> Self {
         Self {
@@ -95,11 +95,11 @@ impl Look {
 /// An axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Axis {
-    /// What it tells, with its unit.
+    /// What it shows, with its unit.
     pub title: String,
     /// Where it begins and ends.
     pub range: (f64, f64),
-    /// Digits behind the point.
+    /// Digits after the point.
     pub decimals: usize,
 }
 

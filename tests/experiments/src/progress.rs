@@ -12,7 +12,7 @@ const TICK: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub struct Bar {
     bar: ProgressBar,
-    begun: Cell<u64>,
+    started: Cell<u64>,
 }
 
 impl Bar {
@@ -25,7 +25,7 @@ impl Bar {
             bar.set_style(style);
         }
         bar.enable_steady_tick(TICK);
-        Self { bar, begun: Cell::new(0) }
+        Self { bar, started: Cell::new(0) }
     }
 
     /// So many more steps are to be done.
@@ -35,9 +35,9 @@ impl Bar {
 
     /// A step begins, and the one before it is done.
     pub fn step(&self, what: &str) {
-        let done = self.begun.get();
-        self.begun.set(done + 1);
-        // Steps that nobody has counted make the run longer, and never more than whole.
+        let done = self.started.get();
+        self.started.set(done + 1);
+        // Uncounted steps make the run longer, and never more than whole.
         if done >= self.bar.length().unwrap_or_default() {
             self.bar.set_length(done + 1);
         }

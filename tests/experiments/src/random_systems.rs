@@ -1,15 +1,15 @@
-//! Systems that chance makes: those of Scenario II, of which nobody knows the right division, and planted
-//! fleets, of which we do.
+//! Random systems: those of Scenario II, whose right division is unknown, and planted fleets, whose division is
+//! known.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::system::System;
 
-/// How far a robot of Scenario II is heard where nothing stands in the way, in metres.
+/// Radio range in Scenario II along a free line of sight, in metres.
 const SIGHT_M: f64 = 40.0;
 
-/// Area for each robot of Scenario II, in square metres: a campus on which neighbours stand some twenty metres
+/// Area for each robot of Scenario II, in square metres: a campus on which neighbours are some twenty metres
 /// from each other.
 const AREA_M2: f64 = 400.0;
 
@@ -17,8 +17,8 @@ const AREA_M2: f64 = 400.0;
 const BUILDINGS: f64 = 0.2;
 const WALL_M: (f64, f64) = (8.0, 30.0);
 
-/// Tries to place a robot outside of all buildings. More would say that there is no such place.
-const TRIES: usize = 1000;
+/// Tries to place a robot outside of all buildings. After more there is probably no such place.
+const MAX_ATTEMPTS: usize = 1000;
 
 /// Robots of a planted team.
 const TEAM_ROBOTS: (usize, usize) = (4, 10);
@@ -26,12 +26,12 @@ const TEAM_ROBOTS: (usize, usize) = (4, 10);
 /// Standard deviation of a planted team's robots about its middle, along each axis in metres.
 const SPREAD_M: f64 = 10.0;
 
-/// Least distance of two middles, in spreads: some robots of neighbouring teams stand nearer to each other
+/// Least distance of two middles, in spreads: some robots of neighbouring teams are nearer to each other
 /// than to their own.
-const APART: f64 = 4.0;
+const MIN_SEPARATION_SPREADS: f64 = 4.0;
 
-/// How far a robot of a planted fleet is heard, in metres.
-const HEARD_M: f64 = 40.0;
+/// Radio range in a planted fleet, in metres.
+const RADIO_RANGE_M: f64 = 40.0;
 
 /// A building: its south-west and north-east corner.
 type Building = [[f64; 2]; 2];
@@ -61,7 +61,7 @@ fn blocks(building: &Building, from: [f64; 2], to: [f64; 2]) -> bool {
 }
 
 /// A random system of Scenario II: robots anywhere on a campus, links by line of sight, and a hierarchy in which
-/// robots near the middle stand above those at the edge.
+/// robots near the middle command those at the edge.
 #[must_use]
 #[expect(clippy::cast_precision_loss, reason = "there are a few dozen robots")]
 pub fn campus(robots: usize, seed: u64) -> System {
@@ -76,7 +76,7 @@ pub fn campus(robots: usize, seed: u64) -> System {
         .collect();
     let mut place = || {
         let mut at = [0.0; 2];
-        for _ in 0..TRIES {
+        for _ in 0..MAX_ATTEMPTS {
             at = [(); 2].map(|()| side * chance.random::<f64>());
             if !buildings.iter().any(|building| within(building, at)) {
                 break;
@@ -86,12 +86,12 @@ pub fn campus(robots: usize, seed: u64) -> System {
     };
     let positions: Vec<[f64; 2]> = (0..robots).map(|_| place()).collect();
     let sees = |from, to| !buildings.iter().any(|building| blocks(building, from, to));
-    let heard = heard(&positions, SIGHT_M, sees);
+    let links = links_in_range(&positions, SIGHT_M, sees);
     let superiors = by_centrality(&positions);
-    System { positions, heard, superiors, measured: None }
+    System { positions, links, superiors, measured: None }
 }
 
-/// Each answers to the nearest of those who stand nearer to the middle than it does.
+/// The superior of each robot: the nearest of those nearer to the middle than itself.
 #[expect(clippy::cast_precision_loss, reason = "there are a few dozen robots")]
 fn by_centrality(positions: &[[f64; 2]]) -> Vec<Option<u32>> {
     let count = positions.len().max(1) as f64;
@@ -109,12 +109,12 @@ fn metres(from: [f64; 2], to: [f64; 2]) -> f64 {
     (from[0] - to[0]).hypot(from[1] - to[1])
 }
 
-fn heard(
+fn links_in_range(
     positions: &[[f64; 2]],
     range_m: f64,
     sees: impl Fn([f64; 2], [f64; 2]) -> bool,
 ) -> Vec<Vec<(u32, f64)>> {
-    let hears = |(i, at): (u32, &[f64; 2])| {
+    let of_robot = |(i, at): (u32, &[f64; 2])| {
         let others = (0..).zip(positions).filter(move |(j, _)| *j != i);
         let links = others.filter_map(|(j, from)| {
             let share = metres(*at, *from) / range_m;
@@ -122,26 +122,26 @@ fn heard(
         });
         links.collect()
     };
-    (0..).zip(positions).map(hears).collect()
+    (0..).zip(positions).map(of_robot).collect()
 }
 
-/// How far teams of [`plain_to_see`] stand apart, in metres.
+/// Distance between teams of [`plain_to_see`], in metres.
 const FAR_M: f64 = 90.0;
 
-/// A planted fleet and the team of each robot: teams that stand about their middles, whose members answer to a
-/// leader each and whose leaders answer to the first one's.
+/// A planted fleet and the team of each robot: teams scattered about their middles, whose members answer to a
+/// leader each and whose leaders answer to the first leader.
 #[must_use]
 #[expect(clippy::cast_precision_loss, reason = "there are a few teams")]
 pub fn planted(teams: usize, seed: u64) -> (System, Vec<Option<usize>>) {
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
-    let side = APART * SPREAD_M * (2.0 * teams as f64).sqrt();
+    let side = MIN_SEPARATION_SPREADS * SPREAD_M * (2.0 * teams as f64).sqrt();
     let mut middles: Vec<[f64; 2]> = Vec::new();
     while middles.len() < teams {
         // The last try counts: a fleet may be crowded.
         let mut at = [0.0; 2];
-        for _ in 0..TRIES {
+        for _ in 0..MAX_ATTEMPTS {
             at = [(); 2].map(|()| side * chance.random::<f64>());
-            if middles.iter().all(|other| metres(at, *other) >= APART * SPREAD_M) {
+            if middles.iter().all(|other| metres(at, *other) >= MIN_SEPARATION_SPREADS * SPREAD_M) {
                 break;
             }
         }
@@ -161,7 +161,7 @@ pub fn planted(teams: usize, seed: u64) -> (System, Vec<Option<usize>>) {
             truth.push(Some(team));
         }
     }
-    system.heard = heard(&system.positions, HEARD_M, |_, _| true);
+    system.links = links_in_range(&system.positions, RADIO_RANGE_M, |_, _| true);
     (system, truth)
 }
 
@@ -170,9 +170,9 @@ pub fn planted(teams: usize, seed: u64) -> (System, Vec<Option<usize>>) {
 pub struct Known {
     /// Where robots are.
     pub positions: bool,
-    /// Whom they hear.
+    /// Their incoming links.
     pub links: bool,
-    /// Whom they answer to.
+    /// Their superiors.
     pub ranks: bool,
 }
 
@@ -187,9 +187,9 @@ impl Known {
     }
 }
 
-/// A fleet that nobody would divide otherwise, and the team of each robot: teams of `size` that stand a few
-/// metres apart from each other and [`FAR_M`] from the next, hear those of their team alone, and answer to
-/// the first of it. Robots whose places are not known stand nowhere.
+/// A fleet with one obvious division, and the team of each robot: teams of `size` whose robots are a few metres
+/// apart and [`FAR_M`] from the next team, have links within their team alone, and answer to the first of it.
+/// Positions that are not known are NaN.
 #[must_use]
 pub fn plain_to_see(
     teams: usize,
@@ -207,11 +207,11 @@ pub fn plain_to_see(
             let place =
                 [f64::from(robot - first) * 3.0 + jitter[0], team as f64 * FAR_M + jitter[1]];
             system.positions.push(if known.positions { place } else { [f64::NAN; 2] });
-            let heard = members.clone().filter(|peer| *peer != robot);
+            let peers = members.clone().filter(|peer| *peer != robot);
             let mut links: Vec<_> =
-                heard.map(|peer| (peer, chance.random_range(0.5..1.0))).collect();
+                peers.map(|peer| (peer, chance.random_range(0.5..1.0))).collect();
             links.retain(|_| known.links);
-            system.heard.push(links);
+            system.links.push(links);
             system.superiors.push((known.ranks && robot != first).then_some(first));
             truth.push(Some(team));
         }
@@ -239,10 +239,10 @@ mod tests {
             let system = campus(50, seed);
             assert_eq!(system.robots(), 50);
             assert_eq!(system.superiors.iter().filter(|superior| superior.is_none()).count(), 1);
-            for (robot, links) in system.heard.iter().enumerate() {
+            for (robot, links) in system.links.iter().enumerate() {
                 for &(peer, quality) in links {
                     assert!(quality > 0.0 && quality <= 1.0);
-                    let back = &system.heard[peer as usize];
+                    let back = &system.links[peer as usize];
                     assert!(back.iter().any(|(other, _)| *other as usize == robot));
                 }
             }

@@ -1,4 +1,4 @@
-//! What experiments leave behind: pages to read, and every single number.
+//! The results of experiments: pages to read, and every single number.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -20,14 +20,14 @@ pub struct Record {
     pub method: String,
     /// Seed of the system and of all choices of the method.
     pub seed: u64,
-    /// What is told: `accuracy`, or robots that are `right` among those `counted`; `silhouette own`, `silhouette
+    /// What is measured: `accuracy`, or robots that are `right` among those `counted`; `silhouette own`, `silhouette
     /// physical`, `silhouette common`, and `silhouette fused` in the vectors of the paper's method.
     pub measure: &'static str,
     /// The number.
     pub value: f64,
 }
 
-/// A page with the numbers behind it.
+/// A page with its numbers.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Page {
     /// Markdown.
@@ -38,7 +38,7 @@ pub struct Page {
     pub plots: Vec<(String, String)>,
 }
 
-/// The folder of pictures beside the page.
+/// The folder of pictures next to the page.
 pub const PLOTS: &str = "plots";
 
 impl Page {
@@ -57,7 +57,7 @@ impl Page {
         self.text.push('\n');
     }
 
-    /// Adds a picture by the name of its file, without ending, with words for those who do not see it.
+    /// Adds a picture by the name of its file, without ending, with a description.
     pub fn plot(&mut self, name: &str, words: &str, svg: String) {
         let file = format!("{name}.svg");
         let _ = write!(self.text, "![{words}]({PLOTS}/{file})\n\n");
@@ -69,7 +69,7 @@ impl Page {
         self.records.iter().filter(|record| is_asked(record)).map(|record| record.value).collect()
     }
 
-    /// Adds another page behind this one.
+    /// Appends another page.
     pub fn append(&mut self, other: Self) {
         self.text += &other.text;
         self.records.extend(other.records);

@@ -8,7 +8,7 @@ pub struct Correct {
     /// Robots in the right team.
     pub right: u64,
     /// Robots that count.
-    pub counted: u64,
+    pub total: u64,
 }
 
 impl Correct {
@@ -16,14 +16,14 @@ impl Correct {
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
     pub fn share(self) -> f64 {
-        if self.counted == 0 { 1.0 } else { self.right as f64 / self.counted as f64 }
+        if self.total == 0 { 1.0 } else { self.right as f64 / self.total as f64 }
     }
 }
 
 impl std::ops::AddAssign for Correct {
     fn add_assign(&mut self, other: Self) {
         self.right += other.right;
-        self.counted += other.counted;
+        self.total += other.total;
     }
 }
 
@@ -37,7 +37,7 @@ pub fn correct(found: &[usize], truth: &[Option<usize>]) -> Result<Correct, Matc
     let matched = match_by_overlap(&table)?;
     let right =
         table.iter().zip(matched).filter_map(|(row, team)| team.map(|team| row[team])).sum();
-    Ok(Correct { right, counted: truth.iter().flatten().count() as u64 })
+    Ok(Correct { right, total: truth.iter().flatten().count() as u64 })
 }
 
 /// The Rand index adjusted for chance (Hubert and Arabie, Journal of Classification 2, 1985): 1 for the
@@ -75,9 +75,9 @@ mod tests {
     fn names_of_teams_do_not_matter_and_the_best_matching_counts() {
         let truth = [Some(0), Some(0), Some(1), Some(1), None];
         let score = |found: [usize; 5]| correct(&found, &truth).unwrap();
-        assert_eq!(score([1, 1, 0, 0, 0]), Correct { right: 4, counted: 4 });
-        assert_eq!(score([0, 1, 1, 1, 2]), Correct { right: 3, counted: 4 });
-        assert_eq!(score([0, 0, 0, 0, 0]), Correct { right: 2, counted: 4 });
+        assert_eq!(score([1, 1, 0, 0, 0]), Correct { right: 4, total: 4 });
+        assert_eq!(score([0, 1, 1, 1, 2]), Correct { right: 3, total: 4 });
+        assert_eq!(score([0, 0, 0, 0, 0]), Correct { right: 2, total: 4 });
         assert!(correct(&[0], &truth).is_err());
         assert_eq!(Correct::default().share(), 1.0);
     }

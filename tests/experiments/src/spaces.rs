@@ -2,7 +2,7 @@
 //!
 //! A silhouette in a method's own vectors rewards vectors that collapse: the division is judged where its own
 //! k-means made it look best. So that methods can be compared, every division is scored in two more spaces that
-//! no method has made: where robots stand, and one in which every modality has the same say.
+//! no method has made: that of positions, and one in which every modality has the same weight.
 
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::silhouette;
@@ -33,15 +33,15 @@ impl Distances {
         Self::new(system.robots(), |i, j| (at[i][0] - at[j][0]).hypot(at[i][1] - at[j][1]))
     }
 
-    /// The fewest links by which a message gets from one robot to the other, whichever way; those whom
-    /// none reaches are as far as there are robots.
+    /// The fewest links by which a message gets from one robot to the other, whichever way; unreachable robots
+    /// are as far as there are robots.
     #[must_use]
     pub fn hops(system: &System) -> Self {
         let mut near = vec![Vec::new(); system.robots()];
-        for (hearer, links) in system.heard.iter().enumerate() {
+        for (robot, links) in system.links.iter().enumerate() {
             for &(peer, _) in links {
-                near[hearer].push(peer as usize);
-                near[peer as usize].push(hearer);
+                near[robot].push(peer as usize);
+                near[peer as usize].push(robot);
             }
         }
         Self::steps(&near)
@@ -92,7 +92,7 @@ impl Distances {
     }
 
     /// The common space: metres, links and steps of command, each relative to its mean, added up. Every
-    /// modality has the same say in it, and it is made of what was observed, not of any method's vectors.
+    /// modality has the same weight in it, and it is made of what was observed, not of any method's vectors.
     #[must_use]
     pub fn common(system: &System) -> Self {
         let parts = [Self::physical(system), Self::hops(system), Self::command(system)];
@@ -170,7 +170,7 @@ mod tests {
     fn system() -> System {
         System {
             positions: vec![[0.0, 0.0], [1.0, 0.0], [10.0, 0.0], [11.0, 0.0]],
-            heard: vec![vec![(1, 1.0)], vec![], vec![(3, 0.5)], vec![]],
+            links: vec![vec![(1, 1.0)], vec![], vec![(3, 0.5)], vec![]],
             superiors: vec![None, Some(0), Some(0), Some(2)],
             measured: None,
         }

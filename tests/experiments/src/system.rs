@@ -15,9 +15,9 @@ use crate::moving::faults::{Mask, Sense};
 pub struct System {
     /// Metres east and north.
     pub positions: Vec<[f64; 2]>,
-    /// Whom each hears, with the quality from 0 to 1.
-    pub heard: Vec<Vec<(u32, f64)>>,
-    /// Whom each answers to; none at the top.
+    /// The incoming links of each robot: peer, and quality from 0 to 1.
+    pub links: Vec<Vec<(u32, f64)>>,
+    /// The superior of each robot; none at the top.
     pub superiors: Vec<Option<u32>>,
     /// Distances of all pairs in metres, in rows, where they are measured and not those of the positions.
     pub measured: Option<Vec<f64>>,
@@ -161,7 +161,7 @@ impl System {
         Self { measured: Some(metres), ..self.clone() }
     }
 
-    /// The same system, in which everybody reports of one kind what is true of another robot.
+    /// The same system, in which every robot reports one modality of another robot.
     #[must_use]
     #[expect(clippy::cast_possible_truncation, reason = "robots are numbered by 32 bits")]
     pub fn mistaken(&self, sense: Sense, seed: u64) -> Self {
@@ -172,8 +172,8 @@ impl System {
             match sense {
                 Sense::Spatial => system.positions[robot] = self.positions[of],
                 Sense::Connectivity => {
-                    let heard = self.heard[of].iter();
-                    system.heard[robot] = heard.map(|(peer, q)| (named(*peer), *q)).collect();
+                    let links = self.links[of].iter();
+                    system.links[robot] = links.map(|(peer, q)| (named(*peer), *q)).collect();
                 }
                 Sense::Hierarchy => system.superiors[robot] = self.superiors[of].map(named),
             }
@@ -181,12 +181,12 @@ impl System {
         system
     }
 
-    /// The graph of links, from those who are heard to those who hear.
+    /// The graph of links, from senders to receivers.
     ///
     /// # Errors
-    /// [`SystemError::Edge`] for a robot that hears itself, or another one twice.
+    /// [`SystemError::Edge`] for a robot with a link from itself, or two from the same robot.
     pub fn connectivity(&self) -> Result<SparseMatrix, SystemError> {
-        let reports = (0..).zip(&self.heard).map(|(hearer, links)| (hearer, &links[..]));
+        let reports = (0..).zip(&self.links).map(|(robot, links)| (robot, &links[..]));
         self.matrix(connectivity_edges(reports)?)
     }
 

@@ -30,13 +30,13 @@ const RESTARTS: u32 = 300;
 const ROUNDING: f64 = 1e-12;
 
 /// Most fleets of which only K can be compared.
-const MOST_ARBITRARY: usize = 2;
+const MAX_ARBITRARY_FLEETS: usize = 2;
 
 /// When the services lead: any moment after they have asked the bus for their last output.
 const START: Tick = Tick(10_000_000);
 
 /// Virtual time after which a fleet that does not move is at rest.
-const REST_AFTER: Tick = Tick(14_000_000);
+const REST_TIME: Tick = Tick(14_000_000);
 
 /// What one fleet reports, and how many teams are asked for.
 struct Reports {
@@ -58,7 +58,7 @@ fn reports(seed: u64) -> Reports {
     let (groups, teams) = (chance.random_range(1..=8_usize), chance.random_range(1..=6_u32));
     let has = loop {
         let has = [(); 3].map(|()| chance.random_bool(0.65));
-        // Orders alone give all who have the same superior the same row: rounding would tell them apart.
+        // Orders alone give all who have the same superior the same row: rounding alone would separate them.
         if has[0] || has[1] {
             break has;
         }
@@ -152,7 +152,7 @@ fn live(reports: &Reports) -> (Divided, Pipeline) {
     let mut pipeline = Pipeline::new(START, settings).unwrap();
     pipeline.advance(Tick(10_500_000));
     reports.messages.iter().for_each(|message| pipeline.receive(message.clone()));
-    pipeline.advance(REST_AFTER);
+    pipeline.advance(REST_TIME);
     let teams = pipeline.teams.clone().unwrap();
     let labels = teams.teams.iter().zip(0..).flat_map(|(team, number)| {
         team.members.iter().map(move |member| (member.robot.clone(), Some(number)))
@@ -173,7 +173,7 @@ fn saved(reports: &Reports, pipeline: &Pipeline) -> String {
     };
     let graph = |(modality, graph): (&Modality, &muster_model::graph::GraphReplica)| {
         let snapshot = graph.snapshot(header.clone(), modality.clone());
-        String::from_utf8(snapshot.to_json(REST_AFTER).unwrap()).unwrap()
+        String::from_utf8(snapshot.to_json(REST_TIME).unwrap()).unwrap()
     };
     let mut lines: Vec<String> = pipeline.graphs.iter().map(graph).collect();
     lines.push(serde_json::to_string(&clusterer(reports)).unwrap());
@@ -252,5 +252,5 @@ fn live_cores_solve_and_experiments_divide_alike() {
     let different: Vec<&str> = found.iter().filter_map(|(what, _)| what.as_deref()).collect();
     assert!(different.is_empty(), "{} of {FLEETS}:\n{}", different.len(), different.join("\n"));
     let arbitrary = found.iter().filter(|(_, arbitrary)| *arbitrary).count();
-    assert!(arbitrary <= MOST_ARBITRARY, "{arbitrary} of {FLEETS} are arbitrary");
+    assert!(arbitrary <= MAX_ARBITRARY_FLEETS, "{arbitrary} of {FLEETS} are arbitrary");
 }

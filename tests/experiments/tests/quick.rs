@@ -7,14 +7,14 @@ use std::process::Command;
 use muster_experiments::formations::{Formation, Radio};
 use muster_experiments::methods::{Method, Recipe};
 use muster_experiments::scenario_one::{run, total};
-use muster_experiments::seeds::judging;
+use muster_experiments::seeds::held_out;
 
 /// Few: differences of many percent need no more.
 const SEEDS: usize = 4;
 
 /// The mean share of robots in the right team over seeds and radios.
 fn accuracy(formations: &[Formation], method: &Method) -> f64 {
-    let runs = judging(SEEDS).flat_map(|seed| Radio::ALL.map(|radio| (seed, radio)));
+    let runs = held_out(SEEDS).flat_map(|seed| Radio::ALL.map(|radio| (seed, radio)));
     let shares: Vec<f64> = runs
         .map(|(seed, radio)| total(&run(formations, method, radio, Some(seed)).unwrap()).share())
         .collect();
@@ -59,7 +59,7 @@ fn the_program_follows_fleets_that_move() {
     let (page, _) = written("moving");
     assert!(
         page.contains(
-            "| nobody's team changes at rest | 50 robots, rest, range | 0 changes | reached |"
+            "| no robot changes team at rest | 50 robots, rest, range | 0 changes | reached |"
         ),
         "{page}"
     );

@@ -11,7 +11,7 @@ static ALLOCATOR: PeakAlloc = PeakAlloc;
 static INNER: AtomicUsize = AtomicUsize::new(0);
 
 /// Runs something and checks that it never uses more than so many bytes beyond what was in use before.
-/// Measurements may stand in each other. Other threads count in, so that one target runs at a time.
+/// Measurements may be nested. Other threads are measured too, so one target runs at a time.
 ///
 /// # Panics
 /// If it held more.

@@ -23,16 +23,16 @@ use muster_service::{
 use muster_wire::{Format, Key, KeySpace, Message, Packet, Pattern, Request, Source, report};
 
 use crate::draw::{Author, Draw, Drawn};
-use crate::packets::{BINARY, NOW, space, understood};
-use crate::{allocation, text};
+use crate::packets::{BINARY, NOW, decoded, space};
+use crate::{Outcome, allocation, text};
 
 /// Bytes that a core may hold for each byte of its input: a message is kept, copied into a job, and
 /// answered in two forms.
-const HELD_PER_BYTE: usize = 1024;
+const BYTES_PER_INPUT_BYTE: usize = 1024;
 
 /// Bytes that it may hold beyond that: the working space of the mathematics, and what serde trusts a
 /// count for.
-const HELD_ANYWAY: usize = 32 << 20;
+const BASE_BYTES: usize = 32 << 20;
 
 /// Most inputs of one run that bytes choose.
 const MAX_INPUTS: usize = 400;
@@ -104,26 +104,26 @@ const PARAMETERS: [&str; 8] = [
     "katz=r1,r1",
 ];
 
-pub(crate) fn ingest(data: &[u8]) {
-    run::<Ingest>(data);
+pub(crate) fn ingest(data: &[u8]) -> Outcome {
+    run::<Ingest>(data)
 }
 
-pub(crate) fn embedder(data: &[u8]) {
-    run::<Embedder>(data);
+pub(crate) fn embedder(data: &[u8]) -> Outcome {
+    run::<Embedder>(data)
 }
 
-pub(crate) fn clusterer(data: &[u8]) {
-    run::<Clusterer>(data);
+pub(crate) fn clusterer(data: &[u8]) -> Outcome {
+    run::<Clusterer>(data)
 }
 
-pub(crate) fn auditor(data: &[u8]) {
-    run::<Auditor>(data);
+pub(crate) fn auditor(data: &[u8]) -> Outcome {
+    run::<Auditor>(data)
 }
 
-fn run<C: Core>(data: &[u8]) {
-    let limit = HELD_PER_BYTE * data.len() + HELD_ANYWAY;
+fn run<C: Core>(data: &[u8]) -> Outcome {
+    let limit = BYTES_PER_INPUT_BYTE * data.len() + BASE_BYTES;
     let what = format!("{} with all that it received", C::SERVICE);
-    allocation::at_most(limit, &what, || World::<C>::new().live(&mut Draw(data)));
+    allocation::at_most(limit, &what, || World::<C>::new().live(&mut Draw(data)))
 }
 
 /// A host, and what its shell knows of it.
@@ -143,6 +143,7 @@ struct World<C: Core> {
     /// The last revision on each key.
     published: BTreeMap<Key, Revision>,
     graphs: BTreeMap<Modality, GraphReplica>,
+    outcome: Outcome,
 }
 
 /// A get that is not answered yet.
@@ -175,11 +176,12 @@ impl<C: Core> World<C> {
             term: 0,
             published: BTreeMap::new(),
             graphs: BTreeMap::new(),
+            outcome: Outcome::Refused,
         }
     }
 
     /// Lets everything happen that the bytes choose; then all that is under way ends.
-    fn live(&mut self, draw: &mut Draw<'_>) {
+    fn live(mut self, draw: &mut Draw<'_>) -> Outcome {
         // The start has asked for so long that its questions are not repeated.
         self.handle(Input::Started { linked: true });
         while self.now < NOW {
@@ -197,6 +199,7 @@ impl<C: Core> World<C> {
         self.handle(Input::Timer);
         self.end_all();
         assert!(self.open.is_empty(), "a get is not answered");
+        self.outcome
     }
 
     /// Ends what is under way.
@@ -254,7 +257,7 @@ impl<C: Core> World<C> {
         }
     }
 
-    /// A packet whose payload stands in the input.
+    /// A packet with its payload from the input.
     fn raw(&self, draw: &mut Draw<'_>) -> Packet {
         let choice = draw.byte();
         let encoding = if choice & 16 == 0 { BINARY } else { "" };
@@ -294,9 +297,9 @@ impl<C: Core> World<C> {
         }
     }
 
-    /// A packet that is decoded when its turn comes; what decoding makes of it is checked here.
+    /// A packet that the host decodes later; what decoding makes of it is checked here.
     fn arrival(&self, packet: Packet) -> Arrival {
-        let _ = understood(&self.space, &packet);
+        let _ = decoded(&self.space, &packet);
         Arrival::encoded(packet)
     }
 
@@ -385,13 +388,13 @@ impl<C: Core> World<C> {
         assert!(is_explained, "{:?} is not answered: {error}", reply.messages);
     }
 
-    /// Checks that a message is finite, in order, and accepted by those who read it.
+    /// Checks that a message is finite, in order, and accepted by its readers.
     fn published(&mut self, publication: &Publication) {
         let message = publication.message.as_ref().expect("a publication has a message");
         let (key, _) = message.keys();
         for packet in &publication.packets {
             if packet.encoding.starts_with("application/octet-stream") {
-                let read = understood(&self.space, packet);
+                let read = decoded(&self.space, packet);
                 assert!(read.is_ok(), "what is published is refused: {read:?}");
             } else {
                 let payload = packet.payload.as_ref().unwrap();
@@ -408,6 +411,16 @@ impl<C: Core> World<C> {
                 before < header.revision || (repeats && before == header.revision)
             });
             assert!(in_order, "{key} goes from {before:?} to {:?}", header.revision);
+        }
+        let is_result = match message {
+            Message::Graph(delta) => delta.rows.iter().any(|row| !row.edges.is_empty()),
+            Message::Embedding(embedding) => !embedding.robots.is_empty(),
+            Message::Teams { teams, .. } => teams.assignments().next().is_some(),
+            Message::Audit(audit) => audit.in_embedding.mean.is_some(),
+            _ => false,
+        };
+        if is_result {
+            self.outcome = Outcome::Accepted;
         }
         match message {
             Message::Graph(delta) => {

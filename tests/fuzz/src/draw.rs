@@ -58,8 +58,8 @@ impl<'a> Draw<'a> {
         *first
     }
 
-    pub(crate) fn below(&mut self, many: u8) -> u8 {
-        self.byte() % many
+    pub(crate) fn below(&mut self, count: u8) -> u8 {
+        self.byte() % count
     }
 
     pub(crate) fn number16(&mut self) -> u16 {
@@ -142,7 +142,7 @@ pub(crate) enum Drawn {
     Message(Message),
 }
 
-/// Draws messages that go on from those before.
+/// Draws messages that continue those before.
 #[derive(Debug, Default)]
 pub(crate) struct Author {
     graphs: BTreeMap<Modality, Revision>,

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use muster_wire::{Format, Request};
 
 use crate::packets::space;
-use crate::text;
+use crate::{Outcome, text};
 
 /// Longest text that refuses parameters, in characters.
 const MAX_ERROR: usize = 300;
@@ -27,33 +27,38 @@ const KEYS: [&str; 12] = [
 ];
 
 /// The text of a key, whole or (with `~`) below the prefix of the fleet.
-pub(crate) fn key(data: &[u8]) {
+pub(crate) fn key(data: &[u8]) -> Outcome {
     let given = String::from_utf8_lossy(data);
     let given = match given.strip_prefix('~') {
         Some(tail) => format!("muster/v1/alpha/{tail}"),
         None => given.into_owned(),
     };
-    match space().parse(&given) {
-        Ok(key) => {
-            assert_eq!(space().format(&key), given, "a key is read that is written otherwise");
-            assert_eq!(key.robot().is_some(), given.starts_with("muster/v1/alpha/robot/"));
-            let request = Request::new(given, "", None).unwrap();
-            assert!(request.is_exact() && request.selects(&space(), &key));
-            assert_eq!(request.exact_key(&space()), Some(key));
-        }
-        Err(error) => text::check(&error.to_string(), MAX_ERROR),
-    }
+    let key = match space().parse(&given) {
+        Ok(key) => key,
+        Err(error) => return refused(&error),
+    };
+    assert_eq!(space().format(&key), given, "a key is read that is written otherwise");
+    assert_eq!(key.robot().is_some(), given.starts_with("muster/v1/alpha/robot/"));
+    let request = Request::new(given, "", None).unwrap();
+    assert!(request.is_exact() && request.selects(&space(), &key));
+    assert_eq!(request.exact_key(&space()), Some(key));
+    Outcome::Accepted
+}
+
+fn refused(error: &dyn std::error::Error) -> Outcome {
+    text::check(&error.to_string(), MAX_ERROR);
+    Outcome::Refused
 }
 
 /// A selector, a line feed, parameters, a line feed, and a payload.
-pub(crate) fn request(data: &[u8]) {
+pub(crate) fn request(data: &[u8]) -> Outcome {
     let (selector, rest) = text::line(data);
     let (parameters, payload) = text::line(rest);
     let selector = String::from_utf8_lossy(selector).replace('~', "muster/v1/alpha");
     let parameters = String::from_utf8_lossy(parameters);
     let request = match Request::new(selector.clone(), &parameters, Some(payload.to_vec())) {
         Ok(request) => request,
-        Err(error) => return text::check(&error.to_string(), MAX_ERROR),
+        Err(error) => return refused(&error),
     };
     let named = |form: &str| parameters.split([';', '&']).any(|part| part == form);
     assert!(request.format != Some(Format::Json) || named("format=json"));
@@ -68,6 +73,7 @@ pub(crate) fn request(data: &[u8]) {
             assert!(request.is_exact() && expected);
         }
     }
+    Outcome::Accepted
 }
 
 /// What a key expression selects, by its definition: `**` is any number of chunks, `*` is one, `$*`

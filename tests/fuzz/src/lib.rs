@@ -7,7 +7,7 @@
 //! The promises, beyond "it does not panic": what is accepted is written again and read back as the
 //! same; what is refused is refused in short words without control characters; memory stays within
 //! a multiple of the input ([`allocation`]); what a core publishes is finite, ordered, and accepted
-//! by those who read it.
+//! by its readers.
 
 #![allow(
     clippy::unwrap_used,
@@ -29,13 +29,28 @@ mod settings;
 mod solve;
 mod text;
 
+/// What became of an input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Nothing came of it: the reader refused all of it, or the core published no result.
+    Refused,
+    /// The reader accepted it, or the core published a result of robots.
+    Accepted,
+}
+
+impl Outcome {
+    pub(crate) fn accepted_if(is_accepted: bool) -> Self {
+        if is_accepted { Self::Accepted } else { Self::Refused }
+    }
+}
+
 /// One thing to be fuzzed.
 #[derive(Debug, Clone, Copy)]
 pub struct Target {
     /// Its name, which is that of its folder in the corpus.
     pub name: &'static str,
     /// Runs it once; panics if a promise does not hold.
-    pub run: fn(&[u8]),
+    pub run: fn(&[u8]) -> Outcome,
     /// Longest input in bytes that is tried: enough for what it reads, short enough to be fast.
     pub longest: usize,
     /// How many mutations the test command tries: what takes a second or so without optimisation.
@@ -43,10 +58,11 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 15] = [
+pub const TARGETS: [Target; 16] = [
     target("packet", packets::packet, 2048, 30_000),
     target("envelope", packets::envelope, 2048, 30_000),
     target("robot_team", packets::robot_team, 2048, 20_000),
+    target("katz", packets::katz, 2048, 20_000),
     target("recording", recording::recording, 4096, 10_000),
     target("edge_json", packets::edge_json, 2048, 30_000),
     target("key", keys::key, 256, 20_000),
@@ -61,7 +77,12 @@ pub const TARGETS: [Target; 15] = [
     target("auditor", cores::auditor, 4096, 400),
 ];
 
-const fn target(name: &'static str, run: fn(&[u8]), longest: usize, mutations: usize) -> Target {
+const fn target(
+    name: &'static str,
+    run: fn(&[u8]) -> Outcome,
+    longest: usize,
+    mutations: usize,
+) -> Target {
     Target { name, run, longest, mutations }
 }
 

@@ -14,7 +14,7 @@ use muster_wire::envelope::{AnnouncedSettings, BinaryMessage, MAGIC, VERSION, de
 use muster_wire::report::{decode_unchecked, encode_unchecked};
 use muster_wire::{Format, Key, KeySpace, Message, Packet, Rejection, Source};
 
-use crate::{allocation, text};
+use crate::{Outcome, allocation, text};
 
 /// The moment at which messages are written.
 pub(crate) const NOW: Tick = Tick(1_795_208_990_000_000);
@@ -25,17 +25,17 @@ pub(crate) const BINARY: &str = "application/octet-stream;bincode";
 /// Longest key or reason of a refusal, in characters.
 const MAX_REFUSAL: usize = 120;
 
-/// Bytes that understanding a packet may hold for each byte of it: the smallest entry of a roster has
+/// Bytes that decoding a packet may hold for each byte of it: the smallest entry of a roster has
 /// eleven bytes on the bus and some two hundred in memory, and vectors grow by doubling.
-const HELD_PER_BYTE: usize = 64;
+const BYTES_PER_INPUT_BYTE: usize = 64;
 
 /// Bytes that it may hold beyond that: serde trusts the count of a list for one mebibyte, and lists
-/// stand in lists.
-const HELD_ANYWAY: usize = 4 << 20;
+/// contain lists.
+const BASE_BYTES: usize = 4 << 20;
 
 /// Most memory in bytes that an input of a length may take.
 pub(crate) const fn may_hold(length: usize) -> usize {
-    HELD_PER_BYTE * length + HELD_ANYWAY
+    BYTES_PER_INPUT_BYTE * length + BASE_BYTES
 }
 
 /// The keys of all targets.
@@ -43,27 +43,33 @@ pub(crate) fn space() -> KeySpace {
     KeySpace::new(FleetId::new("alpha").unwrap())
 }
 
-/// Checks the texts of a refusal.
-pub(crate) fn check_rejection(rejection: &Rejection) {
-    text::check(&rejection.key, MAX_REFUSAL);
-    text::check(&rejection.reason, MAX_REFUSAL);
+/// Reads a packet within its bounds of memory, and checks the texts of a refusal.
+fn read<T>(
+    packet: &Packet,
+    what: &str,
+    decode: impl FnOnce(&Packet) -> Result<T, Rejection>,
+) -> Result<T, Rejection> {
+    let length = packet.payload.as_ref().map_or(0, Vec::len) + packet.key.len();
+    let result = allocation::at_most(may_hold(length), what, || decode(packet));
+    if let Err(rejection) = &result {
+        text::check(&rejection.key, MAX_REFUSAL);
+        text::check(&rejection.reason, MAX_REFUSAL);
+    }
+    result
 }
 
-/// Understands a packet, and checks what became of it.
-pub(crate) fn understood(space: &KeySpace, packet: &Packet) -> Result<Message, Rejection> {
-    let length = packet.payload.as_ref().map_or(0, Vec::len) + packet.key.len();
-    let what = "understanding a packet";
-    let result = allocation::at_most(may_hold(length), what, || Message::decode(space, packet));
-    match &result {
-        Err(rejection) => check_rejection(rejection),
-        Ok(message) => check_message(space, packet, message),
+/// Decodes a packet, and checks what became of it.
+pub(crate) fn decoded(space: &KeySpace, packet: &Packet) -> Result<Message, Rejection> {
+    let result = read(packet, "decoding a packet", |packet| Message::decode(space, packet));
+    if let Ok(message) = &result {
+        check_message(space, packet, message);
     }
     result
 }
 
 fn check_message(space: &KeySpace, packet: &Packet, message: &Message) {
     let (key, mirror) = message.keys();
-    assert_eq!(space.format(&key), packet.key, "a message stands on another key than it came from");
+    assert_eq!(space.format(&key), packet.key, "a message has another key than it came from");
     let json = message.encode(key.clone(), Format::Json, NOW).unwrap();
     if let Message::RobotToken { .. } = message {
         return;
@@ -119,23 +125,39 @@ fn foreign(data: &[u8]) -> Option<Packet> {
 }
 
 /// A packet as [`foreign`] reads it, for a service.
-pub(crate) fn packet(data: &[u8]) {
-    if let Some(packet) = foreign(data) {
-        let _ = understood(&space(), &packet);
+pub(crate) fn packet(data: &[u8]) -> Outcome {
+    let decoded = foreign(data).map(|packet| decoded(&space(), &packet));
+    Outcome::accepted_if(decoded.is_some_and(|decoded| decoded.is_ok()))
+}
+
+/// A packet as [`foreign`] reads it, for a console that asked for the similarity of a pair.
+pub(crate) fn katz(data: &[u8]) -> Outcome {
+    let Some(packet) = foreign(data) else { return Outcome::Refused };
+    let space = space();
+    let decode = |packet: &Packet| muster_wire::katz::decode(&space, packet, NOW);
+    let Ok(pair) = read(&packet, "reading a similarity", decode) else { return Outcome::Refused };
+    assert_eq!(space.format(&Key::Embedding), packet.key, "a similarity comes from another key");
+    let shares = pair.shares.iter().map(|(_, share)| *share);
+    for number in shares.chain([pair.similarity, pair.alpha, pair.residual]) {
+        assert!(number.is_finite() && number >= 0.0, "{number}");
     }
+    let out =
+        Message::Katz(Box::new(pair.clone())).encode(Key::Embedding, Format::Json, NOW).unwrap();
+    let mut again = decode(&Packet { payload: Ok(out.payload), ..packet }).unwrap();
+    // JSON has moments as seconds, rounded.
+    assert_eq!(again.header.revision, pair.header.revision);
+    again.header = pair.header.clone();
+    assert_eq!(again, pair, "another similarity is read back");
+    Outcome::Accepted
 }
 
 /// A packet as [`foreign`] reads it, for a robot that reads its team.
-pub(crate) fn robot_team(data: &[u8]) {
-    let Some(packet) = foreign(data) else { return };
+pub(crate) fn robot_team(data: &[u8]) -> Outcome {
+    let Some(packet) = foreign(data) else { return Outcome::Refused };
     let space = space();
-    let length = packet.payload.as_ref().map_or(0, Vec::len) + packet.key.len();
-    let read = |packet: &Packet| muster_wire::robot_team::decode(&space, packet, NOW);
-    let team =
-        allocation::at_most(may_hold(length), "reading the team of a robot", || read(&packet));
-    let team = match team {
-        Err(rejection) => return check_rejection(&rejection),
-        Ok(team) => team,
+    let decode = |packet: &Packet| muster_wire::robot_team::decode(&space, packet, NOW);
+    let Ok(team) = read(&packet, "reading the team of a robot", decode) else {
+        return Outcome::Refused;
     };
     let key = Key::RobotTeam(team.robot.clone());
     assert_eq!(space.format(&key), packet.key, "a robot reads the team of another key");
@@ -148,7 +170,7 @@ pub(crate) fn robot_team(data: &[u8]) {
             payload: Ok(out.payload),
             ..packet.clone()
         };
-        let mut again = read(&again).unwrap();
+        let mut again = decode(&again).unwrap();
         if format == Format::Json {
             // JSON has moments as seconds, rounded, and not when the newest data came.
             assert_eq!(again.header.revision, team.header.revision);
@@ -156,34 +178,41 @@ pub(crate) fn robot_team(data: &[u8]) {
         }
         assert_eq!(again, team, "a robot reads something else in another form");
     }
+    Outcome::Accepted
+}
+
+/// Decodes bytes within their bounds of memory, and what is written of the result again.
+fn recoded<T, E: std::error::Error>(
+    bytes: &[u8],
+    what: &str,
+    decode: impl Fn(&[u8]) -> Result<T, E>,
+    encode: impl Fn(&T) -> Vec<u8>,
+) -> Outcome {
+    match allocation::at_most(may_hold(bytes.len()), what, || decode(bytes)) {
+        Err(error) => {
+            assert!(error.to_string().chars().count() <= 1024, "{error}");
+            Outcome::Refused
+        }
+        Ok(content) => {
+            let again = encode(&content);
+            assert_eq!(encode(&decode(&again).unwrap()), again);
+            Outcome::Accepted
+        }
+    }
 }
 
 /// A kind, and a content in bincode.
-pub(crate) fn envelope(data: &[u8]) {
-    fn of<T: BinaryMessage>(bytes: &[u8]) {
-        let read = allocation::at_most(may_hold(bytes.len()), T::KIND.name, || decode::<T>(bytes));
-        match read {
-            Err(error) => assert!(error.to_string().chars().count() <= 1024, "{error}"),
-            Ok(content) => {
-                let again = encode(&content).unwrap();
-                assert_eq!(encode(&decode::<T>(&again).unwrap()).unwrap(), again);
-            }
-        }
+pub(crate) fn envelope(data: &[u8]) -> Outcome {
+    fn of<T: BinaryMessage>(bytes: &[u8]) -> Outcome {
+        recoded(bytes, T::KIND.name, decode::<T>, |content| encode(content).unwrap())
     }
-    fn of_stream(stream: &Stream, bytes: &[u8]) {
-        let read = allocation::at_most(may_hold(bytes.len()), stream.name(), || {
-            decode_unchecked(stream, bytes)
-        });
-        match read {
-            Err(error) => assert!(error.to_string().chars().count() <= 1024, "{error}"),
-            Ok((robot, report)) => {
-                let again = encode_unchecked(&robot, &report).unwrap().payload;
-                let (robot, report) = decode_unchecked(stream, &again).unwrap();
-                assert_eq!(encode_unchecked(&robot, &report).unwrap().payload, again);
-            }
-        }
+    fn of_stream(stream: &Stream, bytes: &[u8]) -> Outcome {
+        let decode = |bytes: &[u8]| decode_unchecked(stream, bytes);
+        recoded(bytes, stream.name(), decode, |(robot, report)| {
+            encode_unchecked(robot, report).unwrap().payload
+        })
     }
-    let Some((kind, content)) = data.split_first() else { return };
+    let Some((kind, content)) = data.split_first() else { return Outcome::Refused };
     let kind = kind % 14;
     let bytes = [&[MAGIC, VERSION, kind], content].concat();
     match kind {
@@ -206,14 +235,14 @@ pub(crate) fn envelope(data: &[u8]) {
 }
 
 /// A stream in one byte, and what a robot puts there in JSON.
-pub(crate) fn edge_json(data: &[u8]) {
-    let Some((stream, json)) = data.split_first() else { return };
-    let stream = match stream % 4 {
-        0 => "pose",
-        1 => "links",
-        2 => "rank",
-        _ => "relation/thermal",
+pub(crate) fn edge_json(data: &[u8]) -> Outcome {
+    let Some((stream, json)) = data.split_first() else { return Outcome::Refused };
+    let key = match stream % 4 {
+        0 => "robot/r1/pose",
+        1 => "robot/r1/links",
+        2 => "robot/r2/rank",
+        _ => "robot/r1/relation/thermal",
     };
-    let packet = Packet::put(format!("muster/v1/alpha/robot/r1/{stream}"), "", json);
-    let _ = understood(&space(), &packet);
+    let packet = Packet::put(format!("muster/v1/alpha/{key}"), "", json);
+    Outcome::accepted_if(decoded(&space(), &packet).is_ok())
 }

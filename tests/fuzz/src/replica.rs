@@ -6,13 +6,13 @@ use muster_model::graph::{GraphDelta, GraphReplica};
 use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_WEIGHT;
 
-use crate::allocation;
 use crate::draw::{Author, Draw};
 use crate::packets::{NOW, may_hold};
+use crate::{Outcome, allocation};
 
 /// Bytes that choose deltas.
-pub(crate) fn replica(data: &[u8]) {
-    allocation::at_most(may_hold(data.len()), "a graph", || follow(data));
+pub(crate) fn replica(data: &[u8]) -> Outcome {
+    allocation::at_most(may_hold(data.len()), "a graph", || follow(data))
 }
 
 /// What a graph is: nodes with their robots, and edges with their weights.
@@ -47,16 +47,18 @@ impl Model {
     }
 }
 
-fn follow(data: &[u8]) {
+fn follow(data: &[u8]) -> Outcome {
     let mut draw = Draw(data);
     let mut author = Author::default();
     let mut replica = GraphReplica::default();
     let mut model = Model::default();
+    let mut outcome = Outcome::Refused;
     while !draw.is_empty() {
         let delta = author.graph(NOW, &mut draw);
         let before = replica.clone();
         match replica.apply(&delta) {
             Ok(()) => {
+                outcome = Outcome::Accepted;
                 model.apply(&delta);
                 assert!(before.revision() < replica.revision());
             }
@@ -81,4 +83,5 @@ fn follow(data: &[u8]) {
             assert_eq!(replica, GraphReplica::default(), "a snapshot is refused");
         }
     }
+    outcome
 }

@@ -1,4 +1,4 @@
-//! What the corpus has begun with: messages that are frozen in golden files, built-in settings, files
+//! The seeds of the corpus: messages that are frozen in golden files, built-in settings, files
 //! that the manual shows, and what the services publish of a simulated fleet.
 
 use std::path::Path;
@@ -8,7 +8,7 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
-use muster_model::id::{FleetId, InstanceId, ServiceName};
+use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{CheckedReport, Report};
 use muster_model::role::ReplicaState;
 use muster_model::settings::{
@@ -260,6 +260,9 @@ fn golden() -> Vec<Seed> {
             add("edge_json", name, [&[stream], json.as_bytes()].concat());
         }
     }
+    let json = std::fs::read_to_string(folder.join("katz.json")).unwrap();
+    let bytes = format!("p~embedding\n\n{json}").into_bytes();
+    seeds.push(Seed { target: "katz", name: "katz-json".to_owned(), bytes });
     for letter in ["a", "g", "d", "c"] {
         let bytes = format!("{letter}~robot/r1\n\n").into_bytes();
         seeds.push(Seed { target: "packet", name: format!("token-{letter}"), bytes });
@@ -271,12 +274,21 @@ fn golden() -> Vec<Seed> {
 fn pipeline() -> Vec<Seed> {
     let options = FleetOptions { robots: 5, teams: 2, ..FleetOptions::default() };
     let fleet = Fleet::new(ScenarioKind::Clusters, options).unwrap();
+    // The keys of the cores' target name robots r0 to r3.
+    let renamed = |robot: &RobotId| {
+        let number = fleet.robots().iter().position(|other| other == robot).unwrap();
+        RobotId::new(format!("r{number}")).unwrap()
+    };
     let mut reported = Vec::new();
     for second in 0..3 {
-        for robot in fleet.observe(f64::from(second)) {
+        for mut robot in fleet.observe(f64::from(second)) {
+            for link in &mut robot.links.links {
+                link.peer = renamed(&link.peer);
+            }
+            robot.rank.superior = robot.rank.superior.as_ref().map(renamed);
             let reports = [robot.pose.into(), robot.links.into(), robot.rank.into()];
             reported.extend(reports.map(|report: Report| {
-                Message::Report(CheckedReport::new(robot.robot.clone(), report).unwrap())
+                Message::Report(CheckedReport::new(renamed(&robot.robot), report).unwrap())
             }));
         }
     }
@@ -284,16 +296,19 @@ fn pipeline() -> Vec<Seed> {
     let embeddings = publish::<Embedder>(&graphs);
     let rosters: Vec<_> =
         graphs.iter().filter(|message| matches!(message, Message::Roster(_))).cloned().collect();
-    let with = |more: &[Message]| [&rosters[..1], &more[..more.len().min(3)]].concat();
-    let teams = publish::<Clusterer>(&[&*rosters, &*embeddings].concat());
-    let teams: Vec<_> =
-        teams.into_iter().filter(|message| matches!(message, Message::Teams { .. })).collect();
-    let all = [&embeddings[..1], &teams[..2]].concat();
+    let teams: Vec<_> = publish::<Clusterer>(&[&*rosters, &*embeddings].concat())
+        .into_iter()
+        .filter(|message| matches!(message, Message::Teams { .. }))
+        .collect();
+    let clusterer_inputs = [&rosters[..1], &embeddings[..3]].concat();
+    // The last of each belong to the same frame.
+    let last = |messages: &[Message]| messages.last().unwrap().clone();
+    let auditor_inputs = [last(&rosters), last(&embeddings), last(&teams)];
     [
         ("ingest", inputs(&reported)),
         ("embedder", inputs(&graphs)),
-        ("clusterer", inputs(&with(&embeddings))),
-        ("auditor", inputs(&with(&all))),
+        ("clusterer", inputs(&clusterer_inputs)),
+        ("auditor", inputs(&auditor_inputs)),
     ]
     .map(|(target, bytes)| Seed { target, name: "pipeline".to_owned(), bytes })
     .into()
@@ -330,7 +345,8 @@ fn publish<C: Core>(messages: &[Message]) -> Vec<Message> {
         bench.answer_all(Vec::new());
     }
     bench.wait(1.0);
-    let of_service =
-        |message: &Message| !matches!(message, Message::Event(_) | Message::Settings(_));
-    bench.published.into_iter().filter(of_service).collect()
+    let is_output = |message: &Message| {
+        !matches!(message, Message::Event(_) | Message::Settings(_) | Message::LeaseRenewal(_))
+    };
+    bench.published.into_iter().filter(is_output).collect()
 }

@@ -14,7 +14,7 @@ use muster_wire::{Key, Message};
 use serde_json::{Value, json};
 
 use crate::packets::{NOW, may_hold};
-use crate::{allocation, text};
+use crate::{Outcome, allocation, text};
 
 /// Longest field of a refused patch, in characters.
 const MAX_FIELD: usize = 120;
@@ -23,23 +23,24 @@ const MAX_FIELD: usize = 120;
 const MAX_PROBLEM: usize = 400;
 
 /// A service in one byte, and patches in JSON, one after the other, a line each.
-pub(crate) fn settings(data: &[u8]) {
-    let Some((service, patches)) = data.split_first() else { return };
+pub(crate) fn settings(data: &[u8]) -> Outcome {
+    let Some((service, patches)) = data.split_first() else { return Outcome::Refused };
     let run = match service % 4 {
         0 => patched::<IngestSettings>,
         1 => patched::<EmbedderSettings>,
         2 => patched::<ClustererSettings>,
         _ => patched::<AuditorSettings>,
     };
-    allocation::at_most(may_hold(patches.len()), "patching", || run(patches));
+    allocation::at_most(may_hold(patches.len()), "patching", || run(patches))
 }
 
-fn patched<S: Settings>(patches: &[u8]) {
+fn patched<S: Settings>(patches: &[u8]) -> Outcome {
     let mut settings = S::default();
+    let mut outcome = Outcome::Refused;
     for patch in patches.split(|byte| *byte == b'\n') {
         let Ok(patch) = serde_json::from_slice::<Value>(patch) else { continue };
         match settings.patched(&patch) {
-            Ok(next) => settings = next,
+            Ok(next) => (settings, outcome) = (next, Outcome::Accepted),
             Err(error) => {
                 text::check(&error.field, MAX_FIELD);
                 text::check(&error.problem, MAX_PROBLEM);
@@ -51,12 +52,13 @@ fn patched<S: Settings>(patches: &[u8]) {
         assert_eq!(S::default().patched(&written).as_ref(), Ok(&settings));
         assert_eq!(settings.patched(&json!({})).as_ref(), Ok(&settings));
     }
+    outcome
 }
 
 /// A service in one byte, and the file that is kept over a restart.
-pub(crate) fn stored(data: &[u8]) {
-    let Some((service, file)) = data.split_first() else { return };
-    let Ok(stored) = serde_json::from_slice::<Stored>(file) else { return };
+pub(crate) fn stored(data: &[u8]) -> Outcome {
+    let Some((service, file)) = data.split_first() else { return Outcome::Refused };
+    let Ok(stored) = serde_json::from_slice::<Stored>(file) else { return Outcome::Refused };
     let run = match service % 4 {
         0 => started::<Ingest>,
         1 => started::<Embedder>,
@@ -64,6 +66,7 @@ pub(crate) fn stored(data: &[u8]) {
         _ => started::<Auditor>,
     };
     allocation::at_most(may_hold(file.len()), "starting", || run(stored));
+    Outcome::Accepted
 }
 
 /// A service that starts with a file takes a term above it, announces its settings, and stores those
@@ -81,7 +84,7 @@ fn started<C: Core>(stored: Stored) {
     };
     let mut first = bench(stored);
     first.start(Vec::new());
-    assert!(first.stored.term > term || term == u64::MAX, "the term goes on");
+    assert!(first.stored.term > term || term == u64::MAX, "the term does not rise");
     assert_eq!(first.unencodable, Vec::<String>::new());
     for message in &first.published {
         for out in message.publish(NOW).unwrap() {

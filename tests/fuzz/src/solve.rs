@@ -3,7 +3,7 @@
 use muster_solve::{Options, PathChoice, SilhouetteChoice, Solved};
 use serde_json::Value;
 
-use crate::{allocation, text};
+use crate::{Outcome, allocation, text};
 
 /// Longest error in characters: a field and a problem.
 const MAX_ERROR: usize = 1700;
@@ -16,29 +16,33 @@ const MAX_RESTARTS: u64 = 64;
 
 /// Bytes that the method may hold: a dozen dense matrices of [`MAX_ROBOTS`], working space, and the
 /// table.
-const MAY_HOLD: usize = 8 << 20;
+const MAX_BYTES_HELD: usize = 8 << 20;
 
 /// How far a silhouette may be outside of -1 to 1, by rounding.
 const ROUNDING: f64 = 1e-12;
 
 /// The options, in one byte, and the text of a file.
-pub(crate) fn solve(data: &[u8]) {
-    let Some((choices, text)) = data.split_first() else { return };
+pub(crate) fn solve(data: &[u8]) -> Outcome {
+    let Some((choices, text)) = data.split_first() else { return Outcome::Refused };
     let options = options(*choices);
     if let Ok(file) = serde_json::from_slice::<Value>(text) {
         let robots = file.get("robots").and_then(Value::as_array).map_or(0, Vec::len);
         let restarts = file.get("restarts").and_then(Value::as_u64).unwrap_or_default();
         if robots > MAX_ROBOTS || restarts > MAX_RESTARTS {
-            return;
+            return Outcome::Refused;
         }
     }
-    let solved = allocation::at_most(MAY_HOLD, "solving", || Solved::new(text, options));
+    let solved = allocation::at_most(MAX_BYTES_HELD, "solving", || Solved::new(text, options));
     match solved {
-        Err(error) => text::check(&error.to_string(), MAX_ERROR),
+        Err(error) => {
+            text::check(&error.to_string(), MAX_ERROR);
+            Outcome::Refused
+        }
         Ok(solved) => {
             assert!(!solved.summary().is_empty());
             let json: Value = serde_json::from_str(&solved.to_json().unwrap()).unwrap();
             check(&json);
+            Outcome::Accepted
         }
     }
 }

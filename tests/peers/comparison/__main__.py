@@ -85,7 +85,7 @@ def run(asked, folder):
     if "growth" in asked.only and not asked.quick:
         results["growth"] = [growth.measure(program, robots) for robots in options.GROWTH]
     results["problems"] = problems
-    results["goals"] = goals.judge(results)
+    results["goals"] = goals.reached(results)
     results["seconds"] = time.monotonic() - begin
     return results
 

@@ -1,4 +1,4 @@
-"""k-means and silhouettes of Muster beside scikit-learn's and linfa's.
+"""k-means and silhouettes of Muster, scikit-learn and linfa.
 
 All get the same points, the same first centroids and the same number of iterations. Inertias are
 those of the labels about their own means. That of linfa is only shown: it counts the centroid before

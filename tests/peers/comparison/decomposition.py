@@ -1,4 +1,4 @@
-"""Leading singular triplets of the Katz similarity: Muster beside scipy at its best.
+"""Leading singular triplets of the Katz similarity: Muster and scipy at its best.
 
 Every case is one fleet, one kind of graph and one product of decay and spectral radius. In every
 round robots move, Muster solves the frames, cold and from the frame before, and scipy solves the
@@ -22,7 +22,7 @@ FRACTIONS = (0.9, 0.5)
 # Residuals that are asked for, relative to the largest singular value.
 TARGETS = {"cold": 1e-6, "tick": 1e-3, "event": 1e-4, "jump": 1e-4}
 # How far robots go in mean spacings: all of them in a tick, any one in an event, in which poses come one
-# by one, and any one in a jump, in which a robot is heard again.
+# by one, and any one in a jump, after which a robot reports again.
 TICK = 0.004
 EVENT = TICK
 JUMP = 25 * TICK
@@ -151,11 +151,11 @@ def measure(ours, folder, robots, kind, fraction, quick, problems):
         for site in case.sites:
             matrix = case.system(site)
             graph = Graph(case, matrix, number, steps["runs"])
-            settled(case, number, site, taken, graph.judge.residual(last[site]))
+            settled(case, number, site, taken, graph.check.residual(last[site]))
             if site == "tick":
-                graph.reference(*cold(case, steps["runs"], number, graph.judge))
+                graph.reference(*cold(case, steps["runs"], number, graph.check))
             else:
-                graph.reference(last[site][1], graph.judge.residual(last[site]))
+                graph.reference(last[site][1], graph.check.residual(last[site]))
             for job in SITES[site]["jobs"]:
                 graph.reach(job)
             if site == "tick" and not quick and robots <= DEFAULTS_UP_TO:
@@ -216,12 +216,12 @@ def tighten(case, job):
     return True
 
 
-def cold(case, runs, number, judge):
+def cold(case, runs, number, check):
     """Muster without a frame before: singular values, and their residual."""
     while True:
         solved = [case.solve("tick", "cold", want=True) for _ in range(runs)]
         triplets = solved[-1][1]
-        residual = judge.residual(triplets)
+        residual = check.residual(triplets)
         if residual <= TARGETS["cold"] or not tighten(case, "cold"):
             break
     case.saw("cold", residual)
@@ -239,11 +239,11 @@ class Graph:
         solved = [timed(lambda: katz.factorise(matrix)) for _ in range(runs)]
         self.seconds = [seconds for seconds, _ in solved]
         self.factors = solved[-1][1]
-        self.judge = katz.Judge(matrix, self.factors)
+        self.check = katz.ResidualCheck(matrix, self.factors)
         self.known = {}
 
     def reference(self, sigma, residual):
-        """What Muster found, which nobody may fall short of."""
+        """What Muster found; no peer may fall short of it."""
         self.sigma, self.allowed = sigma, residual + ROUNDING
 
     def answer(self, place):
@@ -258,7 +258,7 @@ class Graph:
                 for first, (second, _) in zip(self.seconds, solved, strict=True)
             ]
             triplets = solved[-1][1]
-            residual = self.judge.residual(triplets)
+            residual = self.check.residual(triplets)
             gap = (triplets[1] - self.sigma) / self.sigma[0]
             allowed = self.allowed + residual
             if gap.max() > allowed:

@@ -63,8 +63,8 @@ def measure(ours, theirs, folder, robots, problems):
             if job == "gem":
                 found = katz.read_triplets(triplets, robots)
                 matrix = katz.katz_matrix(katz.read_graph(graph, robots), alpha)
-                judge = katz.Judge(matrix, katz.factorise(matrix))
-                residual = max(residual, judge.residual(found))
+                check = katz.ResidualCheck(matrix, katz.factorise(matrix))
+                residual = max(residual, check.residual(found))
                 gap = float(abs(found[1] - sigma).max() / sigma[0])
                 if not gap <= residual + 2.0 * TARGETS["cold"]:
                     problems.append(f"{name}: singular values of HOPE differ by {gap:.1e}")

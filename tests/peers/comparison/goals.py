@@ -50,7 +50,7 @@ def goal(words, wanted, cases, *, most=False, unit="×"):
     }
 
 
-def judge(results):
+def reached(results):
     """All goals, those that were not measured without cases."""
     found = []
     cases = results.get("decomposition", [])

@@ -61,10 +61,10 @@ def by_default(matrix, rank):
     return leading(splu(matrix), rank, "arpack")
 
 
-class Judge:
+class ResidualCheck:
     """Measures residuals by solves that are refined, and refuses those that are not exact to SOLVED.
 
-    What the factors are worth shows in the products with M, so that anybody's will do.
+    Bad factors show in the products with M, so any factors will do.
     """
 
     def __init__(self, matrix, factors):

@@ -82,7 +82,7 @@ def main():
         command = json.loads(line)
         try:
             answer = commands[command["do"]](command)
-        except Exception as error:  # The reason is told in the table, whatever it is.
+        except Exception as error:  # The reason is shown in the table.
             answer = {"error": f"{type(error).__name__}: {error}"}
         print(json.dumps(answer), file=answers, flush=True)
 

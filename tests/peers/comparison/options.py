@@ -17,10 +17,10 @@ is timed is checked: residuals are measured by solves of their own, singular val
 silhouettes must agree. A disagreement ends the run with code 1.
 
 parts:
-  decomposition  leading singular triplets without the inverse, beside scipy's splu and svds
-  pipeline       what one moved robot costs, beside eigenvalues, inverse and full decomposition
-  embeddings     beside nxt-gem's HOPE and nodevectors' ProNE
-  clustering     k-means and silhouettes, beside scikit-learn and linfa
+  decomposition  leading singular triplets without the inverse, and scipy's splu and svds
+  pipeline       what one moved robot costs, and eigenvalues, inverse and full decomposition
+  embeddings     vectors, and nxt-gem's HOPE and nodevectors' ProNE
+  clustering     k-means and silhouettes, and those of scikit-learn and linfa
   growth         10,000 to 1,000,000 robots: time and memory of Muster alone
 """
 

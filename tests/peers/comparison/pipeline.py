@@ -1,4 +1,4 @@
-"""What it costs that one robot has moved: Muster beside the paper's method to the letter.
+"""What it costs that one robot has moved: Muster and the paper's method to the letter.
 
 The latter takes all eigenvalues for the spectral radius, the inverse for the similarity and its full
 decomposition, by faer and by LAPACK; the faster counts. Muster does all three too: it bounds the

@@ -275,9 +275,9 @@ def growth_table(cases):
 def whole(results, picture):
     """RESULTS.md."""
     parts = [
-        "# Muster beside its peers",
-        "Written by `tests/peers/compare`, which measures all of it anew. Times are of the process, on "
-        "one thread where nothing else is said, medians over rounds in which both sides take turns on "
+        "# Muster and its peers",
+        "Written by `tests/peers/compare`, which measures everything again. Times are of the process, on "
+        "one thread unless stated otherwise, medians over rounds in which both sides alternate on "
         "the same input. Ratios are how many times longer the peer takes: of the medians, and in "
         "brackets the least and the most of any round.",
         machine_table(results),
@@ -295,8 +295,8 @@ def whole(results, picture):
             "## One robot has moved: the whole pipeline",
             "The peers take all eigenvalues, the inverse and the full decomposition of S. Muster bounds "
             "the radius, brings the similarity of all pairs up to date, and certifies the leading "
-            "triplets to 1e-4; *without all pairs* leaves the second out, as a fleet does of which "
-            "nobody asks for pairs. c = 0.9.",
+            "triplets to 1e-4; *without all pairs* leaves the second out, as a fleet does without gets "
+            "of pairs. c = 0.9.",
             pipeline_table(cases),
         ]
     if cases := results.get("embeddings"):

@@ -4,7 +4,7 @@ An estimate, rather from above: it takes every direction as open until the last 
 are found are searched for no more. Names are those of shared/numeric/src/svd/davidson.rs.
 """
 
-# Vectors that are carried along beside those asked for, to a multiple of a register.
+# Vectors that are computed in addition to those asked for, to a multiple of a register.
 EXTRA = 8
 REGISTER = 8
 # Products of the preconditioner in a round: its degree, which is 2 to 4, with the matrix and with its

@@ -12,7 +12,7 @@ use muster_tests::hosts::lab;
 use muster_tests::hosts::run_plan::{self, Measured};
 
 /// Faults that happen at the same time, each on hosts of its own: they mostly wait.
-const AT_ONCE: usize = 3;
+const PARALLEL_FAULTS: usize = 3;
 
 fn main() -> anyhow::Result<ExitCode> {
     let mut names: Vec<String> = std::env::args().skip(1).collect();
@@ -34,7 +34,7 @@ fn main() -> anyhow::Result<ExitCode> {
     let waiting = Mutex::new(VecDeque::from(chosen));
     let results = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
-        for _ in 0..AT_ONCE {
+        for _ in 0..PARALLEL_FAULTS {
             scope.spawn(|| {
                 loop {
                     let next = waiting.lock().unwrap_or_else(PoisonError::into_inner).pop_front();

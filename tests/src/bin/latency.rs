@@ -1,4 +1,4 @@
-//! Measures how long a pose takes until the team that rests on it is received, and what every process
+//! Measures how long a pose takes until the team computed from it is received, and what every process
 //! takes for it. `latency --help` has the flags; `tests/peers/latency` builds and runs it in release.
 //!
 //! It ends with 1 if a goal is missed.
@@ -14,10 +14,10 @@ use muster_tests::latency::run_plan::{self, RunPlan};
 use muster_tests::latency::{drive, echo, report};
 
 /// Most robots of a run: more than one process can put for at 10 Hz on two cores.
-const MOST_ROBOTS: u32 = 20_000;
+const MAX_ROBOTS: u32 = 20_000;
 
 /// How long a fleet settles before it is measured.
-const SETTLES: Duration = Duration::from_secs(5);
+const SETTLING_TIME: Duration = Duration::from_secs(5);
 
 /// From a pose to its team, over a real router, with every service and the robots as processes.
 #[derive(Debug, Parser)]
@@ -28,7 +28,7 @@ tests/peers/latency --robots 500 --seconds 20\n  tests/peers/latency --set embed
 struct Options {
     /// Sizes of the fleet, one run for each
     #[arg(long, value_delimiter = ',', default_values_t = [50, 500, 5000],
-          value_parser = clap::value_parser!(u32).range(2..=i64::from(MOST_ROBOTS)))]
+          value_parser = clap::value_parser!(u32).range(2..=i64::from(MAX_ROBOTS)))]
     robots: Vec<u32>,
     /// Teams that the robots march in and are divided into
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=64))]
@@ -42,7 +42,7 @@ struct Options {
     /// Change a setting of a service, such as ingest.tick_hz=20
     #[arg(long, value_name = "SERVICE.FIELD=VALUE")]
     set: Vec<String>,
-    /// Where the page goes; standard output without it. Its picture goes beside it, as .svg
+    /// Where the page goes; standard output without it. Its picture has the same name with .svg
     #[arg(long, value_name = "FILE.md")]
     out: Option<PathBuf>,
     /// What is written as the command
@@ -76,7 +76,7 @@ fn plans(options: &Options) -> anyhow::Result<Vec<RunPlan>> {
         robots: *robots as usize,
         teams: options.teams as usize,
         rate_hz: options.rate,
-        settles: SETTLES,
+        settles: SETTLING_TIME,
         lasts: Duration::from_secs(options.seconds),
         settings: settings.clone(),
     };

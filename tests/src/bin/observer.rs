@@ -19,7 +19,7 @@ const ASK_EVERY: Duration = Duration::from_millis(500);
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
 /// Lines that may wait to be printed: seconds of the busiest fleet of these tests.
-const MOST_WAITING: usize = 10_000;
+const MAX_WAITING_LINES: usize = 10_000;
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
@@ -27,7 +27,7 @@ async fn main() -> anyhow::Result<()> {
     let endpoint = arguments.next().context("observer ENDPOINT FLEET: the endpoint is missing")?;
     let fleet = arguments.next().context("observer ENDPOINT FLEET: the fleet is missing")?;
     let client = Client::connect_for_ever(&endpoint, &fleet).await?;
-    let (lines, mut waiting) = mpsc::channel::<Value>(MOST_WAITING);
+    let (lines, mut waiting) = mpsc::channel::<Value>(MAX_WAITING_LINES);
     for tail in ["json/teams", "json/event", "robot/*/team"] {
         let lines = lines.clone();
         client

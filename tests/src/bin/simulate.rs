@@ -28,7 +28,7 @@ struct Args {
     /// With --seed: print every event
     #[arg(long, requires = "seed")]
     log: bool,
-    /// How long the faults go on, in steps of 10 ms of virtual time
+    /// How long faults happen, in steps of 10 ms of virtual time
     #[arg(long, default_value_t = Options::default().steps, value_parser = clap::value_parser!(u64).range(100..=1_000_000))]
     steps: u64,
     /// How many robots; by the seed if left out
@@ -40,7 +40,7 @@ struct Args {
     /// Of all faults of the seed, only those with these numbers, such as 3,17; or none
     #[arg(long, value_parser = numbers)]
     only: Option<Numbers>,
-    /// How many robots appear in every second besides the faults of the seed, and report only once
+    /// How many robots appear in every second in addition to the faults of the seed, and report only once
     #[arg(long, default_value_t = 0)]
     ghosts: usize,
     /// How many threads; all processors if left out

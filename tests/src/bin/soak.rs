@@ -2,12 +2,12 @@
 //!
 //! `soak [--robots N] [--minutes M] [--teams K] [--plot FILE.svg]` starts a router, the four services
 //! and the robots, samples each process and the division every second, and prints once a minute what it
-//! measured. It ends with 1 if the memory of a process grows faster than [`MOST_GROWTH`] once it has warmed
-//! up (half of the run, at most five minutes), if divisions paused for longer than [`MOST_PAUSE`], or if
+//! measured. It ends with 1 if the memory of a process grows faster than [`MAX_GROWTH_KIB`] once it has warmed
+//! up (half of the run, at most five minutes), if divisions paused for longer than [`MAX_PAUSE_S`], or if
 //! robots or messages were lost.
 
 use std::collections::BTreeMap;
-use std::io::Write as _;
+use std::io::Write;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
@@ -19,21 +19,21 @@ use serde_json::Value;
 
 /// Growth of a process that counts as flat, in KiB a minute: at this rate a day costs less than 400 MiB,
 /// and a run of ten minutes can distinguish it from the noise of an allocator.
-const MOST_GROWTH: f64 = 256.0;
+const MAX_GROWTH_KIB: f64 = 256.0;
 
 /// Longest pause of the division, in seconds: it is published once a second, and a busy machine may be late.
-const MOST_PAUSE: f64 = 5.0;
+const MAX_PAUSE_S: f64 = 5.0;
 
 /// How much of the run is warming up, and how many seconds at most: buffers grow to what the fleet
 /// needs, and an allocator takes the memory for them in steps over the first minutes.
-const WARM_UP_PART: f64 = 0.5;
-const WARM_UP_AT_MOST: f64 = 300.0;
+const WARM_UP_SHARE: f64 = 0.5;
+const MAX_WARM_UP_S: f64 = 300.0;
 
 /// How long the fleet may take to be whole.
 const FORMED_WITHIN: Duration = Duration::from_secs(60);
 
 /// Counters of what was lost because too much waited, which must not be where nothing fails.
-const LOST: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
+const LOSS_COUNTERS: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
 
 /// The counter of what a newer message of the same key replaced before it was looked at, as is meant
 /// for a service that is slower than its senders.
@@ -97,20 +97,56 @@ fn plot(samples: &BTreeMap<&str, Vec<ProcessStats>>) -> String {
     svg + "</svg>\n"
 }
 
-/// What each service counted of some names, where it is not nothing.
-async fn counted(client: &Client, names: &[&str]) -> anyhow::Result<BTreeMap<String, u64>> {
-    let mut counted = BTreeMap::new();
+/// What each service counters of some names, where it is not nothing.
+async fn counters(client: &Client, names: &[&str]) -> anyhow::Result<BTreeMap<String, u64>> {
+    let mut counters = BTreeMap::new();
     for service in SERVICES {
         let status = client.get_one(&format!("service/{service}/status")).await?;
         for name in names {
             let count = status["counters"][name].as_u64();
             let count = count.with_context(|| format!("{service} does not count {name}"))?;
             if count > 0 {
-                counted.insert(format!("{service} {name}"), count);
+                counters.insert(format!("{service} {name}"), count);
             }
         }
     }
-    Ok(counted)
+    Ok(counters)
+}
+
+/// Writes what each process took; whether the memory of all is flat after so many seconds of warming up.
+fn write_processes(
+    out: &mut impl Write,
+    processes: &[(&str, u32)],
+    samples: &BTreeMap<&str, Vec<ProcessStats>>,
+    warm: f64,
+) -> anyhow::Result<bool> {
+    let mut kept = true;
+    writeln!(
+        out,
+        "\n| process | MiB at first | MiB at last | KiB/min after {warm:.0} s | CPU % |"
+    )?;
+    writeln!(out, "| --- | --- | --- | --- | --- |")?;
+    for (name, _) in processes {
+        let all = samples.get(name).map(Vec::as_slice).unwrap_or_default();
+        let later = &all[all.partition_point(|sample| sample.at < warm)..];
+        let (Some(first), Some(last)) = (later.first(), later.last()) else { continue };
+        let points: Vec<_> = later.iter().map(|sample| (sample.at, sample.memory)).collect();
+        // In KiB a minute.
+        let growth = slope(&points) * 60.0;
+        let spent = (last.busy - first.busy) / (last.at - first.at);
+        writeln!(
+            out,
+            "| {name} | {:.1} | {:.1} | {growth:.1} | {:.1} |",
+            all.first().unwrap_or(first).memory / 1024.0,
+            last.memory / 1024.0,
+            spent * 100.0
+        )?;
+        if growth > MAX_GROWTH_KIB {
+            kept = false;
+            writeln!(out, "{name} grows faster than {MAX_GROWTH_KIB} KiB a minute")?;
+        }
+    }
+    Ok(kept)
 }
 
 #[tokio::main]
@@ -183,33 +219,8 @@ async fn main() -> anyhow::Result<ExitCode> {
             minute += 1.0;
         }
     }
-    let warm = (lasts * WARM_UP_PART).min(WARM_UP_AT_MOST);
-    let mut kept = true;
-    writeln!(
-        out,
-        "\n| process | MiB at first | MiB at last | KiB/min after {warm:.0} s | CPU % |"
-    )?;
-    writeln!(out, "| --- | --- | --- | --- | --- |")?;
-    for (name, _) in &processes {
-        let all = samples.get(name).map(Vec::as_slice).unwrap_or_default();
-        let later = &all[all.partition_point(|sample| sample.at < warm)..];
-        let (Some(first), Some(last)) = (later.first(), later.last()) else { continue };
-        let points: Vec<_> = later.iter().map(|sample| (sample.at, sample.memory)).collect();
-        // In KiB a minute.
-        let growth = slope(&points) * 60.0;
-        let spent = (last.busy - first.busy) / (last.at - first.at);
-        writeln!(
-            out,
-            "| {name} | {:.1} | {:.1} | {growth:.1} | {:.1} |",
-            all.first().unwrap_or(first).memory / 1024.0,
-            last.memory / 1024.0,
-            spent * 100.0
-        )?;
-        if growth > MOST_GROWTH {
-            kept = false;
-            writeln!(out, "{name} grows faster than {MOST_GROWTH} KiB a minute")?;
-        }
-    }
+    let warm = (lasts * WARM_UP_SHARE).min(MAX_WARM_UP_S);
+    let mut kept = write_processes(&mut out, &processes, &samples, warm)?;
     ages.sort_by(f64::total_cmp);
     writeln!(
         out,
@@ -219,14 +230,14 @@ async fn main() -> anyhow::Result<ExitCode> {
         quantile(&ages, 0.99),
         quantile(&ages, 1.0)
     )?;
-    let lost = counted(&client, &LOST).await?;
+    let lost = counters(&client, &LOSS_COUNTERS).await?;
     writeln!(
         out,
         "{left} times a robot left, {incomplete} divisions incomplete; messages lost: {lost:?}, \
          replaced by newer ones: {:?}",
-        counted(&client, &[SUPERSEDED]).await?
+        counters(&client, &[SUPERSEDED]).await?
     )?;
-    kept &= lost.is_empty() && left == 0 && incomplete == 0 && longest <= MOST_PAUSE;
+    kept &= lost.is_empty() && left == 0 && incomplete == 0 && longest <= MAX_PAUSE_S;
     if let Some(path) = &options.plot {
         std::fs::write(path, plot(&samples)).with_context(|| format!("--plot {path}"))?;
     }

@@ -23,7 +23,7 @@ const LINK: &str = "cable";
 /// namespaces.
 const NEEDED_RIGHTS: [u32; 2] = [12, 21];
 
-/// What `tc` says of a filter that the kernel does not have, in its versions.
+/// What `tc` prints about a filter that the kernel does not have, by version.
 const NO_FILTER: [&str; 3] =
     ["qdisc kind is unknown", "Unknown qdisc", "No such file or directory"];
 
@@ -90,7 +90,7 @@ fn run(program: &str, arguments: &[&str]) -> anyhow::Result<String> {
 /// one process for good, though ids are used again.
 fn started(process: &str) -> Option<String> {
     let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-    // The name of the program stands in brackets and may hold blanks; the 20th field behind it counts.
+    // The name of the program is in brackets and may contain blanks; the 20th field after it counts.
     stat.rsplit_once(") ")?.1.split(' ').nth(19).map(str::to_owned)
 }
 
@@ -143,7 +143,7 @@ fn look_for_missing() -> anyhow::Result<Option<String>> {
     }
     let lab = Lab::new()?;
     match lab.limit(Host::Robots, 64) {
-        Err(error) if NO_FILTER.iter().any(|said| error.to_string().contains(said)) => {
+        Err(error) if NO_FILTER.iter().any(|text| error.to_string().contains(text)) => {
             missing("the kernel has no token bucket filter")
         }
         Err(error) => Err(error),
@@ -262,7 +262,7 @@ impl Lab {
         self.filter(host, &format!("{kbit_per_s}kbit"), "1600")
     }
 
-    /// Widens a limited link to a rate that nothing here reaches. What waits goes on its way.
+    /// Widens a limited link to a rate that nothing here reaches, so that its queue drains.
     ///
     /// # Errors
     /// If the kernel refuses.

@@ -2,7 +2,7 @@
 //!
 //! The hosts are the robots', the base with the services, and the router's, joined by a bridge in a
 //! fourth namespace. [`lab`] makes them and breaks their links; [`fault`] names the faults and what is
-//! promised under each; [`course`] lets one happen to a running fleet; [`record`] reads what the
+//! promised under each; [`run_plan`] makes one happen to a running fleet; [`record`] reads what the
 //! observers on two of the hosts have seen, and measures it.
 
 pub mod fault;

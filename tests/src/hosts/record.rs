@@ -77,7 +77,7 @@ impl Record {
     }
 
     /// When a division was published for the first time since a moment that is the wanted one, has no
-    /// stale robot, and rests on nothing that was measured before that moment.
+    /// stale robot, and was computed from nothing measured before that moment.
     #[must_use]
     pub fn whole(&self, wanted: &Division, since: f64) -> Option<f64> {
         let whole = |seen: &&Seen| {

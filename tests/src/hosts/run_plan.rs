@@ -28,7 +28,7 @@ const ROBOTS: usize = 12;
 const FORMED_WITHIN: Duration = Duration::from_secs(40);
 
 /// Time without a change before a fault, so that its effects differ from those of the start.
-const CALM: Duration = Duration::from_secs(2);
+const QUIET_TIME: Duration = Duration::from_secs(2);
 
 /// How long a fleet is watched once it is whole again: contradictions may come later.
 const WATCHED: Duration = Duration::from_secs(2);
@@ -150,7 +150,7 @@ impl World {
             }
         }
         let observed = [endpoint.as_str(), FLEET];
-        // Who looks at poses and asks does so where that is no burden on the link of the robots' host.
+        // The observer that receives poses and gets runs where it does not load the link of the robots' host.
         let all = [&observed[..], &["all"]].concat();
         let console = start(&lab, folder.path(), Host::Router, "observer", &all)?;
         let on_board = start(&lab, folder.path(), Host::Robots, "observer", &observed)?;
@@ -234,7 +234,7 @@ impl World {
 pub fn run(fault: Fault) -> anyhow::Result<Measured> {
     let (mut world, there) = World::start(&fault)?;
     let wanted = world.formed()?;
-    sleep(CALM);
+    sleep(QUIET_TIME);
     ensure!(world.formed()? == wanted, "the teams change before the fault:\n{}", world.logs());
 
     let begin = now();
@@ -318,9 +318,9 @@ impl Measured {
         }
         if self.fault.lets_robots_leave() {
             hold(between(self.gone, GONE_S), "silent robots leave in time");
-            hold(self.left == self.on_robots_host, "all silent robots leave, and nobody else");
+            hold(self.left == self.on_robots_host, "all silent robots leave, and no others");
         } else {
-            hold(self.left.is_empty(), "nobody leaves");
+            hold(self.left.is_empty(), "no robot leaves");
         }
         // With all robots behind a narrow link there are no other links to be held up.
         if self.fault.is_of_a_link() && self.on_robots_host.len() < ROBOTS {
@@ -334,7 +334,7 @@ impl Measured {
         // each time that it loses the same one; their robots are silent then.
         let falters = matches!(self.fault.kind, Kind::Narrow(_) | Kind::Slow);
         if !self.fault.cuts_robots_off() && !falters {
-            hold(self.stale.is_none(), "nobody is taken for silent");
+            hold(self.stale.is_none(), "no robot is marked stale");
         }
         if self.fault.lets_base_speak() {
             hold(self.pause <= 3.0, "divisions are published meanwhile");

@@ -1,7 +1,7 @@
 //! A process of robots, which put poses at a rate, each with a phase of its own, and writes down when.
 //!
 //! The robots share one Zenoh session and put JSON, as `muster robot` does, by declared publishers: a
-//! router searches all keys of the fleet for the receivers of each message on a key that nobody declared.
+//! router searches all keys of the fleet for the receivers of each message on an undeclared key.
 //! Each robot has its token, and subscribes to its team. A robot that also reports links or its rank does so
 //! just before a pose, so that the pose is its last message: the roster then contains when `ingest` received
 //! it.
@@ -30,7 +30,7 @@ const JOIN_HZ: f64 = 1000.0;
 
 /// Shortest sleep. Robots that are due within it put one after the other, a little late: their poses
 /// count from when they were really put.
-const LEAST_SLEEP: Duration = Duration::from_micros(500);
+const MIN_SLEEP: Duration = Duration::from_micros(500);
 
 /// How often it is looked whether to stop.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
@@ -105,10 +105,10 @@ impl Puts {
             .flat_map(|times| std::iter::once(times.len() as u64).chain(times.iter().copied()));
         let numbers = [self.messages, self.poses.len() as u64].into_iter().chain(rows);
         let bytes: Vec<u8> = numbers.flat_map(u64::to_le_bytes).collect();
-        let (begun, done) = (folder.join("puts.begun"), folder.join(LOG));
-        std::fs::write(&begun, bytes)?;
-        // Who waits for it sees it whole or not at all.
-        std::fs::rename(begun, done)?;
+        let (partial, done) = (folder.join("puts.partial"), folder.join(LOG));
+        std::fs::write(&partial, bytes)?;
+        // A reader finds the whole file or none.
+        std::fs::rename(partial, done)?;
         Ok(())
     }
 }
@@ -168,7 +168,7 @@ pub async fn run(drive: &Drive) -> anyhow::Result<()> {
             let put = publisher.put(payload).wait();
             put.map_err(|error| anyhow::anyhow!("{}: {error}", publisher.key_expr()))
         };
-        speak(&drive, &squads, put, &mut puts)?;
+        put_reports(&drive, &squads, put, &mut puts)?;
         anyhow::Ok(puts)
     });
     driving.await??.write(&folder)?;
@@ -178,7 +178,7 @@ pub async fn run(drive: &Drive) -> anyhow::Result<()> {
 }
 
 /// Puts what is due, again and again, until the stop.
-fn speak(
+fn put_reports(
     drive: &Drive,
     squads: &Squads,
     put: impl Fn(usize, Stream, String) -> anyhow::Result<()>,
@@ -194,7 +194,7 @@ fn speak(
             let phase = period.mul_f64(robot as f64 / drive.robots as f64);
             let due = begin + period.mul_f64(round as f64) + phase;
             let now = Instant::now();
-            if due > now + LEAST_SLEEP {
+            if due > now + MIN_SLEEP {
                 std::thread::sleep(due - now);
             }
             if looked.elapsed() > LOOK_EVERY {
@@ -271,7 +271,7 @@ mod tests {
             }
             Ok(())
         };
-        speak(&drive, &Squads::new(20, 2), put, &mut puts).unwrap();
+        put_reports(&drive, &Squads::new(20, 2), put, &mut puts).unwrap();
         let rounds = puts.poses[0].len();
         assert!((20..100).contains(&rounds), "{rounds} rounds in half a second or a little more");
         // One in five also puts links, one in ten a rank, and all do at first.

@@ -1,4 +1,4 @@
-//! The round trip of one message through the router, with nothing of Muster's but the router between.
+//! The round trip of one message through the router alone.
 
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
@@ -14,10 +14,10 @@ const PING: &str = "echo/ping";
 const PONG: &str = "echo/pong";
 
 /// How long a ping is waited for.
-const WITHIN: Duration = Duration::from_secs(2);
+const PING_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Between two pings: often enough for a percentile, too seldom to weigh.
-const EVERY: Duration = Duration::from_millis(20);
+const PING_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Puts everything back that is put, until it is killed.
 ///
@@ -70,7 +70,7 @@ pub async fn ping(
             let put = Instant::now();
             session.put(&ping, payload.clone()).wait().map_err(fail)?;
             let back = loop {
-                match receiver.recv_timeout(WITHIN.saturating_sub(put.elapsed())) {
+                match receiver.recv_timeout(PING_TIMEOUT.saturating_sub(put.elapsed())) {
                     Ok((at, same)) if same == payload => break Some(at),
                     // One that was given up comes after all.
                     Ok(_) => {}
@@ -81,7 +81,7 @@ pub async fn ping(
                 Some(at) => trips.push(at.duration_since(put).as_secs_f64() * 1e3),
                 None => missing += 1,
             }
-            std::thread::sleep(EVERY);
+            std::thread::sleep(PING_INTERVAL);
         }
         anyhow::Ok((trips, missing))
     });

@@ -47,10 +47,10 @@ pub struct TeamMessage {
 /// How poses became divisions. All durations are in milliseconds.
 #[derive(Debug, Clone, Default)]
 pub struct Ways {
-    /// From the put of each pose to the first division received that rests on it or, where the robot has
+    /// From the put of each pose to the first division received that contains it or, where the robot has
     /// put another pose meanwhile, on that one.
     pub whole: Vec<f64>,
-    /// Of the poses that a division rests on: the same without the time for which `ingest` held the
+    /// Of the poses that a division contains: the same without the time for which `ingest` held the
     /// pose until it made the frame.
     pub beyond: Vec<f64>,
     /// Of these, from the put to `ingest`.
@@ -59,7 +59,7 @@ pub struct Ways {
     pub held: Vec<f64>,
     /// Poses that a later one of the same robot replaced before a division rested on them.
     pub superseded: usize,
-    /// Poses that no division rests on, nor on a later one of the same robot.
+    /// Poses that no division contains, nor a later one of the same robot.
     pub missing: usize,
 }
 
@@ -174,13 +174,13 @@ mod tests {
             frame: 260_000,
             team: Some(team.to_owned()),
         };
-        let said = [
+        let messages = [
             message(1_000, 0, "t1"),
             message(280_000, 0, "t1"),
             message(290_000, 0, "t2"),
             message(290_000, 1, "t2"),
             message(300_000, 1, "t1"),
         ];
-        assert_eq!(follow_changes(&puts(), &frames, &said), [90.0, 50.0]);
+        assert_eq!(follow_changes(&puts(), &frames, &messages), [90.0, 50.0]);
     }
 }

@@ -21,7 +21,7 @@ use super::{now_us, robot_of};
 use crate::client::Client;
 
 /// Messages that wait to be read: seconds of the busiest fleet.
-const MOST_WAITING: usize = 1 << 17;
+const MAX_WAITING_MESSAGES: usize = 1 << 17;
 
 /// An embedding that was received.
 #[derive(Debug, Clone)]
@@ -36,9 +36,9 @@ pub struct Embedded {
     pub residual: f64,
 }
 
-/// A judgement that was received: when the division was published that it is about, and its own stage.
+/// A received audit: when its division was published, and its own stage.
 #[derive(Debug, Clone, Copy)]
-pub struct Judged {
+pub struct AuditTimes {
     /// When the division was published.
     pub divided: u64,
     /// That of `auditor`.
@@ -55,10 +55,10 @@ pub struct Received {
     /// In the order of arrival.
     pub embeddings: Vec<Embedded>,
     /// In the order of arrival.
-    pub judgements: Vec<Judged>,
+    pub audits: Vec<AuditTimes>,
     /// In the order of arrival.
     pub team_messages: Vec<TeamMessage>,
-    /// Messages that could not be understood, or found too many waiting.
+    /// Messages that could not be decoded, or found a full queue.
     pub lost: u64,
 }
 
@@ -100,7 +100,7 @@ impl Listener {
     /// If the session is closed.
     pub async fn start(client: &Client, robots: usize) -> anyhow::Result<Self> {
         let received = Arc::new(Mutex::new(Received::default()));
-        let (sender, receiver) = mpsc::sync_channel::<(u64, Kind, ZBytes)>(MOST_WAITING);
+        let (sender, receiver) = mpsc::sync_channel::<(u64, Kind, ZBytes)>(MAX_WAITING_MESSAGES);
         for (tail, kind) in KINDS {
             let (sender, received) = (sender.clone(), Arc::clone(&received));
             client
@@ -125,7 +125,7 @@ impl Listener {
         Ok(Self(received))
     }
 
-    /// Forgets everything but the frames, which later divisions may rest on.
+    /// Forgets everything but the frames, which later divisions may name.
     pub fn begin(&self) {
         let mut received = lock(&self.0);
         let frames = std::mem::take(&mut received.frames);
@@ -138,7 +138,7 @@ impl Listener {
         lock(&self.0).divisions.last().cloned()
     }
 
-    /// The number of the last pose of each robot that the newest division rests on.
+    /// The number of the last pose of each robot that the newest division contains.
     #[must_use]
     pub fn covered(&self) -> Vec<Option<u64>> {
         let received = lock(&self.0);
@@ -207,7 +207,7 @@ fn take(
             let audit: Audit = envelope::decode(bytes).ok()?;
             let divided = stage(&audit.header, ServiceName::Clusterer)?.1;
             let stage = stage(&audit.header, ServiceName::Auditor)?;
-            lock(received).judgements.push(Judged { divided, stage });
+            lock(received).audits.push(AuditTimes { divided, stage });
         }
         Kind::TeamMessage => {
             let value: Value = serde_json::from_slice(bytes).ok()?;

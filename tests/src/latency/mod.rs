@@ -1,11 +1,11 @@
-//! How long a pose takes until the team that rests on it is received, over real processes.
+//! How long a pose takes until the team computed from it is received, over real processes.
 //!
-//! A router, the four services, and robots are processes of their own ([`course`]); the robots march in
+//! A router, the four services, and robots are processes of their own ([`run_plan`]); the robots march in
 //! squads, each with a phase of its own ([`squads`], [`drive`]). A listener on the same router receives
-//! what robots and consoles receive ([`listen`]). Which poses a division rests on is not estimated: the
+//! what robots and consoles receive ([`listen`]). Which poses a division is computed from is not estimated: the
 //! heading of each pose is its number, rosters repeat it, and the head of a division names the frame of
 //! the roster by the moment in which `ingest` made it ([`follow`]). [`echo`] is the round trip of a
-//! message of the same size with nothing of Muster between, and [`report`] writes what was measured.
+//! message of the same size through the router alone, and [`report`] writes what was measured.
 //!
 //! All clocks are that of one host.
 

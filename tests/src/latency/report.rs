@@ -12,15 +12,15 @@ const TICK_MS: f64 = 100.0;
 /// What is wanted of the 99th percentile beyond the frame, in milliseconds, by the number of robots.
 const GOALS_MS: [(usize, f64); 2] = [(50, 20.0), (500, 60.0)];
 
-/// From so many robots on, at least [`LEAST_RATE`] divisions per second are wanted instead.
-const LARGE: usize = 5000;
+/// From so many robots on, at least [`MIN_DIVISION_RATE_HZ`] divisions per second are wanted instead.
+const LARGE_FLEET_ROBOTS: usize = 5000;
 
 /// Divisions per second.
-const LEAST_RATE: f64 = 2.0;
+const MIN_DIVISION_RATE_HZ: f64 = 2.0;
 
 /// Growth of the age that counts as none, in milliseconds per minute: in half an hour it would not be
 /// noticed, and a fit through some hundred divisions is not better than that.
-const MOST_GROWTH: f64 = 100.0;
+const MAX_AGE_GROWTH_MS: f64 = 100.0;
 
 /// A goal, what was measured, and whether it is reached.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,17 +46,21 @@ pub fn goals(measured: &Measured) -> Vec<Goal> {
             reached: p99 <= *most,
         });
     }
-    if robots >= LARGE {
+    if robots >= LARGE_FLEET_ROBOTS {
         goals.push(Goal {
-            wanted: format!("{robots} robots: at least {LEAST_RATE} divisions per second"),
+            wanted: format!(
+                "{robots} robots: at least {MIN_DIVISION_RATE_HZ} divisions per second"
+            ),
             measured: format!("{:.1}", measured.rate()),
-            reached: measured.rate() >= LEAST_RATE,
+            reached: measured.rate() >= MIN_DIVISION_RATE_HZ,
         });
     }
     goals.push(Goal {
-        wanted: format!("{robots} robots: the age does not grow (at most {MOST_GROWTH} ms/min)"),
+        wanted: format!(
+            "{robots} robots: the age does not grow (at most {MAX_AGE_GROWTH_MS} ms/min)"
+        ),
         measured: format!("{:+.0} ms/min", measured.growth()),
-        reached: measured.growth() <= MOST_GROWTH,
+        reached: measured.growth() <= MAX_AGE_GROWTH_MS,
     });
     let lost = measured.lost_on_the_way.max(0);
     goals.push(Goal {
@@ -70,8 +74,8 @@ pub fn goals(measured: &Measured) -> Vec<Goal> {
     goals
 }
 
-/// What a program says of itself in one line, or "unknown".
-fn said(program: &str, arguments: &[&str]) -> String {
+/// What a program prints in one line, or "unknown".
+fn output_of(program: &str, arguments: &[&str]) -> String {
     let output =
         Command::new(program).args(arguments).current_dir(env!("CARGO_MANIFEST_DIR")).output();
     let text = output.ok().and_then(|output| String::from_utf8(output.stdout).ok());
@@ -97,7 +101,7 @@ fn machine() -> String {
     let memory = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let kib: Option<f64> = memory.split_whitespace().nth(1).and_then(|kib| kib.parse().ok());
     let gib = kib.unwrap_or(f64::NAN) / f64::from(1 << 20);
-    format!("{cores} cores of {model}, {gib:.0} GiB, Linux {}", said("uname", &["-r"]))
+    format!("{cores} cores of {model}, {gib:.0} GiB, Linux {}", output_of("uname", &["-r"]))
 }
 
 fn spread(spread: Spread) -> String {
@@ -108,7 +112,7 @@ fn pair(spread: Spread) -> String {
     format!("{:.1} / {:.1}", spread.p50, spread.p99)
 }
 
-/// The page. `command` is how it was asked for, `plot` the name of the picture beside it.
+/// The page. `command` is how it was asked for, `plot` the name of its picture.
 ///
 /// # Errors
 /// Never; the signature is that of writing.
@@ -118,12 +122,12 @@ pub fn page(
     plot: Option<&str>,
 ) -> Result<String, std::fmt::Error> {
     let mut page = String::new();
-    let revision = said("git", &["describe", "--always", "--dirty", "--abbrev=10"]);
+    let revision = output_of("git", &["describe", "--always", "--dirty", "--abbrev=10"]);
     writeln!(page, "# From a pose to its team: latency, age, load\n")?;
     writeln!(
         page,
         "Written by `{command}` on {}.\n",
-        said("date", &["-u", "+%Y-%m-%d %H:%M UTC"])
+        output_of("date", &["-u", "+%Y-%m-%d %H:%M UTC"])
     )?;
     writeln!(page, "- machine: {}", machine())?;
     writeln!(
@@ -131,7 +135,7 @@ pub fn page(
         "- versions: Muster {} at {revision}, Zenoh {}, {}; {} build",
         env!("CARGO_PKG_VERSION"),
         locked("zenoh"),
-        said("rustc", &["--version"]),
+        output_of("rustc", &["--version"]),
         if cfg!(debug_assertions) { "debug" } else { "release" }
     )?;
     for measured in all {
@@ -147,7 +151,7 @@ pub fn page(
             settings.collect::<String>()
         )?;
     }
-    writeln!(page, "\n{HOW}")?;
+    writeln!(page, "\n{DEFINITIONS}")?;
     goals_table(&mut page, all)?;
     ways_table(&mut page, all)?;
     ages_table(&mut page, all)?;
@@ -160,8 +164,8 @@ pub fn page(
     Ok(page)
 }
 
-/// What the numbers are, for who reads the page alone.
-const HOW: &str = "\
+/// What the numbers are, for readers of the page alone.
+const DEFINITIONS: &str = "\
 A router, the four services and all robots run as processes of one host, over TCP on loopback, with \
 default settings but for the number of teams. The robots march in squads and move with every pose; \
 each has a phase of its own. They join 1,000 a second. They also put links twice a second and ranks \
@@ -252,8 +256,8 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
     row("embedder → clusterer", &|m| between(m, |d| (d.stages[1].1, d.stages[2].0)))?;
     row("clusterer", &|m| between(m, |d| (d.stages[2].0, d.stages[2].1)))?;
     row("clusterer → reader", &|m| between(m, |d| (d.stages[2].1, d.arrived)))?;
-    row("in parallel: division → audit", &|m| pair(m.judged[0]))?;
-    row("of it: auditor", &|m| pair(m.judged[1]))?;
+    row("in parallel: division → audit", &|m| pair(m.audit[0]))?;
+    row("of it: auditor", &|m| pair(m.audit[1]))?;
     writeln!(
         page,
         "\nThe time of a stage is from the receipt of its input to its output, with the wait for the \
@@ -271,7 +275,7 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
             measured.modes.values().sum::<usize>() as f64 / measured.seconds,
             modes.join(", "),
             measured.residual,
-            measured.judgements as f64 / measured.seconds
+            measured.audits as f64 / measured.seconds
         )?;
     }
     writeln!(page)

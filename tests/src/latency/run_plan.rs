@@ -27,10 +27,10 @@ const DRAINED_WITHIN: Duration = Duration::from_secs(20);
 
 /// What services count of messages that came to an end: accepted, refused, replaced in the inbox by a
 /// newer one of the same robot.
-const TAKEN: [&str; 3] = ["poses_accepted", "links_accepted", "ranks_accepted"];
+const ACCEPTED_COUNTERS: [&str; 3] = ["poses_accepted", "links_accepted", "ranks_accepted"];
 
 /// Counters of what was lost because too much waited, which must not be.
-const DROPPED: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
+const LOSS_COUNTERS: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
 
 /// What to run.
 #[derive(Debug, Clone)]
@@ -112,13 +112,13 @@ pub struct Measured {
     /// What the stages of an embedding that was computed took: fusing and the radius, the similarity,
     /// the decomposition.
     pub embedding: [Spread; 3],
-    /// The time from a division to its judgement, and that within `auditor`.
-    pub judged: [Spread; 2],
-    /// Judgements that arrived.
-    pub judgements: usize,
-    /// The round trip without robots, and beside them.
+    /// The time from a division to its audit, and that within `auditor`.
+    pub audit: [Spread; 2],
+    /// Audits that arrived.
+    pub audits: usize,
+    /// The round trip without robots, and under their load.
     pub round_trip: [Spread; 2],
-    /// Pings beside the robots that did not come back.
+    /// Pings under the load of the robots that did not come back.
     pub pings_missing: usize,
     /// Messages that were put and that `ingest` never saw.
     pub lost_on_the_way: i64,
@@ -215,7 +215,7 @@ pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Me
     let window = now_us();
     let samples = watch(&processes, plan.lasts).await?;
     let window = (window, now_us());
-    let (beside, pings_missing) = pinging.await??;
+    let (loaded, pings_missing) = pinging.await??;
 
     drive::stop(&folder)?;
     let mut puts = None;
@@ -226,7 +226,7 @@ pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Me
     .await?;
     let puts = puts.context("the robots have written no log")?;
     let last: Vec<_> = puts.poses.iter().map(|poses| (poses.len() as u64).checked_sub(1)).collect();
-    // If it does not come to that, what is missing is counted.
+    // What is still missing then is counted.
     let drained = until(DRAINED_WITHIN, "the last poses", || Ok(listener.covered() == last)).await;
     if let Err(error) = drained {
         progress(format!("{robots} robots: {error}"));
@@ -239,16 +239,16 @@ pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Me
         window,
         &puts,
         received,
-        Counted { samples, counters, idle, beside, pings_missing },
+        SideMeasurements { samples, counters, idle, loaded, pings_missing },
     ))
 }
 
-/// What was counted beside the messages.
-struct Counted {
+/// What was measured besides the messages.
+struct SideMeasurements {
     samples: Vec<(&'static str, Vec<ProcessStats>)>,
     counters: BTreeMap<&'static str, BTreeMap<String, u64>>,
     idle: Vec<f64>,
-    beside: Vec<f64>,
+    loaded: Vec<f64>,
     pings_missing: usize,
 }
 
@@ -257,7 +257,7 @@ fn measured(
     window: (u64, u64),
     puts: &Puts,
     mut received: Received,
-    counted: Counted,
+    side: SideMeasurements,
 ) -> Measured {
     let ways = follow(puts, window, &received.frames, &received.divisions);
     let changes = follow_changes(puts, &received.frames, &received.team_messages);
@@ -271,16 +271,17 @@ fn measured(
     }
     let computed = received.embeddings.iter().filter(|e| e.mode != EmbeddingMode::Cached);
     let lengths = received.embeddings.iter().map(|embedding| embedding.dimension);
-    let judgements = received.judgements.iter();
+    let audits = received.audits.iter();
     let took = |from: u64, to: u64| to.saturating_sub(from) as f64 / 1e3;
 
-    let ingest = counted.counters.get("ingest");
+    let ingest = side.counters.get("ingest");
     let count = |name: &str| ingest.and_then(|counters| counters.get(name)).copied().unwrap_or(0);
     let refused = count("messages_refused");
-    let seen =
-        TAKEN.iter().map(|name| count(name)).sum::<u64>() + count("inbox_superseded") + refused;
+    let seen = ACCEPTED_COUNTERS.iter().map(|name| count(name)).sum::<u64>()
+        + count("inbox_superseded")
+        + refused;
     let named = |names: &[&str]| -> BTreeMap<String, u64> {
-        let all = counted.counters.iter().flat_map(|(service, counters)| {
+        let all = side.counters.iter().flat_map(|(service, counters)| {
             names.iter().filter_map(move |name| {
                 let count = *counters.get(*name)?;
                 Some((format!("{service} {name}"), count))
@@ -288,7 +289,7 @@ fn measured(
         });
         all.filter(|(_, count)| *count > 0).collect()
     };
-    let mut dropped = named(&DROPPED);
+    let mut dropped = named(&LOSS_COUNTERS);
     dropped.extend(named(&["messages_refused", "jobs_failed"]));
     if received.lost > 0 {
         dropped.insert("listener".to_owned(), received.lost);
@@ -304,18 +305,18 @@ fn measured(
         dimensions: (lengths.clone().min().unwrap_or(0), lengths.max().unwrap_or(0)),
         residual: received.embeddings.iter().map(|e| e.residual).fold(0.0, f64::max),
         embedding: [0, 1, 2].map(|stage| Spread::of(computed.clone().map(|e| e.stage_ms[stage]))),
-        judged: [
-            Spread::of(judgements.clone().map(|judged| took(judged.divided, judged.stage.1))),
-            Spread::of(judgements.clone().map(|judged| took(judged.stage.0, judged.stage.1))),
+        audit: [
+            Spread::of(audits.clone().map(|audit| took(audit.divided, audit.stage.1))),
+            Spread::of(audits.clone().map(|audit| took(audit.stage.0, audit.stage.1))),
         ],
-        judgements: judgements.len(),
+        audits: audits.len(),
         divisions: received.divisions,
-        round_trip: [Spread::of(counted.idle), Spread::of(counted.beside)],
-        pings_missing: counted.pings_missing,
+        round_trip: [Spread::of(side.idle), Spread::of(side.loaded)],
+        pings_missing: side.pings_missing,
         lost_on_the_way: puts.messages as i64 - seen as i64,
         dropped,
         replaced: named(&["inbox_superseded"]),
-        taken: counted.samples.iter().filter_map(|(name, samples)| taken(name, samples)).collect(),
+        taken: side.samples.iter().filter_map(|(name, samples)| taken(name, samples)).collect(),
     }
 }
 
@@ -347,22 +348,13 @@ async fn watch(
     }
 }
 
-/// The status of a service, as soon as it answers that it holds its role.
+/// The status of a service, as soon as an instance leads.
 async fn serving(client: &Client, service: &str) -> anyhow::Result<Value> {
-    let begin = Instant::now();
-    loop {
-        let status = client.get_one(&format!("service/{service}/status")).await;
-        if let Ok(status) = &status
-            && status["standing"] == "holding"
-        {
-            return Ok(status.clone());
-        }
-        anyhow::ensure!(begin.elapsed() < FORMED_WITHIN, "{service} does not serve: {status:?}");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    let leads = |status: &Value| status["standing"] == "holding";
+    client.until(&format!("service/{service}/status"), FORMED_WITHIN, leads).await
 }
 
-/// What each service has counted.
+/// What each service has side.
 async fn counters(
     client: &Client,
 ) -> anyhow::Result<BTreeMap<&'static str, BTreeMap<String, u64>>> {

@@ -1,6 +1,6 @@
-//! A fleet that never stands still: teams of squads that circle about their places.
+//! A fleet that always moves: teams of squads that circle about their places.
 //!
-//! Each team is a disc of squads of [`SQUAD`] robots, the teams stand in a row. Every squad moves along
+//! Each team is a disc of squads of [`SQUAD_ROBOTS`] robots, the teams are in a row. Every squad moves along
 //! a circle of its own and turns, at about 1 m/s, so that each pose is another one and the neighbours of
 //! robots at the rims of squads change. In each team but the last one robot is a courier, which flies to
 //! the next team, answers to a leader there, and comes back; so that divisions change.
@@ -8,7 +8,7 @@
 use std::f64::consts::{PI, TAU};
 
 /// Robots of a squad: a leader and nine others.
-const SQUAD: usize = 10;
+const SQUAD_ROBOTS: usize = 10;
 
 /// Metres between the places of neighbouring squads.
 const SQUAD_PITCH_M: f64 = 16.0;
@@ -52,7 +52,7 @@ struct Squad {
     phase: f64,
     /// Its robots, the leader first; couriers of other teams are not among them.
     robots: Vec<usize>,
-    /// Whom the leader answers to.
+    /// The superior of the leader.
     superior: Option<usize>,
 }
 
@@ -68,16 +68,16 @@ impl Squads {
     #[must_use]
     pub fn new(robots: usize, teams: usize) -> Self {
         let teams = teams.clamp(1, robots.max(1));
-        let most = robots.div_ceil(teams).div_ceil(SQUAD);
+        let most = robots.div_ceil(teams).div_ceil(SQUAD_ROBOTS);
         let pitch = SQUAD_PITCH_M * (most as f64).sqrt() + TEAM_GAP_M;
         let mut fleet = Self { posts: Vec::new(), squads: Vec::new() };
         let mut first_squads = Vec::new();
         for team in 0..teams {
             let (first, after) = (robots * team / teams, robots * (team + 1) / teams);
             first_squads.push(fleet.squads.len());
-            for (number, begin) in (first..after).step_by(SQUAD).enumerate() {
+            for (number, begin) in (first..after).step_by(SQUAD_ROBOTS).enumerate() {
                 let squad = fleet.squads.len();
-                let members: Vec<usize> = (begin..after.min(begin + SQUAD)).collect();
+                let members: Vec<usize> = (begin..after.min(begin + SQUAD_ROBOTS)).collect();
                 let seed = number as f64;
                 let (out, turn) = (0.5 * SQUAD_PITCH_M * seed.sqrt(), seed * GOLDEN_ANGLE);
                 let posts = (0..members.len()).map(|place| Post { squad, place, courier: None });
@@ -119,7 +119,7 @@ impl Squads {
         let post = self.posts[robot];
         let home = self.on_ring(post.squad, post.place, t);
         let Some((away, begins)) = post.courier else { return home };
-        let there = self.on_ring(away, SQUAD, t);
+        let there = self.on_ring(away, SQUAD_ROBOTS, t);
         let share = share_away(t - begins);
         std::array::from_fn(|axis| home[axis] + share * (there[axis] - home[axis]))
     }
@@ -129,7 +129,7 @@ impl Squads {
         let (sin, cos) = (squad.phase + TAU * t / CIRCLE_S).sin_cos();
         // The leader is in the middle. The ring turns once while the squad goes around once.
         let radius = if place == 0 { 0.0 } else { RING_M };
-        let (side, front) = (TAU * (place as f64 / SQUAD as f64 + t / CIRCLE_S)).sin_cos();
+        let (side, front) = (TAU * (place as f64 / SQUAD_ROBOTS as f64 + t / CIRCLE_S)).sin_cos();
         [
             squad.at[0] + CIRCLE_M * cos + radius * front,
             squad.at[1] + CIRCLE_M * sin + radius * side,
@@ -145,8 +145,8 @@ impl Squads {
         }
     }
 
-    /// Whom a robot hears, with the quality from 0 to 1: the robots of the squad that it is with; its
-    /// leader also its own superior.
+    /// The incoming links of a robot, with qualities from 0 to 1: from the robots of the squad that it is with; its
+    /// leader also has one from its own superior.
     #[must_use]
     pub fn links(&self, robot: usize, t: f64) -> Vec<(usize, f64)> {
         let squad = &self.squads[self.squad(robot, t)];
@@ -163,7 +163,7 @@ impl Squads {
         received.collect()
     }
 
-    /// Whom a robot answers to: the leader of its squad; that one to the leader of its team.
+    /// The superior of a robot: the leader of its squad; that one's is the leader of its team.
     #[must_use]
     pub fn superior(&self, robot: usize, t: f64) -> Option<usize> {
         let squad = &self.squads[self.squad(robot, t)];
@@ -191,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn everybody_moves_at_the_pace_of_a_robot_and_couriers_fly() {
+    fn all_move_at_the_pace_of_a_robot_and_couriers_fly() {
         let fleet = Squads::new(503, 5);
         assert_eq!(fleet.len(), 503);
         let mut couriers = 0;

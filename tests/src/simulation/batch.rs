@@ -88,7 +88,7 @@ impl Summary {
         );
         let _ = writeln!(
             text,
-            "takeovers judged {}, gets of late joiners {}; most robots remembered {}",
+            "takeovers checked {}, gets of late joiners {}; most robots remembered {}",
             total.takeovers, total.joined, total.remembered
         );
         let (worst, seed) = self.worst;

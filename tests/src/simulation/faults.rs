@@ -22,7 +22,7 @@ const KILL_NOTICED: (Micros, Micros) = (10 * MS, 20 * MS);
 /// Shortest time that a killed process is down.
 const MIN_DOWN_TIME: Micros = 30 * MS;
 
-/// How long after a fault everyone is connected again and has received a lease renewal.
+/// How long after a fault all are connected again and have received a lease renewal.
 const RECOVERY_TIME: Micros = 3 * SECOND;
 
 impl World {
@@ -33,7 +33,7 @@ impl World {
         *self.stats.faults.entry(injection.fault.kind()).or_default() += 1;
         self.mutator.fault(injection.fault.kind());
         if let Some((service, lasts)) = injection.fault.hides_renewals() {
-            self.judge.order.disturbed(service, self.now + lasts + RECOVERY_TIME);
+            self.oracle.order.disturbed(service, self.now + lasts + RECOVERY_TIME);
         }
         let mut chance = Chance::new(self.seed, Purpose::Fault, injection.number);
         let node = |world: &Self, at| world.link_of(at).filter(|link| *link < world.nodes.len());
@@ -62,7 +62,7 @@ impl World {
                     self.kill(index, lasts, &mut chance);
                     self.nodes[index].stored = Stored::default();
                     let node = &self.nodes[index];
-                    self.judge.forget_order(node.service, node.instance);
+                    self.oracle.forget_order(node.service, node.instance);
                     self.operator.forgets(node.service);
                 }
             }
@@ -139,8 +139,8 @@ impl World {
             Fault::Set { service, patch } => self.operator.wants(service, patch),
             Fault::BadAlpha { lasts } => {
                 self.operator.wants(ServiceName::Embedder, r#"{"alpha":1e9}"#.to_owned());
-                let mended = r#"{"alpha":{"fraction":0.5}}"#.to_owned();
-                let later = Event::SetLater { service: ServiceName::Embedder, patch: mended };
+                let patch = r#"{"alpha":{"fraction":0.5}}"#.to_owned();
+                let later = Event::SetLater { service: ServiceName::Embedder, patch };
                 self.schedule(self.now + lasts, later);
             }
         }
@@ -185,10 +185,10 @@ impl World {
         }
     }
 
-    /// Repeats the last message on a key with a higher term. A reader cannot tell it from the first
+    /// Repeats the last message on a key with a higher term. To a reader it looks like the first
     /// message of a new leader.
     fn forge_term(&mut self, what: OutputKind, terms: u64) {
-        let Some(mut message) = self.judge.last_on(what) else { return };
+        let Some(mut message) = self.oracle.last_on(what) else { return };
         let raise = |header: &mut Header| header.revision.term += terms;
         match &mut message {
             Message::Roster(roster) => raise(&mut roster.make_mut_unchecked().header),
@@ -199,7 +199,7 @@ impl World {
             Message::Settings(announced) => raise(&mut announced.header),
             _ => return,
         }
-        self.judge.forged(&message);
+        self.oracle.forged(&message);
         if let Some(packet) = packet(&self.space, &message, Format::Binary) {
             self.put(self.attacker(), packet);
         }

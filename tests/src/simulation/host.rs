@@ -1,8 +1,8 @@
-//! The real host of any service behind one trait, with its jobs done on the spot.
+//! The real host of any service behind one trait, with its jobs run at once.
 //!
-//! A job is computed when it is started, and its result is kept until the scheduler says that the job
-//! has ended; how long it takes and whether it panics is up to the scheduler. A panic of the code under
-//! test is caught and becomes a [`Misbehaviour`].
+//! A job is computed when it is started, and its result is kept until the scheduler ends the job, by the
+//! time and the panics of the plan. A panic of the code under test is caught and becomes a
+//! [`Misbehaviour`].
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 

@@ -1,11 +1,11 @@
 //! The whole fleet in one thread: the real hosts and cores of all services, robots, an operator and an
 //! attacker around a virtual router, with virtual clocks, and with the faults that a seed decides.
 //!
-//! A run has a *storm*, in which the faults of its [`plan`] happen, and a *quiet*, in which nothing
+//! A run has a *storm*, in which the faults of its [`mod@plan`] happen, and a *quiet*, in which nothing
 //! happens any more and all must come to agree. Messages cross links as the bytes that they are on the
 //! bus, through the real bounded inbox, and each service is the one host that the real shell runs. What
 //! is left to the simulation is the world around hosts: the network, disks, the time that jobs take, and
-//! which of the inputs that wait comes first. After every event the [`oracle`] judges what was
+//! which of the inputs that wait comes first. After every event the [`oracle`] checks what was
 //! published; what it knows of the promises is its own. The same seed leads to the same run, byte for
 //! byte. [`shrink()`] makes a failing one short.
 //!
@@ -68,7 +68,7 @@ pub struct Options {
     pub steps: u64,
     /// Which faults of the plan happen; all if it is left out.
     pub only: Option<BTreeSet<usize>>,
-    /// How many robots appear in every second of the storm besides the plan, and report only once.
+    /// How many robots appear in every second of the storm in addition to the plan, and report only once.
     pub ghosts: usize,
 }
 
@@ -127,7 +127,7 @@ pub struct Stats {
     /// How many takeovers there were by an instance that nothing had kept from the renewals of the former
     /// leader.
     pub takeovers: u64,
-    /// The most robots at once that a clusterer remembered besides its division.
+    /// The most robots at once that a clusterer remembered in addition to those of its division.
     pub remembered: usize,
     /// How many gets of a console that joined late were answered.
     pub joined: u64,

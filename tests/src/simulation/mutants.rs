@@ -1,4 +1,4 @@
-//! Mutants: faults of the code under test that are made on purpose, to prove that the judge finds them.
+//! Mutants: faults of the code under test that are made on purpose, to prove that the oracle finds them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub enum Mutant {
     Fickle,
     /// Ingest gives every other roster the revision of the one before, once a service was killed.
     RevisionTwice,
-    /// Every new leader except the clusterer goes on with the term of the former leader, once a service
+    /// Every new leader except the clusterer keeps the term of the former leader, once a service
     /// was killed.
     TermTwice,
     /// The embedder names an older roster than before, once a service was killed.
@@ -77,7 +77,7 @@ impl Mutant {
     }
 }
 
-/// How many epochs later a term is continued that another leader has begun: more than a run has.
+/// How many epochs later a term is continued that another leader began: more than a run has.
 const CONTINUED_EPOCHS: u64 = 1 << 20;
 
 /// Makes the faults of a mutant.
@@ -251,7 +251,7 @@ impl Mutator {
         }
     }
 
-    /// What the bus makes of a packet.
+    /// What the bus does with a packet.
     pub(crate) fn carried(&mut self, space: &KeySpace, packet: Packet, now: Tick) -> Packet {
         let old = self.active && self.mutant == Some(Mutant::OldTermAsNewest);
         if !old || packet.key != space.format(&Key::Embedding) {

@@ -270,7 +270,7 @@ impl World {
         self.send(link, Way::Up, &Carried::Get { get, asked: Arc::new(asked) });
     }
 
-    /// A get has been answered by everyone, or has timed out.
+    /// A get has been answered by all, or has timed out.
     pub(super) fn get_ends(&mut self, get: BusGetId) {
         let Some(Pending { asker, answers }) = self.pending.remove(&get) else { return };
         self.router.end_get(get);
@@ -297,8 +297,8 @@ impl World {
                     .filter_map(|packet| Message::decode(&self.space, packet).ok())
                     .collect();
                 self.stats.joined += 1;
-                let verdict = self.judge.joined_late(&last, &received);
-                self.judged(verdict);
+                let checked = self.oracle.joined_late(&last, &received);
+                self.require(checked);
             }
             Asker::Host { node, life, ask } => {
                 let packets = answers.iter().filter_map(|answer| answer.packets()).flatten();
@@ -314,7 +314,7 @@ impl World {
     /// A console joins, and asks for what it has missed.
     pub(super) fn join_late(&mut self) {
         for kind in [OutputKind::Roster, OutputKind::Teams, OutputKind::Audit] {
-            let Some(last) = self.judge.last_on(kind) else { continue };
+            let Some(last) = self.oracle.last_on(kind) else { continue };
             let selector = self.space.format(&last.keys().0);
             let asked = BusGet { selector, parameters: "format=bincode", payload: None };
             let asker = Asker::LateJoiner(last);

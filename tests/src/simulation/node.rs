@@ -61,7 +61,7 @@ pub(crate) struct Process {
 pub(crate) struct UnansweredGet {
     /// The get as the bus knows it.
     pub(crate) bus_get: BusGetId,
-    /// How many stores had begun once the host had taken the get; none if it has not.
+    /// How many stores had started when the host took the get; none if it has not.
     pub(crate) stores_before: Option<u64>,
 }
 
@@ -143,7 +143,7 @@ impl Node {
         }
     }
 
-    /// Its process, as the judge knows it.
+    /// Its process, as the oracle knows it.
     pub(crate) fn publisher(&self) -> Publisher {
         Publisher { service: self.service, instance: self.instance, process: self.life }
     }
@@ -224,8 +224,8 @@ impl Node {
         process.inbox.push(Parcel::token(space, Packet::token(&**key, alive)));
     }
 
-    /// The link is lost or back. The bus forgets the tokens of others with a lost link, and it is
-    /// chance which of the two the host is given first.
+    /// The link is lost or back. The bus forgets the tokens of others with a lost link; which of
+    /// the two the host receives first is random.
     pub(crate) fn link_changed(&mut self, space: &KeySpace, is_up: bool) {
         let Some(process) = &mut self.process else { return };
         process.completed.push_back(if is_up { Input::LinkRestored } else { Input::LinkLost });

@@ -21,7 +21,7 @@ pub(crate) struct Operator {
     teams: Option<u32>,
     /// Whether the clusterer has lost its disk.
     terms_lost: bool,
-    /// How often a service has refused, confirmed, or said nothing.
+    /// How often a service has refused, confirmed, or not answered.
     pub(crate) refused: u64,
     pub(crate) confirmed: u64,
 }

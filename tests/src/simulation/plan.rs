@@ -10,9 +10,9 @@ use super::chance::{Chance, Purpose};
 use super::clock::{MS, Micros, SECOND};
 
 /// How much quiet a fleet has before the first fault, so that there is something to break.
-const CALM_BEFORE: Micros = 2 * SECOND;
+const QUIET_TIME: Micros = 2 * SECOND;
 
-/// Who is connected to the router by a link of its own.
+/// What is connected to the router by a link of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Place {
     /// The host of one instance of a service.
@@ -91,7 +91,7 @@ pub(crate) enum Fault {
     Blackout { lasts: Micros },
     /// An attacker repeats the last message on the key of a service, so many terms higher.
     ForgedTerm { what: OutputKind, terms: u64 },
-    /// A service is stopped as by SIGSTOP, and goes on after a while.
+    /// A service is stopped as by SIGSTOP, and continues after a while.
     Hang { at: Place, lasts: Micros },
     /// A service takes long over every event.
     Slow { at: Place, lasts: Micros, each: Micros },
@@ -310,7 +310,7 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
     let mut chance = Chance::new(seed, Purpose::Plan, 0);
     let end = scale.storm;
     let mut injections = Vec::new();
-    let begin = CALM_BEFORE.min(end / 4);
+    let begin = QUIET_TIME.min(end / 4);
     // Some seeds are rough and some nearly calm: what hides in a crowd of faults shows alone.
     let most = [1, 4, 10, 25, 40][chance.below(5)];
     for _ in 0..chance.between(0, most) {

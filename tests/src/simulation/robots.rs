@@ -18,7 +18,7 @@ use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
 use super::router::LinkId;
 
-/// How often the scenario goes on: robots that report in between repeat themselves.
+/// Time step of the scenario: robots that report in between repeat themselves.
 const SCENARIO_STEP: Micros = 200 * MS;
 
 /// One stream of a robot.
@@ -189,7 +189,7 @@ impl Robots {
     }
 
     /// A robot receives a report of its team; whether that is news. It never goes back to an older
-    /// division, and cares for nothing that it cannot read: anybody may put that.
+    /// division, and ignores what it cannot read: any client may put that.
     pub(crate) fn receive(&mut self, robot: usize, packet: &Packet) -> bool {
         let Some(robot) = self.all.get_mut(robot).filter(|robot| robot.runs) else { return false };
         let Some(report) = packet.payload.as_ref().ok().and_then(|bytes| read_team_report(bytes))

@@ -1,4 +1,4 @@
-//! What crosses links, and what the router knows: who has declared which liveliness token, and which gets
+//! What crosses links, and what the router knows: which link has declared which liveliness token, and which gets
 //! are under way.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,7 +23,7 @@ pub(crate) enum Carried {
     Get { get: BusGetId, asked: Arc<BusGet> },
     /// One server's whole answer.
     Answer { get: BusGetId, answer: Arc<Answer> },
-    /// Everyone who was asked has answered.
+    /// All servers that were asked have answered.
     Complete { get: BusGetId },
 }
 
@@ -75,7 +75,7 @@ struct OpenGet {
 /// What the router knows.
 #[derive(Debug, Default)]
 pub(crate) struct Router {
-    /// Who declared each token.
+    /// The link that declared each token.
     tokens: BTreeMap<Arc<str>, BTreeSet<LinkId>>,
     gets: BTreeMap<BusGetId, OpenGet>,
     next_get: BusGetId,
@@ -123,7 +123,7 @@ impl Router {
         })
     }
 
-    /// A server has answered: who asked, and whether that was the last answer.
+    /// A server has answered: the link that asked, and whether that was the last answer.
     pub(crate) fn answered(&mut self, get: BusGetId) -> Option<(LinkId, bool)> {
         let get = self.gets.get_mut(&get)?;
         let open = get.open?.saturating_sub(1);
@@ -131,14 +131,14 @@ impl Router {
         Some((get.asker, open == 0))
     }
 
-    /// The get has ended for who asked.
+    /// The get has ended for the link that asked.
     pub(crate) fn end_get(&mut self, get: BusGetId) {
         self.gets.remove(&get);
     }
 }
 
-/// Whether a key or pattern stands within another one. There are no wild chunks but `*`, which is all
-/// that services declare.
+/// Whether a pattern includes a key or another pattern. The only wild chunk is `*`, which is all that
+/// services declare.
 pub(crate) fn includes(pattern: &str, key: &str) -> bool {
     let (mut pattern, mut key) = (pattern.split('/'), key.split('/'));
     loop {

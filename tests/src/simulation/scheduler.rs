@@ -9,7 +9,7 @@ use muster_wire::{Message, Packet};
 
 use super::clock::{MS, Micros};
 use super::link::Way;
-use super::oracle::{Verdict, breach, check_memory_use};
+use super::oracle::{Verified, breach, check_memory_use};
 use super::robots::{TeamReport, read_team_report};
 use super::router::{Answer, Carried};
 use super::world::{Event, World};
@@ -85,20 +85,20 @@ impl World {
                     self.carry_out(index, now, command);
                 }
             }
-            Err(misbehaviour) => self.judged(breach(CONTRACT, misbehaviour.seen)),
+            Err(misbehaviour) => self.require(breach(CONTRACT, misbehaviour.seen)),
         }
-        self.judged(check_memory_use(service, held, self.bounds()));
+        self.require(check_memory_use(service, held, self.bounds()));
         if circles {
             let seen = format!("{service} is woken again and again and does nothing");
-            self.judged(breach("a core that waits names a moment to come", seen));
+            self.require(breach("a core that waits names a moment to come", seen));
         }
-        let verdict = self.check_process(index, taken_get);
-        self.judged(verdict);
+        let checked = self.check_process(index, taken_get);
+        self.require(checked);
         self.schedule_step(index);
     }
 
     /// What must hold of a process after each input.
-    fn check_process(&mut self, index: usize, taken_get: Option<GetId>) -> Verdict {
+    fn check_process(&mut self, index: usize, taken_get: Option<GetId>) -> Verified {
         let node = &mut self.nodes[index];
         let (service, process) = (node.service, &mut node.process);
         let Some(process) = process else { return Ok(()) };
@@ -133,7 +133,7 @@ impl World {
                 }
             }
             Command::Unencodable(seen) => {
-                self.judged(breach("what is published fits its key", seen));
+                self.require(breach("what is published fits its key", seen));
             }
             other @ (Command::DeclareToken(_)
             | Command::WithdrawToken(_)
@@ -141,7 +141,7 @@ impl World {
             | Command::LookUp { .. }) => {
                 // None of the four services has tokens or records of its own.
                 let seen = format!("{} wants {other:?}", self.nodes[index].name());
-                self.judged(breach(CONTRACT, seen));
+                self.require(breach(CONTRACT, seen));
             }
         }
     }
@@ -151,7 +151,7 @@ impl World {
         let Some(process) = &mut node.process else { return };
         process.changes_before_job = process.settings_changes;
         if let Err(misbehaviour) = process.host.run_job() {
-            return self.judged(breach(CONTRACT, misbehaviour.seen));
+            return self.require(breach(CONTRACT, misbehaviour.seen));
         }
         let (until, each) = node.slow_jobs;
         let time = node.chance.between(JOB_TIME.0, JOB_TIME.1);
@@ -189,16 +189,16 @@ impl World {
         let Some(process) = &mut self.nodes[index].process else { return };
         let Some(unanswered) = process.unanswered.remove(&get) else {
             let seen = format!("{name} answers a get twice");
-            return self.judged(breach(ANSWERED_ONCE, seen));
+            return self.require(breach(ANSWERED_ONCE, seen));
         };
         let stores_before = unanswered.stores_before.unwrap_or(process.stores_begun);
         if answer.is_ok() && process.stores_ended < stores_before {
             let seen = format!("{name} answers while state is being written");
-            self.judged(breach("an answer waits for what was stored before", seen));
+            self.require(breach("an answer waits for what was stored before", seen));
         }
         for message in &messages {
-            let verdict = self.judge.answered(message);
-            self.judged(verdict);
+            let checked = self.oracle.answered(message);
+            self.require(checked);
         }
         let answer = Arc::new(answer.map_or_else(Answer::Error, Answer::Packets));
         self.send(
@@ -212,13 +212,13 @@ impl World {
         let Publication { packets, message, .. } = publication;
         let (name, link) = (self.nodes[index].name(), self.nodes[index].link);
         let Some(message) = message else {
-            return self.judged(breach(CONTRACT, format!("{name} publishes no message")));
+            return self.require(breach(CONTRACT, format!("{name} publishes no message")));
         };
         let (message, packets) = match self.mutator.published(&self.space, message, packets, now) {
             Ok(mutated) => mutated,
             Err(error) => {
                 let seen = format!("{name}: {error}");
-                return self.judged(breach("what is published fits its key", seen));
+                return self.require(breach("what is published fits its key", seen));
             }
         };
         match (&message, &mut self.nodes[index].process) {
@@ -230,16 +230,16 @@ impl World {
             _ => {}
         }
         self.stats.published += 1;
-        let verdict = self.judge_published(index, &message, &packets);
-        self.judged(verdict);
+        let checked = self.check_published(index, &message, &packets);
+        self.require(checked);
         for packet in packets {
             let packet = self.mutator.carried(&self.space, packet, now);
             self.send(link, Way::Up, &Carried::Put(Arc::new(packet)));
         }
     }
 
-    /// What a service publishes is judged as others decode it from its bytes.
-    fn judge_published(&mut self, index: usize, message: &Message, packets: &[Packet]) -> Verdict {
+    /// What a service publishes is checked as others decode it from its bytes.
+    fn check_published(&mut self, index: usize, message: &Message, packets: &[Packet]) -> Verified {
         let node = &self.nodes[index];
         let packet = match message {
             Message::RobotTeam(report) => {
@@ -265,7 +265,7 @@ impl World {
         };
         let process = node.process.as_ref();
         let settings = process.map_or(0, |process| process.changes_before_result);
-        self.judge.published(self.now, node.publisher(), settings, &decoded)
+        self.oracle.published(self.now, node.publisher(), settings, &decoded)
     }
 
     /// The time of a job is over.

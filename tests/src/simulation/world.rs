@@ -1,5 +1,5 @@
 //! The whole: services, robots, an operator and an attacker around one router, and an agenda of what
-//! happens next. One event at a time is taken from the agenda, and after each the judge is asked.
+//! happens next. One event at a time is taken from the agenda, and after each the oracle is asked.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -19,20 +19,20 @@ use super::log::Log;
 use super::mutants::Mutator;
 use super::node::Node;
 use super::operator::Operator;
-use super::oracle::{Bounds, Breach, Judge, MEMORY, Settled, Verdict};
+use super::oracle::{Agreed, Bounds, Breach, MEMORY, Oracle, Verified};
 use super::plan::{Injection, Place};
 use super::robots::{RobotStream, Robots};
 use super::router::{Answer, BusGetId, Carried, LinkId, Router};
 use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
 
 /// How long all must have agreed without a change before a run ends.
-const HELD: Micros = 6 * SECOND;
+const AGREED_TIME: Micros = 6 * SECOND;
 
-/// One run in so many goes on past the time within which all must have agreed.
-const LONG_RUNS: u64 = 8;
+/// One run in so many continues past the time within which all must have agreed.
+const LONG_RUN_EVERY: u64 = 8;
 
-/// How long such a run goes on: longer than the longest interval at which a service asks again.
-const LONG: Micros = 12 * SECOND;
+/// How long such a run continues: longer than the longest interval at which a service asks again.
+const LONG_RUN_TIME: Micros = 12 * SECOND;
 
 /// Most events of a run: far more than one of the longest has.
 const MAX_EVENTS: u64 = 20_000_000;
@@ -87,7 +87,7 @@ impl Ord for Scheduled {
     }
 }
 
-/// Who waits for a get.
+/// What waits for a get.
 #[derive(Debug)]
 pub(super) enum Asker {
     /// The host of a process.
@@ -98,7 +98,7 @@ pub(super) enum Asker {
     LateJoiner(Message),
 }
 
-/// A get as who asked knows it.
+/// A get as its sender knows it.
 #[derive(Debug)]
 pub(super) struct Pending {
     pub(super) asker: Asker,
@@ -116,7 +116,7 @@ pub(super) struct World {
     pub(super) links: Vec<Link>,
     pub(super) robots: Robots,
     pub(super) router: Router,
-    pub(super) judge: Judge,
+    pub(super) oracle: Oracle,
     pub(super) log: Log,
     pub(super) injections: Vec<Injection>,
     pub(super) operator: Operator,
@@ -130,7 +130,7 @@ pub(super) struct World {
     pub(super) stats: Stats,
     storm: Micros,
     storm_over: bool,
-    settled: Option<(Micros, Settled)>,
+    settled: Option<(Micros, Agreed)>,
     differs: String,
     finished: bool,
     breach: Option<Breach>,
@@ -205,7 +205,7 @@ impl World {
             nodes,
             robots,
             router: Router::default(),
-            judge: Judge::default(),
+            oracle: Oracle::default(),
             log: Log::new(logged),
             injections,
             pending: BTreeMap::new(),
@@ -254,9 +254,9 @@ impl World {
         self.agenda.push(Reverse(scheduled));
     }
 
-    /// Accepts the verdict of a rule. The first breach ends the run.
-    pub(super) fn judged(&mut self, verdict: Verdict) {
-        if let Err(breach) = verdict
+    /// Accepts the result of a rule. The first breach ends the run.
+    pub(super) fn require(&mut self, checked: Verified) {
+        if let Err(breach) = checked
             && self.breach.is_none()
         {
             self.log.line(self.now, format_args!("BROKEN: {}: {}", breach.promise, breach.seen));
@@ -279,7 +279,7 @@ impl World {
             self.happen(next.event);
             if self.stats.events > MAX_EVENTS {
                 let seen = "the run does not end".to_owned();
-                self.judged(Err(Breach { promise: "a run ends", seen }));
+                self.require(Err(Breach { promise: "a run ends", seen }));
             }
             if self.finished || self.breach.is_some() {
                 break;
@@ -289,7 +289,7 @@ impl World {
         self.stats.lost = self.damage.lost;
         self.stats.repeated = self.damage.repeated;
         self.stats.mixed = self.damage.mixed;
-        self.stats.takeovers = self.judge.order.takeovers;
+        self.stats.takeovers = self.oracle.order.takeovers;
         (self.stats, self.breach.map(|breach| (breach, self.now)), self.log.into_lines())
     }
 
@@ -337,7 +337,7 @@ impl World {
             return;
         }
         if wait > self.now {
-            // A process waits for its router; then it goes on at once.
+            // A process waits for its router; then it continues at once.
             self.schedule(wait, Event::Start { node: index });
             return;
         }
@@ -397,8 +397,8 @@ impl World {
         self.send(link, Way::Up, &Carried::Put(Arc::new(packet)));
     }
 
-    /// Everything that goes wrong has an end: links are mended, processes run, and the robots stand
-    /// still and go on to repeat their last reports.
+    /// Ends all faults: links are restored, processes run, and the robots stand still and republish their last
+    /// reports.
     fn end_storm(&mut self) {
         self.storm_over = true;
         self.log.line(self.now, format_args!("the storm is over"));
@@ -431,7 +431,7 @@ impl World {
                 Err("an operator's settings are not confirmed".to_owned())
             } else {
                 one_leads_each_service(&self.nodes)
-                    .and_then(|()| self.judge.agreement(&ground_truth))
+                    .and_then(|()| self.oracle.agreement(&ground_truth))
             }
         };
         match (agreed, self.settled.take()) {
@@ -442,9 +442,9 @@ impl World {
                 }
                 self.settled = Some((since, now));
             }
-            (Ok(now), Some((at, before))) => match self.judge.unchanged(&before) {
+            (Ok(now), Some((at, before))) => match self.oracle.unchanged(&before) {
                 Ok(()) => self.settled = Some((at, before)),
-                Err(breach) if since > limit => self.judged(Err(breach)),
+                Err(breach) if since > limit => self.require(Err(breach)),
                 Err(_) => self.settled = Some((since, now)),
             },
             (Err(differs), _) => {
@@ -457,13 +457,14 @@ impl World {
         if since > limit && self.settled.is_none() {
             let promise = "after the last fault all agree within the stated time";
             let seen = self.differs.clone();
-            self.judged(Err(Breach { promise, seen }));
+            self.require(Err(Breach { promise, seen }));
             return;
         }
         if let Some((at, _)) = &self.settled {
             self.stats.agreement = *at;
-            let is_long = self.seed.is_multiple_of(LONG_RUNS);
-            self.finished = if is_long { since > limit + LONG } else { since >= at + HELD };
+            let is_long = self.seed.is_multiple_of(LONG_RUN_EVERY);
+            self.finished =
+                if is_long { since > limit + LONG_RUN_TIME } else { since >= at + AGREED_TIME };
         }
         self.schedule(self.now + TICK, Event::Poll);
     }

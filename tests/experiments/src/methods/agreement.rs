@@ -1,26 +1,26 @@
 //! Robust fusion: graphs that contradict all others do not count.
 //!
 //! Two graphs agree as far as their entries are correlated over all pairs of robots (the quadratic assignment
-//! procedure: Krackhardt, Social Networks 10, 1988). Where one of them belongs to other robots than it says, its
+//! procedure: Krackhardt, Social Networks 10, 1988). Where one of them belongs to other robots than it names, its
 //! correlation is that of chance.
 //!
 //! The live system does not do so. In planted fleets whose positions belong to other robots it finds 96 instead of 81 %
 //! (`grid/RESULTS.md`), and nothing is worse; but reports of a whole modality are hardly ever those of other
-//! robots, fleets of less than some twenty robots are too small to tell, and a fleet that has got new orders
-//! before anybody has moved looks just like one whose orders are wrong.
+//! robots, fleets of fewer than about twenty robots are too small to decide, and a fleet with new orders looks, until
+//! robots move, just like one whose orders are wrong.
 
 use muster_numeric::matrix::{MatrixError, SparseMatrix};
 
 /// So many deviations of chance from none is agreement: less than one in a thousand of wrong graphs goes so far.
-const AGREES: f64 = 4.0;
+const AGREEMENT_DEVIATIONS: f64 = 4.0;
 
 /// Deviation of the correlation of a graph with one that belongs to robots in any other order, times the
 /// number of robots: what shuffled formations, planted fleets and campuses of 20 to 50 robots show at most.
-const CHANCE: f64 = 1.5;
+const CHANCE_DEVIATION: f64 = 1.5;
 
 /// The weights of graphs over the same robots, where those have none that agree with no other although others
 /// agree with each other and outweigh them. A graph that relates all pairs alike, or none, agrees and disagrees
-/// with nobody; it keeps its weight.
+/// with none; it keeps its weight.
 ///
 /// # Errors
 /// [`MatrixError`] for graphs that are none.
@@ -31,10 +31,10 @@ pub fn trusted(graphs: &[SparseMatrix], weights: &[f64]) -> Result<Vec<f64>, Mat
     let agree = |i: usize, j: usize| correlated(&ways[i], &ways[j]);
     let contradicted = |i: &usize| {
         let others: Vec<usize> = all.iter().copied().filter(|j| j != i).collect();
-        let judged: Vec<usize> =
+        let compared: Vec<usize> =
             others.iter().copied().filter(|j| agree(*i, *j).is_some()).collect();
-        let lonely = !judged.is_empty() && judged.iter().all(|j| agree(*i, *j) == Some(false));
-        let pairs = judged.iter().flat_map(|j| judged.iter().map(move |k| (*j, *k)));
+        let lonely = !compared.is_empty() && compared.iter().all(|j| agree(*i, *j) == Some(false));
+        let pairs = compared.iter().flat_map(|j| compared.iter().map(move |k| (*j, *k)));
         let outweighed = |(j, k): (usize, usize)| {
             j < k && agree(j, k) == Some(true) && weights[j] + weights[k] > weights[*i]
         };
@@ -62,7 +62,7 @@ fn correlated(one: &SparseMatrix, other: &SparseMatrix) -> Option<bool> {
     }
     let both = spread(one_sum, one_squares) * spread(other_sum, other_squares);
     let found = (product - one_sum * other_sum / pairs) / both.sqrt();
-    Some(found * one.nodes() as f64 >= AGREES * CHANCE)
+    Some(found * one.nodes() as f64 >= AGREEMENT_DEVIATIONS * CHANCE_DEVIATION)
 }
 
 #[cfg(test)]

@@ -28,7 +28,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pairs_are_told_by_how_often_they_are_together() {
+    fn pairs_count_how_often_they_are_together() {
         let found = together(&[vec![0, 0, 1], vec![0, 1, 1]]).unwrap();
         assert_eq!(found.data(), [1.0, 0.5, 0.0, 0.5, 1.0, 0.5, 0.0, 0.5, 1.0]);
         assert!(together(&[vec![0, 0, 1], vec![0, 1]]).is_err());

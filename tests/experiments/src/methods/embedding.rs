@@ -125,7 +125,7 @@ impl Form {
         };
         let params = EmbeddingParams {
             power: self.power,
-            // Tables hold what the method says, not what a search leaves of it.
+            // Tables show the method, not what a search leaves of it.
             dense_robots: usize::MAX,
             ..EmbeddingParams::once(&settings, teams)
         };

@@ -3,7 +3,7 @@
 //! many components as there are to be teams.
 //!
 //! Many edges of regular formations tie, and which of them goes first decides the result. Ties, and sums of
-//! numbers that only rounding tells apart, are broken as networkx 3 breaks them: nodes in their order, edges
+//! numbers that differ by rounding alone, are broken as networkx 3 breaks them: nodes in their order, edges
 //! in the order of their ends, breadth first, and the first of the greatest.
 
 /// An undirected graph without weights: each node's neighbours, in the order in which edges were added.

@@ -10,9 +10,9 @@ use rand_chacha::ChaCha8Rng;
 pub enum Sense {
     /// Where they are.
     Spatial,
-    /// Whom they hear.
+    /// Their incoming links.
     Connectivity,
-    /// Whom they answer to.
+    /// Their superiors.
     Hierarchy,
 }
 
@@ -34,11 +34,11 @@ impl fmt::Display for Sense {
 /// How reports are wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Fault {
-    /// Nobody reports.
+    /// No robot reports.
     Lost,
-    /// Everybody reports what is true of another robot, which is the same one all the time.
+    /// Every robot reports what is true of another robot, always the same one.
     Wrong,
-    /// Everybody reports what was true [`LATE_S`] seconds before.
+    /// Every robot reports what was true [`LATE_S`] seconds before.
     Delayed,
 }
 
@@ -60,24 +60,24 @@ impl fmt::Display for Fault {
     }
 }
 
-/// Who reports what is true of whom.
+/// Which robot reports what is true of which.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Mask {
-    /// By robot who reports: of whom.
+    /// By the robot that reports: the robot whose state it reports.
     pub of: Vec<usize>,
-    /// By robot who is meant: who is named.
+    /// By the robot that is meant: the robot that is named.
     pub named: Vec<usize>,
 }
 
 impl Mask {
-    /// Everybody reports of himself.
+    /// Every robot reports its own state.
     #[must_use]
     pub fn none(robots: usize) -> Self {
         Self { of: (0..robots).collect(), named: (0..robots).collect() }
     }
 
-    /// Everybody reports of somebody whom chance has chosen, and all names fit: the graph keeps its form and
-    /// lies elsewhere.
+    /// Every robot reports the state of a random one, and all names fit: the graph keeps its form and belongs to
+    /// other robots.
     #[must_use]
     pub fn shuffled(robots: usize, chance: &mut ChaCha8Rng) -> Self {
         let mut of: Vec<usize> = (0..robots).collect();
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn whoever_is_meant_is_named_by_who_reports_of_him() {
+    fn names_match_the_robots_that_report() {
         let mask = Mask::shuffled(20, &mut ChaCha8Rng::seed_from_u64(3));
         assert!((0..20).all(|robot| mask.named[mask.of[robot]] == robot));
         assert_ne!(mask, Mask::none(20));

@@ -1,4 +1,4 @@
-//! Who is in a fleet that moves: teams of squads with their chain of command, and where everybody belongs.
+//! The robots of a fleet that moves: teams of squads with their chain of command and formation.
 //!
 //! A team is a unit of units down to squads of up to nine, each with a leader in its first place. Leaders of
 //! teams answer to the leader of the first team. Teams march side by side.
@@ -8,13 +8,13 @@ use std::ops::Range;
 use muster_model::id::{IdError, RobotId};
 
 /// Most robots of a squad, with its leader.
-const SQUAD: usize = 9;
+const SQUAD_ROBOTS: usize = 9;
 
-/// Robots of a squad beside its leader, where there are many squads.
-const FOLLOWERS: usize = 8;
+/// Robots of a squad without its leader, where there are many squads.
+const SQUAD_FOLLOWERS: usize = 8;
 
 /// Most units under one leader: above that there is one more level of command.
-const UNITS: usize = 8;
+const MAX_UNITS: usize = 8;
 
 /// Metres between neighbours of a squad.
 pub const SPACING_M: f64 = 6.0;
@@ -47,9 +47,9 @@ pub const LEAST_TEAMS: usize = 4;
 pub struct Robot {
     /// Its name.
     pub name: RobotId,
-    /// Whom it answers to where everybody is in his own team, by place in the fleet.
+    /// Its superior while every robot is in its own team, by place in the fleet.
     pub superior: Option<usize>,
-    /// Its team, where everybody is in his own.
+    /// Its own team.
     pub team: usize,
     /// Whether it belongs to the part of its team that splits off.
     pub splits: bool,
@@ -83,7 +83,10 @@ impl Fleet {
     /// # Panics
     /// For fewer than [`LEAST_TEAMS`] teams, or teams that are no more than a squad.
     pub fn new(robots: usize, teams: usize) -> Result<Self, IdError> {
-        assert!(teams >= LEAST_TEAMS && robots / teams > SQUAD, "too few teams, or too small ones");
+        assert!(
+            teams >= LEAST_TEAMS && robots / teams > SQUAD_ROBOTS,
+            "too few teams, or too small ones"
+        );
         let mut draft = Draft::default();
         let mut leaders = Vec::new();
         let mut head = 0;
@@ -124,7 +127,7 @@ struct Draft {
     squad_of: Vec<usize>,
     homes: Vec<[f64; 2]>,
     teams: Vec<(usize, bool)>,
-    /// The robots of each squad, those who lead larger units from in front of it first: how many these are.
+    /// The robots of each squad, first those in front of it that lead larger units, and the number of these.
     squads: Vec<(Range<usize>, usize)>,
     /// Leaders of larger units whose first squad is still to come.
     leading: usize,
@@ -135,7 +138,7 @@ impl Draft {
     fn unit(&mut self, robots: Range<usize>, superior: Option<usize>) -> Vec<Range<usize>> {
         let leader = robots.start;
         self.superiors.push(superior);
-        if robots.len() <= SQUAD {
+        if robots.len() <= SQUAD_ROBOTS {
             self.superiors.extend((leader + 1..robots.end).map(|_| Some(leader)));
             let ahead = std::mem::take(&mut self.leading);
             self.squads.push((robots.start - ahead..robots.end, ahead));
@@ -143,11 +146,11 @@ impl Draft {
         }
         self.leading += 1;
         let followers = leader + 1..robots.end;
-        let squads = followers.len().div_ceil(FOLLOWERS).max(2);
-        let parts = if squads <= UNITS + 1 {
+        let squads = followers.len().div_ceil(SQUAD_FOLLOWERS).max(2);
+        let parts = if squads <= MAX_UNITS + 1 {
             squads
         } else {
-            followers.len().div_ceil(UNITS * FOLLOWERS + 1).max(2)
+            followers.len().div_ceil(MAX_UNITS * SQUAD_FOLLOWERS + 1).max(2)
         };
         let parts = evenly(followers, parts);
         for part in &parts {
@@ -193,7 +196,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn everybody_answers_to_somebody_of_his_team_but_for_the_leaders() {
+    fn all_but_leaders_answer_to_a_robot_of_their_team() {
         for (robots, teams) in [(48, 4), (50, 4), (200, 8), (500, 10), (5000, 10)] {
             let fleet = Fleet::new(robots, teams).unwrap();
             assert_eq!((fleet.robots.len(), fleet.leaders.len()), (robots, teams));
@@ -223,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_stands_on_anothers_place_and_teams_keep_their_distance() {
+    fn no_two_robots_share_a_place_and_teams_keep_their_distance() {
         let fleet = Fleet::new(200, 8).unwrap();
         for (number, one) in fleet.robots.iter().enumerate() {
             for other in &fleet.robots[..number] {

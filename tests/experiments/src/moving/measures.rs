@@ -13,14 +13,14 @@ use muster_numeric::matching::{MatchError, match_by_overlap, overlap_table};
 use super::mission::{Act, Mission};
 use crate::score::adjusted_rand_index;
 
-/// When the start is over, in seconds: `ingest` waits a second for everybody.
-pub const BEGUN_S: f64 = 3.0;
+/// When the start is over, in seconds: `ingest` waits a second for all robots.
+pub const START_TIME_S: f64 = 3.0;
 
 /// What counts as following, as a share of robots in the right team.
-pub const FOLLOWED: f64 = 0.95;
+pub const FOLLOWED_SHARE: f64 = 0.95;
 
-/// How many comparisons in a row must find it: a second.
-const STAYS: usize = 10;
+/// Comparisons in a row that must find it: a second.
+const FOLLOWED_SAMPLES: usize = 10;
 
 /// How long after a change of the truth a division may be wrong, in seconds: the goal.
 pub const GRACE_S: f64 = 2.0;
@@ -69,20 +69,19 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// The mean of a number over all samples after the start; with `settled` without those within [`GRACE_S`] of
-    /// a change of the truth.
-    pub fn mean(&self, settled: bool, number: impl Fn(&Sample) -> f64) -> f64 {
-        let counts = |sample: &&Sample| {
+    /// The mean of a number over all samples after the start.
+    pub fn mean(&self, number: impl Fn(&Sample) -> f64) -> f64 {
+        mean_of(&self.series, |sample| sample.t >= START_TIME_S, number)
+    }
+
+    /// The same without the samples within [`GRACE_S`] of a change of the truth.
+    pub fn settled_mean(&self, number: impl Fn(&Sample) -> f64) -> f64 {
+        let is_settled = |sample: &Sample| {
             let just =
                 |change: &Following| (change.at..change.at + GRACE_S - 1e-9).contains(&sample.t);
-            sample.t >= BEGUN_S && !(settled && self.followings.iter().any(just))
+            sample.t >= START_TIME_S && !self.followings.iter().any(just)
         };
-        let (mut sum, mut count) = (0.0, 0.0_f64);
-        for sample in self.series.iter().filter(counts) {
-            sum += number(sample);
-            count += 1.0;
-        }
-        sum / count.max(1.0)
+        mean_of(&self.series, is_settled, number)
     }
 
     /// How often the dimension of the embedding changed after the start.
@@ -91,16 +90,25 @@ impl Outcome {
         let after: Vec<u32> = self
             .series
             .iter()
-            .filter(|sample| sample.t >= BEGUN_S)
+            .filter(|sample| sample.t >= START_TIME_S)
             .map(|sample| sample.dimension)
             .collect();
         after.windows(2).filter(|two| two[0] != two[1]).count()
     }
 }
 
+fn mean_of(
+    series: &[Sample],
+    counts: impl Fn(&Sample) -> bool,
+    number: impl Fn(&Sample) -> f64,
+) -> f64 {
+    let numbers: Vec<f64> = series.iter().filter(|s| counts(s)).map(number).collect();
+    numbers.iter().sum::<f64>() / (numbers.len() as f64).max(1.0)
+}
+
 /// Compares a mission's divisions with the truth.
 #[derive(Debug)]
-pub struct Judge<'a> {
+pub struct Scorer<'a> {
     mission: &'a Mission,
     places: HashMap<RobotId, usize>,
     last: Option<Checked<Teams>>,
@@ -112,7 +120,7 @@ pub struct Judge<'a> {
     series: Vec<Sample>,
 }
 
-impl<'a> Judge<'a> {
+impl<'a> Scorer<'a> {
     /// Nothing has been compared yet.
     #[must_use]
     pub fn new(mission: &'a Mission) -> Self {
@@ -140,7 +148,7 @@ impl<'a> Judge<'a> {
         silhouette: Option<f64>,
         dimension: u32,
     ) -> Result<(), MatchError> {
-        self.take(t, teams);
+        self.accept(t, teams);
         let robots = self.now.len();
         let truth: Vec<_> = (0..robots).map(|robot| self.mission.team(robot, t)).collect();
         // Robots without a team are together in one that is none of the true ones.
@@ -161,8 +169,8 @@ impl<'a> Judge<'a> {
         Ok(())
     }
 
-    /// Takes a division in, if it is a new one.
-    fn take(&mut self, t: f64, teams: Option<&Checked<Teams>>) {
+    /// Accepts a division, if it is a new one.
+    fn accept(&mut self, t: f64, teams: Option<&Checked<Teams>>) {
         let Some(teams) = teams else { return };
         if self.last.as_ref().is_some_and(|last| last.ptr_eq(teams)) {
             return;
@@ -181,7 +189,7 @@ impl<'a> Judge<'a> {
             }
         }
         for (robot, (new, old)) in now.iter().zip(&self.now).enumerate() {
-            let counts = t >= BEGUN_S && !self.mission.is_silent(robot, t);
+            let counts = t >= START_TIME_S && !self.mission.is_silent(robot, t);
             self.changes[robot] += usize::from(counts && new != old);
         }
         self.now = now;
@@ -224,18 +232,19 @@ impl<'a> Judge<'a> {
         let needless: usize = (self.changes.iter().enumerate())
             .map(|(robot, changes)| changes.saturating_sub(self.mission.moves(robot)))
             .sum();
-        let minutes = (end - BEGUN_S) / 60.0;
+        let minutes = (end - START_TIME_S) / 60.0;
         let needless_rate = needless as f64 / (minutes * self.changes.len() as f64);
         Outcome { series: self.series, followings, needless, needless_rate }
     }
 }
 
-/// After how many seconds all and those involved are in the right team by [`FOLLOWED`], and stay so for a second.
+/// After how many seconds all and those involved are in the right team by [`FOLLOWED_SHARE`], and stay so for a second.
 fn followed(series: &[Sample], at: f64, until: f64) -> Option<f64> {
     let within: Vec<&Sample> =
         series.iter().filter(|s| s.t >= at - 1e-9 && s.t < until - 1e-9).collect();
-    let good = |sample: &&Sample| sample.accuracy >= FOLLOWED && sample.involved >= FOLLOWED;
-    let runs = within.windows(STAYS).find(|run| run.iter().all(good))?;
+    let good =
+        |sample: &&Sample| sample.accuracy >= FOLLOWED_SHARE && sample.involved >= FOLLOWED_SHARE;
+    let runs = within.windows(FOLLOWED_SAMPLES).find(|run| run.iter().all(good))?;
     Some(runs[0].t - at)
 }
 

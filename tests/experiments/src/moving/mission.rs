@@ -8,15 +8,15 @@ use rand_chacha::ChaCha8Rng;
 
 use super::fleet::{Fleet, JOINED, JOINS, SPACING_M, SPLITS, SQUAD_GAP_M, TEAM_GAP_M};
 
-/// How fast a part of the fleet parts from the others or closes up, in m/s: it stands while they march, or
+/// How fast a part of the fleet parts from the others or closes up, in m/s: it waits while they march, or
 /// they wait for it.
 pub const PACE_M_S: f64 = 1.75;
 
-/// How long whoever sets out takes to come up to [`PACE_M_S`], in seconds.
+/// Time from standing still to [`PACE_M_S`], in seconds.
 const SETTING_OUT_S: f64 = 1.0;
 
 /// How far the part that splits off falls back at most, in metres.
-const APART_M: f64 = 40.0;
+const SPLIT_DISTANCE_M: f64 = 40.0;
 
 /// Standard deviation of reported positions on the march, in metres along each axis.
 const MARCH_NOISE_M: f64 = 0.15;
@@ -24,29 +24,29 @@ const MARCH_NOISE_M: f64 = 0.15;
 /// Noise of distances between neighbours of a fleet at rest, as a share of them.
 pub const REST_NOISE: f64 = 0.1;
 
-/// Share of the robots whose radio fails, and of those who fall silent.
-pub const STRUCK: f64 = 0.1;
+/// Share of the robots whose radio fails, and of those that fall silent.
+pub const STRUCK_SHARE: f64 = 0.1;
 
 /// When radios fail and work again, and when robots fall silent, in seconds.
 const RADIOS_FAIL_S: (f64, f64) = (8.0, 14.0);
 /// See [`RADIOS_FAIL_S`].
 const SILENT_FROM_S: f64 = 18.0;
 
-/// How everybody sways about his place: greatest way in metres, shortest and longest period in seconds. For
-/// teams, squads and robots.
+/// How teams, squads and robots sway about their places: amplitude in metres, shortest and longest period in
+/// seconds.
 const SWAY: [(f64, f64, f64); 3] = [(2.0, 20.0, 30.0), (1.0, 12.0, 20.0), (0.5, 5.0, 10.0)];
 
 /// What a fleet lives through.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Case {
-    /// Nobody moves, and distances are measured with [`REST_NOISE`].
+    /// No robot moves, and distances are measured with [`REST_NOISE`].
     Rest,
     /// All march, and nothing changes.
     March,
     /// A part of a team gets a task of its own, and later comes back. The operator asks for one team more, and
     /// later for one less.
     Split,
-    /// A team splits while another one joins a third, and later everybody goes back. The number of teams stays.
+    /// A team splits while another one joins a third, and later all go back. The number of teams stays.
     Regroup,
     /// Some radios fail for a while, then some robots fall silent for good.
     Losses,
@@ -66,7 +66,7 @@ impl Case {
         }
     }
 
-    /// From when on who acts how, in seconds.
+    /// The acts, with their starts in seconds.
     #[must_use]
     pub fn phases(self) -> &'static [(f64, Act)] {
         match self {
@@ -89,10 +89,10 @@ impl fmt::Display for Case {
     }
 }
 
-/// Who forms a team.
+/// How robots form teams.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Act {
-    /// Everybody is in his own.
+    /// Every robot is in its own team.
     Together,
     /// A part of a team is a team of its own.
     Split,
@@ -115,7 +115,7 @@ impl Act {
 /// A fleet with what it lives through.
 #[derive(Debug, Clone)]
 pub struct Mission {
-    /// Who takes part.
+    /// The robots that take part.
     pub fleet: Fleet,
     /// What they live through.
     pub case: Case,
@@ -123,13 +123,13 @@ pub struct Mission {
     pub noise_m: f64,
     /// How teams, squads and robots sway: along each axis way, pulse in radians per second, and phase.
     sways: [Vec<[[f64; 3]; 2]>; 3],
-    /// Whose radio fails, and who falls silent.
+    /// By robot: whether its radio fails, and whether it falls silent.
     radio_fails: Vec<bool>,
     falls_silent: Vec<bool>,
 }
 
 impl Mission {
-    /// A mission of a fleet; who sways how and who is struck follows from the seed.
+    /// A mission of a fleet; how robots sway and which fail follows from the seed.
     #[must_use]
     pub fn new(fleet: Fleet, case: Case, seed: u64) -> Self {
         let mut chance = ChaCha8Rng::seed_from_u64(seed);
@@ -143,8 +143,9 @@ impl Mission {
             };
             (0..counts[kind]).map(|_| [axis(), axis()]).collect()
         });
-        let mut struck =
-            || fleet.robots.iter().map(|_| chance.random::<f64>() < STRUCK).collect::<Vec<_>>();
+        let mut struck = || {
+            fleet.robots.iter().map(|_| chance.random::<f64>() < STRUCK_SHARE).collect::<Vec<_>>()
+        };
         let (radio_fails, falls_silent) = (struck(), struck());
         let noise_m = match case {
             // The distance of two robots errs by the noise of both.
@@ -154,11 +155,11 @@ impl Mission {
         Self { fleet, case, noise_m, sways, radio_fails, falls_silent }
     }
 
-    /// What goes on at a moment.
+    /// What happens at a moment.
     #[must_use]
     pub fn act(&self, t: f64) -> Act {
-        let begun = self.case.phases().iter().rev().find(|(from, _)| *from <= t);
-        begun.map_or(Act::Together, |(_, act)| *act)
+        let phase = self.case.phases().iter().rev().find(|(from, _)| *from <= t);
+        phase.map_or(Act::Together, |(_, act)| *act)
     }
 
     /// When the truth changes, and what comes then.
@@ -208,15 +209,15 @@ impl Mission {
         self.case == Case::Losses && t >= SILENT_FROM_S && self.falls_silent[robot]
     }
 
-    /// Whether a robot neither hears nor is heard by other robots.
+    /// Whether a robot has no links in either direction.
     #[must_use]
     pub fn is_deaf(&self, robot: usize, t: f64) -> bool {
         let fails = (RADIOS_FAIL_S.0..RADIOS_FAIL_S.1).contains(&t) && self.radio_fails[robot];
         self.is_silent(robot, t) || self.case == Case::Losses && fails
     }
 
-    /// Whom a robot answers to: his superior in what goes on, or the first below or above that one who has not
-    /// fallen silent.
+    /// The superior of a robot at this moment, or, if that one has fallen silent, the first below or above it that
+    /// has not.
     #[must_use]
     pub fn superior(&self, robot: usize, t: f64) -> Option<usize> {
         let act = self.act(t);
@@ -249,11 +250,11 @@ impl Mission {
         }
     }
 
-    /// Where everybody is, in metres ahead and to the left of a point that moves with the fleet: what all share
+    /// Where all robots are, in metres ahead and to the left of a point that moves with the fleet: shared motion
     /// changes no distance.
     #[must_use]
     pub fn places(&self, t: f64) -> Vec<[f64; 2]> {
-        let back = self.way(t, |act| if act == Act::Together { 0.0 } else { APART_M });
+        let back = self.way(t, |act| if act == Act::Together { 0.0 } else { SPLIT_DISTANCE_M });
         let left = self.way(t, |act| match act {
             Act::Regroup => TEAM_GAP_M - SQUAD_GAP_M,
             _ => 0.0,
@@ -270,7 +271,7 @@ impl Mission {
         self.fleet.robots.iter().enumerate().map(place).collect()
     }
 
-    /// How far somebody has gone who sets out anew in each phase, for where it wants him.
+    /// How far a robot has gone that sets out in each phase for the goal of that phase.
     fn way(&self, t: f64, goal: impl Fn(Act) -> f64) -> f64 {
         let phases = self.case.phases();
         let mut at = 0.0_f64;
@@ -283,7 +284,7 @@ impl Mission {
     }
 }
 
-/// How far one comes in so many seconds.
+/// Distance in metres after so many seconds, from standing still.
 fn walked(seconds: f64) -> f64 {
     if seconds < SETTING_OUT_S {
         0.5 * PACE_M_S * seconds * seconds / SETTING_OUT_S
@@ -306,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_leaps() {
+    fn no_robot_leaps() {
         for case in Case::ALL {
             let mission = mission(case);
             let mut before = mission.places(0.0);
@@ -336,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_answers_to_one_who_is_silent() {
+    fn no_robot_answers_to_a_silent_one() {
         let mission = mission(Case::Losses);
         let silent = (0..48).filter(|robot| mission.is_silent(*robot, 20.0)).count();
         assert!(silent > 0);

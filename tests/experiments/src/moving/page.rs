@@ -3,7 +3,7 @@
 use super::faults::{Fault, Sense};
 use super::measures::{Outcome, Sample};
 use super::mission::Case;
-use super::plan::{FAULTY, Tried, condition, planned, tried};
+use super::plan::{FAULTY_CASES, Tried, condition, planned, tried};
 use crate::experiments::Progress;
 use crate::figures;
 use crate::results::{Page, Record};
@@ -13,24 +13,24 @@ use crate::statistics::Estimate;
 const DEFINITIONS: &str = "\
 Robots report to the four services, whose cores run in virtual time with default settings and the true number of \
 teams; messages arrive and jobs end at once, so that times are those of the method at 10 Hz and not of a host. \
-Teams of squads march side by side, 20 m from each other, squads 10 m, robots 6 m, everybody swaying about his place \
+Teams of squads march side by side, 20 m from each other, squads 10 m, robots 6 m, all swaying about their places \
 by up to 2 + 1 + 0.5 m, at 10 poses (0.15 m of noise along each axis), 2 reports of links (qualities wrong by up to \
 0.1) and 1 of ranks a second, and ranks at once when they change. Radios reach 40 m (range) or those who command and \
 obey each other and their peers (net).\n\n\
-*rest*: nobody moves, distances of neighbours have a standard error of 10 %. *march*: nothing changes. *split*: at \
+*rest*: no robot moves, distances of neighbours have a standard error of 10 %. *march*: nothing changes. *split*: at \
 8 s less than half of a team answers to a leader of its own and falls back at 1.75 m/s, and the operator asks for \
 one team more; at 18 s it answers to its old leader again, closes up, and the operator asks for one team less. \
 *regroup*: at 8 s a part splits off likewise while another team joins a third, whose leader its units now answer \
 to; at 18 s all goes back. The number of teams stays. *losses*: a tenth of the radios fails from 8 to 14 s, and a \
 tenth of the robots falls silent at 18 s; their deputies take over.\n\n\
-The truth changes at the moment of the order, when hierarchy (and net) change and robots set out: positions tell \
-nothing of it yet. Accuracy is the share of robots in the right team by the best matching, 10 times a second from \
+The truth changes at the moment of the order, when hierarchy (and net) change and robots set out: positions do \
+not show it yet. Accuracy is the share of robots in the right team by the best matching, 10 times a second from \
 3 s on; *settled* leaves out the 2 s behind each change of the truth; *involved* is that of the robots of the teams \
 that the mission changes. A change is followed at the first comparison from which on, for a second, at least 95 % \
 of all robots and 95 % of those involved are in the right team; *in time* is within 2 s. Needless changes are those \
 of a robot's team id beyond the number of times that the truth moves it, per robot and minute.";
 
-/// Runs all missions on judging seeds and tells of them.
+/// Runs all missions on held-out seeds and writes their page.
 ///
 /// # Errors
 /// If a mission has no outcome.
@@ -57,7 +57,7 @@ pub fn moving(quick: bool, seeds: &[u64], progress: &Progress<'_>) -> anyhow::Re
 }
 
 fn settled(outcome: &Outcome) -> f64 {
-    outcome.mean(true, |sample| sample.accuracy)
+    outcome.settled_mean(|sample| sample.accuracy)
 }
 
 /// Seconds to follow a change and how often that was in time; nothing where nothing changes.
@@ -101,10 +101,10 @@ fn whole(page: &mut Page, all: &[Tried]) {
             tried.setup.case.to_string(),
             condition(&tried.setup),
             tried.outcomes.len().to_string(),
-            percent(&|outcome| outcome.mean(false, |sample| sample.accuracy)),
+            percent(&|outcome| outcome.mean(|sample| sample.accuracy)),
             percent(&settled),
-            percent(&|outcome| outcome.mean(true, |sample| sample.involved)),
-            Estimate::of(&tried.each(|outcome| outcome.mean(true, |sample| sample.rand))).plain(),
+            percent(&|outcome| outcome.settled_mean(|sample| sample.involved)),
+            Estimate::of(&tried.each(|outcome| outcome.settled_mean(|sample| sample.rand))).plain(),
             Estimate::of(&tried.each(|outcome| outcome.needless_rate)).plain(),
             following(tried, 0),
             following(tried, 1),
@@ -118,9 +118,9 @@ fn whole(page: &mut Page, all: &[Tried]) {
 fn faulty(page: &mut Page, all: &[Tried]) {
     page.say(
         "### With one modality at fault",
-        "Settled accuracy in %, radio by range. *lost*: nobody reports it. *wrong*: everybody reports what is true of \
-         another robot, the same one all the time. *delayed*: everything is reported 2 s late. After a split, \
-         whoever has lost hierarchy can see it by the growing distance alone.",
+        "Settled accuracy in %, radio by range. *lost*: no robot reports it. *wrong*: every robot reports what is true \
+         of another robot, always the same one. *delayed*: everything is reported 2 s late. Without hierarchy, a \
+         split shows in the growing distance alone.",
     );
     let mut head = vec!["robots".to_owned(), "mission".to_owned(), "modality".to_owned()];
     head.extend(Fault::ALL.map(|fault| fault.to_string()));
@@ -129,7 +129,7 @@ fn faulty(page: &mut Page, all: &[Tried]) {
     let mut sizes: Vec<usize> = all.iter().map(|tried| tried.setup.robots).collect();
     sizes.dedup();
     for robots in sizes {
-        for case in FAULTY {
+        for case in FAULTY_CASES {
             for sense in Sense::ALL {
                 let of = |fault| {
                     all.iter().find(move |tried| {
@@ -166,7 +166,7 @@ fn goals(page: &mut Page, all: &[Tried]) {
             }
             (Case::Rest, None) => {
                 let needless: usize = tried.outcomes.iter().map(|(_, o)| o.needless).sum();
-                ("nobody's team changes at rest", format!("{needless} changes"), needless == 0)
+                ("no robot changes team at rest", format!("{needless} changes"), needless == 0)
             }
             (_, Some((_, Fault::Lost))) => {
                 let share = Estimate::of(&tried.each(settled));
@@ -198,17 +198,17 @@ fn record(page: &mut Page, tried: &Tried) {
                 value,
             });
         };
-        let settled = |number: fn(&Sample) -> f64| outcome.mean(true, number);
-        add("accuracy", outcome.mean(false, |sample| sample.accuracy));
+        let settled = |number: fn(&Sample) -> f64| outcome.settled_mean(number);
+        add("accuracy", outcome.mean(|sample| sample.accuracy));
         add("settled accuracy", settled(|sample| sample.accuracy));
         add("settled accuracy of those involved", settled(|sample| sample.involved));
         add("settled adjusted rand index", settled(|sample| sample.rand));
-        add("silhouette", outcome.mean(false, |sample| sample.silhouette.unwrap_or(0.0)));
+        add("silhouette", outcome.mean(|sample| sample.silhouette.unwrap_or(0.0)));
         add("needless changes per robot and minute", outcome.needless_rate);
         add("changes of the dimension", outcome.dimension_changes() as f64);
         let names = ["first change followed after s", "way back followed after s"];
         for (measure, following) in names.into_iter().zip(&outcome.followings) {
-            // What is never followed has no number, and is not left out either.
+            // What is never followed counts as infinite: left out, it would improve the mean.
             add(measure, following.took_s.unwrap_or(f64::INFINITY));
         }
     }

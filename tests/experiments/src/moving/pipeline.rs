@@ -1,7 +1,7 @@
 //! The cores of all services in one thread and in virtual time.
 //!
-//! Messages are handed on at once and as they are: what the bus adds is tested elsewhere. Fetches find nothing,
-//! as on a bus on which nothing is lost and nobody was before. A job takes as long as it is told to.
+//! Messages are delivered at once and unchanged: the bus is tested elsewhere. Fetches find nothing, as on a new bus
+//! that loses nothing. A job takes as long as the settings say.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -26,7 +26,7 @@ use muster_service::{
 };
 use muster_wire::{Key, KeySpace, Message};
 
-/// How long a service goes on asking where nobody answers as it starts.
+/// How long a service that starts repeats its unanswered query.
 const START_TIME: Duration = START_RETRY_TIME;
 
 /// The settings of all services.
@@ -44,7 +44,7 @@ pub struct AllSettings {
     pub job_takes: Duration,
 }
 
-/// Why there is no pipeline, or it does not do what it was told.
+/// Why there is no pipeline, or it refuses an order.
 #[derive(Debug, thiserror::Error)]
 pub enum PipelineError {
     /// A name is none.
@@ -121,7 +121,7 @@ impl<C: Core> Stage<C> {
                     }
                     Command::Reply(reply) => self.refusal = reply.answer.err(),
                     Command::Store(_) => inputs.push_back(Input::Stored { error: None }),
-                    // There is no bus beside the one here, and these services keep no records.
+                    // There is no other bus here, and these services keep no records.
                     Command::ReplicaState(_)
                     | Command::DeclareToken(_)
                     | Command::WithdrawToken(_)
@@ -146,7 +146,7 @@ pub struct Pipeline {
     gets: u64,
     /// The last division.
     pub teams: Option<Checked<Teams>>,
-    /// The last judgement of it.
+    /// Its last audit.
     pub audit: Option<Arc<Audit>>,
     /// Columns of the last embedding.
     pub dimension: u32,
@@ -155,14 +155,14 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// Services that have just begun.
+    /// Services that have just started.
     ///
     /// # Errors
     /// If a name is none, which is not so.
     pub fn new(now: Tick, settings: AllSettings) -> Result<Self, PipelineError> {
         let fleet = FleetId::new("moving")?;
         let AllSettings { ingest, embedder, clusterer, auditor, job_takes } = settings;
-        // Nobody was there before, which the services know after they have asked for a while.
+        // The services lead once their queries for an earlier leader have gone unanswered.
         let began = now.before(START_TIME);
         let mut pipeline = Self {
             now: began,
@@ -209,7 +209,7 @@ impl Pipeline {
         self.clusterer.refusal.take().map_or(Ok(()), |reason| Err(PipelineError::Refused(reason)))
     }
 
-    /// Time goes on to a moment, and everything happens that is due until then.
+    /// Advances the time to a moment, and does everything that is due until then.
     pub fn advance(&mut self, until: Tick) {
         loop {
             let dues =
@@ -229,7 +229,7 @@ impl Pipeline {
         self.now = self.now.max(until);
     }
 
-    /// Hands on what was published, each to those who have subscribed to it.
+    /// Delivers what was published to the services that subscribe to it.
     fn deliver(&mut self) {
         let now = self.now;
         while let Some(message) = self.queue.pop_front() {

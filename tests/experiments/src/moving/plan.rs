@@ -16,13 +16,13 @@ const FLEETS: [(usize, usize, usize, usize); 5] =
     [(50, 4, 20, 10), (200, 8, 8, 4), (500, 10, 4, 0), (1000, 10, 2, 0), (5000, 10, 1, 0)];
 
 /// The same for a quick run.
-const FEW: [(usize, usize, usize, usize); 1] = [(50, 4, 1, 1)];
+const QUICK_FLEETS: [(usize, usize, usize, usize); 1] = [(50, 4, 1, 1)];
 
 /// Fleets above this size have missions of two kinds, on radios of one.
-const SMALL: usize = 500;
+const SMALL_FLEET_ROBOTS: usize = 500;
 
 /// Missions that faults are tried on.
-pub const FAULTY: [Case; 2] = [Case::March, Case::Split];
+pub const FAULTY_CASES: [Case; 2] = [Case::March, Case::Split];
 
 /// A setup with the number of its seeds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -66,17 +66,22 @@ pub struct CurvePoint {
 #[must_use]
 pub fn planned(quick: bool) -> Vec<Planned> {
     let mut all = Vec::new();
-    for (robots, teams, seeds, faulty) in if quick { &FEW[..] } else { &FLEETS[..] } {
+    for (robots, teams, seeds, faulty) in if quick { &QUICK_FLEETS[..] } else { &FLEETS[..] } {
         let setup =
             |case, radio, fault| Setup { robots: *robots, teams: *teams, case, radio, fault };
         for case in Case::ALL {
-            let is_told = *robots <= SMALL || matches!(case, Case::March | Case::Split);
-            let radios = if *robots < SMALL && !quick { &Radio::ALL[..] } else { &Radio::ALL[..1] };
-            for radio in radios.iter().filter(|_| is_told) {
+            let is_in_nets =
+                *robots <= SMALL_FLEET_ROBOTS || matches!(case, Case::March | Case::Split);
+            let radios = if *robots < SMALL_FLEET_ROBOTS && !quick {
+                &Radio::ALL[..]
+            } else {
+                &Radio::ALL[..1]
+            };
+            for radio in radios.iter().filter(|_| is_in_nets) {
                 all.push(Planned { setup: setup(case, *radio, None), seeds: *seeds });
             }
         }
-        let cases = if quick { &FAULTY[..1] } else { &FAULTY[..] };
+        let cases = if quick { &FAULTY_CASES[..1] } else { &FAULTY_CASES[..] };
         for case in cases.iter().copied().filter(|_| *faulty > 0) {
             for fault in Fault::ALL {
                 for sense in Sense::ALL {

@@ -1,4 +1,4 @@
-//! Who hears whom in a fleet that moves.
+//! The radio links of a fleet that moves.
 
 use std::collections::HashMap;
 
@@ -9,17 +9,17 @@ use rand_chacha::ChaCha8Rng;
 use super::mission::Mission;
 use crate::formations::Radio;
 
-/// How far a robot is heard, in metres.
+/// Radio range in metres.
 const RANGE_M: f64 = 40.0;
 
 /// Quality of all links of a net.
 const NET_QUALITY: f64 = 0.9;
 
 /// Greatest error of a reported quality.
-const FADING: f64 = 0.1;
+const MAX_QUALITY_ERROR: f64 = 0.1;
 
-/// A robot that is heard worse than this is not reported.
-const FLOOR: f64 = 0.05;
+/// Links of less quality than this are not reported.
+const MIN_QUALITY: f64 = 0.05;
 
 /// The fleet on the air at one moment.
 #[derive(Debug)]
@@ -30,12 +30,12 @@ pub struct Air<'a> {
     places: &'a [[f64; 2]],
     /// Robots by cell of one range, or by net.
     cells: HashMap<[i64; 2], Vec<usize>>,
-    /// By robot, for nets: whom it answers to, and whether that one is of its team.
+    /// By robot, for nets: its superior, and whether that one is of its team.
     commands: Vec<Option<(usize, bool)>>,
 }
 
 impl<'a> Air<'a> {
-    /// The air at a moment, with everybody's place.
+    /// The air at a moment, with the places of all robots.
     #[must_use]
     pub fn new(mission: &'a Mission, radio: Radio, t: f64, places: &'a [[f64; 2]]) -> Self {
         let mut cells: HashMap<[i64; 2], Vec<usize>> = HashMap::new();
@@ -55,8 +55,8 @@ impl<'a> Air<'a> {
         Self { mission, radio, t, places, cells, commands }
     }
 
-    /// Whom a robot hears, and how well; the nearest [`MAX_LINKS`] at most.
-    pub fn heard(&self, robot: usize, chance: &mut ChaCha8Rng) -> Vec<(usize, f64)> {
+    /// The incoming links of a robot: peer and quality; the best [`MAX_LINKS`] at most.
+    pub fn links(&self, robot: usize, chance: &mut ChaCha8Rng) -> Vec<(usize, f64)> {
         if self.mission.is_deaf(robot, self.t) {
             return Vec::new();
         }
@@ -68,10 +68,10 @@ impl<'a> Air<'a> {
             .into_iter()
             .filter(|(peer, _)| !self.mission.is_deaf(*peer, self.t))
             .map(|(peer, quality)| {
-                let error = FADING * (2.0 * chance.random::<f64>() - 1.0);
+                let error = MAX_QUALITY_ERROR * (2.0 * chance.random::<f64>() - 1.0);
                 (peer, (quality + error).min(1.0))
             })
-            .filter(|(_, quality)| *quality >= FLOOR)
+            .filter(|(_, quality)| *quality >= MIN_QUALITY)
             .collect();
         links.sort_unstable_by(|left, right| right.1.total_cmp(&left.1).then(left.0.cmp(&right.0)));
         links.truncate(MAX_LINKS);
@@ -84,32 +84,32 @@ impl<'a> Air<'a> {
         let [x, y] = cell(at);
         let around = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| [x + dx, y + dy]));
         let peers = around.filter_map(|cell| self.cells.get(&cell)).flatten();
-        let heard = peers.filter(|peer| **peer != robot).map(|peer| {
+        let links = peers.filter(|peer| **peer != robot).map(|peer| {
             let from = self.places[*peer];
             let share = (at[0] - from[0]).hypot(at[1] - from[1]) / RANGE_M;
             (*peer, 1.0 - share * share)
         });
-        heard.filter(|(_, quality)| *quality > 0.0).collect()
+        links.filter(|(_, quality)| *quality > 0.0).collect()
     }
 
-    /// A superior and those of his team who answer to him share a net, and so do a superior and the leaders of
-    /// other teams who answer to him.
+    /// A superior and its subordinates in its own team share a net, and so do a superior and its subordinates in
+    /// other teams.
     fn in_nets(&self, robot: usize) -> Vec<(usize, f64)> {
         let of = |command| self.cells.get(&net(command)).into_iter().flatten();
         let above = self.commands[robot];
-        let beside = above.into_iter().flat_map(of).filter(|peer| **peer != robot);
+        let peers = above.into_iter().flat_map(of).filter(|peer| **peer != robot);
         let below = [true, false].into_iter().flat_map(|within| of((robot, within)));
         let superior = above.map(|(superior, _)| superior);
         superior
             .into_iter()
-            .chain(beside.copied())
+            .chain(peers.copied())
             .chain(below.copied())
             .map(|peer| (peer, NET_QUALITY))
             .collect()
     }
 }
 
-/// Whom a robot answers to, and whether that one is of its team.
+/// The superior of a robot, and whether that one is of its team.
 fn command(mission: &Mission, robot: usize, t: f64) -> Option<(usize, bool)> {
     let superior = mission.superior(robot, t)?;
     Some((superior, mission.team(robot, t) == mission.team(superior, t)))
@@ -119,7 +119,7 @@ fn cell(at: [f64; 2]) -> [i64; 2] {
     at.map(|metres| (metres / RANGE_M).floor() as i64)
 }
 
-/// The net of those who answer to somebody, within his team or not, as a cell.
+/// The net of a superior's subordinates, within its team or not, as a cell.
 fn net((superior, within): (usize, bool)) -> [i64; 2] {
     [superior as i64, i64::from(within)]
 }
@@ -133,11 +133,11 @@ mod tests {
     use crate::moving::fleet::Fleet;
     use crate::moving::mission::Case;
 
-    fn heard(radio: Radio, robot: usize, t: f64) -> Vec<usize> {
+    fn peers(radio: Radio, robot: usize, t: f64) -> Vec<usize> {
         let mission = Mission::new(Fleet::new(48, 4).unwrap(), Case::Losses, 1);
         let places = mission.places(t);
         let air = Air::new(&mission, radio, t, &places);
-        let links = air.heard(robot, &mut ChaCha8Rng::seed_from_u64(1));
+        let links = air.links(robot, &mut ChaCha8Rng::seed_from_u64(1));
         let mut peers: Vec<usize> = links.into_iter().map(|link| link.0).collect();
         peers.sort_unstable();
         peers
@@ -146,15 +146,15 @@ mod tests {
     #[test]
     fn a_leader_is_in_two_nets_and_a_member_in_one() {
         // Leaders of teams are 0, 12, 24, 36; those of the first squads 1 and 7.
-        assert_eq!(heard(Radio::Net, 0, 0.0), [1, 7, 12, 24, 36]);
-        assert_eq!(heard(Radio::Net, 1, 0.0), [0, 2, 3, 4, 5, 6, 7]);
-        assert_eq!(heard(Radio::Net, 3, 0.0), [1, 2, 4, 5, 6]);
+        assert_eq!(peers(Radio::Net, 0, 0.0), [1, 7, 12, 24, 36]);
+        assert_eq!(peers(Radio::Net, 1, 0.0), [0, 2, 3, 4, 5, 6, 7]);
+        assert_eq!(peers(Radio::Net, 3, 0.0), [1, 2, 4, 5, 6]);
     }
 
     #[test]
-    fn the_near_are_heard_and_the_silent_are_not() {
-        let before = heard(Radio::Range, 5, 0.0);
+    fn near_robots_have_links_and_silent_ones_have_none() {
+        let before = peers(Radio::Range, 5, 0.0);
         assert!(before.len() > 10 && before.len() < 47);
-        assert!(heard(Radio::Range, 5, 20.0).len() < before.len());
+        assert!(peers(Radio::Range, 5, 20.0).len() < before.len());
     }
 }

@@ -1,4 +1,4 @@
-//! What the robots of a mission say, each at its own moments.
+//! What the robots of a mission report, each at its own moments.
 
 use muster_model::id::RobotId;
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Report};
@@ -23,7 +23,7 @@ const LINK_STEPS: u64 = 25;
 /// Steps from one report of a rank to the next, if it has not changed: once a second.
 const RANK_STEPS: u64 = 50;
 
-/// The robots of a mission as they speak.
+/// The robots of a mission as they report.
 #[derive(Debug)]
 pub struct Reports<'a> {
     mission: &'a Mission,
@@ -31,14 +31,14 @@ pub struct Reports<'a> {
     fault: Option<(Sense, Fault)>,
     mask: Mask,
     chance: ChaCha8Rng,
-    /// Whom each robot has last said that it answers to.
-    said: Vec<Option<Option<usize>>>,
-    /// Who has fallen silent, so that its token is gone.
+    /// The superior that each robot reported last.
+    reported_superiors: Vec<Option<Option<usize>>>,
+    /// Which robots have fallen silent, so that their tokens are gone.
     gone: Vec<bool>,
 }
 
 impl<'a> Reports<'a> {
-    /// Nobody has spoken yet. Noise follows from the seed.
+    /// No robot has reported yet. Noise follows from the seed.
     #[must_use]
     pub fn new(
         mission: &'a Mission,
@@ -53,17 +53,17 @@ impl<'a> Reports<'a> {
             Some((_, Fault::Wrong)) => Mask::shuffled(robots, &mut chance),
             _ => Mask::none(robots),
         };
-        let (said, gone) = (vec![None; robots], vec![false; robots]);
-        Self { mission, radio, fault, mask, chance, said, gone }
+        let (reported_superiors, gone) = (vec![None; robots], vec![false; robots]);
+        Self { mission, radio, fault, mask, chance, reported_superiors, gone }
     }
 
-    /// The tokens with which everybody joins.
+    /// The tokens with which all robots join.
     pub fn joining(&self) -> impl Iterator<Item = Message> + '_ {
         let robots = self.mission.fleet.robots.iter();
         robots.map(|robot| Message::RobotToken { robot: robot.name.clone(), alive: true })
     }
 
-    /// What is said in a step, counted from the beginning.
+    /// What is reported in a step, counted from the beginning.
     pub fn step(&mut self, step: u64) -> Vec<Message> {
         let t = step as f64 / STEPS_HZ as f64;
         let late = |sense| match self.fault {
@@ -72,56 +72,56 @@ impl<'a> Reports<'a> {
         };
         let [spatial_t, links_t, ranks_t] = Sense::ALL.map(late);
         let places = self.mission.places(spatial_t);
-        let heard_at = if links_t == spatial_t { None } else { Some(self.mission.places(links_t)) };
-        let heard_at = heard_at.as_deref().unwrap_or(&places);
-        let air = Air::new(self.mission, self.radio, links_t, heard_at);
-        let mut said = Vec::new();
+        let links_places = (links_t != spatial_t).then(|| self.mission.places(links_t));
+        let links_places = links_places.as_deref().unwrap_or(&places);
+        let air = Air::new(self.mission, self.radio, links_t, links_places);
+        let mut messages = Vec::new();
         for robot in 0..places.len() {
             let name = || self.mission.fleet.robots[robot].name.clone();
             if self.mission.is_silent(robot, t) {
                 if !std::mem::replace(&mut self.gone[robot], true) {
-                    said.push(Message::RobotToken { robot: name(), alive: false });
+                    messages.push(Message::RobotToken { robot: name(), alive: false });
                 }
                 continue;
             }
-            let turn = |every: u64| (step + robot as u64).is_multiple_of(every);
-            if !turn(POSE_STEPS) {
+            let is_due = |every: u64| (step + robot as u64).is_multiple_of(every);
+            if !is_due(POSE_STEPS) {
                 continue;
             }
             if let Some(of) = self.subject(Sense::Spatial, robot) {
                 let error = normal_pair(&mut self.chance).map(|error| error * self.mission.noise_m);
                 let at = [0, 1].map(|axis| places[of][axis] + error[axis]);
-                said.extend(report(name(), Pose::at(at[0], at[1])));
+                messages.extend(report(name(), Pose::at(at[0], at[1])));
             }
-            if turn(LINK_STEPS)
+            if is_due(LINK_STEPS)
                 && let Some(of) = self.subject(Sense::Connectivity, robot)
             {
-                let heard = air.heard(of, &mut self.chance);
+                let links = air.links(of, &mut self.chance);
                 let link = |(peer, quality)| Link {
                     peer: self.mission.fleet.robots[self.named(Sense::Connectivity, peer)]
                         .name
                         .clone(),
                     quality,
                 };
-                let links = heard.into_iter().map(link).collect();
+                let links = links.into_iter().map(link).collect();
                 let links = Links { links, stamp: None, boot: None, seq: None };
-                said.extend(report(name(), links));
+                messages.extend(report(name(), links));
             }
             if let Some(of) = self.subject(Sense::Hierarchy, robot) {
                 let superior = self.mission.superior(of, ranks_t);
                 let superior = superior.map(|superior| self.named(Sense::Hierarchy, superior));
-                if turn(RANK_STEPS) || self.said[robot] != Some(superior) {
-                    self.said[robot] = Some(superior);
+                if is_due(RANK_STEPS) || self.reported_superiors[robot] != Some(superior) {
+                    self.reported_superiors[robot] = Some(superior);
                     let superior =
                         superior.map(|superior| self.mission.fleet.robots[superior].name.clone());
-                    said.extend(report(name(), Rank::under(superior)));
+                    messages.extend(report(name(), Rank::under(superior)));
                 }
             }
         }
-        said
+        messages
     }
 
-    /// Whose state a robot reports; none if nobody reports it.
+    /// The robot whose state a robot reports; none if the modality is lost.
     fn subject(&self, sense: Sense, robot: usize) -> Option<usize> {
         match self.fault {
             Some((lost, Fault::Lost)) if lost == sense => None,
@@ -130,7 +130,7 @@ impl<'a> Reports<'a> {
         }
     }
 
-    /// Who is named where a robot is meant.
+    /// The robot that is named where a robot is meant.
     fn named(&self, sense: Sense, meant: usize) -> usize {
         match self.fault {
             Some((wrong, Fault::Wrong)) if wrong == sense => self.mask.named[meant],
@@ -181,15 +181,15 @@ mod tests {
     }
 
     #[test]
-    fn each_robot_speaks_as_often_as_it_should() {
+    fn each_robot_reports_as_often_as_it_should() {
         let [poses, links, ranks, tokens] = counts(None, 2);
         assert_eq!((poses, links, tokens), (48 * 20, 48 * 4, 0));
-        // Twice in two seconds, and once more where the first turn is not the first of all.
+        // Twice in two seconds, and once more where the first report comes before the first full second.
         assert!((48 * 2..=48 * 3).contains(&ranks), "{ranks}");
     }
 
     #[test]
-    fn what_is_lost_is_not_reported_and_who_falls_silent_loses_its_token() {
+    fn lost_modalities_are_not_reported_and_silent_robots_lose_their_tokens() {
         assert_eq!(counts(Some((Sense::Spatial, Fault::Lost)), 1)[0], 0);
         assert_eq!(counts(Some((Sense::Hierarchy, Fault::Lost)), 1)[2], 0);
         assert!(counts(None, 20)[3] > 0);

@@ -6,13 +6,13 @@ use muster_numeric::matching::MatchError;
 
 use super::faults::{Fault, Sense};
 use super::fleet::Fleet;
-use super::measures::{Judge, Outcome};
+use super::measures::{Outcome, Scorer};
 use super::mission::{Case, Mission};
 use super::pipeline::{AllSettings, Pipeline, PipelineError};
 use super::reports::{POSE_STEPS, Reports, STEPS_HZ};
 use crate::formations::Radio;
 
-/// When everything begins: any moment, as long as nobody takes it for a clock that was not set.
+/// When everything begins: any moment that does not look like a clock that was not set.
 const BEGINNING: Tick = Tick(1_700_000_000_000_000);
 
 /// Microseconds of a step.
@@ -27,7 +27,7 @@ pub struct Setup {
     pub teams: usize,
     /// What it lives through.
     pub case: Case,
-    /// Who hears whom.
+    /// Between which robots there are links.
     pub radio: Radio,
     /// What is wrong with the reports.
     pub fault: Option<(Sense, Fault)>,
@@ -39,7 +39,7 @@ pub enum RunError {
     /// A robot's name is none.
     #[error(transparent)]
     Name(#[from] IdError),
-    /// The services do not do what they are told.
+    /// A service refuses an order.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
     /// A division cannot be compared.
@@ -56,7 +56,7 @@ pub fn run(setup: &Setup, mut settings: AllSettings, seed: u64) -> Result<Outcom
     let mut reports = Reports::new(&mission, setup.radio, setup.fault, seed);
     settings.clusterer.teams = u32::try_from(setup.teams).unwrap_or(u32::MAX);
     let mut pipeline = Pipeline::new(BEGINNING, settings)?;
-    let mut judge = Judge::new(&mission);
+    let mut scorer = Scorer::new(&mission);
     for token in reports.joining() {
         pipeline.receive(token);
     }
@@ -67,7 +67,7 @@ pub fn run(setup: &Setup, mut settings: AllSettings, seed: u64) -> Result<Outcom
         // What the services know of a moment is compared before they receive it.
         if step % POSE_STEPS == 0 {
             let silhouette = pipeline.audit.as_ref().and_then(|audit| audit.in_embedding.mean);
-            judge.compare(t, pipeline.teams.as_ref(), silhouette, pipeline.dimension)?;
+            scorer.compare(t, pipeline.teams.as_ref(), silhouette, pipeline.dimension)?;
         }
         if mission.teams_asked(t) != asked {
             asked = mission.teams_asked(t);
@@ -77,5 +77,5 @@ pub fn run(setup: &Setup, mut settings: AllSettings, seed: u64) -> Result<Outcom
             pipeline.receive(message);
         }
     }
-    Ok(judge.outcome())
+    Ok(scorer.outcome())
 }

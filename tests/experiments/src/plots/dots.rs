@@ -20,11 +20,11 @@ pub struct Row {
     pub name: String,
     /// For each kind of the legend, from top to bottom.
     pub values: Vec<Estimate>,
-    /// What someone else says, as a bar across.
+    /// A value of other origin, as a bar across.
     pub printed: Option<f64>,
 }
 
-/// Draws rows from top to bottom; `kinds` says what the values of a row are, `printed` whose the bars are.
+/// Draws rows from top to bottom; `kinds` names the values of a row, `printed` the origin of the bars.
 ///
 /// # Errors
 /// If the drawing fails.

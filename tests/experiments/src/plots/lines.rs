@@ -40,7 +40,7 @@ pub struct Panel {
     pub series: Vec<Series>,
 }
 
-/// Draws panels beside each other, `columns` in a row, over a legend of all lines.
+/// Draws panels side by side, `columns` in a row, over a legend of all lines.
 ///
 /// # Errors
 /// If the drawing fails.
@@ -66,7 +66,7 @@ pub fn lines(panels: &[Panel], columns: usize, x: &Axis, y: &Axis) -> Result<Str
     })
 }
 
-/// Draws a panel in its area; what stands at coordinates of the chart, in pixels of the whole.
+/// Draws a panel in its area; marks at coordinates of the chart are drawn in pixels of the whole.
 fn draw(
     area: &Area<'_>,
     whole: &Area<'_>,

@@ -10,7 +10,7 @@ use super::{
 
 /// Size of the picture of one fleet in pixels, and what is left free at its sides.
 const PANEL: (u32, u32) = (440, 400);
-const FREE: i32 = 34;
+const MARGIN: i32 = 34;
 
 /// Half of the width of a robot in pixels.
 const ROBOT: i32 = 7;
@@ -26,9 +26,9 @@ pub struct Map {
     pub teams: Vec<Option<usize>>,
     /// Robots with a ring, which command others.
     pub leaders: Vec<bool>,
-    /// Pairs of robots that a solid line joins: who answers to whom.
+    /// Pairs of robots that a solid line joins: robot and superior.
     pub command: Vec<(usize, usize)>,
-    /// Pairs of robots that a thin pale line joins: who hears whom.
+    /// Pairs of robots that a thin pale line joins: radio links.
     pub links: Vec<(usize, usize)>,
     /// Whether teams have boxes about them.
     pub boxes: bool,
@@ -49,7 +49,7 @@ impl Scale {
             })
         });
         let room =
-            [PANEL.0, PANEL.1 - LEGEND_LINE].map(|pixels| f64::from(signed(pixels) - 2 * FREE));
+            [PANEL.0, PANEL.1 - LEGEND_LINE].map(|pixels| f64::from(signed(pixels) - 2 * MARGIN));
         let fit = |axis: usize| room[axis] / (ends[axis].1 - ends[axis].0).max(1e-9);
         Self {
             middle: ends.map(|(low, high)| 0.5 * (low + high)),
@@ -66,7 +66,7 @@ impl Scale {
     }
 }
 
-/// Draws fleets beside each other, `columns` in a row, over a legend of the teams by their names and a line
+/// Draws fleets side by side, `columns` in a row, over a legend of the teams by their names and a line
 /// that says what else is drawn.
 ///
 /// # Errors

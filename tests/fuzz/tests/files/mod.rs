@@ -18,7 +18,7 @@ const LONGEST: usize = 8192;
 const MAX_ERROR: usize = 2000;
 
 /// Bytes that reading a file may hold, for each byte of it and beyond that.
-const MAY_HOLD: (usize, usize) = (256, 4 << 20);
+const MAX_BYTES_HELD: (usize, usize) = (256, 4 << 20);
 
 pub(crate) fn no_configuration_file_breaks_a_promise(inputs: &[Vec<u8>], seed: u64) {
     assert!(!inputs.is_empty(), "config has no corpus");
@@ -39,7 +39,7 @@ fn run(path: &Path, input: &[u8]) {
     std::fs::write(path, input).unwrap();
     let args = ProcessArgs { config: Some(path.to_owned()), ..ProcessArgs::default() };
     let resolve = || ProcessConfig::resolve(&args, Mode::Client, &|_| None);
-    let limit = MAY_HOLD.0 * input.len() + MAY_HOLD.1;
+    let limit = MAX_BYTES_HELD.0 * input.len() + MAX_BYTES_HELD.1;
     let text = String::from_utf8_lossy(input);
     match allocation::at_most(limit, "a configuration", resolve) {
         Err(error) => {

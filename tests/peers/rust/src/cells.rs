@@ -59,7 +59,7 @@ impl<'a> Cells<'a> {
     }
 
     /// The other robots within `rings` cells of the cell of a robot, with their squared distances.
-    /// Nobody within `rings` sides is missing.
+    /// No robot within `rings` sides is missing.
     pub(crate) fn around(&self, robot: usize, rings: usize, found: &mut Vec<(f64, usize)>) {
         found.clear();
         let at = self.points[robot];

@@ -4,16 +4,16 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// Robots of a squad.
-const SQUAD: usize = 8;
+const SQUAD_ROBOTS: usize = 8;
 
 /// Most distance of a robot from the middle of its squad along each axis, in mean spacings.
 const SPREAD: f64 = 1.5;
 
 /// By how much a robot may turn from one tick to the next, in radians: about 6 degrees.
-const TURN: f64 = 0.1;
+const MAX_TURN_RAD: f64 = 0.1;
 
 /// By how much an antenna may differ from the average one, as a factor on the range.
-const GAIN: (f64, f64) = (0.9, 1.1);
+const ANTENNA_GAIN: (f64, f64) = (0.9, 1.1);
 
 /// Robots in the plane. Lengths are in mean spacings: there is one robot per unit of area.
 #[derive(Debug)]
@@ -31,22 +31,24 @@ impl Fleet {
     pub(crate) fn new(robots: usize, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let side = (robots as f64).sqrt();
-        let squads = robots.div_ceil(SQUAD);
+        let squads = robots.div_ceil(SQUAD_ROBOTS);
         let middles: Vec<[f64; 2]> =
             (0..squads).map(|_| [rng.random::<f64>() * side, rng.random::<f64>() * side]).collect();
         let mut near = || SPREAD * (rng.random::<f64>() + rng.random::<f64>() - 1.0);
         let mut points: Vec<[f64; 2]> =
-            (0..robots).map(|i| middles[i / SQUAD].map(|middle| middle + near())).collect();
+            (0..robots).map(|i| middles[i / SQUAD_ROBOTS].map(|middle| middle + near())).collect();
         points.sort_by_cached_key(|point| morton(point, side));
         let headings = (0..robots).map(|_| rng.random::<f64>() * std::f64::consts::TAU).collect();
-        let gains = (0..robots).map(|_| GAIN.0 + (GAIN.1 - GAIN.0) * rng.random::<f64>()).collect();
+        let gains = (0..robots)
+            .map(|_| ANTENNA_GAIN.0 + (ANTENNA_GAIN.1 - ANTENNA_GAIN.0) * rng.random::<f64>())
+            .collect();
         Self { points, gains, headings, rng }
     }
 
     /// Every robot goes `spacings` ahead and turns a little.
     pub(crate) fn all_move(&mut self, spacings: f64) {
         for (point, heading) in self.points.iter_mut().zip(&mut self.headings) {
-            *heading += TURN * (2.0 * self.rng.random::<f64>() - 1.0);
+            *heading += MAX_TURN_RAD * (2.0 * self.rng.random::<f64>() - 1.0);
             point[0] += spacings * heading.cos();
             point[1] += spacings * heading.sin();
         }

@@ -27,7 +27,7 @@ const LINK: f64 = 0.5;
 /// Radius at which the smooth kernel ends, in mean spacings.
 const RADIUS: f64 = 1.95;
 
-/// What relates robots beside the order of command, which is a tree.
+/// What relates robots in addition to the chain of command, which is a tree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Kind {

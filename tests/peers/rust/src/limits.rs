@@ -13,14 +13,14 @@ use pulp::Arch;
 use crate::clock::timed;
 
 /// Each limit is the best of so many tries: nothing but other work on the machine makes one slower.
-const TRIES: usize = 9;
+const ATTEMPTS: usize = 9;
 
 /// Bytes that one try moves at least.
 const MOVED: usize = 1 << 30;
 
 /// How often work is handed over, and how long the other thread has slept before.
-const HANDED: usize = 101;
-const ASLEEP: Duration = Duration::from_millis(1);
+const HANDOVERS: usize = 101;
+const SLEEP_TIME: Duration = Duration::from_millis(1);
 
 /// Side of the matrices that are multiplied.
 const SIDE: usize = 1024;
@@ -69,14 +69,14 @@ pub(crate) fn two_threads(work: impl Fn() -> f64 + Sync) -> f64 {
 }
 
 /// Seconds until a thread that sleeps goes on with work that another one hands it, and the other has its
-/// word that it is done: the median of [`HANDED`] times.
+/// word that it is done: the median of [`HANDOVERS`] times.
 pub(crate) fn hand_over() -> f64 {
     let ((hand, take), (answer, hear)) = (sync_channel::<()>(1), sync_channel::<()>(1));
     let mut waits: Vec<f64> = thread::scope(|scope| {
         scope.spawn(move || while take.recv().is_ok() && answer.send(()).is_ok() {});
-        let waits = (0..HANDED).map(|_| {
+        let waits = (0..HANDOVERS).map(|_| {
             // Long enough for the other one to fall asleep.
-            thread::sleep(ASLEEP);
+            thread::sleep(SLEEP_TIME);
             let begin = Instant::now();
             let done = hand.send(()).is_ok() && hear.recv().is_ok();
             if done { begin.elapsed().as_secs_f64() } else { f64::INFINITY }
@@ -86,10 +86,10 @@ pub(crate) fn hand_over() -> f64 {
         waits
     });
     waits.sort_by(f64::total_cmp);
-    waits[HANDED / 2]
+    waits[HANDOVERS / 2]
 }
 
 /// Seconds for the fastest try.
 fn best(mut work: impl FnMut()) -> f64 {
-    (0..TRIES).map(|_| timed(&mut work).0.wall).fold(f64::INFINITY, f64::min)
+    (0..ATTEMPTS).map(|_| timed(&mut work).0.wall).fold(f64::INFINITY, f64::min)
 }

@@ -1,4 +1,4 @@
-//! Muster's side of the comparison with peers, and what there is in Rust beside it: fleets, partial
+//! Muster's side of the comparison with peers, and other programs in Rust: fleets, partial
 //! decompositions, the paper's method to the letter on faer, k-means and silhouettes of Muster, k-means of
 //! linfa, and what the machine can do at most.
 //!

@@ -146,8 +146,7 @@ impl Site {
     pub(crate) fn update_similarity(&mut self) -> Result<Seconds, Failure> {
         let Decay { alpha, radius } = &self.decay;
         let alpha = *alpha;
-        let (seconds, update) =
-            timed(|| self.similarity.update(&self.graph, alpha, radius, None));
+        let (seconds, update) = timed(|| self.similarity.update(&self.graph, alpha, radius, None));
         update?;
         Ok(seconds)
     }

@@ -1,4 +1,4 @@
-//! After the last fault, all come to agree with the truth and with each other; and what was agreed on
+//! After the last fault, all agree with the truth and with each other in the end; and what was agreed on
 //! does not change while nothing changes.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -13,7 +13,7 @@ use muster_wire::Message;
 
 use super::super::robots::TeamReport;
 use super::Publisher;
-use super::{Divided, Judge, Published, Verdict, breach, silhouettes};
+use super::{Divided, Oracle, Published, Verified, breach, silhouettes};
 
 /// How many epochs after its own a robot that has a lost revision is certain to have received its team
 /// again: that is published with every heartbeat, in which a quiet fleet has one epoch or two.
@@ -48,23 +48,23 @@ pub(crate) struct GroundTruth<'a> {
     pub(crate) teams: Option<u32>,
 }
 
-/// The division that all have agreed on.
+/// What all have agreed on.
 #[derive(Debug, Clone)]
-pub(crate) struct Settled {
-    /// None where there never was anybody to divide.
+pub(crate) struct Agreed {
+    /// None if the fleet never had a robot.
     division: Option<Checked<Teams>>,
 }
 
-impl Settled {
+impl Agreed {
     /// Whether there were robots to divide.
     pub(crate) fn has_robots(&self) -> bool {
         self.division.is_some()
     }
 }
 
-impl Judge {
+impl Oracle {
     /// Whether all agree now; if not, on what they differ.
-    pub(crate) fn agreement(&self, ground_truth: &GroundTruth<'_>) -> Result<Settled, String> {
+    pub(crate) fn agreement(&self, ground_truth: &GroundTruth<'_>) -> Result<Agreed, String> {
         let roster = self.rosters.last().ok_or("there is no roster")?;
         let known = roster.robots.iter().map(|entry| &entry.robot);
         if !known.clone().eq(ground_truth.fleet.keys().copied()) {
@@ -112,8 +112,8 @@ impl Judge {
             return Err(format!("the division lists {:?} as stale", teams.stale));
         }
         let audit = self.audits.last().ok_or("there is no audit")?;
-        let judged = self.divisions.named(audit.teams);
-        if !judged.iter().any(|other| same_division(other, teams))
+        let audited = self.divisions.named(audit.teams);
+        if !audited.iter().any(|other| same_division(other, teams))
             || !self.embeddings.named(audit.embedding).iter().any(|e| same_vectors(e, embedding))
         {
             return Err("the audit is not that of the division".to_owned());
@@ -122,12 +122,12 @@ impl Judge {
             return Err("the audit is not that of the positions in the roster".to_owned());
         }
         self.check_reports(teams, ground_truth)?;
-        Ok(Settled { division: Some(teams.clone()) })
+        Ok(Agreed { division: Some(teams.clone()) })
     }
 
     /// A console that joins late receives what was published last when it asked, or something newer, and
     /// nothing that was never published.
-    pub(crate) fn joined_late(&self, last: &Message, received: &[Message]) -> Verdict {
+    pub(crate) fn joined_late(&self, last: &Message, received: &[Message]) -> Verified {
         let revision = |message: &Message| message.header().map(|header| header.revision);
         let newest = received.iter().max_by_key(|message| revision(message));
         let right = newest.is_some_and(|newest| revision(newest) >= revision(last))
@@ -159,7 +159,7 @@ impl Judge {
 
     /// Where no robot lives, no service that runs may still publish robots. If it was killed together with
     /// all that remembered its output, it need not publish an empty one.
-    fn without_robots(&self, ground_truth: &GroundTruth<'_>) -> Result<Settled, String> {
+    fn without_robots(&self, ground_truth: &GroundTruth<'_>) -> Result<Agreed, String> {
         let runs = |service: ServiceName| {
             let last = self.last_by.get(&service);
             last.is_some_and(|publisher| ground_truth.running.contains(publisher))
@@ -171,7 +171,7 @@ impl Judge {
         if runs(ServiceName::Embedder) && embedded || runs(ServiceName::Clusterer) && divided {
             return Err("robots that have left are still embedded or divided".to_owned());
         }
-        Ok(Settled { division: None })
+        Ok(Agreed { division: None })
     }
 
     fn check_reports(&self, teams: &Teams, ground_truth: &GroundTruth<'_>) -> Result<(), String> {
@@ -207,7 +207,7 @@ impl Judge {
     }
 
     /// The same process divides the same vectors under the same settings as it did just before.
-    pub(super) fn check_same_again(&self, before: &Divided) -> Verdict {
+    pub(super) fn check_same_again(&self, before: &Divided) -> Verified {
         let Some(now) = &self.divided else { return Ok(()) };
         let same_vectors = || {
             let (old, new) = (before.teams.embedding, now.teams.embedding);
@@ -228,7 +228,7 @@ impl Judge {
     }
 
     /// Unchanged input leaves the division as all had agreed on it.
-    pub(crate) fn unchanged(&self, agreed: &Settled) -> Verdict {
+    pub(crate) fn unchanged(&self, agreed: &Agreed) -> Verified {
         let (Some(last), Some(agreed)) = (self.divisions.last(), &agreed.division) else {
             return Ok(());
         };
@@ -260,7 +260,7 @@ fn same_division(left: &Teams, right: &Teams) -> bool {
         && left.teams.iter().zip(&right.teams).all(|(l, r)| l.leader == r.leader)
 }
 
-/// The same teams by name, with the same members: who leads them rests on the roster too.
+/// The same teams by name, with the same members: their leaders depend on the roster too.
 fn same_members(left: &Teams, right: &Teams) -> bool {
     short(left) == short(right) && left.unassigned == right.unassigned
 }

@@ -8,10 +8,10 @@ use muster_model::id::RobotId;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 
-use super::{Published, Verdict, breach};
+use super::{Published, Verified, breach};
 
 /// No robot is twice in a roster, by name or by node.
-pub(crate) fn check_roster(roster: &Roster) -> Verdict {
+pub(crate) fn check_roster(roster: &Roster) -> Verified {
     let names: BTreeSet<_> = roster.robots.iter().map(|entry| &entry.robot).collect();
     let nodes: BTreeSet<_> = roster.robots.iter().map(|entry| entry.node).collect();
     if names.len() != roster.robots.len() || nodes.len() != roster.robots.len() {
@@ -27,7 +27,7 @@ pub(crate) fn check_roster(roster: &Roster) -> Verdict {
 pub(crate) fn check_embedding(
     embedding: &Embedding,
     rosters: &Published<Checked<Roster>>,
-) -> Verdict {
+) -> Verified {
     let revision = embedding.header.revision;
     let of_roster = |roster: &Checked<Roster>| {
         roster.robots.iter().map(|entry| &entry.robot).eq(&embedding.robots)
@@ -51,7 +51,10 @@ pub(crate) fn check_embedding(
 }
 
 /// Each robot of the embedding that a division names is in exactly one team, or in none.
-pub(crate) fn check_division(teams: &Teams, embeddings: &Published<Checked<Embedding>>) -> Verdict {
+pub(crate) fn check_division(
+    teams: &Teams,
+    embeddings: &Published<Checked<Embedding>>,
+) -> Verified {
     let revision = teams.header.revision;
     let named = embeddings.named(teams.embedding);
     if named.is_empty() {
@@ -82,7 +85,7 @@ pub(crate) fn check_division(teams: &Teams, embeddings: &Published<Checked<Embed
 }
 
 /// The teams of a division are whole. Pins and limits of size will be checked here once there are any.
-fn check_teams(teams: &Teams) -> Verdict {
+fn check_teams(teams: &Teams) -> Verified {
     let revision = teams.header.revision;
     let ids: BTreeSet<_> = teams.teams.iter().map(|team| &team.id).collect();
     if ids.len() != teams.teams.len() || teams.teams.len() > teams.requested as usize {
@@ -109,7 +112,7 @@ fn check_teams(teams: &Teams) -> Verdict {
 pub(crate) fn check_robot_team(
     report: &RobotTeam,
     divisions: &Published<Checked<Teams>>,
-) -> Verdict {
+) -> Verified {
     let revision = report.header.revision;
     let agrees = |teams: &Checked<Teams>| {
         let team = teams

@@ -10,10 +10,10 @@ use serde::ser::{
     SerializeTuple, SerializeTupleStruct, SerializeTupleVariant,
 };
 
-use super::{Verdict, breach};
+use super::{Verified, breach};
 
 /// Checks every number of a message.
-pub(crate) fn check(message: &Message) -> Verdict {
+pub(crate) fn check(message: &Message) -> Verified {
     let walked = match message {
         Message::RobotToken { .. } | Message::ServiceToken { .. } => Ok(()),
         Message::Report(report) => report.report().serialize(Walker),

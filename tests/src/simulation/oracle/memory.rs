@@ -5,13 +5,13 @@ use muster_model::limits::{MAX_DECLARED_MODALITIES, MAX_LINKS, MAX_RELATION_EDGE
 use muster_service::MemoryUse;
 
 use super::super::clock::{Micros, SECOND};
-use super::{Verdict, breach};
+use super::{Verified, breach};
 
 /// Most senders of refused messages that a service watches.
 const OFFENDERS: usize = 256;
 
 /// Most whole messages of each kind that the auditor keeps for divisions that name them.
-const HISTORY: usize = 32;
+const MAX_AUDITOR_MESSAGES: usize = 32;
 
 /// How long a robot may be remembered after its last report: the clusterer's minute since it left,
 /// the longest time until it is taken for gone, and some more for what was under way.
@@ -56,16 +56,16 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
             offenders: OFFENDERS,
         },
         ServiceName::Auditor => MemoryUse {
-            robots: HISTORY * robots,
+            robots: MAX_AUDITOR_MESSAGES * robots,
             edges: 0,
-            messages: 2 * HISTORY + 3,
+            messages: 2 * MAX_AUDITOR_MESSAGES + 3,
             offenders: OFFENDERS,
         },
     }
 }
 
 /// Compares the memory use of a service with its limit.
-pub(crate) fn check_memory_use(service: ServiceName, held: MemoryUse, bounds: Bounds) -> Verdict {
+pub(crate) fn check_memory_use(service: ServiceName, held: MemoryUse, bounds: Bounds) -> Verified {
     let most = most(service, bounds);
     if held.robots > most.robots
         || held.edges > most.edges

@@ -1,8 +1,8 @@
-//! What must hold at every moment, judged from outside by what crosses the bus.
+//! What must hold at every moment, checked from outside by what crosses the bus.
 //!
-//! The judge sees every message that a service publishes, as it decodes from its bytes, and knows the
+//! The oracle sees every message that a service publishes, as it decodes from its bytes, and knows the
 //! truth about the fleet. Its rules are written a second time from the promises of the README, plainly and
-//! slowly, and share no code with what they judge but the types of the messages.
+//! slowly, and share no code with what they check but the types of the messages.
 
 mod agreement;
 mod division;
@@ -28,15 +28,15 @@ use muster_wire::envelope::AnnouncedSettings;
 use super::clock::Micros;
 use super::plan::OutputKind;
 
-pub(crate) use agreement::{GroundTruth, RobotTruth, Settled};
+pub(crate) use agreement::{Agreed, GroundTruth, RobotTruth};
 pub(crate) use memory::{Bounds, MEMORY, check_memory_use};
 
-/// How many messages of each kind the judge remembers: more than a minute of frames, longer than
+/// How many messages of each kind the oracle remembers: more than a minute of frames, longer than
 /// anything that names an older one is under way.
-const REMEMBERED: usize = 2048;
+const MAX_REMEMBERED_MESSAGES: usize = 2048;
 
 /// The result of a rule: nothing, or what is wrong.
-pub(crate) type Verdict = Result<(), Breach>;
+pub(crate) type Verified = Result<(), Breach>;
 
 /// A broken promise.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -88,7 +88,7 @@ impl<T: Clone> Published<T> {
     fn add(&mut self, revision: Revision, content: &T) {
         self.all.entry(revision).or_default().push(content.clone());
         self.order.push_back(revision);
-        if self.order.len() > REMEMBERED
+        if self.order.len() > MAX_REMEMBERED_MESSAGES
             && let Some(oldest) = self.order.pop_front()
         {
             self.all.remove(&oldest);
@@ -116,9 +116,9 @@ impl<T: Clone> Published<T> {
     }
 }
 
-/// What the judge knows.
+/// What the oracle knows.
 #[derive(Debug, Default)]
-pub(crate) struct Judge {
+pub(crate) struct Oracle {
     pub(crate) rosters: Published<Checked<Roster>>,
     pub(crate) embeddings: Published<Checked<Embedding>>,
     pub(crate) divisions: Published<Checked<Teams>>,
@@ -131,7 +131,7 @@ pub(crate) struct Judge {
     settings: Option<Box<AnnouncedSettings>>,
 }
 
-impl Judge {
+impl Oracle {
     /// An instance has lost its disk: it cannot know the terms that it held.
     pub(crate) fn forget_order(&mut self, service: ServiceName, instance: usize) {
         self.order.forget(service, instance);
@@ -166,7 +166,7 @@ impl Judge {
     }
 
     /// Judges what a service answers a get with, which must be as right as what is published.
-    pub(crate) fn answered(&mut self, message: &Message) -> Verdict {
+    pub(crate) fn answered(&mut self, message: &Message) -> Verified {
         finite::check(message)?;
         match message {
             Message::Roster(roster) => {
@@ -197,7 +197,7 @@ impl Judge {
         publisher: Publisher,
         settings: u32,
         message: &Message,
-    ) -> Verdict {
+    ) -> Verified {
         let service = publisher.service;
         finite::check(message)?;
         self.order.check(now, publisher, message)?;

@@ -8,7 +8,7 @@ use muster_model::id::ServiceName;
 use muster_wire::Message;
 
 use super::super::clock::{MS, Micros};
-use super::{Publisher, Verdict, breach};
+use super::{Publisher, Verified, breach};
 
 /// How long after a lease renewal an instance that begins its term may not have handled it: links take a
 /// millisecond, inputs some, and those that wait before it as long.
@@ -21,13 +21,13 @@ pub(crate) struct Order {
     given: BTreeMap<(ServiceName, usize, String), Revision>,
     /// The last of another service's that a process went by.
     taken: BTreeMap<(Publisher, &'static str), Revision>,
-    /// Who published last on each key, and the highest term on it.
+    /// The last publisher of each key, and its highest term.
     publishers: BTreeMap<String, (Publisher, u64)>,
     /// When each process last renewed its lease.
     renewals: BTreeMap<Publisher, Micros>,
     /// Until when something may keep an instance of a service from receiving a lease renewal.
     disturbed_until: BTreeMap<ServiceName, Micros>,
-    /// How many takeovers were judged.
+    /// How many takeovers were checked.
     pub(crate) takeovers: u64,
 }
 
@@ -54,7 +54,7 @@ impl Order {
         now: Micros,
         publisher: Publisher,
         message: &Message,
-    ) -> Verdict {
+    ) -> Verified {
         let Some(header) = message.header() else { return Ok(()) };
         let revision = header.revision;
         let key = message.keys().0.to_string();
@@ -110,7 +110,7 @@ impl Order {
         key: &str,
         message: &Message,
         revision: Revision,
-    ) -> Verdict {
+    ) -> Verified {
         match message {
             Message::LeaseRenewal(_) => {
                 self.renewals.insert(publisher, now);

@@ -8,7 +8,7 @@ use muster_model::id::{RobotId, TeamId};
 use muster_model::roster::Roster;
 use muster_model::teams::Teams;
 
-use super::{Judge, Verdict, breach};
+use super::{Oracle, Verified, breach};
 
 /// How far an audit may be from the definition: the two add up in another order.
 const TOLERANCE: f64 = 1e-9;
@@ -17,7 +17,7 @@ const TOLERANCE: f64 = 1e-9;
 type Point<'a> = (&'a RobotId, &'a TeamId, Vec<f64>);
 
 /// An audit is that of the division and embedding that it names, to the definition.
-pub(crate) fn check(audit: &Audit, judge: &Judge) -> Verdict {
+pub(crate) fn check(audit: &Audit, oracle: &Oracle) -> Verified {
     let name = format!("audit {:?} of division {:?}", audit.header.revision, audit.teams);
     for report in [&audit.in_embedding, &audit.in_physical] {
         let numbers = report.per_robot.iter().map(|(_, s)| *s);
@@ -26,8 +26,8 @@ pub(crate) fn check(audit: &Audit, judge: &Judge) -> Verdict {
             return breach("silhouettes are between -1 and 1", format!("{name}: {wrong}"));
         }
     }
-    let divisions = judge.divisions.named(audit.teams);
-    let embeddings = judge.embeddings.named(audit.embedding);
+    let divisions = oracle.divisions.named(audit.teams);
+    let embeddings = oracle.embeddings.named(audit.embedding);
     if !divisions.iter().any(|teams| teams.embedding == audit.embedding) || embeddings.is_empty() {
         return breach(
             "every audit names a division and its embedding that were published",
@@ -44,10 +44,10 @@ pub(crate) fn check(audit: &Audit, judge: &Judge) -> Verdict {
             format!("{name}: {:?}, by the definition {wanted:?}", audit.in_embedding),
         );
     }
-    // An audit may rest on a newer roster than the embedding, where that one did not come, and on none
+    // An audit may use a newer roster than the embedding, where that one did not come, and none
     // as long as none has come; once all agree, it must be the last.
-    let exact = embeddings.iter().flat_map(|embedding| judge.rosters.named(embedding.roster));
-    let by_positions = exact.chain(judge.rosters.newest_first()).any(|roster| {
+    let exact = embeddings.iter().flat_map(|embedding| oracle.rosters.named(embedding.roster));
+    let by_positions = exact.chain(oracle.rosters.newest_first()).any(|roster| {
         divisions.iter().any(|teams| agrees(&audit.in_physical, &positions(teams, roster)))
     }) || agrees(&audit.in_physical, &[]);
     if !by_positions {
@@ -109,7 +109,7 @@ fn distance(left: &[f64], right: &[f64]) -> f64 {
 }
 
 /// (b − a) / max(a, b) of each point: a is the mean distance to the others of its team, b the least
-/// mean distance to another team. Whoever is alone in a team has 0. None with fewer than two teams.
+/// mean distance to another team. A robot alone in its team has 0. None with fewer than two teams.
 fn scores(points: &[Point<'_>]) -> Option<Vec<f64>> {
     let mut teams: Vec<_> = points.iter().map(|point| point.1).collect();
     teams.sort();

@@ -1,6 +1,6 @@
 //! What the schema accepts the services accept, and what it refuses they refuse.
 //!
-//! Every case is judged twice: by a validator that somebody else wrote, and by a live service. Where
+//! Every case is checked twice: by a validator that is not Muster's, and by a live service. Where
 //! the two may differ, the schema's own description says so, in words that the case names.
 
 mod robots;
@@ -8,7 +8,7 @@ mod settings;
 
 use serde_json::Value;
 
-use crate::schema::judged;
+use crate::schema::validated;
 use Wanted::{Accepted, OnlyByService, Refused};
 
 /// How a case must come out.
@@ -26,7 +26,9 @@ enum Wanted {
 fn compare(document: &Value, cases: &[(String, String, Wanted, Result<(), String>)]) {
     let texts: Vec<_> = cases.iter().map(|(name, text, ..)| (name.clone(), text.clone())).collect();
     let all = document.to_string();
-    for ((name, text, wanted, service), schema) in cases.iter().zip(judged(document, &[], &texts)) {
+    for ((name, text, wanted, service), schema) in
+        cases.iter().zip(validated(document, &[], &texts))
+    {
         let text: String = text.chars().take(200).collect();
         let says =
             format!("{name} {text}: wanted {wanted:?}, schema {schema:?}, service {service:?}");

@@ -1,4 +1,4 @@
-//! Patches of settings, judged by the schema and by the services, at every bound too.
+//! Patches of settings, checked by the schema and by the services, at every bound too.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -219,7 +219,7 @@ async fn patched(client: &Client, service: &str, text: &str) -> Result<(), Strin
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn patches_of_settings_are_judged_alike_by_the_schema_and_by_the_services() {
+async fn schema_and_services_accept_the_same_patches_of_settings() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let client = cluster.client().await.unwrap();
     let document = answered(&client, "schema").await;
@@ -236,22 +236,22 @@ async fn patches_of_settings_are_judged_alike_by_the_schema_and_by_the_services(
         let bounds = at_the_bounds(service, schema);
         cases.extend(bounds.into_iter().map(|(text, wanted)| (service, text, wanted)));
     }
-    let mut judged = Vec::new();
+    let mut checked = Vec::new();
     for (service, text, wanted) in cases {
-        let verdict = patched(&client, service, &text).await;
+        let result = patched(&client, service, &text).await;
         let (settings, back) = &defaults[service];
-        if verdict.is_ok() {
+        if result.is_ok() {
             patched(&client, service, back).await.unwrap();
         }
         let now = client.get_one(&format!("service/{service}/settings")).await.unwrap();
         assert_eq!(now, *settings, "{service} {text}");
-        judged.push((format!("{service}_settings_patch"), text, wanted, verdict));
+        checked.push((format!("{service}_settings_patch"), text, wanted, result));
     }
-    compare(&document, &judged);
+    compare(&document, &checked);
     let whole: Vec<_> = defaults
         .iter()
         .map(|(service, (settings, _))| (format!("{service}_settings"), settings.to_string()))
         .collect();
-    assert_eq!(crate::schema::judged(&document, &[], &whole), vec![None; 4]);
-    eprintln!("{} cases", judged.len());
+    assert_eq!(crate::schema::validated(&document, &[], &whole), vec![None; 4]);
+    eprintln!("{} cases", checked.len());
 }

@@ -1,4 +1,4 @@
-//! What robots say, judged by the schema and by ingest.
+//! Reports of robots, checked by the schema and by ingest.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -14,8 +14,8 @@ fn long(count: usize, item: impl Fn(usize) -> String) -> String {
     (0..count).map(item).collect::<Vec<_>>().join(",")
 }
 
-/// What a robot says, on which stream, and how it comes out. ME is the robot itself.
-fn said_by_robots() -> Vec<(&'static str, String, Wanted)> {
+/// The stream and the text of reports, and what is wanted. ME is the robot itself.
+fn reports() -> Vec<(&'static str, String, Wanted)> {
     let mut cases: Vec<(&'static str, String, Wanted)> = Vec::new();
     let mut add = |stream, wanted, texts: &[&str]| {
         cases.extend(texts.iter().map(|text| (stream, (*text).to_owned(), wanted)));
@@ -239,44 +239,44 @@ fn said_by_robots() -> Vec<(&'static str, String, Wanted)> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_robots_say_is_judged_alike_by_the_schema_and_by_ingest() {
+async fn schema_and_ingest_accept_the_same_reports() {
     let cluster = Cluster::start("alpha", &[("ingest", "modalities=[\"thermal\"]")]).unwrap();
     let client = cluster.client().await.unwrap();
     let document = answered(&client, "schema").await;
-    // Before its term has begun it refuses in silence.
+    // Before its term begins it refuses without an event.
     let start = Instant::now();
     while answered(&client, "service/ingest/status").await["revision"]["term"] == 0 {
         assert!(start.elapsed() < FORMED_WITHIN, "ingest begins no term");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
     let events = client.watch("json/event").await.unwrap();
-    let cases = said_by_robots();
+    let cases = reports();
     for (number, (stream, text, _)) in cases.iter().enumerate() {
-        // Each case has a robot of its own, so that it is told of by name.
+        // Each case has a robot of its own, so that events name it.
         let robot = format!("c{number}");
         let text = text.replace("ME", &robot).into_bytes();
         let key = format!("robot/{robot}/{stream}");
         client.put_bytes(&key, text, "application/json").await.unwrap();
     }
     let start = Instant::now();
-    let verdicts = loop {
-        let mut verdicts = BTreeMap::new();
+    let results = loop {
+        let mut results = BTreeMap::new();
         for (_, event) in events.all() {
-            let verdict = match event["event"].as_str() {
+            let result = match event["event"].as_str() {
                 Some("robot_joined") => Ok(()),
                 Some("quarantined") => Err(event["reason"].as_str().unwrap().to_owned()),
                 _ => continue,
             };
-            verdicts.insert(event["robot"].as_str().unwrap().to_owned(), verdict);
+            results.insert(event["robot"].as_str().unwrap().to_owned(), result);
         }
         let missing: Vec<_> = (0..cases.len())
-            .filter(|number| !verdicts.contains_key(&format!("c{number}")))
+            .filter(|number| !results.contains_key(&format!("c{number}")))
             .map(|number| &cases[number])
             .collect();
         if missing.is_empty() {
-            break verdicts;
+            break results;
         }
-        assert!(start.elapsed() < FORMED_WITHIN, "no verdict on {missing:?}");
+        assert!(start.elapsed() < FORMED_WITHIN, "no result on {missing:?}");
         tokio::time::sleep(Duration::from_millis(50)).await;
     };
     let cases: Vec<_> = cases
@@ -285,7 +285,7 @@ async fn what_robots_say_is_judged_alike_by_the_schema_and_by_ingest() {
         .map(|(number, (stream, text, wanted))| {
             let robot = format!("c{number}");
             let name = stream.split('/').next().unwrap().to_owned();
-            (name, text.replace("ME", &robot), wanted, verdicts[&robot].clone())
+            (name, text.replace("ME", &robot), wanted, results[&robot].clone())
         })
         .collect();
     compare(&document, &cases);

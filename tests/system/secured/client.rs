@@ -6,9 +6,7 @@ use muster_client::model::teams::RobotTeam;
 use muster_client::{Config, Error, Pose, Robot, Watch};
 use tokio::time::{sleep, timeout};
 
-use crate::secured::Secured;
-
-const FORMED_WITHIN: Duration = Duration::from_secs(20);
+use super::{SOON, Secured};
 
 /// Waits until the team of a robot has these members.
 async fn formed(team: &mut Watch<RobotTeam>, wanted: &[&str]) {
@@ -21,7 +19,7 @@ async fn formed(team: &mut Watch<RobotTeam>, wanted: &[&str]) {
             }
         }
     };
-    timeout(FORMED_WITHIN, waiting).await.unwrap_or_else(|_| panic!("{:?}", team.latest()));
+    timeout(SOON, waiting).await.unwrap_or_else(|_| panic!("{:?}", team.latest()));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -30,7 +28,7 @@ async fn robots_by_the_client_crate_belong_by_their_certificates() {
     let config = |robot: &str| Config {
         fleet: "alpha".to_owned(),
         zenoh_config: Some(secured.identity(&format!("robot.{robot}"))),
-        connect_timeout: Some(FORMED_WITHIN),
+        connect_timeout: Some(SOON),
         ..Config::default()
     };
     let mut robots = Vec::new();
@@ -46,12 +44,12 @@ async fn robots_by_the_client_crate_belong_by_their_certificates() {
         }
     };
     let (mut of_first, mut of_last) = (robots[0].0.team(), robots[3].0.team());
-    let everybody = async {
+    let all_formed = async {
         formed(&mut of_first, &["a1", "a2"]).await;
         formed(&mut of_last, &["b1", "b2"]).await;
     };
     tokio::select! {
-        () = everybody => {}
+        () = all_formed => {}
         () = moving => {}
     }
     // A copy of a robot's certificate does not give two processes the same name unnoticed.

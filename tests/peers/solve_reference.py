@@ -1,0 +1,108 @@
+"""What `muster solve` computes, by numpy and scipy."""
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+# Singular values nearer to each other than this share of the first are equal: their vectors are not unique.
+GAP = 1e-6
+EPS = np.finfo(float).eps
+
+
+def spectral_radius(a):
+    """The largest eigenvalue of each strong component; 0 without cycles, whatever rounding says."""
+    count, component = connected_components(a != 0.0, directed=True, connection="strong")
+    radius = 0.0
+    for c in range(count):
+        nodes = np.flatnonzero(component == c)
+        if len(nodes) == 1:
+            radius = max(radius, a[nodes[0], nodes[0]])
+        else:
+            radius = max(radius, np.abs(np.linalg.eigvals(a[np.ix_(nodes, nodes)])).max())
+    return radius
+
+
+def scaled(graphs, weights, normalize):
+    total = np.zeros_like(graphs[0])
+    for a, weight in zip(graphs, weights):
+        norm = np.linalg.norm(a, 2) if normalize == "spectral" and a.any() else 1.0
+        total += weight * (a / norm)
+    return total
+
+
+# What counts as a large drop of the singular values, as a share of the largest, in logarithms.
+LARGE_DROP = 0.75
+
+
+# Largest K that the rule chooses.
+MAX_RANK = 128
+
+# A row of [U√Σ, V√Σ] that is at most this share of the longest holds nothing.
+WEAK_ROW = 1e-8
+
+
+def last_large_drop(sigma, teams):
+    """K by the last large ratio of neighbouring singular values; None where rounding decides."""
+    n = len(sigma)
+    limit = min(max(teams, 2), n - 1)
+    noise = n * EPS * sigma[0]
+    if np.any((sigma > noise * 1e-3) & (sigma < noise * 1e3)):
+        return None
+    rank = int((sigma > noise).sum())
+    if rank <= limit:
+        return max(rank, 2)
+    drops = np.log(sigma[1:limit] / sigma[2 : limit + 1])
+    if drops.max() < 1e-6 or np.any(np.abs(drops / drops.max() - LARGE_DROP) < 1e-6):
+        return None
+    return int(np.flatnonzero(drops >= LARGE_DROP * drops.max())[-1]) + 2
+
+
+def relative_lengths(u, sigma, v, k):
+    """Lengths of the rows of [U√Σ, V√Σ] for k triplets, relative to the longest."""
+    squares = (u[:, :k] ** 2 + v[:, :k] ** 2) @ sigma[:k]
+    return np.sqrt(squares / squares.max())
+
+
+def automatic(u, sigma, v, fused, teams):
+    """K of the live rule: the last large drop, raised until no robot with an edge has a weak row, or as
+    few as any K leaves; None where rounding decides."""
+    n = len(sigma)
+    if sigma[0] == 0.0:
+        return 1
+    if n <= 2:
+        return n
+    ruled = last_large_drop(sigma, teams)
+    if ruled is None:
+        return None
+    related = (fused != 0.0).any(axis=0) | (fused != 0.0).any(axis=1)
+    rank = min(int((sigma > n * EPS * sigma[0]).sum()), MAX_RANK)
+    counts = {}
+    for k in range(min(ruled, rank), rank + 1):
+        lengths = relative_lengths(u, sigma, v, k)[related]
+        if np.any((lengths > WEAK_ROW * 1e-2) & (lengths < WEAK_ROW * 1e2)):
+            return None
+        counts[k] = int((lengths > WEAK_ROW).sum())
+    most = max(counts.values())
+    if ruled >= rank:
+        return ruled
+    raised = min(k for k, count in counts.items() if count == most)
+    # Which of several equal directions come first is arbitrary, and so are their members.
+    for k in range(ruled, raised + 1):
+        if k < n and (sigma[k - 1] - sigma[k]) / sigma[0] < GAP and raised > ruled:
+            return None
+    return raised
+
+
+# By which power of its singular value each vector is scaled.
+POWERS = {"none": 0.0, "sqrt-sigma": 0.5, "inverse-sqrt-sigma": -0.5}
+
+
+def rows_of(u, sigma, v, scale):
+    factors = sigma ** POWERS[scale]
+    return np.hstack([u * factors, v * factors])
+
+
+def inertia_of(x, labels):
+    return sum(
+        ((x[labels == label] - x[labels == label].mean(axis=0)) ** 2).sum()
+        for label in np.unique(labels)
+    )
