@@ -84,14 +84,14 @@ async fn play_on_bus(
     let mut config = ProcessConfig::resolve(&ProcessArgs::default(), Mode::Client, &|_| None)?;
     config.state_directory = Sourced { value: None, origin: Origin::Flag };
     config.set(ServiceName::Clusterer, &[format!("teams={teams}")])?;
-    let patience = ConnectTimeout::After(CONNECT_TIMEOUT);
-    let router = Bus::open(&config.as_router(vec![LISTEN.to_owned()]), patience).await?;
+    let timeout = ConnectTimeout::After(CONNECT_TIMEOUT);
+    let router = Bus::open(&config.as_router(vec![LISTEN.to_owned()]), timeout).await?;
     let endpoints = router.locators().await;
     let config = config.as_client(endpoints.clone());
     let (stopper, stop) = stop::channel();
     let mut services = services(&config, &stop)?;
 
-    let console = Bus::open(&config, patience).await?;
+    let console = Bus::open(&config, timeout).await?;
     let delays = follow_divisions(&console, teams).await?;
     let client = Config {
         routers: Some(endpoints),
