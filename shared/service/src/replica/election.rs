@@ -34,6 +34,10 @@ const LINK_PROOF: Duration = RENEWAL_INTERVAL.saturating_add(Duration::from_mill
 /// itself, and then proves nothing about any instance.
 const TOKEN_GRACE: Duration = Duration::from_millis(200);
 
+/// Renewals of an outdated term after which an instance that began that term, or a higher one, takes over.
+/// Where two instances begin the same term at once, one of them raises its own within fewer renewals.
+const OUTDATED_RENEWALS: u32 = 3;
+
 /// Another instance that leads.
 #[derive(Debug, Clone)]
 struct Leader {
@@ -52,6 +56,8 @@ struct Candidate {
     asking: bool,
     /// Whether the standbys before it had time to take over.
     waited: bool,
+    /// How many renewals in a row were of a term that this instance began itself, or of a lower one.
+    outdated_renewals: u32,
 }
 
 /// What a leader that was cut off or paused waits for.
@@ -385,6 +391,9 @@ impl Election {
             self.set_leader(now, renewal);
             return Rivalry::StandDown;
         }
+        if self.supersedes(now, revision, term) {
+            return Rivalry::None;
+        }
         let known = self.candidate().and_then(|candidate| candidate.leader.as_ref());
         let is_better = known.is_none_or(|leader| {
             renewal.instance == leader.instance
@@ -399,6 +408,24 @@ impl Election {
             }
         }
         Rivalry::None
+    }
+
+    /// Whether this instance takes over from a leader of that revision, though it lives: whoever received
+    /// what this instance published in its own `term` drops all that such a leader publishes. A leader
+    /// begins an outdated term if it could not reach this instance, nor any reader of it.
+    fn supersedes(&mut self, now: Tick, revision: Revision, term: u64) -> bool {
+        let Some(candidate) = self.candidate_mut() else { return false };
+        if revision.term > term {
+            candidate.outdated_renewals = 0;
+            return false;
+        }
+        candidate.outdated_renewals = candidate.outdated_renewals.saturating_add(1);
+        let supersedes = candidate.outdated_renewals >= OUTDATED_RENEWALS;
+        if supersedes {
+            candidate.leader = None;
+            candidate.take_over_at = candidate.take_over_at.min(now);
+        }
+        supersedes
     }
 
     fn set_leader(&mut self, now: Tick, renewal: &LeaseRenewal) {
@@ -447,7 +474,7 @@ impl Election {
 
 impl Candidate {
     fn new(now: Tick) -> Self {
-        Self { leader: None, take_over_at: now, asking: false, waited: false }
+        Self { leader: None, take_over_at: now, asking: false, waited: false, outdated_renewals: 0 }
     }
 }
 

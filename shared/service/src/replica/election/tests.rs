@@ -222,3 +222,22 @@ fn a_crowd_of_tokens_does_not_shut_the_leader_out() {
     assert_eq!(election.decide(START), Decision::StandBy);
     assert_eq!(election.followed(), Some(Revision { term: 3, epoch: 5 }));
 }
+
+#[test]
+fn who_began_a_term_as_high_takes_over_from_a_leader_that_never_learned_of_it() {
+    let mut election = standby_of("a");
+    let renew = |election: &mut Election, seconds: f64, term: u64| {
+        election.renewal(at(seconds), &renewal("a", term), Published, 7)
+    };
+    // A renewal that came late, and two of a leader that is about to raise its term.
+    for (seconds, term) in [(0.5, 7), (1.0, 7), (1.5, 8), (2.0, 6), (2.5, 7)] {
+        assert_eq!(renew(&mut election, seconds, term), Rivalry::None);
+        assert!(!election.takes_over(at(seconds)), "{seconds}");
+    }
+    renew(&mut election, 3.0, 7);
+    assert!(election.takes_over(at(3.0)));
+    assert!(election.inquire());
+    // What the leader publishes meanwhile changes nothing.
+    renew(&mut election, 3.1, 7);
+    assert_eq!(election.decide(at(3.2)), Decision::Lead);
+}
