@@ -4,7 +4,8 @@
 //! its token is lost or it falls silent, the lowest standby takes over. Terms give safety: a new
 //! leader begins a higher term, and a leader that receives a higher one stands down. A leader that
 //! lost its link or was paused becomes *suspect*: its output is suppressed until a query for the
-//! current leader goes unanswered. No instance replaces a leader that lives.
+//! current leader goes unanswered. No instance replaces a leader that lives, unless
+//! its term is outdated: one that another instance began before, unknown to the leader.
 
 use std::time::Duration;
 
