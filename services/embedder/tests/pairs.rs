@@ -132,7 +132,7 @@ fn questions_take_turns_with_embeddings_and_each_is_answered_once() {
 }
 
 #[test]
-fn a_comparison_that_panics_is_answered_and_harms_nobody() {
+fn a_comparison_that_panics_is_answered_and_does_no_harm() {
     let mut bench = Bench::started(settings(), Vec::new());
     let mut ingest = fleet(12);
     bench.frame(&mut ingest);

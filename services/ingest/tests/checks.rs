@@ -314,7 +314,7 @@ fn a_stream_has_a_rate_and_a_burst() {
 }
 
 #[test]
-fn lower_limits_evict_nobody() {
+fn lower_limits_evict_no_robot() {
     let mut bench = three_robots();
     bench.set(&json!({"max_robots": 1}));
     bench.receive(pose("r2", 1.0, 1.0));

@@ -202,7 +202,7 @@ fn relations_to_unknown_robots_count_once_these_join() {
 }
 
 #[test]
-fn nobody_is_judged_while_the_link_is_lost() {
+fn no_robot_is_marked_stale_while_the_link_is_lost() {
     let mut bench = Bench::default();
     bench.receive(pose("r1", 0.0, 0.0));
     bench.receive(rank("r2", None, None));
@@ -360,7 +360,7 @@ fn a_pause_is_no_outage_and_no_robot_is_judged_by_the_time_that_ingest_did_not_r
 
 /// With others about, a leader that was paused waits until its link has proved sound.
 #[test]
-fn a_paused_leader_with_peers_judges_nobody_until_it_is_confirmed() {
+fn a_paused_leader_with_peers_marks_no_robot_stale_until_it_is_confirmed() {
     let mut bench = Bench::default();
     let instance = InstanceId::new("other-1").unwrap();
     let token = Message::ServiceToken { service: ServiceName::Ingest, instance, alive: true };

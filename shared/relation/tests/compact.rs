@@ -188,7 +188,7 @@ fn where_the_nearest_neighbours_jump_it_does_not() {
 }
 
 #[test]
-fn a_crowd_costs_its_robots_radius_and_nobody_else_s() {
+fn a_crowd_costs_its_robots_radius_and_no_others() {
     // A rank of robots 1 m apart, and a crowd far away in which they stand ten times closer.
     let rank = |count: i32, step: f64, at: f64| {
         (0..count).map(move |place| [at + f64::from(place) * step, 0.0, 0.0])

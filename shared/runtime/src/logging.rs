@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_left_out_is_told_with_the_next_line() {
+    fn what_was_left_out_is_reported_with_the_next_line() {
         tracing::subscriber::with_default(tracing_subscriber::registry(), || {
             let bounded = Bounded::new((), Form::Plain);
             let place =

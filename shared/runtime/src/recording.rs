@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn a_disk_that_hangs_ends_the_recording_and_holds_nobody_up() {
+    fn a_disk_that_hangs_ends_the_recording_and_delays_nothing() {
         let folder = tempfile::tempdir().unwrap();
         for limits in [Limits { entries: 100, ..LIMITS }, Limits { bytes: 2000, ..LIMITS }] {
             let path = folder.path().join(format!("{}", limits.entries));

@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn the_grid_finds_all_who_are_heard() {
+    fn the_grid_finds_every_sender_in_range() {
         let positions = in_a_row(60, 7.3);
         let radio = Radio::new(60, 40.0, 3);
         for (robot, links) in radio.received(&positions).iter().enumerate() {
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_hears_himself_and_a_lost_robot_hears_nobody() {
+    fn no_robot_receives_itself_and_a_lost_robot_receives_none() {
         let links = Radio::new(3, 40.0, 3).received(&[[0.0; 2], [0.0; 2], [4e7, -4e7]]);
         assert_eq!(links, [vec![(1, 1.0)], vec![(0, 1.0)], vec![]]);
     }

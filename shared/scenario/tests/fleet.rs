@@ -76,7 +76,7 @@ fn robots_have_names_of_their_own_and_say_what_is_allowed() {
 }
 
 #[test]
-fn the_same_seed_tells_the_same_and_another_one_something_else() {
+fn the_same_seed_reports_the_same_and_another_one_something_else() {
     for kind in ScenarioKind::ALL {
         let observed = |seed, t| fleet(kind, 30, 2, seed).observe(t);
         assert_eq!(observed(5, 12.3), observed(5, 12.3));
@@ -131,7 +131,7 @@ fn the_true_team_is_that_of_the_highest_superior() {
 }
 
 #[test]
-fn links_are_heard_near_and_a_little_differently_in_each_direction() {
+fn links_are_short_and_differ_a_little_by_direction() {
     let fleet = fleet(ScenarioKind::Crossing, 18, 2, 1);
     let (links, poses) = (fleet.links(5.0), fleet.poses(5.0));
     let index = |name| fleet.robots().iter().position(|robot| robot == name).unwrap();

@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn the_help_tells_the_numbers_that_hold() {
+    fn the_help_states_the_numbers_that_hold() {
         let help = |value: &dyn Fn() -> Option<clap::builder::PossibleValue>| {
             value().unwrap().get_help().unwrap().to_string()
         };

@@ -211,7 +211,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_sizes_tell_squares_from_cubes() {
+    fn two_sizes_distinguish_squares_from_cubes() {
         let seconds = |robots: f64| 3e-8 * robots.powi(2) + 2e-10 * robots.powi(3);
         let fit = Cubic::fit([100.0, 300.0].map(|robots| (robots, seconds(robots))));
         for robots in [100.0, 1000.0, 10_000.0] {

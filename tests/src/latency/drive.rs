@@ -67,7 +67,7 @@ const LOG: &str = "puts";
 /// The name of the file that ends it.
 const STOP: &str = "stop";
 
-/// Tells robots to fall silent.
+/// Makes robots fall silent.
 ///
 /// # Errors
 /// If the folder cannot be written.

@@ -74,7 +74,7 @@ fn the_same_input_gives_the_same_output() {
 }
 
 #[test]
-fn noise_on_the_border_moves_nobody() {
+fn noise_on_the_border_moves_no_robot() {
     let line = |epoch, middle: f64| {
         let at = |name: &str, x: f64| (robot(name), vec![x, 0.0], false);
         from_rows(

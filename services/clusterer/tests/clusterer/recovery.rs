@@ -55,7 +55,7 @@ fn a_job_that_runs_as_a_higher_revision_shows_gives_no_number_that_is_taken() {
 }
 
 #[test]
-fn robots_that_are_gone_are_stale_and_lead_nobody() {
+fn robots_that_are_gone_are_stale_and_lead_no_team() {
     let (mut bench, _) = divided(teams(2), &embedding(5, &[("a b", WEST), ("c d", EAST)]));
     bench.receive_roster(roster(4, "b c d"));
     assert!(bench.take().teams.is_empty(), "that roster is older than the embedding");

@@ -8,7 +8,7 @@ use crate::output;
 use crate::{Solved, Step};
 
 #[test]
-fn each_step_is_told_when_it_begins_and_each_round_and_restart_when_it_is_done() {
+fn each_step_is_reported_when_it_begins_and_each_round_and_restart_when_it_is_done() {
     let steps = |file: &Value, options| {
         let mut reported = Vec::new();
         Solved::watched(file.to_string().as_bytes(), options, &mut |step| reported.push(step))

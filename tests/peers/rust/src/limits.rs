@@ -71,14 +71,14 @@ pub(crate) fn two_threads(work: impl Fn() -> f64 + Sync) -> f64 {
 /// Seconds until a thread that sleeps goes on with work that another one hands it, and the other has its
 /// word that it is done: the median of [`HANDOVERS`] times.
 pub(crate) fn hand_over() -> f64 {
-    let ((hand, take), (answer, hear)) = (sync_channel::<()>(1), sync_channel::<()>(1));
+    let ((hand, take), (answer, receive)) = (sync_channel::<()>(1), sync_channel::<()>(1));
     let mut waits: Vec<f64> = thread::scope(|scope| {
         scope.spawn(move || while take.recv().is_ok() && answer.send(()).is_ok() {});
         let waits = (0..HANDOVERS).map(|_| {
             // Long enough for the other one to fall asleep.
             thread::sleep(SLEEP_TIME);
             let begin = Instant::now();
-            let done = hand.send(()).is_ok() && hear.recv().is_ok();
+            let done = hand.send(()).is_ok() && receive.recv().is_ok();
             if done { begin.elapsed().as_secs_f64() } else { f64::INFINITY }
         });
         let waits = waits.collect();
