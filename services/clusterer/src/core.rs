@@ -16,7 +16,7 @@ use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_service::{
     Connectivity, Core, Delivery, Get, JobEnd, MemoryUse, ServedKey, SingleFlight, Stopwatch,
-    Subscription, Wiring, answer_teams,
+    Subscription, TooManyNames, Wiring, answer_teams,
 };
 use muster_wire::{Key, Message, Pattern, Request};
 
@@ -127,7 +127,11 @@ impl Clusterer {
         self.publish(context, teams, source);
     }
 
-    fn select(&self, context: &Context<'_>, request: &Request) -> Result<Vec<Message>, String> {
+    fn select(
+        &self,
+        context: &Context<'_>,
+        request: &Request,
+    ) -> Result<Vec<Message>, TooManyNames> {
         let space = context.space();
         let selects = |key: &Key| request.selects(space, key);
         let mut messages = Vec::new();

@@ -37,7 +37,7 @@ pub use io::{
 };
 pub use replica::election::LEASE;
 pub use replica::lease::RENEWAL_INTERVAL;
-pub use robot_teams::answer_teams;
+pub use robot_teams::{TooManyNames, answer_teams};
 pub use single_flight::SingleFlight;
 pub use start::{Start, Stored};
 pub use stopwatch::Stopwatch;

@@ -10,16 +10,28 @@ use muster_wire::{Key, KeySpace, Message, Request};
 /// team names all its members, so that the answer for a whole fleet grows with the square of its teams.
 const MAX_NAMES_ANSWERED: usize = 4_000_000;
 
+/// The teams of the robots that are asked for do not fit one answer.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the teams of these robots name {names} members, which is more than one answer may hold; get \
+     {teams} or the team of one robot"
+)]
+pub struct TooManyNames {
+    /// How many names the answers would hold.
+    pub names: usize,
+    /// The key of the whole division.
+    pub teams: String,
+}
+
 /// What a division answers to a get of `teams`, `json/teams` and `robot/*/team`.
 ///
 /// # Errors
-/// If the teams of all robots that are asked for are more than one answer may hold; the text names
-/// the remedy.
+/// [`TooManyNames`] if the teams of all robots that are asked for are more than one answer may hold.
 pub fn answer_teams(
     space: &KeySpace,
     request: &Request,
     teams: &Checked<Teams>,
-) -> Result<Vec<Message>, String> {
+) -> Result<Vec<Message>, TooManyNames> {
     if let Some(Key::RobotTeam(robot)) = request.exact_key(space) {
         return Ok(teams.robot_team(&robot).map(Message::RobotTeam).into_iter().collect());
     }
@@ -33,11 +45,7 @@ pub fn answer_teams(
     let robots = selected(space, request, teams);
     let names = robots.iter().fold(0_usize, |sum, (_, names)| sum.saturating_add(*names));
     if names > MAX_NAMES_ANSWERED {
-        return Err(format!(
-            "the teams of these robots name {names} members, which is more than one answer may \
-             hold; get {} or the team of one robot",
-            space.format(&Key::Teams)
-        ));
+        return Err(TooManyNames { names, teams: space.format(&Key::Teams) });
     }
     messages.extend(
         robots.into_iter().filter_map(|(r, _)| teams.robot_team(r)).map(Message::RobotTeam),
