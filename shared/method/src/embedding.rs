@@ -15,18 +15,21 @@ use crate::cut::Cut;
 use crate::decay::{Decay, DecayTracker};
 use crate::decomposition::{Decomposer, Decomposition, Path, Task};
 use crate::error::MethodError;
-use crate::fusion::Fusion;
+use crate::fusion::{Fused, Fusion};
 use crate::graph::Frame;
 use crate::params::{Pace, ValidEmbeddingParams};
 use crate::similarity::Similarity;
 use crate::step::{Progress, Step};
+use crate::trust::Trust;
 use crate::weights::weights;
 
 /// The vectors of a frame, and what they rest on.
 #[derive(Debug)]
 pub struct Embedded {
-    /// The weight of each graph of the frame, in its order.
+    /// The weight of each graph of the frame, in its order, with the trust in it.
     pub weights: Vec<f64>,
+    /// The trust in each graph of the frame, in its order.
+    pub trust: Vec<Trust>,
     /// The decay and bounds of ρ(A*).
     pub decay: Decay,
     /// The leading triplets of the similarity.
@@ -90,7 +93,8 @@ impl Frames {
         }
         self.robots = Arc::clone(&frame.robots);
         let weights = weights(&params.weights, frame)?;
-        let fused = Arc::new(self.fusion.fuse(frame, &weights, params)?);
+        let Fused { matrix, weights, trust } = self.fusion.fuse(frame, weights, params)?;
+        let fused = Arc::new(matrix);
         progress(Step::SpectralRadius);
         let decay = self.decay.choose(&fused, params)?;
         if params.pace == Pace::AtRest {
@@ -115,7 +119,7 @@ impl Frames {
             _ => embedded.x,
         };
         self.last = Some(LastGraph { fused, decay: decay.clone(), centralities: None });
-        Ok(Embedded { weights, decay, decomposition, x, without_embedding: embedded.weak })
+        Ok(Embedded { weights, trust, decay, decomposition, x, without_embedding: embedded.weak })
     }
 
     /// The Katz centrality of each robot by the graphs of the last embedding, at least 1; empty before it.

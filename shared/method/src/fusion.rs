@@ -1,26 +1,44 @@
-//! From the graphs of a frame to the fused one, A* = Σ w_m (A_m + r_m A_mᵀ) / s_m.
+//! From the graphs of a frame to the fused one, A* = Σ w_m N_m + β I.
 //!
-//! Graphs that are those of the frame before keep their matrices, and scales s_m stay while the norms of
-//! the graphs stay near them: where one robot moves, few rows of A* change.
+//! N_m is the graph A_m + r_m A_mᵀ, scaled as the parameters say. β is the weight of self-loops, over the
+//! robots that have an edge. Each weight is multiplied by the trust in the modality, each rank by the trust
+//! in it (see [`crate::trust`]).
+//!
+//! Graphs that are those of the frame before keep their matrices, and scales stay while norms or degrees
+//! stay near them: where one robot moves, few rows of A* change.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::Normalization;
-use muster_numeric::fuse::fuse_scaled;
+use muster_numeric::fuse::{degree_scaled, fuse_scaled};
 use muster_numeric::matrix::{MatrixError, SparseMatrix};
 use muster_numeric::norm_band::NormBand;
 
 use crate::error::MethodError;
 use crate::graph::{Frame, Graph};
 use crate::params::{EmbeddingParams, Pace};
+use crate::trust::{Trust, TrustTracker, Voice};
 
 /// The graphs of the last frame as matrices.
 #[derive(Debug, Default)]
 pub(crate) struct Fusion {
     robots: Arc<[RobotId]>,
     graphs: BTreeMap<Modality, Scaled>,
+    trust: TrustTracker,
+    self_loops: f64,
+}
+
+/// The fused graph of a frame.
+#[derive(Debug)]
+pub(crate) struct Fused {
+    /// A*.
+    pub(crate) matrix: SparseMatrix,
+    /// The weight of each graph of the frame, in its order, with the trust in it.
+    pub(crate) weights: Vec<f64>,
+    /// The trust in each graph of the frame, in its order.
+    pub(crate) trust: Vec<Trust>,
 }
 
 /// A graph with a weight.
@@ -30,10 +48,21 @@ struct Scaled {
     graph: Option<Graph>,
     reciprocity: f64,
     matrix: Arc<SparseMatrix>,
+    scale: Scale,
+    /// The matrix with the trust in each of its edges; that matrix itself where all are trusted.
+    trusted: Arc<SparseMatrix>,
     weight: f64,
-    /// None without scaling; with the hysteresis that it has.
-    band: Option<(f64, NormBand)>,
-    scale: f64,
+}
+
+/// What a matrix was divided by, for the next frame.
+#[derive(Debug)]
+enum Scale {
+    /// Nothing.
+    None,
+    /// A norm, within a band of this hysteresis.
+    Norm { hysteresis: f64, band: NormBand, norm: f64 },
+    /// The degrees of the edges that leave and that end at each robot: `exact` if they are those of the matrix.
+    Degrees { outgoing: Vec<f64>, incoming: Vec<f64>, exact: bool },
 }
 
 impl Fusion {
@@ -41,15 +70,15 @@ impl Fusion {
     pub(crate) fn fuse(
         &mut self,
         frame: &Frame,
-        weights: &[f64],
+        mut weights: Vec<f64>,
         params: &EmbeddingParams,
-    ) -> Result<SparseMatrix, MethodError> {
+    ) -> Result<Fused, MethodError> {
         let mut known = std::mem::take(&mut self.graphs);
         if *self.robots != *frame.robots {
             known.values_mut().for_each(|scaled| scaled.graph = None);
         }
         self.robots = Arc::clone(&frame.robots);
-        for ((name, graph), weight) in frame.graphs.iter().zip(weights) {
+        for ((name, graph), weight) in frame.graphs.iter().zip(&weights) {
             if *weight > 0.0 {
                 let before = known.remove(name);
                 let reciprocity = params.reciprocity.get(name).copied().unwrap_or(0.0);
@@ -61,17 +90,76 @@ impl Fusion {
                 self.graphs.insert(name.clone(), scaled);
             }
         }
-        if self.graphs.is_empty() {
-            let none = SparseMatrix::from_triplets(frame.robots.len(), []);
-            return Ok(none.map_err(muster_numeric::fuse::FuseError::from)?);
-        }
-        let all = self.graphs.values().map(|graph| (&*graph.matrix, graph.weight, graph.scale));
-        Ok(fuse_scaled(&all.collect::<Vec<_>>())?)
+        let trust = self.weigh_by_trust(frame, &mut weights, params)?;
+        self.self_loops = params.self_loops;
+        Ok(Fused { matrix: self.sum(frame.robots.len())?, weights, trust })
     }
 
-    /// The graphs that A* consists of, each with its weight there: w_m / s_m.
+    /// Multiplies the weights of the modalities, and of the edges of some, by the trust in them.
+    fn weigh_by_trust(
+        &mut self,
+        frame: &Frame,
+        weights: &mut [f64],
+        params: &EmbeddingParams,
+    ) -> Result<Vec<Trust>, MethodError> {
+        let voices = self.graphs.iter().map(|(name, scaled)| Voice {
+            name,
+            matrix: &scaled.matrix,
+            weight: scaled.weight,
+            is_trusted: params.trusted.contains(name),
+        });
+        let voices: Vec<Voice<'_>> = voices.collect();
+        self.trust.update(&frame.robots, &voices, params)?;
+        let trust: Vec<Trust> =
+            frame.graphs.iter().map(|(name, _)| self.trust.of(name, &frame.robots)).collect();
+        let before: f64 = weights.iter().sum();
+        for (weight, trust) in weights.iter_mut().zip(&trust) {
+            *weight *= trust.factor;
+        }
+        // The sum stays: self-loops keep their weight in relation to all other edges.
+        let after: f64 = weights.iter().sum();
+        if after > 0.0 && after != before {
+            weights.iter_mut().for_each(|weight| *weight *= before / after);
+        }
+        for ((name, _), weight) in frame.graphs.iter().zip(weights.iter()) {
+            if let Some(scaled) = self.graphs.get_mut(name) {
+                scaled.weight = *weight;
+                scaled.trusted = self
+                    .trust
+                    .weigh_edges(name, &scaled.matrix)
+                    .map_err(|error| MethodError::Graph { modality: name.clone(), error })?;
+            }
+        }
+        Ok(trust)
+    }
+
+    /// Σ w_m N_m + β I.
+    fn sum(&self, robots: usize) -> Result<SparseMatrix, MethodError> {
+        let parts = self.graphs.values();
+        let parts = parts.map(|graph| (&*graph.trusted, graph.weight, graph.scale.norm()));
+        let mut parts: Vec<_> = parts.collect();
+        let mut related = vec![false; robots];
+        for (graph, ..) in parts.iter().filter(|(_, weight, _)| *weight > 0.0) {
+            for (row, col, _) in graph.triplets() {
+                (related[row], related[col]) = (true, true);
+            }
+        }
+        let loops = related.iter().enumerate().filter(|(_, related)| **related);
+        let loops = SparseMatrix::from_triplets(robots, loops.map(|(i, _)| (i, i, 1.0)));
+        let loops = loops.map_err(muster_numeric::fuse::FuseError::from)?;
+        parts.push((&loops, self.self_loops, 1.0));
+        Ok(fuse_scaled(&parts)?)
+    }
+
+    /// The graphs that A* consists of besides self-loops, each with its weight there: w_m / s_m.
     pub(crate) fn parts(&self) -> impl Iterator<Item = (&Modality, &SparseMatrix, f64)> {
-        self.graphs.iter().map(|(name, graph)| (name, &*graph.matrix, graph.weight / graph.scale))
+        let weight = |graph: &Scaled| graph.weight / graph.scale.norm();
+        self.graphs.iter().map(move |(name, graph)| (name, &*graph.trusted, weight(graph)))
+    }
+
+    /// The weight of self-loops in A*.
+    pub(crate) fn self_loops(&self) -> f64 {
+        self.self_loops
     }
 }
 
@@ -90,34 +178,93 @@ impl Scaled {
         params: &EmbeddingParams,
     ) -> Result<Self, MatrixError> {
         let Part { graph, robots, weight, reciprocity } = part;
-        let is_same = |before: &Self| before.graph.as_ref().is_some_and(|known| known.is(graph));
-        let (matrix, band, scale) = match before {
-            Some(before) if is_same(&before) => (before.matrix, before.band, Some(before.scale)),
-            before => (graph.matrix(robots, reciprocity)?, before.and_then(|b| b.band), None),
+        let is_moving = params.pace == Pace::Moving;
+        let known = |scaled: &Self| scaled.graph.as_ref().is_some_and(|known| known.is(graph));
+        let before = match before {
+            Some(before) if known(&before) && before.scale.holds(params) => {
+                let trusted = Arc::clone(&before.matrix);
+                return Ok(Self { trusted, weight, ..before });
+            }
+            before => before,
         };
-        let hysteresis = params.hysteresis;
-        let is_kept = params.pace == Pace::Moving;
-        let (band, scale) = match params.normalize {
-            Normalization::None => (None, 1.0),
+        let same_robots = before.as_ref().is_some_and(|before| before.graph.is_some());
+        let reported = graph.matrix(robots, reciprocity)?;
+        let (matrix, scale) = match params.normalize {
+            Normalization::None => (reported, Scale::None),
             Normalization::Spectral => {
-                let kept = band.filter(|(of, _)| of.to_bits() == hysteresis.to_bits());
-                match (kept, scale) {
-                    (Some(band), Some(scale)) if is_kept => (Some(band), scale),
-                    (kept, _) => {
-                        let mut band = match kept {
-                            Some((_, band)) => band,
-                            // Valid parameters have a valid hysteresis; without one, norms are exact.
-                            None => NormBand::new(hysteresis).unwrap_or_default(),
-                        };
-                        if !is_kept {
-                            band.reset();
-                        }
-                        let norm = band.choose(&matrix);
-                        (Some((hysteresis, band)), if norm > 0.0 { norm } else { 1.0 })
-                    }
-                }
+                let scale = by_norm(&reported, before.map(|before| before.scale), params);
+                (reported, scale)
+            }
+            Normalization::Degree => {
+                let kept = before.filter(|_| same_robots && is_moving).map(|before| before.scale);
+                by_degrees(&reported, kept, params.hysteresis)?
             }
         };
-        Ok(Self { graph: Some(graph.clone()), reciprocity, matrix, weight, band, scale })
+        let trusted = Arc::clone(&matrix);
+        Ok(Self { graph: Some(graph.clone()), reciprocity, matrix, scale, trusted, weight })
     }
+}
+
+impl Scale {
+    /// What the matrix is still to be divided by.
+    fn norm(&self) -> f64 {
+        match self {
+            Self::Norm { norm, .. } => *norm,
+            Self::None | Self::Degrees { .. } => 1.0,
+        }
+    }
+
+    /// Whether the scale of the same graph in the frame before serves.
+    fn holds(&self, params: &EmbeddingParams) -> bool {
+        let is_moving = params.pace == Pace::Moving;
+        match (self, params.normalize) {
+            (Self::None, Normalization::None) => true,
+            (Self::Norm { hysteresis, .. }, Normalization::Spectral) => {
+                is_moving && hysteresis.to_bits() == params.hysteresis.to_bits()
+            }
+            (Self::Degrees { exact, .. }, Normalization::Degree) => is_moving || *exact,
+            _ => false,
+        }
+    }
+}
+
+/// The norm of a matrix, that of the frame before while it fits.
+fn by_norm(matrix: &SparseMatrix, before: Option<Scale>, params: &EmbeddingParams) -> Scale {
+    let hysteresis = params.hysteresis;
+    let mut band = match before {
+        Some(Scale::Norm { hysteresis: of, band, .. })
+            if of.to_bits() == hysteresis.to_bits() =>
+        {
+            band
+        }
+        // Valid parameters have a valid hysteresis; without one, norms are exact.
+        _ => NormBand::new(hysteresis).unwrap_or_default(),
+    };
+    if params.pace == Pace::AtRest {
+        band.reset();
+    }
+    let norm = band.choose(matrix);
+    Scale::Norm { hysteresis, band, norm: if norm > 0.0 { norm } else { 1.0 } }
+}
+
+/// A matrix divided by its degrees, of which each is that of the frame before while it fits.
+fn by_degrees(
+    matrix: &SparseMatrix,
+    before: Option<Scale>,
+    hysteresis: f64,
+) -> Result<(Arc<SparseMatrix>, Scale), MatrixError> {
+    let (mut outgoing, mut incoming) = matrix.degrees();
+    let mut exact = true;
+    if let Some(Scale::Degrees { outgoing: out_before, incoming: in_before, .. }) = before {
+        for (degrees, before) in [(&mut outgoing, out_before), (&mut incoming, in_before)] {
+            for (degree, before) in degrees.iter_mut().zip(before) {
+                if *degree != before && (*degree - before).abs() <= hysteresis * before {
+                    *degree = before;
+                    exact = false;
+                }
+            }
+        }
+    }
+    let scaled = degree_scaled(matrix, &outgoing, &incoming)?;
+    Ok((Arc::new(scaled), Scale::Degrees { outgoing, incoming, exact }))
 }

@@ -3,7 +3,8 @@
 //! | step | module |
 //! | --- | --- |
 //! | weights of the modalities | [`weights`] |
-//! | fused graph A* = Σ w_m (A_m + r_m A_mᵀ) / s_m | `fusion` |
+//! | trust in each modality and in each rank | [`trust`] |
+//! | fused graph A* = Σ w_m N_m + β I, N_m the scaled A_m + r_m A_mᵀ | `fusion` |
 //! | bounds of ρ(A*), decay α, Katz centralities | `decay` |
 //! | leading singular triplets of the Katz similarity S, whole or without forming S | [`decomposition`] |
 //! | how many of them are kept: K | `cut` |
@@ -35,6 +36,7 @@ pub mod params;
 pub mod silhouettes;
 mod similarity;
 pub mod step;
+pub mod trust;
 pub mod weights;
 
 pub use decay::Decay;

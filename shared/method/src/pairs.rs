@@ -17,7 +17,7 @@ const MAX_KEPT_ROBOTS: usize = 1024;
 pub struct Pair {
     /// S_ij.
     pub similarity: f64,
-    /// The weight of those walks whose first step is of each modality.
+    /// The weight of those walks whose first step to another robot is of each modality.
     pub shares: Vec<(Modality, f64)>,
     /// The decay α.
     pub alpha: f64,
@@ -88,6 +88,8 @@ impl Frames {
         let (names, parts): (Vec<_>, Vec<_>) = parts.unzip();
         let found = self.similarity.pair(pair, &parts);
         let (similarity, shares) = found.ok_or(PairError::NoEmbedding)?;
+        let staying = self.staying(last.decay.alpha);
+        let shares = shares.into_iter().map(|share| staying * share);
         Ok(Pair {
             similarity,
             shares: names.into_iter().zip(shares).collect(),
@@ -97,15 +99,22 @@ impl Frames {
         })
     }
 
+    /// The weight of all walks that stay at a robot by its self-loop before they leave, with that of leaving at
+    /// once: Σ (αβ)ˡ. The loop is no modality; walks that begin with it count for that of the step after.
+    fn staying(&self, alpha: f64) -> f64 {
+        (1.0 - alpha * self.fusion.self_loops()).recip()
+    }
+
     fn by_column(&self, last: &LastGraph, [from, to]: [usize; 2]) -> Result<Pair, PairError> {
         let alpha = last.decay.alpha;
         let column = katz_column(&last.fused, alpha, last.decay.radius.upper, to)?;
         let centrality = last.centralities.as_ref().and_then(|all| all.get(from).copied());
+        let staying = self.staying(alpha);
         // S = αA (I + S): a first step, and then nothing or another walk.
         let onward = |k: usize| column.values[k] + f64::from(u8::from(k == to));
         let share = |(name, matrix, weight): (&Modality, &SparseMatrix, f64)| {
             let steps = matrix.row(from).map(|(k, w)| w * onward(k));
-            (name.clone(), alpha * weight * steps.sum::<f64>())
+            (name.clone(), staying * alpha * weight * steps.sum::<f64>())
         };
         Ok(Pair {
             similarity: column.values[from],

@@ -10,7 +10,7 @@ use std::ops::Deref;
 use muster_model::id::Modality;
 use muster_model::settings::{
     Alpha, CentroidStart, ClustererSettings, Dimension, EmbedderSettings, MAX_DIMENSION,
-    Normalization, RowScaling,
+    Normalization, RowScaling, Trusted,
 };
 
 /// Whether more frames are expected soon.
@@ -41,6 +41,10 @@ pub struct EmbeddingParams {
     pub reciprocity: BTreeMap<Modality, f64>,
     /// How each graph is scaled before its weight applies.
     pub normalize: Normalization,
+    /// Weight of an edge from each related robot to itself in A*.
+    pub self_loops: f64,
+    /// Modalities that keep their whole weight, whatever the others say.
+    pub trusted: Trusted,
     /// The decay of longer walks.
     pub alpha: Alpha,
     /// Length D = 2K of the vectors.
@@ -99,6 +103,8 @@ impl EmbeddingParams {
             weights: settings.weights.clone(),
             reciprocity: settings.reciprocity.clone(),
             normalize: settings.normalize,
+            self_loops: settings.self_loops,
+            trusted: settings.trusted.clone(),
             alpha: settings.alpha,
             dimension: settings.dimension,
             power: settings.scale.power(),
@@ -158,6 +164,9 @@ impl EmbeddingParams {
                 return Err(ParamsError::Dimension(dimension));
             }
             _ => {}
+        }
+        if !(self.self_loops.is_finite() && self.self_loops >= 0.0) {
+            return Err(ParamsError::SelfLoops(self.self_loops));
         }
         if !self.power.is_finite() {
             return Err(ParamsError::Power(self.power));
@@ -300,6 +309,9 @@ pub enum ParamsError {
     /// The dimension is odd or less than 2.
     #[error("dimension: must be even and at least 2, not {0}")]
     Dimension(u32),
+    /// The weight of self-loops is negative or not finite.
+    #[error("self_loops: must be a number from 0, not {0}")]
+    SelfLoops(f64),
     /// The power of the singular values is not finite.
     #[error("power: must be finite, not {0}")]
     Power(f64),
@@ -335,7 +347,8 @@ mod tests {
     #[test]
     fn each_wrong_field_has_an_error_of_its_own() {
         type Spoil<P> = (fn(&mut P), &'static str);
-        let spoil: [Spoil<EmbeddingParams>; 9] = [
+        let spoil: [Spoil<EmbeddingParams>; 10] = [
+            (|p| p.self_loops = -1.0, "self_loops: "),
             (|p| _ = p.weights.insert(Modality::spatial(), -1.0), "weights.spatial: "),
             (|p| _ = p.reciprocity.insert(Modality::spatial(), 1.5), "reciprocity.spatial: "),
             (|p| p.alpha = Alpha::Value(f64::INFINITY), "alpha: "),

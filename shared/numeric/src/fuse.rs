@@ -75,7 +75,7 @@ pub enum FuseError {
 ///
 /// The graphs are n × n, the weights not negative. The paper asks for Σ w_m = 1, which is left to
 /// the caller: a common factor of all weights scales A* and nothing else. A graph without edges
-/// stays as it is.
+/// stays as it is. [`Normalization::Degree`] is no scale of a whole graph: [`degree_scaled`] does it first.
 ///
 /// # Errors
 /// [`FuseError`]: no graphs, different sizes, an unusable weight, or entries out of range.
@@ -83,6 +83,18 @@ pub fn fuse<'a>(
     graphs: &[impl Into<WeightedGraph<'a>> + Copy],
     normalization: Normalization,
 ) -> Result<SparseMatrix, FuseError> {
+    if normalization == Normalization::Degree {
+        let scaled: Vec<(SparseMatrix, f64)> = graphs
+            .iter()
+            .map(|graph| {
+                let WeightedGraph { graph, weight } = (*graph).into();
+                let (outgoing, incoming) = graph.degrees();
+                Ok((degree_scaled(graph, &outgoing, &incoming)?, weight))
+            })
+            .collect::<Result<_, FuseError>>()?;
+        let scaled = scaled.iter().map(|(graph, weight)| (graph, *weight, 1.0));
+        return fuse_scaled(&scaled.collect::<Vec<_>>());
+    }
     let scaled = graphs.iter().map(|graph| {
         let WeightedGraph { graph, weight } = (*graph).into();
         let scale = match normalization {
@@ -94,6 +106,31 @@ pub fn fuse<'a>(
     fuse_scaled(&scaled.collect::<Vec<_>>())
 }
 
+/// D_out^-½ A D_in^-½ for diagonal matrices of `outgoing` and `incoming`, one positive number per node that
+/// has edges of that direction.
+///
+/// With the degrees of the graph itself (see [`SparseMatrix::degrees`]) the largest singular value is 1, for
+/// the vectors of the roots of the degrees: the graph is a bipartite one from sources to targets, and this
+/// is its normalised adjacency (F. Chung, *Spectral Graph Theory*, 1997). A symmetric graph stays symmetric.
+///
+/// # Errors
+/// [`MatrixError`] where a degree is missing or not positive, so that a result is out of range.
+pub fn degree_scaled(
+    graph: &SparseMatrix,
+    outgoing: &[f64],
+    incoming: &[f64],
+) -> Result<SparseMatrix, MatrixError> {
+    let nodes = graph.nodes();
+    for degrees in [outgoing, incoming] {
+        if degrees.len() != nodes {
+            return Err(MatrixError::Vector { cols: nodes, len: degrees.len() });
+        }
+    }
+    let roots = |degrees: &[f64]| -> Vec<f64> { degrees.iter().map(|d| d.sqrt()).collect() };
+    let (outgoing, incoming) = (roots(outgoing), roots(incoming));
+    graph.map_weights(|row, col, weight| weight / (outgoing[row] * incoming[col]))
+}
+
 /// Σ w_m A_m / s_m: [`fuse`] with scales of the caller, such as those of [`crate::norm_band`].
 ///
 /// # Errors
@@ -102,9 +139,9 @@ pub fn fuse_scaled<'a>(
     graphs: &[impl Into<ScaledGraph<'a>> + Copy],
 ) -> Result<SparseMatrix, FuseError> {
     let expected = (*graphs.first().ok_or(FuseError::Empty)?).into().graph.nodes();
-    let mut entries = Vec::new();
+    let mut used = Vec::with_capacity(graphs.len());
     for (index, graph) in graphs.iter().enumerate() {
-        let ScaledGraph { graph, weight, scale } = (*graph).into();
+        let scaled @ ScaledGraph { graph, weight, .. } = (*graph).into();
         if graph.nodes() != expected {
             let found = graph.nodes();
             return Err(FuseError::Nodes { index, expected, found });
@@ -112,12 +149,17 @@ pub fn fuse_scaled<'a>(
         if !(weight.is_finite() && weight >= 0.0) {
             return Err(FuseError::Weight { index, value: weight });
         }
-        if weight == 0.0 || graph.is_zero() {
-            continue;
+        if weight > 0.0 && !graph.is_zero() {
+            used.push(scaled);
         }
-        // Dividing each weight instead of multiplying by a quotient keeps symmetric graphs
-        // symmetric and a lone graph of norm 1 unchanged.
-        entries.extend(graph.triplets().map(|(i, j, w)| (i, j, weight * (w / scale))));
     }
-    Ok(SparseMatrix::from_triplets(expected, entries)?)
+    Ok(SparseMatrix::from_row_sums(expected, |row, add| {
+        for ScaledGraph { graph, weight, scale } in &used {
+            // Dividing each weight instead of multiplying by a quotient keeps symmetric graphs
+            // symmetric and a lone graph of norm 1 unchanged.
+            for (col, share) in graph.row(row) {
+                add(col, weight * (share / scale));
+            }
+        }
+    })?)
 }

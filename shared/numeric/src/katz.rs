@@ -11,6 +11,7 @@ pub mod cached;
 mod centrality;
 pub mod column;
 mod error;
+mod rows;
 mod scaling;
 mod similarity;
 
@@ -18,4 +19,5 @@ pub(crate) use alpha::check_alpha;
 pub use alpha::{Alpha, resolve_alpha};
 pub use centrality::Centrality;
 pub use error::KatzError;
+pub use rows::short_katz_rows;
 pub use similarity::{katz_probe, katz_similarity};

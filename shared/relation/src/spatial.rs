@@ -20,17 +20,19 @@ use crate::neighbours::{
 /// Lowest and highest number of the neighbour whose distance is a robot's scale, unless it is set. With the
 /// first neighbour the scale of two close robots would be chance; up to the eighth, the edges to the 16
 /// nearest robots of a large fleet end without a jump.
-const SCALE_NEIGHBOURS: (f64, f64) = (2.0, 8.0);
+const SCALE_NEIGHBOURS: (f64, f64) = (4.0, 8.0);
 
 /// The root of the number of robots is divided by this. Teams of large fleets are large: measured by
-/// their second nearest they fall apart, while squads of nine and platoons of 29 want just that one
-/// (`cargo run -p muster-solve --example kernels` and the experiments of the formations).
+/// their fourth nearest they fall apart.
 const ROOT_PER_NEIGHBOUR: f64 = 2.2;
 
 /// Largest scale of a robot as a multiple of the distance to its nearest neighbour. In teams of two the
-/// second neighbour is in another team, which would then seem as near as its own. Any number from 3 to 5
-/// gives the same divisions (`cargo run -p muster-experiments -- grid`, the fleets plain to see).
-const MAX_SCALE_PER_NEAREST: f64 = 3.0;
+/// fourth neighbour is in another team, which would then seem as near as its own.
+const MAX_SCALE_PER_NEAREST: f64 = 5.0;
+
+/// Largest scale of a robot as a multiple of the lower quartile of the fleet's: a team of two far from all
+/// others would reach them otherwise.
+const MAX_SCALE_PER_QUARTILE: f64 = 3.0;
 
 /// Smallest scale of a robot as a share of the median distance to the nearest neighbour: for robots that
 /// stand on each other, as in a dock, the distance to the nearest means nothing.
@@ -47,7 +49,8 @@ const MIN_SCALE_PER_MEDIAN: f64 = 0.1;
 /// one that is spread out are then equally tied together, and robots halfway between the two belong to
 /// neither more than their distances say. Where most robots stand on each other, so that the median is
 /// 0, the median over their distinct positions takes its place, and no s is below [`MIN_SCALE_PER_MEDIAN`]
-/// times it, nor above [`MAX_SCALE_PER_NEAREST`] times the distance to the robot's own nearest.
+/// times it, nor above [`MAX_SCALE_PER_NEAREST`] times the distance to the robot's own nearest or
+/// [`MAX_SCALE_PER_QUARTILE`] times the lower quartile of all s.
 ///
 /// Gaussian and exponential: fleets of more than `all_pairs_up_to` robots relate those of which one is
 /// among the `neighbours` nearest of the other. Edges longer than `radius_m` or weaker than
@@ -118,14 +121,16 @@ impl Measure {
         let Some(place) = own_scale(settings, points.len()) else {
             return Self { kernel, roots: Vec::new() };
         };
-        let root = |row: &Vec<Neighbour>| {
+        let own = |row: &Vec<Neighbour>| {
             let last = row.len().min(place).checked_sub(1);
             let own = last.and_then(|last| metres(row, last)).unwrap_or(0.0) * settings.width;
             let nearest = metres(row, 0).unwrap_or(0.0) * settings.width;
             let own = own.min(MAX_SCALE_PER_NEAREST * nearest);
-            own.max(MIN_SCALE_PER_MEDIAN * kernel.length_m()).sqrt()
+            own.max(MIN_SCALE_PER_MEDIAN * kernel.length_m())
         };
-        Self { kernel, roots: nearest.iter().map(root).collect() }
+        let scales: Vec<f64> = nearest.iter().map(own).collect();
+        let most = MAX_SCALE_PER_QUARTILE * lower_quartile(&scales);
+        Self { kernel, roots: scales.into_iter().map(|scale| scale.min(most).sqrt()).collect() }
     }
 
     /// How many of its nearest others each robot is measured by.
@@ -150,8 +155,18 @@ fn own_scale(settings: &SpatialSettings, robots: usize) -> Option<usize> {
     by_robots.then(|| scale_neighbour(settings, robots))
 }
 
+/// The value that a quarter of the numbers do not exceed; 0 where there are none.
+fn lower_quartile(numbers: &[f64]) -> f64 {
+    let mut sorted = numbers.to_vec();
+    let place = sorted.len() / 4;
+    match sorted.get_mut(place) {
+        Some(_) => *sorted.select_nth_unstable_by(place, f64::total_cmp).1,
+        None => 0.0,
+    }
+}
+
 /// The number, from 1, of the nearest robot by which each of so many is measured: the settings', or the
-/// root of their number divided by 2.2, from 2 to 8.
+/// root of their number divided by 2.2, from 4 to 8.
 #[must_use]
 pub fn scale_neighbour(settings: &SpatialSettings, robots: usize) -> usize {
     let (least, most) = SCALE_NEIGHBOURS;
@@ -159,7 +174,7 @@ pub fn scale_neighbour(settings: &SpatialSettings, robots: usize) -> usize {
         clippy::cast_precision_loss,
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
-        reason = "a number from 2 to 8"
+        reason = "a number from 4 to 8"
     )]
     let by_size =
         || ((robots as f64).sqrt() / ROOT_PER_NEIGHBOUR).round().clamp(least, most) as usize;

@@ -1,7 +1,7 @@
 //! Settings of `embedder`.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::Error as _;
@@ -17,6 +17,9 @@ pub const WEIGHT_SUM_TOLERANCE: f64 = 1e-9;
 /// Largest dimension, asked for or chosen: beyond it k-means drowns in noise. An embedding of 30,000
 /// robots, whose similarity fits few machines, still fits a message with it.
 pub const MAX_DIMENSION: u32 = 256;
+
+/// Largest weight of self-loops: beyond the weight of all other edges, nothing is left to be divided by.
+pub const MAX_SELF_LOOPS: f64 = 4.0;
 
 /// The decay of longer paths.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -91,6 +94,79 @@ pub enum Normalization {
     None,
     /// By its largest singular value, so that weights mean the same for every modality.
     Spectral,
+    /// Each edge by the roots of the degrees of its ends, D_out^-½ A D_in^-½: robots with many edges count no
+    /// more than those with few, and the largest singular value is 1.
+    Degree,
+}
+
+/// Modalities that keep their whole weight, whatever the others say.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Trusted {
+    /// Every modality.
+    All,
+    /// These.
+    Only(BTreeSet<Modality>),
+}
+
+impl Trusted {
+    /// Whether a modality keeps its whole weight.
+    #[must_use]
+    pub fn contains(&self, modality: &Modality) -> bool {
+        match self {
+            Self::All => true,
+            Self::Only(modalities) => modalities.contains(modality),
+        }
+    }
+}
+
+impl Default for Trusted {
+    /// None.
+    fn default() -> Self {
+        Self::Only(BTreeSet::new())
+    }
+}
+
+impl Serialize for Trusted {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::All => serializer.serialize_str("all"),
+            Self::Only(modalities) => modalities.serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Trusted {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        const EXPECTED: &str = "must be \"all\" or a list of modalities";
+        #[derive(Deserialize)]
+        #[serde(untagged, expecting = "must be \"all\" or a list of modalities")]
+        enum Form {
+            Word(String),
+            List(BTreeSet<Modality>),
+        }
+        match Form::deserialize(deserializer)? {
+            Form::Word(word) if word == "all" => Ok(Self::All),
+            Form::Word(_) => Err(D::Error::custom(EXPECTED)),
+            Form::List(modalities) => Ok(Self::Only(modalities)),
+        }
+    }
+}
+
+impl JsonSchema for Trusted {
+    fn schema_name() -> Cow<'static, str> {
+        "Trusted".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let modality = generator.subschema_for::<Modality>();
+        json_schema!({
+            "description": "Modalities that keep their whole weight, whatever the others say; \"all\" for every one.",
+            "anyOf": [
+                { "const": "all" },
+                { "type": "array", "items": modality, "uniqueItems": true },
+            ],
+        })
+    }
 }
 
 /// How the singular vectors are scaled.
@@ -142,6 +218,13 @@ pub struct EmbedderSettings {
     pub reciprocity: BTreeMap<Modality, f64>,
     /// How each graph is scaled before its weight applies.
     pub normalize: Normalization,
+    /// Weight of an edge from each related robot to itself in the fused graph. Without one, the similarity of
+    /// a small or bipartite fleet tells leaders from followers rather than team from team.
+    #[schemars(range(min = 0, max = MAX_SELF_LOOPS))]
+    pub self_loops: f64,
+    /// Modalities that keep their whole weight. Any other counts less, down to not at all, where its edges
+    /// join robots that are far apart in all other modalities; it takes at least three to tell.
+    pub trusted: Trusted,
     /// The decay of longer paths.
     pub alpha: Alpha,
     /// Length of the vectors.
@@ -163,6 +246,24 @@ pub struct EmbedderSettings {
     pub idle_tolerance: f64,
 }
 
+impl EmbedderSettings {
+    /// The method as the paper prints it (its equations 1 to 5): the graphs as they are with equal weights, no
+    /// self-loops, the singular vectors as they come.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            reciprocity: BTreeMap::new(),
+            normalize: Normalization::None,
+            self_loops: 0.0,
+            trusted: Trusted::All,
+            alpha: Alpha::Fraction { fraction: 0.5 },
+            scale: SingularValueScaling::None,
+            rows: RowScaling::None,
+            ..Self::default()
+        }
+    }
+}
+
 impl Default for EmbedderSettings {
     fn default() -> Self {
         Self {
@@ -170,10 +271,12 @@ impl Default for EmbedderSettings {
             // With edges that lead only down, robots without subordinates have empty rows in S, so that half
             // of their vector is zero.
             reciprocity: BTreeMap::from([(Modality::hierarchy(), 0.5)]),
-            normalize: Normalization::Spectral,
-            alpha: Alpha::Fraction { fraction: 0.5 },
+            normalize: Normalization::Degree,
+            self_loops: 0.5,
+            trusted: Trusted::default(),
+            alpha: Alpha::Fraction { fraction: 0.9 },
             dimension: Dimension::Auto,
-            scale: SingularValueScaling::InverseSqrtSigma,
+            scale: SingularValueScaling::SqrtSigma,
             rows: RowScaling::Unit,
             hysteresis: 0.1,
             residual_tolerance: 1e-6,
@@ -255,6 +358,7 @@ impl Settings for EmbedderSettings {
                 format!("must be \"auto\" or an even number from 2 to {MAX_DIMENSION}"),
             ));
         }
+        check_range("self_loops", self.self_loops, 0.0..=MAX_SELF_LOOPS)?;
         check_range("hysteresis", self.hysteresis, 0.0..=0.5)?;
         check_range("residual_tolerance", self.residual_tolerance, 1e-14..=1.0)?;
         check_range("idle_tolerance", self.idle_tolerance, 1e-14..=1.0)

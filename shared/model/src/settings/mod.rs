@@ -16,9 +16,9 @@ use serde_json::{Map, Value};
 pub use auditor::AuditorSettings;
 pub use clusterer::{CentroidStart, ClustererSettings};
 pub use embedder::{
-    Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, Normalization, RowScaling,
-    SingularValueScaling, WEIGHT_SUM_TOLERANCE, WHOLE_FROM, check_reciprocity, check_weights,
-    coverage, default_weight,
+    Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, MAX_SELF_LOOPS, Normalization, RowScaling,
+    SingularValueScaling, Trusted, WEIGHT_SUM_TOLERANCE, WHOLE_FROM, check_reciprocity,
+    check_weights, coverage, default_weight,
 };
 pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialScale,

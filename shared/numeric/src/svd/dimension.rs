@@ -20,7 +20,7 @@ use super::spectrum::null_threshold;
 /// formations and planted fleets 0.65 to 1 differ by 0.03 %; with 1, fleets of 500 robots take 2 s
 /// to follow a split instead of 1 (`muster-experiments moving`), and below 0.65 noise looks like a
 /// group.
-pub const LARGE_DROP_SHARE: f64 = 0.75;
+pub const LARGE_DROP_SHARE: f64 = 0.5;
 
 /// Ratios up to this one are no drop: the values are equal except for rounding.
 pub const FLAT_RATIO: f64 = 1.0 + 1e-9;

@@ -93,6 +93,47 @@ impl SparseMatrix {
         }
     }
 
+    /// Matrix of `nodes` nodes, row by row: `fill` gets each row and a function that adds a weight at a column
+    /// of it. Sums are formed in the order of the calls; weights below [`MIN_WEIGHT`] are dropped.
+    ///
+    /// # Errors
+    /// As [`SparseMatrix::from_triplets`].
+    pub(crate) fn from_row_sums(
+        nodes: usize,
+        fill: impl Fn(usize, &mut dyn FnMut(usize, f64)),
+    ) -> Result<Self, MatrixError> {
+        if nodes > MAX_NODES {
+            return Err(MatrixError::TooLarge { rows: nodes, cols: nodes });
+        }
+        let mut matrix = Self { nodes, ..Self::default() };
+        let mut sums = vec![0.0; nodes];
+        let mut is_touched = vec![false; nodes];
+        let mut touched: Vec<u32> = Vec::new();
+        for row in 0..nodes {
+            fill(row, &mut |col, weight| {
+                if !is_touched[col] {
+                    is_touched[col] = true;
+                    touched.push(col as u32);
+                }
+                sums[col] += weight;
+            });
+            touched.sort_unstable();
+            for col in touched.drain(..) {
+                let value = std::mem::take(&mut sums[col as usize]);
+                is_touched[col as usize] = false;
+                if !value.is_finite() || value > MAX_ENTRY {
+                    return Err(MatrixError::Entry { row, col: col as usize, value });
+                }
+                if value >= MIN_WEIGHT {
+                    matrix.columns.push(col);
+                    matrix.weights.push(value);
+                }
+            }
+            matrix.starts.push(matrix.weights.len());
+        }
+        Ok(matrix)
+    }
+
     /// Matrix from entries that come from checked matrices and are free of duplicates.
     pub(crate) fn from_checked(nodes: usize, mut entries: Vec<(usize, usize, f64)>) -> Self {
         entries.sort_by_key(|e| (e.0, e.1));
@@ -231,10 +272,7 @@ impl SparseMatrix {
     #[must_use]
     #[expect(clippy::cast_precision_loss, reason = "there are fewer nodes than 2⁵³")]
     pub fn related_share(&self) -> f64 {
-        let mut related = vec![false; self.nodes()];
-        for (row, col, _) in self.triplets() {
-            (related[row], related[col]) = (true, true);
-        }
+        let related = self.related();
         let count = related.iter().filter(|related| **related).count();
         count as f64 / self.nodes().max(1) as f64
     }
@@ -248,6 +286,60 @@ impl SparseMatrix {
     pub fn with_reverse(&self, share: f64) -> Result<Self, MatrixError> {
         let back = self.triplets().map(|(row, col, weight)| (col, row, share * weight));
         Self::from_triplets(self.nodes(), self.triplets().chain(back))
+    }
+
+    /// Sums of the weights of the edges that leave each node, and of those that end at it.
+    #[must_use]
+    pub fn degrees(&self) -> (Vec<f64>, Vec<f64>) {
+        let (mut outgoing, mut incoming) = (vec![0.0; self.nodes], vec![0.0; self.nodes]);
+        for (row, col, weight) in self.triplets() {
+            outgoing[row] += weight;
+            incoming[col] += weight;
+        }
+        (outgoing, incoming)
+    }
+
+    /// The matrix with each weight replaced by what `weight_of` makes of (row, column, weight). Results below
+    /// [`MIN_WEIGHT`] are dropped.
+    ///
+    /// # Errors
+    /// [`MatrixError::Entry`] for a result that is not finite or above [`MAX_ENTRY`], and
+    /// [`MatrixError::Negative`].
+    pub fn map_weights(
+        &self,
+        weight_of: impl Fn(usize, usize, f64) -> f64,
+    ) -> Result<Self, MatrixError> {
+        let mut mapped = Self { nodes: self.nodes, ..Self::default() };
+        mapped.starts.reserve(self.nodes);
+        mapped.columns.reserve(self.edges());
+        mapped.weights.reserve(self.edges());
+        for row in 0..self.nodes {
+            for (col, weight) in self.row(row) {
+                let value = weight_of(row, col, weight);
+                if !value.is_finite() || value > MAX_ENTRY {
+                    return Err(MatrixError::Entry { row, col, value });
+                }
+                if value < 0.0 {
+                    return Err(MatrixError::Negative { row, col, value });
+                }
+                if value >= MIN_WEIGHT {
+                    mapped.columns.push(col as u32);
+                    mapped.weights.push(value);
+                }
+            }
+            mapped.starts.push(mapped.weights.len());
+        }
+        Ok(mapped)
+    }
+
+    /// Per node, whether it has an edge, in either direction.
+    #[must_use]
+    pub fn related(&self) -> Vec<bool> {
+        let mut related = vec![false; self.nodes];
+        for (row, col, _) in self.triplets() {
+            (related[row], related[col]) = (true, true);
+        }
+        related
     }
 
     /// True when the matrix equals its transpose exactly.
