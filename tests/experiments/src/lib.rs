@@ -8,6 +8,8 @@
 //!
 //! Fleets that move ([`moving`]) go through the cores of all services, with their truth at any moment.
 //!
+//! On [`situations`], kinds of fleets of all sorts, Muster is compared with what Python's libraries have.
+//!
 //! `cargo run --release -p muster-experiments -- --help` lists what can be run.
 
 #[cfg(feature = "bus")]
@@ -32,6 +34,7 @@ pub mod results;
 pub mod scenario_one;
 pub mod score;
 pub mod seeds;
+pub mod situations;
 pub mod spaces;
 pub mod statistics;
 pub mod system;

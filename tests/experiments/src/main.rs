@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use clap::{Parser, Subcommand};
+use clap::{Parser, Subcommand, ValueEnum};
 use muster_experiments::collapse::{RANKS, collapse};
 use muster_experiments::experiments;
 use muster_experiments::explained::papers_numbers;
@@ -17,6 +17,9 @@ use muster_experiments::physical::Case;
 use muster_experiments::progress::Bar;
 use muster_experiments::results::Page;
 use muster_experiments::seeds::{HELD_OUT, TRAINING, held_out};
+use muster_experiments::situations::exchange::{Baselines, export};
+use muster_experiments::situations::kinds::List;
+use muster_experiments::situations::{page as situations_page, run as situations_run};
 use muster_experiments::statistics::Estimate;
 
 /// Divides formations, random systems and planted fleets by all methods, and reports how well.
@@ -38,7 +41,7 @@ struct Arguments {
     quick: bool,
 }
 
-#[derive(Debug, Clone, Copy, Subcommand)]
+#[derive(Debug, Clone, Subcommand)]
 enum What {
     /// All experiments but the grid
     All,
@@ -63,6 +66,42 @@ enum What {
         #[arg(long, value_name = "RECIPES", value_parser = clap::value_parser!(u32).range(1..=100_000))]
         random: Option<u32>,
     },
+    /// Kinds of fleets of all sorts, and what others make of them: tests/peers/divide runs it with the others
+    Situations {
+        /// Which kinds: those that defaults may be chosen on, those that are looked at once, or all
+        #[arg(long, value_enum, default_value_t = Kinds::Chosen)]
+        kinds: Kinds,
+        /// Seeds of each kind; the largest kinds have three at most
+        #[arg(long, value_name = "SEEDS", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
+        seeds: u32,
+        /// The first seed; by default that of the list
+        #[arg(long, value_name = "SEED")]
+        first: Option<u64>,
+        /// Write what the baselines read into this folder, and divide nothing
+        #[arg(long, value_name = "FOLDER")]
+        export: Option<PathBuf>,
+        /// Compare with the divisions that the baselines have written into this folder
+        #[arg(long, value_name = "FOLDER", conflicts_with = "export")]
+        baselines: Option<PathBuf>,
+    },
+}
+
+/// Lists of kinds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Kinds {
+    Chosen,
+    Once,
+    All,
+}
+
+impl Kinds {
+    fn lists(self) -> &'static [List] {
+        match self {
+            Self::Chosen => &List::ALL[..1],
+            Self::Once => &List::ALL[1..],
+            Self::All => &List::ALL,
+        }
+    }
 }
 
 /// Seed of random recipes.
@@ -74,10 +113,23 @@ const TITLE: &str = "# Experiments\n\n";
 /// Seeds of a quick run.
 const QUICK_SEEDS: usize = 5;
 
+/// Seeds of each kind of situation in a quick run.
+const QUICK_SITUATIONS: usize = 2;
+
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
-    if matches!(arguments.what, What::Record) {
-        return record(arguments.out.as_deref());
+    match arguments.what {
+        What::Record => return record(arguments.out.as_deref()),
+        What::Situations { kinds, seeds, first, export, baselines } => {
+            let seeds = if arguments.quick { QUICK_SITUATIONS } else { seeds as usize };
+            let cases = situations_run::cases(kinds.lists(), seeds, first);
+            if let Some(folder) = export {
+                return self::export(&cases, &folder);
+            }
+            let page = situations(&cases, baselines.as_deref())?;
+            return shown(&page, arguments.out.as_deref());
+        }
+        _ => {}
     }
     let count = if arguments.quick { QUICK_SEEDS } else { HELD_OUT.count() };
     let seeds: Vec<u64> = held_out(count).collect();
@@ -90,7 +142,7 @@ fn main() -> anyhow::Result<()> {
         })
         .cloned()
         .collect();
-    let bar = Bar::of(steps(arguments.what, methods.len(), noisy.len()));
+    let bar = Bar::of(steps(&arguments.what, methods.len(), noisy.len()));
     let progress = |what: &str| bar.step(what);
     let mut page = Page { text: TITLE.to_owned(), ..Page::default() };
     let is = |what: &str| match arguments.what {
@@ -102,7 +154,7 @@ fn main() -> anyhow::Result<()> {
         What::Moving => what == "moving",
         #[cfg(feature = "bus")]
         What::Physical => what == "physical",
-        What::Record | What::Grid { .. } => false,
+        What::Record | What::Grid { .. } | What::Situations { .. } => false,
     };
     if is("formations") {
         page.append(experiments::formations(&formations, &methods, &seeds, &progress)?);
@@ -137,14 +189,26 @@ fn main() -> anyhow::Result<()> {
         page.text = grid(count, random, &bar)?;
     }
     bar.end();
-    match arguments.out {
+    shown(&page, arguments.out.as_deref())
+}
+
+/// Writes the page into a folder, or else to standard output.
+fn shown(page: &Page, folder: Option<&Path>) -> anyhow::Result<()> {
+    match folder {
         None => print!("{}", page.text),
         Some(folder) => {
-            page.write(&folder)?;
+            page.write(folder)?;
             eprintln!("written: {}", folder.display());
         }
     }
     Ok(())
+}
+
+/// The page of situations.
+fn situations(cases: &[situations_run::Case], baselines: Option<&Path>) -> anyhow::Result<Page> {
+    let baselines = baselines.map(Baselines::read).transpose()?;
+    let outcomes = situations_run::outcomes(cases, baselines.as_ref())?;
+    Ok(situations_page::page(&outcomes)?)
 }
 
 fn grid(seeds: usize, recipes: Option<u32>, bar: &Bar) -> anyhow::Result<String> {
@@ -200,7 +264,7 @@ fn grid(seeds: usize, recipes: Option<u32>, bar: &Bar) -> anyhow::Result<String>
 }
 
 /// Of how many steps each experiment is, those of its loops.
-fn steps(what: What, methods: usize, noisy: usize) -> usize {
+fn steps(what: &What, methods: usize, noisy: usize) -> usize {
     let formations = methods * Radio::ALL.len();
     let noise = noisy * Radio::ALL.len() * 2;
     let systems = experiments::ROBOTS.len() * experiments::TEAMS.len();
@@ -212,7 +276,7 @@ fn steps(what: What, methods: usize, noisy: usize) -> usize {
         What::Planted => methods,
         #[cfg(feature = "bus")]
         What::Physical => 0,
-        What::Moving | What::Record | What::Grid { .. } => 0,
+        What::Moving | What::Record | What::Grid { .. } | What::Situations { .. } => 0,
     }
 }
 

@@ -1,0 +1,140 @@
+//! Muster, and the paper's method to the letter, on a situation.
+//!
+//! Muster takes the path of `muster solve` on observations: one graph per modality that is reported, the default
+//! settings of all services, one embedding and one division. A modality that nobody reports is no graph.
+
+use std::sync::Arc;
+
+use muster_method::division::divide;
+use muster_method::embedding::{Embedded, embed};
+use muster_method::params::{DivisionParams, EmbeddingParams};
+use muster_method::{Frame, Graph};
+use muster_model::id::{Modality, RobotId};
+use muster_model::settings::{CentroidStart, ClustererSettings, Dimension, EmbedderSettings};
+use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
+use muster_scenario::FileError;
+
+use super::situation::{Situation, SituationError};
+use crate::methods::Recipe;
+use crate::methods::embedding::MethodError;
+
+/// Most teams that [`automatic_teams`] considers.
+const MOST_TEAMS: usize = 14;
+
+/// Length of the vectors of the embedding that it sees: enough for one singular value more than that.
+const AUTOMATIC_DIMENSION: u32 = 2 * 16;
+
+/// The team of each robot; none for a robot without one.
+pub type Labels = Vec<Option<usize>>;
+
+/// Why there is no division.
+#[derive(Debug, thiserror::Error)]
+pub enum DividedError {
+    /// There is no situation.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The situation has no graphs.
+    #[error(transparent)]
+    Situation(#[from] SituationError),
+    /// A method fails.
+    #[error(transparent)]
+    Method(#[from] MethodError),
+}
+
+/// Muster with its defaults, divided into `teams`.
+///
+/// # Errors
+/// [`DividedError`]
+pub fn muster(situation: &Situation, teams: usize) -> Result<Labels, DividedError> {
+    let embedded = embedded(situation, teams, EmbedderSettings::default().dimension)?;
+    let settings = ClustererSettings {
+        teams: u32::try_from(teams).unwrap_or(u32::MAX),
+        ..ClustererSettings::default()
+    };
+    labels(&embedded.x, &embedded.without_embedding, DivisionParams::new(&settings))
+}
+
+/// The number of teams that a situation shows by itself.
+///
+/// # Errors
+/// [`DividedError`]
+pub fn teams_by_itself(situation: &Situation) -> Result<usize, DividedError> {
+    let dimension = Dimension::Fixed(AUTOMATIC_DIMENSION);
+    Ok(automatic_teams(&embedded(situation, MOST_TEAMS, dimension)?))
+}
+
+/// The number of teams, from 1 to [`MOST_TEAMS`], after which there is the largest gap of λ = σ / (α (1 + σ)),
+/// which is the eigenvalue of A* where A* is symmetric. Values beyond the number of robots are 0.
+#[must_use]
+pub fn automatic_teams(embedded: &Embedded) -> usize {
+    let (alpha, svd) = (embedded.decay.alpha, &embedded.decomposition.svd);
+    let mut lambda: Vec<f64> =
+        svd.sigma.iter().map(|sigma| sigma / (alpha * (1.0 + sigma))).collect();
+    let next = svd.sigma_next.unwrap_or(0.0);
+    lambda.push(next / (alpha * (1.0 + next)));
+    let gaps = lambda.windows(2).take(MOST_TEAMS).map(|pair| pair[0] - pair[1]);
+    let best =
+        gaps.enumerate().fold(
+            (0, f64::NEG_INFINITY),
+            |best, (at, gap)| {
+                if gap > best.1 { (at, gap) } else { best }
+            },
+        );
+    best.0 + 1
+}
+
+/// The paper's method to the letter, divided into `teams`.
+///
+/// # Errors
+/// [`DividedError`]
+pub fn paper(situation: &Situation, teams: usize, seed: u64) -> Result<Labels, DividedError> {
+    let recipe = Recipe::plain();
+    let graphs =
+        [situation.inverse_distances()?, situation.connectivity()?, situation.hierarchy()?];
+    let present: Vec<&SparseMatrix> = graphs.iter().flatten().collect();
+    #[expect(clippy::cast_precision_loss, reason = "there are three modalities")]
+    let weight = 1.0 / present.len() as f64;
+    let weighted: Vec<_> = present.into_iter().map(|graph| (graph, weight)).collect();
+    let vectors = recipe.form.vectors(&weighted, teams)?;
+    let params = DivisionParams {
+        teams,
+        init: CentroidStart::Random,
+        restarts: recipe.clustering.starts,
+        seed,
+        ..DivisionParams::default()
+    };
+    labels(&vectors.x, &vectors.without_embedding, params)
+}
+
+fn embedded(
+    situation: &Situation,
+    teams: usize,
+    dimension: Dimension,
+) -> Result<Embedded, DividedError> {
+    let graphs = [
+        (Modality::spatial(), situation.spatial()?),
+        (Modality::connectivity(), situation.connectivity()?),
+        (Modality::hierarchy(), situation.hierarchy()?),
+    ];
+    let present = |(name, graph): (Modality, Option<SparseMatrix>)| {
+        Some((name, Graph::Matrix(Arc::new(graph?))))
+    };
+    let names = (0..situation.robots()).map(|robot| RobotId::new(format!("r{robot:06}")));
+    let frame = Frame {
+        robots: names.collect::<Result<Vec<_>, _>>().map_err(MethodError::from)?.into(),
+        graphs: graphs.into_iter().filter_map(present).collect(),
+    };
+    let settings = EmbedderSettings { dimension, ..EmbedderSettings::default() };
+    let params = EmbeddingParams::once(&settings, teams).check().map_err(MethodError::from)?;
+    Ok(embed(&frame, &params, &mut |_| {}).map_err(MethodError::from)?)
+}
+
+fn labels(
+    x: &DenseMatrix,
+    without_embedding: &[bool],
+    params: DivisionParams,
+) -> Result<Labels, DividedError> {
+    let params = params.check().map_err(MethodError::from)?;
+    let found = divide(x, without_embedding, &params, None, &mut |_| {});
+    Ok(found.map_err(MethodError::from)?.labels)
+}
