@@ -147,7 +147,7 @@ fn computed(
     centrality: Vec<f64>,
     stage_us: [u64; 3],
 ) -> Computed {
-    let Embedded { weights, decay, decomposition, x, without_embedding } = embedded;
+    let Embedded { weights, decay, decomposition, x, without_embedding, .. } = embedded;
     let svd = decomposition.svd;
     let named = basis.graphs.iter().zip(weights);
     Computed {

@@ -106,6 +106,14 @@ impl Fusion {
             name,
             matrix: &scaled.matrix,
             weight: scaled.weight,
+            norm: match scaled.scale {
+                Scale::None => {
+                    let (outgoing, incoming) = scaled.matrix.degrees();
+                    outgoing.into_iter().chain(incoming).fold(f64::MIN_POSITIVE, f64::max)
+                }
+                Scale::Norm { norm, .. } => norm,
+                Scale::Degrees { .. } => 1.0,
+            },
             is_trusted: params.trusted.contains(name),
         });
         let voices: Vec<Voice<'_>> = voices.collect();

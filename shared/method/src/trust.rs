@@ -3,14 +3,17 @@
 //! For robot i, the others of the fleet are ordered by their Katz similarity to i in the graphs of all
 //! modalities but one. The *agreement* of an edge (i, j) of that one is the share of robots that come before
 //! j in the order from the end: 1 for the nearest, about ½ for a robot drawn at random. Walks of a few steps
-//! ([`STEPS`]) suffice for the order. The agreement of a modality is the mean over its edges by weight.
-//! Right ranks have 0.67 to 0.98, ranks that go by kind of robot or all to one 0.47.
+//! ([`STEPS`]) suffice for the order. A modality *agrees* with the others as far as the mean over its edges, by
+//! weight, or, if that is more, as the mean over the edges of the others by the order of its own similarities:
+//! in a column that drives behind its leader, most are far from their superior, but near those with the same.
+//! Right ranks have 0.65 to 0.98, ranks that go by kind of robot or all to one about ½.
 //!
 //! A modality's *trust* is the factor of its weight. It is 1 where the agreement above chance is at least
 //! [`FULL_SHARE`] of that of the modality with the most, 0 below [`NO_SHARE`]. The factors of the others
 //! enter their similarity, so that two wrong modalities do not confirm each other against a right one. Each
-//! rank has a trust of its own in addition: a wrong one among right ones joins two teams. Trust takes three
-//! modalities, since two that contradict each other do not say which is wrong.
+//! rank has a trust of its own in addition where most join robots that are near: a wrong one among right ones
+//! joins two teams. Trust takes three modalities, since two that contradict each other do not say which is
+//! wrong.
 //!
 //! A live fleet examines a few robots per frame, in turn, so that the time of a frame does not grow by much.
 //! A fleet at rest and a single problem have many examined at once, and what was found before is forgotten.
@@ -20,7 +23,7 @@ use std::sync::Arc;
 
 use muster_model::id::{Modality, RobotId};
 use muster_numeric::katz::short_katz_rows;
-use muster_numeric::matrix::{DenseMatrix, MatrixError, SparseMatrix};
+use muster_numeric::matrix::{MatrixError, SparseMatrix};
 
 use crate::correspondence::Correspondence;
 use crate::error::MethodError;
@@ -49,13 +52,16 @@ const ROBOTS_AT_ONCE: usize = 1024;
 const RECENT_ROBOTS: usize = 256;
 
 /// Agreement above chance, as a share of the largest, from which a modality has its whole weight.
-const FULL_SHARE: f64 = 0.6;
+const FULL_SHARE: f64 = 0.35;
 
 /// The same, up to which it has none.
-const NO_SHARE: f64 = 0.3;
+const NO_SHARE: f64 = 0.2;
 
 /// The agreement of edges that join robots at random.
 const CHANCE: f64 = 0.5;
+
+/// The agreement of all ranks from which single ones are doubted: below, right ones join distant robots too.
+const NEAR_RANKS: f64 = 0.65;
 
 /// The agreement from which a single rank has its whole weight.
 const FULL_RANK: f64 = 0.8;
@@ -87,6 +93,8 @@ pub(crate) struct Voice<'a> {
     pub(crate) name: &'a Modality,
     pub(crate) matrix: &'a SparseMatrix,
     pub(crate) weight: f64,
+    /// What the matrix is to be divided by, so that its norm is at most 1.
+    pub(crate) norm: f64,
     /// Whether its factor is to stay 1.
     pub(crate) is_trusted: bool,
 }
@@ -105,13 +113,51 @@ pub(crate) struct TrustTracker {
 struct Examined {
     factor: f64,
     is_trusted: bool,
-    /// Agreement of the robots examined last: sums of weight × agreement and of weights.
-    recent: VecDeque<[f64; 2]>,
+    /// The robots examined last.
+    recent: VecDeque<Agreement>,
     /// The mean agreement of each robot's edges when it was last examined.
     by_robot: Vec<Option<f64>>,
     /// The agreement of each edge when its first end was last examined, for modalities whose edges are
     /// weighed one by one; by target.
     edges: Vec<Option<Vec<(usize, f64)>>>,
+}
+
+/// Weighted sums of agreements.
+#[derive(Debug, Clone, Copy, Default)]
+struct Mean {
+    sum: f64,
+    weight: f64,
+}
+
+/// How far one robot's edges of a modality and those of all others agree.
+#[derive(Debug, Clone, Copy)]
+struct Agreement {
+    /// Of its edges of the modality, by the similarities of the others.
+    own: Mean,
+    /// Of its edges of the others, by the similarities of the modality.
+    others: Mean,
+}
+
+impl Mean {
+    fn of(edges: &[Edge]) -> Self {
+        edges.iter().fold(Self::default(), |mean, edge| Self {
+            sum: mean.sum + edge.weight * edge.agreement,
+            weight: mean.weight + edge.weight,
+        })
+    }
+
+    fn value(self) -> Option<f64> {
+        (self.weight > 0.0).then(|| self.sum / self.weight)
+    }
+}
+
+impl std::iter::Sum for Mean {
+    fn sum<I: Iterator<Item = Self>>(all: I) -> Self {
+        all.fold(Self::default(), |sum, mean| Self {
+            sum: sum.sum + mean.sum,
+            weight: sum.weight + mean.weight,
+        })
+    }
 }
 
 impl Examined {
@@ -125,10 +171,17 @@ impl Examined {
         }
     }
 
+    /// The agreement of its edges by the similarities of the others.
+    fn own_agreement(&self) -> Option<f64> {
+        self.recent.iter().map(|agreement| agreement.own).sum::<Mean>().value()
+    }
+
     fn agreement(&self) -> Option<f64> {
-        let [sum, weight] =
-            self.recent.iter().fold([0.0; 2], |[s, w], [sum, weight]| [s + sum, w + weight]);
-        (weight > 0.0).then(|| sum / weight)
+        let others = self.recent.iter().map(|agreement| agreement.others).sum::<Mean>().value();
+        match (self.own_agreement(), others) {
+            (Some(own), Some(others)) => Some(own.max(others)),
+            (own, others) => own.or(others),
+        }
     }
 
     /// The same robots at other places.
@@ -220,22 +273,29 @@ impl TrustTracker {
     ) -> Result<(), MatrixError> {
         let factor = |name: &Modality| self.modalities.get(name).map_or(1.0, |known| known.factor);
         let others = all.iter().filter(|other| other.name != voice.name);
-        let others = others.map(|other| (other.matrix, other.weight * factor(other.name)));
+        let others =
+            others.map(|other| (other.matrix, other.weight * factor(other.name) / other.norm));
         let others: Vec<(&SparseMatrix, f64)> = others.filter(|(_, weight)| *weight > 0.0).collect();
-        let sum: f64 = others.iter().map(|(_, weight)| weight).sum();
+        let sum: f64 = all
+            .iter()
+            .filter(|other| other.name != voice.name)
+            .map(|other| other.weight * factor(other.name))
+            .sum();
+        if others.is_empty() {
+            return Ok(());
+        }
         let nodes = voice.matrix.nodes();
-        let near = short_katz_rows(nodes, &others, DECAY / sum, sources, STEPS)?;
+        let own = [(voice.matrix, 1.0)];
+        let by_others = short_katz_rows(nodes, &others, DECAY / sum, sources, STEPS)?;
+        let by_own = short_katz_rows(nodes, &own, DECAY / voice.norm, sources, STEPS)?;
         let Some(examined) = self.modalities.get_mut(voice.name) else { return Ok(()) };
         let has_edges = weighs_edges(voice.name);
         for (row, &source) in sources.iter().enumerate() {
-            let found = edges_agreement(voice.matrix, source, &near, row);
-            let [sum, weight] = found.iter().fold([0.0; 2], |[sum, weights], edge| {
-                [sum + edge.weight * edge.agreement, weights + edge.weight]
-            });
-            examined.by_robot[source] = (weight > 0.0).then(|| sum / weight);
-            if weight > 0.0 {
-                examined.recent.push_back([sum, weight]);
-            }
+            let found = edges_agreement(&own, source, by_others.row(row));
+            let own_mean = Mean::of(&found);
+            let others = Mean::of(&edges_agreement(&others, source, by_own.row(row)));
+            examined.by_robot[source] = own_mean.value();
+            examined.recent.push_back(Agreement { own: own_mean, others });
             if has_edges {
                 let edges = found.iter().map(|edge| (edge.target, edge.agreement));
                 examined.edges[source] = Some(edges.collect());
@@ -291,7 +351,10 @@ impl TrustTracker {
         matrix: &Arc<SparseMatrix>,
     ) -> Result<Arc<SparseMatrix>, MatrixError> {
         let examined = self.modalities.get(name).filter(|_| weighs_edges(name));
-        let Some(examined) = examined.filter(|examined| !examined.is_trusted) else {
+        let is_doubted = |examined: &&Examined| {
+            !examined.is_trusted && examined.own_agreement().is_some_and(|own| own >= NEAR_RANKS)
+        };
+        let Some(examined) = examined.filter(is_doubted) else {
             return Ok(Arc::clone(matrix));
         };
         let trust = |from: usize, to: usize| {
@@ -313,23 +376,24 @@ struct Edge {
     agreement: f64,
 }
 
-/// The agreement of the edges that leave a robot, by the similarities of row `row`; empty where these say
-/// nothing.
+/// The agreement of the edges that leave a robot, by its similarities with all robots; empty where these
+/// say nothing. Graphs have the weights that stand with them.
 fn edges_agreement(
-    matrix: &SparseMatrix,
+    graphs: &[(&SparseMatrix, f64)],
     source: usize,
-    near: &DenseMatrix,
-    row: usize,
+    similarities: &[f64],
 ) -> Vec<Edge> {
-    let similarities = near.row(row);
     let others = similarities.iter().enumerate().filter(|(other, _)| *other != source);
     let mut sorted: Vec<f64> = others.map(|(_, similarity)| *similarity).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     if sorted.last().is_none_or(|most| *most <= 0.0) || sorted.len() < 2 {
         return Vec::new();
     }
-    let edges = matrix.row(source).filter(|(target, _)| *target != source);
+    let edges = graphs.iter().flat_map(|(graph, of_graph)| {
+        graph.row(source).map(move |(target, weight)| (target, of_graph * weight))
+    });
     edges
+        .filter(|(target, _)| *target != source)
         .map(|(target, weight)| {
             let similarity = similarities[target];
             let farther = sorted.partition_point(|other| *other < similarity);

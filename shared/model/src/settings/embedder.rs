@@ -208,7 +208,7 @@ pub enum RowScaling {
 #[serde(deny_unknown_fields)]
 pub struct EmbedderSettings {
     /// Weight of each modality; they sum to 1, and one that is not named has none. Empty: spatial 0.35,
-    /// connectivity 0.1, hierarchy 0.55, and each declared modality 1/3, less where a modality relates
+    /// connectivity 0.05, hierarchy 0.6, and each declared modality 1/3, less where a modality relates
     /// less than half of the robots, divided by the sum of those that the fleet has.
     #[schemars(with = "BTreeMap<Modality, Share>")]
     pub weights: BTreeMap<Modality, f64>,
@@ -274,7 +274,7 @@ impl Default for EmbedderSettings {
             normalize: Normalization::Degree,
             self_loops: 0.5,
             trusted: Trusted::default(),
-            alpha: Alpha::Fraction { fraction: 0.9 },
+            alpha: Alpha::Fraction { fraction: 0.8 },
             dimension: Dimension::Auto,
             scale: SingularValueScaling::SqrtSigma,
             rows: RowScaling::Unit,
@@ -290,9 +290,8 @@ impl Default for EmbedderSettings {
 pub const WHOLE_FROM: f64 = 0.5;
 
 /// The weight of a modality where none is set, before all are divided by their sum. Hierarchy counts most;
-/// connectivity counts least, since robots also receive robots of other teams. The values won on the
-/// training seeds of formations, noisy ones among them, and of planted fleets. A declared modality gets the
-/// average of the three.
+/// connectivity counts least, since robots also receive robots of other teams. The values won over the kinds
+/// of fleets that defaults are chosen on. A declared modality gets the average of the three.
 ///
 /// `related` is the share of the robots that have an edge of it, from 0 to 1. A modality that relates
 /// fewer than half counts less in proportion: graphs are scaled by their norm, so that the first two
@@ -302,8 +301,8 @@ pub const WHOLE_FROM: f64 = 0.5;
 pub fn default_weight(modality: &Modality, related: f64) -> f64 {
     let built_in = [
         (Modality::spatial(), 0.35),
-        (Modality::connectivity(), 0.1),
-        (Modality::hierarchy(), 0.55),
+        (Modality::connectivity(), 0.05),
+        (Modality::hierarchy(), 0.6),
     ];
     let known = built_in.iter().find(|(name, _)| name == modality);
     known.map_or(1.0 / 3.0, |(_, weight)| *weight) * coverage(related)

@@ -154,7 +154,7 @@ impl Default for IngestSettings {
                 kernel: SpatialKernel::Gaussian,
                 scale: SpatialScale::Robots,
                 scale_neighbour: None,
-                width: 0.7,
+                width: 0.85,
                 cutoff: 9.0,
                 all_pairs_up_to: 200,
                 neighbours: 16,
