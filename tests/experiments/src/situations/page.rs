@@ -207,7 +207,8 @@ fn accuracy(page: &mut Page, list: List, kinds: &[OfKind<'_>]) {
     rows.push(last);
     page.say(&format!("### Kinds {}", list_words(list)), &rivals(kinds));
     page.table(&head, &rows);
-    page.say("", &losses(kinds));
+    page.text += &losses(kinds);
+    page.text += "\n\n";
 }
 
 fn list_words(list: List) -> &'static str {
