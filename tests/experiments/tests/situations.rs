@@ -5,7 +5,7 @@
 use std::process::Command;
 
 use muster_experiments::score::adjusted_rand_index;
-use muster_experiments::situations::divided::muster;
+use muster_experiments::situations::divided::{muster, paper, teams_by_itself};
 use muster_experiments::situations::kinds::{Kind, List};
 use muster_experiments::situations::situation::Situation;
 use muster_solve::{Options, Solved};
@@ -86,4 +86,26 @@ fn the_program_says_which_situation_the_baselines_have_not_seen() {
         .unwrap();
     let said = String::from_utf8_lossy(&run.stderr).into_owned();
     assert!(!run.status.success() && said.contains("the baselines have not seen it"), "{said}");
+}
+
+/// Only that there is a division: how good it is on kinds that are looked at once is not for a test to see.
+#[test]
+fn every_kind_can_be_divided() {
+    for list in List::ALL {
+        for kind in list.kinds() {
+            let situation = kind.situation(list.seeds().end).unwrap();
+            let robots = situation.robots();
+            // Larger ones take seconds, and differ in nothing but their size.
+            if robots > 200 {
+                continue;
+            }
+            let by_itself = teams_by_itself(&situation).unwrap();
+            assert!((1..=robots.max(14)).contains(&by_itself), "{}", kind.name);
+            for labels in
+                [muster(&situation, situation.teams), paper(&situation, situation.teams, 0)]
+            {
+                assert_eq!(labels.unwrap().len(), robots, "{}", kind.name);
+            }
+        }
+    }
 }
