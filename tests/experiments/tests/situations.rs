@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a helper of tests that fails has found a fault")]
 
+use std::path::Path;
 use std::process::Command;
 
 use muster_experiments::score::adjusted_rand_index;
@@ -72,6 +73,29 @@ fn muster_solve_finds_the_same_teams() {
         let same = adjusted_rand_index(solved.labels(), &labels).unwrap();
         assert!(same > 1.0 - 1e-12, "{}: {same}", kind.name);
     }
+}
+
+#[test]
+fn what_baselines_do_beyond_their_libraries_is_right() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let run = Command::new(root.join("target/peers/bin/python"))
+        .arg("-B")
+        .arg(root.join("tests/peers/check_division.py"))
+        .output()
+        .expect("tests/run installs target/peers");
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
+#[test]
+fn the_options_of_the_baselines_are_answered_before_anything_is_installed() {
+    let divide = Path::new(env!("CARGO_MANIFEST_DIR")).join("../peers/divide");
+    let nothing = tempfile::tempdir().unwrap();
+    let run = |word: &str| {
+        Command::new(&divide).arg(word).env("CARGO_TARGET_DIR", nothing.path()).output().unwrap()
+    };
+    assert!(run("--help").status.success());
+    assert_eq!(run("--wrong").status.code(), Some(2));
+    assert_eq!(std::fs::read_dir(nothing.path()).unwrap().count(), 0);
 }
 
 #[test]
