@@ -72,7 +72,12 @@ enum What {
         #[arg(long, value_enum, default_value_t = Kinds::Chosen)]
         kinds: Kinds,
         /// Seeds of each kind; the largest kinds have three at most
-        #[arg(long, value_name = "SEEDS", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
+        #[arg(
+            long,
+            value_name = "SEEDS",
+            default_value_t = 10,
+            value_parser = clap::value_parser!(u32).range(1..=1000)
+        )]
         seeds: u32,
         /// The first seed; by default that of the list
         #[arg(long, value_name = "SEED")]

@@ -23,17 +23,20 @@ const fn kind(name: &'static str, description: &'static str, draw: fn(u64) -> Si
 pub(super) static CHOSEN_ON: [Kind; 26] = [
     kind(
         "round teams",
-        "Five round teams of 12 robots, 80 m apart, with radio by range and a leader each, who answer to the first.",
+        "Five round teams of 12 robots, 80 m apart, with radio by range and a leader each, who \
+         answer to the first.",
         round_teams,
     ),
     kind(
         "overlapping teams",
-        "Six teams of 10 robots whose areas overlap, with radio by range, which hears all of them, and trees of command.",
+        "Six teams of 10 robots whose areas overlap, with radio by range, which hears all of \
+         them, and trees of command.",
         overlapping_teams,
     ),
     kind(
         "parallel columns",
-        "Four teams drive in columns of 12 robots side by side, 15 m apart and 10 m from robot to robot.",
+        "Four teams drive in columns of 12 robots side by side, 15 m apart and 10 m from robot to \
+         robot.",
         parallel_columns,
     ),
     kind(
@@ -58,7 +61,8 @@ pub(super) static CHOSEN_ON: [Kind; 26] = [
     ),
     kind(
         "trees only",
-        "Five teams of 13 robots with trees of command whose leaders answer to the first; ranks only.",
+        "Five teams of 13 robots with trees of command whose leaders answer to the first; ranks \
+         only.",
         trees_only,
     ),
     kind(
@@ -68,7 +72,8 @@ pub(super) static CHOSEN_ON: [Kind; 26] = [
     ),
     kind(
         "indoors",
-        "Six teams of 10 robots in overlapping areas without positions: radio by range, of which a third is lost, and ranks.",
+        "Six teams of 10 robots in overlapping areas without positions: radio by range, of which \
+         a third is lost, and ranks.",
         indoors,
     ),
     kind(
@@ -83,17 +88,20 @@ pub(super) static CHOSEN_ON: [Kind; 26] = [
     ),
     kind(
         "positions at random",
-        "Five teams of 12 robots, every one of which reports a random position within the area of the fleet.",
+        "Five teams of 12 robots, every one of which reports a random position within the area of \
+         the fleet.",
         positions_at_random,
     ),
     kind(
         "ranks of others",
-        "Five teams of 12 robots, 60 m apart, every one of which reports the rank of another robot.",
+        "Five teams of 12 robots, 60 m apart, every one of which reports the rank of another \
+         robot.",
         ranks_of_others,
     ),
     kind(
         "command by kind",
-        "Four teams of 12 robots of four kinds: all scouts answer to one scout, all carriers to one carrier, and so on.",
+        "Four teams of 12 robots of four kinds: all scouts answer to one scout, all carriers to \
+         one carrier, and so on.",
         command_by_kind,
     ),
     kind(
@@ -103,27 +111,32 @@ pub(super) static CHOSEN_ON: [Kind; 26] = [
     ),
     kind(
         "crossing columns",
-        "Three columns of 14 robots march through each other, so that positions mislead; each has a radio net and squads.",
+        "Three columns of 14 robots march through each other, so that positions mislead; each has \
+         a radio net and squads.",
         crossing_columns,
     ),
     kind(
         "noisy positions",
-        "Six teams of 12 robots, 50 m apart, whose positions are off by 15 m; radio by range and ranks.",
+        "Six teams of 12 robots, 50 m apart, whose positions are off by 15 m; radio by range and \
+         ranks.",
         noisy_positions,
     ),
     kind(
         "squads as teams",
-        "Nine squads of 8 robots in three platoons, whose leaders command the squads; each squad is a team.",
+        "Nine squads of 8 robots in three platoons, whose leaders command the squads; each squad \
+         is a team.",
         squads_as_teams,
     ),
     kind(
         "twelve pairs",
-        "Twelve pairs of robots, 4 m from each other and 25 m from the next pair, one of each leading the other.",
+        "Twelve pairs of robots, 4 m from each other and 25 m from the next pair, one of each \
+         leading the other.",
         twelve_pairs,
     ),
     kind(
         "drones in layers",
-        "Three layers of 20 drones at 20, 50 and 80 m over the same ground, with radio by range; no ranks.",
+        "Three layers of 20 drones at 20, 50 and 80 m over the same ground, with radio by range; \
+         no ranks.",
         drones_in_layers,
     ),
     kind("two and two", "Four robots in two pairs, 30 m apart; positions only.", two_and_two),
@@ -136,35 +149,30 @@ pub(super) static CHOSEN_ON: [Kind; 26] = [
         large: true,
         ..kind(
             "a large fleet",
-            "Fourteen teams of 50 to 230 robots, 2,000 in all, in areas that touch, with radio by range and trees of command.",
+            "Fourteen teams of 50 to 230 robots, 2,000 in all, in areas that touch, with radio by \
+             range and trees of command.",
             a_large_fleet,
         )
     },
     Kind {
         name: "squads on the march",
-        description: "Squads of the paper's formations on the march, with radio by range; their leader is in a team of its own in every other one.",
+        description: "Squads of the paper's formations on the march, with radio by range; their \
+                      leader is in a team of its own in every other one.",
         source: Source::Formations { platoons: false, radio: Radio::Range },
         large: false,
     },
     Kind {
         name: "platoons on the march",
-        description: "Platoons of the paper's formations on the march, with radio nets, in three to five teams.",
+        description: "Platoons of the paper's formations on the march, with radio nets, in three \
+                      to five teams.",
         source: Source::Formations { platoons: true, radio: Radio::Net },
         large: false,
     },
 ];
 
-/// A fleet of blobs of one spread, with middles at least so far apart.
-fn blobs(draw: &mut Draw, sizes: &[usize], least_m: f64, spread_m: f64) -> Fleet {
-    let mut fleet = Fleet::of(sizes);
-    let middles = draw.middles(sizes.len(), least_m);
-    fleet.place(|team, robots| blob(draw, middles[team], spread_m, robots));
-    fleet
-}
-
 fn round_teams(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[12; 5], 80.0, 9.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[12; 5], 80.0, 9.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Star, Top::First);
     fleet.situation(&mut draw, Reports::ALL)
@@ -172,7 +180,7 @@ fn round_teams(seed: u64) -> Situation {
 
 fn overlapping_teams(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[10; 6], 25.0, 10.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[10; 6], 25.0, 10.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Tree(3), Top::First);
     fleet.situation(&mut draw, Reports::ALL)
@@ -248,14 +256,14 @@ fn trees_only(seed: u64) -> Situation {
 
 fn neighbours_without_ranks(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[12; 8], 45.0, 8.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[12; 8], 45.0, 8.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.situation(&mut draw, Reports::NO_RANKS)
 }
 
 fn indoors(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[10; 6], 30.0, 10.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[10; 6], 30.0, 10.0);
     fleet.radio_by_range(&mut draw, RANGE_M, 0.33);
     fleet.command(Command::Tree(4), Top::First);
     fleet.situation(&mut draw, Reports::NO_POSITIONS)
@@ -264,14 +272,14 @@ fn indoors(seed: u64) -> Situation {
 fn places_and_orders(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
     let sizes = draw.counts(7, 8, 14);
-    let mut fleet = blobs(&mut draw, &sizes, 28.0, 10.0);
+    let mut fleet = Fleet::blobs(&mut draw, &sizes, 28.0, 10.0);
     fleet.command(Command::Tree(3), Top::First);
     fleet.situation(&mut draw, Reports::NO_LINKS)
 }
 
 fn half_of_the_ranks(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[12; 6], 40.0, 10.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[12; 6], 40.0, 10.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Star, Top::First);
     fleet.ranks_unknown(&mut draw, 0.5);
@@ -280,7 +288,7 @@ fn half_of_the_ranks(seed: u64) -> Situation {
 
 fn positions_at_random(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[12; 5], 60.0, 9.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[12; 5], 60.0, 9.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Star, Top::First);
     fleet.positions_at_random(&mut draw);
@@ -289,7 +297,7 @@ fn positions_at_random(seed: u64) -> Situation {
 
 fn ranks_of_others(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[12; 5], 60.0, 9.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[12; 5], 60.0, 9.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Star, Top::First);
     fleet.ranks_of_others(&mut draw);
@@ -298,7 +306,7 @@ fn ranks_of_others(seed: u64) -> Situation {
 
 fn command_by_kind(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[12; 4], 50.0, 9.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[12; 4], 50.0, 9.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     // In each team robots 0 to 2 are scouts, 3 to 5 carriers, and so on. The chief of each kind is in another team.
     for kind in 0..4 {
@@ -345,7 +353,7 @@ fn crossing_columns(seed: u64) -> Situation {
 
 fn noisy_positions(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[12; 6], 50.0, 8.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[12; 6], 50.0, 8.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Star, Top::First);
     fleet.positions_off(&mut draw, 15.0);
@@ -395,26 +403,15 @@ fn drones_in_layers(seed: u64) -> Situation {
     fleet.situation(&mut draw, Reports::NO_RANKS)
 }
 
-/// Groups of a few robots that keep close, in a row and 30 m apart.
-fn few(draw: &mut Draw, sizes: &[usize]) -> Fleet {
-    let mut fleet = Fleet::of(sizes);
-    let angle = draw.angle();
-    fleet.place(|team, robots| {
-        let at_m = 30.0 * team as f64;
-        blob(draw, [at_m * angle.cos(), at_m * angle.sin()], 2.0, robots)
-    });
-    fleet
-}
-
 fn two_and_two(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let fleet = few(&mut draw, &[2, 2]);
+    let fleet = Fleet::few(&mut draw, &[2, 2]);
     fleet.situation(&mut draw, Reports::POSITIONS)
 }
 
 fn three_and_three(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = few(&mut draw, &[3, 3]);
+    let mut fleet = Fleet::few(&mut draw, &[3, 3]);
     fleet.radio_by_range(&mut draw, RANGE_M, 0.0);
     fleet.command(Command::Star, Top::First);
     fleet.situation(&mut draw, Reports::ALL)
@@ -432,7 +429,7 @@ fn a_large_fleet(seed: u64) -> Situation {
             sizes[team] = (sizes[team] + 1).min(230);
         }
     }
-    let mut fleet = blobs(&mut draw, &sizes, 140.0, 40.0);
+    let mut fleet = Fleet::blobs(&mut draw, &sizes, 140.0, 40.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Tree(8), Top::First);
     fleet.situation(&mut draw, Reports::ALL)

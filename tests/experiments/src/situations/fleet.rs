@@ -2,7 +2,7 @@
 //! (`super::faults`), and at last the fleet becomes a [`Situation`].
 
 use super::draw::Draw;
-use super::shapes::Place;
+use super::shapes::{Place, blob};
 use super::situation::Situation;
 
 /// Most links that a robot reports: the neighbour table of a small radio.
@@ -19,6 +19,10 @@ const NET_QUALITY: (f64, f64) = (0.6, 1.0);
 
 /// Quality of a link that is overheard from another net.
 const OVERHEARD_QUALITY: (f64, f64) = (0.1, 0.6);
+
+/// How far from each other a few groups are that are plain to see, and their spread along each axis.
+const GROUPS_APART_M: f64 = 30.0;
+const GROUP_SPREAD_M: f64 = 2.0;
 
 /// Which modalities the robots report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,6 +95,26 @@ impl Fleet {
             links: vec![Vec::new(); next],
             superiors: vec![None; next],
         }
+    }
+
+    /// Round teams of one spread, with middles at least so far apart.
+    pub(super) fn blobs(draw: &mut Draw, sizes: &[usize], least_m: f64, spread_m: f64) -> Self {
+        let mut fleet = Self::of(sizes);
+        let middles = draw.middles(sizes.len(), least_m);
+        fleet.place(|team, robots| blob(draw, middles[team], spread_m, robots));
+        fleet
+    }
+
+    /// Groups of a few robots that keep close, in a row, plain to see.
+    #[expect(clippy::cast_precision_loss, reason = "there are a few teams")]
+    pub(super) fn few(draw: &mut Draw, sizes: &[usize]) -> Self {
+        let mut fleet = Self::of(sizes);
+        let (sin, cos) = draw.angle().sin_cos();
+        fleet.place(|team, robots| {
+            let along_m = GROUPS_APART_M * team as f64;
+            blob(draw, [along_m * cos, along_m * sin], GROUP_SPREAD_M, robots)
+        });
+        fleet
     }
 
     pub(super) fn robots(&self) -> usize {

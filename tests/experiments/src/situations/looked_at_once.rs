@@ -23,12 +23,14 @@ const fn kind(name: &'static str, description: &'static str, draw: fn(u64) -> Si
 pub(super) static LOOKED_AT_ONCE: [Kind; 27] = [
     kind(
         "grid of camps",
-        "Nine camps of 4 to 9 robots in a square of three by three, 30 m from camp to camp, with radio by range and leaders.",
+        "Nine camps of 4 to 9 robots in a square of three by three, 30 m from camp to camp, with \
+         radio by range and leaders.",
         grid_of_camps,
     ),
     kind(
         "guard rings",
-        "Four rings of 16 robots guard four sites beside each other, with radio by range and a leader each.",
+        "Four rings of 16 robots guard four sites beside each other, with radio by range and a \
+         leader each.",
         guard_rings,
     ),
     kind(
@@ -38,7 +40,8 @@ pub(super) static LOOKED_AT_ONCE: [Kind; 27] = [
     ),
     kind(
         "crowded field",
-        "Ten teams of 12 robots in one crowd, their middles 18 m apart, with trees of command; no links.",
+        "Ten teams of 12 robots in one crowd, their middles 18 m apart, with trees of command; no \
+         links.",
         crowded_field,
     ),
     kind(
@@ -53,7 +56,8 @@ pub(super) static LOOKED_AT_ONCE: [Kind; 27] = [
     ),
     kind(
         "lossy radio only",
-        "Five teams of 16 robots, 55 m apart, with radio by range of which half is lost; links only.",
+        "Five teams of 16 robots, 55 m apart, with radio by range of which half is lost; links \
+         only.",
         lossy_radio_only,
     ),
     kind(
@@ -68,7 +72,8 @@ pub(super) static LOOKED_AT_ONCE: [Kind; 27] = [
     ),
     kind(
         "tunnels",
-        "Four teams of 6 to 18 robots without positions: lossy nets that overhear each other, and trees of command.",
+        "Four teams of 6 to 18 robots without positions: lossy nets that overhear each other, and \
+         trees of command.",
         tunnels,
     ),
     kind(
@@ -78,17 +83,20 @@ pub(super) static LOOKED_AT_ONCE: [Kind; 27] = [
     ),
     kind(
         "links of others",
-        "Five teams of 14 robots, 45 m apart, every one of which reports the links of another robot.",
+        "Five teams of 14 robots, 45 m apart, every one of which reports the links of another \
+         robot.",
         links_of_others,
     ),
     kind(
         "positions of others",
-        "Six teams of 9 robots, 50 m apart, every one of which reports the position of another robot.",
+        "Six teams of 9 robots, 50 m apart, every one of which reports the position of another \
+         robot.",
         positions_of_others,
     ),
     kind(
         "orders of others",
-        "Eight camps of 8 robots, 40 m apart, with radio nets; every robot reports the rank of another.",
+        "Eight camps of 8 robots, 40 m apart, with radio nets; every robot reports the rank of \
+         another.",
         orders_of_others,
     ),
     kind(
@@ -98,37 +106,44 @@ pub(super) static LOOKED_AT_ONCE: [Kind; 27] = [
     ),
     kind(
         "scouts with one chief",
-        "Five teams of 12 robots, 40 m apart: three scouts of each answer to the chief of scouts, all others to the leader of their team.",
+        "Five teams of 12 robots, 40 m apart: three scouts of each answer to the chief of scouts, \
+         all others to the leader of their team.",
         scouts_with_one_chief,
     ),
     kind(
         "platoons of squads",
-        "Three platoons of three squads of 9 robots, each squad plain to see; each platoon is a team.",
+        "Three platoons of three squads of 9 robots, each squad plain to see; each platoon is a \
+         team.",
         platoons_of_squads,
     ),
     kind(
         "command post",
-        "A command post of 2 robots within five platoons of 10 to 20 in close order, whose leaders answer to it; the ranks of a quarter are unknown.",
+        "A command post of 2 robots within five platoons of 10 to 20 in close order, whose \
+         leaders answer to it; the ranks of a quarter are unknown.",
         command_post,
     ),
     kind(
         "lone robots",
-        "Four groups of 12 robots and three robots alone, 45 m apart, each a team, with radio by range and ranks.",
+        "Four groups of 12 robots and three robots alone, 45 m apart, each a team, with radio by \
+         range and ranks.",
         lone_robots,
     ),
     kind(
         "head-on crowds",
-        "Two crowds of 25 robots walk through each other, each with a radio net; half of the ranks are known.",
+        "Two crowds of 25 robots walk through each other, each with a radio net; half of the \
+         ranks are known.",
         head_on_crowds,
     ),
     kind(
         "deep trees",
-        "Four teams of 31 robots with trees of command of five levels, in areas that overlap, positions off by 10 m; no links.",
+        "Four teams of 31 robots with trees of command of five levels, in areas that overlap, \
+         positions off by 10 m; no links.",
         deep_trees,
     ),
     kind(
         "some at the origin",
-        "Six teams of 10 robots, 50 m apart: a fifth report the origin as their position, and a fifth report none.",
+        "Six teams of 10 robots, 50 m apart: a fifth report the origin as their position, and a \
+         fifth report none.",
         some_at_the_origin,
     ),
     kind(
@@ -151,19 +166,12 @@ pub(super) static LOOKED_AT_ONCE: [Kind; 27] = [
         large: true,
         ..kind(
             "a large field",
-            "Ten camps of 80 to 200 robots in areas that touch, with lossy radio by range; half of the ranks are known.",
+            "Ten camps of 80 to 200 robots in areas that touch, with lossy radio by range; half \
+             of the ranks are known.",
             a_large_field,
         )
     },
 ];
-
-/// A fleet of blobs of one spread, with middles at least so far apart.
-fn blobs(draw: &mut Draw, sizes: &[usize], least_m: f64, spread_m: f64) -> Fleet {
-    let mut fleet = Fleet::of(sizes);
-    let middles = draw.middles(sizes.len(), least_m);
-    fleet.place(|team, robots| blob(draw, middles[team], spread_m, robots));
-    fleet
-}
 
 fn grid_of_camps(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
@@ -207,7 +215,7 @@ fn lines_abreast(seed: u64) -> Situation {
 
 fn crowded_field(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[12; 10], 18.0, 10.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[12; 10], 18.0, 10.0);
     fleet.command(Command::Tree(4), Top::First);
     fleet.situation(&mut draw, Reports::NO_LINKS)
 }
@@ -236,7 +244,7 @@ fn ring_around_a_camp(seed: u64) -> Situation {
 
 fn lossy_radio_only(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[16; 5], 55.0, 11.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[16; 5], 55.0, 11.0);
     fleet.radio_by_range(&mut draw, RANGE_M, 0.5);
     fleet.situation(&mut draw, Reports::LINKS)
 }
@@ -251,7 +259,7 @@ fn chains_only(seed: u64) -> Situation {
 
 fn one_to_five_without_ranks(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[30, 18, 12, 8, 6], 50.0, 9.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[30, 18, 12, 8, 6], 50.0, 9.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.situation(&mut draw, Reports::NO_RANKS)
 }
@@ -267,7 +275,7 @@ fn tunnels(seed: u64) -> Situation {
 
 fn a_third_of_the_ranks_wrong(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[10; 6], 35.0, 9.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[10; 6], 35.0, 9.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Star, Top::First);
     fleet.ranks_wrong(&mut draw, 0.3);
@@ -276,7 +284,7 @@ fn a_third_of_the_ranks_wrong(seed: u64) -> Situation {
 
 fn links_of_others(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[14; 5], 45.0, 10.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[14; 5], 45.0, 10.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Tree(4), Top::First);
     fleet.links_of_others(&mut draw);
@@ -285,7 +293,7 @@ fn links_of_others(seed: u64) -> Situation {
 
 fn positions_of_others(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[9; 6], 50.0, 9.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[9; 6], 50.0, 9.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Star, Top::First);
     fleet.positions_of_others(&mut draw);
@@ -305,7 +313,7 @@ fn orders_of_others(seed: u64) -> Situation {
 
 fn one_commander(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[11; 5], 45.0, 9.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[11; 5], 45.0, 9.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     for superior in fleet.superiors.iter_mut().skip(1) {
         *superior = Some(0);
@@ -315,7 +323,7 @@ fn one_commander(seed: u64) -> Situation {
 
 fn scouts_with_one_chief(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[12; 5], 40.0, 9.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[12; 5], 40.0, 9.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Star, Top::First);
     let chief = fleet.members[draw.index(5)][1];
@@ -370,7 +378,7 @@ fn command_post(seed: u64) -> Situation {
 
 fn lone_robots(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[12, 12, 12, 12, 1, 1, 1], 45.0, 7.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[12, 12, 12, 12, 1, 1, 1], 45.0, 7.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Star, Top::First);
     fleet.situation(&mut draw, Reports::ALL)
@@ -392,7 +400,7 @@ fn head_on_crowds(seed: u64) -> Situation {
 
 fn deep_trees(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[31; 4], 35.0, 14.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[31; 4], 35.0, 14.0);
     fleet.command(Command::Tree(2), Top::First);
     fleet.positions_off(&mut draw, 10.0);
     fleet.situation(&mut draw, Reports::NO_LINKS)
@@ -400,7 +408,7 @@ fn deep_trees(seed: u64) -> Situation {
 
 fn some_at_the_origin(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = blobs(&mut draw, &[10; 6], 50.0, 9.0);
+    let mut fleet = Fleet::blobs(&mut draw, &[10; 6], 50.0, 9.0);
     fleet.radio_by_range(&mut draw, RANGE_M, USUAL_LOSS);
     fleet.command(Command::Star, Top::First);
     fleet.positions_at_origin(&mut draw, 0.2);
@@ -408,27 +416,16 @@ fn some_at_the_origin(seed: u64) -> Situation {
     fleet.situation(&mut draw, Reports::ALL)
 }
 
-/// Groups of a few robots that keep close, in a row and 30 m apart.
-fn few(draw: &mut Draw, sizes: &[usize]) -> Fleet {
-    let mut fleet = Fleet::of(sizes);
-    let angle = draw.angle();
-    fleet.place(|team, robots| {
-        let at_m = 30.0 * team as f64;
-        blob(draw, [at_m * angle.cos(), at_m * angle.sin()], 1.5, robots)
-    });
-    fleet
-}
-
 fn two_alone(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = few(&mut draw, &[1, 1]);
+    let mut fleet = Fleet::few(&mut draw, &[1, 1]);
     fleet.radio_by_range(&mut draw, RANGE_M, 0.0);
     fleet.situation(&mut draw, Reports::NO_RANKS)
 }
 
 fn two_and_one(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = few(&mut draw, &[2, 1]);
+    let mut fleet = Fleet::few(&mut draw, &[2, 1]);
     fleet.radio_by_range(&mut draw, RANGE_M, 0.0);
     fleet.command(Command::Star, Top::Nobody);
     fleet.situation(&mut draw, Reports::ALL)
@@ -436,13 +433,13 @@ fn two_and_one(seed: u64) -> Situation {
 
 fn three_and_two(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let fleet = few(&mut draw, &[3, 2]);
+    let fleet = Fleet::few(&mut draw, &[3, 2]);
     fleet.situation(&mut draw, Reports::POSITIONS)
 }
 
 fn three_pairs(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
-    let mut fleet = few(&mut draw, &[2, 2, 2]);
+    let mut fleet = Fleet::few(&mut draw, &[2, 2, 2]);
     fleet.radio_by_range(&mut draw, RANGE_M, 0.0);
     fleet.situation(&mut draw, Reports::NO_RANKS)
 }
@@ -450,7 +447,7 @@ fn three_pairs(seed: u64) -> Situation {
 fn a_large_field(seed: u64) -> Situation {
     let mut draw = Draw::new(seed);
     let sizes = draw.counts(10, 80, 200);
-    let mut fleet = blobs(&mut draw, &sizes, 120.0, 35.0);
+    let mut fleet = Fleet::blobs(&mut draw, &sizes, 120.0, 35.0);
     fleet.radio_by_range(&mut draw, RANGE_M, 0.3);
     fleet.command(Command::Tree(6), Top::First);
     fleet.ranks_unknown(&mut draw, 0.5);

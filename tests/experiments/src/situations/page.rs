@@ -207,7 +207,8 @@ fn accuracy(page: &mut Page, list: List, kinds: &[OfKind<'_>]) {
     rows.push(last);
     page.say(&format!("### Kinds {}", list_words(list)), &rivals(kinds));
     page.table(&head, &rows);
-    page.say("", &losses(kinds));
+    page.text += &losses(kinds);
+    page.text += "\n\n";
 }
 
 fn list_words(list: List) -> &'static str {
@@ -403,8 +404,8 @@ mod tests {
             .collect();
         let page = page(&outcomes).unwrap();
         let text = &page.text;
-        let won = "| round teams | 2,000 | 3 | 2 | 100.0 ± 0.0 | – | – | – | – | – | 50.0 | 50.0 (the paper's method) | \
-                   +50.0 ± 0.0 |";
+        let won = "| round teams | 2,000 | 3 | 2 | 100.0 ± 0.0 | – | – | – | – | – | 50.0 | \
+                   50.0 (the paper's method) | +50.0 ± 0.0 |";
         assert!(text.contains(won), "{text}");
         assert!(text.contains("| **overlapping teams** |"), "{text}");
         assert!(text.contains(

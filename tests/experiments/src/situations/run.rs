@@ -157,6 +157,8 @@ pub fn outcomes(cases: &[Case], baselines: Option<&Baselines>) -> anyhow::Result
 }
 
 fn outcome(case: &Case, baselines: Option<&Baselines>) -> anyhow::Result<Outcome> {
+    let theirs = baselines.map(|all| all.of(case).context("the baselines have not seen it"));
+    let theirs = theirs.transpose()?;
     let situation = case.kind.situation(case.seed)?;
     let teams = situation.teams;
     let mut scores = Vec::new();
@@ -171,8 +173,7 @@ fn outcome(case: &Case, baselines: Option<&Baselines>) -> anyhow::Result<Outcome
     let labels = if by_itself == teams { given } else { muster(&situation, by_itself)? };
     add(Divider::MusterByItself, &labels)?;
     add(Divider::Paper, &paper(&situation, teams, case.seed)?)?;
-    if let Some(baselines) = baselines {
-        let found = baselines.of(case).context("the baselines have not seen it")?;
+    if let Some(found) = theirs {
         for divider in Divider::OTHERS.into_iter().filter(|divider| divider.is_baseline()) {
             let labels = found.get(divider.name()).with_context(|| divider.name())?;
             if let Some(labels) = labels {
