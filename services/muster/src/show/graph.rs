@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use muster_client::{Client, Error};
+use muster_model::embedding::{Embedding, EmbeddingGraph};
 use muster_model::graph::GraphDelta;
 use muster_model::id::{Modality, RobotId};
 use muster_model::time::Tick;
@@ -62,13 +63,31 @@ pub(crate) async fn run(args: &GraphArgs, config: &ProcessConfig) -> anyhow::Res
 #[derive(Debug)]
 struct Graphs {
     graphs: Vec<Arc<GraphDelta>>,
+    /// The newest embedding, which has the weight of each graph and the trust in it; none without an answer.
+    embedding: Option<Arc<Embedding>>,
     /// Whether one modality was asked for, edge by edge.
     edges: bool,
 }
 
 async fn graphs(client: Client, modality: Option<Modality>) -> Result<Graphs, Error> {
-    let graphs = client.get_graphs(modality.as_ref()).await?;
-    Ok(Graphs { graphs, edges: modality.is_some() })
+    let (graphs, embedding) = tokio::try_join!(client.get_graphs(modality.as_ref()), async {
+        // The edges of one graph are shown without its weight.
+        if modality.is_some() { Ok(None) } else { reply(client.get_embedding().await) }
+    })?;
+    Ok(Graphs { graphs, embedding, edges: modality.is_some() })
+}
+
+impl Graphs {
+    /// What the newest embedding says of a modality.
+    fn embedded(&self, modality: &Modality) -> Option<&EmbeddingGraph> {
+        self.embedding.as_ref()?.graphs.iter().find(|graph| graph.modality == *modality)
+    }
+}
+
+/// The trust in a modality as text; one in doubt stands out.
+fn trust(graph: &EmbeddingGraph) -> String {
+    let doubt = if graph.is_doubted() { " IN DOUBT" } else { "" };
+    format!("{:.2}{doubt}", graph.trust)
 }
 
 impl Shown for Graphs {
@@ -81,17 +100,22 @@ impl Shown for Graphs {
         let row = |graph: &Arc<GraphDelta>| {
             let weights = graph.rows.iter().flat_map(|row| row.edges.iter().map(|edge| edge.1));
             let (count, sum) = weights.fold((0_u32, 0.0), |(count, sum), w| (count + 1, sum + w));
+            let embedded = self.embedded(&graph.modality);
             vec![
                 graph.modality.to_string(),
                 graph.nodes_added.len().to_string(),
                 count.to_string(),
                 if count == 0 { String::new() } else { format!("{:.3}", sum / f64::from(count)) },
+                embedded.map_or_else(String::new, |graph| format!("{:.3}", graph.weight)),
+                embedded.map_or_else(String::new, trust),
                 graph.header.revision.epoch.to_string(),
             ]
         };
         let [modality, robots, edges] = ["modality", "robots", "edges"].map(Column::kept);
-        let weight = Column::dropped("mean weight", 2);
-        let columns = [modality, robots, edges, weight, Column::dropped("epoch", 1)];
+        let mean = Column::dropped("mean edge", 2);
+        let (weight, trust) = (Column::dropped("weight", 1), Column::kept("trust"));
+        let epoch = Column::dropped("epoch", 3);
+        let columns = [modality, robots, edges, mean, weight, trust, epoch];
         page.table(&columns, self.graphs.iter().map(row))
     }
 
@@ -108,7 +132,11 @@ impl Shown for Graphs {
         let revisions = |graphs: &Self| -> Vec<_> {
             graphs.graphs.iter().map(|graph| graph.header.revision).collect()
         };
-        revisions(self) == revisions(other)
+        let embedded = |graphs: &Self| -> Vec<_> {
+            let graphs = graphs.embedding.iter().flat_map(|embedding| &embedding.graphs);
+            graphs.map(|graph| (graph.modality.clone(), trust(graph))).collect()
+        };
+        revisions(self) == revisions(other) && embedded(self) == embedded(other)
     }
 }
 
@@ -158,7 +186,7 @@ mod tests {
             nodes_removed: vec![],
             rows: nodes.map(|node| GraphRow { source: node, edges: vec![(0, 0.5)] }).collect(),
         };
-        Graphs { graphs: vec![Arc::new(graph)], edges }
+        Graphs { graphs: vec![Arc::new(graph)], embedding: None, edges }
     }
 
     #[test]

@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use muster_client::model::id::FleetId;
 use muster_client::{Client, Error, ServiceInstance};
+use muster_model::audit::Audit;
+use muster_model::embedding::{Embedding, EmbeddingGraph};
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
@@ -15,6 +17,7 @@ use muster_wire::message::quoted;
 use serde_json::json;
 
 use super::ShowArgs;
+use super::audit::flapping;
 use super::page::{Column, Page};
 use super::watch::{Polled, Shown, follow, print};
 use crate::console::{self, exit_error, reply};
@@ -29,6 +32,9 @@ struct FleetStatus {
     /// How many robots have joined.
     joined: usize,
     roster: Option<Arc<Roster>>,
+    /// The graphs that the newest embedding was made from.
+    embedding: Option<Arc<Embedding>>,
+    audit: Option<Arc<Audit>>,
 }
 
 /// Shows services and robots, once or every second.
@@ -63,16 +69,19 @@ async fn status(client: Client, fleet: FleetId) -> Result<FleetStatus, Error> {
 }
 
 async fn status_once(client: &Client, fleet: &FleetId) -> Result<FleetStatus, Error> {
-    let (services, running, joined, roster) = tokio::try_join!(
+    let (services, running, joined, roster, embedding, audit) = tokio::try_join!(
         client.get_statuses(None),
         client.get_instances(),
         client.get_joined_robots(),
         async { reply(client.get_roster().await) },
+        async { reply(client.get_embedding().await) },
+        async { reply(client.get_audit().await) },
     )?;
     let replied =
         |token: &ServiceInstance| services.iter().any(|status| status.instance == token.instance);
     let silent = running.into_iter().filter(|token| !replied(token)).collect();
-    Ok(FleetStatus { fleet: fleet.clone(), services, silent, joined: joined.len(), roster })
+    let (fleet, joined) = (fleet.clone(), joined.len());
+    Ok(FleetStatus { fleet, services, silent, joined, roster, embedding, audit })
 }
 
 /// What an instance does in its service, in a word.
@@ -142,6 +151,20 @@ impl FleetStatus {
     }
 }
 
+/// The weight of each modality, and the trust in it where that is not whole.
+fn modalities(embedding: &Arc<Embedding>) -> String {
+    let modality = |graph: &EmbeddingGraph| {
+        let trust = match graph.trust {
+            trust if graph.is_doubted() => format!(" (trust {trust:.2}, IN DOUBT)"),
+            trust if trust < 1.0 => format!(" (trust {trust:.2})"),
+            _ => String::new(),
+        };
+        format!("{} {:.2}{trust}", graph.modality, graph.weight)
+    };
+    let all: Vec<_> = embedding.graphs.iter().map(modality).collect();
+    format!("weights: {}", all.join(", "))
+}
+
 impl Shown for FleetStatus {
     const PUBLISHER: &'static str = "the fleet";
 
@@ -156,6 +179,9 @@ impl Shown for FleetStatus {
         lines.extend(silent.map(|name| format!("{name} is on the bus and does not answer")));
         lines.push(self.robots());
         lines
+            .extend(self.embedding.iter().filter(|found| !found.graphs.is_empty()).map(modalities));
+        lines.extend(self.audit.iter().map(|audit| flapping(&audit.flapping)));
+        lines
     }
 
     fn json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
@@ -166,10 +192,16 @@ impl Shown for FleetStatus {
                 "silent_s": now.since(entry.last_seen).as_secs_f64(),
             })
         });
+        let graphs = self.embedding.iter().flat_map(|embedding| &embedding.graphs);
+        let modalities = graphs.map(|graph| {
+            json!({"modality": graph.modality, "weight": graph.weight, "trust": graph.trust})
+        });
         let line = json!({
             "fleet": self.fleet, "services": self.services, "absent": self.absent(),
             "silent": self.silent(), "robot_tokens": self.joined,
             "robots": robots.collect::<Vec<_>>(),
+            "modalities": modalities.collect::<Vec<_>>(),
+            "flapping": self.audit.as_ref().map(|audit| &audit.flapping),
         });
         Ok(format!("{line}\n").into_bytes())
     }
@@ -209,6 +241,8 @@ mod tests {
             silent: vec![],
             joined: 3,
             roster: None,
+            embedding: None,
+            audit: None,
         };
         for width in WIDTHS {
             let lines = fleet.lines(&page(width), Tick(0));
