@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use muster_client::{Client, Error};
-use muster_model::embedding::{Embedding, EmbeddingGraph};
+use muster_model::embedding::EmbeddingGraph;
 use muster_model::graph::GraphDelta;
 use muster_model::id::{Modality, RobotId};
 use muster_model::time::Tick;
@@ -63,8 +63,8 @@ pub(crate) async fn run(args: &GraphArgs, config: &ProcessConfig) -> anyhow::Res
 #[derive(Debug)]
 struct Graphs {
     graphs: Vec<Arc<GraphDelta>>,
-    /// The newest embedding, which has the weight of each graph and the trust in it; none without an answer.
-    embedding: Option<Arc<Embedding>>,
+    /// The graphs of the newest embedding, which have weights and trust; none without an answer.
+    embedded: Vec<EmbeddingGraph>,
     /// Whether one modality was asked for, edge by edge.
     edges: bool,
 }
@@ -74,13 +74,14 @@ async fn graphs(client: Client, modality: Option<Modality>) -> Result<Graphs, Er
         // The edges of one graph are shown without its weight.
         if modality.is_some() { Ok(None) } else { reply(client.get_embedding().await) }
     })?;
-    Ok(Graphs { graphs, embedding, edges: modality.is_some() })
+    let embedded = embedding.map(|embedding| embedding.graphs.clone()).unwrap_or_default();
+    Ok(Graphs { graphs, embedded, edges: modality.is_some() })
 }
 
 impl Graphs {
     /// What the newest embedding says of a modality.
     fn embedded(&self, modality: &Modality) -> Option<&EmbeddingGraph> {
-        self.embedding.as_ref()?.graphs.iter().find(|graph| graph.modality == *modality)
+        self.embedded.iter().find(|graph| graph.modality == *modality)
     }
 }
 
@@ -133,8 +134,7 @@ impl Shown for Graphs {
             graphs.graphs.iter().map(|graph| graph.header.revision).collect()
         };
         let embedded = |graphs: &Self| -> Vec<_> {
-            let graphs = graphs.embedding.iter().flat_map(|embedding| &embedding.graphs);
-            graphs.map(|graph| (graph.modality.clone(), trust(graph))).collect()
+            graphs.embedded.iter().map(|graph| (graph.modality.clone(), trust(graph))).collect()
         };
         revisions(self) == revisions(other) && embedded(self) == embedded(other)
     }
@@ -186,7 +186,13 @@ mod tests {
             nodes_removed: vec![],
             rows: nodes.map(|node| GraphRow { source: node, edges: vec![(0, 0.5)] }).collect(),
         };
-        Graphs { graphs: vec![Arc::new(graph)], embedding: None, edges }
+        let embedded = EmbeddingGraph {
+            modality: graph.modality.clone(),
+            revision: graph.header.revision,
+            weight: 0.125,
+            trust: 0.25,
+        };
+        Graphs { graphs: vec![Arc::new(graph)], embedded: vec![embedded], edges }
     }
 
     #[test]
@@ -195,6 +201,7 @@ mod tests {
             let all = shown(false).lines(&page(width), Tick(0));
             assert_fits(&all, width);
             assert!(all.join("\n").contains("edges"), "{}", all.join("\n"));
+            assert!(all.join("\n").contains("DOUBT"), "{}", all.join("\n"));
             let edges = shown(true).lines(&page(width), Tick(0));
             assert_fits(&edges, width);
             assert_eq!(edges.last().unwrap(), "… and 100 more edges; --json prints all");

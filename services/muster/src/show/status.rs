@@ -5,7 +5,7 @@ use std::sync::Arc;
 use muster_client::model::id::FleetId;
 use muster_client::{Client, Error, ServiceInstance};
 use muster_model::audit::Audit;
-use muster_model::embedding::{Embedding, EmbeddingGraph};
+use muster_model::embedding::EmbeddingGraph;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
@@ -33,7 +33,7 @@ struct FleetStatus {
     joined: usize,
     roster: Option<Arc<Roster>>,
     /// The graphs that the newest embedding was made from.
-    embedding: Option<Arc<Embedding>>,
+    modalities: Vec<EmbeddingGraph>,
     audit: Option<Arc<Audit>>,
 }
 
@@ -81,7 +81,8 @@ async fn status_once(client: &Client, fleet: &FleetId) -> Result<FleetStatus, Er
         |token: &ServiceInstance| services.iter().any(|status| status.instance == token.instance);
     let silent = running.into_iter().filter(|token| !replied(token)).collect();
     let (fleet, joined) = (fleet.clone(), joined.len());
-    Ok(FleetStatus { fleet, services, silent, joined, roster, embedding, audit })
+    let modalities = embedding.map(|embedding| embedding.graphs.clone()).unwrap_or_default();
+    Ok(FleetStatus { fleet, services, silent, joined, roster, modalities, audit })
 }
 
 /// What an instance does in its service, in a word.
@@ -152,7 +153,7 @@ impl FleetStatus {
 }
 
 /// The weight of each modality, and the trust in it where that is not whole.
-fn modalities(embedding: &Arc<Embedding>) -> String {
+fn modalities(graphs: &[EmbeddingGraph]) -> String {
     let modality = |graph: &EmbeddingGraph| {
         let trust = match graph.trust {
             trust if graph.is_doubted() => format!(" (trust {trust:.2}, IN DOUBT)"),
@@ -161,7 +162,7 @@ fn modalities(embedding: &Arc<Embedding>) -> String {
         };
         format!("{} {:.2}{trust}", graph.modality, graph.weight)
     };
-    let all: Vec<_> = embedding.graphs.iter().map(modality).collect();
+    let all: Vec<_> = graphs.iter().map(modality).collect();
     format!("weights: {}", all.join(", "))
 }
 
@@ -178,8 +179,9 @@ impl Shown for FleetStatus {
         let silent = self.silent().into_iter();
         lines.extend(silent.map(|name| format!("{name} is on the bus and does not answer")));
         lines.push(self.robots());
-        lines
-            .extend(self.embedding.iter().filter(|found| !found.graphs.is_empty()).map(modalities));
+        if !self.modalities.is_empty() {
+            lines.push(modalities(&self.modalities));
+        }
         lines.extend(self.audit.iter().map(|audit| flapping(&audit.flapping)));
         lines
     }
@@ -192,8 +194,7 @@ impl Shown for FleetStatus {
                 "silent_s": now.since(entry.last_seen).as_secs_f64(),
             })
         });
-        let graphs = self.embedding.iter().flat_map(|embedding| &embedding.graphs);
-        let modalities = graphs.map(|graph| {
+        let modalities = self.modalities.iter().map(|graph| {
             json!({"modality": graph.modality, "weight": graph.weight, "trust": graph.trust})
         });
         let line = json!({
@@ -216,7 +217,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use muster_model::header::Revision;
-    use muster_model::id::InstanceId;
+    use muster_model::id::{InstanceId, Modality};
 
     use super::super::page::tests::{WIDTHS, assert_fits, page};
     use super::*;
@@ -241,7 +242,7 @@ mod tests {
             silent: vec![],
             joined: 3,
             roster: None,
-            embedding: None,
+            modalities: vec![],
             audit: None,
         };
         for width in WIDTHS {
@@ -255,5 +256,25 @@ mod tests {
             assert_eq!(text.contains("epoch"), width >= 120, "{text}");
             assert_eq!(below[0], "embedder does not answer; start it with `muster up embedder`");
         }
+    }
+
+    #[test]
+    fn a_modality_in_doubt_stands_out() {
+        let graph = |modality, weight, trust| EmbeddingGraph {
+            modality,
+            revision: Revision::default(),
+            weight,
+            trust,
+        };
+        let graphs = [
+            graph(Modality::spatial(), 0.5, 1.0),
+            graph(Modality::connectivity(), 0.3, 0.6),
+            graph(Modality::hierarchy(), 0.06, 0.2),
+        ];
+        assert_eq!(
+            modalities(&graphs),
+            "weights: spatial 0.50, connectivity 0.30 (trust 0.60), \
+             hierarchy 0.06 (trust 0.20, IN DOUBT)"
+        );
     }
 }
