@@ -378,6 +378,32 @@ async fn robots_that_report_no_links_are_found() {
     until_well(&cluster);
 }
 
+#[test]
+fn robots_that_change_teams_to_and_fro_are_found() {
+    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let _robots = robots(&cluster);
+    until_well(&cluster);
+    // With every third team that comes and goes, its robots leave another team and come back into it.
+    let start = Instant::now();
+    let report = loop {
+        for teams in ["teams=3", "teams=2"] {
+            cluster.muster(&["set", "clusterer", teams]).unwrap();
+            std::thread::sleep(Duration::from_secs(1));
+        }
+        let (_, report) = look(&cluster.endpoint, "alpha", "1");
+        if found(&report, "teams_flapping").is_some() {
+            break report;
+        }
+        assert!(start.elapsed() < SOON, "it is not found: {report:#}");
+    };
+    let flapping = found(&report, "teams_flapping").unwrap();
+    assert!(flapping["remedy"].as_str().unwrap().contains("teams=auto"), "{flapping}");
+    assert!(!subjects(flapping).is_empty(), "{flapping}");
+    // An operator who expects that raises the threshold.
+    cluster.muster(&["set", "auditor", "flapping=1000"]).unwrap();
+    until_well(&cluster);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_router_that_denies_or_has_a_long_lease_is_reported() {
     let mut cluster = Cluster::start("alpha", &[]).unwrap();

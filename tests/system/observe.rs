@@ -265,6 +265,7 @@ fn the_metrics_are_those_that_are_promised() {
         let mean = value(&first, "muster_silhouette_mean", &[("space", space)]).unwrap();
         assert!((-1.0..=1.0).contains(&mean), "{space}: {mean}");
     }
+    assert_eq!(of("muster_team_returns_per_robot_minute", "auditor"), 0.0);
     let embedder = |name: &str| of(&format!("muster_{name}"), "embedder");
     assert!((0.0..1e-6).contains(&embedder("katz_residual")));
     assert!((0.0..1e-3).contains(&embedder("embedding_residual")));

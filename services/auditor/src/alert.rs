@@ -1,5 +1,6 @@
-//! When an operator is alerted of low quality.
+//! When an operator is alerted: of low quality, and of robots that change teams to and fro.
 
+use muster_model::audit::Flapping;
 use muster_model::event::EventKind;
 use muster_model::settings::AuditorSettings;
 use muster_model::time::{Tick, seconds};
@@ -43,12 +44,61 @@ impl Alert {
     }
 }
 
+/// Share of the threshold at which the alert of flapping ends: a rate near the threshold raises only one
+/// alert.
+const FLAPPING_END: f64 = 0.5;
+
+/// Watches how often robots change teams to and fro. The window of the rate makes it slow enough that no
+/// delay is needed.
+#[derive(Debug, Default)]
+pub(crate) struct FlappingAlert {
+    raised: bool,
+}
+
+impl FlappingAlert {
+    /// Accepts the current rate.
+    pub(crate) fn observe(
+        &mut self,
+        flapping: Flapping,
+        settings: &AuditorSettings,
+    ) -> Option<EventKind> {
+        let Flapping { returns_per_robot_minute, .. } = flapping;
+        if self.raised {
+            if returns_per_robot_minute > settings.flapping * FLAPPING_END {
+                return None;
+            }
+            self.raised = false;
+            return Some(EventKind::FlappingEnded { returns_per_robot_minute });
+        }
+        if !flapping.is_above(settings.flapping) {
+            return None;
+        }
+        self.raised = true;
+        let robots = flapping.robots.into_iter().map(|entry| entry.robot).collect();
+        Some(EventKind::Flapping { returns_per_robot_minute, robots })
+    }
+
+    /// Whether the alert stands, so that its end is to be watched for.
+    pub(crate) fn is_raised(&self) -> bool {
+        self.raised
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use muster_model::audit::RobotReturns;
+    use muster_model::id::RobotId;
+
     use super::*;
 
     fn settings() -> AuditorSettings {
-        AuditorSettings { good: 0.5, poor: 0.25, alert_after_s: 3.0, alert_clearance: 0.05 }
+        AuditorSettings {
+            good: 0.5,
+            poor: 0.25,
+            alert_after_s: 3.0,
+            alert_clearance: 0.05,
+            flapping: 0.05,
+        }
     }
 
     /// What is reported at each second for a series of means.
@@ -92,5 +142,41 @@ mod tests {
         let reported = alert.observe(Tick(7), Some(-0.5), &settings);
         assert_eq!(reported, Some(EventKind::QualityLow { mean: -0.5 }));
         assert_eq!(alert.due(&settings), None);
+    }
+
+    /// What is reported of a series of rates, each with the returns of its worst robot.
+    fn flapping_reported(rates: &[(f64, u32)], settings: &AuditorSettings) -> String {
+        let mut alert = FlappingAlert::default();
+        let report = |(rate, returns): &(f64, u32)| {
+            let robot = RobotId::new("r").unwrap();
+            let robots = vec![RobotReturns { robot, returns: *returns }];
+            let flapping = Flapping { returns_per_robot_minute: *rate, robots };
+            match alert.observe(flapping, settings) {
+                Some(EventKind::Flapping { robots, .. }) if robots.len() == 1 => '!',
+                Some(EventKind::FlappingEnded { .. }) => 'o',
+                Some(_) => '?',
+                None => '.',
+            }
+        };
+        rates.iter().map(report).collect()
+    }
+
+    #[test]
+    fn robots_that_go_to_and_fro_raise_one_alert_until_half_of_the_threshold() {
+        let settings = settings();
+        let reported = |rates: &[(f64, u32)]| flapping_reported(rates, &settings);
+        assert_eq!(reported(&[(0.0, 0), (0.05, 2), (0.06, 2), (0.9, 9)]), "..!.");
+        assert_eq!(reported(&[(0.06, 2), (0.04, 2), (0.06, 2), (0.025, 1), (0.06, 2)]), "!..o!");
+        // One robot that walks back once in a small fleet.
+        assert_eq!(reported(&[(0.5, 1), (0.25, 1), (0.5, 2)]), "..!");
+    }
+
+    #[test]
+    fn an_alert_of_flapping_without_a_threshold_ends_with_the_last_return() {
+        let settings = AuditorSettings { flapping: 0.0, ..settings() };
+        assert_eq!(
+            flapping_reported(&[(0.0, 0), (0.01, 2), (0.01, 1), (0.0, 0)], &settings),
+            ".!.o"
+        );
     }
 }

@@ -19,7 +19,8 @@ use muster_service::{
 };
 use muster_wire::{Key, Message, Pattern, Request};
 
-use crate::alert::Alert;
+use crate::alert::{Alert, FlappingAlert};
+use crate::flapping::FlappingWindow;
 use crate::history::{Acceptance, History};
 use crate::score::{AuditInput, Job, ScoreError, Scores, quality, score};
 
@@ -84,6 +85,8 @@ pub struct Auditor {
     /// The last good answer; of the leader before until this one has its own.
     audit: Option<Arc<Audit>>,
     alert: Alert,
+    flapping: FlappingWindow,
+    flapping_alert: FlappingAlert,
     /// When to fetch the embedding that the newest division names.
     fetch_at: Option<Tick>,
 }
@@ -112,7 +115,9 @@ impl Auditor {
         }
         // No later division names an older embedding.
         self.embeddings.drop_before(teams.embedding);
+        self.flapping.observe(context.now(), teams.clone());
         self.newest = Some(Received { teams, at: context.now() });
+        self.watch_flapping(context);
         Acceptance::Wanted
     }
 
@@ -183,6 +188,12 @@ impl Auditor {
         self.alert.due(view.settings()).filter(|_| view.is_leading())
     }
 
+    /// When the alert of flapping may end though no division comes.
+    fn flapping_at(&self, view: &View<'_>) -> Option<Tick> {
+        let falls = self.flapping.falls_at();
+        falls.filter(|_| self.flapping_alert.is_raised() && view.is_leading())
+    }
+
     /// Publishes the last scores.
     fn publish(&mut self, context: &mut Context<'_>) {
         let Some(scored) = &mut self.scored else { return };
@@ -197,6 +208,7 @@ impl Auditor {
             in_embedding: scored.scores.in_embedding.clone(),
             in_physical: scored.scores.in_physical.clone(),
             quality: quality(scored.scores.in_embedding.mean, context.settings()),
+            flapping: self.flapping.flapping(context.now()),
         });
         self.audit = Some(Arc::clone(&audit));
         context.publish(Message::Audit(audit));
@@ -209,6 +221,23 @@ impl Auditor {
         let alert = self.alert.observe(context.now(), mean, context.settings());
         let Some(kind) = alert else { return };
         let severity = if matches!(kind, EventKind::QualityLow { .. }) {
+            context.count("alerts");
+            Severity::Warning
+        } else {
+            Severity::Info
+        };
+        context.publish_event(severity, kind);
+    }
+
+    /// Raises or ends the alert of robots that change teams to and fro. A suspect does not: its output
+    /// would be lost.
+    fn watch_flapping(&mut self, context: &mut Context<'_>) {
+        if !context.is_leading() {
+            return;
+        }
+        let flapping = self.flapping.flapping(context.now());
+        let Some(kind) = self.flapping_alert.observe(flapping, context.settings()) else { return };
+        let severity = if matches!(kind, EventKind::Flapping { .. }) {
             context.count("alerts");
             Severity::Warning
         } else {
@@ -325,6 +354,9 @@ impl Core for Auditor {
 
     fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
         self.inherit(&answers);
+        // The leader before has reported what it saw. A standby may have missed some of it, and an alert
+        // twice for the same robots helps nobody: the window of a leader begins with its term.
+        self.flapping = FlappingWindow::default();
         self.accept_all(context, answers);
     }
 
@@ -363,6 +395,7 @@ impl Core for Auditor {
     fn on_settings(&mut self, context: &mut Context<'_>) {
         self.publish(context);
         self.watch(context);
+        self.watch_flapping(context);
     }
 
     fn on_connectivity(&mut self, context: &mut Context<'_>, connectivity: Connectivity) {
@@ -371,6 +404,7 @@ impl Core for Auditor {
             context.fetch(MissingInputs, patterns.to_vec());
             self.publish(context);
             self.watch(context);
+            self.watch_flapping(context);
             self.consider(context);
         }
     }
@@ -385,6 +419,11 @@ impl Core for Auditor {
         }
         if is_due(self.scored.as_ref().map(|scored| scored.published.after(HEARTBEAT))) {
             self.publish(context);
+            // The rate also falls while the window grows to its whole length.
+            self.watch_flapping(context);
+        }
+        if is_due(self.flapping_at(&context.view())) {
+            self.watch_flapping(context);
         }
         if is_due(self.alert_at(&context.view())) {
             self.watch(context);
@@ -407,8 +446,9 @@ impl Core for Auditor {
 
     fn deadline(&self, view: &View<'_>) -> Option<Tick> {
         let heartbeat = self.scored.as_ref().map(|scored| scored.published.after(HEARTBEAT));
-        let due = [self.fetch_at, heartbeat, self.alert_at(view), self.retry_at(view)];
-        due.into_iter().flatten().min()
+        let alerts = [self.alert_at(view), self.flapping_at(view)];
+        let due = [self.fetch_at, heartbeat, self.retry_at(view)].into_iter().chain(alerts);
+        due.flatten().min()
     }
 
     fn state(&self, view: &View<'_>) -> String {
@@ -434,10 +474,16 @@ impl Core for Auditor {
     }
 
     fn memory_use(&self) -> MemoryUse {
-        let single = [self.newest.is_some(), self.scored.is_some(), self.audit.is_some()];
+        let single = [
+            self.newest.is_some(),
+            self.scored.is_some(),
+            self.audit.is_some(),
+            self.flapping.has_division(),
+        ];
         let single = single.into_iter().filter(|held| *held).count();
         MemoryUse {
-            robots: self.rosters.iter().map(|roster| roster.robots.len()).sum(),
+            robots: self.rosters.iter().map(|roster| roster.robots.len()).sum::<usize>()
+                + self.flapping.robots(),
             messages: self.embeddings.iter().len() + self.rosters.iter().len() + single,
             ..MemoryUse::default()
         }

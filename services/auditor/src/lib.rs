@@ -3,7 +3,8 @@
 //! Read in the order of the data's path: [`Auditor`] receives messages, finds the embedding and the
 //! roster that a division was made from, and decides what is published when; `history` keeps those;
 //! `score` is the job, silhouettes among the vectors and among the positions, by `muster-method`;
-//! `alert` reports lasting bad quality to the operator, and its end.
+//! `flapping` counts robots that change their team and change back; `alert` reports lasting bad quality and
+//! flapping to the operator, and their end.
 //!
 //! What holds at all times:
 //! - A division is scored by the embedding that it names, or not at all. A late embedding is waited
@@ -19,6 +20,7 @@
 
 mod alert;
 mod core;
+mod flapping;
 mod history;
 mod score;
 

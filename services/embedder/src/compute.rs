@@ -4,6 +4,7 @@
 //! times that its stopwatch measures ([`EmbeddingQuality::stage_us`]). The method itself is
 //! `muster-method`.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use muster_method::embedding::{Embedded, Frames};
@@ -12,7 +13,7 @@ use muster_method::params::{EmbeddingParams, Pace};
 use muster_method::step::Step;
 use muster_method::{Graph, MethodError};
 use muster_model::content::Checked;
-use muster_model::embedding::{Embedding, EmbeddingQuality};
+use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingQuality};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::EmbedderSettings;
@@ -89,7 +90,9 @@ pub(crate) struct Memory {
 /// An embedding without its header.
 #[derive(Debug)]
 pub(crate) struct Computed {
-    pub(crate) graphs: Vec<(Modality, Revision, f64)>,
+    pub(crate) graphs: Vec<EmbeddingGraph>,
+    /// The robots that disagree most with the other modalities, by modality, the worst first.
+    pub(crate) disagreeing: BTreeMap<Modality, Vec<RobotId>>,
     pub(crate) dimension: u32,
     pub(crate) values: Vec<f64>,
     pub(crate) without_embedding: Vec<bool>,
@@ -149,9 +152,15 @@ fn computed(
 ) -> Computed {
     let Embedded { weights, decay, decomposition, x, without_embedding, .. } = embedded;
     let svd = decomposition.svd;
-    let named = basis.graphs.iter().zip(weights);
+    let graph = |((modality, revision), weight): (&(Modality, Revision), f64)| EmbeddingGraph {
+        modality: modality.clone(),
+        revision: *revision,
+        weight,
+        trust: 1.0,
+    };
     Computed {
-        graphs: named.map(|((name, at), weight)| (name.clone(), *at, weight)).collect(),
+        graphs: basis.graphs.iter().zip(weights).map(graph).collect(),
+        disagreeing: BTreeMap::new(),
         dimension: u32::try_from(x.cols()).unwrap_or(u32::MAX),
         without_embedding,
         centrality,

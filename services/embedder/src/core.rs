@@ -3,6 +3,7 @@
 mod input;
 mod output;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,7 +11,7 @@ use muster_method::MethodError;
 use muster_method::pairs::PairError;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
-use muster_model::id::ServiceName;
+use muster_model::id::{Modality, RobotId, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_model::settings::{Dimension, EmbedderSettings};
 use muster_model::time::Tick;
@@ -21,6 +22,7 @@ use muster_service::{
 use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::compute::{Basis, Done, Job, Memory, Outcome, Task, run};
+use crate::doubt::Doubts;
 use crate::follow::{Acceptance, Follower, Frame};
 use crate::pairs::Questions;
 use crate::teams::TeamsWanted;
@@ -77,6 +79,10 @@ pub struct Embedder {
     rest: Option<Tick>,
     /// Whether an embedding was computed by a suspect, so that its output was suppressed.
     was_suppressed: bool,
+    /// Which modalities are in doubt.
+    doubts: Doubts,
+    /// The robots that disagree most with the other modalities, by the last embedding.
+    disagreeing: BTreeMap<Modality, Vec<RobotId>>,
 }
 
 impl Core for Embedder {

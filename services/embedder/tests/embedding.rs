@@ -46,7 +46,7 @@ fn two_cliques_have_vectors_apart() {
     assert_eq!(embedding.dimension, 4);
     assert!(embedding.quality.residual < 1e-12 && embedding.quality.katz_residual < 1e-12);
     assert_eq!(embedding.quality.mode, EmbeddingMode::Dense);
-    let weights: Vec<_> = embedding.graphs.iter().map(|(_, _, weight)| *weight).collect();
+    let weights: Vec<_> = embedding.graphs.iter().map(|graph| graph.weight).collect();
     assert_eq!(weights, [0.1, 0.55, 0.35]);
     assert_eq!(embedding.header.stages.last().unwrap().stage, ServiceName::Embedder);
     assert_eq!(embedding.header.revision, Revision { term: 1, epoch: 1 });
@@ -151,7 +151,7 @@ fn settings_recompute_the_frame_and_keep_the_similarity() {
     bench.set(r#"{"alpha": {"fraction": 0.25}}"#);
     assert_eq!(bench.last().quality.mode, EmbeddingMode::Dense);
     bench.set(r#"{"weights": {"spatial": 0.5, "thermal": 0.5}}"#);
-    let weights: Vec<_> = bench.last().graphs.iter().map(|(_, _, weight)| *weight).collect();
+    let weights: Vec<_> = bench.last().graphs.iter().map(|graph| graph.weight).collect();
     assert_eq!(weights, [0.0, 0.0, 1.0], "the fleet has no thermal modality");
     assert!(bench.get("service/embedder/settings", Some(r#"{"dimension": 3}"#)).is_err());
     assert_eq!(bench.published.len(), 4);

@@ -37,7 +37,7 @@ fn changed(bench: &Bench, ingest: &mut Ingest, name: &str, weight: f64) -> Publi
 }
 
 fn revision_of(bench: &Bench, name: &str) -> Revision {
-    bench.last().graphs.iter().find(|(graph, ..)| *graph == modality(name)).unwrap().1
+    bench.last().graphs.iter().find(|graph| graph.modality == modality(name)).unwrap().revision
 }
 
 #[test]
@@ -79,7 +79,8 @@ fn a_frame_is_complete_only_with_all_its_graphs() {
     assert_eq!(bench.published.len(), 2);
     assert_eq!(bench.last().roster, frame.roster.header.revision);
     assert_eq!(bench.fetches.len(), 0, "a roster that overtakes its graphs is no reason to fetch");
-    let revisions: Vec<_> = bench.last().graphs.iter().map(|(n, r, _)| (n.clone(), *r)).collect();
+    let revisions: Vec<_> =
+        bench.last().graphs.iter().map(|graph| (graph.modality.clone(), graph.revision)).collect();
     assert_eq!(revisions, frame.roster.graphs);
 }
 
@@ -466,7 +467,7 @@ proptest! {
         prop_assert_eq!(bench.quarantined().len(), 0);
         if ingest.count() > 0 {
             let graphs: Vec<_> =
-                bench.last().graphs.iter().map(|(name, at, _)| (name.clone(), *at)).collect();
+                bench.last().graphs.iter().map(|graph| (graph.modality.clone(), graph.revision)).collect();
             prop_assert_eq!(graphs, last.roster.graphs.clone());
             let whole = ingest.answer(&[Pattern::One(Key::Roster), Pattern::Graphs]);
             let truth = Bench::started(fixed(), whole);

@@ -101,6 +101,7 @@ impl Publication for Audit {
         self.quality == other.quality
             && self.in_embedding == other.in_embedding
             && self.in_physical == other.in_physical
+            && self.flapping == other.flapping
     }
 }
 

@@ -3,8 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::content::{Content, ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{RobotId, TeamId};
+use crate::limits::MAX_FLAPPING_ROBOTS;
 
 /// In which space distances were taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -81,6 +83,54 @@ pub enum Quality {
     Undefined,
 }
 
+/// A robot that came back into a team that it had left.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RobotReturns {
+    /// The robot.
+    pub robot: RobotId,
+    /// How often it came back within the last minute.
+    #[schemars(range(min = 1))]
+    pub returns: u32,
+}
+
+/// How often robots change their team and change back, over the last minute.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Flapping {
+    /// Changes into a team that the robot had left within the minute, per robot of the fleet and minute.
+    #[schemars(range(min = 0))]
+    pub returns_per_robot_minute: f64,
+    /// The robots that came back most often, most often first.
+    #[schemars(length(max = MAX_FLAPPING_ROBOTS))]
+    pub robots: Vec<RobotReturns>,
+}
+
+impl Flapping {
+    /// Returns of one robot from which on it goes to and fro. One return may be an errand: the robot did
+    /// something with another team and came home. Twice within a minute is no errand, and in a small fleet
+    /// a single return is already more than any sensible threshold per robot and minute.
+    const MIN_RETURNS: u32 = 2;
+
+    /// Whether there are more returns per robot and minute than a threshold, and a robot goes to and fro.
+    #[must_use]
+    pub fn is_above(&self, threshold: f64) -> bool {
+        self.returns_per_robot_minute > threshold
+            && self.robots.iter().any(|robot| robot.returns >= Self::MIN_RETURNS)
+    }
+}
+
+impl Content for Flapping {
+    /// The rate is finite and not negative, and no more robots are listed than may be.
+    fn check(&self) -> Result<(), ContentError> {
+        if !self.returns_per_robot_minute.is_finite() || self.returns_per_robot_minute < 0.0 {
+            return refuse("flapping.returns_per_robot_minute", "must be finite and at least 0");
+        }
+        if self.robots.len() > MAX_FLAPPING_ROBOTS {
+            return refuse("flapping.robots", "are more than may be listed");
+        }
+        Ok(())
+    }
+}
+
 /// The scores of one division.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Audit {
@@ -96,4 +146,13 @@ pub struct Audit {
     pub in_physical: SilhouetteReport,
     /// The quality of a division in one word.
     pub quality: Quality,
+    /// How often robots change their team and change back.
+    pub flapping: Flapping,
+}
+
+impl Content for Audit {
+    /// [`Flapping`] satisfies its rules.
+    fn check(&self) -> Result<(), ContentError> {
+        self.flapping.check()
+    }
 }

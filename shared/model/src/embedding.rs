@@ -49,6 +49,44 @@ pub struct EmbeddingQuality {
     pub stage_us: [u64; 3],
 }
 
+/// A graph that an embedding was made from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EmbeddingGraph {
+    /// Which relation it is.
+    pub modality: Modality,
+    /// Its revision.
+    pub revision: Revision,
+    /// The weight that was used, with the trust in it.
+    pub weight: f64,
+    /// By how much the weight of the modality is multiplied, from 0 to 1, because its ties lie far from
+    /// each other in the similarity of the other modalities; 1 if it is not doubted.
+    pub trust: f64,
+}
+
+impl EmbeddingGraph {
+    /// Trust below which a modality is in doubt: less than half of its weight is left.
+    pub const DOUBTED_BELOW: f64 = 0.5;
+
+    /// Whether the modality is in doubt.
+    #[must_use]
+    pub fn is_doubted(&self) -> bool {
+        self.trust < Self::DOUBTED_BELOW
+    }
+}
+
+impl Content for EmbeddingGraph {
+    /// The weight is finite and not negative, the trust lies between 0 and 1.
+    fn check(&self) -> Result<(), ContentError> {
+        if !self.weight.is_finite() || self.weight < 0.0 {
+            return refuse("weights", "must be finite and at least 0");
+        }
+        if !(0.0..=1.0).contains(&self.trust) {
+            return refuse("trust", "must be a number from 0 to 1");
+        }
+        Ok(())
+    }
+}
+
 /// The vectors of all robots.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Embedding {
@@ -56,8 +94,8 @@ pub struct Embedding {
     pub header: Header,
     /// The revision of the roster that it was made from.
     pub roster: Revision,
-    /// The graphs that it was made from, with the weight of each.
-    pub graphs: Vec<(Modality, Revision, f64)>,
+    /// The graphs that it was made from.
+    pub graphs: Vec<EmbeddingGraph>,
     /// The robots, ordered by name: row i of `values` is that of robot i.
     pub robots: Vec<RobotId>,
     /// Length D = 2K of each vector.
@@ -74,7 +112,8 @@ pub struct Embedding {
 }
 
 impl Content for Embedding {
-    /// All fields have the lengths that `robots` and `dimension` give, and all numbers are finite.
+    /// All fields have the lengths that `robots` and `dimension` give, all numbers are finite, and the
+    /// graphs satisfy their rules.
     fn check(&self) -> Result<(), ContentError> {
         let robots = self.robots.len();
         if self.without_embedding.len() != robots {
@@ -93,6 +132,6 @@ impl Content for Embedding {
         if !self.values.iter().all(|value| value.is_finite()) {
             return refuse("values", "must be finite");
         }
-        Ok(())
+        self.graphs.iter().try_for_each(Content::check)
     }
 }

@@ -4,7 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::header::Header;
-use crate::id::{RobotId, ServiceName};
+use crate::id::{Modality, RobotId, ServiceName};
+use crate::limits::{MAX_DOUBTED_ROBOTS, MAX_FLAPPING_ROBOTS};
 use crate::teams::TeamChange;
 
 /// How much an event matters to an operator.
@@ -101,6 +102,37 @@ pub enum EventKind {
     LinkRestored {
         /// Seconds without it.
         outage_s: f64,
+    },
+    /// Robots change their team and change back, more often than the threshold.
+    Flapping {
+        /// Changes into a team that the robot had left within the last minute, per robot and minute.
+        returns_per_robot_minute: f64,
+        /// The robots that came back most often, most often first.
+        #[schemars(length(max = MAX_FLAPPING_ROBOTS))]
+        robots: Vec<RobotId>,
+    },
+    /// Robots change back no more than half as often as the threshold.
+    FlappingEnded {
+        /// Changes into a team that the robot had left within the last minute, per robot and minute.
+        returns_per_robot_minute: f64,
+    },
+    /// The ties of a modality lie far from each other in the similarity of the other modalities, so that
+    /// its weight is lowered.
+    ModalityDoubted {
+        /// The modality.
+        modality: Modality,
+        /// By how much its weight is multiplied, from 0 to 1.
+        trust: f64,
+        /// The robots that disagree most with the other modalities, the worst first.
+        #[schemars(length(max = MAX_DOUBTED_ROBOTS))]
+        robots: Vec<RobotId>,
+    },
+    /// A modality that was in doubt agrees with the others again.
+    ModalityTrusted {
+        /// The modality.
+        modality: Modality,
+        /// By how much its weight is multiplied, from 0 to 1.
+        trust: f64,
     },
 }
 

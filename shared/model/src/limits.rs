@@ -51,3 +51,11 @@ pub const MAX_MEMBERS_PUBLISHED: usize = 256;
 /// Most edges of one graph: at 13 bytes each and with the names of [`MAX_ROBOTS`] robots, as many as fit
 /// a message between services.
 pub const MAX_GRAPH_EDGES: u64 = 4_500_000;
+
+/// Most robots that an audit and its alert list as changing teams to and fro: enough to see where in the
+/// fleet it happens, and few enough to read in one line of a log.
+pub const MAX_FLAPPING_ROBOTS: usize = 16;
+
+/// Most robots that an event lists as disagreeing with a modality: some names tell an operator which source
+/// to look at.
+pub const MAX_DOUBTED_ROBOTS: usize = 8;

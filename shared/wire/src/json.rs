@@ -7,7 +7,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use muster_model::audit::{Audit, Quality, SilhouetteMethod, SilhouetteReport, Space};
+use muster_model::audit::{Audit, Flapping, Quality, SilhouetteMethod, SilhouetteReport, Space};
 use muster_model::embedding::{Embedding, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::GraphDelta;
@@ -219,6 +219,8 @@ pub(crate) struct AuditForm<'a> {
     physical: SilhouetteForm<'a>,
     /// The quality in one word, by the silhouettes among the vectors.
     verdict: Quality,
+    /// How often robots change their team and change back, over the last minute.
+    flapping: &'a Flapping,
 }
 
 impl EdgeJson for Audit {
@@ -229,6 +231,7 @@ impl EdgeJson for Audit {
             silhouette: silhouette_form(&self.in_embedding),
             physical: silhouette_form(&self.in_physical),
             verdict: self.quality,
+            flapping: &self.flapping,
         })
     }
 }
@@ -431,6 +434,11 @@ impl EdgeJson for Roster {
     }
 }
 
+/// The trust in a modality: 0 none of its weight is used, 1 all of it.
+#[derive(JsonSchema)]
+#[expect(dead_code, reason = "only its schema is used")]
+struct Trust(#[schemars(range(min = 0, max = 1))] f64);
+
 /// One vector per robot: its rows of the leading singular vectors of the Katz similarity.
 #[derive(Serialize, JsonSchema)]
 pub(crate) struct EmbeddingForm<'a> {
@@ -447,10 +455,15 @@ pub(crate) struct EmbeddingForm<'a> {
     /// Katz centrality of each robot: the weight of all walks that begin at it, 1 for one without any
     /// relation.
     centrality: &'a [f64],
-    /// The weight of each modality.
+    /// The weight of each modality, with the trust in it.
     #[serde(serialize_with = "as_object")]
     #[schemars(with = "BTreeMap<Modality, f64>")]
     weights: Vec<(&'a Modality, f64)>,
+    /// By how much the weight of each modality is multiplied, because its ties lie far from each other in
+    /// the similarity of the other modalities; 1 if it is not doubted.
+    #[serde(serialize_with = "as_object")]
+    #[schemars(with = "BTreeMap<Modality, Trust>")]
+    trust: Vec<(&'a Modality, f64)>,
     /// What it rests on and how exact it is.
     quality: &'a EmbeddingQuality,
 }
@@ -465,7 +478,8 @@ impl EdgeJson for Embedding {
             embedding: self.values.chunks(self.dimension.max(1) as usize).collect(),
             unseen: unseen.map(|(robot, _)| robot).collect(),
             centrality: &self.centrality,
-            weights: self.graphs.iter().map(|(name, _, weight)| (name, *weight)).collect(),
+            weights: self.graphs.iter().map(|graph| (&graph.modality, graph.weight)).collect(),
+            trust: self.graphs.iter().map(|graph| (&graph.modality, graph.trust)).collect(),
             quality: &self.quality,
         })
     }

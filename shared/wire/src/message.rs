@@ -149,7 +149,11 @@ impl Message {
                 team.check()?;
                 Self::RobotTeam(team)
             }
-            Key::Audit => Self::Audit(Arc::new(binary(format, bytes)?)),
+            Key::Audit => {
+                let audit: Audit = binary(format, bytes)?;
+                audit.check()?;
+                Self::Audit(Arc::new(audit))
+            }
             Key::Event => Self::Event(binary(format, bytes)?),
             Key::Settings(service) => {
                 let announced: AnnouncedSettings = binary(format, bytes)?;

@@ -442,6 +442,10 @@ impl<C: Core> World<C> {
                 EventKind::QualityLow { mean } | EventKind::QualityRecovered { mean } => {
                     assert!(mean.is_finite());
                 }
+                EventKind::Flapping { returns_per_robot_minute, .. }
+                | EventKind::FlappingEnded { returns_per_robot_minute } => {
+                    assert!(returns_per_robot_minute.is_finite());
+                }
                 _ => {}
             },
             _ => {}

@@ -4,9 +4,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use muster_model::audit::{Audit, Quality, SilhouetteMethod, SilhouetteReport, Space};
+use muster_model::audit::{Audit, Flapping, Quality, SilhouetteMethod, SilhouetteReport, Space};
 use muster_model::content::Checked;
-use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
+use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode, EmbeddingQuality};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
@@ -285,10 +285,18 @@ impl Author {
         };
         let values = robots.len() * dimension as usize;
         let graphs: Vec<_> = self.graphs.clone().into_iter().collect();
+        let roster = self.named(self.roster, draw);
+        let graph = |(modality, revision)| EmbeddingGraph {
+            modality,
+            revision,
+            weight: draw.weight(),
+            trust: draw.weight(),
+        };
+        let graphs = graphs.into_iter().map(graph).collect();
         Embedding {
             header,
-            roster: self.named(self.roster, draw),
-            graphs: graphs.into_iter().map(|(name, at)| (name, at, draw.weight())).collect(),
+            roster,
+            graphs,
             dimension,
             values: (0..values.min(256)).map(|_| draw.number()).collect(),
             without_embedding: robots.iter().map(|_| draw.below(4) == 1).collect(),
@@ -361,6 +369,7 @@ impl Author {
             in_embedding: report(Space::Embedding, draw),
             in_physical: report(Space::Physical, draw),
             quality: Quality::Fair,
+            flapping: Flapping::default(),
         }
     }
 

@@ -6,6 +6,7 @@
     reason = "this is a test, and so are its helpers"
 )]
 
+mod flapping;
 mod properties;
 mod scoring;
 mod service;
@@ -15,7 +16,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_auditor::Auditor;
-use muster_model::audit::{Audit, Quality, SilhouetteReport, Space};
+use muster_model::audit::{Audit, Flapping, Quality, RobotReturns, SilhouetteReport, Space};
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::EventKind;

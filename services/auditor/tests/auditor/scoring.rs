@@ -237,6 +237,10 @@ fn of_two_frames_with_equally_many_robots_the_first_by_name_counts() {
 #[test]
 fn lasting_bad_quality_raises_one_alert() {
     let (mut bench, _) = scored();
+    // Robots go to and fro as well.
+    bench.get("service/auditor/settings", Some(r#"{"flapping": 1000}"#)).unwrap();
+    bench.forget_audits();
+    bench.forget_events();
     bench.receive(teams(2, 1, CROSSED, ""));
     assert!(bench.audit().quality == Quality::Poor && bench.events().is_empty());
     bench.wait(2.9);

@@ -119,7 +119,7 @@ fn the_embedding_of_the_division_is_kept_with_the_newest() {
 
 #[test]
 fn the_last_audit_is_answered_for_the_auditor() {
-    use muster_model::audit::{Audit, Quality, SilhouetteReport, Space};
+    use muster_model::audit::{Audit, Flapping, Quality, SilhouetteReport, Space};
     let mut bench = Bench::leading(teams(2));
     for epoch in [2, 1] {
         bench.receive(Message::Audit(Arc::new(Audit {
@@ -129,6 +129,7 @@ fn the_last_audit_is_answered_for_the_auditor() {
             in_embedding: SilhouetteReport::undefined(Space::Embedding),
             in_physical: SilhouetteReport::undefined(Space::Physical),
             quality: Quality::Undefined,
+            flapping: Flapping::default(),
         })));
     }
     for selector in ["audit", "json/audit"] {

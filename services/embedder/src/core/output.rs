@@ -4,12 +4,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_model::content::Checked;
-use muster_model::embedding::{Embedding, EmbeddingMode};
+use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode};
 use muster_model::settings::EmbedderSettings;
 use muster_wire::Message;
 
 use super::{Context, Embedder};
 use crate::compute::{Basis, Computed};
+use crate::doubt::ModalityTrust;
 use crate::follow::Frame;
 
 /// How often an embedding is republished while rosters arrive and its basis does not change, so that its
@@ -42,6 +43,7 @@ impl Embedder {
             context.count("embeddings_confirmed");
             return;
         }
+        self.disagreeing = computed.disagreeing;
         let stage = context.stage(frame.received);
         let embedding = Embedding {
             header: roster.header.next_stage(context.next_revision(), stage),
@@ -80,7 +82,25 @@ impl Embedder {
         self.was_suppressed = !context.is_leading();
         let embedding = Checked::new_unchecked(embedding);
         self.embedding = Some(embedding.clone());
-        context.publish(Message::Embedding(embedding));
+        context.publish(Message::Embedding(embedding.clone()));
+        self.report_doubts(context, &embedding);
+    }
+
+    /// Reports modalities that are in doubt, or trusted again, with every embedding: one that is
+    /// republished shows that the trust has stayed. A suspect does not: its output would be lost.
+    fn report_doubts(&mut self, context: &mut Context<'_>, embedding: &Embedding) {
+        if !context.is_leading() {
+            return;
+        }
+        let trust = |graph: &EmbeddingGraph| ModalityTrust {
+            modality: graph.modality.clone(),
+            trust: graph.trust,
+            robots: self.disagreeing.get(&graph.modality).cloned().unwrap_or_default(),
+        };
+        let all = embedding.graphs.iter().map(trust).collect();
+        for event in self.doubts.observe(context.now(), all) {
+            context.publish_event(event.severity, event.kind);
+        }
     }
 
     /// Republishes the last good embedding as it is, with the next revision.

@@ -5,11 +5,13 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use muster_client::{Client, Error, Events, Feed, FleetPresence, ReceivedPose, ServiceInstance};
+use muster_model::audit::Audit;
+use muster_model::embedding::Embedding;
 use muster_model::event::{Event, EventKind};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
-use muster_model::settings::{ClustererSettings, IngestSettings};
+use muster_model::settings::{AuditorSettings, ClustererSettings, IngestSettings};
 use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
@@ -74,12 +76,14 @@ pub(super) struct Look {
     pub(super) others: Vec<Other>,
     /// What gets were answered with; an empty answer is one.
     pub(super) roster: Option<Arc<Roster>>,
-    pub(super) embedding: bool,
+    pub(super) embedding: Option<Arc<Embedding>>,
     pub(super) teams: Option<Arc<Teams>>,
+    pub(super) audit: Option<Arc<Audit>>,
     /// The settings that services answer with.
     pub(super) ingest: Option<IngestSettings>,
     pub(super) clusterer: Option<ClustererSettings>,
-    /// What was refused or failed while we listened.
+    pub(super) auditor: Option<AuditorSettings>,
+    /// What was refused, failed or came into doubt while we listened.
     pub(super) events: Vec<Event>,
     /// Seconds by which stamps of robots were ahead of our clock when they arrived.
     pub(super) robot_clocks: BTreeMap<RobotId, f64>,
@@ -136,13 +140,15 @@ pub(super) async fn look(
     let until = tokio::time::Instant::now() + listen_for;
     let (events, robot_clocks) = tokio::join!(problems(events, until), clocks(poses, until));
     // What may have changed while we listened is asked for at the end.
-    let ((after, _), roster, embedding, teams, ingest, clusterer) = tokio::try_join!(
+    let ((after, _), roster, embedding, teams, audit, ingest, clusterer, auditor) = tokio::try_join!(
         statuses(client, &clock),
         async { reply(client.get_roster().await) },
         async { reply(client.get_embedding().await) },
         async { reply(client.get_teams().await) },
+        async { reply(client.get_audit().await) },
         settings(client, ServiceName::Ingest),
         settings(client, ServiceName::Clusterer),
+        settings(client, ServiceName::Auditor),
     )?;
     let others = fleets.into_iter().filter(|other| other.fleet != *fleet).map(Other::from);
     Ok(Look {
@@ -154,10 +160,12 @@ pub(super) async fn look(
         robot_tokens,
         others: others.collect(),
         roster,
-        embedding: embedding.is_some(),
+        embedding,
         teams,
+        audit,
         ingest,
         clusterer,
+        auditor,
         events,
         robot_clocks,
         listened: listen_for,
@@ -222,12 +230,16 @@ async fn settings<S: DeserializeOwned>(
     }
 }
 
-/// What is refused or fails until a moment.
+/// What is refused, fails or comes into doubt until a moment.
 async fn problems(mut events: Events, until: tokio::time::Instant) -> Vec<Event> {
     let mut problems = Vec::new();
     while let Ok(Ok(event)) = timeout_at(until, events.next()).await {
-        let is_problem =
-            matches!(event.kind, EventKind::Quarantined { .. } | EventKind::JobFailed { .. });
+        let is_problem = matches!(
+            event.kind,
+            EventKind::Quarantined { .. }
+                | EventKind::JobFailed { .. }
+                | EventKind::ModalityDoubted { .. }
+        );
         if is_problem && problems.len() < MAX_EVENTS {
             problems.push(event);
         }

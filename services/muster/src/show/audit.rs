@@ -1,6 +1,6 @@
 //! `muster audit`: the silhouettes of the live division.
 
-use muster_model::audit::{Audit, SilhouetteMethod, SilhouetteReport};
+use muster_model::audit::{Audit, Flapping, SilhouetteMethod, SilhouetteReport};
 use muster_model::id::TeamId;
 use muster_model::time::Tick;
 use muster_runtime::config::ProcessConfig;
@@ -47,6 +47,7 @@ impl Shown for Audit {
                 mean(&self.in_embedding),
                 mean(&self.in_physical)
             ),
+            flapping(&self.flapping),
         ];
         let of = |report: &SilhouetteReport, team: &TeamId| {
             report.per_team.iter().find(|(id, _)| id == team).map(|(_, value)| *value)
@@ -72,8 +73,19 @@ impl Shown for Audit {
     }
 
     fn same(&self, other: &Self) -> bool {
-        self.in_embedding == other.in_embedding && self.in_physical == other.in_physical
+        self.in_embedding == other.in_embedding
+            && self.in_physical == other.in_physical
+            && self.flapping == other.flapping
     }
+}
+
+/// How often robots change their team and change back, and which.
+pub(super) fn flapping(flapping: &Flapping) -> String {
+    let rate = flapping.returns_per_robot_minute;
+    let robots = flapping.robots.iter().map(|entry| format!("{} {}×", entry.robot, entry.returns));
+    let robots =
+        if flapping.robots.is_empty() { String::new() } else { format!(": {}", names(robots)) };
+    format!("changes back into a team: {rate:.2} per robot and minute{robots}")
 }
 
 /// The mean, with its standard error where it is an estimate.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use muster_client::{Client, Error};
+use muster_model::embedding::EmbeddingGraph;
 use muster_model::graph::GraphDelta;
 use muster_model::id::{Modality, RobotId};
 use muster_model::time::Tick;
@@ -62,13 +63,32 @@ pub(crate) async fn run(args: &GraphArgs, config: &ProcessConfig) -> anyhow::Res
 #[derive(Debug)]
 struct Graphs {
     graphs: Vec<Arc<GraphDelta>>,
+    /// The graphs of the newest embedding, which have weights and trust; none without an answer.
+    embedded: Vec<EmbeddingGraph>,
     /// Whether one modality was asked for, edge by edge.
     edges: bool,
 }
 
 async fn graphs(client: Client, modality: Option<Modality>) -> Result<Graphs, Error> {
-    let graphs = client.get_graphs(modality.as_ref()).await?;
-    Ok(Graphs { graphs, edges: modality.is_some() })
+    let (graphs, embedding) = tokio::try_join!(client.get_graphs(modality.as_ref()), async {
+        // The edges of one graph are shown without its weight.
+        if modality.is_some() { Ok(None) } else { reply(client.get_embedding().await) }
+    })?;
+    let embedded = embedding.map(|embedding| embedding.graphs.clone()).unwrap_or_default();
+    Ok(Graphs { graphs, embedded, edges: modality.is_some() })
+}
+
+impl Graphs {
+    /// What the newest embedding says of a modality.
+    fn embedded(&self, modality: &Modality) -> Option<&EmbeddingGraph> {
+        self.embedded.iter().find(|graph| graph.modality == *modality)
+    }
+}
+
+/// The trust in a modality as text; one in doubt stands out.
+fn trust(graph: &EmbeddingGraph) -> String {
+    let doubt = if graph.is_doubted() { " IN DOUBT" } else { "" };
+    format!("{:.2}{doubt}", graph.trust)
 }
 
 impl Shown for Graphs {
@@ -81,17 +101,22 @@ impl Shown for Graphs {
         let row = |graph: &Arc<GraphDelta>| {
             let weights = graph.rows.iter().flat_map(|row| row.edges.iter().map(|edge| edge.1));
             let (count, sum) = weights.fold((0_u32, 0.0), |(count, sum), w| (count + 1, sum + w));
+            let embedded = self.embedded(&graph.modality);
             vec![
                 graph.modality.to_string(),
                 graph.nodes_added.len().to_string(),
                 count.to_string(),
                 if count == 0 { String::new() } else { format!("{:.3}", sum / f64::from(count)) },
+                embedded.map_or_else(String::new, |graph| format!("{:.3}", graph.weight)),
+                embedded.map_or_else(String::new, trust),
                 graph.header.revision.epoch.to_string(),
             ]
         };
         let [modality, robots, edges] = ["modality", "robots", "edges"].map(Column::kept);
-        let weight = Column::dropped("mean weight", 2);
-        let columns = [modality, robots, edges, weight, Column::dropped("epoch", 1)];
+        let mean = Column::dropped("mean edge", 2);
+        let (weight, trust) = (Column::dropped("weight", 1), Column::kept("trust"));
+        let epoch = Column::dropped("epoch", 3);
+        let columns = [modality, robots, edges, mean, weight, trust, epoch];
         page.table(&columns, self.graphs.iter().map(row))
     }
 
@@ -108,7 +133,10 @@ impl Shown for Graphs {
         let revisions = |graphs: &Self| -> Vec<_> {
             graphs.graphs.iter().map(|graph| graph.header.revision).collect()
         };
-        revisions(self) == revisions(other)
+        let embedded = |graphs: &Self| -> Vec<_> {
+            graphs.embedded.iter().map(|graph| (graph.modality.clone(), trust(graph))).collect()
+        };
+        revisions(self) == revisions(other) && embedded(self) == embedded(other)
     }
 }
 
@@ -158,7 +186,13 @@ mod tests {
             nodes_removed: vec![],
             rows: nodes.map(|node| GraphRow { source: node, edges: vec![(0, 0.5)] }).collect(),
         };
-        Graphs { graphs: vec![Arc::new(graph)], edges }
+        let embedded = EmbeddingGraph {
+            modality: graph.modality.clone(),
+            revision: graph.header.revision,
+            weight: 0.125,
+            trust: 0.25,
+        };
+        Graphs { graphs: vec![Arc::new(graph)], embedded: vec![embedded], edges }
     }
 
     #[test]
@@ -167,6 +201,7 @@ mod tests {
             let all = shown(false).lines(&page(width), Tick(0));
             assert_fits(&all, width);
             assert!(all.join("\n").contains("edges"), "{}", all.join("\n"));
+            assert!(all.join("\n").contains("DOUBT"), "{}", all.join("\n"));
             let edges = shown(true).lines(&page(width), Tick(0));
             assert_fits(&edges, width);
             assert_eq!(edges.last().unwrap(), "… and 100 more edges; --json prints all");

@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use muster_client::model::id::FleetId;
 use muster_client::{Client, Error, ServiceInstance};
+use muster_model::audit::Audit;
+use muster_model::embedding::EmbeddingGraph;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
@@ -15,6 +17,7 @@ use muster_wire::message::quoted;
 use serde_json::json;
 
 use super::ShowArgs;
+use super::audit::flapping;
 use super::page::{Column, Page};
 use super::watch::{Polled, Shown, follow, print};
 use crate::console::{self, exit_error, reply};
@@ -29,6 +32,9 @@ struct FleetStatus {
     /// How many robots have joined.
     joined: usize,
     roster: Option<Arc<Roster>>,
+    /// The graphs that the newest embedding was made from.
+    modalities: Vec<EmbeddingGraph>,
+    audit: Option<Arc<Audit>>,
 }
 
 /// Shows services and robots, once or every second.
@@ -63,16 +69,20 @@ async fn status(client: Client, fleet: FleetId) -> Result<FleetStatus, Error> {
 }
 
 async fn status_once(client: &Client, fleet: &FleetId) -> Result<FleetStatus, Error> {
-    let (services, running, joined, roster) = tokio::try_join!(
+    let (services, running, joined, roster, embedding, audit) = tokio::try_join!(
         client.get_statuses(None),
         client.get_instances(),
         client.get_joined_robots(),
         async { reply(client.get_roster().await) },
+        async { reply(client.get_embedding().await) },
+        async { reply(client.get_audit().await) },
     )?;
     let replied =
         |token: &ServiceInstance| services.iter().any(|status| status.instance == token.instance);
     let silent = running.into_iter().filter(|token| !replied(token)).collect();
-    Ok(FleetStatus { fleet: fleet.clone(), services, silent, joined: joined.len(), roster })
+    let (fleet, joined) = (fleet.clone(), joined.len());
+    let modalities = embedding.map(|embedding| embedding.graphs.clone()).unwrap_or_default();
+    Ok(FleetStatus { fleet, services, silent, joined, roster, modalities, audit })
 }
 
 /// What an instance does in its service, in a word.
@@ -142,6 +152,20 @@ impl FleetStatus {
     }
 }
 
+/// The weight of each modality, and the trust in it where that is not whole.
+fn modalities(graphs: &[EmbeddingGraph]) -> String {
+    let modality = |graph: &EmbeddingGraph| {
+        let trust = match graph.trust {
+            trust if graph.is_doubted() => format!(" (trust {trust:.2}, IN DOUBT)"),
+            trust if trust < 1.0 => format!(" (trust {trust:.2})"),
+            _ => String::new(),
+        };
+        format!("{} {:.2}{trust}", graph.modality, graph.weight)
+    };
+    let all: Vec<_> = graphs.iter().map(modality).collect();
+    format!("weights: {}", all.join(", "))
+}
+
 impl Shown for FleetStatus {
     const PUBLISHER: &'static str = "the fleet";
 
@@ -155,6 +179,10 @@ impl Shown for FleetStatus {
         let silent = self.silent().into_iter();
         lines.extend(silent.map(|name| format!("{name} is on the bus and does not answer")));
         lines.push(self.robots());
+        if !self.modalities.is_empty() {
+            lines.push(modalities(&self.modalities));
+        }
+        lines.extend(self.audit.iter().map(|audit| flapping(&audit.flapping)));
         lines
     }
 
@@ -166,10 +194,15 @@ impl Shown for FleetStatus {
                 "silent_s": now.since(entry.last_seen).as_secs_f64(),
             })
         });
+        let modalities = self.modalities.iter().map(|graph| {
+            json!({"modality": graph.modality, "weight": graph.weight, "trust": graph.trust})
+        });
         let line = json!({
             "fleet": self.fleet, "services": self.services, "absent": self.absent(),
             "silent": self.silent(), "robot_tokens": self.joined,
             "robots": robots.collect::<Vec<_>>(),
+            "modalities": modalities.collect::<Vec<_>>(),
+            "flapping": self.audit.as_ref().map(|audit| &audit.flapping),
         });
         Ok(format!("{line}\n").into_bytes())
     }
@@ -184,7 +217,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use muster_model::header::Revision;
-    use muster_model::id::InstanceId;
+    use muster_model::id::{InstanceId, Modality};
 
     use super::super::page::tests::{WIDTHS, assert_fits, page};
     use super::*;
@@ -209,6 +242,8 @@ mod tests {
             silent: vec![],
             joined: 3,
             roster: None,
+            modalities: vec![],
+            audit: None,
         };
         for width in WIDTHS {
             let lines = fleet.lines(&page(width), Tick(0));
@@ -221,5 +256,25 @@ mod tests {
             assert_eq!(text.contains("epoch"), width >= 120, "{text}");
             assert_eq!(below[0], "embedder does not answer; start it with `muster up embedder`");
         }
+    }
+
+    #[test]
+    fn a_modality_in_doubt_stands_out() {
+        let graph = |modality, weight, trust| EmbeddingGraph {
+            modality,
+            revision: Revision::default(),
+            weight,
+            trust,
+        };
+        let graphs = [
+            graph(Modality::spatial(), 0.5, 1.0),
+            graph(Modality::connectivity(), 0.3, 0.6),
+            graph(Modality::hierarchy(), 0.06, 0.2),
+        ];
+        assert_eq!(
+            modalities(&graphs),
+            "weights: spatial 0.50, connectivity 0.30 (trust 0.60), \
+             hierarchy 0.06 (trust 0.20, IN DOUBT)"
+        );
     }
 }

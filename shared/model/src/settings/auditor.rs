@@ -21,11 +21,15 @@ pub struct AuditorSettings {
     /// An alert ends once the mean silhouette is this much above `poor`.
     #[schemars(range(min = 0, max = 1))]
     pub alert_clearance: f64,
+    /// Robots that change teams to and fro raise an alert above so many returns per robot and minute. It
+    /// ends at half of that.
+    #[schemars(range(min = 0, max = 1000))]
+    pub flapping: f64,
 }
 
 impl Default for AuditorSettings {
     fn default() -> Self {
-        Self { good: 0.5, poor: 0.25, alert_after_s: 3.0, alert_clearance: 0.05 }
+        Self { good: 0.5, poor: 0.25, alert_after_s: 3.0, alert_clearance: 0.05, flapping: 0.05 }
     }
 }
 
@@ -37,6 +41,7 @@ impl Settings for AuditorSettings {
             return Err(SettingsError::new("good", "must not be less than poor"));
         }
         check_range("alert_after_s", self.alert_after_s, 0.0..=3600.0)?;
-        check_range("alert_clearance", self.alert_clearance, 0.0..=1.0)
+        check_range("alert_clearance", self.alert_clearance, 0.0..=1.0)?;
+        check_range("flapping", self.flapping, 0.0..=1000.0)
     }
 }

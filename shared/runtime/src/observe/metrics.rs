@@ -92,6 +92,7 @@ pub(super) struct Results {
     pub(super) teams_requested: Family<Of, Gauge>,
     pub(super) unassigned: Family<Of, Gauge>,
     pub(super) silhouette: Family<OfWith, Number>,
+    pub(super) returns: Family<Of, Number>,
     pub(super) katz_residual: Family<Of, Number>,
     pub(super) residual: Family<Of, Number>,
     pub(super) spectral_radius: Family<Of, Number>,
@@ -137,6 +138,11 @@ impl Results {
                 to,
                 "silhouette_mean",
                 "Mean silhouette of the division, by the space that it is taken in",
+            ),
+            returns: metric(
+                to,
+                "team_returns_per_robot_minute",
+                "Changes of robots into a team that they had left within the last minute",
             ),
             katz_residual: metric(to, "katz_residual", "Relative residual of the Katz similarity"),
             residual: metric(

@@ -306,6 +306,8 @@ impl Observer {
                 results.unassigned.get_or_create(&of).set(count(teams.unassigned.len()));
             }
             Message::Audit(audit) => {
+                let rate = audit.flapping.returns_per_robot_minute;
+                results.returns.get_or_create(&of).set(rate);
                 for (space, report) in
                     [("embedding", &audit.in_embedding), ("physical", &audit.in_physical)]
                 {

@@ -5,9 +5,11 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use muster_model::audit::{Audit, Quality, SilhouetteMethod, SilhouetteReport, Space};
+use muster_model::audit::{
+    Audit, Flapping, Quality, RobotReturns, SilhouetteMethod, SilhouetteReport, Space,
+};
 use muster_model::content::Checked;
-use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
+use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision, StageTime};
@@ -116,7 +118,12 @@ pub fn all() -> Vec<(&'static str, Message)> {
     let embedding = Embedding {
         header: header(43),
         roster: revision(42),
-        graphs: vec![(Modality::hierarchy(), revision(42), 0.6)],
+        graphs: vec![EmbeddingGraph {
+            modality: Modality::hierarchy(),
+            revision: revision(42),
+            weight: 0.6,
+            trust: 0.75,
+        }],
         robots: vec![robot("r1"), robot("r2")],
         dimension: 2,
         values: vec![0.25, -0.5, 0.0, 0.0],
@@ -181,6 +188,10 @@ pub fn all() -> Vec<(&'static str, Message)> {
         in_embedding: report(Space::Embedding, Some(0.5)),
         in_physical: report(Space::Physical, None),
         quality: Quality::Good,
+        flapping: Flapping {
+            returns_per_robot_minute: 1.5,
+            robots: vec![RobotReturns { robot: robot("r1"), returns: 3 }],
+        },
     };
     let event = |kind| {
         Message::Event(Event {

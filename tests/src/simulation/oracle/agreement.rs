@@ -93,7 +93,7 @@ impl Oracle {
             }
         }
         let embedding = self.embeddings.last().ok_or("there is no embedding")?;
-        let graphs = embedding.graphs.iter().map(|(name, at, _)| (name, at));
+        let graphs = embedding.graphs.iter().map(|graph| (&graph.modality, &graph.revision));
         if !known.eq(&embedding.robots) || !graphs.eq(roster.graphs.iter().map(|(n, at)| (n, at))) {
             return Err(format!("the embedding is not that of the roster: {:?}", embedding.graphs));
         }

@@ -56,9 +56,10 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
             offenders: OFFENDERS,
         },
         ServiceName::Auditor => MemoryUse {
-            robots: MAX_AUDITOR_MESSAGES * robots,
+            // The rosters, and the robots that have changed their team.
+            robots: (MAX_AUDITOR_MESSAGES + 1) * robots,
             edges: 0,
-            messages: 2 * MAX_AUDITOR_MESSAGES + 3,
+            messages: 2 * MAX_AUDITOR_MESSAGES + 4,
             offenders: OFFENDERS,
         },
     }

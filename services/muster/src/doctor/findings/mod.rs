@@ -1,5 +1,6 @@
 //! What is wrong, judging by what was seen, and what to do about it.
 
+mod division;
 mod robots;
 mod router;
 mod services;
@@ -78,6 +79,7 @@ pub(super) fn of_fleet(look: &Look) -> Vec<Finding> {
     found.extend(robots::refused(look));
     found.extend(services::jobs(look));
     found.extend(robots::teams(look));
+    found.extend(division::division(look));
     found
 }
 

@@ -122,7 +122,7 @@ pub(super) fn denied(look: &Look) -> Vec<Finding> {
     };
     let unanswered: Vec<_> = [
         (ServiceName::Ingest, "frames_published", look.roster.is_some(), "roster"),
-        (ServiceName::Embedder, "embeddings_published", look.embedding, "embedding"),
+        (ServiceName::Embedder, "embeddings_published", look.embedding.is_some(), "embedding"),
         (ServiceName::Clusterer, "divisions_published", look.teams.is_some(), "teams"),
     ]
     .into_iter()
