@@ -150,17 +150,24 @@ fn computed(
     centrality: Vec<f64>,
     stage_us: [u64; 3],
 ) -> Computed {
-    let Embedded { weights, decay, decomposition, x, without_embedding, .. } = embedded;
+    let Embedded { weights, trust, decay, decomposition, x, without_embedding } = embedded;
     let svd = decomposition.svd;
-    let graph = |((modality, revision), weight): (&(Modality, Revision), f64)| EmbeddingGraph {
-        modality: modality.clone(),
-        revision: *revision,
-        weight,
-        trust: 1.0,
-    };
+    let mut disagreeing = BTreeMap::new();
+    let named = basis.graphs.iter().zip(weights).zip(trust);
+    let graphs = named.map(|(((modality, revision), weight), trust)| {
+        if !trust.disagreeing.is_empty() {
+            disagreeing.insert(modality.clone(), trust.disagreeing);
+        }
+        EmbeddingGraph {
+            modality: modality.clone(),
+            revision: *revision,
+            weight,
+            trust: trust.factor,
+        }
+    });
     Computed {
-        graphs: basis.graphs.iter().zip(weights).map(graph).collect(),
-        disagreeing: BTreeMap::new(),
+        graphs: graphs.collect(),
+        disagreeing,
         dimension: u32::try_from(x.cols()).unwrap_or(u32::MAX),
         without_embedding,
         centrality,

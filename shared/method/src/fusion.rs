@@ -240,9 +240,7 @@ impl Scale {
 fn by_norm(matrix: &SparseMatrix, before: Option<Scale>, params: &EmbeddingParams) -> Scale {
     let hysteresis = params.hysteresis;
     let mut band = match before {
-        Some(Scale::Norm { hysteresis: of, band, .. })
-            if of.to_bits() == hysteresis.to_bits() =>
-        {
+        Some(Scale::Norm { hysteresis: of, band, .. }) if of.to_bits() == hysteresis.to_bits() => {
             band
         }
         // Valid parameters have a valid hysteresis; without one, norms are exact.

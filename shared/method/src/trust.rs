@@ -245,10 +245,8 @@ impl TrustTracker {
         let sources = self.next_robots(robots.len(), count);
         for _ in 0..rounds {
             for voice in &speaking {
-                self.examine(voice, &speaking, &sources).map_err(|error| MethodError::Graph {
-                    modality: voice.name.clone(),
-                    error,
-                })?;
+                self.examine(voice, &speaking, &sources)
+                    .map_err(|error| MethodError::Graph { modality: voice.name.clone(), error })?;
             }
             self.decide(is_first);
         }
@@ -275,7 +273,8 @@ impl TrustTracker {
         let others = all.iter().filter(|other| other.name != voice.name);
         let others =
             others.map(|other| (other.matrix, other.weight * factor(other.name) / other.norm));
-        let others: Vec<(&SparseMatrix, f64)> = others.filter(|(_, weight)| *weight > 0.0).collect();
+        let others: Vec<(&SparseMatrix, f64)> =
+            others.filter(|(_, weight)| *weight > 0.0).collect();
         let sum: f64 = all
             .iter()
             .filter(|other| other.name != voice.name)

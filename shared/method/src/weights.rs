@@ -77,7 +77,7 @@ mod tests {
         // One edge relates two of ten robots, two fifths of what counts as a whole modality.
         let found =
             weights(&BTreeMap::new(), &frame(&[("hierarchy", 2), ("spatial", 10)])).unwrap();
-        let hierarchy = 0.55 * 0.4;
+        let hierarchy = 0.6 * 0.4;
         let sum = hierarchy + 0.35;
         assert!((found[0] - hierarchy / sum).abs() < 1e-15);
         assert!((found[1] - 0.35 / sum).abs() < 1e-15);
@@ -88,7 +88,7 @@ mod tests {
         assert_eq!(weighed(&[], &["a", "b"]), Ok(vec![0.5, 0.5]));
         assert_eq!(weighed(&[], &[]), Ok(vec![]));
         let three = weighed(&[], &["connectivity", "hierarchy", "spatial"]).unwrap();
-        for (found, wanted) in three.iter().zip([0.1, 0.55, 0.35]) {
+        for (found, wanted) in three.iter().zip([0.05, 0.6, 0.35]) {
             assert!((found - wanted).abs() < 1e-15, "{three:?}");
         }
         let more = weighed(&[], &["connectivity", "hierarchy", "leash", "spatial"]).unwrap();

@@ -50,7 +50,7 @@ const MIN_SCALE_PER_MEDIAN: f64 = 0.1;
 /// neither more than their distances say. Where most robots stand on each other, so that the median is
 /// 0, the median over their distinct positions takes its place, and no s is below [`MIN_SCALE_PER_MEDIAN`]
 /// times it, nor above [`MAX_SCALE_PER_NEAREST`] times the distance to the robot's own nearest or
-/// [`MAX_SCALE_PER_QUARTILE`] times the lower quartile of all s.
+/// [`MAX_SCALE_PER_QUARTILE`] times the lower quartile of all s above that least one.
 ///
 /// Gaussian and exponential: fleets of more than `all_pairs_up_to` robots relate those of which one is
 /// among the `neighbours` nearest of the other. Edges longer than `radius_m` or weaker than
@@ -129,7 +129,10 @@ impl Measure {
             own.max(MIN_SCALE_PER_MEDIAN * kernel.length_m())
         };
         let scales: Vec<f64> = nearest.iter().map(own).collect();
-        let most = MAX_SCALE_PER_QUARTILE * lower_quartile(&scales);
+        // Robots that stand on each other are measured by the least, which says nothing of the fleet.
+        let least = MIN_SCALE_PER_MEDIAN * kernel.length_m();
+        let apart = scales.iter().copied().filter(|scale| *scale > least).collect();
+        let most = MAX_SCALE_PER_QUARTILE * lower_quartile(apart);
         Self { kernel, roots: scales.into_iter().map(|scale| scale.min(most).sqrt()).collect() }
     }
 
@@ -155,14 +158,13 @@ fn own_scale(settings: &SpatialSettings, robots: usize) -> Option<usize> {
     by_robots.then(|| scale_neighbour(settings, robots))
 }
 
-/// The value that a quarter of the numbers do not exceed; 0 where there are none.
-fn lower_quartile(numbers: &[f64]) -> f64 {
-    let mut sorted = numbers.to_vec();
-    let place = sorted.len() / 4;
-    match sorted.get_mut(place) {
-        Some(_) => *sorted.select_nth_unstable_by(place, f64::total_cmp).1,
-        None => 0.0,
+/// The value that a quarter of the numbers do not exceed; infinite where there are none.
+fn lower_quartile(mut numbers: Vec<f64>) -> f64 {
+    let place = numbers.len() / 4;
+    if numbers.is_empty() {
+        return f64::INFINITY;
     }
+    *numbers.select_nth_unstable_by(place, f64::total_cmp).1
 }
 
 /// The number, from 1, of the nearest robot by which each of so many is measured: the settings', or the

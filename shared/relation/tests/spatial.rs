@@ -64,33 +64,35 @@ fn the_kernels_are_those_of_the_settings() {
 
 #[test]
 fn robots_are_measured_by_their_own_distances() {
-    // A close team, and the same one spread out ten times as far.
+    // A close team, and the same one spread out twice as far.
     let team = [0.0, 1.0, 3.0, 4.0];
     let line: Vec<Point> = team.iter().map(|x| [*x, 0.0, 0.0]).collect();
     let mut both = line.clone();
-    both.extend(team.iter().map(|x| [1000.0 + 10.0 * x, 0.0, 0.0]));
-    let weights = weights(&spatial_edges(&both, &settings()));
+    both.extend(team.iter().map(|x| [1000.0 + 2.0 * x, 0.0, 0.0]));
+    let settings = SpatialSettings { scale_neighbour: Some(2), ..settings() };
+    let weights = weights(&spatial_edges(&both, &settings));
     for (&(i, j), weight) in weights.range((0, 0)..(4, 0)) {
         assert!(i < 4 && (weights[&(i + 4, j + 4)] - weight).abs() < 1e-12, "{i} {j} {weight}");
     }
     // The second nearest of the first robot is 3 m away, that of the second one 2 m.
-    let expected = (-0.5f64 / (0.7 * 0.7 * 3.0 * 2.0)).exp();
+    let expected = (-0.5f64 / (0.85 * 0.85 * 3.0 * 2.0)).exp();
     assert!((weights[&(0, 1)] - expected).abs() < 1e-12, "{}", weights[&(0, 1)]);
 }
 
 #[test]
 fn the_neighbour_that_robots_are_measured_by_grows_with_the_fleet() {
     let of = |robots| scale_neighbour(&settings(), robots);
-    assert_eq!([0, 2, 9, 29, 54, 120, 300, 100_000].map(of), [2, 2, 2, 2, 3, 5, 8, 8]);
-    let set = SpatialSettings { scale_neighbour: Some(4), ..settings() };
-    assert_eq!(scale_neighbour(&set, 300), 4);
+    assert_eq!([0, 2, 9, 29, 54, 120, 300, 100_000].map(of), [4, 4, 4, 4, 4, 5, 8, 8]);
+    let set = SpatialSettings { scale_neighbour: Some(3), ..settings() };
+    assert_eq!(scale_neighbour(&set, 300), 3);
 }
 
 #[test]
 fn a_pair_is_measured_by_itself_and_not_by_the_next_pair() {
     let pairs = [[0.0; 3], [3.0, 0.0, 0.0], [90.0, 0.0, 0.0], [93.0, 0.0, 0.0]];
     let weights = weights(&spatial_edges(&pairs, &settings()));
-    assert!(weights[&(0, 1)] > 0.8 && !weights.contains_key(&(0, 2)), "{weights:?}");
+    let to_next = weights.get(&(0, 2)).copied().unwrap_or(0.0);
+    assert!(weights[&(0, 1)] > 0.8 && to_next < 1e-9, "{weights:?}");
 }
 
 #[test]
@@ -100,7 +102,7 @@ fn robots_in_a_dock_do_not_lose_those_around_it() {
     let weights = weights(&spatial_edges(&positions, &settings()));
     assert_eq!(weights[&(0, 4)], 1.0);
     // A tenth of the fleet's metre is the least that they are measured by.
-    let expected = (-0.5f64 / (0.7 * 0.7 * 0.1 * 1.0)).exp();
+    let expected = (-0.5f64 / (0.85 * 0.85 * 0.1 * 1.0)).exp();
     assert!((weights[&(0, 5)] - expected).abs() < 1e-12, "{}", weights[&(0, 5)]);
 }
 
