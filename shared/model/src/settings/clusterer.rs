@@ -3,8 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Settings, SettingsError, check_range};
-use crate::limits::MAX_TEAMS;
+use super::{Settings, SettingsError, TeamCount, check_range};
 
 /// How the centroids of a start of k-means are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -26,8 +25,7 @@ const MAX_HEARTBEAT_S: f64 = 4.0;
 #[serde(deny_unknown_fields)]
 pub struct ClustererSettings {
     /// How many teams the fleet is divided into. There are fewer while the robots do not allow more.
-    #[schemars(range(min = 1, max = MAX_TEAMS))]
-    pub teams: u32,
+    pub teams: TeamCount,
     /// How many starts of k-means are tried in addition to the previous division.
     #[schemars(range(min = 1, max = 10_000))]
     pub restarts: u32,
@@ -51,7 +49,7 @@ pub struct ClustererSettings {
 impl Default for ClustererSettings {
     fn default() -> Self {
         Self {
-            teams: 2,
+            teams: TeamCount::Auto,
             restarts: 50,
             init: CentroidStart::PlusPlus,
             max_iterations: 100,
@@ -64,7 +62,7 @@ impl Default for ClustererSettings {
 
 impl Settings for ClustererSettings {
     fn check(&self) -> Result<(), SettingsError> {
-        check_range("teams", f64::from(self.teams), 1.0..=f64::from(MAX_TEAMS))?;
+        self.teams.check()?;
         check_range("restarts", f64::from(self.restarts), 1.0..=10_000.0)?;
         check_range("max_iterations", f64::from(self.max_iterations), 1.0..=100_000.0)?;
         check_range("hysteresis", self.hysteresis, 0.0..=0.99)?;
