@@ -10,7 +10,7 @@ use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
-use muster_model::settings::{Alpha, Dimension, EmbedderSettings, MAX_DIMENSION};
+use muster_model::settings::{Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, TeamCount};
 use muster_service::Input;
 use muster_wire::Message;
 
@@ -193,6 +193,7 @@ fn a_dimension_that_is_chosen_keeps_to_the_largest_that_may_be_asked_for() {
 }
 
 fn teams(teams: u32) -> String {
+    let teams = TeamCount::Fixed(teams);
     let settings = muster_model::settings::ClustererSettings { teams, ..Default::default() };
     serde_json::to_string(&settings).unwrap()
 }
@@ -368,11 +369,7 @@ fn a_term_that_readers_have_passed_is_followed_by_a_new_one() {
 
 #[test]
 fn the_number_of_teams_is_known_from_the_start() {
-    let text = serde_json::to_string(&muster_model::settings::ClustererSettings {
-        teams: 3,
-        ..Default::default()
-    });
-    let settings = announced(&text.unwrap());
+    let settings = announced(&teams(3));
     let mut bench = Bench::started(EmbedderSettings::default(), vec![settings]);
     let mut ingest = Ingest::new(&["spatial"]);
     for prefix in ["a", "b", "c"] {

@@ -153,7 +153,7 @@ impl EmbeddingParams {
             }
             _ => {}
         }
-        if self.teams.check().is_err() {
+        if self.teams.range().is_empty() || *self.teams.range().start() == 0 {
             return Err(ParamsError::Teams(self.teams));
         }
         match self.dimension {
@@ -302,8 +302,8 @@ pub enum ParamsError {
     /// The dimension is odd or less than 2.
     #[error("dimension: must be even and at least 2, not {0}")]
     Dimension(u32),
-    /// The number of teams, or a bound of its range, is out of range.
-    #[error("teams: must be \"auto\", a number or a range of the settings of clusterer, not {0}")]
+    /// The number of teams is 0, or its range is empty or holds 0.
+    #[error("teams: must be at least 1, and a range must rise, not {0}")]
     Teams(TeamCount),
     /// The power of the singular values is not finite.
     #[error("power: must be finite, not {0}")]

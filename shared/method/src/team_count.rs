@@ -82,7 +82,8 @@ mod tests {
         for size in sizes {
             let weight = 1.0 / *size as f64;
             let members = first..first + size;
-            edges.extend(members.clone().flat_map(|i| members.clone().map(move |j| (i, j, weight))));
+            edges
+                .extend(members.clone().flat_map(|i| members.clone().map(move |j| (i, j, weight))));
             if first > 0 && link > 0.0 {
                 edges.extend([(first - 1, first, link), (first, first - 1, link)]);
             }
@@ -128,7 +129,8 @@ mod tests {
 
     #[test]
     fn nothing_to_go_by_is_one_team() {
-        for values in [&[][..], &[1.0], &[0.0, 0.0], &[1.0; 20], &[f64::NAN, 1.0], &[f64::INFINITY]] {
+        for values in [&[][..], &[1.0], &[0.0, 0.0], &[1.0; 20], &[f64::NAN, 1.0], &[f64::INFINITY]]
+        {
             let found = scores(values, 0.5);
             assert!(found.iter().all(|score| score.is_finite()), "{found:?}");
             assert_eq!(choose(&found, 1..=16, None), 1, "{values:?}");
