@@ -91,6 +91,7 @@ fn division(term: u64, epoch: u64, team: u64) -> Outbound {
         header,
         embedding: Revision::default(),
         requested: 1,
+        considered: vec![],
         teams: vec![team],
         unassigned: vec![],
         stale: vec![],

@@ -130,7 +130,7 @@ proptest! {
                     newest = Some(next);
                 }
                 Act::Teams(many) => {
-                    settings.teams = many;
+                    settings.teams = TeamCount::Fixed(many);
                     let patch = format!("{{\"teams\":{many}}}");
                     bench.get("service/clusterer/settings", Some(&patch)).unwrap();
                 }
@@ -152,7 +152,7 @@ proptest! {
             prop_assert_eq!(&robots, &embedding.robots);
             let without = embedding.robots.iter().zip(&embedding.without_embedding).filter(|(_, u)| **u);
             prop_assert!(without.map(|(robot, _)| robot).eq(&teams.unassigned));
-            prop_assert!(teams.teams.len() <= settings.teams as usize);
+            prop_assert!(teams.teams.len() <= *settings.teams.range().end() as usize);
             prop_assert!(teams.teams.iter().all(|team| !team.members.is_empty()));
             let number = |id: &TeamId| id.as_str()[1..].parse::<u64>().unwrap();
             let numbers: Vec<u64> = teams.teams.iter().map(|team| number(&team.id)).collect();

@@ -226,7 +226,10 @@ mod tests {
         }
         let word = current.patched(&json!({"teams": "many"})).unwrap_err();
         assert!(word.problem.contains("\"auto\"") && word.problem.contains("\"from\""), "{word}");
-        assert_eq!([TeamCount::Auto, range, 3.into()].map(|t| t.to_string()), ["auto", "2..4", "3"]);
+        assert_eq!(
+            [TeamCount::Auto, range, 3.into()].map(|t| t.to_string()),
+            ["auto", "2..4", "3"]
+        );
     }
 
     #[test]

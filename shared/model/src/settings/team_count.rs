@@ -132,7 +132,8 @@ impl<'de> Deserialize<'de> for TeamCount {
 
             fn visit_u64<E: Error>(self, teams: u64) -> Result<TeamCount, E> {
                 let number = u32::try_from(teams);
-                let number = number.map_err(|_| E::invalid_value(Unexpected::Unsigned(teams), &self));
+                let number =
+                    number.map_err(|_| E::invalid_value(Unexpected::Unsigned(teams), &self));
                 number.map(TeamCount::Fixed)
             }
 

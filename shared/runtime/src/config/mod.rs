@@ -351,7 +351,8 @@ mod tests {
 
     #[test]
     fn what_is_printed_is_accepted_again() {
-        let file = "[ingest]\nspatial = { width = 3.0 }\n[clusterer]\nteams = { from = 2, to = 5 }\n";
+        let file =
+            "[ingest]\nspatial = { width = 3.0 }\n[clusterer]\nteams = { from = 2, to = 5 }\n";
         let (_directory, args) = with_file(file);
         let text = resolve(&args, &none).unwrap().print(&ServiceName::ALL).unwrap();
         assert!(text.contains("spatial.width = 3.0  # file"), "{text}");

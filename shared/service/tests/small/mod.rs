@@ -234,6 +234,7 @@ pub(crate) fn output(header: Header) -> Message {
         header,
         embedding: Revision::default(),
         requested: 0,
+        considered: vec![],
         teams: Vec::new(),
         unassigned: Vec::new(),
         stale: Vec::new(),

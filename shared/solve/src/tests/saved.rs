@@ -42,7 +42,7 @@ fn settings_of_the_services_may_stand_among_the_graphs() {
         dimension: muster_model::settings::Dimension::Fixed(2),
         ..EmbedderSettings::default()
     };
-    let clusterer = ClustererSettings { teams: 1, ..ClustererSettings::default() };
+    let clusterer = ClustererSettings { teams: 1.into(), ..ClustererSettings::default() };
     let settings = [json!(embedder).to_string(), json!(clusterer).to_string()];
     let [embedder, clusterer] = &settings;
     for text in [
