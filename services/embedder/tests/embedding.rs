@@ -560,3 +560,48 @@ fn the_paper_as_it_stands_is_a_matter_of_settings() {
         assert!((length - 1.0).abs() < 1e-12);
     }
 }
+
+/// Settings of a clusterer that chooses the number of teams.
+fn chosen(teams: TeamCount) -> String {
+    let settings = muster_model::settings::ClustererSettings { teams, ..Default::default() };
+    serde_json::to_string(&settings).unwrap()
+}
+
+#[test]
+fn the_evidence_for_a_number_of_teams_is_published() {
+    let (mut bench, mut ingest) = (Bench::fresh(), three_bridged_cliques());
+    ingest.join("loner");
+    bench.frame(&mut ingest);
+    let scores = bench.last().quality.team_scores.clone();
+    let best = (1..).zip(&scores).max_by(|l, r| l.1.total_cmp(r.1)).unwrap();
+    assert_eq!(
+        (best.0, scores.len()),
+        (3, 12),
+        "the robot without an edge does not count: {scores:?}"
+    );
+    assert_eq!(bench.last().dimension, 6, "the rule for the dimension expects three teams");
+    let within = TeamCount::Between { from: 1, to: 2 };
+    bench.receive_teams(&chosen(within));
+    assert_eq!(bench.last().quality.team_scores, scores[..2]);
+    bench.receive_teams(&teams(3));
+    assert!(bench.last().quality.team_scores.is_empty());
+    // A fixed dimension needs no number of teams, and the number of teams no free dimension.
+    bench.receive_teams(&chosen(TeamCount::Auto));
+    bench.set(r#"{"dimension": 4}"#);
+    assert_eq!((bench.last().dimension, bench.last().quality.team_scores.len()), (4, 12));
+}
+
+#[test]
+fn large_fleets_have_the_triplets_that_the_evidence_needs() {
+    let mut ingest = Ingest::new(&["spatial"]);
+    for group in 0..7 {
+        ingest.clique("spatial", &format!("g{group}x"), 12, 1.0);
+    }
+    let mut bench = Bench::fresh();
+    bench.frame(&mut ingest);
+    let last = bench.last();
+    assert_eq!(last.quality.mode, EmbeddingMode::InverseFree);
+    let best = (1..).zip(&last.quality.team_scores).max_by(|l, r| l.1.total_cmp(r.1)).unwrap();
+    assert_eq!((best.0, last.quality.team_scores.len()), (7, 16));
+    assert_eq!(last.dimension, 14);
+}

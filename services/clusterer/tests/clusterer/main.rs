@@ -10,6 +10,7 @@
 
 mod common;
 mod division;
+mod dwell;
 mod gets;
 mod identity;
 mod properties;

@@ -114,7 +114,7 @@ proptest! {
     fn every_robot_has_one_place_and_no_id_is_used_twice(
         acts in prop::collection::vec(act(), 1..25)
     ) {
-        let mut settings = ClustererSettings { restarts: 3, ..teams(3) };
+        let mut settings = ClustererSettings { restarts: 3, dwell_s: 0.5, ..teams(3) };
         let mut bench = Bench::leading(settings.clone());
         let mut world = World::default();
         let mut newest: Option<Checked<Embedding>> = None;
