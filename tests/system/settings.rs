@@ -16,7 +16,7 @@ fn teams(count: usize) -> impl Fn(&Value) -> bool {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn settings_change_at_once_and_survive_a_restart() {
-    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let watch = client.watch("json/teams").await.unwrap();
