@@ -161,6 +161,7 @@ fn settings_recompute_the_frame_and_keep_the_similarity() {
 fn the_number_of_teams_reaches_the_rule_for_the_dimension() {
     let mut ingest = three_bridged_cliques();
     let mut bench = Bench::fresh();
+    bench.receive_teams(&teams(2));
     bench.frame(&mut ingest);
     assert_eq!(bench.last().dimension, 4);
     bench.receive_teams(&teams(3));

@@ -101,7 +101,7 @@ fn the_json_has_its_keys_in_order_and_full_precision() {
 fn the_number_of_teams_is_chosen_unless_it_is_given() {
     let file = with(plain(9, &cliques(&[3, 3, 3]), 0.25), json!({"teams": null, "emit": []}));
     let chosen = |options: Options, file: &Value| {
-        let solved = crate::Solved::new(file.to_string().as_bytes(), options).unwrap();
+        let solved = Solved::new(file.to_string().as_bytes(), options).unwrap();
         let json: Value = serde_json::from_str(&solved.to_json().unwrap()).unwrap();
         (json["requested"].as_u64(), json["considered"].clone(), solved.summary())
     };
