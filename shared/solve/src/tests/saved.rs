@@ -31,7 +31,8 @@ fn lines_of_graphs_are_a_fleet_with_the_default_settings() {
     let weight = 0.55 * 0.8;
     assert_near(hierarchy.weight, weight / (weight + 0.35), "weight");
     assert_near(spatial.weight, 0.35 / (weight + 0.35), "weight");
-    let (_, solution) = solve(&two_pairs()).unwrap();
+    let two = Options { teams: Some(2.into()), ..Options::default() };
+    let (_, solution) = solve_with(&two_pairs(), two).unwrap();
     assert_eq!(solution.divided.labels, [0, 0, 1, 1, 2]);
     assert_eq!(solution.divided.unassigned, Some(2));
 }
