@@ -31,7 +31,8 @@ fn lines_of_graphs_are_a_fleet_with_the_default_settings() {
     let weight = 0.55 * 0.8;
     assert_near(hierarchy.weight, weight / (weight + 0.35), "weight");
     assert_near(spatial.weight, 0.35 / (weight + 0.35), "weight");
-    let (_, solution) = solve(&two_pairs()).unwrap();
+    let two = Options { teams: Some(2.into()), ..Options::default() };
+    let (_, solution) = solve_with(&two_pairs(), two).unwrap();
     assert_eq!(solution.divided.labels, [0, 0, 1, 1, 2]);
     assert_eq!(solution.divided.unassigned, Some(2));
 }
@@ -42,7 +43,7 @@ fn settings_of_the_services_may_stand_among_the_graphs() {
         dimension: muster_model::settings::Dimension::Fixed(2),
         ..EmbedderSettings::default()
     };
-    let clusterer = ClustererSettings { teams: 1, ..ClustererSettings::default() };
+    let clusterer = ClustererSettings { teams: 1.into(), ..ClustererSettings::default() };
     let settings = [json!(embedder).to_string(), json!(clusterer).to_string()];
     let [embedder, clusterer] = &settings;
     for text in [
