@@ -126,6 +126,12 @@ impl Frames {
         Ok(Embedded { weights, trust, decay, decomposition, x, without_embedding: embedded.weak })
     }
 
+    /// A* of the last embedding; none before it.
+    #[must_use]
+    pub fn fused(&self) -> Option<&SparseMatrix> {
+        self.last.as_ref().map(|last| &*last.fused)
+    }
+
     /// The Katz centrality of each robot by the graphs of the last embedding, at least 1; empty before it.
     ///
     /// # Errors

@@ -11,6 +11,14 @@ use std::ops::RangeInclusive;
 /// in the weights moves a score by about as much, and must not change the number of teams.
 pub const KEPT_SHARE: f64 = 0.1;
 
+/// The fleet is one group where the first gap is at least this one: λ_2 falls short of λ_1 by as much where no
+/// part is loosely connected. Of the true teams of the kinds of fleets that defaults are chosen on, each taken
+/// alone, five in six have it; of the fleets, which are several teams, one in twelve.
+pub const SINGLE_GAP: f64 = 0.14;
+
+/// It is several groups all the same where another gap is more than so many times the first one.
+pub const SINGLE_RATIO: f64 = 2.0;
+
 /// Scores up to this one are no gap: the values are equal except for the residual of the singular values,
 /// which is at most 1e-6 by default.
 pub const FLAT_SCORE: f64 = 1e-5;
@@ -34,9 +42,12 @@ pub fn scores(singular_values: &[f64], alpha: f64) -> Vec<f64> {
     }
 }
 
-/// The number of teams: that of the largest score within the range, the least of several. `previous` is kept
-/// while its score is at most [`KEPT_SHARE`] below that. Where no score within the range is a gap, it is
-/// the least number of the range.
+/// The number of teams within the range.
+///
+/// It is 1 where the first gap is wide ([`SINGLE_GAP`], [`SINGLE_RATIO`]), and otherwise the number from 2 with
+/// the largest score, the least of several. Where no score is a gap though there are values for the whole
+/// range, the fleet has more groups than that, and the number is the end of the range; without values, the
+/// least one. `previous` is kept while it is almost as good ([`KEPT_SHARE`]).
 #[must_use]
 pub fn choose(scores: &[f64], range: RangeInclusive<u32>, previous: Option<u32>) -> u32 {
     let (least, most) = (*range.start(), *range.end());
@@ -46,16 +57,37 @@ pub fn choose(scores: &[f64], range: RangeInclusive<u32>, previous: Option<u32>)
     };
     let known = u32::try_from(scores.len()).unwrap_or(u32::MAX);
     let mut best: Option<(u32, f64)> = None;
-    for teams in least..=most.min(known) {
+    for teams in least.max(2)..=most.min(known) {
         if let Some(score) = score(teams)
             && best.is_none_or(|(_, largest)| score > largest)
         {
             best = Some((teams, score));
         }
     }
-    let Some((best, largest)) = best else { return least };
+    let first = score(1).unwrap_or(0.0);
+    if least <= 1 {
+        let largest = best.map_or(0.0, |(_, score)| score);
+        // Whichever it was before needs a little less evidence.
+        let ease = match previous {
+            Some(1) => 1.0 - KEPT_SHARE,
+            Some(_) => 1.0 + KEPT_SHARE,
+            None => 1.0,
+        };
+        let is_single = first >= SINGLE_GAP * ease && largest * ease <= SINGLE_RATIO * first;
+        if is_single || best.is_none() && first > 0.0 {
+            return 1;
+        }
+    }
+    let Some((best, largest)) = best else {
+        return if most <= known && scores.iter().all(|score| score.is_finite()) {
+            most
+        } else {
+            least
+        };
+    };
     let is_kept = |teams: &u32| score(*teams).is_some_and(|s| s >= (1.0 - KEPT_SHARE) * largest);
-    previous.filter(|teams| range.contains(teams)).filter(is_kept).unwrap_or(best)
+    let previous = previous.filter(|teams| range.contains(teams) && *teams > 1);
+    previous.filter(is_kept).unwrap_or(best)
 }
 
 #[cfg(test)]
@@ -128,9 +160,27 @@ mod tests {
     }
 
     #[test]
+    fn a_wide_first_gap_is_one_team_and_stays_so() {
+        let found = |first: f64, second: f64| [first, second, 0.01];
+        let chosen = |scores: [f64; 3], previous| choose(&scores, 1..=16, previous);
+        assert_eq!(chosen(found(0.2, 0.3), None), 1);
+        assert_eq!(chosen(found(0.2, 0.5), None), 2);
+        assert_eq!(chosen(found(0.13, 0.1), None), 2);
+        assert_eq!(chosen(found(0.13, 0.1), Some(1)), 1);
+        assert_eq!(chosen(found(0.15, 0.1), Some(2)), 2);
+        assert_eq!(chosen(found(0.2, 0.42), Some(1)), 1);
+        assert_eq!(choose(&found(0.5, 0.1), 2..=16, None), 2);
+    }
+
+    #[test]
+    fn more_groups_than_the_range_are_its_end() {
+        assert_eq!(choose(&scores(&[1.0; 20], 0.5), 1..=16, None), 16);
+        assert_eq!(choose(&scores(&[1.0; 9], 0.5), 2..=5, None), 5);
+    }
+
+    #[test]
     fn nothing_to_go_by_is_one_team() {
-        for values in [&[][..], &[1.0], &[0.0, 0.0], &[1.0; 20], &[f64::NAN, 1.0], &[f64::INFINITY]]
-        {
+        for values in [&[][..], &[1.0], &[0.0, 0.0], &[f64::NAN, 1.0], &[f64::INFINITY]] {
             let found = scores(values, 0.5);
             assert!(found.iter().all(|score| score.is_finite()), "{found:?}");
             assert_eq!(choose(&found, 1..=16, None), 1, "{values:?}");
