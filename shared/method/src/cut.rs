@@ -108,6 +108,19 @@ impl Cut {
         rank.max(evidence).clamp(1, nodes)
     }
 
+    /// How many of them will have to be exact: those that the last choice needed and two more, so that a choice
+    /// that is a little larger finds them.
+    pub(crate) fn exact_rank(&self, nodes: usize) -> usize {
+        if self.count.fixed().is_some() {
+            return self.least_rank(nodes);
+        }
+        let rank = match self.rank {
+            Rank::Fixed(rank) => rank,
+            Rank::Rule { .. } => self.previous.rank.unwrap_or(2).max(2),
+        };
+        (rank + 2).clamp(1, nodes)
+    }
+
     /// The choice where `rank` leading triplets are known; none if these are too few.
     pub(crate) fn of_leading(&self, svd: &impl Spectrum, rank: usize) -> Option<Chosen> {
         let nodes = svd.nodes();
