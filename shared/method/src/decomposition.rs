@@ -16,7 +16,7 @@ use crate::correspondence::Correspondence;
 use crate::cut::{Chosen, Cut, TeamEvidence};
 use crate::decay::Decay;
 use crate::error::MethodError;
-use crate::params::{Effort, EmbeddingParams};
+use crate::params::{Effort, EmbeddingParams, Pace};
 use crate::similarity::{Origin, Similarity, Solved};
 use crate::step::{Progress, Step};
 
@@ -90,14 +90,15 @@ enum Last {
 struct Known {
     /// All of them.
     rank: usize,
-    /// Those that are within the tolerance; the others serve as evidence of the number of teams.
+    /// Those that are within the tolerance; the others serve as evidence of K and of the number of teams.
     exact: usize,
 }
 
 impl Known {
-    /// Whether so many triplets, and the value behind them, are exact.
-    fn suffices(self, dimension: usize) -> bool {
-        dimension < self.exact || self.exact == self.rank
+    /// Whether so many triplets are exact, and where there is time for it, the value behind them.
+    fn suffices(self, dimension: usize, params: &EmbeddingParams) -> bool {
+        let behind = usize::from(params.pace == Pace::AtRest);
+        dimension + behind <= self.exact || self.exact == self.rank
     }
 }
 
@@ -133,7 +134,7 @@ impl Decomposer {
             && report.residual <= params.tolerance
             && let Some(chosen) = cut.of_leading(&self.leading.search, known.rank)
             && !chosen.rank.short
-            && known.suffices(chosen.rank.dimension)
+            && known.suffices(chosen.rank.dimension, params)
             && self.leading.compare(fused, robots) == Change::None
         {
             let found = self.leading.found(chosen, report, EmbeddingMode::Cached)?;
@@ -153,8 +154,13 @@ impl Decomposer {
             }
             match cut.of_leading(&self.leading.search, rank) {
                 Some(chosen) if chosen.rank.short => known.rank = (2 * rank).min(n),
-                Some(chosen) if known.suffices(chosen.rank.dimension) => break (chosen, report),
-                Some(chosen) => known.exact = (chosen.rank.dimension + 1).min(rank),
+                Some(chosen) if known.suffices(chosen.rank.dimension, params) => {
+                    break (chosen, report);
+                }
+                Some(chosen) => {
+                    let behind = usize::from(params.pace == Pace::AtRest);
+                    known.exact = (chosen.rank.dimension + behind).min(rank);
+                }
                 None => known.rank = (2 * rank).min(n),
             }
         };
