@@ -311,7 +311,8 @@ impl TrustTracker {
                 examined.edges[source] = Some(edges.collect());
             }
         }
-        let excess = examined.recent.len().saturating_sub(RECENT_ROBOTS.max(sources.len()));
+        let recent = RECENT_ROBOTS.min(nodes).max(sources.len());
+        let excess = examined.recent.len().saturating_sub(recent);
         examined.recent.drain(..excess);
         Ok(())
     }
