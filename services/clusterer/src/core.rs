@@ -10,6 +10,7 @@ use muster_model::audit::Audit;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::ServiceName;
+use muster_model::orders::NewOrders;
 use muster_model::roster::Roster;
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::Teams;
@@ -21,7 +22,7 @@ use muster_service::{
 use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::division::{DivisionError, Job, divide, same_data};
-use crate::dwell::{CountDwell, MoveDwell, Orders};
+use crate::dwell::{CountDwell, MoveDwell};
 use crate::identity::Memory;
 use crate::publishing::{Rotation, plural};
 
@@ -91,7 +92,7 @@ pub struct Clusterer {
     /// The robots that are kept in their team for now.
     moves: MoveDwell,
     /// The robots that have another superior than before.
-    orders: Orders,
+    orders: NewOrders,
     /// The newest division as it was found, if robots are kept in their team.
     undecided: Option<Box<Teams>>,
     rotation: Rotation,

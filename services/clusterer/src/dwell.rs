@@ -8,7 +8,6 @@ use std::time::Duration;
 
 use muster_method::team_count::choose;
 use muster_model::id::{RobotId, TeamId};
-use muster_model::roster::{Roster, RosterEntry};
 use muster_model::settings::TeamCount;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
@@ -16,10 +15,6 @@ use muster_model::time::Tick;
 /// How long another number of teams must be the best one before it is used: a few frames of a fleet, so that
 /// one frame of bad data divides nobody, and a split is still followed within a second.
 pub(crate) const TEAM_COUNT_DWELL: Duration = Duration::from_millis(400);
-
-/// How long after a change of its superior a robot changes teams at once, and its subordinates with it: an
-/// order is no noise, and a squad that is handed over reaches its new neighbours within it.
-pub(crate) const NEW_ORDERS_TIME: Duration = Duration::from_secs(10);
 
 /// The number of teams of one division after the other.
 #[derive(Debug, Default)]
@@ -65,57 +60,6 @@ impl CountDwell {
     pub(crate) fn due(&self) -> Option<Tick> {
         self.due
     }
-}
-
-/// Robots whose superior has changed lately.
-#[derive(Debug, Default)]
-pub(crate) struct Orders {
-    changed: BTreeMap<RobotId, Tick>,
-}
-
-impl Orders {
-    /// One roster follows another.
-    pub(crate) fn follow(&mut self, now: Tick, before: Option<&Roster>, after: &Roster) {
-        let place = |robot: &RobotId| after.robots.binary_search_by(|entry| entry.robot.cmp(robot));
-        self.changed.retain(|robot, at| !is_past(now, *at) && place(robot).is_ok());
-        let mut old = before.into_iter().flat_map(|before| &before.robots).peekable();
-        for RosterEntry { robot, superior, .. } in &after.robots {
-            while old.next_if(|entry| entry.robot < *robot).is_some() {}
-            let known = old.peek().filter(|entry| entry.robot == *robot);
-            if known.is_some_and(|entry| entry.superior != *superior) {
-                self.changed.insert(robot.clone(), now);
-            }
-        }
-    }
-
-    /// The robots that have new orders, and all that stand below them.
-    pub(crate) fn renewed<'a>(
-        &'a self,
-        now: Tick,
-        roster: Option<&'a Roster>,
-    ) -> BTreeSet<&'a RobotId> {
-        let changed = self.changed.iter().filter(|(_, at)| !is_past(now, **at));
-        let mut open: Vec<&RobotId> = changed.map(|(robot, _)| robot).collect();
-        let mut renewed: BTreeSet<&RobotId> = open.iter().copied().collect();
-        if open.is_empty() {
-            return renewed;
-        }
-        let mut below: BTreeMap<&RobotId, Vec<&RobotId>> = BTreeMap::new();
-        for entry in roster.into_iter().flat_map(|roster| &roster.robots) {
-            if let Some(superior) = &entry.superior {
-                below.entry(superior).or_default().push(&entry.robot);
-            }
-        }
-        while let Some(robot) = open.pop() {
-            let next = below.get(robot).into_iter().flatten();
-            open.extend(next.copied().filter(|robot| renewed.insert(robot)));
-        }
-        renewed
-    }
-}
-
-fn is_past(now: Tick, at: Tick) -> bool {
-    now >= at.after(NEW_ORDERS_TIME)
 }
 
 /// Robots that a new division puts into another team, but not yet for long enough.
@@ -194,7 +138,6 @@ impl MoveDwell {
 mod tests {
     use muster_model::header::{Header, Revision};
     use muster_model::id::FleetId;
-    use muster_model::roster::Presence;
     use muster_model::teams::{Member, Team};
 
     use super::*;
@@ -243,28 +186,6 @@ mod tests {
             changes: vec![],
             next_team: 9,
         }
-    }
-
-    /// A roster: `"a<b"` answers to b.
-    fn roster(robots: &str) -> Roster {
-        let entries = robots.split_whitespace().map(|text| {
-            let (name, superior) = match text.split_once('<') {
-                Some((name, superior)) => (name, Some(robot(superior))),
-                None => (text, None),
-            };
-            RosterEntry {
-                node: 0,
-                robot: robot(name),
-                presence: Presence::Active,
-                position: None,
-                heading: None,
-                frame: None,
-                superior,
-                role: None,
-                last_seen: Tick::default(),
-            }
-        });
-        Roster { header: header(), robots: entries.collect(), graphs: vec![] }
     }
 
     /// Who stays, as `a>t1`.
@@ -341,31 +262,6 @@ mod tests {
         assert_eq!(held(&mut dwell, 0, &new, &before, ""), "");
         let circle = division(&[("t1", "p q y z"), ("t2", "a b")]);
         assert_eq!(held(&mut dwell, 0, &circle, &before, ""), "a>t1 b>t1 p>t2 q>t2 y>t2 z>t2");
-    }
-
-    #[test]
-    fn orders_reach_all_below_and_are_new_for_a_while() {
-        let mut orders = Orders::default();
-        let names = |orders: &Orders, ms: u64, roster: &Roster| {
-            let renewed = orders.renewed(at(ms), Some(roster));
-            renewed.into_iter().map(RobotId::as_str).collect::<Vec<_>>().join(" ")
-        };
-        let first = roster("a b<a c<b d<c x");
-        orders.follow(at(0), None, &first);
-        assert_eq!(names(&orders, 0, &first), "", "the first roster is no change");
-        let second = roster("a b<x c<b d<c e<a x");
-        orders.follow(at(100), Some(&first), &second);
-        assert_eq!(names(&orders, 100, &second), "b c d");
-        orders.follow(at(200), Some(&second), &second);
-        assert_eq!(names(&orders, 10_099, &second), "b c d");
-        assert_eq!(names(&orders, 10_100, &second), "");
-        // A circle of superiors ends, and who has left is forgotten.
-        let circle = roster("a<b b<a c<b x");
-        orders.follow(at(300), Some(&second), &circle);
-        assert_eq!(names(&orders, 300, &circle), "a b c");
-        orders.follow(at(400), Some(&circle), &roster("x"));
-        assert_eq!(names(&orders, 400, &circle), "");
-        assert!(orders.changed.is_empty());
     }
 
     #[test]

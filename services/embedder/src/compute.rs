@@ -32,6 +32,8 @@ pub(crate) struct Basis {
     pub(crate) settings: EmbedderSettings,
     /// How many teams are wanted; none if neither the dimension nor the evidence depends on it.
     pub(crate) teams: Option<TeamCount>,
+    /// The robots that have new orders, ordered by name.
+    pub(crate) new_orders: Vec<RobotId>,
     /// Whether the fleet is at rest, so that there is time for the scales and the decay of exactly these
     /// graphs, and for more digits.
     pub(crate) at_rest: bool,
@@ -40,8 +42,8 @@ pub(crate) struct Basis {
 impl Basis {
     /// Whether robots, graphs, settings and teams are the same, at rest or not.
     pub(crate) fn is_of(&self, other: &Self) -> bool {
-        (&self.robots, &self.graphs, &self.settings, self.teams)
-            == (&other.robots, &other.graphs, &other.settings, other.teams)
+        (&self.robots, &self.graphs, &self.settings, self.teams, &self.new_orders)
+            == (&other.robots, &other.graphs, &other.settings, other.teams, &other.new_orders)
     }
 }
 
@@ -133,6 +135,7 @@ fn compute(
     let input =
         muster_method::Frame { robots: Arc::clone(&frame.robots), graphs: graphs.collect() };
 
+    frames.set_new_orders(basis.new_orders.clone());
     let mut stages = Stages { us: [0; 3], current: FUSION };
     let embedded = frames.embed(&input, &params.check()?, previous, &mut |step| {
         stages.enter(step, stopwatch);

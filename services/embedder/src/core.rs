@@ -12,6 +12,7 @@ use muster_method::pairs::PairError;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::{Modality, RobotId, ServiceName};
+use muster_model::orders::NewOrders;
 use muster_model::role::ReplicaState;
 use muster_model::settings::{Dimension, EmbedderSettings};
 use muster_model::time::Tick;
@@ -62,6 +63,10 @@ pub struct Embedder {
     follow: Follower,
     /// How many teams `clusterer` divides the fleet into.
     teams: TeamsWanted,
+    /// Robots whose superior has changed lately.
+    orders: NewOrders,
+    /// When the next of their orders will no longer be new.
+    orders_old: Option<Tick>,
     /// What the last job has left for the next one; none while one runs, which has it.
     memory: Option<Box<Memory>>,
     flight: SingleFlight<Basis>,
@@ -229,8 +234,12 @@ impl Core for Embedder {
     /// Does what has become due, whatever happened.
     fn after_input(&mut self, context: &mut Context<'_>) {
         let now = context.now();
+        let roster = self.follow.frame().map(|frame| frame.roster.clone());
         if self.follow.make_frame(now) {
             context.count("frames_consistent");
+            if let Some(frame) = self.follow.frame() {
+                self.orders.follow(now, roster.as_deref(), &frame.roster);
+            }
         }
         // A standby holds the graphs as well: it answers for an ingest that is gone.
         if follows(&context.view())
@@ -248,6 +257,7 @@ impl Core for Embedder {
             context.fetch(EmbedderFetch::ClustererSettings, patterns);
         }
         (self.heartbeat, self.rest) = (None, None);
+        self.orders_old = self.orders.due(now);
         let next = self.wanted().cloned().map(|frame| (self.basis(context, &frame), frame));
         if let Some((basis, frame)) = &next {
             self.republish_when_due(context, frame, basis);
@@ -272,7 +282,7 @@ impl Core for Embedder {
         }
         let retry = self.flight.retry_at().filter(|_| !view.is_job_running());
         let retry = retry.filter(|_| self.wanted().is_some());
-        let due = [follow, Some(self.teams.due()), retry, self.heartbeat, self.rest];
+        let due = [follow, Some(self.teams.due()), retry, self.heartbeat, self.rest, self.orders_old];
         due.into_iter().flatten().min()
     }
 
@@ -347,6 +357,7 @@ impl Embedder {
             graphs: graphs.collect(),
             teams: is_needed.then_some(teams),
             settings,
+            new_orders: self.orders.changed(context.now()).cloned().collect(),
             at_rest: false,
         };
         if let Some((computed, since)) = &self.computed

@@ -61,6 +61,8 @@ pub struct Frames {
     decay: DecayTracker,
     pub(crate) similarity: Similarity,
     decomposer: Decomposer,
+    /// Robots whose superior has changed lately; see [`Frames::set_new_orders`].
+    new_orders: Vec<RobotId>,
     /// How many teams the last frame showed.
     teams: Option<u32>,
     pub(crate) last: Option<LastGraph>,
@@ -95,7 +97,10 @@ impl Frames {
         }
         self.robots = Arc::clone(&frame.robots);
         let weights = weights(&params.weights, frame)?;
-        let Fused { matrix, weights, trust } = self.fusion.fuse(frame, weights, params)?;
+        let place = |robot: &RobotId| frame.robots.binary_search(robot).ok();
+        let new_orders: Vec<usize> = self.new_orders.iter().filter_map(place).collect();
+        let Fused { matrix, weights, trust } =
+            self.fusion.fuse(frame, weights, &new_orders, params)?;
         let fused = Arc::new(matrix);
         progress(Step::SpectralRadius);
         let decay = self.decay.choose(&fused, params)?;
@@ -124,6 +129,12 @@ impl Frames {
         };
         self.last = Some(LastGraph { fused, decay: decay.clone(), centralities: None });
         Ok(Embedded { weights, trust, decay, decomposition, x, without_embedding: embedded.weak })
+    }
+
+    /// The robots whose superior is another than a moment ago, for the frames that follow: their ranks count
+    /// before where they are and whom they hear.
+    pub fn set_new_orders(&mut self, robots: Vec<RobotId>) {
+        self.new_orders = robots;
     }
 
     /// A* of the last embedding; none before it.

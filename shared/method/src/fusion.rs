@@ -18,6 +18,7 @@ use muster_numeric::norm_band::NormBand;
 
 use crate::error::MethodError;
 use crate::graph::{Frame, Graph};
+use crate::orders::Standings;
 use crate::params::{EmbeddingParams, Pace};
 use crate::trust::{Trust, TrustTracker, Voice};
 
@@ -71,6 +72,7 @@ impl Fusion {
         &mut self,
         frame: &Frame,
         mut weights: Vec<f64>,
+        new_orders: &[usize],
         params: &EmbeddingParams,
     ) -> Result<Fused, MethodError> {
         let mut known = std::mem::take(&mut self.graphs);
@@ -90,7 +92,19 @@ impl Fusion {
                 self.graphs.insert(name.clone(), scaled);
             }
         }
-        let trust = self.weigh_by_trust(frame, &mut weights, params)?;
+        let ranks = self.graphs.get(&Modality::hierarchy());
+        let standings = match ranks.filter(|_| !new_orders.is_empty()) {
+            Some(ranks) => {
+                let reported = ranks.graph.as_ref().map(|graph| graph.matrix(&frame.robots, 0.0));
+                let reported = reported.transpose().map_err(|error| MethodError::Graph {
+                    modality: Modality::hierarchy(),
+                    error,
+                })?;
+                reported.map(|reported| Standings::new(&reported, new_orders)).unwrap_or_default()
+            }
+            None => Standings::default(),
+        };
+        let trust = self.weigh_by_trust(frame, &mut weights, &standings, params)?;
         self.self_loops = params.self_loops;
         Ok(Fused { matrix: self.sum(frame.robots.len())?, weights, trust })
     }
@@ -100,6 +114,7 @@ impl Fusion {
         &mut self,
         frame: &Frame,
         weights: &mut [f64],
+        standings: &Standings,
         params: &EmbeddingParams,
     ) -> Result<Vec<Trust>, MethodError> {
         let voices = self.graphs.iter().map(|(name, scaled)| Voice {
@@ -117,7 +132,7 @@ impl Fusion {
             is_trusted: params.trusted.contains(name),
         });
         let voices: Vec<Voice<'_>> = voices.collect();
-        self.trust.update(&frame.robots, &voices, params)?;
+        self.trust.update(&frame.robots, &voices, standings, params)?;
         let trust: Vec<Trust> =
             frame.graphs.iter().map(|(name, _)| self.trust.of(name, &frame.robots)).collect();
         let before: f64 = weights.iter().sum();
@@ -132,9 +147,16 @@ impl Fusion {
         for ((name, _), weight) in frame.graphs.iter().zip(weights.iter()) {
             if let Some(scaled) = self.graphs.get_mut(name) {
                 scaled.weight = *weight;
-                scaled.trusted = self
-                    .trust
-                    .weigh_edges(name, &scaled.matrix)
+                let weighed = if *name == Modality::hierarchy() {
+                    self.trust.weigh_edges(name, &scaled.matrix, standings)
+                } else {
+                    let without_old = standings.weigh_edges(&scaled.matrix);
+                    without_old.map_or_else(
+                        || Ok(Arc::clone(&scaled.matrix)),
+                        |weighed| weighed.map(Arc::new),
+                    )
+                };
+                scaled.trusted = weighed
                     .map_err(|error| MethodError::Graph { modality: name.clone(), error })?;
             }
         }

@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | weights of the modalities | [`weights`] |
 //! | trust in each modality and in each rank | [`trust`] |
+//! | what is left of the edges of robots with new orders | `orders` |
 //! | fused graph A* = Σ w_m N_m + β I, N_m the scaled A_m + r_m A_mᵀ | `fusion` |
 //! | bounds of ρ(A*), decay α, Katz centralities | `decay` |
 //! | leading singular triplets of the Katz similarity S, whole or without forming S | [`decomposition`] |
@@ -32,6 +33,7 @@ pub mod embedding;
 mod error;
 mod fusion;
 mod graph;
+mod orders;
 pub mod pairs;
 pub mod params;
 pub mod silhouettes;

@@ -27,6 +27,7 @@ use muster_numeric::matrix::{MatrixError, SparseMatrix};
 
 use crate::correspondence::Correspondence;
 use crate::error::MethodError;
+use crate::orders::Standings;
 use crate::params::{EmbeddingParams, Pace};
 
 /// Fewest modalities that can contradict each other with a majority.
@@ -220,6 +221,7 @@ impl TrustTracker {
         &mut self,
         robots: &Arc<[RobotId]>,
         voices: &[Voice<'_>],
+        standings: &Standings,
         params: &EmbeddingParams,
     ) -> Result<(), MethodError> {
         if let Some(between) = Correspondence::between(&self.robots, robots) {
@@ -253,7 +255,9 @@ impl TrustTracker {
         let edges: usize = speaking.iter().map(|voice| voice.matrix.edges()).sum();
         let at_once = (EDGES_AT_ONCE / edges.max(1)).clamp(LEAST_AT_ONCE, ROBOTS_AT_ONCE);
         let (count, rounds) = if is_first { (at_once, 2) } else { (ROBOTS_PER_FRAME, 1) };
-        let sources = self.next_robots(robots.len(), count);
+        let mut sources = self.next_robots(robots.len(), count);
+        // What they were ordered and where they are need not agree yet.
+        sources.retain(|source| !standings.is_new(*source));
         for _ in 0..rounds {
             for voice in &speaking {
                 self.examine(voice, &speaking, &sources)
@@ -360,6 +364,7 @@ impl TrustTracker {
         &self,
         name: &Modality,
         matrix: &Arc<SparseMatrix>,
+        standings: &Standings,
     ) -> Result<Arc<SparseMatrix>, MatrixError> {
         let examined = self.modalities.get(name).filter(|_| weighs_edges(name));
         let is_doubted = |examined: &&Examined| {
@@ -369,6 +374,9 @@ impl TrustTracker {
             return Ok(Arc::clone(matrix));
         };
         let trust = |from: usize, to: usize| {
+            if standings.is_new(from) || standings.is_new(to) {
+                return 1.0;
+            }
             let known = [(from, to), (to, from)].map(|(end, other)| {
                 let edges = examined.edges.get(end)?.as_ref()?;
                 edges.iter().find(|(target, _)| *target == other).map(|(_, found)| *found)

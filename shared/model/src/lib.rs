@@ -21,6 +21,7 @@ pub mod katz;
 pub mod limits;
 pub mod object;
 pub mod observation;
+pub mod orders;
 pub mod role;
 pub mod roster;
 mod schema;

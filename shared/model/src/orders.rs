@@ -1,0 +1,143 @@
+//! Robots that have new orders: whose superior is another than a moment ago.
+//!
+//! What robots report of places and links is then still that of the old orders. Embedder and clusterer both
+//! follow the rosters for it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use crate::id::RobotId;
+use crate::roster::{Roster, RosterEntry};
+use crate::time::Tick;
+
+/// How long orders are new: a squad that is handed over reaches its new neighbours within it.
+pub const NEW_ORDERS_TIME: Duration = Duration::from_secs(10);
+
+fn is_past(now: Tick, at: Tick) -> bool {
+    now >= at.after(NEW_ORDERS_TIME)
+}
+
+/// Robots whose superior has changed lately.
+#[derive(Debug, Default)]
+pub struct NewOrders {
+    changed: BTreeMap<RobotId, Tick>,
+}
+
+impl NewOrders {
+    /// One roster follows another.
+    pub fn follow(&mut self, now: Tick, before: Option<&Roster>, after: &Roster) {
+        let place = |robot: &RobotId| after.robots.binary_search_by(|entry| entry.robot.cmp(robot));
+        self.changed.retain(|robot, at| !is_past(now, *at) && place(robot).is_ok());
+        let mut old = before.into_iter().flat_map(|before| &before.robots).peekable();
+        for RosterEntry { robot, superior, .. } in &after.robots {
+            while old.next_if(|entry| entry.robot < *robot).is_some() {}
+            let known = old.peek().filter(|entry| entry.robot == *robot);
+            if known.is_some_and(|entry| entry.superior != *superior) {
+                self.changed.insert(robot.clone(), now);
+            }
+        }
+    }
+
+    /// The robots whose own superior has changed lately, ordered by name.
+    pub fn changed(&self, now: Tick) -> impl Iterator<Item = &RobotId> {
+        self.changed.iter().filter(move |(_, at)| !is_past(now, **at)).map(|(robot, _)| robot)
+    }
+
+    /// When the first of them will have had its orders for long enough.
+    #[must_use]
+    pub fn due(&self, now: Tick) -> Option<Tick> {
+        let due = self.changed.values().map(|at| at.after(NEW_ORDERS_TIME));
+        due.filter(|due| *due > now).min()
+    }
+
+    /// The robots that have new orders, and all that stand below them.
+    pub fn renewed<'a>(&'a self, now: Tick, roster: Option<&'a Roster>) -> BTreeSet<&'a RobotId> {
+        let mut open: Vec<&RobotId> = self.changed(now).collect();
+        let mut renewed: BTreeSet<&RobotId> = open.iter().copied().collect();
+        if open.is_empty() {
+            return renewed;
+        }
+        let mut below: BTreeMap<&RobotId, Vec<&RobotId>> = BTreeMap::new();
+        for entry in roster.into_iter().flat_map(|roster| &roster.robots) {
+            if let Some(superior) = &entry.superior {
+                below.entry(superior).or_default().push(&entry.robot);
+            }
+        }
+        while let Some(robot) = open.pop() {
+            let next = below.get(robot).into_iter().flatten();
+            open.extend(next.copied().filter(|robot| renewed.insert(robot)));
+        }
+        renewed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::header::Header;
+    use crate::header::Revision;
+    use crate::id::FleetId;
+    use crate::roster::Presence;
+
+    fn robot(name: &str) -> RobotId {
+        RobotId::new(name).unwrap()
+    }
+
+    fn at(ms: u64) -> Tick {
+        Tick(1_000_000 + 1000 * ms)
+    }
+
+    /// A roster: `"a<b"` answers to b.
+    fn roster(robots: &str) -> Roster {
+        let entries = robots.split_whitespace().map(|text| {
+            let (name, superior) = match text.split_once('<') {
+                Some((name, superior)) => (name, Some(robot(superior))),
+                None => (text, None),
+            };
+            RosterEntry {
+                node: 0,
+                robot: robot(name),
+                presence: Presence::Active,
+                position: None,
+                heading: None,
+                frame: None,
+                superior,
+                role: None,
+                last_seen: Tick::default(),
+            }
+        });
+        let header = Header {
+            fleet: FleetId::new("f").unwrap(),
+            revision: Revision::default(),
+            oldest: None,
+            newest: None,
+            stages: Vec::new(),
+        };
+        Roster { header, robots: entries.collect(), graphs: vec![] }
+    }
+
+    #[test]
+    fn orders_reach_all_below_and_are_new_for_a_while() {
+        let mut orders = NewOrders::default();
+        let names = |orders: &NewOrders, ms: u64, roster: &Roster| {
+            let renewed = orders.renewed(at(ms), Some(roster));
+            renewed.into_iter().map(RobotId::as_str).collect::<Vec<_>>().join(" ")
+        };
+        let first = roster("a b<a c<b d<c x");
+        orders.follow(at(0), None, &first);
+        assert_eq!(names(&orders, 0, &first), "", "the first roster is no change");
+        let second = roster("a b<x c<b d<c e<a x");
+        orders.follow(at(100), Some(&first), &second);
+        assert_eq!(names(&orders, 100, &second), "b c d");
+        orders.follow(at(200), Some(&second), &second);
+        assert_eq!(names(&orders, 10_099, &second), "b c d");
+        assert_eq!(names(&orders, 10_100, &second), "");
+        // A circle of superiors ends, and who has left is forgotten.
+        let circle = roster("a<b b<a c<b x");
+        orders.follow(at(300), Some(&second), &circle);
+        assert_eq!(names(&orders, 300, &circle), "a b c");
+        orders.follow(at(400), Some(&circle), &roster("x"));
+        assert_eq!(names(&orders, 400, &circle), "");
+        assert!(orders.changed.is_empty());
+    }
+}
