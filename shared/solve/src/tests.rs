@@ -6,6 +6,7 @@ mod hostile;
 mod paths;
 mod results;
 mod saved;
+mod small;
 
 use muster_numeric::matrix::DenseMatrix;
 use serde_json::{Value, json};
