@@ -210,6 +210,8 @@ mod tests {
             restarts: 7.0,
             threads: 1.0,
             silhouettes: Method::Exact,
+            is_spectral: false,
+            examined: 0.0,
             keeps_katz: false,
         };
         assert_eq!(size(&file(50, json!({}))), expected);
@@ -261,6 +263,8 @@ mod tests {
             restarts: 9.0,
             threads: 1.0,
             silhouettes: Method::Exact,
+            is_spectral: false,
+            examined: 0.0,
             keeps_katz: false,
         };
         for path in [Path::Dense, Path::InverseFree] {

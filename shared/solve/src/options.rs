@@ -1,6 +1,7 @@
 //! What is chosen with the command and not in the file.
 
 use clap::ValueEnum;
+use serde::Deserialize;
 
 /// Residuals that may be asked for. Below the least one rounding has the last word; above the largest
 /// one singular values have no correct digits.
@@ -26,6 +27,10 @@ pub struct Options {
     /// How the silhouettes are computed.
     #[arg(long, value_enum, default_value_t)]
     pub silhouette: SilhouetteChoice,
+    /// Take the settings of this method where the file gives none, instead of the live fleet's. Of a saved
+    /// fleet it replaces the settings of embedder, and init and restarts of clusterer.
+    #[arg(long, value_enum, value_name = "METHOD")]
+    pub preset: Option<Preset>,
 }
 
 impl Default for Options {
@@ -35,6 +40,7 @@ impl Default for Options {
             path: PathChoice::Auto,
             tolerance: 1e-10,
             silhouette: SilhouetteChoice::Auto,
+            preset: None,
         }
     }
 }
@@ -64,6 +70,15 @@ pub enum SilhouetteChoice {
     Squared,
     /// the mean estimated from 2000 robots, with its standard error; those of robots and teams as by squared
     Sampled,
+}
+
+/// A published method whose settings a solve can begin with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Preset {
+    /// the paper's: graphs as they are with equal weights, singular vectors as they come, and k-means once from
+    /// a random start
+    Paper,
 }
 
 /// A tolerance as it is written.
@@ -106,6 +121,8 @@ mod tests {
                 "{error}"
             );
         }
+        assert_eq!(parsed(&["--preset", "paper"]).unwrap().preset, Some(Preset::Paper));
+        assert!(parsed(&["--preset", "hope"]).unwrap_err().contains("paper"));
         assert!(parsed(&["--path", "sparse"]).unwrap_err().contains("inverse-free"));
     }
 

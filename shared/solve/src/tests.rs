@@ -4,6 +4,7 @@ mod closed_forms;
 mod files;
 mod hostile;
 mod paths;
+mod presets;
 mod results;
 mod saved;
 mod small;
