@@ -23,7 +23,7 @@ pub(crate) const FOLLOWED_WITHIN: Duration = Duration::from_secs(11);
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_console_shows_the_live_fleet() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let scenario = ["--scenario", "clusters", "--robots", "8"];
     let _robots = cluster.robots(&scenario).unwrap();
     let client = cluster.client().await.unwrap();
@@ -91,6 +91,7 @@ fn division(term: u64, epoch: u64, team: u64) -> Outbound {
         header,
         embedding: Revision::default(),
         requested: 1,
+        considered: vec![],
         teams: vec![team],
         unassigned: vec![],
         stale: vec![],
@@ -178,7 +179,7 @@ fn an_unreachable_fleet_is_reported_with_a_remedy_and_code_3() {
 
 #[test]
 fn every_program_ends_cleanly_within_five_seconds_of_a_signal() {
-    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let mut robots = cluster.robots(&["--robots", "6"]).unwrap();
     let up = ["up", "--router", "--listen", &free_endpoint().unwrap(), "--state-directory", "none"];
     let mut up = Process::start("muster", &up, &[], cluster.folder()).unwrap();

@@ -144,7 +144,7 @@ fn no_router_is_reported_with_what_answers_instead() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn faults_of_services_and_settings_are_found_and_gone_again() {
-    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     cluster.service("embedder").unwrap().kill().unwrap();
     let _robots = robots(&cluster);
     let report = until_found(&cluster, "service_missing", "muster up embedder");
@@ -242,7 +242,7 @@ impl<T> Drop for Both<T> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_second_instance_is_reported_by_version_clock_and_role() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let _robots = robots(&cluster);
     until_well(&cluster);
     let client = cluster.client().await.unwrap();
@@ -271,7 +271,7 @@ async fn a_second_instance_is_reported_by_version_clock_and_role() {
 
 #[test]
 fn a_standby_is_no_fault_and_is_listed() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let _robots = robots(&cluster);
     until_well(&cluster);
     let arguments =
@@ -294,7 +294,8 @@ fn a_standby_is_no_fault_and_is_listed() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn faults_of_robots_are_found_and_gone_again() {
-    let cluster = Cluster::start("alpha", &[("ingest", "max_robots=9")]).unwrap();
+    let cluster =
+        Cluster::start("alpha", &[("ingest", "max_robots=9"), ("clusterer", "teams=2")]).unwrap();
     until_found(&cluster, "no_robots", "muster robot");
     let client = cluster.client().await.unwrap();
     let elsewhere = Client::connect(&cluster.endpoint, "alhpa").await.unwrap();
@@ -356,7 +357,7 @@ async fn faults_of_robots_are_found_and_gone_again() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn robots_that_report_no_links_are_found() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let client = cluster.client().await.unwrap();
     let mut tokens = Vec::new();
     for robot in 0..4 {
@@ -406,7 +407,7 @@ fn robots_that_change_teams_to_and_fro_are_found() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_router_that_denies_or_has_a_long_lease_is_reported() {
-    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let _robots = robots(&cluster);
     until_well(&cluster);
     let router_with = |cluster: &Cluster, config: &Value| {

@@ -232,7 +232,6 @@ fn fleet() -> Value {
     json!({
         "robots": ["a", "b", "c", "d", "e", "f"],
         "modalities": [{"name": "radio", "edges": edges}],
-        "teams": 2,
         "emit": ["embedding", "diagnostics"]
     })
 }
@@ -266,7 +265,7 @@ fn the_format_of_solve_is_complete_and_its_defaults_are_true() {
         compared.insert(key);
     }
     let wanted = ["alpha", "dimension", "emit", "init", "normalize", "restarts", "rows", "scale"];
-    let wanted = wanted.into_iter().chain(["seed"]).map(str::to_owned).collect();
+    let wanted = wanted.into_iter().chain(["seed", "teams"]).map(str::to_owned).collect();
     assert_eq!(compared, wanted);
 
     let all = solved(&with(fleet(), "emit", json!(["katz", "embedding", "diagnostics"]))).unwrap();

@@ -109,7 +109,11 @@ async fn nothing_has_changed(client: &Client, wanted: &Division) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn garbage_on_every_key_changes_nothing_but_counters_and_events() {
-    let mut cluster = Cluster::start("alpha", &[("ingest", "modalities=[\"thermal\"]")]).unwrap();
+    let mut cluster = Cluster::start(
+        "alpha",
+        &[("ingest", "modalities=[\"thermal\"]"), ("clusterer", "teams=2")],
+    )
+    .unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
@@ -152,7 +156,7 @@ async fn garbage_on_every_key_changes_nothing_but_counters_and_events() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_replayed_pose_or_one_of_another_frame_moves_no_robot() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let client = cluster.client().await.unwrap();
     let events = client.watch("json/event").await.unwrap();
     let put = async |x: f64, seq: u64, boot: &str, frame: &str| {
@@ -209,7 +213,7 @@ fn forged(name: &str) -> Vec<u8> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_forged_message_of_a_later_term_does_not_last() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
@@ -237,7 +241,7 @@ async fn a_forged_message_of_a_later_term_does_not_last() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn garbage_right_behind_a_good_message_does_not_displace_it() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let client = cluster.client().await.unwrap();
     // A single put is lost without a subscriber.
     client.until("service/ingest/status", Duration::from_secs(10), |_| true).await.unwrap();

@@ -78,7 +78,7 @@ async fn printed(program: &mut Process, what: &str, right: impl Fn(&str) -> bool
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_robot_and_the_dashboard_of_the_document_work_as_they_stand() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let programs = Programs { cluster: &cluster, python: python().unwrap() };
     let mut dashboard = programs.start("dashboard.py", &[]);
     let mut robots = Vec::new();
@@ -211,7 +211,7 @@ async fn python_programs_follow_services_that_restarted_with_lower_terms() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_check_of_the_document_accepts_what_is_right_and_names_what_is_wrong() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let client = cluster.client().await.unwrap();
     client.until("schema", FORMED_WITHIN, |_| true).await.unwrap();
     let path = written("check.py", cluster.folder());

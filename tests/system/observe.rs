@@ -171,7 +171,17 @@ fn the_metrics_are_those_that_are_promised() {
     let (endpoint, address) = (free_endpoint().unwrap(), free_address());
     let folder = tempfile::tempdir().unwrap();
     let _router = start_router(&endpoint, folder.path()).unwrap();
-    let up = ["up", "--connect", &endpoint, "--http", &address, "--fleet", "alpha"];
+    let up = [
+        "up",
+        "--connect",
+        &endpoint,
+        "--http",
+        &address,
+        "--fleet",
+        "alpha",
+        "--set",
+        "clusterer.teams=2",
+    ];
     let environment = [("STATE_DIRECTORY", "none")];
     let _up = Process::start("muster", &up, &environment, folder.path()).unwrap();
     let robots = [

@@ -57,7 +57,7 @@ async fn a_fleet_forms_the_right_teams() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn robots_in_bincode_form_the_same_teams() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let scenario = ["--scenario", "clusters", "--robots", "10"];
     let _robots = cluster.robots(&[&scenario[..], &["--bincode"]].concat()).unwrap();
     let client = cluster.client().await.unwrap();
@@ -66,7 +66,7 @@ async fn robots_in_bincode_form_the_same_teams() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn ten_lines_of_json_make_a_robot() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let client = cluster.client().await.unwrap();
     let robot_teams = client.watch("robot/*/team").await.unwrap();
     let teams = client.watch("json/teams").await.unwrap();
@@ -114,7 +114,11 @@ async fn ten_lines_of_json_make_a_robot() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_late_subscriber_gets_everything() {
-    let cluster = Cluster::start("alpha", &[("ingest", "modalities=[\"thermal\"]")]).unwrap();
+    let cluster = Cluster::start(
+        "alpha",
+        &[("ingest", "modalities=[\"thermal\"]"), ("clusterer", "teams=2")],
+    )
+    .unwrap();
     let scenario = ["--scenario", "clusters", "--robots", "8"];
     let _robots = cluster.robots(&scenario).unwrap();
     let truth = truth(&cluster, &scenario);
@@ -164,8 +168,8 @@ async fn a_late_subscriber_gets_everything() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn two_fleets_on_one_bus_do_not_see_each_other() {
-    let alpha = Cluster::start("alpha", &[]).unwrap();
-    let mut beta = Cluster::start("beta", &[]).unwrap();
+    let alpha = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
+    let mut beta = Cluster::start("beta", &[("clusterer", "teams=2")]).unwrap();
     beta.endpoint = alpha.endpoint.clone();
     for service in muster_tests::cluster::SERVICES {
         beta.start_service(service).unwrap();

@@ -14,7 +14,8 @@ fn event<'a>(name: &'a str, robot: &'a str) -> impl Fn(&Value) -> bool + 'a {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_that_dies_is_marked_stale_and_then_leaves() {
-    let cluster = Cluster::start("alpha", &[("ingest", "gone_after_s=5")]).unwrap();
+    let cluster =
+        Cluster::start("alpha", &[("ingest", "gone_after_s=5"), ("clusterer", "teams=2")]).unwrap();
     let scenario = ["--scenario", "clusters", "--robots", "8"];
     let truth = truth(&cluster, &scenario);
     let names: Vec<_> = truth.keys().cloned().collect();
@@ -57,7 +58,7 @@ async fn a_robot_that_dies_is_marked_stale_and_then_leaves() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_token_without_a_pose_is_known_and_unplaced() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let client = cluster.client().await.unwrap();
     let token = client.token("robot/quiet").await.unwrap();
     let is_known = |roster: &Value| roster["robots"][0]["robot"] == "quiet";

@@ -62,7 +62,8 @@ fn teams(count: usize) -> impl Fn(&Value) -> bool {
 /// Robots join, are refused, fall silent and leave; the settings change; a service is killed and
 /// comes back; the router dies and comes back; every output is asked for; all end.
 async fn live(recorded: &Path) -> Cluster {
-    let settings = [("ingest", "stale_after_s=0.5"), ("ingest", "gone_after_s=1.5")];
+    let settings =
+        [("ingest", "stale_after_s=0.5"), ("ingest", "gone_after_s=1.5"), ("clusterer", "teams=2")];
     let flags = ["--record", recorded.to_str().unwrap()];
     let mut cluster = Cluster::start_with("alpha", &settings, &flags).unwrap();
     let client = cluster.client().await.unwrap();

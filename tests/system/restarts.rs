@@ -120,7 +120,7 @@ async fn each_service_dies_alone_and_the_teams_keep_their_ids() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn terms_rise_with_each_restart() {
-    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let scenario = ["--scenario", "clusters", "--robots", "6"];
     let _robots = cluster.robots(&scenario).unwrap();
     let client = cluster.client().await.unwrap();
@@ -227,7 +227,11 @@ async fn edges(client: &Client, wanted: &[(&str, usize)]) -> Vec<Value> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn reports_put_once_survive_the_death_of_ingest() {
-    let mut cluster = Cluster::start("alpha", &[("ingest", "modalities=[\"thermal\"]")]).unwrap();
+    let mut cluster = Cluster::start(
+        "alpha",
+        &[("ingest", "modalities=[\"thermal\"]"), ("clusterer", "teams=2")],
+    )
+    .unwrap();
     let client = cluster.client().await.unwrap();
     edges(&client, &[("thermal", 0)]).await;
     let posing = client.clone();

@@ -51,7 +51,7 @@ pub(crate) async fn answered(client: &Client, tail: &str) -> Value {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_service_serves_the_schema_that_the_command_prints() {
-    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let client = cluster.client().await.unwrap();
     for service in SERVICES {
         answered(&client, &format!("service/{service}/status")).await;
@@ -130,7 +130,11 @@ fn schema_of(key: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn everything_that_a_live_fleet_says_in_json_is_valid() {
-    let settings = [("ingest", "modalities=[\"thermal\"]"), ("ingest", "gone_after_s=3.0")];
+    let settings = [
+        ("ingest", "modalities=[\"thermal\"]"),
+        ("ingest", "gone_after_s=3.0"),
+        ("clusterer", "teams=2"),
+    ];
     let mut cluster = Cluster::start("alpha", &settings).unwrap();
     let client = cluster.client().await.unwrap();
     let watched =

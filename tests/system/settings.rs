@@ -16,7 +16,7 @@ fn teams(count: usize) -> impl Fn(&Value) -> bool {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn settings_change_at_once_and_survive_a_restart() {
-    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let watch = client.watch("json/teams").await.unwrap();
@@ -83,7 +83,7 @@ async fn a_wrong_setting_is_answered_with_its_field_and_changes_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_console_sets_and_shows_settings() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let watch = client.watch("json/teams").await.unwrap();

@@ -21,6 +21,7 @@ use muster_service::{
 use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::division::{DivisionError, Job, divide, same_data};
+use crate::dwell::{CountDwell, MoveDwell, Orders};
 use crate::identity::Memory;
 use crate::publishing::{Rotation, plural};
 
@@ -44,11 +45,14 @@ struct Task {
     source: Received,
     /// The settings without those that change no division.
     settings: ClustererSettings,
+    /// How many teams.
+    teams: u32,
 }
 
 impl PartialEq for Task {
     fn eq(&self, other: &Self) -> bool {
         self.settings == other.settings
+            && self.teams == other.teams
             && same_data(&self.source.embedding, &other.source.embedding)
     }
 }
@@ -82,6 +86,14 @@ pub struct Clusterer {
     /// Teams that robots had before the division.
     memory: Arc<Memory>,
     published: Option<Published>,
+    /// The number of teams, while it may change.
+    count: CountDwell,
+    /// The robots that are kept in their team for now.
+    moves: MoveDwell,
+    /// The robots that have another superior than before.
+    orders: Orders,
+    /// The newest division as it was found, if robots are kept in their team.
+    undecided: Option<Box<Teams>>,
     rotation: Rotation,
     /// How many teams were asked for and formed when that was last reported to be too few.
     fewer: Option<(u32, u32)>,
@@ -93,8 +105,13 @@ impl Clusterer {
         let Some(slot) = context.free_job_slot() else { return };
         let Some(newest) = &self.newest else { return };
         let now = context.now();
-        let settings = ClustererSettings { heartbeat_s: 1.0, ..context.settings().clone() };
-        let task = Task { source: newest.clone(), settings };
+        let settings =
+            ClustererSettings { heartbeat_s: 1.0, dwell_s: 0.0, ..context.settings().clone() };
+        let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
+        let scores = &newest.embedding.quality.team_scores;
+        let last = last.map(|division| division.requested);
+        let teams = self.count.decide(now, settings.teams, scores, last);
+        let task = Task { source: newest.clone(), settings, teams };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
                 && let Some(published) = &mut self.published
@@ -109,6 +126,7 @@ impl Clusterer {
         let job = Job {
             embedding: newest.embedding.clone(),
             settings: task.settings.clone(),
+            teams,
             previous: self.division.clone(),
             memory: Arc::clone(&self.memory),
         };
@@ -122,9 +140,7 @@ impl Clusterer {
         // An embedding with the same data may have come while the job ran.
         let is_same = |newest: &&Received| same_data(&newest.embedding, &task.source.embedding);
         let source = self.newest.as_ref().filter(is_same).unwrap_or(&task.source).clone();
-        let division = self.division.as_deref();
-        Arc::make_mut(&mut self.memory).follow(context.now(), division, &teams);
-        self.publish(context, teams, source);
+        self.settle(context, teams, source);
     }
 
     fn select(
@@ -265,8 +281,14 @@ impl Core for Clusterer {
         if self.heartbeat_at(&context.view()).is_some_and(|due| now >= due) {
             self.republish(context);
         }
+        let view = context.view();
+        let may_settle = view.is_leading() && !view.is_job_running();
+        if may_settle && self.settle_at(&view).is_some_and(|due| now >= due) {
+            self.settle_again(context);
+        }
         self.inform_in_rotation(context, &BTreeSet::new());
-        if self.flight.retry_at().is_some_and(|due| now >= due) {
+        let due = [self.flight.retry_at(), self.count.due()];
+        if due.into_iter().flatten().any(|due| now >= due) {
             self.consider(context);
         }
     }
@@ -284,9 +306,10 @@ impl Core for Clusterer {
 
     fn deadline(&self, view: &View<'_>) -> Option<Tick> {
         // An instance whose output is suppressed divides nothing.
-        let retry = self.flight.retry_at();
-        let retry = retry.filter(|_| view.is_leading() && !view.is_job_running());
-        [self.heartbeat_at(view), self.rotation_at(view), retry].into_iter().flatten().min()
+        let waiting = [self.flight.retry_at(), self.count.due(), self.settle_at(view)];
+        let waiting = waiting.into_iter().flatten();
+        let waiting = waiting.min().filter(|_| view.is_leading() && !view.is_job_running());
+        [self.heartbeat_at(view), self.rotation_at(view), waiting].into_iter().flatten().min()
     }
 
     fn state(&self, _view: &View<'_>) -> String {
@@ -311,9 +334,10 @@ impl Core for Clusterer {
             self.received_by_others.is_some(),
             self.divided.is_some(),
             self.published.is_some(),
+            self.undecided.is_some(),
         ];
         MemoryUse {
-            robots: self.memory.robot_count(),
+            robots: self.memory.robot_count() + self.moves.robot_count(),
             messages: held.into_iter().filter(|held| *held).count(),
             ..MemoryUse::default()
         }

@@ -7,9 +7,9 @@ use muster_method::division::{Division, divide as divide_robots};
 use muster_method::params::{DivisionParams, ParamsError};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
-use muster_model::id::RobotId;
+use muster_model::id::{RobotId, TeamId};
 use muster_model::settings::ClustererSettings;
-use muster_model::teams::{Member, Team, Teams};
+use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
 use muster_numeric::kmeans::KMeansError;
 use muster_numeric::margins::MarginError;
 use muster_numeric::matching::MatchError;
@@ -22,6 +22,8 @@ use crate::identity::{self, Memory};
 pub struct Job {
     pub(crate) embedding: Checked<Embedding>,
     pub(crate) settings: ClustererSettings,
+    /// How many teams.
+    pub(crate) teams: u32,
     pub(crate) previous: Option<Checked<Teams>>,
     pub(crate) memory: Arc<Memory>,
 }
@@ -46,12 +48,14 @@ pub enum DivisionError {
     Matching(#[from] MatchError),
 }
 
-/// Whether two embeddings hold the same robots with the same vectors.
+/// Whether two embeddings hold the same robots with the same vectors, and the same evidence for a number of
+/// teams.
 pub(crate) fn same_data(left: &Embedding, right: &Embedding) -> bool {
     std::ptr::eq(left, right)
         || left.dimension == right.dimension
             && left.robots == right.robots
             && left.without_embedding == right.without_embedding
+            && left.quality.team_scores == right.quality.team_scores
             && left.values == right.values
 }
 
@@ -95,7 +99,8 @@ pub(crate) fn divide(job: &Job) -> Result<Teams, DivisionError> {
     Ok(Teams {
         header: embedding.header.clone(),
         embedding: embedding.header.revision,
-        requested: job.settings.teams,
+        requested: job.teams,
+        considered: considered(&job.settings, embedding),
         teams,
         unassigned,
         stale: Vec::new(),
@@ -105,10 +110,91 @@ pub(crate) fn divide(job: &Job) -> Result<Teams, DivisionError> {
     })
 }
 
+/// The numbers of teams that the settings allow, with the evidence of the embedding.
+fn considered(settings: &ClustererSettings, embedding: &Embedding) -> Vec<TeamCountScore> {
+    if settings.teams.fixed().is_some() {
+        return Vec::new();
+    }
+    let scores = (1..).zip(&embedding.quality.team_scores);
+    let possible = scores.filter(|(teams, _)| settings.teams.range().contains(teams));
+    possible.map(|(teams, score)| TeamCountScore { teams, score: *score }).collect()
+}
+
+/// The same division with some robots in the teams of which `held` has the ids; centroids, margins and inertia
+/// are those of the robots that are then together. Every team keeps a robot.
+pub(crate) fn with_held(
+    new: &Teams,
+    held: &BTreeMap<RobotId, TeamId>,
+    embedding: &Embedding,
+) -> Result<Teams, DivisionError> {
+    let (robots, dimension) = (&embedding.robots, embedding.dimension as usize);
+    let number_of: BTreeMap<&TeamId, usize> =
+        new.teams.iter().enumerate().map(|(number, team)| (&team.id, number)).collect();
+    let mut labels = vec![None; robots.len()];
+    for (robot, team) in new.assignments() {
+        if let Ok(row) = robots.binary_search(robot) {
+            labels[row] = number_of.get(held.get(robot).unwrap_or(team)).copied();
+        }
+    }
+    let x = DenseMatrix::new(robots.len(), dimension, embedding.values.clone())?;
+    let centroids = means(&x, &labels, new.teams.len())?;
+    let inertia = x.iter_rows().zip(&labels).filter_map(|(row, label)| {
+        let centre = centroids.row((*label)?);
+        Some(row.iter().zip(centre).map(|(x, mean)| (x - mean).powi(2)).sum::<f64>())
+    });
+    let inertia = inertia.sum();
+    let found = Division { labels, centroids, inertia, iterations: 0, converged: true };
+    let margin_of = found.margins(&x)?;
+    let mut teams = new.clone();
+    for (number, team) in teams.teams.iter_mut().enumerate() {
+        team.centroid = found.centroids.row(number).to_vec();
+        let rows = (0..robots.len()).filter(|row| found.labels[*row] == Some(number));
+        let member = |row: usize| Member { robot: robots[row].clone(), margin: margin_of[row] };
+        team.members = rows.map(member).collect();
+        if let Some(first) = team.members.first() {
+            team.leader = first.robot.clone();
+        }
+    }
+    teams.inertia = inertia;
+    Ok(teams)
+}
+
+/// The mean row of each label.
+#[expect(clippy::cast_precision_loss, reason = "there are fewer than 2⁵³ robots")]
+fn means(
+    x: &DenseMatrix,
+    labels: &[Option<usize>],
+    count: usize,
+) -> Result<DenseMatrix, MatrixError> {
+    let mut sums = vec![0.0; count * x.cols()];
+    let mut sizes = vec![0_usize; count];
+    for (row, label) in x.iter_rows().zip(labels) {
+        let Some(label) = *label else { continue };
+        sizes[label] += 1;
+        for (sum, value) in sums[label * x.cols()..].iter_mut().zip(row) {
+            *sum += value;
+        }
+    }
+    for (sums, size) in sums.chunks_mut(x.cols().max(1)).zip(sizes) {
+        sums.iter_mut().for_each(|sum| *sum /= size.max(1) as f64);
+    }
+    DenseMatrix::new(count, x.cols(), sums)
+}
+
+/// Those changes of a new division that are about teams, and the robots of it that are elsewhere than before.
+pub(crate) fn changes(new: &Teams, before: Option<&Teams>) -> Vec<TeamChange> {
+    let of_teams = |change: &&TeamChange| !matches!(change, TeamChange::Moved { .. });
+    let mut changes: Vec<TeamChange> = new.changes.iter().filter(of_teams).cloned().collect();
+    if let Some(before) = before {
+        changes.extend(identity::moved(new, before));
+    }
+    changes
+}
+
 /// k-means, from the teams before where they were asked for in the same number.
 fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
     let Job { embedding, settings, .. } = job;
-    let warm = job.previous.as_deref().filter(|teams| teams.requested == settings.teams);
+    let warm = job.previous.as_deref().filter(|teams| teams.requested == job.teams);
     let warm: Option<Vec<Option<usize>>> = warm.map(|teams| {
         let team_of: BTreeMap<&RobotId, usize> = teams
             .teams
@@ -118,7 +204,7 @@ fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
             .collect();
         embedding.robots.iter().map(|robot| team_of.get(robot).copied()).collect()
     });
-    let params = DivisionParams::new(settings).check()?;
+    let params = DivisionParams::new(settings, job.teams as usize).check()?;
     Ok(divide_robots(x, &embedding.without_embedding, &params, warm.as_deref(), &mut |_| {})?)
 }
 

@@ -204,6 +204,14 @@ fn moves(
     moved
 }
 
+/// Robots of a division that were elsewhere in the one before, ordered by name.
+pub(crate) fn moved(new: &Teams, before: &Teams) -> Vec<TeamChange> {
+    let clusters: Vec<Vec<&RobotId>> =
+        new.teams.iter().map(|team| team.members.iter().map(|m| &m.robot).collect()).collect();
+    let ids: Vec<TeamId> = new.teams.iter().map(|team| team.id.clone()).collect();
+    moves(&clusters, &new.unassigned, &ids, before)
+}
+
 fn robot_of(change: &TeamChange) -> Option<&RobotId> {
     match change {
         TeamChange::Moved { robot, .. } => Some(robot),
@@ -247,6 +255,7 @@ mod tests {
             header,
             embedding: Revision::default(),
             requested: 2,
+            considered: vec![],
             teams: teams.collect(),
             unassigned: unassigned.split_whitespace().map(robot).collect(),
             stale: vec![],

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use muster_model::id::RobotId;
 use muster_model::limits::MAX_MEMBERS_PUBLISHED;
+use muster_model::settings::TeamCount;
 use muster_model::teams::{Team, Teams};
 use muster_model::time::Tick;
 
@@ -49,10 +50,16 @@ pub(crate) fn plural(count: usize, what: &str) -> String {
     if count == 1 { format!("1 {what}") } else { format!("{count} {what}s") }
 }
 
-/// How many teams were asked for, how many there are, and why, if they are too few.
-pub(crate) fn shortage(teams: &Teams) -> Option<(u32, u32, String)> {
+/// How many teams were asked for, how many there are, and why, if they are too few. Of a range its least
+/// number was asked for.
+pub(crate) fn shortage(teams: &Teams, wanted: TeamCount) -> Option<(u32, u32, String)> {
     let formed = u32::try_from(teams.teams.len()).unwrap_or(u32::MAX);
-    if formed >= teams.requested {
+    let requested = match wanted {
+        TeamCount::Fixed(_) => teams.requested,
+        TeamCount::Between { from, .. } => from,
+        TeamCount::Auto => return None,
+    };
+    if formed >= requested {
         return None;
     }
     let placed: usize = teams.teams.iter().map(|team| team.members.len()).sum();
@@ -60,12 +67,12 @@ pub(crate) fn shortage(teams: &Teams) -> Option<(u32, u32, String)> {
         "there are no robots".to_owned()
     } else if placed == 0 {
         "nothing relates the robots to each other".to_owned()
-    } else if placed < teams.requested as usize {
+    } else if placed < requested as usize {
         format!("only {} can be placed", plural(placed, "robot"))
     } else {
         format!("the robots' places differ in only {}", plural(formed as usize, "way"))
     };
-    Some((teams.requested, formed, reason))
+    Some((requested, formed, reason))
 }
 
 /// The robots for which the published team, its members (as far as they are published) or its leader

@@ -16,7 +16,7 @@ use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingQuality};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
-use muster_model::settings::EmbedderSettings;
+use muster_model::settings::{EmbedderSettings, TeamCount};
 use muster_service::Stopwatch;
 
 use crate::follow::Frame;
@@ -30,8 +30,8 @@ pub(crate) struct Basis {
     pub(crate) graphs: Vec<(Modality, Revision)>,
     /// The settings.
     pub(crate) settings: EmbedderSettings,
-    /// How many teams the rule for the dimension expects; none if the dimension is fixed.
-    pub(crate) teams: Option<u32>,
+    /// How many teams are wanted; none if neither the dimension nor the evidence depends on it.
+    pub(crate) teams: Option<TeamCount>,
     /// Whether the fleet is at rest, so that there is time for the scales and the decay of exactly these
     /// graphs, and for more digits.
     pub(crate) at_rest: bool,
@@ -122,8 +122,8 @@ fn compute(
     stopwatch: &mut Stopwatch,
 ) -> Result<Computed, MethodError> {
     let pace = if basis.at_rest { Pace::AtRest } else { Pace::Moving };
-    // The rule for the dimension does not need the teams where the dimension is fixed.
-    let teams = basis.teams.unwrap_or(2) as usize;
+    // A fixed dimension and a fixed number of teams do not need each other.
+    let teams = basis.teams.unwrap_or(TeamCount::Fixed(2));
     let params = EmbeddingParams {
         seed: frame.roster.header.revision.epoch,
         ..EmbeddingParams::new(&basis.settings, teams, pace)
@@ -180,6 +180,7 @@ fn computed(
             gap: svd.gap(),
             ambiguous: svd.ambiguous(),
             mode: decomposition.mode,
+            team_scores: decomposition.teams.scores,
             stage_us,
             singular_values: svd.sigma,
         },

@@ -339,11 +339,13 @@ impl Embedder {
     /// The basis of the embedding of a frame; notes when the fleet will be at rest.
     fn basis(&mut self, context: &Context<'_>, frame: &Frame) -> Basis {
         let settings = context.settings().clone();
+        let teams = self.teams.teams();
+        let is_needed = settings.dimension == Dimension::Auto || teams.fixed().is_none();
         let graphs = frame.graphs.iter().map(|(name, graph)| (name.clone(), graph.revision()));
         let mut basis = Basis {
             robots: frame.robots.clone(),
             graphs: graphs.collect(),
-            teams: (settings.dimension == Dimension::Auto).then_some(self.teams.teams()),
+            teams: is_needed.then_some(teams),
             settings,
             at_rest: false,
         };

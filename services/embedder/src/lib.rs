@@ -4,8 +4,8 @@
 //! `follow`), embeds each frame by `muster-method`, beginning with what is kept of the last one (module
 //! `compute`), and publishes the vectors as [`muster_model::embedding::Embedding`]. Module `pairs`
 //! answers gets of the similarity of two robots, module `teams` follows how many teams are wanted, on
-//! which the dimension depends, module `doubt` reports modalities that are in doubt. Module `core` decides
-//! when.
+//! which the dimension and the published evidence depend, module `doubt` reports modalities that are in doubt.
+//! Module `core` decides when.
 //!
 //! | comes in | goes out |
 //! | --- | --- |

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use muster_model::header::Revision;
-use muster_model::settings::{ClustererSettings, Settings, SettingsError, from_value};
+use muster_model::settings::{ClustererSettings, Settings, SettingsError, TeamCount, from_value};
 use muster_model::time::Tick;
 use muster_wire::envelope::AnnouncedSettings;
 
@@ -11,13 +11,13 @@ use crate::follow::Acceptance;
 
 /// How often the settings are asked for. `clusterer` announces them repeatedly, but a forged announcement
 /// of a later revision would shut those out, and only answers can contradict it. Seldom is enough: the
-/// number of teams seldom changes, and only guides the choice of the dimension.
+/// settings seldom change, and only guide the choice of the dimension and what is published as evidence.
 const ASK_INTERVAL: Duration = Duration::from_secs(10);
 
 /// The newest announcement.
 #[derive(Debug)]
 pub(crate) struct TeamsWanted {
-    teams: u32,
+    teams: TeamCount,
     /// The revision of the announcement; none before the first.
     at: Option<Revision>,
     /// Whether the last answer to a question was older than the announcement.
@@ -38,7 +38,7 @@ impl Default for TeamsWanted {
 
 impl TeamsWanted {
     /// How many teams the fleet is divided into.
-    pub(crate) fn teams(&self) -> u32 {
+    pub(crate) fn teams(&self) -> TeamCount {
         self.teams
     }
 
@@ -96,7 +96,7 @@ impl TeamsWanted {
 }
 
 /// The number of teams in settings of `clusterer`.
-fn teams_of(text: &str) -> Result<u32, SettingsError> {
+fn teams_of(text: &str) -> Result<TeamCount, SettingsError> {
     let value = serde_json::from_str(text)
         .map_err(|error| SettingsError::new("(settings)", format!("is no JSON: {error}")))?;
     let settings: ClustererSettings = from_value(value)?;

@@ -10,7 +10,7 @@ use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
-use muster_model::settings::{Alpha, Dimension, EmbedderSettings, MAX_DIMENSION};
+use muster_model::settings::{Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, TeamCount};
 use muster_service::Input;
 use muster_wire::Message;
 
@@ -161,6 +161,7 @@ fn settings_recompute_the_frame_and_keep_the_similarity() {
 fn the_number_of_teams_reaches_the_rule_for_the_dimension() {
     let mut ingest = three_bridged_cliques();
     let mut bench = Bench::fresh();
+    bench.receive_teams(&teams(2));
     bench.frame(&mut ingest);
     assert_eq!(bench.last().dimension, 4);
     bench.receive_teams(&teams(3));
@@ -193,6 +194,7 @@ fn a_dimension_that_is_chosen_keeps_to_the_largest_that_may_be_asked_for() {
 }
 
 fn teams(teams: u32) -> String {
+    let teams = TeamCount::Fixed(teams);
     let settings = muster_model::settings::ClustererSettings { teams, ..Default::default() };
     serde_json::to_string(&settings).unwrap()
 }
@@ -368,11 +370,7 @@ fn a_term_that_readers_have_passed_is_followed_by_a_new_one() {
 
 #[test]
 fn the_number_of_teams_is_known_from_the_start() {
-    let text = serde_json::to_string(&muster_model::settings::ClustererSettings {
-        teams: 3,
-        ..Default::default()
-    });
-    let settings = announced(&text.unwrap());
+    let settings = announced(&teams(3));
     let mut bench = Bench::started(EmbedderSettings::default(), vec![settings]);
     let mut ingest = Ingest::new(&["spatial"]);
     for prefix in ["a", "b", "c"] {
@@ -562,4 +560,49 @@ fn the_paper_as_it_stands_is_a_matter_of_settings() {
         let length: f64 = embedding.values.iter().skip(column).step_by(4).map(|x| x * x).sum();
         assert!((length - 1.0).abs() < 1e-12);
     }
+}
+
+/// Settings of a clusterer that chooses the number of teams.
+fn chosen(teams: TeamCount) -> String {
+    let settings = muster_model::settings::ClustererSettings { teams, ..Default::default() };
+    serde_json::to_string(&settings).unwrap()
+}
+
+#[test]
+fn the_evidence_for_a_number_of_teams_is_published() {
+    let (mut bench, mut ingest) = (Bench::fresh(), three_bridged_cliques());
+    ingest.join("loner");
+    bench.frame(&mut ingest);
+    let scores = bench.last().quality.team_scores.clone();
+    let best = (1..).zip(&scores).max_by(|l, r| l.1.total_cmp(r.1)).unwrap();
+    assert_eq!(
+        (best.0, scores.len()),
+        (3, 12),
+        "the robot without an edge does not count: {scores:?}"
+    );
+    assert_eq!(bench.last().dimension, 6, "the rule for the dimension expects three teams");
+    let within = TeamCount::Between { from: 1, to: 2 };
+    bench.receive_teams(&chosen(within));
+    assert_eq!(bench.last().quality.team_scores, scores[..2]);
+    bench.receive_teams(&teams(3));
+    assert!(bench.last().quality.team_scores.is_empty());
+    // A fixed dimension needs no number of teams, and the number of teams no free dimension.
+    bench.receive_teams(&chosen(TeamCount::Auto));
+    bench.set(r#"{"dimension": 4}"#);
+    assert_eq!((bench.last().dimension, bench.last().quality.team_scores.len()), (4, 12));
+}
+
+#[test]
+fn large_fleets_have_the_triplets_that_the_evidence_needs() {
+    let mut ingest = Ingest::new(&["spatial"]);
+    for group in 0..7 {
+        ingest.clique("spatial", &format!("g{group}x"), 12, 1.0);
+    }
+    let mut bench = Bench::fresh();
+    bench.frame(&mut ingest);
+    let last = bench.last();
+    assert_eq!(last.quality.mode, EmbeddingMode::InverseFree);
+    let best = (1..).zip(&last.quality.team_scores).max_by(|l, r| l.1.total_cmp(r.1)).unwrap();
+    assert_eq!((best.0, last.quality.team_scores.len()), (7, 16));
+    assert_eq!(last.dimension, 14);
 }

@@ -13,7 +13,7 @@ use muster_numeric::svd::{FullSvd, RankKSvd, SvdError, full_svd};
 use serde::Serialize;
 
 use crate::correspondence::Correspondence;
-use crate::cut::Cut;
+use crate::cut::{Chosen, Cut, TeamEvidence};
 use crate::decay::Decay;
 use crate::error::MethodError;
 use crate::params::{Effort, EmbeddingParams};
@@ -42,6 +42,8 @@ pub enum Path {
 pub struct Decomposition {
     /// The K leading triplets.
     pub svd: RankKSvd,
+    /// How many teams all triplets that are known show.
+    pub teams: TeamEvidence,
     /// Which way they were found.
     pub path: Path,
     /// The same, and whether the frame before was of use.
@@ -113,17 +115,17 @@ impl Decomposer {
         if let Some(Last::Leading { alpha, rank, report }) = last
             && alpha.to_bits() == decay.alpha.to_bits()
             && report.residual <= params.tolerance
-            && let Some(choice) = cut.of_leading(&self.leading.search, rank)
-            && !choice.short
+            && let Some(chosen) = cut.of_leading(&self.leading.search, rank)
+            && !chosen.rank.short
             && self.leading.compare(fused, robots) == Change::None
         {
-            let found = self.leading.found(choice.dimension, report, EmbeddingMode::Cached)?;
+            let found = self.leading.found(chosen, report, EmbeddingMode::Cached)?;
             self.last = Some(Last::Leading { alpha, rank, report });
             return Ok(found);
         }
         let (tolerance, seed, threads) = (params.tolerance, params.seed, params.threads);
         let mut rank = cut.least_rank(n);
-        let (choice, report) = loop {
+        let (chosen, report) = loop {
             let options = KatzSvdOptions { rank, tolerance, seed, threads };
             let report = self.leading.search(task, options, progress)?;
             if !report.converged && n <= params.dense_fallback_robots {
@@ -131,7 +133,7 @@ impl Decomposer {
                 return self.whole(similarity, None, task, progress);
             }
             match cut.of_leading(&self.leading.search, rank) {
-                Some(choice) if !choice.short => break (choice, report),
+                Some(chosen) if !chosen.rank.short => break (chosen, report),
                 _ => rank = (2 * rank).min(n),
             }
         };
@@ -139,7 +141,7 @@ impl Decomposer {
             0 => EmbeddingMode::Updated,
             _ => EmbeddingMode::InverseFree,
         };
-        let found = self.leading.found(choice.dimension, report, mode)?;
+        let found = self.leading.found(chosen, report, mode)?;
         self.last = Some(Last::Leading { alpha: decay.alpha, rank, report });
         Ok(found)
     }
@@ -169,13 +171,15 @@ impl Decomposer {
             (_, Origin::Kept | Origin::Updated) => (full_svd(&matrix)?, EmbeddingMode::Updated),
             (_, Origin::Solved) => (full_svd(&matrix)?, EmbeddingMode::Dense),
         };
-        let svd = all.truncate(cut.of_all(&all))?;
+        let Chosen { rank, teams } = cut.of_all(&all);
+        let svd = all.truncate(rank.dimension)?;
         if fused.nodes() <= params.cached_robots {
             self.last = Some(Last::Whole { fused: Arc::clone(fused), alpha: decay.alpha, all });
         }
         Ok(Decomposition {
             residual: svd.residual(&matrix)?,
             svd,
+            teams,
             path: Path::Dense,
             mode,
             converged: true,
@@ -302,12 +306,13 @@ impl LeadingTriplets {
 
     fn found(
         &self,
-        rank: usize,
+        chosen: Chosen,
         report: KatzSvdReport,
         mode: EmbeddingMode,
     ) -> Result<Decomposition, MethodError> {
         Ok(Decomposition {
-            svd: self.search.truncate(rank)?,
+            svd: self.search.truncate(chosen.rank.dimension)?,
+            teams: chosen.teams,
             path: Path::InverseFree,
             mode,
             residual: report.residual,
@@ -320,10 +325,12 @@ impl LeadingTriplets {
 
 #[cfg(test)]
 mod tests {
+    use muster_model::settings::Dimension;
     use muster_numeric::katz::katz_similarity;
     use muster_numeric::spectral_radius::spectral_radius;
 
     use super::*;
+    use crate::cut::Previous;
 
     /// A ring with a chord from node 0, so heavy.
     fn ring(n: usize, chord: f64) -> SparseMatrix {
@@ -347,12 +354,19 @@ mod tests {
             let radius = spectral_radius(&fused, None);
             let alpha = alpha / n as f64;
             assert!(alpha * radius.upper < 1.0);
+            let params = EmbeddingParams {
+                tolerance: 1e-8,
+                seed: 7,
+                dimension: Dimension::Fixed(6),
+                teams: 2.into(),
+                ..EmbeddingParams::default()
+            };
             let task = Task {
                 fused: &fused,
                 decay: &Decay { alpha, radius },
                 robots: &names(n),
-                params: &EmbeddingParams { tolerance: 1e-8, seed: 7, ..EmbeddingParams::default() },
-                cut: &Cut::Fixed(3),
+                params: &params,
+                cut: &Cut::new(&params, &fused, alpha, Previous::default()),
             };
             self.decomposer.decompose(&mut self.similarity, task, &mut |_| {}).unwrap()
         }

@@ -11,7 +11,7 @@ use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::svd::RankKSvd;
 
 use crate::correspondence::Correspondence;
-use crate::cut::Cut;
+use crate::cut::{Cut, Previous, TeamEvidence};
 use crate::decay::{Decay, DecayTracker};
 use crate::decomposition::{Decomposer, Decomposition, Path, Task};
 use crate::error::MethodError;
@@ -61,6 +61,8 @@ pub struct Frames {
     decay: DecayTracker,
     pub(crate) similarity: Similarity,
     decomposer: Decomposer,
+    /// How many teams the last frame showed.
+    teams: Option<u32>,
     pub(crate) last: Option<LastGraph>,
 }
 
@@ -104,12 +106,14 @@ impl Frames {
         let decomposition = if fused.is_zero() {
             of_no_edges(fused.nodes(), params)?
         } else {
-            let before = previous.map(|embedding| embedding.dimension as usize / 2);
-            let cut = Cut::new(params, &fused, before);
+            let rank = previous.map(|embedding| embedding.dimension as usize / 2);
+            let before = Previous { rank, teams: self.teams };
+            let cut = Cut::new(params, &fused, decay.alpha, before);
             let robots = &frame.robots;
             let task = Task { fused: &fused, decay: &decay, robots, params, cut: &cut };
             self.decomposer.decompose(&mut self.similarity, task, progress)?
         };
+        self.teams = Some(decomposition.teams.teams);
         let svd = &decomposition.svd;
         let embedded = embed_powers(svd, params.power, params.rows);
         let x = match previous {
@@ -120,6 +124,12 @@ impl Frames {
         };
         self.last = Some(LastGraph { fused, decay: decay.clone(), centralities: None });
         Ok(Embedded { weights, trust, decay, decomposition, x, without_embedding: embedded.weak })
+    }
+
+    /// A* of the last embedding; none before it.
+    #[must_use]
+    pub fn fused(&self) -> Option<&SparseMatrix> {
+        self.last.as_ref().map(|last| &*last.fused)
     }
 
     /// The Katz centrality of each robot by the graphs of the last embedding, at least 1; empty before it.
@@ -156,6 +166,7 @@ fn of_no_edges(nodes: usize, params: &ValidEmbeddingParams) -> Result<Decomposit
             v: side()?,
             sigma_next: (rank < nodes).then_some(0.0),
         },
+        teams: TeamEvidence { teams: *params.teams.range().start(), scores: Vec::new() },
         path,
         mode: EmbeddingMode::Dense,
         residual: 0.0,

@@ -7,6 +7,7 @@
 //! | fused graph A* = Σ w_m N_m + β I, N_m the scaled A_m + r_m A_mᵀ | `fusion` |
 //! | bounds of ρ(A*), decay α, Katz centralities | `decay` |
 //! | leading singular triplets of the Katz similarity S, whole or without forming S | [`decomposition`] |
+//! | how many teams they show | [`team_count`] |
 //! | how many of them are kept: K | `cut` |
 //! | rows of X = \[U, V\], scaled | [`embedding`] |
 //! | k-means over the rows | [`division`] |
@@ -36,9 +37,11 @@ pub mod params;
 pub mod silhouettes;
 mod similarity;
 pub mod step;
+pub mod team_count;
 pub mod trust;
 pub mod weights;
 
+pub use cut::TeamEvidence;
 pub use decay::Decay;
 pub use error::MethodError;
 pub use graph::{Frame, Graph};

@@ -10,7 +10,7 @@ use std::ops::Deref;
 use muster_model::id::Modality;
 use muster_model::settings::{
     Alpha, CentroidStart, ClustererSettings, Dimension, EmbedderSettings, MAX_DIMENSION,
-    Normalization, RowScaling, Trusted,
+    Normalization, RowScaling, TeamCount, Trusted,
 };
 
 /// Whether more frames are expected soon.
@@ -53,8 +53,8 @@ pub struct EmbeddingParams {
     pub power: f64,
     /// How the rows are scaled.
     pub rows: RowScaling,
-    /// How many teams the rule for K expects.
-    pub teams: usize,
+    /// How many teams the rule for K expects; where it is no fixed number, the singular values decide.
+    pub teams: TeamCount,
     /// How far norms and αρ may drift from scales and decay before these are chosen again, as a fraction,
     /// from 0 to 1.
     pub hysteresis: f64,
@@ -94,7 +94,7 @@ const LEAST_TOLERANCE: f64 = 1e-10;
 impl EmbeddingParams {
     /// Those of a live fleet that is divided into so many teams.
     #[must_use]
-    pub fn new(settings: &EmbedderSettings, teams: usize, pace: Pace) -> Self {
+    pub fn new(settings: &EmbedderSettings, teams: impl Into<TeamCount>, pace: Pace) -> Self {
         let tolerance = match pace {
             Pace::Moving => settings.residual_tolerance,
             Pace::AtRest => settings.idle_tolerance.min(settings.residual_tolerance),
@@ -109,7 +109,7 @@ impl EmbeddingParams {
             dimension: settings.dimension,
             power: settings.scale.power(),
             rows: settings.rows,
-            teams,
+            teams: teams.into(),
             hysteresis: settings.hysteresis,
             pace,
             tolerance: tolerance.max(LEAST_TOLERANCE),
@@ -126,7 +126,7 @@ impl EmbeddingParams {
 
     /// Those of a single problem: no scale or decay is kept, and nothing for a next frame.
     #[must_use]
-    pub fn once(settings: &EmbedderSettings, teams: usize) -> Self {
+    pub fn once(settings: &EmbedderSettings, teams: impl Into<TeamCount>) -> Self {
         Self {
             hysteresis: 0.0,
             cached_robots: 0,
@@ -159,6 +159,9 @@ impl EmbeddingParams {
             }
             _ => {}
         }
+        if self.teams.range().is_empty() || *self.teams.range().start() == 0 {
+            return Err(ParamsError::Teams(self.teams));
+        }
         match self.dimension {
             Dimension::Fixed(dimension) if dimension < 2 || dimension % 2 != 0 => {
                 return Err(ParamsError::Dimension(dimension));
@@ -187,8 +190,7 @@ impl EmbeddingParams {
 impl Default for EmbeddingParams {
     /// Those of a live fleet with the default settings of all services.
     fn default() -> Self {
-        let teams = ClustererSettings::default().teams as usize;
-        Self::new(&EmbedderSettings::default(), teams, Pace::Moving)
+        Self::new(&EmbedderSettings::default(), ClustererSettings::default().teams, Pace::Moving)
     }
 }
 
@@ -227,11 +229,11 @@ pub struct DivisionParams {
 }
 
 impl DivisionParams {
-    /// Those of a live fleet.
+    /// Those of a live fleet that is divided into so many teams.
     #[must_use]
-    pub fn new(settings: &ClustererSettings) -> Self {
+    pub fn new(settings: &ClustererSettings, teams: usize) -> Self {
         Self {
-            teams: settings.teams as usize,
+            teams,
             init: settings.init,
             restarts: settings.restarts as usize,
             max_iterations: settings.max_iterations as usize,
@@ -263,9 +265,9 @@ impl DivisionParams {
 }
 
 impl Default for DivisionParams {
-    /// Those of a live fleet with default settings.
+    /// Those of a live fleet with default settings that shows two teams.
     fn default() -> Self {
-        Self::new(&ClustererSettings::default())
+        Self::new(&ClustererSettings::default(), 2)
     }
 }
 
@@ -312,6 +314,9 @@ pub enum ParamsError {
     /// The weight of self-loops is negative or not finite.
     #[error("self_loops: must be a number from 0, not {0}")]
     SelfLoops(f64),
+    /// The number of teams is 0, or its range is empty or holds 0.
+    #[error("teams: must be at least 1, and a range must rise, not {0}")]
+    Teams(TeamCount),
     /// The power of the singular values is not finite.
     #[error("power: must be finite, not {0}")]
     Power(f64),
@@ -341,19 +346,20 @@ mod tests {
         EmbeddingParams::default().check().unwrap();
         DivisionParams::default().check().unwrap();
         let (embedder, clusterer) = (EmbedderSettings::default(), ClustererSettings::default());
-        EmbeddingParams::once(&embedder, clusterer.teams as usize).check().unwrap();
+        EmbeddingParams::once(&embedder, clusterer.teams).check().unwrap();
     }
 
     #[test]
     fn each_wrong_field_has_an_error_of_its_own() {
         type Spoil<P> = (fn(&mut P), &'static str);
-        let spoil: [Spoil<EmbeddingParams>; 10] = [
+        let spoil: [Spoil<EmbeddingParams>; 11] = [
             (|p| p.self_loops = -1.0, "self_loops: "),
             (|p| _ = p.weights.insert(Modality::spatial(), -1.0), "weights.spatial: "),
             (|p| _ = p.reciprocity.insert(Modality::spatial(), 1.5), "reciprocity.spatial: "),
             (|p| p.alpha = Alpha::Value(f64::INFINITY), "alpha: "),
             (|p| p.alpha = Alpha::Fraction { fraction: 1.0 }, "alpha.fraction: "),
             (|p| p.dimension = Dimension::Fixed(3), "dimension: "),
+            (|p| p.teams = TeamCount::Between { from: 3, to: 2 }, "teams: "),
             (|p| p.power = f64::NAN, "power: "),
             (|p| p.hysteresis = 1.0, "hysteresis: "),
             (|p| p.tolerance = 0.0, "tolerance: "),

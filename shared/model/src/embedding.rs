@@ -44,6 +44,9 @@ pub struct EmbeddingQuality {
     pub ambiguous: bool,
     /// Which way it was computed.
     pub mode: EmbeddingMode,
+    /// The evidence for 1, 2, … teams: (λ_k − λ_{k+1}) / λ_1 for the values λ of the fused graph; empty where
+    /// the number of teams is fixed.
+    pub team_scores: Vec<f64>,
     /// Microseconds that fusing with the spectral radius and the centralities, the similarity, and the
     /// decomposition took.
     pub stage_us: [u64; 3],
@@ -131,6 +134,9 @@ impl Content for Embedding {
         }
         if !self.values.iter().all(|value| value.is_finite()) {
             return refuse("values", "must be finite");
+        }
+        if !self.quality.team_scores.iter().all(|score| score.is_finite()) {
+            return refuse("quality.team_scores", "must be finite");
         }
         self.graphs.iter().try_for_each(Content::check)
     }

@@ -1,5 +1,7 @@
 //! Every limit on the size of messages and fleets, each with its reason.
 
+use crate::settings::MAX_DIMENSION;
+
 /// Longest id in characters: long enough for a serial number with a prefix, short enough that a key
 /// expression with three ids stays readable in a log.
 pub const MAX_ID_LENGTH: usize = 64;
@@ -28,6 +30,13 @@ pub const MAX_ROBOTS: usize = 100_000;
 
 /// Most teams that may be asked for: the division is read by people, and k-means is linear in it.
 pub const MAX_TEAMS: u32 = 1024;
+
+/// Most teams that are considered where neither a number nor a range is set: each further number needs one
+/// more singular triplet of every frame. A range goes beyond.
+pub const MAX_AUTO_TEAMS: u32 = 16;
+
+/// Most teams that a range may end with: as many singular triplets as the largest embedding has.
+pub const MAX_RANGE_TEAMS: u32 = MAX_DIMENSION / 2;
 
 /// Largest payload of a robot in bytes: [`MAX_LINKS`] links in JSON with the longest ids fit.
 pub const MAX_ROBOT_PAYLOAD: usize = 192 * 1024;

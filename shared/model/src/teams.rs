@@ -70,6 +70,16 @@ pub enum TeamChange {
     },
 }
 
+/// The evidence for a number of teams.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct TeamCountScore {
+    /// How many teams.
+    pub teams: u32,
+    /// How clearly the relations of the robots show so many, from 0 to 1.
+    #[schemars(range(min = 0, max = 1))]
+    pub score: f64,
+}
+
 /// The division of the fleet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Teams {
@@ -77,8 +87,11 @@ pub struct Teams {
     pub header: Header,
     /// The embedding that was divided.
     pub embedding: Revision,
-    /// How many teams were asked for; there may be fewer.
+    /// How many teams were asked for, or chosen by the evidence; there may be fewer.
     pub requested: u32,
+    /// The numbers of teams that could be chosen, in order, with the evidence for each in the embedding; empty
+    /// where a number was asked for.
+    pub considered: Vec<TeamCountScore>,
     /// The teams, ordered by id as people count: t2 before t10.
     pub teams: Vec<Team>,
     /// Robots that belong to no team, ordered by name: nothing relates them to the others.
@@ -175,6 +188,9 @@ impl Content for Teams {
             if !numbers.all(f64::is_finite) || !team.centroid.iter().all(|x| x.is_finite()) {
                 return refuse("teams", "a margin or centroid is not finite");
             }
+        }
+        if !self.considered.iter().all(|number| number.score.is_finite()) {
+            return refuse("considered", "a score is not finite");
         }
         if self.inertia.is_finite() { Ok(()) } else { refuse("inertia", "must be finite") }
     }

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use common::{config, connected, options, passive_core, router};
 use muster_model::id::{InstanceId, ServiceName};
-use muster_model::settings::ClustererSettings;
+use muster_model::settings::{ClustererSettings, TeamCount};
 use muster_model::time::Tick;
 use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::shell::{self, ServiceOptions};
@@ -59,7 +59,7 @@ impl Core for Probe {
     }
 
     fn new(now: Tick, settings: &ClustererSettings) -> Self {
-        Self { hangs_at: (settings.teams == 7).then(|| now.after(HANGS_AFTER)) }
+        Self { hangs_at: (settings.teams == TeamCount::Fixed(7)).then(|| now.after(HANGS_AFTER)) }
     }
 
     fn on_lead(&mut self, _: &mut Context<'_, Self>, _: Vec<Message>) {}
@@ -89,6 +89,7 @@ async fn a_process_with_two_loops() {
     for (number, teams) in [(1, 2), (2, if hangs { 7 } else { 2 })] {
         let bus = config(connected(&endpoint));
         let bus = Bus::open(&bus, ConnectTimeout::Never).await.unwrap();
+        let teams = TeamCount::Fixed(teams);
         let settings = ClustererSettings { teams, ..ClustererSettings::default() };
         let instance = InstanceId::of_process("test", number, number);
         let options = ServiceOptions { instance, ..options::<Probe>(settings) };

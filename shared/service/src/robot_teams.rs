@@ -99,6 +99,7 @@ mod tests {
             },
             embedding: Revision::default(),
             requested: 1,
+            considered: vec![],
             teams: vec![Team { id: TeamId::numbered(1), members, leader, centroid: vec![] }],
             unassigned: unassigned.iter().map(|name| robot(name)).collect(),
             stale: vec![],

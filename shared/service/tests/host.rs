@@ -127,7 +127,7 @@ fn a_get_that_makes_no_sense_is_answered_with_an_error() {
         let error = reply.answer.as_ref().unwrap_err();
         assert!(error.contains(text), "{error}");
     }
-    assert_eq!(driven.teams(), ClustererSettings::default().teams);
+    assert_eq!(driven.teams(), small::AUTO);
 }
 
 #[test]
@@ -307,7 +307,7 @@ fn where_every_instance_works_for_itself_it_leads_at_once_without_an_election() 
     bench.receive(renewal("a", 900, 1));
     bench.receive(settings(900, 1, 9));
     assert_eq!(bench.host.replica_state(), ReplicaState::Leading);
-    assert_eq!(bench.host.core().teams, ClustererSettings::default().teams);
+    assert_eq!(bench.host.core().teams, small::AUTO);
     bench.wait(60.0);
     bench.now = bench.now.after(Duration::from_secs(60));
     bench.input(Input::LinkLost);

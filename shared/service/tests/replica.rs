@@ -9,7 +9,6 @@ use std::time::Duration;
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
-use muster_model::settings::ClustererSettings;
 use muster_service::Input;
 use muster_wire::Key;
 use small::{ONE_LEADS, header, output, renewal, settings, token};
@@ -34,7 +33,7 @@ fn a_leader_announces_its_settings_at_intervals() {
     driven.wait(4.5);
     assert!(driven.announced().is_empty());
     driven.wait(0.5);
-    assert_eq!(driven.announced(), [ClustererSettings::default().teams]);
+    assert_eq!(driven.announced(), [small::AUTO]);
     driven.wait(10.0);
     assert_eq!(driven.announced().len(), 2);
 }
@@ -107,10 +106,10 @@ fn the_settings_of_an_instance_without_a_term_are_answered_and_not_adopted() {
     let answer = &driven.replies[0].messages;
     assert_eq!(answer[0].header().unwrap().revision, Revision::default());
     let mut other = Driven::answered(vec![renewal("a", 7, 5), settings(0, 0, 9)]);
-    assert_eq!(other.teams(), ClustererSettings::default().teams);
-    assert_eq!(receive_settings(&mut other, 0, 0, 9), ClustererSettings::default().teams);
+    assert_eq!(other.teams(), small::AUTO);
+    assert_eq!(receive_settings(&mut other, 0, 0, 9), small::AUTO);
     let leader = Driven::answered(vec![settings(0, 0, 9)]);
-    assert_eq!(leader.teams(), ClustererSettings::default().teams);
+    assert_eq!(leader.teams(), small::AUTO);
 }
 
 #[test]
@@ -120,7 +119,7 @@ fn a_standby_leaves_gets_of_settings_to_the_leader() {
         driven.input(small::get(1, &SETTINGS, payload));
         assert_eq!(driven.replies.pop().unwrap().answer, Ok(Vec::new()));
     }
-    assert_eq!(driven.teams(), ClustererSettings::default().teams);
+    assert_eq!(driven.teams(), small::AUTO);
 }
 
 /// A query on a link that the other end has given up is never answered.

@@ -146,13 +146,20 @@ impl Size {
     #[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
     pub(super) fn of(problem: &Problem) -> Self {
         let robots = problem.robots.len();
-        let teams = wanted_teams(problem);
+        // At most, where the number is chosen.
+        let wanted = wanted_teams(problem);
+        let teams = (*wanted.range().end() as usize).min(robots.max(1));
+        let evidence = if wanted.fixed().is_some() { 0 } else { teams + 1 };
         let (dimension, rank) = match problem.settings.dimension {
-            Dimension::Fixed(dimension) => (dimension as usize, dimension as usize / 2 + 1),
+            Dimension::Fixed(dimension) => {
+                (dimension as usize, (dimension as usize / 2 + 1).max(evidence))
+            }
             Dimension::Auto => (2 * teams.clamp(2, robots.max(2)), least_rank(robots, teams)),
         };
         let (restarts, threads) = match &problem.division {
-            Division::Wanted(settings) => (settings.restarts, kmeans_threads(settings, robots)),
+            Division::Wanted(settings) => {
+                (settings.restarts, kmeans_threads(settings, teams, robots))
+            }
             Division::Given(_) => (0, 1),
         };
         Self {

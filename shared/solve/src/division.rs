@@ -10,7 +10,7 @@ use muster_method::params::DivisionParams;
 use muster_method::silhouettes::{SilhouetteParams, silhouettes};
 use muster_method::step::{Progress, Step};
 use muster_model::audit::SilhouetteMethod;
-use muster_model::settings::ClustererSettings;
+use muster_model::settings::{ClustererSettings, TeamCount};
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::Scores;
 
@@ -75,22 +75,21 @@ pub(super) fn silhouette_params(choice: SilhouetteChoice) -> SilhouetteParams {
     SilhouetteParams { method, exact_robots: EXACT_ROBOTS, ..SilhouetteParams::default() }
 }
 
-/// Threads for the k-means of so many robots: all cores for much work.
-pub(super) fn kmeans_threads(settings: &ClustererSettings, robots: usize) -> usize {
-    let work =
-        robots.saturating_mul(settings.teams as usize).saturating_mul(settings.restarts as usize);
+/// Threads for the k-means of so many teams and robots: all cores for much work.
+pub(super) fn kmeans_threads(settings: &ClustererSettings, teams: usize, robots: usize) -> usize {
+    let work = robots.saturating_mul(teams).saturating_mul(settings.restarts as usize);
     if work < PARALLEL_WORK { 1 } else { available_parallelism().map_or(1, NonZeroUsize::get) }
 }
 
 /// How many teams the rule for the dimension expects.
-pub(super) fn wanted_teams(problem: &Problem) -> usize {
+pub(super) fn wanted_teams(problem: &Problem) -> TeamCount {
     match &problem.division {
-        Division::Wanted(settings) => settings.teams as usize,
+        Division::Wanted(settings) => settings.teams,
         Division::Given(labels) => {
             let mut labels = labels.clone();
             labels.sort_unstable();
             labels.dedup();
-            labels.len()
+            labels.len().into()
         }
     }
 }
@@ -102,17 +101,17 @@ fn cluster(
     warnings: &mut Vec<String>,
     progress: &mut Progress<'_>,
 ) -> Result<division::Division, SolveError> {
-    let Embedded { x, without_embedding, .. } = embedded;
-    let wanted = settings.teams as usize;
+    let Embedded { x, without_embedding, decomposition, .. } = embedded;
+    let wanted = decomposition.teams.teams as usize;
     let params = DivisionParams {
-        threads: kmeans_threads(settings, x.rows()),
-        ..DivisionParams::new(settings)
+        threads: kmeans_threads(settings, wanted, x.rows()),
+        ..DivisionParams::new(settings, wanted)
     };
     let params = params.check().or_else(|error| refuse("teams", error.to_string()))?;
     let found = division::divide(x, without_embedding, &params, None, progress)
         .or_else(|error| refuse("teams", error.to_string()))?;
     let teams = found.centroids.rows();
-    if teams < wanted {
+    if teams < wanted && *settings.teams.range().start() as usize > teams {
         warnings.push(format!(
             "{wanted} teams were asked for, but only {teams} can be separated: robots that stand \
              in the same relations have the same row"

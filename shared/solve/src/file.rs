@@ -8,7 +8,8 @@ use muster_model::id::{Modality, RobotId};
 use muster_model::object::Object;
 use muster_model::observation::{Link, Pose, Rank};
 use muster_model::settings::{
-    Alpha, CentroidStart, Dimension, Normalization, RowScaling, SingularValueScaling, Trusted,
+    Alpha, CentroidStart, Dimension, Normalization, RowScaling, SingularValueScaling, TeamCount,
+    Trusted,
 };
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error as _, MapAccess, Visitor};
@@ -40,7 +41,7 @@ pub(super) struct File {
     pub(super) dimension: Option<Dimension>,
     pub(super) scale: Option<SingularValueScaling>,
     pub(super) rows: Option<RowScaling>,
-    pub(super) teams: Option<u32>,
+    pub(super) teams: Option<TeamCount>,
     pub(super) labels: Option<Vec<u32>>,
     pub(super) init: Option<CentroidStart>,
     pub(super) restarts: Option<u32>,

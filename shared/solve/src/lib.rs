@@ -67,7 +67,8 @@ All keys, with what is taken where they are left out:
   dimension   even, from 2 to twice the number of robots, or "auto" (default)
   scale       "sqrt-sigma" (default), "inverse-sqrt-sigma" or "none"
   rows        "unit" (default) or "none"
-  teams       how many, or instead of it:
+  teams       how many, {"from": 2, "to": 6}, or "auto" (default): by the gap of the values of the fused
+              graph; or instead of it:
   labels      one whole number per robot: the division to judge
   init        "kmeans++" (default) or "random"; restarts (50); seed (0)
   emit        any of "katz", "embedding", "diagnostics": added to the output of --json; "katz" for at
@@ -97,7 +98,8 @@ The method as printed in the paper: "preset": "paper", or --preset paper. It sta
 "none", "self_loops": 0, "trusted": "all", "reciprocity": {}, equal weights, "alpha": {"fraction": 0.5},
 "scale": "none", "rows": "none", "init": "random", "restarts": 1; keys that are given win over it.
 
-In the output, labels are numbered by first appearance (given ones stay as they are), and
+In the output, "requested" is the number of teams, and "considered" has the evidence for each number where
+it was chosen. Labels are numbered by first appearance (given ones stay as they are), and
 silhouette.per_team is ordered by label. Robots without an embedding belong to no team and share a label
 of their own; "diagnostics" names them as "unseen". Silhouettes are those in the embedding; "method" says how their
 mean was computed, "detail_method" how those of teams and robots were. "decomposition" holds the path,
@@ -117,6 +119,7 @@ Examples:
   muster solve fleet.json
   muster solve fleet.json --estimate
   muster solve fleet.json --preset paper
+  muster solve fleet.json --teams 2..6
   muster solve fleet.json --path inverse-free --tolerance 1e-6
   muster solve fleet.json --json | jq .teams
   generate-fleet | muster solve - --json"#;

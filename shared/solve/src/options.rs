@@ -1,6 +1,7 @@
 //! What is chosen with the command and not in the file.
 
 use clap::ValueEnum;
+use muster_model::settings::TeamCount;
 use serde::Deserialize;
 
 /// Residuals that may be asked for. Below the least one rounding has the last word; above the largest
@@ -31,6 +32,10 @@ pub struct Options {
     /// fleet it replaces the settings of embedder, and init and restarts of clusterer.
     #[arg(long, value_enum, value_name = "METHOD")]
     pub preset: Option<Preset>,
+    /// How many teams: a number, a range such as 2..6, or auto, which is 1 to 16; instead of what the file
+    /// says. Where it is no number, the relations of the robots decide.
+    #[arg(long, value_name = "N|auto|FROM..TO", value_parser = team_count)]
+    pub teams: Option<TeamCount>,
 }
 
 impl Default for Options {
@@ -41,6 +46,7 @@ impl Default for Options {
             tolerance: 1e-10,
             silhouette: SilhouetteChoice::Auto,
             preset: None,
+            teams: None,
         }
     }
 }
@@ -90,9 +96,24 @@ fn tolerance(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A number of teams as it is written.
+fn team_count(text: &str) -> Result<TeamCount, String> {
+    let number = |text: &str| {
+        text.parse().map_err(|_| "must be a number, auto, or a range such as 2..6".to_owned())
+    };
+    let teams = match text.split_once("..") {
+        Some((from, to)) => TeamCount::Between { from: number(from)?, to: number(to)? },
+        None if text == "auto" => TeamCount::Auto,
+        None => TeamCount::Fixed(number(text)?),
+    };
+    teams.check().map_err(|error| error.to_string())?;
+    Ok(teams)
+}
+
 #[cfg(test)]
 mod tests {
-    use clap::Parser;
+    use clap::{CommandFactory, Parser};
+    use muster_model::limits::MAX_AUTO_TEAMS;
     use muster_numeric::silhouette::SAMPLE_POINTS;
 
     use super::*;
@@ -123,6 +144,18 @@ mod tests {
         }
         assert_eq!(parsed(&["--preset", "paper"]).unwrap().preset, Some(Preset::Paper));
         assert!(parsed(&["--preset", "hope"]).unwrap_err().contains("paper"));
+        for (text, teams) in [
+            ("3", TeamCount::Fixed(3)),
+            ("auto", TeamCount::Auto),
+            ("2..6", TeamCount::Between { from: 2, to: 6 }),
+        ] {
+            assert_eq!(parsed(&["--teams", text]).unwrap().teams, Some(teams));
+            assert_eq!(teams.to_string(), text);
+        }
+        for wrong in ["0", "6..2", "0..2", "2..", "..", "many", "-1", "2..1000", "2.5"] {
+            let error = parsed(&[&format!("--teams={wrong}")]).unwrap_err();
+            assert!(error.contains("--teams") && error.contains("must be"), "{error}");
+        }
         assert!(parsed(&["--path", "sparse"]).unwrap_err().contains("inverse-free"));
     }
 
@@ -131,6 +164,8 @@ mod tests {
         let help = |value: &dyn Fn() -> Option<clap::builder::PossibleValue>| {
             value().unwrap().get_help().unwrap().to_string()
         };
+        let teams = Command::command().render_long_help().to_string();
+        assert!(teams.contains(&format!("auto, which is 1 to {MAX_AUTO_TEAMS}")), "{teams}");
         let path = help(&|| PathChoice::Auto.to_possible_value());
         assert!(path.contains(&format!("up to {DENSE_ROBOTS} robots")), "{path}");
         let silhouette = help(&|| SilhouetteChoice::Auto.to_possible_value());

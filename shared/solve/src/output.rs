@@ -9,11 +9,13 @@ use muster_method::decomposition::Path;
 use muster_model::audit::SilhouetteMethod;
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::{Alpha, Dimension};
+use muster_model::teams::TeamCountScore;
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::Scores;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
+use super::division::wanted_teams;
 use super::file::Emit;
 use super::method::{Solution, is_doubted};
 use super::path::description;
@@ -44,6 +46,10 @@ struct Report<'a> {
     embedding: Option<Matrix<'a>>,
     labels: &'a [usize],
     teams: Teams<'a>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    requested: Option<u32>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    considered: Vec<TeamCountScore>,
     inertia: f64,
     silhouette: SilhouetteReport<'a>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -180,6 +186,11 @@ fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
         embedding: wants(Emit::Embedding).then_some(Matrix(&solution.embedding)),
         labels,
         teams: Teams(&problem.robots, labels),
+        requested: match problem.division {
+            Division::Wanted(_) => Some(found.teams.teams),
+            Division::Given(_) => None,
+        },
+        considered: considered(problem, solution),
         inertia: solution.divided.inertia,
         silhouette: silhouette_report(solution.divided.silhouette.as_ref()),
         diagnostics: wants(Emit::Diagnostics).then(|| DiagnosticsReport {
@@ -195,6 +206,30 @@ fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
                 .map(|(name, trust)| (name, trust.disagreeing.as_slice()))
                 .collect(),
         }),
+    }
+}
+
+/// The numbers of teams that could be chosen, with the evidence for each.
+fn considered(problem: &Problem, solution: &Solution) -> Vec<TeamCountScore> {
+    let range = wanted_teams(problem).range();
+    let scores = (1..).zip(&solution.decomposition.teams.scores);
+    let possible = scores.filter(|(teams, _)| range.contains(teams));
+    possible.map(|(teams, score)| TeamCountScore { teams, score: *score }).collect()
+}
+
+/// How many teams were chosen, with the best of the numbers that were considered.
+fn team_count(problem: &Problem, solution: &Solution) -> String {
+    let mut considered = considered(problem, solution);
+    let teams = solution.decomposition.teams.teams;
+    if wanted_teams(problem).fixed().is_some() {
+        return teams.to_string();
+    }
+    considered.sort_by(|left, right| right.score.total_cmp(&left.score));
+    let best = considered.iter().take(MOST_VALUES);
+    let best: Vec<String> = best.map(|one| format!("{} {:.3}", one.teams, one.score)).collect();
+    match best.is_empty() {
+        true => format!("{teams} (nothing to choose by)"),
+        false => format!("{teams} (chosen by the gap of the values; scores: {})", best.join(", ")),
     }
 }
 
@@ -261,6 +296,7 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
          residual          {residual:.1e}, space turned by a sine of at most {angle:.1e}\n\
          inertia           {inertia}\n\
          mean silhouette   {mean}\n\
+         teams             {teams}\n\
          {table}\n",
         robots = problem.robots.len(),
         modalities = modalities.join(", "),
@@ -275,6 +311,7 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
         residual = solution.residual,
         angle = solution.angle_bound(),
         inertia = rounded(solution.divided.inertia),
+        teams = team_count(problem, solution),
         table = table(problem, solution),
     )
 }

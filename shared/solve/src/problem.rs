@@ -7,8 +7,8 @@ use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_WEIGHT;
 use muster_model::object::Object;
 use muster_model::settings::{
-    Alpha, ClustererSettings, Dimension, EmbedderSettings, MAX_SELF_LOOPS, Settings, Trusted,
-    WEIGHT_SUM_TOLERANCE, check_reciprocity,
+    Alpha, ClustererSettings, Dimension, EmbedderSettings, MAX_SELF_LOOPS, Settings, TeamCount,
+    Trusted, WEIGHT_SUM_TOLERANCE, check_reciprocity,
 };
 use muster_numeric::matrix::{MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
 
@@ -65,7 +65,7 @@ pub(super) fn check(mut file: File, options: Options) -> Result<Problem, SolveEr
     if let Trusted::Only(named) = &trusted {
         check_known("trusted", named, &graphs, is_observed)?;
     }
-    let division = division(&mut file, preset)?;
+    let division = division(&mut file, preset, options.teams)?;
     let alpha = file.alpha.map_or(defaults.alpha, |decay| decay.0);
     check_alpha(alpha)?;
     let dimension = file.dimension.unwrap_or(defaults.dimension);
@@ -187,31 +187,34 @@ fn check_known<'a>(
     refuse(format!("{field}.{name}"), problem)
 }
 
-/// How the division of a file comes about.
-fn division(file: &mut File, preset: Option<Preset>) -> Result<Division, SolveError> {
+/// How the division of a file comes about; `asked` is the number of teams that was asked for with the command.
+fn division(
+    file: &mut File,
+    preset: Option<Preset>,
+    asked: Option<TeamCount>,
+) -> Result<Division, SolveError> {
     let robots = file.robots.len();
     let defaults = defaults::clusterer(preset);
+    let wanted = asked.or(file.teams);
     let settings = ClustererSettings {
-        teams: file.teams.unwrap_or(defaults.teams),
+        teams: wanted.unwrap_or(defaults.teams),
         init: file.init.unwrap_or(defaults.init),
         restarts: file.restarts.unwrap_or(defaults.restarts),
         seed: file.seed.unwrap_or(defaults.seed),
         ..defaults
     };
     settings.check().or_else(|error| refuse(error.field, error.problem))?;
-    match (file.teams, file.labels.take()) {
-        (Some(teams), None) if teams as usize > robots => {
-            refuse("teams", format!("{teams} teams cannot be made of {robots} robots"))
+    let least = *settings.teams.range().start();
+    match (wanted, file.labels.take()) {
+        (_, None) if robots > 0 && least as usize > robots => {
+            refuse("teams", format!("{least} teams cannot be made of {robots} robots"))
         }
-        (Some(_), None) => Ok(Division::Wanted(settings)),
+        (_, None) => Ok(Division::Wanted(settings)),
         (None, Some(labels)) if labels.len() != robots => refuse(
             "labels",
             format!("must be one per robot: {} labels for {robots} robots", labels.len()),
         ),
         (None, Some(labels)) => Ok(Division::Given(labels)),
-        (None, None) => {
-            refuse("teams", "is missing; say how many, or give \"labels\" to judge them")
-        }
         (Some(_), Some(_)) => {
             refuse("teams", "must not be given with \"labels\": give one of the two")
         }

@@ -162,7 +162,8 @@ impl SavedFleet {
                 .or_else(|error| refuse(format!("reciprocity.{name}"), error.to_string()))?;
             reported.push(Graph { name, weight, matrix });
         }
-        let division = Division::Wanted(clusterer);
+        let teams = options.teams.unwrap_or(clusterer.teams);
+        let division = Division::Wanted(ClustererSettings { teams, ..clusterer });
         Ok(Problem::new(robots, reported, embedder, division, BTreeSet::new(), options))
     }
 }

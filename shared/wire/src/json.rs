@@ -16,7 +16,7 @@ use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::limits::MAX_MEMBERS_PUBLISHED;
 use muster_model::roster::{Presence, Roster};
-use muster_model::teams::{RobotTeam, Teams};
+use muster_model::teams::{RobotTeam, TeamCountScore, Teams};
 use muster_model::time::Tick;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::ser::SerializeMap;
@@ -92,6 +92,12 @@ pub trait EdgeJson {
 pub(crate) struct TeamsForm<'a> {
     #[serde(flatten)]
     head: Head<'a>,
+    /// How many teams were asked for, or chosen by the evidence; there may be fewer.
+    #[schemars(range(min = 1))]
+    requested: u32,
+    /// The numbers of teams that could be chosen, in order, with the evidence for each; empty where a number
+    /// was asked for.
+    considered: &'a [TeamCountScore],
     /// The teams, ordered by id as people count: t2 before t10.
     teams: Vec<TeamForm<'a>>,
     /// Robots that belong to no team, ordered by name: nothing relates them to the others.
@@ -122,6 +128,8 @@ impl EdgeJson for Teams {
         });
         serde_json::to_vec(&TeamsForm {
             head: head(&self.header, now),
+            requested: self.requested,
+            considered: &self.considered,
             teams: teams.collect(),
             unassigned: &self.unassigned,
             stale: &self.stale,

@@ -10,7 +10,7 @@ use muster_experiments::system::MODALITIES;
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, Modality, RobotId};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Report};
-use muster_model::settings::ClustererSettings;
+use muster_model::settings::{ClustererSettings, TeamCount};
 use muster_model::time::Tick;
 use muster_numeric::matrix::SparseMatrix;
 use muster_solve::{Options, Solved};
@@ -143,6 +143,7 @@ impl Divided {
 fn clusterer(reports: &Reports) -> ClustererSettings {
     let Reports { teams, .. } = *reports;
     // A single problem has no division before that could be kept.
+    let teams = TeamCount::Fixed(teams);
     ClustererSettings { teams, restarts: RESTARTS, hysteresis: 0.0, ..ClustererSettings::default() }
 }
 

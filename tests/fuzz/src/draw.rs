@@ -12,7 +12,7 @@ use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report};
 use muster_model::roster::{Presence, Roster, RosterEntry};
-use muster_model::teams::{Member, Team, Teams};
+use muster_model::teams::{Member, Team, TeamCountScore, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
@@ -312,6 +312,7 @@ impl Author {
                 gap: draw.number(),
                 ambiguous: draw.chance(),
                 mode: EmbeddingMode::Dense,
+                team_scores: draw.some(3, Draw::number),
                 stage_us: [0; 3],
             },
         }
@@ -343,6 +344,10 @@ impl Author {
             header,
             embedding: self.named(self.embedding, draw),
             requested: u32::from(draw.byte()),
+            considered: draw.some(3, |draw| TeamCountScore {
+                teams: u32::from(draw.byte()),
+                score: draw.number(),
+            }),
             teams,
             unassigned,
             stale: draw.robots(),

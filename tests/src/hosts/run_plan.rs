@@ -127,7 +127,10 @@ impl World {
         let mut others = Vec::new();
         let state = folder.path().join("state").to_string_lossy().into_owned();
         for service in SERVICES {
-            let arguments = [&bus[..], &["--state-directory", &state]].concat();
+            let mut arguments = [&bus[..], &["--state-directory", &state]].concat();
+            if service == "clusterer" {
+                arguments.extend(["--set", "teams=2"]);
+            }
             let name = format!("muster-{service}");
             others.push(start(&lab, folder.path(), Host::Base, &name, &arguments)?);
         }

@@ -69,11 +69,12 @@ impl Operator {
         }
         self.confirmed += 1;
         let patch: Option<Value> = serde_json::from_str(&patch).ok();
-        let teams = patch.as_ref().and_then(|patch| patch.get("teams")?.as_u64());
+        let teams = patch.as_ref().and_then(|patch| patch.get("teams"));
         if service == ServiceName::Clusterer
             && let Some(teams) = teams
         {
-            self.teams = u32::try_from(teams).ok();
+            // A number that the clusterer chooses is not known.
+            self.teams = teams.as_u64().and_then(|teams| u32::try_from(teams).ok());
         }
     }
 

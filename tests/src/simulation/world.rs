@@ -153,7 +153,12 @@ fn files(chance: &mut Chance, robots: usize) -> BTreeMap<ServiceName, Value> {
         "tick_hz": if chance.percent(70) { 10.0 } else { 4.0 },
         "max_robots": max_robots,
     });
-    let clusterer = json!({"teams": chance.between(1, 4)});
+    let teams = chance.between(1, 4);
+    let clusterer = match chance.below(4) {
+        0 => json!({"teams": "auto"}),
+        1 => json!({"teams": {"from": teams, "to": teams + 2}, "dwell_s": chance.real(0.0, 2.0)}),
+        _ => json!({"teams": teams}),
+    };
     BTreeMap::from([
         (ServiceName::Ingest, ingest),
         (ServiceName::Embedder, json!({})),

@@ -179,7 +179,16 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
     add(
         "clusterer",
         Accepted,
-        &[r#"{"teams":3,"init":"random"}"#, r#"{"init":"kmeans++"}"#, r#"{"teams":null,"seed":7}"#],
+        &[
+            r#"{"teams":3,"init":"random"}"#,
+            r#"{"init":"kmeans++"}"#,
+            r#"{"teams":null,"seed":7}"#,
+            r#"{"teams":"auto"}"#,
+            r#"{"teams":1}"#,
+            r#"{"teams":1024}"#,
+            r#"{"teams":{"from":1,"to":128}}"#,
+            r#"{"teams":{"from":3,"to":3}}"#,
+        ],
     );
     add(
         "clusterer",
@@ -188,12 +197,20 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
             r#"{"teams":"3"}"#,
             r#"{"teams":2.5}"#,
             r#"{"teams":[3]}"#,
+            r#"{"teams":"many"}"#,
+            r#"{"teams":0}"#,
+            r#"{"teams":1025}"#,
+            r#"{"teams":{"from":0,"to":3}}"#,
+            r#"{"teams":{"from":3,"to":129}}"#,
+            r#"{"teams":{"from":3}}"#,
+            r#"{"teams":{"from":1,"to":3,"step":2}}"#,
             r#"{"init":"best"}"#,
             r#"{"seed":-1}"#,
             r#"{"team":3}"#,
             r#"{"teams":3,"restarts":0}"#,
         ],
     );
+    add("clusterer", OnlyByService("from that is above to"), &[r#"{"teams":{"from":3,"to":2}}"#]);
     add("clusterer", OnlyByService("17, not 17.0"), &[r#"{"teams":3.0}"#]);
     add("auditor", Accepted, &[r#"{"good":0.9,"poor":0.1}"#, r#"{"good":null}"#]);
     add("auditor", Refused, &[r#"{"good":"high"}"#, r#"{"goods":0.5}"#]);

@@ -150,6 +150,7 @@ fn embedding(epoch: u64, rows: Rows<'_>) -> Message {
             gap: 0.9,
             ambiguous: false,
             mode: EmbeddingMode::Dense,
+            team_scores: vec![],
             stage_us: [0; 3],
         },
     }))
@@ -190,6 +191,7 @@ fn teams(epoch: u64, of: u64, teams: &[(&str, &str)], unassigned: &str) -> Messa
         header: header(epoch),
         embedding: revision(of),
         requested: 2,
+        considered: vec![],
         teams: teams.collect(),
         unassigned: unassigned.split_whitespace().map(robot).collect(),
         stale: vec![],

@@ -1,6 +1,7 @@
 //! What is published of a division, and when it is published again.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
@@ -12,6 +13,7 @@ use muster_model::time::{Tick, seconds};
 use muster_wire::Message;
 
 use super::{Clusterer, Context, Published, Received, View};
+use crate::division::{changes, with_held};
 use crate::leader::leaders;
 use crate::publishing::{robots_to_inform, shortage};
 
@@ -20,6 +22,48 @@ use crate::publishing::{robots_to_inform, shortage};
 const MAX_CHANGE_EVENTS: usize = 64;
 
 impl Clusterer {
+    /// Publishes a division, but for the robots that have not been in another team for long enough; or notes
+    /// when that is to be looked at again.
+    pub(super) fn settle(&mut self, context: &mut Context<'_>, new: Teams, source: Received) {
+        let now = context.now();
+        let before = self.division.clone();
+        let dwell = seconds(context.settings().dwell_s);
+        let renewed = self.orders.renewed(now, self.roster.as_deref());
+        let held = self.moves.hold(now, dwell, &new, before.as_deref(), &renewed);
+        let mut teams = new.clone();
+        if !held.is_empty() {
+            match with_held(&new, &held, &source.embedding) {
+                Ok(kept) => {
+                    context.add("moves_held", held.len() as u64);
+                    teams = kept;
+                }
+                // The division itself has passed the same computation.
+                Err(error) => context.report_job_failure("dwell", &error.to_string()),
+            }
+        }
+        teams.changes = changes(&teams, before.as_deref());
+        // What happened to the teams is published with this one.
+        self.undecided = (!held.is_empty()).then(|| Box::new(Teams { changes: vec![], ..new }));
+        Arc::make_mut(&mut self.memory).follow(now, before.as_deref(), &teams);
+        self.publish(context, teams, source);
+    }
+
+    /// When robots that were kept in their team may be published elsewhere.
+    pub(super) fn settle_at(&self, view: &View<'_>) -> Option<Tick> {
+        self.undecided.as_ref()?;
+        self.moves.due(seconds(view.settings().dwell_s))
+    }
+
+    /// Looks again at the robots that were kept in their team.
+    pub(super) fn settle_again(&mut self, context: &mut Context<'_>) {
+        if let Some(published) = &self.published
+            && let Some(new) = self.undecided.take()
+        {
+            let source = published.source.clone();
+            self.settle(context, *new, source);
+        }
+    }
+
     pub(super) fn publish(&mut self, context: &mut Context<'_>, teams: Teams, source: Received) {
         let now = context.now();
         let (leaders, stale) = self.roster_view(&teams, &source.embedding);
@@ -104,7 +148,7 @@ impl Clusterer {
         if unreported > 0 {
             context.add("team_changes_untold", unreported as u64);
         }
-        match shortage(teams) {
+        match shortage(teams, context.settings().teams) {
             Some((requested, formed, reason)) if self.fewer != Some((requested, formed)) => {
                 self.fewer = Some((requested, formed));
                 let kind = EventKind::FewerTeams { requested, formed, reason };

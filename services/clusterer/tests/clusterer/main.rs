@@ -10,6 +10,7 @@
 
 mod common;
 mod division;
+mod dwell;
 mod gets;
 mod identity;
 mod properties;
@@ -29,7 +30,7 @@ use muster_model::embedding::Embedding;
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::id::{RobotId, ServiceName, TeamId};
-use muster_model::settings::ClustererSettings;
+use muster_model::settings::{ClustererSettings, TeamCount};
 use muster_model::teams::{RobotTeam, Teams};
 use muster_service::{Core, Input, ServedKey, Stored};
 use muster_wire::{Key, Message, Pattern};
@@ -40,7 +41,8 @@ const EAST: [f64; 2] = [1.0, 0.0];
 const NORTH: [f64; 2] = [0.0, 1.0];
 
 fn teams(teams: u32) -> ClustererSettings {
-    ClustererSettings { teams, restarts: 10, ..ClustererSettings::default() }
+    let teams = TeamCount::Fixed(teams);
+    ClustererSettings { teams, restarts: 10, dwell_s: 0.0, ..ClustererSettings::default() }
 }
 
 fn mirrored(teams: &Checked<Teams>) -> Message {

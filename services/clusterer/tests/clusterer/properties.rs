@@ -114,7 +114,7 @@ proptest! {
     fn every_robot_has_one_place_and_no_id_is_used_twice(
         acts in prop::collection::vec(act(), 1..25)
     ) {
-        let mut settings = ClustererSettings { restarts: 3, ..teams(3) };
+        let mut settings = ClustererSettings { restarts: 3, dwell_s: 0.5, ..teams(3) };
         let mut bench = Bench::leading(settings.clone());
         let mut world = World::default();
         let mut newest: Option<Checked<Embedding>> = None;
@@ -130,7 +130,7 @@ proptest! {
                     newest = Some(next);
                 }
                 Act::Teams(many) => {
-                    settings.teams = many;
+                    settings.teams = TeamCount::Fixed(many);
                     let patch = format!("{{\"teams\":{many}}}");
                     bench.get("service/clusterer/settings", Some(&patch)).unwrap();
                 }
@@ -152,7 +152,7 @@ proptest! {
             prop_assert_eq!(&robots, &embedding.robots);
             let without = embedding.robots.iter().zip(&embedding.without_embedding).filter(|(_, u)| **u);
             prop_assert!(without.map(|(robot, _)| robot).eq(&teams.unassigned));
-            prop_assert!(teams.teams.len() <= settings.teams as usize);
+            prop_assert!(teams.teams.len() <= *settings.teams.range().end() as usize);
             prop_assert!(teams.teams.iter().all(|team| !team.members.is_empty()));
             let number = |id: &TeamId| id.as_str()[1..].parse::<u64>().unwrap();
             let numbers: Vec<u64> = teams.teams.iter().map(|team| number(&team.id)).collect();

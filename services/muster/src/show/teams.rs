@@ -118,6 +118,7 @@ mod tests {
             },
             teams: vec![team(1), team(2)],
             requested: 2,
+            considered: vec![],
             next_team: 3,
             inertia: 0.0,
             unassigned: vec![robot("loose".to_owned())],

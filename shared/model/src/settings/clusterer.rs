@@ -3,8 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Settings, SettingsError, check_range};
-use crate::limits::MAX_TEAMS;
+use super::{Settings, SettingsError, TeamCount, check_range};
 
 /// How the centroids of a start of k-means are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -21,13 +20,15 @@ pub enum CentroidStart {
 /// for 5 s, and the readiness probe considers a clusterer dead after 10 s.
 const MAX_HEARTBEAT_S: f64 = 4.0;
 
+/// Longest time for which a robot may be kept in its team: beyond a minute it would look like a fault.
+const MAX_DWELL_S: f64 = 60.0;
+
 /// Settings of `clusterer`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClustererSettings {
     /// How many teams the fleet is divided into. There are fewer while the robots do not allow more.
-    #[schemars(range(min = 1, max = MAX_TEAMS))]
-    pub teams: u32,
+    pub teams: TeamCount,
     /// How many starts of k-means are tried in addition to the previous division.
     #[schemars(range(min = 1, max = 10_000))]
     pub restarts: u32,
@@ -43,6 +44,10 @@ pub struct ClustererSettings {
     /// the inertia, so that noise moves no robot.
     #[schemars(range(min = 0, max = 0.99))]
     pub hysteresis: f64,
+    /// A robot changes from one team to another only after every division has said so for this many seconds,
+    /// unless its superior or the number of teams has changed.
+    #[schemars(range(min = 0, max = MAX_DWELL_S))]
+    pub dwell_s: f64,
     /// An unchanged division is republished after this many seconds.
     #[schemars(range(min = 0.1, max = MAX_HEARTBEAT_S))]
     pub heartbeat_s: f64,
@@ -51,12 +56,13 @@ pub struct ClustererSettings {
 impl Default for ClustererSettings {
     fn default() -> Self {
         Self {
-            teams: 2,
+            teams: TeamCount::Auto,
             restarts: 50,
             init: CentroidStart::PlusPlus,
             max_iterations: 100,
             seed: 0,
             hysteresis: 0.05,
+            dwell_s: 0.5,
             heartbeat_s: 1.0,
         }
     }
@@ -64,10 +70,11 @@ impl Default for ClustererSettings {
 
 impl Settings for ClustererSettings {
     fn check(&self) -> Result<(), SettingsError> {
-        check_range("teams", f64::from(self.teams), 1.0..=f64::from(MAX_TEAMS))?;
+        self.teams.check()?;
         check_range("restarts", f64::from(self.restarts), 1.0..=10_000.0)?;
         check_range("max_iterations", f64::from(self.max_iterations), 1.0..=100_000.0)?;
         check_range("hysteresis", self.hysteresis, 0.0..=0.99)?;
+        check_range("dwell_s", self.dwell_s, 0.0..=MAX_DWELL_S)?;
         check_range("heartbeat_s", self.heartbeat_s, 0.1..=MAX_HEARTBEAT_S)
     }
 }

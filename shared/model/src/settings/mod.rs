@@ -8,6 +8,7 @@ mod auditor;
 mod clusterer;
 mod embedder;
 mod ingest;
+mod team_count;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -24,6 +25,7 @@ pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialScale,
     SpatialSettings,
 };
+pub use team_count::TeamCount;
 
 /// Longest field in an error, in characters: the path of any setting, and of a mistaken one its
 /// beginning.
@@ -179,10 +181,55 @@ mod tests {
     #[test]
     fn a_patch_changes_its_fields_and_null_restores_the_default() {
         let settings = ClustererSettings::default().patched(&json!({"teams": 5})).unwrap();
-        assert_eq!(settings.teams, 5);
+        assert_eq!(settings.teams, TeamCount::Fixed(5));
         assert_eq!(settings.restarts, ClustererSettings::default().restarts);
         let back = settings.patched(&json!({"teams": null})).unwrap();
         assert_eq!(back, ClustererSettings::default());
+    }
+
+    #[test]
+    fn a_number_of_teams_is_fixed_a_range_or_chosen() {
+        let settings = ClustererSettings::default();
+        assert_eq!(settings.teams, TeamCount::Auto);
+        let range = TeamCount::Between { from: 2, to: 4 };
+        let forms = [
+            (json!("auto"), TeamCount::Auto),
+            (json!({"from": 2, "to": 4}), range),
+            (json!(3), TeamCount::Fixed(3)),
+            (json!({"from": 2, "to": 2}), TeamCount::Between { from: 2, to: 2 }),
+        ];
+        let mut current = settings;
+        for (form, wanted) in forms {
+            current = current.patched(&json!({ "teams": form })).unwrap();
+            assert_eq!(current.teams, wanted);
+            let text = serde_json::to_value(&current).unwrap();
+            assert_eq!(text["teams"], form);
+            assert_eq!(from_value::<ClustererSettings>(text), Ok(current.clone()));
+        }
+        for (wrong, field) in [
+            (json!("many"), "teams"),
+            (json!(2.5), "teams"),
+            (json!(1025), "teams"),
+            (json!(5_000_000_000_u64), "teams"),
+            (json!([2, 4]), "teams"),
+            (json!(true), "teams"),
+            (json!({"from": 2}), "teams"),
+            (json!({"from": 0, "to": 4}), "teams.from"),
+            (json!({"from": "2", "to": 4}), "teams.from"),
+            (json!({"from": 2, "to": 129}), "teams.to"),
+            (json!({"from": 3, "to": 2}), "teams.to"),
+            (json!({"from": 2, "to": -4}), "teams.to"),
+            (json!({"from": 2, "to": 4, "step": 2}), "teams.step"),
+        ] {
+            let error = current.patched(&json!({ "teams": wrong })).unwrap_err();
+            assert_eq!(error.field, field, "{error}");
+        }
+        let word = current.patched(&json!({"teams": "many"})).unwrap_err();
+        assert!(word.problem.contains("\"auto\"") && word.problem.contains("\"from\""), "{word}");
+        assert_eq!(
+            [TeamCount::Auto, range, 3.into()].map(|t| t.to_string()),
+            ["auto", "2..4", "3"]
+        );
     }
 
     #[test]

@@ -306,9 +306,9 @@ mod tests {
         let config = resolve(&args, &none).unwrap();
         assert_eq!(config.fleet.value.as_str(), "from-file");
         let teams = |config: &ProcessConfig| {
-            config.settings::<ClustererSettings>(ServiceName::Clusterer).unwrap().teams
+            config.settings::<ClustererSettings>(ServiceName::Clusterer).unwrap().teams.fixed()
         };
-        assert_eq!(teams(&config), 3);
+        assert_eq!(teams(&config), Some(3));
         let environment = |name: &str| match name {
             "MUSTER_FLEET" => Some("from-env".to_owned()),
             "MUSTER_CLUSTERER" => Some("{\"teams\": 4}".to_owned()),
@@ -316,9 +316,9 @@ mod tests {
         };
         let mut config = resolve(&args, &environment).unwrap();
         assert_eq!(config.fleet.value.as_str(), "from-env");
-        assert_eq!(teams(&config), 4);
+        assert_eq!(teams(&config), Some(4));
         config.set(ServiceName::Clusterer, &["teams=5".to_owned()]).unwrap();
-        assert_eq!(teams(&config), 5);
+        assert_eq!(teams(&config), Some(5));
         let args = ProcessArgs { fleet: Some("from-flag".to_owned()), ..args };
         assert_eq!(resolve(&args, &environment).unwrap().fleet.origin, Origin::Flag);
     }
@@ -351,10 +351,13 @@ mod tests {
 
     #[test]
     fn what_is_printed_is_accepted_again() {
-        let (_directory, args) = with_file("[ingest]\nspatial = { width = 3.0 }\n");
+        let file =
+            "[ingest]\nspatial = { width = 3.0 }\n[clusterer]\nteams = { from = 2, to = 5 }\n";
+        let (_directory, args) = with_file(file);
         let text = resolve(&args, &none).unwrap().print(&ServiceName::ALL).unwrap();
         assert!(text.contains("spatial.width = 3.0  # file"), "{text}");
-        assert!(text.contains("teams = 2  # default"), "{text}");
+        assert!(text.contains("teams.from = 2  # file"), "{text}");
+        assert!(text.contains("restarts = 50  # default"), "{text}");
         let (_directory, args) = with_file(&text);
         resolve(&args, &none).unwrap();
     }

@@ -12,7 +12,7 @@ use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{CheckedReport, Pose, Report};
 use muster_model::role::{LeaseRenewal, ReplicaState};
-use muster_model::settings::ClustererSettings;
+use muster_model::settings::{ClustererSettings, TeamCount};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_service::testkit::Bench;
@@ -22,6 +22,13 @@ use muster_service::{
 };
 use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{ForeignKey, Key, KeySpace, Message, Packet, Pattern};
+
+/// Stands for settings without a fixed number of teams, such as the default ones.
+pub(crate) const AUTO: u32 = 0;
+
+fn count(settings: &ClustererSettings) -> u32 {
+    settings.teams.fixed().unwrap_or(AUTO)
+}
 
 pub(crate) const START: Tick = Tick(1_000_000_000);
 
@@ -36,7 +43,7 @@ pub(crate) const EVERY_INSTANCE: u8 = 2;
 /// names make it do certain things.
 pub(crate) struct Small<const KIND: u8> {
     pub(crate) log: Vec<String>,
-    /// The number of teams in the settings in force.
+    /// The number of teams in the settings in force; [`AUTO`] by default.
     pub(crate) teams: u32,
     sum: f64,
     gets: Vec<Get>,
@@ -107,7 +114,7 @@ impl<const KIND: u8> Core for Small<KIND> {
     }
 
     fn new(_now: Tick, settings: &ClustererSettings) -> Self {
-        Self { log: Vec::new(), teams: settings.teams, sum: 0.0, gets: Vec::new() }
+        Self { log: Vec::new(), teams: count(settings), sum: 0.0, gets: Vec::new() }
     }
 
     fn on_lead(&mut self, context: &mut Context<'_, Self>, answers: Vec<Message>) {
@@ -190,7 +197,7 @@ impl<const KIND: u8> Core for Small<KIND> {
     }
 
     fn after_input(&mut self, context: &mut Context<'_, Self>) {
-        self.teams = context.settings().teams;
+        self.teams = count(context.settings());
     }
 
     fn deadline(&self, _view: &View<'_, Self>) -> Option<Tick> {
@@ -227,6 +234,7 @@ pub(crate) fn output(header: Header) -> Message {
         header,
         embedding: Revision::default(),
         requested: 0,
+        considered: vec![],
         teams: Vec::new(),
         unassigned: Vec::new(),
         stale: Vec::new(),
@@ -261,6 +269,7 @@ pub(crate) fn renewal(host: &str, term: u64, epoch: u64) -> Message {
 }
 
 pub(crate) fn settings(term: u64, epoch: u64, teams: u32) -> Message {
+    let teams = TeamCount::Fixed(teams);
     let settings = ClustererSettings { teams, ..ClustererSettings::default() };
     Message::Settings(Box::new(AnnouncedSettings {
         header: header(Revision { term, epoch }),
@@ -363,7 +372,7 @@ impl<const KIND: u8> Driven<KIND> {
         for message in self.published.drain(..) {
             if let Message::Settings(settings) = message {
                 let settings: ClustererSettings = serde_json::from_str(&settings.settings).unwrap();
-                announced.push(settings.teams);
+                announced.push(count(&settings));
             }
         }
         announced

@@ -64,6 +64,7 @@ fn the_json_has_its_keys_in_order_and_full_precision() {
         "embedding",
         "labels",
         "teams",
+        "requested",
         "inertia",
         "silhouette",
         "mean",
@@ -91,6 +92,7 @@ fn the_json_has_its_keys_in_order_and_full_precision() {
         "inertia",
         "labels",
         "modalities",
+        "requested",
         "rho",
         "robots",
         "self_loops",
@@ -102,6 +104,32 @@ fn the_json_has_its_keys_in_order_and_full_precision() {
     let mut sorted = found.clone();
     sorted.sort_unstable();
     assert_eq!(sorted, expected);
+}
+
+#[test]
+fn the_number_of_teams_is_chosen_unless_it_is_given() {
+    let file = with(plain(9, &cliques(&[3, 3, 3]), 0.25), json!({"teams": null, "emit": []}));
+    let chosen = |options: Options, file: &Value| {
+        let solved = Solved::new(file.to_string().as_bytes(), options).unwrap();
+        let json: Value = serde_json::from_str(&solved.to_json().unwrap()).unwrap();
+        (json["requested"].as_u64(), json["considered"].clone(), solved.summary())
+    };
+    let (teams, considered, summary) = chosen(Options::default(), &file);
+    assert_eq!((teams, considered.as_array().unwrap().len()), (Some(3), 8));
+    assert!(considered[2]["score"].as_f64().unwrap() > 0.4, "{considered}");
+    assert!(summary.contains("3 (chosen by the gap of the values; scores: 3 "), "{summary}");
+    let flag = Options { teams: Some(2.into()), ..Options::default() };
+    let (teams, considered, summary) = chosen(flag, &file);
+    assert_eq!((teams, considered), (Some(2), Value::Null));
+    assert!(summary.contains("teams             2\n"), "{summary}");
+    let range = with(file, json!({"teams": {"from": 4, "to": 6}}));
+    let (teams, considered, _) = chosen(Options::default(), &range);
+    assert!((4..=6).contains(&teams.unwrap()));
+    assert_eq!(considered.as_array().unwrap().len(), 3);
+    let nothing = with(plain(3, &[], 0.5), json!({"teams": null, "emit": []}));
+    let (teams, _, summary) = chosen(Options::default(), &nothing);
+    assert_eq!(teams, Some(1));
+    assert!(summary.contains("1 (nothing to choose by)"), "{summary}");
 }
 
 #[test]

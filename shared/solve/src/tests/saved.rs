@@ -2,7 +2,8 @@
 
 use muster_model::id::Modality;
 use muster_model::settings::{
-    CentroidStart, ClustererSettings, Dimension, EmbedderSettings, Normalization, Trusted,
+    CentroidStart, ClustererSettings, Dimension, EmbedderSettings, Normalization, TeamCount,
+    Trusted,
 };
 use serde_json::json;
 
@@ -36,7 +37,8 @@ fn lines_of_graphs_are_a_fleet_with_the_default_settings() {
     let weight = 0.6 * 0.8;
     assert_near(hierarchy.weight, weight / (weight + 0.35), "weight");
     assert_near(spatial.weight, 0.35 / (weight + 0.35), "weight");
-    let (_, solution) = solve(&two_pairs()).unwrap();
+    let two = Options { teams: Some(2.into()), ..Options::default() };
+    let (_, solution) = solve_with(&two_pairs(), two).unwrap();
     assert_eq!(solution.divided.labels, [0, 0, 1, 1, 2]);
     assert_eq!(solution.divided.unassigned, Some(2));
 }
@@ -49,7 +51,7 @@ fn settings_of_the_services_may_stand_among_the_graphs() {
         trusted: Trusted::Only([Modality::spatial()].into()),
         ..EmbedderSettings::default()
     };
-    let clusterer = ClustererSettings { teams: 1, ..ClustererSettings::default() };
+    let clusterer = ClustererSettings { teams: 1.into(), ..ClustererSettings::default() };
     let settings = [json!(embedder).to_string(), json!(clusterer).to_string()];
     let [embedder, clusterer] = &settings;
     for text in [
@@ -67,7 +69,8 @@ fn settings_of_the_services_may_stand_among_the_graphs() {
 
 #[test]
 fn the_preset_replaces_the_settings_of_a_saved_fleet_but_for_teams_and_seed() {
-    let clusterer = ClustererSettings { teams: 1, seed: 7, ..ClustererSettings::default() };
+    let clusterer =
+        ClustererSettings { teams: TeamCount::Fixed(1), seed: 7, ..ClustererSettings::default() };
     let lines = [json!(EmbedderSettings::default()), json!(clusterer)].map(|line| line.to_string());
     let hierarchy = line("hierarchy", &[("r1", "r2", 2.0)]);
     let text = [lines.concat(), two_pairs(), hierarchy].concat();
@@ -80,7 +83,7 @@ fn the_preset_replaces_the_settings_of_a_saved_fleet_but_for_teams_and_seed() {
     assert_eq!(hierarchy.matrix.triplets().collect::<Vec<_>>(), [(0, 1, 2.0)], "nothing back");
     let Division::Wanted(settings) = &problem.division else { panic!("teams") };
     assert_eq!((settings.init, settings.restarts), (CentroidStart::Random, 1));
-    assert_eq!((settings.teams, settings.seed), (1, 7));
+    assert_eq!((settings.teams, settings.seed), (TeamCount::Fixed(1), 7));
 }
 
 #[test]

@@ -19,7 +19,7 @@ use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::status::ServiceStatus;
-use muster_model::teams::{Member, Team, TeamChange, Teams};
+use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
@@ -139,6 +139,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
             gap: 0.75,
             ambiguous: false,
             mode: EmbeddingMode::Dense,
+            team_scores: vec![0.25, 0.5],
             stage_us: [10, 20, 30],
         },
     };
@@ -156,6 +157,10 @@ pub fn all() -> Vec<(&'static str, Message)> {
         header: header(44),
         embedding: revision(43),
         requested: 2,
+        considered: vec![
+            TeamCountScore { teams: 1, score: 0.25 },
+            TeamCountScore { teams: 2, score: 0.5 },
+        ],
         teams: vec![Team {
             id: team("t1"),
             members: vec![Member { robot: robot("r1"), margin: 0.75 }],

@@ -54,7 +54,7 @@ pub enum RunError {
 pub fn run(setup: &Setup, mut settings: AllSettings, seed: u64) -> Result<Outcome, RunError> {
     let mission = Mission::new(Fleet::new(setup.robots, setup.teams)?, setup.case, seed);
     let mut reports = Reports::new(&mission, setup.radio, setup.fault, seed);
-    settings.clusterer.teams = u32::try_from(setup.teams).unwrap_or(u32::MAX);
+    settings.clusterer.teams = setup.teams.into();
     let mut pipeline = Pipeline::new(BEGINNING, settings)?;
     let mut scorer = Scorer::new(&mission);
     for token in reports.joining() {

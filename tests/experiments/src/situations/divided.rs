@@ -10,19 +10,13 @@ use muster_method::embedding::{Embedded, embed};
 use muster_method::params::{DivisionParams, EmbeddingParams};
 use muster_method::{Frame, Graph};
 use muster_model::id::{Modality, RobotId};
-use muster_model::settings::{CentroidStart, ClustererSettings, Dimension, EmbedderSettings};
+use muster_model::settings::{CentroidStart, ClustererSettings, EmbedderSettings, TeamCount};
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_scenario::FileError;
 
 use super::situation::{Situation, SituationError};
 use crate::methods::Recipe;
 use crate::methods::embedding::MethodError;
-
-/// Most teams that [`automatic_teams`] considers.
-const MOST_TEAMS: usize = 14;
-
-/// Length of the vectors of the embedding that it sees: enough for one singular value more than that.
-const AUTOMATIC_DIMENSION: u32 = 2 * 16;
 
 /// The team of each robot; none for a robot without one.
 pub type Labels = Vec<Option<usize>>;
@@ -46,41 +40,20 @@ pub enum DividedError {
 /// # Errors
 /// [`DividedError`]
 pub fn muster(situation: &Situation, teams: usize) -> Result<Labels, DividedError> {
-    let embedded = embedded(situation, teams, EmbedderSettings::default().dimension)?;
-    let settings = ClustererSettings {
-        teams: u32::try_from(teams).unwrap_or(u32::MAX),
-        ..ClustererSettings::default()
-    };
-    labels(&embedded.x, &embedded.without_embedding, DivisionParams::new(&settings))
+    let embedded = embedded(situation, TeamCount::from(teams))?;
+    let params = DivisionParams::new(&ClustererSettings::default(), teams);
+    labels(&embedded.x, &embedded.without_embedding, params)
 }
 
-/// The number of teams that a situation shows by itself.
+/// Muster with its defaults, which choose the number of teams; with that number.
 ///
 /// # Errors
 /// [`DividedError`]
-pub fn teams_by_itself(situation: &Situation) -> Result<usize, DividedError> {
-    let dimension = Dimension::Fixed(AUTOMATIC_DIMENSION);
-    Ok(automatic_teams(&embedded(situation, MOST_TEAMS, dimension)?))
-}
-
-/// The number of teams, from 1 to [`MOST_TEAMS`], after which there is the largest gap of λ = σ / (α (1 + σ)),
-/// which is the eigenvalue of A* where A* is symmetric. Values beyond the number of robots are 0.
-#[must_use]
-pub fn automatic_teams(embedded: &Embedded) -> usize {
-    let (alpha, svd) = (embedded.decay.alpha, &embedded.decomposition.svd);
-    let mut lambda: Vec<f64> =
-        svd.sigma.iter().map(|sigma| sigma / (alpha * (1.0 + sigma))).collect();
-    let next = svd.sigma_next.unwrap_or(0.0);
-    lambda.push(next / (alpha * (1.0 + next)));
-    let gaps = lambda.windows(2).take(MOST_TEAMS).map(|pair| pair[0] - pair[1]);
-    let best =
-        gaps.enumerate().fold(
-            (0, f64::NEG_INFINITY),
-            |best, (at, gap)| {
-                if gap > best.1 { (at, gap) } else { best }
-            },
-        );
-    best.0 + 1
+pub fn muster_by_itself(situation: &Situation) -> Result<(Labels, usize), DividedError> {
+    let embedded = embedded(situation, TeamCount::Auto)?;
+    let teams = embedded.decomposition.teams.teams as usize;
+    let params = DivisionParams::new(&ClustererSettings::default(), teams);
+    Ok((labels(&embedded.x, &embedded.without_embedding, params)?, teams))
 }
 
 /// The paper's method to the letter, divided into `teams`.
@@ -106,11 +79,7 @@ pub fn paper(situation: &Situation, teams: usize, seed: u64) -> Result<Labels, D
     labels(&vectors.x, &vectors.without_embedding, params)
 }
 
-fn embedded(
-    situation: &Situation,
-    teams: usize,
-    dimension: Dimension,
-) -> Result<Embedded, DividedError> {
+fn embedded(situation: &Situation, teams: TeamCount) -> Result<Embedded, DividedError> {
     let graphs = [
         (Modality::spatial(), situation.spatial()?),
         (Modality::connectivity(), situation.connectivity()?),
@@ -124,8 +93,9 @@ fn embedded(
         robots: names.collect::<Result<Vec<_>, _>>().map_err(MethodError::from)?.into(),
         graphs: graphs.into_iter().filter_map(present).collect(),
     };
-    let settings = EmbedderSettings { dimension, ..EmbedderSettings::default() };
-    let params = EmbeddingParams::once(&settings, teams).check().map_err(MethodError::from)?;
+    let params = EmbeddingParams::once(&EmbedderSettings::default(), teams)
+        .check()
+        .map_err(MethodError::from)?;
     Ok(embed(&frame, &params, &mut |_| {}).map_err(MethodError::from)?)
 }
 

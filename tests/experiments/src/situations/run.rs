@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use muster_numeric::matching::MatchError;
 use rayon::prelude::*;
 
-use super::divided::{Labels, muster, paper, teams_by_itself};
+use super::divided::{Labels, muster, muster_by_itself, paper};
 use super::exchange::Baselines;
 use super::kinds::{Kind, List};
 use crate::score::{Correct, adjusted_rand_index, correct};
@@ -169,9 +169,7 @@ fn outcome(case: &Case, baselines: Option<&Baselines>) -> anyhow::Result<Outcome
     };
     let given = muster(&situation, teams)?;
     add(Divider::Muster, &given)?;
-    let by_itself = teams_by_itself(&situation)?;
-    let labels = if by_itself == teams { given } else { muster(&situation, by_itself)? };
-    add(Divider::MusterByItself, &labels)?;
+    add(Divider::MusterByItself, &muster_by_itself(&situation)?.0)?;
     add(Divider::Paper, &paper(&situation, teams, case.seed)?)?;
     if let Some(found) = theirs {
         for divider in Divider::OTHERS.into_iter().filter(|divider| divider.is_baseline()) {

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::header::Revision;
-use muster_model::id::{RobotId, ServiceName};
+use muster_model::id::{RobotId, ServiceName, TeamId};
 use muster_model::roster::Presence;
 use muster_model::teams::Teams;
 use muster_wire::Message;
@@ -206,8 +206,10 @@ impl Oracle {
         Ok(())
     }
 
-    /// The same process divides the same vectors under the same settings as it did just before.
-    pub(super) fn check_same_again(&self, before: &Divided) -> Verified {
+    /// The same process divides the same vectors under the same settings as it did just before: what it held
+    /// back for a while may follow, and nothing else. So the number of teams changes once at most, and while it
+    /// stays so do the teams, between which each robot moves once at most. Robots without a team keep to that.
+    pub(super) fn check_same_again(&mut self, before: Divided) -> Verified {
         let Some(now) = &self.divided else { return Ok(()) };
         let same_vectors = || {
             let (old, new) = (before.teams.embedding, now.teams.embedding);
@@ -215,16 +217,31 @@ impl Oracle {
             // Where two leaders gave one revision, it is not known which of the two was divided.
             matches!((old, new), ([old], [new]) if same_vectors(old, new))
         };
-        if (before.publisher, before.settings) != (now.publisher, now.settings)
-            || same_members(&before.teams, &now.teams)
-            || !same_vectors()
-        {
+        if (before.publisher, before.settings) != (now.publisher, now.settings) || !same_vectors() {
             return Ok(());
         }
-        breach(
-            UNCHANGED,
-            format!("{:?}, and from the same {:?}", short(&before.teams), short(&now.teams)),
-        )
+        let changed = before.teams.requested != now.teams.requested;
+        let moved = moved(&before.teams, &now.teams);
+        let ids =
+            |teams: &Teams| teams.teams.iter().map(|team| team.id.clone()).collect::<Vec<_>>();
+        let follows = if changed {
+            !before.counted
+        } else {
+            ids(&before.teams) == ids(&now.teams) && moved.is_disjoint(&before.moved)
+        };
+        if !follows || before.teams.unassigned != now.teams.unassigned {
+            return breach(
+                UNCHANGED,
+                format!("{:?}, and from the same {:?}", short(&before.teams), short(&now.teams)),
+            );
+        }
+        if let Some(now) = &mut self.divided {
+            now.counted = before.counted || changed;
+            if !changed {
+                now.moved = &before.moved | &moved;
+            }
+        }
+        Ok(())
     }
 
     /// Unchanged input leaves the division as all had agreed on it.
@@ -237,6 +254,17 @@ impl Oracle {
         }
         breach(UNCHANGED, format!("agreed on {:?}, now {:?}", short(agreed), short(last)))
     }
+}
+
+/// The robots that are in another team than before.
+fn moved(before: &Teams, now: &Teams) -> BTreeSet<RobotId> {
+    let places = |teams: &Teams| -> BTreeMap<RobotId, String> {
+        let place = |(robot, team): (&RobotId, &TeamId)| (robot.clone(), team.to_string());
+        teams.assignments().map(place).collect()
+    };
+    let (before, now) = (places(before), places(now));
+    let is_elsewhere = |(robot, team): &(RobotId, String)| before.get(robot) != Some(team);
+    now.into_iter().filter(is_elsewhere).map(|(robot, _)| robot).collect()
 }
 
 /// The teams in few words.

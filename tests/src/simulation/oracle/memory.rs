@@ -49,10 +49,11 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
         ServiceName::Clusterer => MemoryUse {
             // The last team of a robot that left, and the robots of teams that ended. A robot is in
             // as many of those as it was moved within the minute of memory. Each of the two has the
-            // limit of a fleet, whatever happens.
-            robots: bounds.names.min(MAX_ROBOTS) + bounds.names.pow(2).min(MAX_ROBOTS),
+            // limit of a fleet, whatever happens. And the robots that are kept in their team for now.
+            robots: bounds.names.min(MAX_ROBOTS) + bounds.names.pow(2).min(MAX_ROBOTS) + robots,
             edges: 0,
-            messages: 7,
+            // The division as it was found is the eighth.
+            messages: 8,
             offenders: OFFENDERS,
         },
         ServiceName::Auditor => MemoryUse {

@@ -11,7 +11,7 @@ mod memory;
 mod order;
 mod silhouettes;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use muster_model::audit::Audit;
@@ -19,7 +19,7 @@ use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
-use muster_model::id::ServiceName;
+use muster_model::id::{RobotId, ServiceName};
 use muster_model::roster::Roster;
 use muster_model::teams::Teams;
 use muster_wire::Message;
@@ -69,6 +69,10 @@ struct Divided {
     publisher: Publisher,
     settings: u32,
     teams: Checked<Teams>,
+    /// The robots that have changed teams since the vectors, the settings and the number of teams did.
+    moved: BTreeSet<RobotId>,
+    /// Whether the number of teams has changed since the vectors and the settings did.
+    counted: bool,
 }
 
 /// What has been published, by revision. Two leaders may give the same one.
@@ -215,9 +219,11 @@ impl Oracle {
             }
             Message::Teams { teams, .. } => {
                 division::check_division(teams, &self.embeddings)?;
-                let divided = Divided { publisher, settings, teams: teams.clone() };
+                let (moved, counted) = (BTreeSet::new(), false);
+                let teams_now = teams.clone();
+                let divided = Divided { publisher, settings, teams: teams_now, moved, counted };
                 if let Some(before) = self.divided.replace(divided) {
-                    self.check_same_again(&before)?;
+                    self.check_same_again(before)?;
                 }
                 self.divisions.add(teams.header.revision, teams);
             }

@@ -181,11 +181,12 @@ pub(super) fn teams(look: &Look) -> Vec<Finding> {
     let robots = look.roster.as_ref().map_or(0, |roster| roster.robots.len());
     if let Some(settings) = &look.clusterer
         && robots > 0
-        && settings.teams as usize > robots
+        && let least = *settings.teams.range().start()
+        && least as usize > robots
     {
         found.push(warning(
             "too_many_teams",
-            format!("{} teams are asked for, and there are {robots} robots", settings.teams),
+            format!("{least} teams are asked for, and there are {robots} robots"),
             format!("ask for fewer: muster set clusterer teams={robots}"),
         ));
     }

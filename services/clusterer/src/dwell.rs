@@ -1,0 +1,392 @@
+//! How long a change must last before it is published: of the number of teams, and of a robot's team.
+//!
+//! Everything here is a small state machine that is given the time. What is remembered is at most one entry
+//! per robot of the last division or roster.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use muster_method::team_count::choose;
+use muster_model::id::{RobotId, TeamId};
+use muster_model::roster::{Roster, RosterEntry};
+use muster_model::settings::TeamCount;
+use muster_model::teams::Teams;
+use muster_model::time::Tick;
+
+/// How long another number of teams must be the best one before it is used: a few frames of a fleet, so that
+/// one frame of bad data divides nobody, and a split is still followed within a second.
+pub(crate) const TEAM_COUNT_DWELL: Duration = Duration::from_millis(400);
+
+/// How long after a change of its superior a robot changes teams at once, and its subordinates with it: an
+/// order is no noise, and a squad that is handed over reaches its new neighbours within it.
+pub(crate) const NEW_ORDERS_TIME: Duration = Duration::from_secs(10);
+
+/// The number of teams of one division after the other.
+#[derive(Debug, Default)]
+pub(crate) struct CountDwell {
+    /// Another number than the current one, and since when it is the best.
+    candidate: Option<(u32, Tick)>,
+    due: Option<Tick>,
+}
+
+impl CountDwell {
+    /// How many teams the next division has. `scores` are those of the newest embedding, `current` is the
+    /// number of the last division, none if there is none to go on from.
+    pub(crate) fn decide(
+        &mut self,
+        now: Tick,
+        wanted: TeamCount,
+        scores: &[f64],
+        current: Option<u32>,
+    ) -> u32 {
+        self.due = None;
+        let range = wanted.range();
+        let current = current.filter(|teams| range.contains(teams));
+        let best = match current {
+            // Without relations there is nothing to choose by.
+            Some(current) if scores.is_empty() => current,
+            _ => choose(scores, range, current),
+        };
+        let Some(current) = current.filter(|current| *current != best) else {
+            self.candidate = None;
+            return best;
+        };
+        let since = self.candidate.filter(|(teams, _)| *teams == best).map_or(now, |(_, at)| at);
+        self.candidate = Some((best, since));
+        let due = since.after(TEAM_COUNT_DWELL);
+        if now >= due {
+            return best;
+        }
+        self.due = Some(due);
+        current
+    }
+
+    /// When the decision may be another one although nothing changes.
+    pub(crate) fn due(&self) -> Option<Tick> {
+        self.due
+    }
+}
+
+/// Robots whose superior has changed lately.
+#[derive(Debug, Default)]
+pub(crate) struct Orders {
+    changed: BTreeMap<RobotId, Tick>,
+}
+
+impl Orders {
+    /// One roster follows another.
+    pub(crate) fn follow(&mut self, now: Tick, before: Option<&Roster>, after: &Roster) {
+        let place = |robot: &RobotId| after.robots.binary_search_by(|entry| entry.robot.cmp(robot));
+        self.changed.retain(|robot, at| !is_past(now, *at) && place(robot).is_ok());
+        let mut old = before.into_iter().flat_map(|before| &before.robots).peekable();
+        for RosterEntry { robot, superior, .. } in &after.robots {
+            while old.next_if(|entry| entry.robot < *robot).is_some() {}
+            let known = old.peek().filter(|entry| entry.robot == *robot);
+            if known.is_some_and(|entry| entry.superior != *superior) {
+                self.changed.insert(robot.clone(), now);
+            }
+        }
+    }
+
+    /// The robots that have new orders, and all that stand below them.
+    pub(crate) fn renewed<'a>(
+        &'a self,
+        now: Tick,
+        roster: Option<&'a Roster>,
+    ) -> BTreeSet<&'a RobotId> {
+        let changed = self.changed.iter().filter(|(_, at)| !is_past(now, **at));
+        let mut open: Vec<&RobotId> = changed.map(|(robot, _)| robot).collect();
+        let mut renewed: BTreeSet<&RobotId> = open.iter().copied().collect();
+        if open.is_empty() {
+            return renewed;
+        }
+        let mut below: BTreeMap<&RobotId, Vec<&RobotId>> = BTreeMap::new();
+        for entry in roster.into_iter().flat_map(|roster| &roster.robots) {
+            if let Some(superior) = &entry.superior {
+                below.entry(superior).or_default().push(&entry.robot);
+            }
+        }
+        while let Some(robot) = open.pop() {
+            let next = below.get(robot).into_iter().flatten();
+            open.extend(next.copied().filter(|robot| renewed.insert(robot)));
+        }
+        renewed
+    }
+}
+
+fn is_past(now: Tick, at: Tick) -> bool {
+    now >= at.after(NEW_ORDERS_TIME)
+}
+
+/// Robots that a new division puts into another team, but not yet for long enough.
+#[derive(Debug, Default)]
+pub(crate) struct MoveDwell {
+    /// The other team, and since when every division says so.
+    pending: BTreeMap<RobotId, (TeamId, Tick)>,
+}
+
+impl MoveDwell {
+    /// Which robots stay in their team of the division before, although the new division has them in another.
+    ///
+    /// A change counts at once where the number of teams has changed, where one of the two teams is in only one
+    /// of the divisions, where the robot had no team or has none, and where it has new orders. No team is left
+    /// without a robot by those who stay.
+    pub(crate) fn hold(
+        &mut self,
+        now: Tick,
+        dwell: Duration,
+        new: &Teams,
+        before: Option<&Teams>,
+        renewed: &BTreeSet<&RobotId>,
+    ) -> BTreeMap<RobotId, TeamId> {
+        let pending = std::mem::take(&mut self.pending);
+        let mut held = BTreeMap::new();
+        let Some(before) = before.filter(|before| {
+            before.requested == new.requested && before.teams.len() == new.teams.len()
+        }) else {
+            return held;
+        };
+        let old: BTreeMap<&RobotId, &TeamId> = before.assignments().collect();
+        let known: BTreeSet<&TeamId> = before.teams.iter().map(|team| &team.id).collect();
+        let living: BTreeSet<&TeamId> = new.teams.iter().map(|team| &team.id).collect();
+        for (robot, to) in new.assignments() {
+            let from = old.get(robot).filter(|from| **from != to && living.contains(*from));
+            let Some(from) = from.filter(|_| known.contains(to) && !renewed.contains(robot)) else {
+                continue;
+            };
+            let last = pending.get(robot).filter(|(team, _)| team == to);
+            let since = last.map_or(now, |(_, since)| *since);
+            if now < since.after(dwell) {
+                self.pending.insert(robot.clone(), (to.clone(), since));
+                held.insert(robot.clone(), (*from).clone());
+            }
+        }
+        self.release_into_empty(new, &mut held);
+        held
+    }
+
+    /// Lets robots go into teams that would have no robot without them.
+    fn release_into_empty(&mut self, new: &Teams, held: &mut BTreeMap<RobotId, TeamId>) {
+        while !held.is_empty() {
+            let filled: BTreeSet<&TeamId> =
+                new.assignments().map(|(robot, team)| held.get(robot).unwrap_or(team)).collect();
+            let empty = new.teams.iter().find(|team| !filled.contains(&team.id));
+            let Some(empty) = empty else { return };
+            for member in &empty.members {
+                held.remove(&member.robot);
+                self.pending.remove(&member.robot);
+            }
+        }
+    }
+
+    /// When the first robot that stays has stayed for long enough.
+    pub(crate) fn due(&self, dwell: Duration) -> Option<Tick> {
+        self.pending.values().map(|(_, since)| since.after(dwell)).min()
+    }
+
+    /// How many robots stay.
+    pub(crate) fn robot_count(&self) -> usize {
+        self.pending.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::header::{Header, Revision};
+    use muster_model::id::FleetId;
+    use muster_model::roster::Presence;
+    use muster_model::teams::{Member, Team};
+
+    use super::*;
+
+    const DWELL: Duration = Duration::from_millis(500);
+
+    fn at(ms: u64) -> Tick {
+        Tick::default().after(Duration::from_millis(1_000_000 + ms))
+    }
+
+    fn robot(name: &str) -> RobotId {
+        RobotId::new(name).unwrap()
+    }
+
+    fn header() -> Header {
+        Header {
+            fleet: FleetId::new("f").unwrap(),
+            revision: Revision::default(),
+            oldest: None,
+            newest: None,
+            stages: vec![],
+        }
+    }
+
+    /// A division: teams as `("t1", "a b c")`.
+    fn division(teams: &[(&str, &str)]) -> Teams {
+        let teams: Vec<Team> = teams
+            .iter()
+            .map(|(id, names)| {
+                let names = names.split_whitespace();
+                let members: Vec<_> =
+                    names.map(|name| Member { robot: robot(name), margin: 0.5 }).collect();
+                let leader = members[0].robot.clone();
+                Team { id: TeamId::new(*id).unwrap(), leader, members, centroid: vec![] }
+            })
+            .collect();
+        Teams {
+            header: header(),
+            embedding: Revision::default(),
+            requested: u32::try_from(teams.len()).unwrap(),
+            considered: vec![],
+            teams,
+            unassigned: vec![],
+            stale: vec![],
+            inertia: 0.0,
+            changes: vec![],
+            next_team: 9,
+        }
+    }
+
+    /// A roster: `"a<b"` answers to b.
+    fn roster(robots: &str) -> Roster {
+        let entries = robots.split_whitespace().map(|text| {
+            let (name, superior) = match text.split_once('<') {
+                Some((name, superior)) => (name, Some(robot(superior))),
+                None => (text, None),
+            };
+            RosterEntry {
+                node: 0,
+                robot: robot(name),
+                presence: Presence::Active,
+                position: None,
+                heading: None,
+                frame: None,
+                superior,
+                role: None,
+                last_seen: Tick::default(),
+            }
+        });
+        Roster { header: header(), robots: entries.collect(), graphs: vec![] }
+    }
+
+    /// Who stays, as `a>t1`.
+    fn held(dwell: &mut MoveDwell, ms: u64, new: &Teams, before: &Teams, renewed: &str) -> String {
+        let renewed: Vec<RobotId> = renewed.split_whitespace().map(robot).collect();
+        let held = dwell.hold(at(ms), DWELL, new, Some(before), &renewed.iter().collect());
+        assert_eq!(dwell.robot_count(), held.len());
+        held.iter().map(|(robot, team)| format!("{robot}>{team}")).collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn a_robot_that_flips_stays() {
+        let before = division(&[("t1", "a b m"), ("t2", "y z")]);
+        let other = division(&[("t1", "a b"), ("t2", "m y z")]);
+        let mut dwell = MoveDwell::default();
+        for step in 0..100 {
+            let new = if step % 2 == 0 { &other } else { &before };
+            let wanted = if step % 2 == 0 { "m>t1" } else { "" };
+            assert_eq!(held(&mut dwell, 300 * step, new, &before, ""), wanted);
+        }
+    }
+
+    #[test]
+    fn a_change_that_lasts_counts_after_the_dwell() {
+        let before = division(&[("t1", "a b m"), ("t2", "y z")]);
+        let other = division(&[("t1", "a b"), ("t2", "m y z")]);
+        let mut dwell = MoveDwell::default();
+        for ms in [0, 100, 499] {
+            assert_eq!(held(&mut dwell, ms, &other, &before, ""), "m>t1");
+            assert_eq!(dwell.due(DWELL), Some(at(500)));
+        }
+        assert_eq!(held(&mut dwell, 500, &other, &before, ""), "");
+        assert_eq!(dwell.due(DWELL), None);
+        // A third team begins anew.
+        let before = division(&[("t1", "a b m"), ("t2", "y z"), ("t3", "p q")]);
+        let second = division(&[("t1", "a b"), ("t2", "m y z"), ("t3", "p q")]);
+        let third = division(&[("t1", "a b"), ("t2", "y z"), ("t3", "m p q")]);
+        assert_eq!(held(&mut dwell, 1000, &second, &before, ""), "m>t1");
+        assert_eq!(held(&mut dwell, 1400, &third, &before, ""), "m>t1");
+        assert_eq!(held(&mut dwell, 1800, &third, &before, ""), "m>t1");
+        assert_eq!(held(&mut dwell, 1900, &third, &before, ""), "");
+        let none = dwell.hold(at(0), Duration::ZERO, &third, Some(&before), &BTreeSet::new());
+        assert!(none.is_empty(), "no time is no dwell");
+    }
+
+    #[test]
+    fn what_is_no_noise_counts_at_once() {
+        let before = division(&[("t1", "a b m"), ("t2", "y z")]);
+        let other = division(&[("t1", "a b"), ("t2", "m y z")]);
+        let mut dwell = MoveDwell::default();
+        assert_eq!(held(&mut dwell, 0, &other, &before, "m"), "", "it has new orders");
+        let more = division(&[("t1", "a b"), ("t2", "y z"), ("t3", "m")]);
+        assert_eq!(held(&mut dwell, 0, &more, &before, ""), "", "there are more teams");
+        let reborn = division(&[("t1", "a b"), ("t3", "m y z")]);
+        assert_eq!(held(&mut dwell, 0, &reborn, &before, ""), "", "a team was born");
+        let dead = division(&[("t2", "a b"), ("t3", "m y z")]);
+        assert_eq!(held(&mut dwell, 0, &dead, &before, ""), "", "the old team is dead");
+        let joined = division(&[("t1", "a b m"), ("t2", "n y z")]);
+        assert_eq!(held(&mut dwell, 0, &joined, &before, ""), "", "it had no team");
+        assert!(dwell.hold(at(0), DWELL, &other, None, &BTreeSet::new()).is_empty());
+        // Robots that leave are forgotten.
+        assert_eq!(held(&mut dwell, 0, &other, &before, ""), "m>t1");
+        let left = division(&[("t1", "a b"), ("t2", "y z")]);
+        assert_eq!(held(&mut dwell, 0, &left, &before, ""), "");
+        assert_eq!(dwell.robot_count(), 0);
+    }
+
+    #[test]
+    fn no_team_is_left_without_a_robot() {
+        // The robots of t1 have left, and those of t2 are shared out over both.
+        let before = division(&[("t1", "a b"), ("t2", "p q y z")]);
+        let new = division(&[("t1", "p q"), ("t2", "y z")]);
+        let mut dwell = MoveDwell::default();
+        assert_eq!(held(&mut dwell, 0, &new, &before, ""), "");
+        let circle = division(&[("t1", "p q y z"), ("t2", "a b")]);
+        assert_eq!(held(&mut dwell, 0, &circle, &before, ""), "a>t1 b>t1 p>t2 q>t2 y>t2 z>t2");
+    }
+
+    #[test]
+    fn orders_reach_all_below_and_are_new_for_a_while() {
+        let mut orders = Orders::default();
+        let names = |orders: &Orders, ms: u64, roster: &Roster| {
+            let renewed = orders.renewed(at(ms), Some(roster));
+            renewed.into_iter().map(RobotId::as_str).collect::<Vec<_>>().join(" ")
+        };
+        let first = roster("a b<a c<b d<c x");
+        orders.follow(at(0), None, &first);
+        assert_eq!(names(&orders, 0, &first), "", "the first roster is no change");
+        let second = roster("a b<x c<b d<c e<a x");
+        orders.follow(at(100), Some(&first), &second);
+        assert_eq!(names(&orders, 100, &second), "b c d");
+        orders.follow(at(200), Some(&second), &second);
+        assert_eq!(names(&orders, 10_099, &second), "b c d");
+        assert_eq!(names(&orders, 10_100, &second), "");
+        // A circle of superiors ends, and who has left is forgotten.
+        let circle = roster("a<b b<a c<b x");
+        orders.follow(at(300), Some(&second), &circle);
+        assert_eq!(names(&orders, 300, &circle), "a b c");
+        orders.follow(at(400), Some(&circle), &roster("x"));
+        assert_eq!(names(&orders, 400, &circle), "");
+        assert!(orders.changed.is_empty());
+    }
+
+    #[test]
+    fn another_number_of_teams_must_last() {
+        let mut dwell = CountDwell::default();
+        let (two, three) = ([0.1, 0.6, 0.2], [0.1, 0.2, 0.6]);
+        let mut next = |ms, wanted, scores: &[f64], current| {
+            (dwell.decide(at(ms), wanted, scores, current), dwell.due())
+        };
+        let auto = TeamCount::Auto;
+        assert_eq!(next(0, auto, &two, None), (2, None), "the first at once");
+        assert_eq!(next(100, auto, &three, Some(2)), (2, Some(at(500))));
+        assert_eq!(next(200, auto, &two, Some(2)), (2, None));
+        assert_eq!(next(300, auto, &three, Some(2)), (2, Some(at(700))));
+        assert_eq!(next(699, auto, &three, Some(2)), (2, Some(at(700))));
+        assert_eq!(next(700, auto, &three, Some(2)), (3, None));
+        assert_eq!(next(800, auto, &[], Some(3)), (3, None), "nothing to choose by");
+        assert_eq!(next(800, auto, &[], None), (1, None));
+        // Settings are obeyed at once.
+        assert_eq!(next(900, TeamCount::Fixed(5), &two, Some(3)), (5, None));
+        assert_eq!(next(900, TeamCount::Between { from: 2, to: 2 }, &three, Some(3)), (2, None));
+        assert_eq!(next(900, TeamCount::Between { from: 4, to: 6 }, &three, Some(3)), (4, None));
+    }
+}
