@@ -27,7 +27,9 @@ from sklearn.cluster import KMeans
 from sklearn.metrics import silhouette_samples, silhouette_score
 
 from solve_cases import make_case
-from solve_reference import EPS, GAP, POWERS, WEAK_ROW, automatic, inertia_of, rows_of
+from solve_reference import (
+    EPS, GAP, POWERS, WEAK_ROW, automatic, inertia_of, katz_similarity, rows_of,
+)  # fmt: skip
 
 TOLERANCE = {
     "weights": 1e-9,  # absolute, with the trust in each
@@ -148,7 +150,7 @@ def check_case(binary, seed, number, tally):
         tally.check("refusal", number, not named, refused.stderr)
 
     walks = found["alpha"] * fused
-    similarity = np.linalg.solve(np.eye(n) - walks, walks)
+    similarity = katz_similarity(walks)
     tally.check("katz", number, distance(found["katz"], similarity))
 
     u, sigma, vt = np.linalg.svd(similarity)

@@ -53,6 +53,19 @@ def fuse(names, graphs, weights, normalize, self_loops, trusted):
     return total + self_loops * np.diag(related * 1.0), trust
 
 
+def katz_similarity(walks):
+    """(I − αA*)⁻¹ − I by elimination without exchange of rows, in extended precision: I − αA* is an M-matrix, of
+    which entries off the diagonal are eliminated without cancellation, however badly it is conditioned."""
+    n = len(walks)
+    m = np.hstack([np.eye(n) - walks, walks]).astype(np.longdouble)
+    for c in range(n):
+        m[c] /= m[c, c]
+        factors = m[:, c].copy()
+        factors[c] = 0.0
+        m -= np.outer(factors, m[c])
+    return m[:, n:].astype(float)
+
+
 # What counts as a large drop of the singular values, as a share of the largest, in logarithms.
 LARGE_DROP = 0.4
 

@@ -106,7 +106,11 @@ impl Recipe {
         };
         let weights: Vec<f64> = graphs.iter().zip(self.weights).map(weight).collect();
         let sum: f64 = weights.iter().sum();
-        if sum > 0.0 { weights.iter().map(|weight| weight / sum).collect() } else { weights }
+        if sum > 0.0 {
+            weights.iter().map(|weight| weight / sum).collect()
+        } else {
+            self.weights.to_vec()
+        }
     }
 
     /// What the live system does by default: the defaults of its services.
