@@ -83,6 +83,12 @@ fn observations_become_the_live_graphs() {
         assert_near(graph.weight, weight, "as in the live fleet");
     }
 
+    let without_edges = with(unweighted, json!({"ranks": {"a": {"superior": null}}}));
+    let parsed = parse(without_edges.to_string().as_bytes(), Options::default()).unwrap();
+    for (graph, weight) in parsed.graphs.iter().zip([0.875, 0.125, 0.0]) {
+        assert_near(graph.weight, weight, "ranks that relate nobody");
+    }
+
     let refusals = [
         (json!({"weights": {"spatial": 1.0, "radio": 0.0}}), "weights.radio: "),
         (json!({"weights": {"spatial": 0.5}}), "weights: the weights sum to 0.5 "),
