@@ -68,7 +68,7 @@ impl Fleet {
 }
 
 fn options(tolerance: f64) -> KatzSvdOptions {
-    KatzSvdOptions { rank: 5, tolerance, seed: 1, threads: 1 }
+    KatzSvdOptions { exact: None, rank: 5, tolerance, seed: 1, threads: 1 }
 }
 
 fn decay(graph: &SparseMatrix) -> Decay {

@@ -108,6 +108,20 @@ impl Cut {
         rank.max(evidence).clamp(1, nodes)
     }
 
+    /// How many of them will have to be exact: those that can be kept, or where the number of teams is not
+    /// fixed, those that the last choice kept. The one behind them is often close to its neighbours, and would
+    /// take most of the rounds.
+    pub(crate) fn exact_rank(&self, nodes: usize) -> usize {
+        if self.count.fixed().is_some() {
+            return self.least_rank(nodes).saturating_sub(1).max(1);
+        }
+        let rank = match self.rank {
+            Rank::Fixed(rank) => rank,
+            Rank::Rule { .. } => self.previous.rank.unwrap_or(2).max(2),
+        };
+        rank.clamp(1, nodes)
+    }
+
     /// The choice where `rank` leading triplets are known; none if these are too few.
     pub(crate) fn of_leading(&self, svd: &impl Spectrum, rank: usize) -> Option<Chosen> {
         let nodes = svd.nodes();

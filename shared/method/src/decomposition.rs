@@ -16,7 +16,7 @@ use crate::correspondence::Correspondence;
 use crate::cut::{Chosen, Cut, TeamEvidence};
 use crate::decay::Decay;
 use crate::error::MethodError;
-use crate::params::{Effort, EmbeddingParams};
+use crate::params::{Effort, EmbeddingParams, Pace};
 use crate::similarity::{Origin, Similarity, Solved};
 use crate::step::{Progress, Step};
 
@@ -82,7 +82,24 @@ enum Last {
     /// S of this graph and decay into all of its triplets.
     Whole { fused: Arc<SparseMatrix>, alpha: f64, all: FullSvd },
     /// Into so many leading triplets, which [`LeadingTriplets`] holds with the graph.
-    Leading { alpha: f64, rank: usize, report: KatzSvdReport },
+    Leading { alpha: f64, known: Known, report: KatzSvdReport },
+}
+
+/// How many leading triplets are known.
+#[derive(Debug, Clone, Copy)]
+struct Known {
+    /// All of them.
+    rank: usize,
+    /// Those that are within the tolerance; the others serve as evidence of K and of the number of teams.
+    exact: usize,
+}
+
+impl Known {
+    /// Whether so many triplets are exact, and where there is time for it, the value behind them.
+    fn suffices(self, dimension: usize, params: &EmbeddingParams) -> bool {
+        let behind = usize::from(params.pace == Pace::AtRest);
+        dimension + behind <= self.exact || self.exact == self.rank
+    }
 }
 
 impl Decomposer {
@@ -112,29 +129,39 @@ impl Decomposer {
         let Task { fused, decay, robots, params, cut } = task;
         let n = fused.nodes();
         progress(Step::SEARCH);
-        if let Some(Last::Leading { alpha, rank, report }) = last
+        if let Some(Last::Leading { alpha, known, report }) = last
             && alpha.to_bits() == decay.alpha.to_bits()
             && report.residual <= params.tolerance
-            && let Some(chosen) = cut.of_leading(&self.leading.search, rank)
+            && let Some(chosen) = cut.of_leading(&self.leading.search, known.rank)
             && !chosen.rank.short
+            && known.suffices(chosen.rank.dimension, params)
             && self.leading.compare(fused, robots) == Change::None
         {
             let found = self.leading.found(chosen, report, EmbeddingMode::Cached)?;
-            self.last = Some(Last::Leading { alpha, rank, report });
+            self.last = Some(Last::Leading { alpha, known, report });
             return Ok(found);
         }
         let (tolerance, seed, threads) = (params.tolerance, params.seed, params.threads);
-        let mut rank = cut.least_rank(n);
+        let least = cut.least_rank(n);
+        let mut known = Known { rank: least, exact: cut.exact_rank(n).min(least) };
         let (chosen, report) = loop {
-            let options = KatzSvdOptions { rank, tolerance, seed, threads };
+            let Known { rank, exact } = known;
+            let options = KatzSvdOptions { rank, exact: Some(exact), tolerance, seed, threads };
             let report = self.leading.search(task, options, progress)?;
             if !report.converged && n <= params.dense_fallback_robots {
                 self.leading.search.forget();
                 return self.whole(similarity, None, task, progress);
             }
             match cut.of_leading(&self.leading.search, rank) {
-                Some(chosen) if !chosen.rank.short => break (chosen, report),
-                _ => rank = (2 * rank).min(n),
+                Some(chosen) if chosen.rank.short => known.rank = (2 * rank).min(n),
+                Some(chosen) if known.suffices(chosen.rank.dimension, params) => {
+                    break (chosen, report);
+                }
+                Some(chosen) => {
+                    let behind = usize::from(params.pace == Pace::AtRest);
+                    known.exact = (chosen.rank.dimension + behind).min(rank);
+                }
+                None => known.rank = (2 * rank).min(n),
             }
         };
         let mode = match report.rounds {
@@ -142,7 +169,7 @@ impl Decomposer {
             _ => EmbeddingMode::InverseFree,
         };
         let found = self.leading.found(chosen, report, mode)?;
-        self.last = Some(Last::Leading { alpha: decay.alpha, rank, report });
+        self.last = Some(Last::Leading { alpha: decay.alpha, known, report });
         Ok(found)
     }
 

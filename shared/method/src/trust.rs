@@ -42,10 +42,16 @@ const DECAY: f64 = 0.5;
 const STEPS: usize = 4;
 
 /// Robots that are examined per frame of a fleet that moves: their walks take less time than the embedding.
-const ROBOTS_PER_FRAME: usize = 16;
+const ROBOTS_PER_FRAME: usize = 8;
 
 /// Most robots that are examined at once, in a first frame, at rest, or in a single problem.
 const ROBOTS_AT_ONCE: usize = 1024;
+
+/// Fewer than [`ROBOTS_AT_ONCE`] where edges × robots would exceed this: tenths of a second.
+const EDGES_AT_ONCE: usize = 1 << 24;
+
+/// Fewest robots that are examined at once: enough for a mean.
+const LEAST_AT_ONCE: usize = 64;
 
 /// Agreement rests on so many robots at most, those examined last: few enough to follow a change, enough
 /// for a mean.
@@ -72,6 +78,9 @@ const LEAST_RANK_TRUST: f64 = 0.2;
 /// Trust is kept while the new one differs by less and is neither 0 nor 1: graphs that hardly change are
 /// to have a fused graph that hardly changes.
 const KEPT_WITHIN: f64 = 0.1;
+
+/// Similarities within this share of each other are equal: their sums were formed in different orders.
+const ROUNDING: f64 = 1e-9;
 
 /// Most robots that are named as those whose edges disagree most.
 const MOST_NAMED: usize = 8;
@@ -241,7 +250,9 @@ impl TrustTracker {
             let examined = known.or_insert_with(|| Examined::new(robots.len()));
             examined.is_trusted = voice.is_trusted;
         }
-        let (count, rounds) = if is_first { (ROBOTS_AT_ONCE, 2) } else { (ROBOTS_PER_FRAME, 1) };
+        let edges: usize = speaking.iter().map(|voice| voice.matrix.edges()).sum();
+        let at_once = (EDGES_AT_ONCE / edges.max(1)).clamp(LEAST_AT_ONCE, ROBOTS_AT_ONCE);
+        let (count, rounds) = if is_first { (at_once, 2) } else { (ROBOTS_PER_FRAME, 1) };
         let sources = self.next_robots(robots.len(), count);
         for _ in 0..rounds {
             for voice in &speaking {
@@ -300,7 +311,8 @@ impl TrustTracker {
                 examined.edges[source] = Some(edges.collect());
             }
         }
-        let excess = examined.recent.len().saturating_sub(RECENT_ROBOTS.max(sources.len()));
+        let recent = RECENT_ROBOTS.min(nodes).max(sources.len());
+        let excess = examined.recent.len().saturating_sub(recent);
         examined.recent.drain(..excess);
         Ok(())
     }
@@ -395,8 +407,9 @@ fn edges_agreement(
         .filter(|(target, _)| *target != source)
         .map(|(target, weight)| {
             let similarity = similarities[target];
-            let farther = sorted.partition_point(|other| *other < similarity);
-            let equal = sorted.partition_point(|other| *other <= similarity) - farther - 1;
+            let farther = sorted.partition_point(|other| *other < similarity * (1.0 - ROUNDING));
+            let nearer = sorted.partition_point(|other| *other <= similarity * (1.0 + ROUNDING));
+            let equal = (nearer - farther).saturating_sub(1);
             #[expect(clippy::cast_precision_loss, reason = "there are fewer robots than 2⁵³")]
             let agreement = (farther as f64 + 0.5 * equal as f64) / (sorted.len() - 1) as f64;
             Edge { target, weight, agreement }

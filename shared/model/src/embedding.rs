@@ -31,7 +31,7 @@ pub struct EmbeddingQuality {
     pub alpha: f64,
     /// The K leading singular values, falling.
     pub singular_values: Vec<f64>,
-    /// The singular value after them.
+    /// The singular value after them: to about a percent while the fleet moves, exact at rest.
     pub next_singular_value: f64,
     /// Largest ‖S v − σ u‖ or ‖Sᵀ u − σ v‖ over the K triplets, relative to σ₁. Where the similarity is
     /// never formed, ‖Mᵀ(Sᵀ u − σ v)‖ instead, with M = I − α A*.

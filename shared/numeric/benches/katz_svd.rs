@@ -35,7 +35,7 @@ fn decay(fleet: &Fleet) -> (SpectralRadius, f64) {
 }
 
 fn options(tolerance: f64, threads: usize) -> KatzSvdOptions {
-    KatzSvdOptions { rank: RANK, tolerance, seed: 3, threads }
+    KatzSvdOptions { exact: None, rank: RANK, tolerance, seed: 3, threads }
 }
 
 fn solve(

@@ -39,7 +39,7 @@ fn searches_allocate_nothing_from_the_second_frame_on() {
         let first = swaying(n, 0, None);
         let radius = roomy(&first);
         let alpha = 0.8 / radius.upper;
-        let options = KatzSvdOptions { rank, tolerance: 1e-6, seed: 1, threads: 1 };
+        let options = KatzSvdOptions { exact: None, rank, tolerance: 1e-6, seed: 1, threads: 1 };
         let mut solver = KatzSvd::default();
         // Two frames fill the start of the search; the third one has used all of it.
         for frame in 0..3 {
@@ -65,7 +65,7 @@ fn changes_of_few_rows_allocate_nothing() {
     let n = 900;
     let radius = roomy(&swaying(n, 0, None));
     let alpha = 0.8 / radius.upper;
-    let options = KatzSvdOptions { rank: 8, tolerance: 1e-3, seed: 1, threads: 1 };
+    let options = KatzSvdOptions { exact: None, rank: 8, tolerance: 1e-3, seed: 1, threads: 1 };
     let mut solver = KatzSvd::default();
     let mut without = 0;
     for frame in 0..40 {

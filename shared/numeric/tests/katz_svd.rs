@@ -12,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 fn options(rank: usize, tolerance: f64) -> KatzSvdOptions {
-    KatzSvdOptions { rank, tolerance, seed: 3, threads: 1 }
+    KatzSvdOptions { exact: None, rank, tolerance, seed: 3, threads: 1 }
 }
 
 fn random_graph(n: usize, degree: usize, seed: u64) -> SparseMatrix {

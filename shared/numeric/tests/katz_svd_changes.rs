@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 const RANK: usize = 6;
 
 fn options(tolerance: f64) -> KatzSvdOptions {
-    KatzSvdOptions { rank: RANK, tolerance, seed: 3, threads: 1 }
+    KatzSvdOptions { exact: None, rank: RANK, tolerance, seed: 3, threads: 1 }
 }
 
 /// Robots in the plane, related by a kernel that falls smoothly to zero, more one way than the other.

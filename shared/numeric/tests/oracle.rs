@@ -72,7 +72,7 @@ fn projectors_apart<'a>(u: &DenseMatrix, k: usize, wanted: impl Fn(usize) -> &'a
 
 fn inverse_free(a: &SparseMatrix, alpha: f64, rank: usize) -> (KatzSvd, RankKSvd) {
     let mut search = KatzSvd::default();
-    let options = KatzSvdOptions { rank, tolerance: 1e-11, seed: 1, threads: 1 };
+    let options = KatzSvdOptions { exact: None, rank, tolerance: 1e-11, seed: 1, threads: 1 };
     let report = search.solve(a, alpha, &spectral_radius(a, None), options, None).unwrap();
     assert!(report.converged, "{report:?}");
     let svd = search.truncate(rank).unwrap();

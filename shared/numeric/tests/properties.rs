@@ -31,7 +31,7 @@ fn both(a: &SparseMatrix, alpha: f64) -> [RankKSvd; 2] {
     let radius = spectral_radius(a, None);
     let dense = full_svd(&katz_similarity(a, alpha, &radius).unwrap()).unwrap();
     let mut search = KatzSvd::default();
-    let options = KatzSvdOptions { rank: RANK, tolerance: 1e-11, seed: 8, threads: 1 };
+    let options = KatzSvdOptions { exact: None, rank: RANK, tolerance: 1e-11, seed: 8, threads: 1 };
     assert!(search.solve(a, alpha, &radius, options, None).unwrap().converged);
     [dense.truncate(RANK).unwrap(), search.truncate(RANK).unwrap()]
 }
@@ -89,7 +89,7 @@ proptest! {
         }
         // Also for a rough search.
         let mut search = KatzSvd::default();
-        let options = KatzSvdOptions { rank: RANK, tolerance: 1e-2, seed: 8, threads: 1 };
+        let options = KatzSvdOptions { exact: None, rank: RANK, tolerance: 1e-2, seed: 8, threads: 1 };
         search.solve(&wider, alpha, &spectral_radius(&wider, None), options, None).unwrap();
         let embedded = embed(&search.truncate(RANK).unwrap(), Scale::SqrtSigma, Rows::Unit);
         prop_assert!(embedded.weak[n..].iter().all(|weak| *weak));
@@ -173,7 +173,8 @@ fn ten_thousand_changes_leave_the_triplets_of_scratch() {
         joined += before.iter().filter(|old| old.is_none()).count();
         let radius = spectral_radius(&a, None);
         let alpha = 0.8 / radius.upper;
-        let options = KatzSvdOptions { rank: RANK, tolerance: TOLERANCE, seed: 2, threads: 1 };
+        let options =
+            KatzSvdOptions { exact: None, rank: RANK, tolerance: TOLERANCE, seed: 2, threads: 1 };
         let previous = (frame > 0).then_some(before.as_slice());
         let report = search.solve(&a, alpha, &radius, options, previous).unwrap();
         assert!(report.converged && report.residual <= TOLERANCE, "frame {frame}: {report:?}");

@@ -138,8 +138,13 @@ impl Speed {
         let graph = SparseMatrix::from_triplets(robots, grid(columns, rows)).ok()?;
         let radius = spectral_radius(&graph, None);
         let alpha = 0.5 / radius.upper;
-        let options =
-            KatzSvdOptions { rank: SEARCH_RANK, tolerance: SEARCH_TOLERANCE, seed: 0, threads: 1 };
+        let options = KatzSvdOptions {
+            exact: None,
+            rank: SEARCH_RANK,
+            tolerance: SEARCH_TOLERANCE,
+            seed: 0,
+            threads: 1,
+        };
         let (seconds, _) =
             timed(|| KatzSvd::default().solve(&graph, alpha, &radius, options, None).ok());
         let (robots, edges) = (robots as f64, graph.edges() as f64);

@@ -274,7 +274,7 @@ impl Default for EmbedderSettings {
             normalize: Normalization::Degree,
             self_loops: 0.5,
             trusted: Trusted::default(),
-            alpha: Alpha::Fraction { fraction: 0.8 },
+            alpha: Alpha::Fraction { fraction: 0.6 },
             dimension: Dimension::Auto,
             scale: SingularValueScaling::SqrtSigma,
             rows: RowScaling::Unit,

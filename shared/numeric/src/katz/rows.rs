@@ -3,8 +3,8 @@
 use crate::fuse::WeightedGraph;
 use crate::linalg::matrix::{DenseMatrix, MatrixError};
 
-/// Rows that are computed in one pass over the graphs: two registers of eight numbers on most processors.
-const BLOCK: usize = 16;
+/// Rows that are computed in one pass over the graphs: a register of eight numbers on most processors.
+const BLOCK: usize = 8;
 
 /// Rows `sources` of Σ_{l = 1 … steps} αˡ Aˡ with A = Σ w_m A_m over graphs of `nodes` nodes, one row of
 /// `nodes` entries per source, in the order of `sources`.

@@ -18,6 +18,7 @@ use crate::linalg::Aligned;
 use crate::linalg::block_vectors::{BlockView, CHUNK_ROWS, COLUMN_MULTIPLE, product};
 use crate::linalg::parallel::{Parts, Strided};
 use crate::linalg::simd::dispatch;
+use crate::svd::katz_svd::ROUGH_TOLERANCE;
 use crate::svd::operator::KatzOperator;
 use basis::Basis;
 use polynomial::{FIT_COLUMNS, Polynomial, SINGLE_COLUMN_MULTIPLE, to_double};
@@ -52,6 +53,8 @@ const SPENT_RESIDUAL: f64 = 1e-14;
 pub(crate) struct Request {
     /// Number of triplets.
     pub(crate) rank: usize,
+    /// How many of them have to reach the tolerance; the others have [`ROUGH_TOLERANCE`].
+    pub(crate) exact: usize,
     /// Largest residual ‖Mᵀ(Sᵀu − σv)‖ relative to σ₁.
     pub(crate) tolerance: f64,
     /// Random directions in addition to the start, which find what the start does not contain at
@@ -61,6 +64,13 @@ pub(crate) struct Request {
     pub(crate) seed: u64,
     /// Number of threads of the pool around the search, 1 without one.
     pub(crate) threads: usize,
+}
+
+impl Request {
+    /// Largest residual of the triplet at a place.
+    fn tolerance_of(&self, place: usize) -> f64 {
+        if place < self.exact { self.tolerance } else { self.tolerance.max(ROUGH_TOLERANCE) }
+    }
 }
 
 /// Progress of a search.
@@ -234,9 +244,8 @@ impl Search<'_> {
             }
             self.residuals(out);
             let rank = self.request.rank.min(out.sigma.len());
-            let tolerance = self.request.tolerance;
             // NaN counts as open.
-            let within = out.residuals[..rank].iter().filter(|residual| **residual <= tolerance);
+            let within = (0..rank).filter(|c| out.residuals[*c] <= self.request.tolerance_of(*c));
             let open = rank - within.count();
             out.converged = open == 0;
             progress(SearchRound { round: out.rounds, open, rank });
@@ -354,17 +363,18 @@ impl Search<'_> {
 
     /// Moves the residuals that need directions to the front, and returns their number.
     fn choose(&mut self, out: &Triplets) -> usize {
-        let tolerance = self.request.tolerance;
+        let request = self.request;
+        let tolerance = |c: usize| request.tolerance_of(c);
         let Workspace { single, open, .. } = &mut *self.work;
         let residuals = &out.residuals;
         // Vectors beyond the wanted rank get directions only to fill registers.
         let count = residuals.len().min(self.request.rank.next_multiple_of(SINGLE_COLUMN_MULTIPLE));
         open.clear();
-        open.extend((0..count).filter(|c| residuals[*c] > tolerance));
+        open.extend((0..count).filter(|c| residuals[*c] > tolerance(*c)));
         // Fill the last register with the next best columns: a part of it costs as much as the
         // whole.
         let missing = open.len().next_multiple_of(COLUMN_MULTIPLE) - open.len();
-        let rest = (0..count).filter(|c| (SPENT_RESIDUAL..=tolerance).contains(&residuals[*c]));
+        let rest = (0..count).filter(|c| (SPENT_RESIDUAL..=tolerance(*c)).contains(&residuals[*c]));
         open.extend(rest.take(missing));
         let width = open.len().next_multiple_of(COLUMN_MULTIPLE);
         let (from, to) = (
@@ -457,7 +467,8 @@ mod tests {
                 let full = full_svd(&katz_similarity(&a, alpha, &radius).unwrap()).unwrap();
                 let mut operator = KatzOperator::default();
                 operator.assign(&a, alpha, false, 1);
-                let request = Request { rank: 8, tolerance: 1e-9, probes: 0, seed: 5, threads: 1 };
+                let request =
+                    Request { rank: 8, exact: 8, tolerance: 1e-9, probes: 0, seed: 5, threads: 1 };
                 let mut out = Triplets::default();
                 leading_triplets(
                     &operator,

@@ -22,5 +22,5 @@ mod triplets;
 
 pub use super::davidson::{SearchColumns, SearchRound, search_columns};
 pub use error::{KatzSvdError, MAX_EDGES};
-pub use options::{KatzSvdOptions, KatzSvdOptionsError, ValidKatzSvdOptions};
+pub use options::{KatzSvdOptions, KatzSvdOptionsError, ROUGH_TOLERANCE, ValidKatzSvdOptions};
 pub use solver::{KatzSvd, KatzSvdReport, PROBE_DIRECTIONS, PROBE_SEARCHES, PROBE_UPDATES};

@@ -38,7 +38,7 @@ pub(crate) struct Wanted {
 impl Wanted {
     fn options(self) -> KatzSvdOptions {
         let Self { rank, tolerance, threads } = self;
-        KatzSvdOptions { rank, tolerance, seed: SEED, threads }
+        KatzSvdOptions { exact: None, rank, tolerance, seed: SEED, threads }
     }
 }
 

@@ -2,11 +2,17 @@
 
 use thiserror::Error;
 
+/// Largest residual of triplets that need not be exact. The error of a value falls with its square.
+pub const ROUGH_TOLERANCE: f64 = 0.03;
+
 /// Unchecked parameters of a search; [`KatzSvdOptions::check`] makes them valid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KatzSvdOptions {
     /// Number of triplets, from 1 to n.
     pub rank: usize,
+    /// How many of them, the leading ones, have to reach the tolerance; none for all. The others are searched
+    /// for until their residual is [`ROUGH_TOLERANCE`], which gives their values to a percent or so.
+    pub exact: Option<usize>,
     /// Largest residual ‖Mᵀ(Sᵀu − σv)‖/σ₁ with M = I − αA, above 0. ‖Sᵀu − σv‖ is at most 1 + σ₁ times
     /// as large, and S v − σu is zero but for rounding.
     pub tolerance: f64,
@@ -33,6 +39,11 @@ pub enum KatzSvdOptionsError {
 }
 
 impl KatzSvdOptions {
+    /// How many triplets have to reach the tolerance, at most as many as there are.
+    pub(crate) fn exact(&self) -> usize {
+        self.exact.map_or(self.rank, |exact| exact.min(self.rank))
+    }
+
     /// The parameters with the guarantee that each is in its range.
     ///
     /// # Errors

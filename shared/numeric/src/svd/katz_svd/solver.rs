@@ -51,7 +51,7 @@ const REORDER_SEARCHES: u64 = 100;
 pub struct KatzSvdReport {
     /// Rounds of the search; 0 when the triplets of the previous frame were updated instead.
     pub rounds: usize,
-    /// Largest residual of the triplets that were asked for, as in [`KatzSvdOptions::tolerance`].
+    /// Largest residual of the triplets that had to be exact, as in [`KatzSvdOptions::tolerance`].
     /// [`crate::svd::RankKSvd::angle_bound`] turns it into a bound for the subspaces.
     pub residual: f64,
     /// True when the residual is within the tolerance. If not, decompose the whole of S.
@@ -301,6 +301,7 @@ impl KatzSvd {
         let probed = self.until_probe < SEARCH_UPDATES;
         let request = Request {
             rank: options.rank,
+            exact: options.exact(),
             tolerance: options.tolerance * if is_current { UPDATE_TOLERANCE_FACTOR } else { 1.0 },
             probes: if probed { PROBE_DIRECTIONS } else { 0 },
             seed: options.seed.wrapping_add(self.searches),
@@ -316,7 +317,7 @@ impl KatzSvd {
     }
 
     fn report(&self, options: KatzSvdOptions, rounds: usize) -> KatzSvdReport {
-        let residuals = self.triplets.residuals.iter().take(options.rank);
+        let residuals = self.triplets.residuals.iter().take(options.exact());
         let residual = residuals.fold(0.0, |top: f64, residual| residual.max(top));
         KatzSvdReport { rounds, residual, converged: residual <= options.tolerance }
     }
