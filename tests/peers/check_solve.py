@@ -27,9 +27,14 @@ from sklearn.cluster import KMeans
 from sklearn.metrics import silhouette_samples, silhouette_score
 
 from solve_cases import make_case
-from solve_reference import EPS, GAP, POWERS, WEAK_ROW, automatic, inertia_of, rows_of
+from solve_reference import (
+    EPS, GAP, POWERS, WEAK_ROW, automatic, inertia_of, katz_similarity, rows_of,
+)  # fmt: skip
 
 TOLERANCE = {
+    "weights": 1e-9,  # absolute, with the trust in each
+    "trust": 1e-9,  # absolute
+    "agreement": 1e-9,  # absolute
     "rho": 1e-9,  # relative, against the largest eigenvalue of each strong component
     "alpha": 1e-9,  # relative
     "katz": 1e-9,  # largest entry of the difference, relative to the largest of S
@@ -124,7 +129,7 @@ def best_inertia(binary, case, number, found, noise, tally):
 
 
 def check_case(binary, seed, number, tally):
-    case, fused, radius = make_case(seed, number)
+    case, fused, radius, trust = make_case(seed, number)
     n = len(fused)
     ended = run(binary, case)
     tally.check("robustness", number, ended.returncode != 0, ended.stderr)
@@ -132,6 +137,7 @@ def check_case(binary, seed, number, tally):
         return
     found = json.loads(ended.stdout)
 
+    check_trust(number, found, trust, tally)
     tally.check("rho", number, distance(found["rho"], radius))
     alpha = case["alpha"]
     if isinstance(alpha, dict):
@@ -144,7 +150,7 @@ def check_case(binary, seed, number, tally):
         tally.check("refusal", number, not named, refused.stderr)
 
     walks = found["alpha"] * fused
-    similarity = np.linalg.solve(np.eye(n) - walks, walks)
+    similarity = katz_similarity(walks)
     tally.check("katz", number, distance(found["katz"], similarity))
 
     u, sigma, vt = np.linalg.svd(similarity)
@@ -166,6 +172,18 @@ def check_case(binary, seed, number, tally):
     check_vectors(case, number, found, (u, sigma, vt.T), tally)
     check_labels(binary, case, number, found, tally)
     check_silhouettes(number, found, tally)
+
+
+def check_trust(number, found, expected, tally):
+    modalities = found["modalities"]
+    for kind, key, place in (("weights", "weight", 0), ("trust", "trust", 1)):
+        values = [modality[key] for modality in modalities]
+        tally.check(kind, number, apart(values, [of[place] for of in expected]))
+    agreements = [modality["agreement"] for modality in modalities]
+    wanted = [of[2] for of in expected]
+    same = [a is None for a in agreements] == [a is None for a in wanted]
+    numbers = [np.array([a for a in all if a is not None]) for all in (agreements, wanted)]
+    tally.check("agreement", number, apart(*numbers) if same else np.inf)
 
 
 def check_vectors(case, number, found, triplets, tally):

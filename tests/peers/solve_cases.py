@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from solve_reference import POWERS, scaled, spectral_radius
+from solve_reference import POWERS, fuse, spectral_radius
+from solve_trust import Undecided
 
 # --- Random graphs: N x N arrays, entry (i, j) the weight of the edge from i to j. ---
 
@@ -110,10 +111,13 @@ def near(case, rng, far):
     if rng.random() < 0.3:
         case["spatial"] = {"scale": "fleet", "width": 2.0}
         return np.exp(-0.5 * (far / (2.0 * fleet)) ** 2)
-    place = int(min(max(np.floor(np.sqrt(n) / 2.2 + 0.5), 2), 8))
+    place = int(min(max(np.floor(np.sqrt(n) / 2.2 + 0.5), 4), 8))
     own = others[:, min(place, n - 1) - 1]
-    own = np.maximum(np.minimum(own, 3.0 * others[:, 0]), 0.1 * fleet)
-    return np.exp(-0.5 * far**2 / (0.49 * np.outer(own, own)))
+    own = np.maximum(np.minimum(own, 5.0 * others[:, 0]), 0.1 * fleet)
+    apart = np.sort(own[own > 0.1 * fleet])
+    if len(apart):
+        own = np.minimum(own, 3.0 * apart[len(apart) // 4])
+    return np.exp(-0.5 * far**2 / (0.85**2 * np.outer(own, own)))
 
 
 def default_weights(names, graphs):
@@ -121,7 +125,7 @@ def default_weights(names, graphs):
     weights = []
     for name, a in zip(names, graphs):
         related = np.mean((a > 0).any(axis=0) | (a > 0).any(axis=1))
-        base = {"spatial": 0.35, "connectivity": 0.1, "hierarchy": 0.55}[name]
+        base = {"spatial": 0.35, "connectivity": 0.05, "hierarchy": 0.6}[name]
         weights.append(base * (min(1.0, 2.0 * related) if related > 0 else 1.0))
     return np.array(weights) / sum(weights)
 
@@ -165,7 +169,7 @@ def observations(rng, robots):
         back = {name: float(rng.uniform(0.0, 1.0)) for name in names if rng.random() < 0.5}
         case["reciprocity"] = back
     graphs = [a + back.get(name, 0.0) * a.T for name, a in zip(names, graphs)]
-    return case, graphs, weights
+    return case, names, graphs, weights
 
 
 def modalities(rng, robots):
@@ -185,21 +189,71 @@ def modalities(rng, robots):
             edges = [[robots[i], robots[j], a[i, j]] for i, j in zip(*np.nonzero(a))]
             entry["edges"] = [edges[k] for k in rng.permutation(len(edges))]
         entries.append(entry)
-    return {"modalities": entries}, graphs, weights
+    return {"modalities": entries}, [entry["name"] for entry in entries], graphs, weights
+
+
+def doubtful(rng, robots):
+    """Three modalities of the same groups, of which one may be that of other robots, or all may be noise."""
+    n = len(robots)
+    part = rng.integers(0, int(rng.integers(2, 5)), n)
+    together = part[:, None] == part[None, :]
+    mistaken = int(rng.integers(0, 4))
+    names = [str(name) for name in rng.permutation(["spatial", "hierarchy", "thermal"])]
+    graphs, entries = [], []
+    weights = rng.dirichlet(3.0 * np.ones(3))
+    for number, (name, weight) in enumerate(zip(names, weights)):
+        share = np.where(together, rng.uniform(0.2, 0.9), rng.uniform(0.0, 0.1))
+        a = uniform(rng, (n, n)) * (rng.random((n, n)) < share)
+        np.fill_diagonal(a, 0.0)
+        if number == mistaken:
+            order = rng.permutation(n)
+            a = a[np.ix_(order, order)]
+        if name == "hierarchy" and rng.random() < 0.5:
+            # Ranks lead both ways, so that each is trusted for itself.
+            a = np.triu(a) + 0.5 * np.triu(a).T
+        graphs.append(a)
+        entries.append({"name": name, "weight": float(weight), "matrix": a.tolist()})
+    return {"modalities": entries}, names, graphs, weights
 
 
 def make_case(seed, number):
-    rng = np.random.default_rng([seed, number])
+    """The input, A*, its spectral radius, and of each modality its weight, trust and agreement."""
+    return case_by(np.random.default_rng([seed, number]), hold=False)
+
+
+def case_by(rng, hold):
+    """The same; `hold` leaves every modality trusted."""
+    state = rng.bit_generator.state
     n = int(rng.integers(2, 16) if rng.random() < 0.4 else rng.integers(16, 121))
     robots = [f"r{i}" for i in rng.permutation(n)]
-    source = observations if rng.random() < 0.15 else modalities
-    case, graphs, weights = source(rng, robots)
+    kinds = [observations, doubtful, modalities]
+    source = kinds[rng.choice(3, p=[0.15, 0.2, 0.65])]
+    case, names, graphs, weights = source(rng, robots)
     case["robots"] = robots
     plain = rng.random() < 0.3
-    case["normalize"] = "none" if plain else str(rng.choice(["none", "spectral"]))
+    # What is left out is scaled by degree.
+    scale = None if rng.random() < 0.2 else str(rng.choice(["none", "spectral", "degree"]))
+    normalize = "none" if plain else scale
+    if normalize is not None:
+        case["normalize"] = normalize
+    live = normalize in (None, "degree")
+    self_loops = 0.5 if live else 0.0
+    if rng.random() < 0.5:
+        self_loops = case["self_loops"] = float(rng.choice([0.0, 0.25, 1.0, 4.0]))
+    trusted = "all"
+    if source is doubtful and not hold:
+        trusted = [] if rng.random() < 0.7 else [names[0]]
+    if live or trusted != "all":
+        case["trusted"] = trusted
+    if trusted == [] and live and rng.random() < 0.5:
+        del case["trusted"]
     case["scale"] = "none" if plain else str(rng.choice(list(POWERS)))
     case["rows"] = "none" if plain else str(rng.choice(["none", "unit"]))
-    fused = scaled(graphs, weights, case["normalize"])
+    try:
+        fused, trust = fuse(names, graphs, weights, normalize or "degree", self_loops, trusted)
+    except Undecided:
+        rng.bit_generator.state = state
+        return case_by(rng, hold=True)
     radius = spectral_radius(fused)
     fraction = float(rng.choice([0.1, 0.5, 0.85, 0.99]))
     if radius > 0.0 and rng.random() < 0.5:
@@ -218,4 +272,4 @@ def make_case(seed, number):
         case["restarts"] = 100
         case["seed"] = int(rng.integers(0, 2**32))
     case["emit"] = ["katz", "embedding", "diagnostics"]
-    return case, fused, radius
+    return case, fused, radius, trust

@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
+from solve_trust import examined
+
 # Singular values nearer to each other than this share of the first are equal: their vectors are not unique.
 GAP = 1e-6
 EPS = np.finfo(float).eps
@@ -21,16 +23,51 @@ def spectral_radius(a):
     return radius
 
 
-def scaled(graphs, weights, normalize):
-    total = np.zeros_like(graphs[0])
-    for a, weight in zip(graphs, weights):
-        norm = np.linalg.norm(a, 2) if normalize == "spectral" and a.any() else 1.0
-        total += weight * (a / norm)
-    return total
+def by_degree(a):
+    """Each edge divided by the roots of the degrees of its ends."""
+    outgoing, incoming = np.sqrt(a.sum(axis=1)), np.sqrt(a.sum(axis=0))
+    ends = np.outer(outgoing, incoming)
+    return np.divide(a, ends, out=np.zeros_like(a), where=a > 0.0)
+
+
+def fuse(names, graphs, weights, normalize, self_loops, trusted):
+    """A*, and for each graph its weight with the trust in it, the trust and the agreement."""
+    degree = normalize == "degree"
+    scaled = [by_degree(a) for a in graphs] if degree else graphs
+    norms = [np.linalg.norm(a, 2) if normalize == "spectral" and a.any() else 1.0 for a in scaled]
+    # Trust takes a bound where nothing is divided.
+    bounds = norms
+    if normalize == "none":
+        bounds = [max([1e-300, *a.sum(axis=0), *a.sum(axis=1)]) for a in scaled]
+    found = examined(names, scaled, bounds, weights, trusted)
+    if found is None:
+        found = [(1.0, None, a) for a in scaled]
+    kept = np.array([weight * factor for weight, (factor, _, _) in zip(weights, found)])
+    # The sum of the weights stays.
+    if kept.sum() > 0.0:
+        kept *= sum(weights) / kept.sum()
+    total = sum(weight / norm * a for weight, norm, (_, _, a) in zip(kept, norms, found))
+    edges = sum((a > 0.0) * (weight > 0.0) for weight, (_, _, a) in zip(kept, found))
+    related = (edges > 0).any(axis=0) | (edges > 0).any(axis=1)
+    trust = [(w, factor, agreement) for w, (factor, agreement, _) in zip(kept, found)]
+    return total + self_loops * np.diag(related * 1.0), trust
+
+
+def katz_similarity(walks):
+    """(I − αA*)⁻¹ − I by elimination without exchange of rows, in extended precision: I − αA* is an M-matrix, of
+    which entries off the diagonal are eliminated without cancellation, however badly it is conditioned."""
+    n = len(walks)
+    m = np.hstack([np.eye(n) - walks, walks]).astype(np.longdouble)
+    for c in range(n):
+        m[c] /= m[c, c]
+        factors = m[:, c].copy()
+        factors[c] = 0.0
+        m -= np.outer(factors, m[c])
+    return m[:, n:].astype(float)
 
 
 # What counts as a large drop of the singular values, as a share of the largest, in logarithms.
-LARGE_DROP = 0.75
+LARGE_DROP = 0.4
 
 
 # Largest K that the rule chooses.

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Bench, Ingest, modality};
+use common::{Bench, Ingest, closed_forms, modality};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::settings::EmbedderSettings;
 use muster_numeric::katz::katz_similarity;
@@ -28,7 +28,7 @@ fn fleet(robots: usize) -> Ingest {
 fn settings() -> EmbedderSettings {
     EmbedderSettings {
         weights: [(modality("links"), 0.75), (modality("orders"), 0.25)].into(),
-        ..EmbedderSettings::default()
+        ..closed_forms()
     }
 }
 

@@ -2,7 +2,8 @@
 
 use muster_method::decomposition::Path;
 use muster_method::step::Step;
-use muster_model::settings::Dimension;
+use muster_model::id::Modality;
+use muster_model::settings::{Dimension, Normalization};
 use muster_numeric::dimension::least_rank;
 use muster_numeric::katz_svd::{SearchColumns, search_columns};
 use muster_numeric::silhouette::{Method, SAMPLE_POINTS};
@@ -31,6 +32,16 @@ const ELIMINATED: f64 = 4096.0;
 /// Sweeps over the edges for a spectral radius, as of elimination, where fleets are too large for it.
 const SWEEPS: f64 = 4096.0;
 
+/// Most robots whose walks are compared at once to examine the trust in modalities, and the fewest modalities and
+/// robots that are compared: those of `muster-method`.
+const EXAMINED_AT_ONCE: usize = 1024;
+const EXAMINED_MODALITIES: usize = 3;
+const EXAMINED_ROBOTS: usize = 8;
+
+/// Passes over the edges for the walks of one robot: two rounds, in each of which four steps are taken by
+/// each of three modalities and by all others.
+const TRUST_SWEEPS: f64 = 24.0;
+
 /// What the time and the memory of a solve grow with.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Size {
@@ -48,6 +59,10 @@ pub(super) struct Size {
     pub(super) threads: f64,
     /// How the silhouettes are computed.
     pub(super) silhouettes: Method,
+    /// Whether each graph is divided by its norm.
+    pub(super) is_spectral: bool,
+    /// Robots whose walks are compared to examine the trust in modalities; 0 where nothing is in question.
+    pub(super) examined: f64,
     /// Whether the similarity is kept for the output.
     pub(super) keeps_katz: bool,
 }
@@ -62,12 +77,7 @@ pub(super) struct Cost {
 }
 
 /// The steps that both paths begin with.
-const FUSE: Cost = Cost {
-    // The norm of each graph is a spectral radius.
-    step: Step::Fuse,
-    bytes: Size::radius_bytes,
-    seconds: Size::radius_seconds,
-};
+const FUSE: Cost = Cost { step: Step::Fuse, bytes: Size::fuse_bytes, seconds: Size::fuse_seconds };
 const RADIUS: Cost =
     Cost { step: Step::SpectralRadius, bytes: Size::radius_bytes, seconds: Size::radius_seconds };
 
@@ -161,6 +171,8 @@ impl Size {
             restarts: f64::from(restarts),
             threads: threads as f64,
             silhouettes: silhouette_params(problem.options.silhouette).method(robots),
+            is_spectral: problem.settings.normalize == Normalization::Spectral,
+            examined: examined(problem) as f64,
             keeps_katz: problem.emit.contains(&Emit::Katz),
         }
     }
@@ -197,6 +209,18 @@ impl Size {
         8.0 * count * self.robots * self.robots
     }
 
+    /// Two rows of similarities per robot that is examined, and the graphs scaled and together. Where graphs
+    /// are divided by their norms, each norm is a spectral radius.
+    fn fuse_bytes(&self) -> f64 {
+        let norms = if self.is_spectral { self.radius_bytes() } else { 0.0 };
+        norms.max(16.0 * self.examined * self.robots + 80.0 * self.edges)
+    }
+
+    fn fuse_seconds(&self, speed: &Speed) -> f64 {
+        let norms = if self.is_spectral { self.radius_seconds(speed) } else { 0.0 };
+        norms + speed.radius_per_product * TRUST_SWEEPS * self.examined * self.edges
+    }
+
     fn radius_bytes(&self) -> f64 {
         let eliminated = if self.robots > ELIMINATED { 0.0 } else { self.robots };
         8.0 * eliminated * eliminated + 80.0 * self.edges
@@ -226,6 +250,18 @@ impl Size {
         let kept = if self.keeps_katz { self.matrices(1.0) } else { 0.0 };
         kept + self.robots * (32.0 * self.dimension + 128.0 * self.threads)
     }
+}
+
+/// How many robots are examined for the trust in modalities.
+fn examined(problem: &Problem) -> usize {
+    let graphs = problem.graphs.iter();
+    let compared = graphs.filter(|graph| graph.weight > 0.0 && !graph.matrix.is_zero());
+    let names: Vec<&Modality> = compared.map(|graph| &graph.name).collect();
+    let robots = problem.robots.len();
+    let is_in_question = names.len() >= EXAMINED_MODALITIES
+        && robots >= EXAMINED_ROBOTS
+        && names.iter().any(|name| !problem.settings.trusted.contains(name));
+    if is_in_question { robots.min(EXAMINED_AT_ONCE) } else { 0 }
 }
 
 /// The next whole number.

@@ -210,6 +210,8 @@ mod tests {
             restarts: 7.0,
             threads: 1.0,
             silhouettes: Method::Exact,
+            is_spectral: false,
+            examined: 0.0,
             keeps_katz: false,
         };
         assert_eq!(size(&file(50, json!({}))), expected);
@@ -218,6 +220,13 @@ mod tests {
         let expected = Size { dimension: 20.0, rank: 11.0, teams: 4.0, restarts: 0.0, ..expected };
         assert_eq!(size(&file(50, judged)), expected);
         assert!(size(&file(50, json!({"emit": ["katz"]}))).keeps_katz);
+        assert!(size(&file(50, json!({"normalize": "spectral"}))).is_spectral);
+        // Three graphs, one of which may be doubted.
+        let named = |name| json!({"name": name, "edges": [["r0", "r1", 1]]});
+        let graphs = json!({"modalities": [named("a"), named("b"), named("c")]});
+        assert_eq!(size(&file(50, graphs.clone())).examined, 50.0);
+        assert_eq!(size(&file(2000, graphs.clone())).examined, 1024.0);
+        assert_eq!(size(&file(7, graphs)).examined, 0.0);
     }
 
     #[test]
@@ -261,6 +270,8 @@ mod tests {
             restarts: 9.0,
             threads: 1.0,
             silhouettes: Method::Exact,
+            is_spectral: false,
+            examined: 0.0,
             keeps_katz: false,
         };
         for path in [Path::Dense, Path::InverseFree] {

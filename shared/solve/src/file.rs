@@ -9,6 +9,7 @@ use muster_model::object::Object;
 use muster_model::observation::{Link, Pose, Rank};
 use muster_model::settings::{
     Alpha, CentroidStart, Dimension, Normalization, RowScaling, SingularValueScaling, TeamCount,
+    Trusted,
 };
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error as _, MapAccess, Visitor};
@@ -17,6 +18,7 @@ use serde_json::{Map, Value};
 
 use super::edges::Edges;
 use super::error::{SolveError, tidy};
+use super::options::Preset;
 
 /// The file as it is written.
 #[derive(Deserialize)]
@@ -31,7 +33,10 @@ pub(super) struct File {
     pub(super) spatial: Option<Map<String, Value>>,
     pub(super) connectivity: Option<Map<String, Value>>,
     pub(super) reciprocity: Option<Named<Modality, f64>>,
+    pub(super) preset: Option<Preset>,
     pub(super) normalize: Option<Normalization>,
+    pub(super) self_loops: Option<f64>,
+    pub(super) trusted: Option<Trusted>,
     pub(super) alpha: Option<Decay>,
     pub(super) dimension: Option<Dimension>,
     pub(super) scale: Option<SingularValueScaling>,

@@ -7,6 +7,7 @@
 //! refuses what does not fit, and [`line`] shows the step that runs.
 
 mod cost;
+mod defaults;
 mod division;
 mod edges;
 mod error;
@@ -37,7 +38,7 @@ use error::tidy;
 pub use estimate::Estimate;
 use input::{parse, read};
 pub use muster_method::step::{Progress, Step};
-pub use options::{Options, PathChoice, SilhouetteChoice, TOLERANCES};
+pub use options::{Options, PathChoice, Preset, SilhouetteChoice, TOLERANCES};
 
 const AFTER_HELP: &str = r#"A minimal file (edges that are not given do not exist; [from, to, weight]):
 
@@ -54,10 +55,17 @@ All keys, with what is taken where they are left out:
               is given
   reciprocity by modality, such as {"hierarchy": 0.5}: the share by which its edges also lead back,
               0 to 1; none for modalities that are given
-  normalize   "spectral" (default): each matrix is divided by its largest singular value; "none"
-  alpha       a number below 1/ρ, or {"fraction": 0.5} of 1/ρ (default)
+  preset      "paper": what is left out below is as in the paper, not as in the live fleet
+  normalize   "degree" (default): each edge is divided by the roots of the degrees of its two ends;
+              "spectral": each matrix is divided by its largest singular value; "none"
+  self_loops  0 to 4: the weight of an edge from each related robot to itself in the sum of the graphs;
+              0.5, and 0 where "normalize" is "spectral" or "none"
+  trusted     list of modalities, or "all": those that keep their whole weight even where they contradict
+              the others; [], and "all" where "normalize" is "spectral" or "none". A file of fewer than
+              three modalities or eight robots is not examined
+  alpha       a number below 1/ρ, or {"fraction": 0.8} of 1/ρ (default)
   dimension   even, from 2 to twice the number of robots, or "auto" (default)
-  scale       "inverse-sqrt-sigma" (default), "sqrt-sigma" or "none"
+  scale       "sqrt-sigma" (default), "inverse-sqrt-sigma" or "none"
   rows        "unit" (default) or "none"
   teams       how many, {"from": 2, "to": 6}, or "auto" (default): by the gap of the values of the fused
               graph; or instead of it:
@@ -73,7 +81,7 @@ Instead of modalities, raw observations, which become graphs as in the live flee
    "links": {"r1": [{"peer": "r2", "quality": 0.9}]},
    "ranks": {"r2": {"superior": "r1"}},
    "weights": {"spatial": 0.5, "connectivity": 0.25, "hierarchy": 0.25},
-   "spatial": {"width": 0.7}, "connectivity": {"unit": "quality"}}
+   "spatial": {"width": 0.85}, "connectivity": {"unit": "quality"}}
 
 "weights" and "reciprocity" are those of the live fleet then unless they are given; "spatial" and
 "connectivity" are settings of ingest.
@@ -83,8 +91,12 @@ A live fleet, saved and divided again; the lines of its settings may be left out
   (muster graph --json; muster set embedder --json; muster set clusterer --json) > fleet.jsonl
   muster solve fleet.jsonl
 
-The method as printed in the paper: "normalize": "none", "scale": "none", "rows": "none",
-"init": "random", "restarts": 1.
+The similarity of the plain mathematics, S = (I - αA*)⁻¹ - I with A* = Σ w A of the graphs as they
+are: "normalize": "none".
+
+The method as printed in the paper: "preset": "paper", or --preset paper. It stands for "normalize":
+"none", "self_loops": 0, "trusted": "all", "reciprocity": {}, equal weights, "alpha": {"fraction": 0.5},
+"scale": "none", "rows": "none", "init": "random", "restarts": 1; keys that are given win over it.
 
 In the output, "requested" is the number of teams, and "considered" has the evidence for each number where
 it was chosen. Labels are numbered by first appearance (given ones stay as they are), and
@@ -94,6 +106,11 @@ mean was computed, "detail_method" how those of teams and robots were. "decompos
 the residual of the singular triplets, the gap behind them, and how far their space may be turned against
 the true one at most (angle_bound, the sine of an angle).
 
+The "trust" of a modality is the factor of its weight. Its "agreement" is the mean share of robots that
+are less similar to a robot, by all other modalities, than those that its edges lead to: 1 at best, about
+0.5 by chance; null where it was not compared. A modality whose trust is below 0.5 is "in_doubt", and
+"diagnostics" names the robots whose edges agree least as "disagreeing".
+
 A solve that takes longer than a second says on a terminal what it is doing, unless --json is given.
 Exit codes: 0 done, or --estimate and it fits; 1 the results cannot be written; 2 the file is wrong, or
 what it asks for does not fit into the memory that is available.
@@ -101,6 +118,7 @@ what it asks for does not fit into the memory that is available.
 Examples:
   muster solve fleet.json
   muster solve fleet.json --estimate
+  muster solve fleet.json --preset paper
   muster solve fleet.json --teams 2..6
   muster solve fleet.json --path inverse-free --tolerance 1e-6
   muster solve fleet.json --json | jq .teams

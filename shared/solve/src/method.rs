@@ -7,7 +7,10 @@ use muster_method::decomposition::{Decomposition, Path};
 use muster_method::embedding::{Embedded, embed};
 use muster_method::params::EmbeddingParams;
 use muster_method::step::Progress;
-use muster_method::{Frame, Graph, MethodError};
+use muster_method::trust::Trust;
+use muster_method::{Frame, Graph as FrameGraph, MethodError};
+use muster_model::embedding::EmbeddingGraph;
+use muster_model::id::RobotId;
 use muster_numeric::katz::KatzError;
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::spectral_radius::SpectralRadius;
@@ -18,7 +21,7 @@ use super::error::{SolveError, refuse};
 use super::file::Emit;
 use super::memory::admit_path;
 use super::options::PathChoice;
-use super::problem::Problem;
+use super::problem::{Graph, Problem};
 
 /// Most robots that a warning names.
 const MAX_NAMED_ROBOTS: usize = 10;
@@ -30,6 +33,10 @@ const DENSE_FALLBACK_ROBOTS: usize = 4000;
 /// Everything that was found.
 #[derive(Debug)]
 pub(super) struct Solution {
+    /// The weight of each graph, in the order of the problem, with the trust in it.
+    pub(super) weights: Vec<f64>,
+    /// How far each graph agrees with the others, in the same order.
+    pub(super) trust: Vec<Trust>,
     pub(super) radius: SpectralRadius,
     pub(super) alpha: f64,
     pub(super) decomposition: Decomposition,
@@ -67,7 +74,7 @@ pub(super) fn solve(
     let frame = Frame {
         robots: problem.robots.as_slice().into(),
         graphs: graphs
-            .map(|graph| (graph.name.clone(), Graph::Matrix(Arc::clone(&graph.matrix))))
+            .map(|graph| (graph.name.clone(), FrameGraph::Matrix(Arc::clone(&graph.matrix))))
             .collect(),
     };
     let params = params(problem, path).check().map_err(MethodError::from);
@@ -94,8 +101,10 @@ pub(super) fn solve(
     };
     let mut warnings = warnings(problem, &embedded, residual);
     let divided = divide(problem, &embedded, &mut warnings, progress)?;
-    let Embedded { decay, decomposition, x, without_embedding, .. } = embedded;
+    let Embedded { weights, trust, decay, decomposition, x, without_embedding } = embedded;
     Ok(Solution {
+        weights,
+        trust,
         radius: decay.radius,
         alpha: decay.alpha,
         decomposition,
@@ -168,8 +177,32 @@ fn warnings(problem: &Problem, embedded: &Embedded, residual: f64) -> Vec<String
             problem.options.tolerance,
         ));
     }
+    warnings.extend(doubt_warnings(problem, &embedded.trust));
     warnings.extend(without_embedding_warning(problem, &embedded.without_embedding, svd.rank()));
     warnings
+}
+
+/// Whether a graph is in doubt: less than half of its weight is left.
+pub(super) fn is_doubted(trust: &Trust) -> bool {
+    trust.factor < EmbeddingGraph::DOUBTED_BELOW
+}
+
+/// Names the modalities that are in doubt, and the robots whose edges agree least.
+fn doubt_warnings(problem: &Problem, trust: &[Trust]) -> Vec<String> {
+    let all = problem.graphs.iter().zip(trust);
+    let doubted = all.filter(|(_, trust)| is_doubted(trust));
+    let warning = |(graph, trust): (&Graph, &Trust)| {
+        let robots: Vec<&str> = trust.disagreeing.iter().map(RobotId::as_str).collect();
+        let percent = 100.0 * trust.factor;
+        let name = &graph.name;
+        format!(
+            "modality {name} is in doubt: {percent:.0} % of its weight is used, since it ties robots that \
+             the other modalities hold apart, most of all {}; where it is right, \"trusted\": [\"{name}\"] \
+             holds the trust in it at 1",
+            robots.join(", ")
+        )
+    };
+    doubted.map(warning).collect()
 }
 
 /// Names the robots without an embedding.

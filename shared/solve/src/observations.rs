@@ -28,6 +28,8 @@ pub(super) struct Observations {
     pub(super) spatial: Option<Map<String, Value>>,
     /// The same of the connectivity settings.
     pub(super) connectivity: Option<Map<String, Value>>,
+    /// Whether weights that are not given are equal, instead of those of the live fleet.
+    pub(super) weighs_equally: bool,
 }
 
 impl Observations {
@@ -73,9 +75,15 @@ impl Observations {
             }
         };
         let mut graphs: Graphs = streams.into_iter().map(graph).collect::<Result<_, _>>()?;
-        if weights.is_none() {
+        if weights.is_none() && !self.weighs_equally {
+            // A stream without a relation would only make self-loops heavier in relation to the others.
+            let has_edges = graphs.iter().any(|(.., matrix)| !matrix.is_zero());
             let default = |(_, name, _, matrix): &(_, Modality, _, SparseMatrix)| {
-                default_weight(name, matrix.related_share())
+                if has_edges && matrix.is_zero() {
+                    0.0
+                } else {
+                    default_weight(name, matrix.related_share())
+                }
             };
             let all: Vec<f64> = graphs.iter().map(default).collect();
             let sum: f64 = all.iter().sum();

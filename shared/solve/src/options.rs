@@ -2,6 +2,7 @@
 
 use clap::ValueEnum;
 use muster_model::settings::TeamCount;
+use serde::Deserialize;
 
 /// Residuals that may be asked for. Below the least one rounding has the last word; above the largest
 /// one singular values have no correct digits.
@@ -27,6 +28,10 @@ pub struct Options {
     /// How the silhouettes are computed.
     #[arg(long, value_enum, default_value_t)]
     pub silhouette: SilhouetteChoice,
+    /// Take the settings of this method where the file gives none, instead of the live fleet's. Of a saved
+    /// fleet it replaces the settings of embedder, and init and restarts of clusterer.
+    #[arg(long, value_enum, value_name = "METHOD")]
+    pub preset: Option<Preset>,
     /// How many teams: a number, a range such as 2..6, or auto, which is 1 to 16; instead of what the file
     /// says. Where it is no number, the relations of the robots decide.
     #[arg(long, value_name = "N|auto|FROM..TO", value_parser = team_count)]
@@ -40,6 +45,7 @@ impl Default for Options {
             path: PathChoice::Auto,
             tolerance: 1e-10,
             silhouette: SilhouetteChoice::Auto,
+            preset: None,
             teams: None,
         }
     }
@@ -70,6 +76,15 @@ pub enum SilhouetteChoice {
     Squared,
     /// the mean estimated from 2000 robots, with its standard error; those of robots and teams as by squared
     Sampled,
+}
+
+/// A published method whose settings a solve can begin with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Preset {
+    /// the paper's: graphs as they are with equal weights, singular vectors as they come, and k-means once from
+    /// a random start
+    Paper,
 }
 
 /// A tolerance as it is written.
@@ -127,6 +142,8 @@ mod tests {
                 "{error}"
             );
         }
+        assert_eq!(parsed(&["--preset", "paper"]).unwrap().preset, Some(Preset::Paper));
+        assert!(parsed(&["--preset", "hope"]).unwrap_err().contains("paper"));
         for (text, teams) in [
             ("3", TeamCount::Fixed(3)),
             ("auto", TeamCount::Auto),

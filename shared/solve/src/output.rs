@@ -7,7 +7,7 @@ use comfy_table::presets::UTF8_BORDERS_ONLY;
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
 use muster_method::decomposition::Path;
 use muster_model::audit::SilhouetteMethod;
-use muster_model::id::RobotId;
+use muster_model::id::{Modality, RobotId};
 use muster_model::settings::{Alpha, Dimension};
 use muster_model::teams::TeamCountScore;
 use muster_numeric::matrix::DenseMatrix;
@@ -17,7 +17,7 @@ use serde::{Serialize, Serializer};
 
 use super::division::wanted_teams;
 use super::file::Emit;
-use super::method::Solution;
+use super::method::{Solution, is_doubted};
 use super::path::description;
 use super::problem::{Division, Problem};
 
@@ -34,6 +34,8 @@ const MOST_MEMBERS: usize = 256;
 #[derive(Serialize)]
 struct Report<'a> {
     robots: &'a [RobotId],
+    self_loops: f64,
+    modalities: Vec<ModalityReport<'a>>,
     rho: f64,
     alpha: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -52,6 +54,18 @@ struct Report<'a> {
     silhouette: SilhouetteReport<'a>,
     #[serde(skip_serializing_if = "Option::is_none")]
     diagnostics: Option<DiagnosticsReport<'a>>,
+}
+
+/// How much a modality counts.
+#[derive(Serialize)]
+struct ModalityReport<'a> {
+    name: &'a Modality,
+    /// With the trust in it.
+    weight: f64,
+    trust: f64,
+    /// None where trust was not examined.
+    agreement: Option<f64>,
+    in_doubt: bool,
 }
 
 /// Which way the similarity was decomposed, and how exactly.
@@ -89,6 +103,8 @@ struct DiagnosticsReport<'a> {
     residual: f64,
     katz_residual: Option<f64>,
     unseen: Vec<&'a RobotId>,
+    /// The robots whose edges agree least, of each modality that has not its whole weight.
+    disagreeing: BTreeMap<&'a Modality, &'a [RobotId]>,
 }
 
 /// A matrix as an array of its rows.
@@ -140,8 +156,21 @@ fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
     let found = &solution.decomposition;
     let labels = &solution.divided.labels;
     let wants = |emit| problem.emit.contains(&emit);
+    let names = || problem.graphs.iter().map(|graph| &graph.name);
+    let disagreeing = names().zip(&solution.trust).filter(|(_, trust)| trust.factor < 1.0);
     Report {
         robots: &problem.robots,
+        self_loops: problem.settings.self_loops,
+        modalities: names()
+            .zip(solution.weights.iter().zip(&solution.trust))
+            .map(|(name, (weight, trust))| ModalityReport {
+                name,
+                weight: *weight,
+                trust: trust.factor,
+                agreement: trust.agreement,
+                in_doubt: is_doubted(trust),
+            })
+            .collect(),
         rho: solution.radius.value,
         alpha: solution.alpha,
         katz: found.similarity.as_ref().filter(|_| wants(Emit::Katz)).map(Matrix),
@@ -173,6 +202,9 @@ fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
             residual: solution.residual,
             katz_residual: found.probe,
             unseen: robots.filter(|(_, without)| **without).map(|(robot, _)| robot).collect(),
+            disagreeing: disagreeing
+                .map(|(name, trust)| (name, trust.disagreeing.as_slice()))
+                .collect(),
         }),
     }
 }
@@ -219,7 +251,8 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
     let modalities: Vec<String> = problem
         .graphs
         .iter()
-        .map(|graph| format!("{} {}", graph.name, rounded(graph.weight)))
+        .zip(&solution.weights)
+        .map(|(graph, weight)| format!("{} {}", graph.name, rounded(*weight)))
         .collect();
     let alpha = match problem.settings.alpha {
         Alpha::Value(_) => String::new(),
@@ -252,6 +285,8 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
     format!(
         "robots            {robots}\n\
          modalities        {modalities}\n\
+         trust             {trust}\n\
+         self-loops        {self_loops}\n\
          spectral radius ρ {rho}\n\
          decay α           {decay}{alpha}\n\
          dimension         {dimension}{chosen}\n\
@@ -265,6 +300,8 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
          {table}\n",
         robots = problem.robots.len(),
         modalities = modalities.join(", "),
+        trust = trust(problem, solution),
+        self_loops = rounded(problem.settings.self_loops),
         rho = rounded(solution.radius.value),
         decay = rounded(solution.alpha),
         dimension = solution.embedding.cols(),
@@ -277,6 +314,19 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
         teams = team_count(problem, solution),
         table = table(problem, solution),
     )
+}
+
+/// The trust in each modality and its agreement with the others; one in doubt stands out.
+fn trust(problem: &Problem, solution: &Solution) -> String {
+    if solution.trust.iter().all(|trust| trust.agreement.is_none()) {
+        return "1 for all, which were not compared".to_owned();
+    }
+    let all = problem.graphs.iter().zip(&solution.trust).map(|(graph, trust)| {
+        let agreement = trust.agreement.map_or_else(|| "none".to_owned(), |a| format!("{a:.2}"));
+        let doubt = if is_doubted(trust) { " IN DOUBT" } else { "" };
+        format!("{} {:.2}{doubt} (agreement {agreement})", graph.name, trust.factor)
+    });
+    all.collect::<Vec<_>>().join(", ")
 }
 
 /// The mean, and how it was come by where it is not the exact one.

@@ -7,16 +7,17 @@ use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_WEIGHT;
 use muster_model::object::Object;
 use muster_model::settings::{
-    Alpha, ClustererSettings, Dimension, EmbedderSettings, Settings, TeamCount,
-    WEIGHT_SUM_TOLERANCE, check_reciprocity,
+    Alpha, ClustererSettings, Dimension, EmbedderSettings, MAX_SELF_LOOPS, Settings, TeamCount,
+    Trusted, WEIGHT_SUM_TOLERANCE, check_reciprocity,
 };
 use muster_numeric::matrix::{MAX_ENTRY, MIN_WEIGHT, SparseMatrix};
 
+use super::defaults;
 use super::edges::Edges;
 use super::error::{SolveError, refuse};
 use super::file::{Emit, File, ModalityEntry, Named};
 use super::observations::{Graphs, Observations};
-use super::options::Options;
+use super::options::{Options, Preset};
 use super::places::{Places, places};
 
 /// A checked input.
@@ -54,15 +55,25 @@ pub(super) enum Division {
 /// Checks a file.
 pub(super) fn check(mut file: File, options: Options) -> Result<Problem, SolveError> {
     let places = places(&file.robots)?;
-    let graphs = graphs(&mut file, &places, options.normalize_weights)?;
-    let division = division(&mut file, options.teams)?;
-    let defaults = EmbedderSettings::default();
+    let preset = file.preset.or(options.preset);
+    let defaults = defaults::embedder(preset, file.normalize);
+    let self_loops = file.self_loops.unwrap_or(defaults.self_loops);
+    check_self_loops(self_loops)?;
+    let trusted = file.trusted.take().unwrap_or(defaults.trusted);
+    let is_observed = file.modalities.is_none();
+    let graphs = graphs(&mut file, &places, preset, options.normalize_weights)?;
+    if let Trusted::Only(named) = &trusted {
+        check_known("trusted", named, &graphs, is_observed)?;
+    }
+    let division = division(&mut file, preset, options.teams)?;
     let alpha = file.alpha.map_or(defaults.alpha, |decay| decay.0);
     check_alpha(alpha)?;
     let dimension = file.dimension.unwrap_or(defaults.dimension);
     check_dimension(dimension, file.robots.len())?;
     let settings = EmbedderSettings {
         normalize: file.normalize.unwrap_or(defaults.normalize),
+        self_loops,
+        trusted,
         alpha,
         dimension,
         scale: file.scale.unwrap_or(defaults.scale),
@@ -93,25 +104,19 @@ impl Problem {
 fn graphs(
     file: &mut File,
     places: &Places,
+    preset: Option<Preset>,
     normalize_weights: bool,
 ) -> Result<Vec<Graph>, SolveError> {
     // Graphs that are given are taken as they are, observations as in the live fleet.
     let reciprocity = match file.reciprocity.take() {
         Some(Named(shares)) => shares,
         None if file.modalities.is_some() => BTreeMap::new(),
-        None => EmbedderSettings::default().reciprocity,
+        None => defaults::embedder(preset, None).reciprocity,
     };
-    let is_own = file.modalities.is_none();
+    let is_observed = file.modalities.is_none();
     check_reciprocity(&reciprocity).or_else(|error| refuse(error.field, error.problem))?;
-    let mut graphs = reported(file, places, normalize_weights)?;
-    let unknown = reciprocity.keys().find(|name| {
-        !(is_own && name.is_built_in()) && graphs.iter().all(|graph| graph.name != **name)
-    });
-    if let Some(name) = unknown {
-        let known: Vec<_> = graphs.iter().map(|graph| graph.name.as_str()).collect();
-        let problem = format!("is no modality of this file: {}", known.join(", "));
-        return refuse(format!("reciprocity.{name}"), problem);
-    }
+    let mut graphs = reported(file, places, preset, normalize_weights)?;
+    check_known("reciprocity", reciprocity.keys(), &graphs, is_observed)?;
     for graph in &mut graphs {
         let share = reciprocity.get(&graph.name).copied().unwrap_or(0.0);
         if share > 0.0 {
@@ -128,6 +133,7 @@ fn graphs(
 fn reported(
     file: &mut File,
     places: &Places,
+    preset: Option<Preset>,
     normalize_weights: bool,
 ) -> Result<Vec<Graph>, SolveError> {
     let observed = [
@@ -158,14 +164,37 @@ fn reported(
         weights: file.weights.take(),
         spatial: file.spatial.take(),
         connectivity: file.connectivity.take(),
+        weighs_equally: preset == Some(Preset::Paper),
     };
     weighted(observations.into_graphs(places)?, "weights", normalize_weights)
 }
 
+/// Checks that names are those of modalities of the file. A file of observations may name each of the three that
+/// it might have.
+fn check_known<'a>(
+    field: &str,
+    names: impl IntoIterator<Item = &'a Modality>,
+    graphs: &[Graph],
+    is_observed: bool,
+) -> Result<(), SolveError> {
+    let mut names = names.into_iter();
+    let unknown = names.find(|name| {
+        !(is_observed && name.is_built_in()) && graphs.iter().all(|graph| graph.name != **name)
+    });
+    let Some(name) = unknown else { return Ok(()) };
+    let known: Vec<_> = graphs.iter().map(|graph| graph.name.as_str()).collect();
+    let problem = format!("is no modality of this file: {}", known.join(", "));
+    refuse(format!("{field}.{name}"), problem)
+}
+
 /// How the division of a file comes about; `asked` is the number of teams that was asked for with the command.
-fn division(file: &mut File, asked: Option<TeamCount>) -> Result<Division, SolveError> {
+fn division(
+    file: &mut File,
+    preset: Option<Preset>,
+    asked: Option<TeamCount>,
+) -> Result<Division, SolveError> {
     let robots = file.robots.len();
-    let defaults = ClustererSettings::default();
+    let defaults = defaults::clusterer(preset);
     let wanted = asked.or(file.teams);
     let settings = ClustererSettings {
         teams: wanted.unwrap_or(defaults.teams),
@@ -346,6 +375,13 @@ fn weighted(graphs: Graphs, field: &str, normalize: bool) -> Result<Vec<Graph>, 
     let graphs = graphs.into_iter().zip(weights);
     let graph = |((_, name, _, matrix), weight)| Graph { name, weight, matrix: Arc::new(matrix) };
     Ok(graphs.map(graph).collect())
+}
+
+fn check_self_loops(weight: f64) -> Result<(), SolveError> {
+    if (0.0..=MAX_SELF_LOOPS).contains(&weight) {
+        return Ok(());
+    }
+    refuse("self_loops", format!("must be a number from 0 to {MAX_SELF_LOOPS}, not {weight:?}"))
 }
 
 fn check_alpha(alpha: Alpha) -> Result<(), SolveError> {

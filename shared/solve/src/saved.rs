@@ -16,10 +16,11 @@ use muster_numeric::matrix::SparseMatrix;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
+use super::defaults;
 use super::edges::Edges;
 use super::error::{SolveError, refuse, tidy};
 use super::file::explained;
-use super::options::Options;
+use super::options::{Options, Preset};
 use super::places::MAX_SOLVE_ROBOTS;
 use super::problem::{Division, Graph, Problem, edge_triplets};
 
@@ -123,7 +124,12 @@ impl SavedFleet {
     /// # Errors
     /// Names the graph and the field that is wrong.
     pub(super) fn into_problem(self, options: Options) -> Result<Problem, SolveError> {
-        let Self { graphs, embedder, clusterer, .. } = self;
+        let Self { graphs, mut embedder, mut clusterer, .. } = self;
+        if let Some(preset) = options.preset {
+            let ClustererSettings { init, restarts, .. } = defaults::clusterer(Some(preset));
+            clusterer = ClustererSettings { init, restarts, ..clusterer };
+            embedder = defaults::embedder(Some(preset), None);
+        }
         if graphs.is_empty() {
             return refuse("modality", "there are settings, but no graph");
         }
@@ -140,6 +146,11 @@ impl SavedFleet {
             let matrix = SparseMatrix::from_triplets(robots.len(), triplets)
                 .or_else(|error| refuse(name.as_str(), error.to_string()))?;
             frame.graphs.push((name, FrameGraph::Matrix(Arc::new(matrix))));
+        }
+        if options.preset == Some(Preset::Paper) {
+            #[expect(clippy::cast_precision_loss, reason = "there are a few modalities")]
+            let equal = 1.0 / frame.graphs.len() as f64;
+            embedder.weights = frame.graphs.iter().map(|(name, _)| (name.clone(), equal)).collect();
         }
         let weights = weights(&embedder.weights, &frame)
             .or_else(|error| refuse("weights", error.to_string()))?;

@@ -4,8 +4,10 @@ mod closed_forms;
 mod files;
 mod hostile;
 mod paths;
+mod presets;
 mod results;
 mod saved;
+mod small;
 
 use muster_numeric::matrix::DenseMatrix;
 use serde_json::{Value, json};

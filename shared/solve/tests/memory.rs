@@ -47,6 +47,19 @@ fn sparse_file(robots: usize, dimension: usize) -> Value {
            "modalities": [{"name": "near", "edges": edges.collect::<Vec<_>>()}]})
 }
 
+/// The same with three graphs, of which each may contradict the others.
+fn doubtful_file(robots: usize, dimension: usize) -> Value {
+    let mut file = sparse_file(robots, dimension);
+    let near = file["modalities"][0].clone();
+    let named = |name: &str| {
+        let mut graph = near.clone();
+        graph["name"] = json!(name);
+        graph
+    };
+    file["modalities"] = json!(["near", "radio", "orders"].map(named));
+    file
+}
+
 /// Solves a file and compares what each step holds with what was estimated.
 fn check(what: &str, text: &str, options: Options) {
     let estimate = Estimate::new(text.as_bytes(), options).unwrap();
@@ -89,9 +102,11 @@ fn no_step_holds_more_than_estimated_nor_far_less() {
         let what = format!("{robots} robots {is_complete}");
         check(&what, &dense_file(robots, is_complete).to_string(), Options::default());
     }
+    check("700 robots of three modalities", &doubtful_file(700, 8).to_string(), Options::default());
     let options = Options { path: PathChoice::InverseFree, ..Options::default() };
     for (robots, dimension) in [(5000, 8), (20_000, 16)] {
         let what = format!("{robots} robots of dimension {dimension}");
         check(&what, &sparse_file(robots, dimension).to_string(), options);
     }
+    check("8000 robots of three modalities", &doubtful_file(8000, 8).to_string(), options);
 }

@@ -63,6 +63,9 @@ impl Scores {
     }
 }
 
+/// The width that won where one length measures the whole fleet, in multiples of it.
+const FLEET_WIDTH: f64 = 2.0;
+
 /// Scores of a recipe on seeds.
 ///
 /// # Errors
@@ -156,6 +159,41 @@ pub struct Variation {
     pub recipe: Recipe,
 }
 
+/// `base`, and the recipes in which one step of it is left out or done as in the paper: what each step is worth.
+#[must_use]
+pub fn left_out(base: &Recipe) -> Vec<Variation> {
+    let plain = Recipe::plain();
+    let mut all = vec![Variation { name: "as it is".to_owned(), recipe: base.clone() }];
+    let mut without = |name: &str, change: &dyn Fn(&mut Recipe)| {
+        let mut recipe = base.clone();
+        change(&mut recipe);
+        all.push(Variation { name: name.to_owned(), recipe });
+    };
+    without("graphs scaled by their norm", &|recipe| {
+        recipe.form.normalization = Normalization::Spectral;
+    });
+    without("graphs not scaled", &|recipe| recipe.form.normalization = Normalization::None);
+    without("no self-loops", &|recipe| recipe.form.self_loops = plain.form.self_loops);
+    without("αρ 0.5", &|recipe| recipe.form.fraction = plain.form.fraction);
+    without("singular vectors as they come", &|recipe| recipe.form.power = plain.form.power);
+    without("rows as they come", &|recipe| recipe.form.rows = plain.form.rows);
+    without("every modality trusted", &|recipe| recipe.form.doubts = plain.form.doubts);
+    without("equal weights", &|recipe| recipe.weights = plain.weights);
+    without("weights whatever a modality relates", &|recipe| recipe.by_coverage = false);
+    without("one width for the fleet", &|recipe| {
+        let spatial = IngestSettings::default().spatial;
+        let scale = SpatialScale::Fleet;
+        recipe.nearness =
+            Nearness::Kernel(SpatialSettings { scale, width: FLEET_WIDTH, ..spatial });
+    });
+    without("1/d", &|recipe| recipe.nearness = plain.nearness.clone());
+    without("orders lead down only", &|recipe| recipe.upward = plain.upward);
+    without("K 3", &|recipe| recipe.form.rank = plain.form.rank);
+    without("one random start of k-means", &|recipe| recipe.clustering = plain.clustering);
+    all.push(Variation { name: "none of them: the paper's method".to_owned(), recipe: plain });
+    all
+}
+
 /// All recipes that differ from `base` in one choice, and `base` itself.
 #[must_use]
 pub fn variations(base: &Recipe) -> Vec<Variation> {
@@ -185,12 +223,22 @@ pub fn variations(base: &Recipe) -> Vec<Variation> {
             recipe.nearness = Nearness::Kernel(settings.clone());
         });
     }
-    for normalization in [Normalization::None, Normalization::Spectral] {
+    for width in [0.5, 0.6, 0.7, 1.0, 1.2] {
+        let settings = SpatialSettings { width, ..IngestSettings::default().spatial };
+        add(format!("width {width}"), &|recipe| {
+            recipe.nearness = Nearness::Kernel(settings.clone());
+        });
+    }
+    for normalization in [Normalization::None, Normalization::Spectral, Normalization::Degree] {
         add(format!("normalization {normalization:?}"), &|recipe| {
             recipe.form.normalization = normalization;
         });
     }
-    for fraction in [0.1, 0.25, 0.5, 0.75, 0.9, 0.99] {
+    for self_loops in [0.0, 0.1, 0.25, 1.0, 2.0] {
+        add(format!("self-loops {self_loops}"), &|recipe| recipe.form.self_loops = self_loops);
+    }
+    add("every modality trusted".to_owned(), &|recipe| recipe.form.doubts = false);
+    for fraction in [0.1, 0.25, 0.5, 0.65, 0.75, 0.8, 0.9, 0.99] {
         add(format!("fraction {fraction}"), &|recipe| recipe.form.fraction = fraction);
     }
     for rank in
@@ -221,7 +269,11 @@ pub fn variations(base: &Recipe) -> Vec<Variation> {
         (3, 0.5),
         (3, 0.7),
         (3, 1.0),
+        (4, 0.7),
+        (4, 0.85),
         (4, 1.0),
+        (6, 0.85),
+        (8, 0.85),
     ] {
         add(format!("local {place} {factor}"), &|recipe| recipe.nearness = local(place, factor));
     }
@@ -232,7 +284,7 @@ pub fn variations(base: &Recipe) -> Vec<Variation> {
         add(format!("rows {rows:?}"), &|recipe| recipe.form.rows = rows);
     }
     for (modality, name) in MODALITIES.iter().enumerate() {
-        for weight in [0.0, 0.2, 0.5, 0.6] {
+        for weight in [0.0, 0.05, 0.2, 0.5, 0.6] {
             add(format!("weight of {name} {weight}"), &|recipe| {
                 recipe.weights = [0.5 * (1.0 - weight); 3];
                 recipe.weights[modality] = weight;
@@ -243,7 +295,6 @@ pub fn variations(base: &Recipe) -> Vec<Variation> {
     for starts in [1, 10, 200] {
         add(format!("{starts} starts"), &|recipe| recipe.clustering.starts = starts);
     }
-    add("robust fusion".to_owned(), &|recipe| recipe.by_agreement = true);
     for starts in [10, 100] {
         add(format!("consensus of {starts} starts"), &|recipe| {
             recipe.consensus = Consensus::Starts(starts);
@@ -274,6 +325,9 @@ pub fn random(count: usize, seed: u64) -> Vec<Variation> {
         let mut recipe = Recipe::live();
         recipe.nearness = any_nearness(&mut chance);
         recipe.form.fraction = one_of(&mut chance, &[0.25, 0.5, 0.65, 0.75, 0.85]);
+        recipe.form.self_loops = one_of(&mut chance, &[0.0, 0.25, 0.5, 1.0]);
+        let scales = [Normalization::None, Normalization::Spectral, Normalization::Degree];
+        recipe.form.normalization = one_of(&mut chance, &scales);
         recipe.form.power = one_of(&mut chance, &[-1.0, -0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0]);
         let ranks = [Rank::Ratio, Rank::Teams, Rank::More(1), Rank::More(2), Rank::Fixed(4)];
         recipe.form.rank = one_of(&mut chance, &ranks);
@@ -318,7 +372,7 @@ pub fn described(recipe: &Recipe) -> String {
         Nearness::Kernel(settings) if settings.scale == SpatialScale::Robots => {
             let by = settings
                 .scale_neighbour
-                .map_or("2nd to 8th".to_owned(), |neighbour| format!("{neighbour}."));
+                .map_or("4th to 8th".to_owned(), |neighbour| format!("{neighbour}."));
             format!("{:?} {} by the {by} nearest", settings.kernel, settings.width)
         }
         Nearness::Kernel(settings) => {
@@ -326,10 +380,17 @@ pub fn described(recipe: &Recipe) -> String {
         }
         Nearness::Inverse => "1/d".to_owned(),
     };
-    let Form { fraction, power, rank, rows, .. } = recipe.form;
+    let Form { normalization, self_loops, doubts, fraction, power, rank, rows } = recipe.form;
+    let scaled = match normalization {
+        Normalization::None => "graphs as they are",
+        Normalization::Spectral => "graphs scaled by their norm",
+        Normalization::Degree => "graphs scaled by degree",
+    };
+    let trust = if doubts { "contradicted modalities doubted" } else { "all modalities trusted" };
     let weights = recipe.weights.map(|weight| format!("{weight:.2}")).join(" ");
     let ties = format!("orders lead back by {}, siblings {}", recipe.upward, recipe.siblings);
     format!(
-        "{nearness}, {ties}, weights {weights}, αρ {fraction}, K by {rank:?}, σ^{power}, rows {rows:?}"
+        "{nearness}, {ties}, {scaled}, weights {weights}, {trust}, self-loops {self_loops}, αρ {fraction}, K by \
+         {rank:?}, σ^{power}, rows {rows:?}"
     )
 }

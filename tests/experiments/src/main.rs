@@ -10,7 +10,9 @@ use muster_experiments::experiments;
 use muster_experiments::explained::papers_numbers;
 use muster_experiments::formations::{Formation, Radio};
 use muster_experiments::goals::goals;
-use muster_experiments::grid::{described, random, scores, variations};
+use muster_experiments::grid::{
+    Scores, Variation, described, left_out, random, scores, variations,
+};
 use muster_experiments::methods::{Method, Recipe};
 use muster_experiments::moving::page::moving;
 use muster_experiments::physical::Case;
@@ -219,17 +221,16 @@ fn situations(cases: &[situations_run::Case], baselines: Option<&Path>) -> anyho
 fn grid(seeds: usize, recipes: Option<u32>, bar: &Bar) -> anyhow::Result<String> {
     let formations = Formation::all()?;
     let seeds: Vec<u64> = TRAINING.take(seeds).collect();
-    let mut rows = Vec::new();
-    let all = match recipes {
-        Some(count) => random(count as usize, RECIPE_SEED),
-        None => variations(&Recipe::live()),
+    let tables = match recipes {
+        Some(count) => {
+            vec![("Recipes put together by chance", random(count as usize, RECIPE_SEED))]
+        }
+        None => vec![
+            ("Each step left out", left_out(&Recipe::live())),
+            ("Each choice made otherwise", variations(&Recipe::live())),
+        ],
     };
-    bar.count(all.len());
-    for variation in &all {
-        bar.step(&variation.name);
-        rows.push((variation, scores(&formations, &variation.recipe, &seeds)?));
-    }
-    rows.sort_by(|left, right| right.1.worth().mean.total_cmp(&left.1.worth().mean));
+    bar.count(tables.iter().map(|(_, all)| all.len()).sum());
     let mut page = String::from("# What each choice is worth\n\n");
     writeln!(
         page,
@@ -240,6 +241,21 @@ fn grid(seeds: usize, recipes: Option<u32>, bar: &Bar) -> anyhow::Result<String>
         seeds.len(),
         described(&Recipe::live())
     )?;
+    for (title, all) in &tables {
+        let mut rows = Vec::new();
+        for variation in all {
+            bar.step(&variation.name);
+            rows.push((variation, scores(&formations, &variation.recipe, &seeds)?));
+        }
+        rows.sort_by(|left, right| right.1.worth().mean.total_cmp(&left.1.worth().mean));
+        write!(page, "## {title}\n\n{}\n", grid_table(&rows)?)?;
+    }
+    Ok(page)
+}
+
+/// The table of variations with their scores.
+fn grid_table(rows: &[(&Variation, Scores)]) -> anyhow::Result<String> {
+    let mut page = String::new();
     writeln!(
         page,
         "| choice | worth | squads, range | platoons | noisy | squads, net | platoons | noisy | planted | plain | \

@@ -4,7 +4,6 @@
 //! method take what brings its tables nearest: [`PAPER_RANK`] triplets, α of half of what is admissible,
 //! equal weights.
 
-pub mod agreement;
 pub mod consensus;
 pub mod embedding;
 pub mod girvan_newman;
@@ -13,12 +12,11 @@ pub mod lle;
 use muster_model::id::Modality;
 use muster_model::settings::{
     Alpha, CentroidStart, ClustererSettings, Dimension, EmbedderSettings, IngestSettings,
-    Normalization, RowScaling, coverage, default_weight,
+    Normalization, RowScaling, Trusted, coverage, default_weight,
 };
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 
 use crate::system::{Nearness, System, SystemError};
-use agreement::trusted;
 use consensus::together;
 use embedding::{Clustering, Form, MethodError, Rank, Vectors, concatenated};
 use girvan_newman::girvan_newman;
@@ -54,8 +52,6 @@ pub struct Recipe {
     pub weights: [f64; 3],
     /// Whether a modality that relates less than half of the robots counts less.
     pub by_coverage: bool,
-    /// Whether a modality that contradicts all others does not count: see [`agreement::trusted`].
-    pub by_agreement: bool,
     /// From graphs to vectors.
     pub form: Form,
     /// From vectors to teams.
@@ -86,9 +82,10 @@ impl Recipe {
             siblings: 0.0,
             weights: [1.0 / 3.0; 3],
             by_coverage: false,
-            by_agreement: false,
             form: Form {
                 normalization: Normalization::None,
+                self_loops: 0.0,
+                doubts: false,
                 fraction: PAPER_FRACTION,
                 rank: Rank::Fixed(PAPER_RANK),
                 power: 0.0,
@@ -99,9 +96,21 @@ impl Recipe {
         }
     }
 
-    /// By which share of its weight a graph counts: that of the live system's default weights.
-    fn trust(&self, graph: &SparseMatrix) -> f64 {
-        if self.by_coverage { coverage(graph.related_share()) } else { 1.0 }
+    /// The weight of each graph in the order of [`crate::system::MODALITIES`]: those of the live system's
+    /// rule for default weights, divided by their sum, of which a graph without an edge has no part.
+    fn weights(&self, graphs: &[SparseMatrix; 3]) -> Vec<f64> {
+        let weight = |(graph, weight): (&SparseMatrix, f64)| match graph {
+            graph if graph.is_zero() => 0.0,
+            graph if self.by_coverage => weight * coverage(graph.related_share()),
+            _ => weight,
+        };
+        let weights: Vec<f64> = graphs.iter().zip(self.weights).map(weight).collect();
+        let sum: f64 = weights.iter().sum();
+        if sum > 0.0 {
+            weights.iter().map(|weight| weight / sum).collect()
+        } else {
+            self.weights.to_vec()
+        }
     }
 
     /// What the live system does by default: the defaults of its services.
@@ -123,9 +132,10 @@ impl Recipe {
             siblings: 0.0,
             weights: crate::system::MODALITIES.map(weight),
             by_coverage: embedder.weights.is_empty(),
-            by_agreement: false,
             form: Form {
                 normalization: embedder.normalize,
+                self_loops: embedder.self_loops,
+                doubts: embedder.trusted != Trusted::All,
                 fraction: match embedder.alpha {
                     Alpha::Fraction { fraction } => fraction,
                     // A decay that fits one graph fits no other.
@@ -166,11 +176,7 @@ impl Recipe {
         teams: usize,
         seed: u64,
     ) -> Result<Vectors, MethodError> {
-        let mut weights: Vec<f64> =
-            graphs.iter().zip(self.weights).map(|(graph, w)| w * self.trust(graph)).collect();
-        if self.by_agreement {
-            weights = trusted(graphs, &weights)?;
-        }
+        let weights = self.weights(graphs);
         let weighted: Vec<(&SparseMatrix, f64)> = graphs.iter().zip(weights).collect();
         let divisions = match self.consensus {
             Consensus::Best => return self.form.vectors(&weighted, teams),

@@ -51,8 +51,11 @@ pub enum Nearness {
 /// to the nearest …
 const SHORTEST_SCALE: f64 = 0.1;
 
-/// … nor by more than so many times the distance to its own nearest.
-const LONGEST_SCALE: f64 = 3.0;
+/// … nor by more than so many times the distance to its own nearest …
+const LONGEST_PER_NEAREST: f64 = 5.0;
+
+/// … nor by more than so many times the lower quartile of what the others are measured by.
+const LONGEST_PER_QUARTILE: f64 = 3.0;
 
 /// Distances below this one count as this one, in metres: the size of a robot.
 pub const CLOSEST_M: f64 = 0.1;
@@ -123,10 +126,16 @@ impl System {
             all.sort_by(f64::total_cmp);
             let place = scale_neighbour(settings, n) - 1;
             let own = all.get(place).or(all.last()).copied().unwrap_or(fleet);
-            let own = own.min(LONGEST_SCALE * all.first().copied().unwrap_or(fleet));
-            own.max(SHORTEST_SCALE * fleet).sqrt()
+            let own = own.min(LONGEST_PER_NEAREST * all.first().copied().unwrap_or(fleet));
+            own.max(SHORTEST_SCALE * fleet)
         };
-        (0..n).map(scale).collect()
+        let scales: Vec<f64> = (0..n).map(scale).collect();
+        let least = SHORTEST_SCALE * fleet;
+        let mut apart: Vec<f64> = scales.iter().copied().filter(|own| *own > least).collect();
+        apart.sort_by(f64::total_cmp);
+        let quartile = apart.get(apart.len() / 4).copied().unwrap_or(f64::INFINITY);
+        let most = LONGEST_PER_QUARTILE * quartile;
+        scales.into_iter().map(|own| own.min(most).sqrt()).collect()
     }
 
     /// The median distance to the nearest other robot.

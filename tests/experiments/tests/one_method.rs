@@ -29,7 +29,7 @@ const RESTARTS: u32 = 300;
 /// Inertia of rows that are equal but for what a search leaves.
 const ROUNDING: f64 = 1e-12;
 
-/// Most fleets of which only K can be compared.
+/// Most fleets of which no more than K can be compared.
 const MAX_ARBITRARY_FLEETS: usize = 2;
 
 /// When the services lead: any moment after they have asked the bus for their last output.
@@ -181,14 +181,17 @@ fn saved(reports: &Reports, pipeline: &Pipeline) -> String {
     lines.join("\n")
 }
 
-fn solved(reports: &Reports, pipeline: &Pipeline) -> Divided {
+/// The division, and whether the singular value behind those that are used is as large, so that which directions
+/// make up the vectors is arbitrary.
+fn solved(reports: &Reports, pipeline: &Pipeline) -> (Divided, bool) {
     let text = saved(reports, pipeline);
     let solved = Solved::new(text.as_bytes(), Options::default()).unwrap();
     let json: Value = serde_json::from_str(&solved.to_json().unwrap()).unwrap();
     let rank = json["singular_values"].as_array().unwrap().len();
     let teams = json["teams"].as_object().unwrap();
     let label = |(robot, label): (&String, &Value)| (RobotId::new(robot).unwrap(), label.as_u64());
-    Divided::new(rank, json["inertia"].as_f64().unwrap(), teams.iter().map(label))
+    let ambiguous = json["decomposition"]["ambiguous"].as_bool().unwrap();
+    (Divided::new(rank, json["inertia"].as_f64().unwrap(), teams.iter().map(label)), ambiguous)
 }
 
 fn experimented(reports: &Reports, pipeline: &Pipeline) -> Divided {
@@ -221,10 +224,12 @@ fn experimented(reports: &Reports, pipeline: &Pipeline) -> Divided {
 fn compare(seed: u64) -> (Option<String>, bool) {
     let reports = reports(seed);
     let (live, pipeline) = live(&reports);
-    let all = [solved(&reports, &pipeline), experimented(&reports, &pipeline)];
+    let (solved, is_ambiguous) = solved(&reports, &pipeline);
+    let all = [solved, experimented(&reports, &pipeline)];
     let is_arbitrary = live.is_arbitrary();
     let same = |other: &Divided| {
-        live.is_same(other) || (is_arbitrary && other.is_arbitrary() && live.rank == other.rank)
+        let of_equal_rows = is_arbitrary && other.is_arbitrary() && live.rank == other.rank;
+        live.is_same(other) || of_equal_rows || is_ambiguous
     };
     let [solved, experimented] = &all;
     let different = !all.iter().all(same);

@@ -1,6 +1,6 @@
 //! Files of `muster solve`.
 
-use muster_solve::{Options, PathChoice, SilhouetteChoice, Solved};
+use muster_solve::{Options, PathChoice, Preset, SilhouetteChoice, Solved};
 use serde_json::Value;
 
 use crate::{Outcome, allocation, text};
@@ -47,7 +47,7 @@ pub(crate) fn solve(data: &[u8]) -> Outcome {
     }
 }
 
-/// One bit for the weights, and two for each choice.
+/// One bit for the weights, two for each way, and one for the preset.
 fn options(choices: u8) -> Options {
     let path = match choices >> 1 & 3 {
         0 => PathChoice::Dense,
@@ -60,7 +60,9 @@ fn options(choices: u8) -> Options {
         2 => SilhouetteChoice::Sampled,
         _ => SilhouetteChoice::Auto,
     };
-    Options { normalize_weights: choices & 1 == 1, path, silhouette, ..Options::default() }
+    let preset = (choices >> 5 & 1 == 1).then_some(Preset::Paper);
+    let normalize_weights = choices & 1 == 1;
+    Options { normalize_weights, path, silhouette, preset, ..Options::default() }
 }
 
 /// Checks that everything is a finite number and all rows are there.
@@ -70,6 +72,12 @@ fn check(json: &Value) {
     assert_eq!(json["teams"].as_object().unwrap().len(), robots);
     for name in ["rho", "alpha", "inertia"] {
         assert!(json[name].as_f64().is_some_and(|number| number >= 0.0), "{name} {}", json[name]);
+    }
+    for modality in json["modalities"].as_array().unwrap() {
+        for name in ["weight", "trust"] {
+            let share = modality[name].as_f64().unwrap();
+            assert!((-ROUNDING..=1.0 + ROUNDING).contains(&share), "{name} {share}");
+        }
     }
     for value in json["singular_values"].as_array().unwrap() {
         assert!(value.as_f64().is_some_and(|value| value >= 0.0), "{value}");

@@ -15,7 +15,7 @@ use muster_model::graph::{GraphDelta, GraphReplica, GraphRow, Node};
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::roster::{Presence, Roster, RosterEntry};
-use muster_model::settings::EmbedderSettings;
+use muster_model::settings::{Alpha, EmbedderSettings, Normalization};
 use muster_model::time::Tick;
 use muster_service::{Ask, Input, Start, Stored, testkit};
 use muster_wire::envelope::AnnouncedSettings;
@@ -30,6 +30,16 @@ pub fn robot(name: &str) -> RobotId {
 
 pub fn modality(name: &str) -> Modality {
     Modality::new(name).unwrap()
+}
+
+/// Settings of which closed forms are known: graphs divided by their norms, without self-loops, αρ a half.
+pub fn closed_forms() -> EmbedderSettings {
+    EmbedderSettings {
+        normalize: Normalization::Spectral,
+        self_loops: 0.0,
+        alpha: Alpha::Fraction { fraction: 0.5 },
+        ..EmbedderSettings::default()
+    }
 }
 
 /// What one frame puts on the bus: the graphs that changed, then the roster.

@@ -59,8 +59,8 @@ fn observations_become_the_live_graphs() {
     let parsed = parse(file.to_string().as_bytes(), Options::default()).unwrap();
     let edges: Vec<Vec<_>> =
         parsed.graphs.iter().map(|graph| graph.matrix.triplets().collect()).collect();
-    // Each is the other's only neighbour, and a width is 0.7 of their distance.
-    let near = (-0.5 / (0.7_f64 * 0.7)).exp();
+    // Each is the other's only neighbour, and a width is 0.85 of their distance.
+    let near = (-0.5 / (0.85_f64 * 0.85)).exp();
     assert_eq!(edges[0].iter().map(|(i, j, _)| (*i, *j)).collect::<Vec<_>>(), [(0, 1), (1, 0)]);
     edges[0].iter().for_each(|(_, _, weight)| assert_near(*weight, near, "near"));
     assert_eq!(edges[1], [(1, 0, 0.5)], "from the sender");
@@ -79,8 +79,14 @@ fn observations_become_the_live_graphs() {
     let mut unweighted = file.clone();
     unweighted.as_object_mut().unwrap().remove("weights");
     let parsed = parse(unweighted.to_string().as_bytes(), Options::default()).unwrap();
-    for (graph, weight) in parsed.graphs.iter().zip([0.35, 0.1, 0.55]) {
+    for (graph, weight) in parsed.graphs.iter().zip([0.35, 0.05, 0.6]) {
         assert_near(graph.weight, weight, "as in the live fleet");
+    }
+
+    let without_edges = with(unweighted, json!({"ranks": {"a": {"superior": null}}}));
+    let parsed = parse(without_edges.to_string().as_bytes(), Options::default()).unwrap();
+    for (graph, weight) in parsed.graphs.iter().zip([0.875, 0.125, 0.0]) {
+        assert_near(graph.weight, weight, "ranks that relate nobody");
     }
 
     let refusals = [
@@ -111,6 +117,7 @@ fn observations_become_the_live_graphs() {
         (json!({"connectivity": {"unit": "miles"}}), "connectivity.unit: "),
         (json!({"reciprocity": {"hierarchy": 2}}), "reciprocity.hierarchy: "),
         (json!({"reciprocity": {"radio": 0.5}}), "reciprocity.radio: is no modality"),
+        (json!({"trusted": ["radio"]}), "trusted.radio: is no modality"),
         (json!({"poses": null, "weights": null, "spatial": {}}), "spatial: needs \"poses\""),
         (json!({"modalities": []}), "poses: must not be given with \"modalities\""),
     ];
@@ -190,6 +197,13 @@ fn every_mistake_is_named_by_its_field() {
         (json!({"weights": {"x": 1}}), "weights: must not be given with \"modalities\""),
         (json!({"spatial": {}}), "spatial: must not be given with \"modalities\""),
         (json!({"normalize": "norm"}), "normalize: "),
+        (json!({"preset": "hope"}), "preset: unknown variant `hope`, expected `paper`"),
+        (json!({"self_loops": -0.5}), "self_loops: must be a number from 0 to 4, not -0.5"),
+        (json!({"self_loops": 4.5}), "self_loops: "),
+        (json!({"self_loops": "half"}), "self_loops: "),
+        (json!({"trusted": "none"}), "trusted: must be \"all\" or a list of modalities"),
+        (json!({"trusted": ["x", "z"]}), "trusted.z: is no modality of this file: x, y"),
+        (json!({"trusted": ["X"]}), "trusted: "),
         (json!({"scale": "sqrt"}), "scale: "),
         (json!({"rows": 1}), "rows: "),
         (json!({"alpha": 0}), "alpha: "),

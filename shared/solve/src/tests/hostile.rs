@@ -80,7 +80,10 @@ impl Dice {
             .collect();
         let mut file = json!({
             "robots": names(robots),
-            "normalize": self.one_of(&["none", "spectral"]),
+            "preset": self.one_of(&[json!(null), json!(null), json!("paper")]),
+            "normalize": self.one_of(&["none", "spectral", "degree"]),
+            "self_loops": self.one_of(&[json!(null), json!(0), json!(0.5), json!(4)]),
+            "trusted": self.one_of(&[json!(null), json!([]), json!("all"), json!(["m"])]),
             "scale": self.one_of(&["none", "sqrt-sigma", "inverse-sqrt-sigma"]),
             "rows": self.one_of(&["none", "unit"]),
             "alpha": self.one_of(&[json!(0.2), json!({"fraction": 0.5}), json!({"fraction": 1e-9}),

@@ -43,6 +43,13 @@ fn the_json_has_its_keys_in_order_and_full_precision() {
     let text = output::to_json(&problem, &solution).unwrap();
     let keys = [
         "robots",
+        "self_loops",
+        "modalities",
+        "name",
+        "weight",
+        "trust",
+        "agreement",
+        "in_doubt",
         "rho",
         "alpha",
         "katz",
@@ -84,9 +91,11 @@ fn the_json_has_its_keys_in_order_and_full_precision() {
         "decomposition",
         "inertia",
         "labels",
+        "modalities",
         "requested",
         "rho",
         "robots",
+        "self_loops",
         "silhouette",
         "singular_values",
         "teams",
@@ -175,6 +184,7 @@ fn the_help_names_the_defaults_that_hold() {
         let (before, _) = line.split_once("(default)").unwrap();
         assert!(before.contains(&value), "{key}: {value} in {line}");
     }
+    assert!(crate::AFTER_HELP.contains(&format!("{}, and 0 where", embedder["self_loops"])));
     for key in ["restarts", "seed"] {
         let wanted = format!("{key} ({})", clusterer[key]);
         assert!(line("init").contains(&wanted), "{wanted}");

@@ -1,9 +1,15 @@
 //! Fleets as `muster graph --json` prints them.
 
-use muster_model::settings::{ClustererSettings, EmbedderSettings};
+use muster_model::id::Modality;
+use muster_model::settings::{
+    CentroidStart, ClustererSettings, Dimension, EmbedderSettings, Normalization, TeamCount,
+    Trusted,
+};
 use serde_json::json;
 
 use super::*;
+use crate::options::Preset;
+use crate::problem::Division;
 
 fn line(modality: &str, edges: &[(&str, &str, f64)]) -> String {
     let mut robots: Vec<&str> = edges.iter().flat_map(|(from, to, _)| [*from, *to]).collect();
@@ -28,7 +34,7 @@ fn lines_of_graphs_are_a_fleet_with_the_default_settings() {
     let back: Vec<_> = hierarchy.matrix.triplets().collect();
     assert_eq!(back, [(0, 1, 2.0), (1, 0, 1.0)], "half as much back, as in the live fleet");
     // Two of five robots, four fifths of what counts as a whole modality.
-    let weight = 0.55 * 0.8;
+    let weight = 0.6 * 0.8;
     assert_near(hierarchy.weight, weight / (weight + 0.35), "weight");
     assert_near(spatial.weight, 0.35 / (weight + 0.35), "weight");
     let two = Options { teams: Some(2.into()), ..Options::default() };
@@ -40,7 +46,9 @@ fn lines_of_graphs_are_a_fleet_with_the_default_settings() {
 #[test]
 fn settings_of_the_services_may_stand_among_the_graphs() {
     let embedder = EmbedderSettings {
-        dimension: muster_model::settings::Dimension::Fixed(2),
+        dimension: Dimension::Fixed(2),
+        self_loops: 2.0,
+        trusted: Trusted::Only([Modality::spatial()].into()),
         ..EmbedderSettings::default()
     };
     let clusterer = ClustererSettings { teams: 1.into(), ..ClustererSettings::default() };
@@ -50,11 +58,32 @@ fn settings_of_the_services_may_stand_among_the_graphs() {
         [embedder, &two_pairs(), clusterer].map(String::as_str).join("\n"),
         [clusterer, embedder, &two_pairs()].map(String::as_str).concat(),
     ] {
-        let (_, solution) = solve(&text).unwrap();
+        let (problem, solution) = solve(&text).unwrap();
+        assert_eq!(problem.settings.self_loops, 2.0);
+        assert_eq!(problem.settings.trusted, Trusted::Only([Modality::spatial()].into()));
         assert_eq!(solution.embedding.cols(), 2);
         let teams = solution.divided.labels.iter().max().unwrap() + 1;
         assert_eq!(teams - usize::from(solution.divided.unassigned.is_some()), 1);
     }
+}
+
+#[test]
+fn the_preset_replaces_the_settings_of_a_saved_fleet_but_for_teams_and_seed() {
+    let clusterer =
+        ClustererSettings { teams: TeamCount::Fixed(1), seed: 7, ..ClustererSettings::default() };
+    let lines = [json!(EmbedderSettings::default()), json!(clusterer)].map(|line| line.to_string());
+    let hierarchy = line("hierarchy", &[("r1", "r2", 2.0)]);
+    let text = [lines.concat(), two_pairs(), hierarchy].concat();
+    let options = Options { preset: Some(Preset::Paper), ..Options::default() };
+    let (problem, _) = solve_with(&text, options).unwrap();
+    let settings = &problem.settings;
+    assert_eq!((settings.normalize, settings.self_loops), (Normalization::None, 0.0));
+    let [hierarchy, spatial] = [&problem.graphs[0], &problem.graphs[1]];
+    assert_eq!((hierarchy.weight, spatial.weight), (0.5, 0.5));
+    assert_eq!(hierarchy.matrix.triplets().collect::<Vec<_>>(), [(0, 1, 2.0)], "nothing back");
+    let Division::Wanted(settings) = &problem.division else { panic!("teams") };
+    assert_eq!((settings.init, settings.restarts), (CentroidStart::Random, 1));
+    assert_eq!((settings.teams, settings.seed), (TeamCount::Fixed(1), 7));
 }
 
 #[test]

@@ -8,10 +8,12 @@ use muster_method::params::{DivisionParams, EmbeddingParams, ParamsError};
 use muster_method::{Frame, Graph};
 use muster_model::id::{IdError, Modality, RobotId};
 use muster_model::settings::{
-    Alpha, CentroidStart, Dimension, EmbedderSettings, Normalization, RowScaling,
+    Alpha, CentroidStart, Dimension, EmbedderSettings, Normalization, RowScaling, Trusted,
 };
 use muster_numeric::kmeans::KMeansError;
 use muster_numeric::matrix::{DenseMatrix, MatrixError, SparseMatrix};
+
+use crate::system::MODALITIES;
 
 /// How K, half of the length of a vector, is chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,11 +34,15 @@ pub enum Rank {
 pub struct Form {
     /// How each graph is scaled before it is weighted.
     pub normalization: Normalization,
+    /// Weight of an edge from each related robot to itself in the sum of the graphs.
+    pub self_loops: f64,
+    /// Whether a modality that contradicts the others counts less, as in the live system.
+    pub doubts: bool,
     /// α as a share of what is admissible.
     pub fraction: f64,
     /// How K is chosen.
     pub rank: Rank,
-    /// Power of the singular values by which their vectors are scaled: 0 in the paper, 1/2 in HOPE, −1/2 in the
+    /// Power of the singular values by which their vectors are scaled: 0 in the paper, 1/2 in HOPE and in the
     /// live system.
     pub power: f64,
     /// How the vectors of robots are scaled.
@@ -100,12 +106,18 @@ impl Form {
         teams: usize,
     ) -> Result<Vectors, MethodError> {
         let fixed = |rank: usize| Dimension::Fixed(u32::try_from(2 * rank).unwrap_or(u32::MAX - 1));
-        let names = (0..graphs.len()).map(|at| Modality::new(format!("m{at}")));
-        let names: Vec<Modality> = names.collect::<Result<_, _>>()?;
+        // Three graphs are those of the modalities. Ranks are trusted one by one, which their name decides.
+        let name = |at: usize| match MODALITIES.get(at) {
+            Some(name) if graphs.len() == MODALITIES.len() => Modality::new(*name),
+            _ => Modality::new(format!("m{at}")),
+        };
+        let names: Vec<Modality> = (0..graphs.len()).map(name).collect::<Result<_, _>>()?;
         let settings = EmbedderSettings {
             weights: names.iter().cloned().zip(graphs.iter().map(|(_, weight)| *weight)).collect(),
             reciprocity: Default::default(),
             normalize: self.normalization,
+            self_loops: self.self_loops,
+            trusted: if self.doubts { Trusted::default() } else { Trusted::All },
             alpha: Alpha::Fraction { fraction: self.fraction },
             dimension: match self.rank {
                 Rank::Fixed(rank) => fixed(rank),
