@@ -7,12 +7,8 @@ NEAR_RANKS, FULL_RANK, LEAST_RANK_TRUST = 0.65, 0.8, 0.2
 DECAY, STEPS = 0.5, 4
 LEAST_MODALITIES, LEAST_ROBOTS = 3, 8
 
-# Robots that agreement rests on at most, or all that are examined at once where these are more: in a fleet of
-# up to half as many, both rounds count.
-RECENT_ROBOTS = 256
-
-# Similarities that differ by less than this share are equal but for rounding, which then decides their order.
-ROUNDING = 1e-12
+# Similarities within this share of each other are equal.
+ROUNDING = 1e-9
 
 
 class Undecided(Exception):
@@ -36,13 +32,14 @@ def edges_agreement(a, similarity):
         edges = []
         if len(others) >= 2 and others.max() > 0.0:
             ordered = np.sort(others)
-            steps = np.diff(ordered)
-            if np.any((steps > 0.0) & (steps <= ROUNDING * ordered[1:])):
+            steps = np.diff(ordered) / np.maximum(ordered[1:], 1e-300)
+            if np.any((steps > 0.1 * ROUNDING) & (steps < 10.0 * ROUNDING)):
                 raise Undecided
             for j in np.flatnonzero(a[i]):
                 if j != i:
-                    farther = (others < similarity[i, j]).sum()
-                    equal = (others <= similarity[i, j]).sum() - farther - 1
+                    farther = (others < similarity[i, j] * (1.0 - ROUNDING)).sum()
+                    nearer = (others <= similarity[i, j] * (1.0 + ROUNDING)).sum()
+                    equal = max(nearer - farther - 1, 0)
                     edges.append((j, a[i, j], (farther + 0.5 * equal) / (n - 1 - 1)))
         all_edges.append(edges)
     return all_edges
@@ -55,10 +52,9 @@ def sums(all_edges):
     )
 
 
-def mean(rounds, n):
-    """The mean agreement of the robots examined last."""
-    recent = np.concatenate(rounds)[-max(RECENT_ROBOTS, n) :] if rounds else np.zeros((1, 2))
-    total, weight = recent.sum(axis=0)
+def mean(found):
+    """The mean agreement of all robots; none where nothing was compared."""
+    total, weight = found.sum(axis=0)
     return total / weight if weight > 0.0 else None
 
 
@@ -72,7 +68,8 @@ def examined(names, graphs, norms, weights, trusted):
     if len(speaking) < LEAST_MODALITIES or n < LEAST_ROBOTS or all(held.values()):
         return None
     factor = dict.fromkeys(speaking, 1.0)
-    own, others = {m: [] for m in speaking}, {m: [] for m in speaking}
+    # What the last round found in which there were others to compare with.
+    own, others = [{m: np.zeros((n, 2)) for m in speaking} for _ in range(2)]
     by_edge, agreement = {}, {}
     for _ in range(2):
         for m in speaking:
@@ -82,7 +79,7 @@ def examined(names, graphs, norms, weights, trusted):
             fused = sum(weights[k] * factor[k] / norms[k] * graphs[k] for k in rest)
             total = sum(weights[k] * factor[k] for k in rest)
             by_others = edges_agreement(graphs[m], short_walks(DECAY / total * fused))
-            own[m].append(sums(by_others))
+            own[m] = sums(by_others)
             by_edge[m] = by_others
             nearness = short_walks(DECAY / norms[m] * graphs[m])
             # Edges of several modalities between the same robots count each.
@@ -90,9 +87,9 @@ def examined(names, graphs, norms, weights, trusted):
                 sums(edges_agreement(weights[k] * factor[k] / norms[k] * graphs[k], nearness))
                 for k in rest
             ]
-            others[m].append(sum(parts))
+            others[m] = sum(parts)
         for m in speaking:
-            found = [mean(own[m], n), mean(others[m], n)]
+            found = [mean(own[m]), mean(others[m])]
             agreement[m] = max((a for a in found if a is not None), default=None)
         most = max([CHANCE, *(a for a in agreement.values() if a is not None)])
         for m in speaking:
@@ -105,7 +102,7 @@ def examined(names, graphs, norms, weights, trusted):
         if m not in held:
             found.append((1.0, None, a))
             continue
-        near = mean(own[m], n)
+        near = mean(own[m])
         if near is not None and abs(near - NEAR_RANKS) < 1e-9:
             raise Undecided
         doubted = names[m] == "hierarchy" and not held[m] and near is not None and near >= NEAR_RANKS

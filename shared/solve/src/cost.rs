@@ -2,7 +2,6 @@
 
 use muster_method::decomposition::Path;
 use muster_method::step::Step;
-use muster_model::id::Modality;
 use muster_model::settings::{Dimension, Normalization};
 use muster_numeric::dimension::least_rank;
 use muster_numeric::katz_svd::{SearchColumns, search_columns};
@@ -10,7 +9,7 @@ use muster_numeric::silhouette::{Method, SAMPLE_POINTS};
 
 use super::division::{kmeans_threads, silhouette_params, wanted_teams};
 use super::file::Emit;
-use super::problem::{Division, Problem};
+use super::problem::{Division, Graph, Problem};
 use super::speed::Speed;
 
 /// Memory of the program itself and of everything else that does not grow with the robots, in MiB.
@@ -32,9 +31,10 @@ const ELIMINATED: f64 = 4096.0;
 /// Sweeps over the edges for a spectral radius, as of elimination, where fleets are too large for it.
 const SWEEPS: f64 = 4096.0;
 
-/// Most robots whose walks are compared at once to examine the trust in modalities, and the fewest modalities and
-/// robots that are compared: those of `muster-method`.
-const EXAMINED_AT_ONCE: usize = 1024;
+/// How many robots' walks are compared at once to examine the trust in modalities, fewer where edges × robots
+/// would exceed a limit, and the fewest modalities and robots that are compared: those of `muster-method`.
+const EXAMINED_AT_ONCE: std::ops::RangeInclusive<usize> = 64..=1024;
+const EXAMINED_EDGES: usize = 1 << 24;
 const EXAMINED_MODALITIES: usize = 3;
 const EXAMINED_ROBOTS: usize = 8;
 
@@ -254,14 +254,21 @@ impl Size {
 
 /// How many robots are examined for the trust in modalities.
 fn examined(problem: &Problem) -> usize {
-    let graphs = problem.graphs.iter();
-    let compared = graphs.filter(|graph| graph.weight > 0.0 && !graph.matrix.is_zero());
-    let names: Vec<&Modality> = compared.map(|graph| &graph.name).collect();
+    let compared: Vec<&Graph> = problem
+        .graphs
+        .iter()
+        .filter(|graph| graph.weight > 0.0 && !graph.matrix.is_zero())
+        .collect();
     let robots = problem.robots.len();
-    let is_in_question = names.len() >= EXAMINED_MODALITIES
+    let is_in_question = compared.len() >= EXAMINED_MODALITIES
         && robots >= EXAMINED_ROBOTS
-        && names.iter().any(|name| !problem.settings.trusted.contains(name));
-    if is_in_question { robots.min(EXAMINED_AT_ONCE) } else { 0 }
+        && compared.iter().any(|graph| !problem.settings.trusted.contains(&graph.name));
+    if !is_in_question {
+        return 0;
+    }
+    let edges: usize = compared.iter().map(|graph| graph.matrix.edges()).sum();
+    let (least, most) = (*EXAMINED_AT_ONCE.start(), *EXAMINED_AT_ONCE.end());
+    robots.min((EXAMINED_EDGES / edges.max(1)).clamp(least, most))
 }
 
 /// The next whole number.

@@ -63,7 +63,7 @@ All keys, with what is taken where they are left out:
   trusted     list of modalities, or "all": those that keep their whole weight even where they contradict
               the others; [], and "all" where "normalize" is "spectral" or "none". A file of fewer than
               three modalities or eight robots is not examined
-  alpha       a number below 1/ρ, or {"fraction": 0.8} of 1/ρ (default)
+  alpha       a number below 1/ρ, or {"fraction": 0.6} of 1/ρ (default)
   dimension   even, from 2 to twice the number of robots, or "auto" (default)
   scale       "sqrt-sigma" (default), "inverse-sqrt-sigma" or "none"
   rows        "unit" (default) or "none"
