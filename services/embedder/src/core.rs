@@ -282,7 +282,8 @@ impl Core for Embedder {
         }
         let retry = self.flight.retry_at().filter(|_| !view.is_job_running());
         let retry = retry.filter(|_| self.wanted().is_some());
-        let due = [follow, Some(self.teams.due()), retry, self.heartbeat, self.rest, self.orders_old];
+        let due =
+            [follow, Some(self.teams.due()), retry, self.heartbeat, self.rest, self.orders_old];
         due.into_iter().flatten().min()
     }
 

@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::Normalization;
-use muster_numeric::fuse::{degree_scaled, fuse_scaled};
+use muster_numeric::fuse::{degree_scaled, fuse_scaled, raised_degrees};
 use muster_numeric::matrix::{MatrixError, SparseMatrix};
 use muster_numeric::norm_band::NormBand;
 
@@ -281,7 +281,7 @@ fn by_degrees(
     before: Option<Scale>,
     hysteresis: f64,
 ) -> Result<(Arc<SparseMatrix>, Scale), MatrixError> {
-    let (mut outgoing, mut incoming) = matrix.degrees();
+    let (mut outgoing, mut incoming) = raised_degrees(matrix);
     let mut exact = true;
     if let Some(Scale::Degrees { outgoing: out_before, incoming: in_before, .. }) = before {
         for (degrees, before) in [(&mut outgoing, out_before), (&mut incoming, in_before)] {

@@ -11,37 +11,48 @@ use crate::graph::Frame;
 /// The weight of each graph of a frame, in its order.
 ///
 /// An empty `set` means the default weights, by the share of the robots that each modality relates, divided
-/// by their sum. Weights of modalities that the frame does not have are shared out among those that it has,
-/// in proportion.
+/// by their sum. Weights of modalities that the frame does not have, or that have no edge in it, are shared out
+/// among the others, in proportion.
 ///
 /// # Errors
 /// [`MethodError::Weightless`] where no modality of the frame has a weight.
 pub fn weights(set: &BTreeMap<Modality, f64>, frame: &Frame) -> Result<Vec<f64>, MethodError> {
+    let robots = frame.robots.len();
+    let related: Vec<f64> =
+        frame.graphs.iter().map(|(_, graph)| graph.related_share(robots)).collect();
+    let nothing = related.iter().all(|related| *related <= 0.0);
+    // Beside graphs with edges, one without has no weight that self-loops would be measured by.
+    let is_used = |related: f64| nothing || related > 0.0;
+    let graphs = || frame.graphs.iter().zip(&related);
     if set.is_empty() {
-        let robots = frame.robots.len();
-        let weight = |(name, graph): &(Modality, crate::Graph)| {
-            default_weight(name, graph.related_share(robots))
+        let weight = |((name, _), related): (&(Modality, crate::Graph), &f64)| {
+            if is_used(*related) { default_weight(name, *related) } else { 0.0 }
         };
-        let weights: Vec<f64> = frame.graphs.iter().map(weight).collect();
+        let weights: Vec<f64> = graphs().map(weight).collect();
         let sum: f64 = weights.iter().sum();
         return Ok(weights.into_iter().map(|weight| weight / sum).collect());
     }
-    let names = || frame.graphs.iter().map(|(name, _)| name);
-    let weights: Vec<f64> = names().map(|name| set.get(name).copied().unwrap_or(0.0)).collect();
-    let present: f64 = weights.iter().sum();
-    if present <= 0.0 && !weights.is_empty() {
+    let set_of = |name: &Modality| set.get(name).copied().unwrap_or(0.0);
+    let all: Vec<f64> = graphs().map(|((name, _), _)| set_of(name)).collect();
+    if all.iter().sum::<f64>() <= 0.0 && !all.is_empty() {
         // Without robots there is nothing to weigh, and the empty division is still wanted.
         if frame.robots.is_empty() {
-            return Ok(weights);
+            return Ok(all);
         }
-        let names: Vec<_> = names().map(Modality::as_str).collect();
+        let names: Vec<_> = frame.graphs.iter().map(|(name, _)| name.as_str()).collect();
         return Err(MethodError::Weightless { modalities: names.join(", ") });
     }
+    let used = all.iter().zip(&related);
+    let used: Vec<f64> =
+        used.map(|(weight, related)| if is_used(*related) { *weight } else { 0.0 }).collect();
+    // Where all graphs that have a weight are empty, nothing is divided in any case.
+    let weights = if used.iter().sum::<f64>() > 0.0 { used } else { all };
     // Where nothing is missing, the weights stay as the operator wrote them.
     let positive = |weights: &mut dyn Iterator<Item = f64>| weights.filter(|w| *w > 0.0).count();
     if positive(&mut weights.iter().copied()) == positive(&mut set.values().copied()) {
         return Ok(weights);
     }
+    let present: f64 = weights.iter().sum();
     Ok(weights.into_iter().map(|weight| weight / present).collect())
 }
 

@@ -276,7 +276,7 @@ impl Default for EmbedderSettings {
             trusted: Trusted::default(),
             alpha: Alpha::Fraction { fraction: 0.6 },
             dimension: Dimension::Auto,
-            scale: SingularValueScaling::SqrtSigma,
+            scale: SingularValueScaling::None,
             rows: RowScaling::Unit,
             hysteresis: 0.1,
             residual_tolerance: 1e-6,

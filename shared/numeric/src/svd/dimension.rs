@@ -17,9 +17,8 @@ pub use super::spectrum::Spectrum;
 use super::spectrum::null_threshold;
 
 /// A drop is large from this share of the largest one, in logarithms. Over the kinds of fleets that defaults are
-/// chosen on (`muster-experiments situations`) 0.2 to 0.6 are alike; with less, noise looks like a group, and
-/// with more, a wide group beside dense ones is missed.
-pub const LARGE_DROP_SHARE: f64 = 0.4;
+/// chosen on and the formations, 0.6 and 0.75 are alike; below, noise and lone leaders look like a group.
+pub const LARGE_DROP_SHARE: f64 = 0.75;
 
 /// Ratios up to this one are no drop: the values are equal except for rounding.
 pub const FLAT_RATIO: f64 = 1.0 + 1e-9;
@@ -195,8 +194,8 @@ mod tests {
 
     #[test]
     fn the_previous_dimension_is_kept_where_the_choice_is_close() {
-        // Drops in logarithms: 1, 0.35, 0.2 times that of the first two.
-        let close = [4.0, 4.0, 2.0, 0.5_f64.powf(0.35) * 2.0, 0.5_f64.powf(0.55) * 2.0];
+        // Drops in logarithms: 1, 0.7, 0.2 times that of the first two.
+        let close = [4.0, 4.0, 2.0, 0.5_f64.powf(0.7) * 2.0, 0.5_f64.powf(0.9) * 2.0];
         assert_eq!(chosen(&close, 2, 4, None), 2);
         for (previous, kept) in [(1, 2), (2, 2), (3, 3), (4, 2), (5, 2), (6, 2)] {
             assert_eq!(chosen(&close, 2, 4, Some(previous)), kept);
@@ -204,7 +203,7 @@ mod tests {
         assert_eq!(chosen(&close, 3, 4, Some(2)), 3, "not every node has a non-zero embedding");
         assert_eq!(chosen(&close, 2, 2, Some(3)), 2, "it is outside of the range");
         // A new group with a direction of its own is followed at once.
-        let more = [4.0, 4.0, 2.0, 0.5_f64.powf(0.5) * 2.0, 0.5_f64.powf(0.7) * 2.0];
+        let more = [4.0, 4.0, 2.0, 0.5_f64.powf(0.8) * 2.0, 0.5_f64.powf(0.9) * 2.0];
         assert_eq!(chosen(&more, 2, 4, Some(2)), 3);
     }
 
@@ -218,9 +217,9 @@ mod tests {
 
     #[test]
     fn last_large_drop_within_the_range() {
-        // The logarithm of the last drop is 0.38 and 0.42 of the largest.
-        assert_eq!(choose_dimension(&[9.0, 8.0, 4.0, 2.08, 1.60, 1.55], 5), 3);
-        assert_eq!(choose_dimension(&[9.0, 8.0, 4.0, 2.08, 1.55, 1.50], 5), 4);
+        // The logarithms are 0.96 and 0.76 of the largest.
+        assert_eq!(choose_dimension(&[9.0, 8.0, 4.0, 2.08, 1.25, 1.2], 5), 3);
+        assert_eq!(choose_dimension(&[9.0, 8.0, 4.0, 2.08, 1.22, 1.2], 5), 4);
         assert_eq!(choose_dimension(&[9.0, 8.0, 7.0, 1.0, 0.9], 4), 3);
         assert_eq!(choose_dimension(&[9.0, 8.0, 7.0, 1.0, 0.9], 2), 2);
         // The drop after the first value is outside of the range.
