@@ -220,13 +220,13 @@ mod tests {
     use super::*;
     use crate::formations::Radio;
     use crate::moving::plan::Planned;
-    use crate::moving::run::Setup;
+    use crate::moving::run::{Count, Setup};
     use crate::seeds::TRAINING;
 
     #[test]
     fn every_mission_has_its_row_and_its_records() {
         let setup =
-            Setup { robots: 48, teams: 4, case: Case::Split, radio: Radio::Range, fault: None };
+            Setup { robots: 48, teams: 4, case: Case::Split, radio: Radio::Range, fault: None, count: Count::Chosen };
         let seeds: Vec<u64> = TRAINING.take(2).collect();
         let found = tried(&Planned { setup, seeds: 2 }, &seeds, &|_| ()).unwrap();
         let mut page = Page::default();

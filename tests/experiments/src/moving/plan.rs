@@ -6,7 +6,7 @@ use super::faults::{Fault, Sense};
 use super::measures::{GRACE_S, Outcome};
 use super::mission::Case;
 use super::pipeline::AllSettings;
-use super::run::{RunError, Setup, run};
+use super::run::{Count, RunError, Setup, run};
 use crate::experiments::Progress;
 use crate::formations::Radio;
 
@@ -68,7 +68,14 @@ pub fn planned(quick: bool) -> Vec<Planned> {
     let mut all = Vec::new();
     for (robots, teams, seeds, faulty) in if quick { &QUICK_FLEETS[..] } else { &FLEETS[..] } {
         let setup =
-            |case, radio, fault| Setup { robots: *robots, teams: *teams, case, radio, fault };
+            |case, radio, fault| Setup {
+                robots: *robots,
+                teams: *teams,
+                case,
+                radio,
+                fault,
+                count: Count::Chosen,
+            };
         for case in Case::ALL {
             let is_in_nets =
                 *robots <= SMALL_FLEET_ROBOTS || matches!(case, Case::March | Case::Split);
