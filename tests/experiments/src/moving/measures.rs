@@ -21,9 +21,6 @@ pub const FOLLOWED_SHARE: f64 = 0.95;
 /// Comparisons before the next change, or the end, that must find it at least: a second.
 const LEAST_SAMPLES: usize = 10;
 
-/// How long after a change of the truth a division may be wrong, in seconds: the goal.
-pub const GRACE_S: f64 = 2.0;
-
 /// One comparison.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
@@ -71,17 +68,9 @@ pub struct Outcome {
 impl Outcome {
     /// The mean of a number over all samples after the start.
     pub fn mean(&self, number: impl Fn(&Sample) -> f64) -> f64 {
-        mean_of(&self.series, |sample| sample.t >= START_TIME_S, number)
-    }
-
-    /// The same without the samples within [`GRACE_S`] of a change of the truth.
-    pub fn settled_mean(&self, number: impl Fn(&Sample) -> f64) -> f64 {
-        let is_settled = |sample: &Sample| {
-            let just =
-                |change: &Following| (change.at..change.at + GRACE_S - 1e-9).contains(&sample.t);
-            sample.t >= START_TIME_S && !self.followings.iter().any(just)
-        };
-        mean_of(&self.series, is_settled, number)
+        let after = self.series.iter().filter(|sample| sample.t >= START_TIME_S);
+        let numbers: Vec<f64> = after.map(number).collect();
+        numbers.iter().sum::<f64>() / (numbers.len() as f64).max(1.0)
     }
 
     /// How often the dimension of the embedding changed after the start.
@@ -95,15 +84,6 @@ impl Outcome {
             .collect();
         after.windows(2).filter(|two| two[0] != two[1]).count()
     }
-}
-
-fn mean_of(
-    series: &[Sample],
-    counts: impl Fn(&Sample) -> bool,
-    number: impl Fn(&Sample) -> f64,
-) -> f64 {
-    let numbers: Vec<f64> = series.iter().filter(|s| counts(s)).map(number).collect();
-    numbers.iter().sum::<f64>() / (numbers.len() as f64).max(1.0)
 }
 
 /// Compares a mission's divisions with the truth.
