@@ -5,7 +5,7 @@ use crate::formations::{Formation, Radio};
 use crate::methods::{DivisionError, Method};
 use crate::moving::mission::Case;
 use crate::moving::plan::Curve;
-use crate::moving::run::Setup;
+use crate::moving::run::{Count, Setup};
 use crate::paper;
 use crate::plots::dots::{Row, dots};
 use crate::plots::lines::{Panel, Point, Series, lines};
@@ -148,8 +148,8 @@ const DRAWN: usize = 5;
 pub fn missions(curves: &[Curve]) -> Result<String, PlotError> {
     let panel = |case: Case| {
         let of_case = |curve: &&Curve| {
-            let Setup { case: of, radio, fault, .. } = curve.setup;
-            (of, radio, fault) == (case, Radio::Range, None)
+            let Setup { case: of, radio, fault, count, .. } = curve.setup;
+            (of, radio, fault, count) == (case, Radio::Range, None, Count::Chosen)
         };
         let shapes = [Shape::Disc, Shape::Square, Shape::Triangle, Shape::Diamond, Shape::Wedge];
         let series = |(at, curve): (usize, &Curve)| {

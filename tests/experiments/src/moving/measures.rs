@@ -5,7 +5,6 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use muster_model::content::Checked;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::teams::Teams;
 use muster_numeric::matching::{MatchError, match_by_overlap, overlap_table};
@@ -19,11 +18,8 @@ pub const START_TIME_S: f64 = 3.0;
 /// What counts as following, as a share of robots in the right team.
 pub const FOLLOWED_SHARE: f64 = 0.95;
 
-/// Comparisons in a row that must find it: a second.
-const FOLLOWED_SAMPLES: usize = 10;
-
-/// How long after a change of the truth a division may be wrong, in seconds: the goal.
-pub const GRACE_S: f64 = 2.0;
+/// Comparisons before the next change, or the end, that must find it at least: a second.
+const LEAST_SAMPLES: usize = 10;
 
 /// One comparison.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,7 +58,8 @@ pub struct Outcome {
     pub series: Vec<Sample>,
     /// How the changes of the truth were followed, in order.
     pub followings: Vec<Following>,
-    /// Changes of a robot's team that the truth does not have, in all.
+    /// Changes of a robot's team that the truth does not have, in all: every one but the first into the team that
+    /// is matched with its true one after that has become another.
     pub needless: usize,
     /// The same per robot and minute.
     pub needless_rate: f64,
@@ -71,17 +68,9 @@ pub struct Outcome {
 impl Outcome {
     /// The mean of a number over all samples after the start.
     pub fn mean(&self, number: impl Fn(&Sample) -> f64) -> f64 {
-        mean_of(&self.series, |sample| sample.t >= START_TIME_S, number)
-    }
-
-    /// The same without the samples within [`GRACE_S`] of a change of the truth.
-    pub fn settled_mean(&self, number: impl Fn(&Sample) -> f64) -> f64 {
-        let is_settled = |sample: &Sample| {
-            let just =
-                |change: &Following| (change.at..change.at + GRACE_S - 1e-9).contains(&sample.t);
-            sample.t >= START_TIME_S && !self.followings.iter().any(just)
-        };
-        mean_of(&self.series, is_settled, number)
+        let after = self.series.iter().filter(|sample| sample.t >= START_TIME_S);
+        let numbers: Vec<f64> = after.map(number).collect();
+        numbers.iter().sum::<f64>() / (numbers.len() as f64).max(1.0)
     }
 
     /// How often the dimension of the embedding changed after the start.
@@ -97,26 +86,18 @@ impl Outcome {
     }
 }
 
-fn mean_of(
-    series: &[Sample],
-    counts: impl Fn(&Sample) -> bool,
-    number: impl Fn(&Sample) -> f64,
-) -> f64 {
-    let numbers: Vec<f64> = series.iter().filter(|s| counts(s)).map(number).collect();
-    numbers.iter().sum::<f64>() / (numbers.len() as f64).max(1.0)
-}
-
 /// Compares a mission's divisions with the truth.
 #[derive(Debug)]
 pub struct Scorer<'a> {
     mission: &'a Mission,
     places: HashMap<RobotId, usize>,
-    last: Option<Checked<Teams>>,
     ids: Vec<TeamId>,
-    /// The team of each robot now, by place in `ids`.
-    now: Vec<Option<usize>>,
-    /// How often each robot's team has changed.
-    changes: Vec<usize>,
+    /// The team of each robot, by place in `ids`.
+    found: Vec<Option<usize>>,
+    /// The true team of each robot when its team was last changed for that.
+    served: Vec<Option<usize>>,
+    /// Changes of a robot's team that the truth does not have.
+    needless: usize,
     series: Vec<Sample>,
 }
 
@@ -126,13 +107,14 @@ impl<'a> Scorer<'a> {
     pub fn new(mission: &'a Mission) -> Self {
         let robots = &mission.fleet.robots;
         let places = robots.iter().enumerate().map(|(place, robot)| (robot.name.clone(), place));
+        let served = (0..robots.len()).map(|robot| mission.team(robot, 0.0)).collect();
         Self {
             mission,
             places: places.collect(),
-            last: None,
             ids: Vec::new(),
-            now: vec![None; robots.len()],
-            changes: vec![0; robots.len()],
+            found: vec![None; robots.len()],
+            served,
+            needless: 0,
             series: Vec::new(),
         }
     }
@@ -144,16 +126,14 @@ impl<'a> Scorer<'a> {
     pub fn compare(
         &mut self,
         t: f64,
-        teams: Option<&Checked<Teams>>,
         silhouette: Option<f64>,
         dimension: u32,
     ) -> Result<(), MatchError> {
-        self.accept(t, teams);
-        let robots = self.now.len();
-        let truth: Vec<_> = (0..robots).map(|robot| self.mission.team(robot, t)).collect();
+        let robots = self.found.len();
+        let truth = self.truth(t);
         // Robots without a team are together in one that is none of the true ones.
         let none = self.ids.len();
-        let found: Vec<usize> = self.now.iter().map(|id| id.unwrap_or(none)).collect();
+        let found: Vec<usize> = self.found.iter().map(|id| id.unwrap_or(none)).collect();
         let rand = adjusted_rand_index(&compact(&found), &truth)?;
         let right = self.right(&truth)?;
         let share = |counts: &dyn Fn(usize) -> bool| {
@@ -169,13 +149,16 @@ impl<'a> Scorer<'a> {
         Ok(())
     }
 
-    /// Accepts a division, if it is a new one.
-    fn accept(&mut self, t: f64, teams: Option<&Checked<Teams>>) {
-        let Some(teams) = teams else { return };
-        if self.last.as_ref().is_some_and(|last| last.ptr_eq(teams)) {
-            return;
-        }
-        let mut now = vec![None; self.now.len()];
+    fn truth(&self, t: f64) -> Vec<Option<usize>> {
+        (0..self.found.len()).map(|robot| self.mission.team(robot, t)).collect()
+    }
+
+    /// Accepts a division that has come at a moment, and counts the robots that have changed team for nothing.
+    ///
+    /// # Errors
+    /// As [`Scorer::compare`].
+    pub fn accept(&mut self, t: f64, teams: &Teams) -> Result<(), MatchError> {
+        let mut found = vec![None; self.found.len()];
         for (robot, team) in teams.assignments() {
             let id = match self.ids.iter().position(|id| id == team) {
                 Some(id) => id,
@@ -185,22 +168,33 @@ impl<'a> Scorer<'a> {
                 }
             };
             if let Some(place) = self.places.get(robot) {
-                now[*place] = Some(id);
+                found[*place] = Some(id);
             }
         }
-        for (robot, (new, old)) in now.iter().zip(&self.now).enumerate() {
-            let counts = t >= START_TIME_S && !self.mission.is_silent(robot, t);
-            self.changes[robot] += usize::from(counts && new != old);
+        let before = std::mem::replace(&mut self.found, found);
+        if t < START_TIME_S || before == self.found {
+            return Ok(());
         }
-        self.now = now;
-        self.last = Some(teams.clone());
+        let truth = self.truth(t);
+        let right = self.right(&truth)?;
+        for (robot, old) in before.iter().enumerate() {
+            if *old == self.found[robot] || truth[robot].is_none() {
+                continue;
+            }
+            if right[robot] && self.served[robot] != truth[robot] {
+                self.served[robot] = truth[robot];
+            } else {
+                self.needless += 1;
+            }
+        }
+        Ok(())
     }
 
     /// Whether each robot is in the right team.
     fn right(&self, truth: &[Option<usize>]) -> Result<Vec<bool>, MatchError> {
-        let here: Vec<usize> = (0..truth.len()).filter(|at| self.now[*at].is_some()).collect();
+        let here: Vec<usize> = (0..truth.len()).filter(|at| self.found[*at].is_some()).collect();
         let found: Vec<usize> =
-            compact(&here.iter().filter_map(|at| self.now[*at]).collect::<Vec<_>>());
+            compact(&here.iter().filter_map(|at| self.found[*at]).collect::<Vec<_>>());
         let of_those: Vec<Option<usize>> = here.iter().map(|at| truth[*at]).collect();
         let count = found.iter().max().map_or(0, |most| most + 1);
         let true_teams = self.mission.fleet.teams + 1;
@@ -229,23 +223,21 @@ impl<'a> Scorer<'a> {
                 until_next_s: next(number) - at,
             })
             .collect();
-        let needless: usize = (self.changes.iter().enumerate())
-            .map(|(robot, changes)| changes.saturating_sub(self.mission.moves(robot)))
-            .sum();
         let minutes = (end - START_TIME_S) / 60.0;
-        let needless_rate = needless as f64 / (minutes * self.changes.len() as f64);
-        Outcome { series: self.series, followings, needless, needless_rate }
+        let needless_rate = self.needless as f64 / (minutes * self.found.len() as f64);
+        Outcome { series: self.series, followings, needless: self.needless, needless_rate }
     }
 }
 
-/// After how many seconds all and those involved are in the right team by [`FOLLOWED_SHARE`], and stay so for a second.
+/// After how many seconds [`FOLLOWED_SHARE`] of all robots and of those involved are in the right team, and stay so.
 fn followed(series: &[Sample], at: f64, until: f64) -> Option<f64> {
     let within: Vec<&Sample> =
         series.iter().filter(|s| s.t >= at - 1e-9 && s.t < until - 1e-9).collect();
-    let good =
-        |sample: &&Sample| sample.accuracy >= FOLLOWED_SHARE && sample.involved >= FOLLOWED_SHARE;
-    let runs = within.windows(FOLLOWED_SAMPLES).find(|run| run.iter().all(good))?;
-    Some(runs[0].t - at)
+    let is_good =
+        |sample: &&&Sample| sample.accuracy >= FOLLOWED_SHARE && sample.involved >= FOLLOWED_SHARE;
+    let good = within.iter().rev().take_while(is_good).count();
+    // A moment before the end proves nothing.
+    (good >= LEAST_SAMPLES).then(|| within[within.len() - good].t - at)
 }
 
 /// The same labels by numbers from 0 without gaps.
@@ -263,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn following_must_last_a_second() {
+    fn following_must_last() {
         let mut series: Vec<Sample> =
             (0..60).map(|step| sample(f64::from(step) / 10.0, 1.0)).collect();
         for step in [20, 21, 22, 25] {

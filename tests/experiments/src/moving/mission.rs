@@ -28,13 +28,19 @@ pub const REST_NOISE: f64 = 0.1;
 pub const STRUCK_SHARE: f64 = 0.1;
 
 /// When radios fail and work again, and when robots fall silent, in seconds.
-const RADIOS_FAIL_S: (f64, f64) = (8.0, 14.0);
+const RADIOS_FAIL_S: (f64, f64) = (5.0, 9.0);
 /// See [`RADIOS_FAIL_S`].
-const SILENT_FROM_S: f64 = 18.0;
+const SILENT_FROM_S: f64 = 11.0;
 
 /// How teams, squads and robots sway about their places: amplitude in metres, shortest and longest period in
 /// seconds.
 const SWAY: [(f64, f64, f64); 3] = [(2.0, 20.0, 30.0), (1.0, 12.0, 20.0), (0.5, 5.0, 10.0)];
+
+/// When a part of the fleet gets another task, and when it goes back, in seconds: long enough to see whether the
+/// change was followed, and short enough for many seeds.
+const CHANGE_S: f64 = 5.0;
+/// See [`CHANGE_S`].
+const BACK_S: f64 = 13.0;
 
 /// What a fleet lives through.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -43,8 +49,7 @@ pub enum Case {
     Rest,
     /// All march, and nothing changes.
     March,
-    /// A part of a team gets a task of its own, and later comes back. The operator asks for one team more, and
-    /// later for one less.
+    /// A part of a team gets a task of its own, and later comes back.
     Split,
     /// A team splits while another one joins a third, and later all go back. The number of teams stays.
     Regroup,
@@ -60,9 +65,9 @@ impl Case {
     #[must_use]
     pub fn lasts_s(self) -> f64 {
         match self {
-            Self::Rest | Self::March => 20.0,
-            Self::Split | Self::Regroup => 28.0,
-            Self::Losses => 26.0,
+            Self::Rest | Self::March => 13.0,
+            Self::Split | Self::Regroup => 20.0,
+            Self::Losses => 17.0,
         }
     }
 
@@ -71,8 +76,10 @@ impl Case {
     pub fn phases(self) -> &'static [(f64, Act)] {
         match self {
             Self::Rest | Self::March | Self::Losses => &[(0.0, Act::Together)],
-            Self::Split => &[(0.0, Act::Together), (8.0, Act::Split), (18.0, Act::Together)],
-            Self::Regroup => &[(0.0, Act::Together), (8.0, Act::Regroup), (18.0, Act::Together)],
+            Self::Split => &[(0.0, Act::Together), (CHANGE_S, Act::Split), (BACK_S, Act::Together)],
+            Self::Regroup => {
+                &[(0.0, Act::Together), (CHANGE_S, Act::Regroup), (BACK_S, Act::Together)]
+            }
         }
     }
 }
@@ -167,7 +174,7 @@ impl Mission {
         self.case.phases().iter().skip(1).copied()
     }
 
-    /// How many teams the operator asks for.
+    /// How many teams there are.
     #[must_use]
     pub fn teams_asked(&self, t: f64) -> usize {
         self.fleet.teams + usize::from(self.act(t) == Act::Split)
@@ -326,24 +333,24 @@ mod tests {
     fn orders_change_with_the_truth() {
         let mission = mission(Case::Regroup);
         let head = mission.fleet.head;
-        assert_eq!(mission.team(head, 7.9), Some(SPLITS));
-        assert_eq!(mission.team(head, 8.0), Some(4));
-        assert_eq!(mission.superior(head, 8.0), Some(0));
+        assert_eq!(mission.team(head, CHANGE_S - 0.1), Some(SPLITS));
+        assert_eq!(mission.team(head, CHANGE_S), Some(4));
+        assert_eq!(mission.superior(head, CHANGE_S), Some(0));
         let joins = mission.fleet.leaders[JOINS];
-        assert_eq!(mission.team(joins, 8.0), Some(JOINED));
-        assert_eq!(mission.superior(joins, 8.0), Some(mission.fleet.leaders[JOINED]));
-        assert_eq!(mission.team(joins, 18.0), Some(JOINS));
+        assert_eq!(mission.team(joins, CHANGE_S), Some(JOINED));
+        assert_eq!(mission.superior(joins, CHANGE_S), Some(mission.fleet.leaders[JOINED]));
+        assert_eq!(mission.team(joins, BACK_S), Some(JOINS));
         assert_eq!((mission.moves(head), mission.moves(joins), mission.moves(0)), (2, 2, 0));
     }
 
     #[test]
     fn no_robot_answers_to_a_silent_one() {
         let mission = mission(Case::Losses);
-        let silent = (0..48).filter(|robot| mission.is_silent(*robot, 20.0)).count();
+        let silent = (0..48).filter(|robot| mission.is_silent(*robot, SILENT_FROM_S)).count();
         assert!(silent > 0);
-        for robot in (0..48).filter(|robot| !mission.is_silent(*robot, 20.0)) {
-            let superior = mission.superior(robot, 20.0);
-            assert!(superior.is_none_or(|s| s != robot && !mission.is_silent(s, 20.0)));
+        for robot in (0..48).filter(|robot| !mission.is_silent(*robot, SILENT_FROM_S)) {
+            let superior = mission.superior(robot, SILENT_FROM_S);
+            assert!(superior.is_none_or(|s| s != robot && !mission.is_silent(s, SILENT_FROM_S)));
         }
     }
 }

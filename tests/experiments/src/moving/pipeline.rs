@@ -1,7 +1,8 @@
 //! The cores of all services in one thread and in virtual time.
 //!
-//! Messages are delivered at once and unchanged: the bus is tested elsewhere. Fetches find nothing, as on a new bus
-//! that loses nothing. A job takes as long as the settings say.
+//! Messages travel and jobs run for as long as on a live system, or for no time: a service that is busy goes on with
+//! the newest of what has come meanwhile. Messages are delivered unchanged, since the bus is tested elsewhere.
+//! Fetches find nothing, as on a new bus that loses nothing.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -13,6 +14,7 @@ use muster_embedder::Embedder;
 use muster_ingest::Ingest;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
+use muster_model::embedding::Embedding;
 use muster_model::graph::GraphReplica;
 use muster_model::id::{FleetId, IdError, InstanceId, Modality, ServiceName};
 use muster_model::settings::{
@@ -25,6 +27,8 @@ use muster_service::{
     Arrival, Command, Core, GetId, Host, IncomingGet, Input, Start, Stopwatch, Stored,
 };
 use muster_wire::{Key, KeySpace, Message};
+
+use super::times::{Leg, Times};
 
 /// How long a service that starts repeats its unanswered query.
 const START_TIME: Duration = START_RETRY_TIME;
@@ -40,8 +44,6 @@ pub struct AllSettings {
     pub clusterer: ClustererSettings,
     /// Of `auditor`.
     pub auditor: AuditorSettings,
-    /// How long a job takes.
-    pub job_takes: Duration,
 }
 
 /// Why there is no pipeline, or it refuses an order.
@@ -59,19 +61,17 @@ pub enum PipelineError {
 struct Stage<C: Core> {
     host: Host<C>,
     space: KeySpace,
+    /// What takes as long as a job.
+    job: Leg,
     /// What a job has led to, and when that is known.
     done: Option<(Tick, C::Done)>,
-    job_takes: Duration,
+    /// Nothing is handled before this.
+    busy_until: Tick,
     refusal: Option<String>,
 }
 
 impl<C: Core> Stage<C> {
-    fn new(
-        now: Tick,
-        fleet: &FleetId,
-        settings: C::Settings,
-        job_takes: Duration,
-    ) -> Result<Self, IdError> {
+    fn new(now: Tick, fleet: &FleetId, settings: C::Settings, job: Leg) -> Result<Self, IdError> {
         let start = Start {
             fleet: fleet.clone(),
             instance: InstanceId::new(C::SERVICE.as_str())?,
@@ -80,32 +80,35 @@ impl<C: Core> Stage<C> {
             stored: Stored::default(),
         };
         let space = KeySpace::new(fleet.clone());
-        Ok(Self { host: Host::new(start), space, done: None, job_takes, refusal: None })
+        let host = Host::new(start);
+        Ok(Self { host, space, job, done: None, busy_until: now, refusal: None })
     }
 
     fn due(&self) -> Option<Tick> {
-        self.host.deadline().into_iter().chain(self.done.as_ref().map(|(at, _)| *at)).min()
+        let due = self.host.deadline().into_iter().chain(self.done.as_ref().map(|(at, _)| *at));
+        due.min().map(|due| due.max(self.busy_until))
     }
 
-    /// Does what is due.
-    fn wake(&mut self, now: Tick, out: &mut VecDeque<Message>) {
+    /// Does what is due, and returns what is published.
+    fn wake(&mut self, now: Tick, times: &mut Option<Times>) -> Vec<Message> {
         match self.done.take() {
             Some((at, done)) if at <= now => {
                 self.host.finish_job(done);
-                self.step(now, Input::JobEnded { laps: Vec::new(), panic: None }, out);
+                self.step(now, Input::JobEnded { laps: Vec::new(), panic: None }, times)
             }
             done => {
                 self.done = done;
-                self.step(now, Input::Timer, out);
+                self.step(now, Input::Timer, times)
             }
         }
     }
 
-    fn receive(&mut self, now: Tick, message: Message, out: &mut VecDeque<Message>) {
-        self.step(now, Input::Arrived(Arrival::of_message(&self.space, message)), out);
+    fn receive(&mut self, now: Tick, message: Message, times: &mut Option<Times>) -> Vec<Message> {
+        self.step(now, Input::Arrived(Arrival::of_message(&self.space, message)), times)
     }
 
-    fn step(&mut self, now: Tick, input: Input, out: &mut VecDeque<Message>) {
+    fn step(&mut self, now: Tick, input: Input, times: &mut Option<Times>) -> Vec<Message> {
+        let mut out = Vec::new();
         let mut inputs = VecDeque::from([input]);
         while let Some(input) = inputs.pop_front() {
             for command in self.host.handle(now, input) {
@@ -114,7 +117,8 @@ impl<C: Core> Stage<C> {
                     Command::RunJob => {
                         let job = self.host.take_job();
                         let done = job.map(|job| C::run(job, &mut Stopwatch::still()));
-                        self.done = done.map(|done| (now.after(self.job_takes), done));
+                        let takes = time(times, self.job);
+                        self.done = done.map(|done| (now.after(takes), done));
                     }
                     Command::Ask(ask) => {
                         inputs.push_back(Input::Answered { ask: ask.ask, answers: Vec::new() });
@@ -131,8 +135,28 @@ impl<C: Core> Stage<C> {
                 }
             }
         }
+        out
     }
 }
+
+/// How long something takes; no time where nothing does.
+fn time(times: &mut Option<Times>, leg: Leg) -> Duration {
+    times.as_mut().map_or(Duration::ZERO, |times| times.draw(leg))
+}
+
+/// Who receives messages, and does what is due.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Receiver {
+    Ingest,
+    Embedder,
+    Clusterer,
+    Auditor,
+    /// Who wants to know the teams.
+    Reader,
+}
+
+/// Messages on their way: by arrival, then in the order in which they were sent.
+type Flying = BTreeMap<(Tick, u64), (Receiver, Message)>;
 
 /// All services of a fleet.
 pub struct Pipeline {
@@ -142,12 +166,20 @@ pub struct Pipeline {
     embedder: Stage<Embedder>,
     clusterer: Stage<Clusterer>,
     auditor: Stage<Auditor>,
-    queue: VecDeque<Message>,
+    flying: Flying,
+    sent: u64,
+    /// When the last message of a kind arrives at a receiver: none overtakes another.
+    last_arrivals: BTreeMap<(u8, Receiver), Tick>,
+    times: Option<Times>,
     gets: u64,
-    /// The last division.
+    /// The last division that has reached the reader.
     pub teams: Option<Checked<Teams>>,
+    /// All divisions that have reached the reader since they were last taken, with when.
+    received: Vec<(Tick, Checked<Teams>)>,
     /// Its last audit.
     pub audit: Option<Arc<Audit>>,
+    /// The last embedding.
+    pub embedding: Option<Checked<Embedding>>,
     /// Columns of the last embedding.
     pub dimension: u32,
     /// The graphs that were published last.
@@ -155,42 +187,61 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// Services that have just started.
+    /// Services that have just started. Messages arrive and jobs end at once.
     ///
     /// # Errors
     /// If a name is none, which is not so.
     pub fn new(now: Tick, settings: AllSettings) -> Result<Self, PipelineError> {
         let fleet = FleetId::new("moving")?;
-        let AllSettings { ingest, embedder, clusterer, auditor, job_takes } = settings;
+        let AllSettings { ingest, embedder, clusterer, auditor } = settings;
         // The services lead once their queries for an earlier leader have gone unanswered.
         let began = now.before(START_TIME);
         let mut pipeline = Self {
             now: began,
-            ingest: Stage::new(began, &fleet, ingest, job_takes)?,
-            embedder: Stage::new(began, &fleet, embedder, job_takes)?,
-            clusterer: Stage::new(began, &fleet, clusterer, job_takes)?,
-            auditor: Stage::new(began, &fleet, auditor, job_takes)?,
+            ingest: Stage::new(began, &fleet, ingest, Leg::Frame)?,
+            embedder: Stage::new(began, &fleet, embedder, Leg::Embedding)?,
+            clusterer: Stage::new(began, &fleet, clusterer, Leg::Division)?,
+            auditor: Stage::new(began, &fleet, auditor, Leg::Audit)?,
             space: KeySpace::new(fleet),
-            queue: VecDeque::new(),
+            flying: BTreeMap::new(),
+            sent: 0,
+            last_arrivals: BTreeMap::new(),
+            times: None,
             gets: 0,
             teams: None,
+            received: Vec::new(),
             audit: None,
+            embedding: None,
             dimension: 0,
             graphs: BTreeMap::new(),
         };
         let started = || Input::Started { linked: true };
-        pipeline.embedder.step(began, started(), &mut pipeline.queue);
-        pipeline.clusterer.step(began, started(), &mut pipeline.queue);
-        pipeline.auditor.step(began, started(), &mut pipeline.queue);
-        pipeline.ingest.step(began, started(), &mut pipeline.queue);
+        let out = pipeline.embedder.step(began, started(), &mut None);
+        pipeline.send(out);
+        let out = pipeline.clusterer.step(began, started(), &mut None);
+        pipeline.send(out);
+        let out = pipeline.auditor.step(began, started(), &mut None);
+        pipeline.send(out);
+        let out = pipeline.ingest.step(began, started(), &mut None);
+        pipeline.send(out);
         pipeline.deliver();
         pipeline.advance(now);
         Ok(pipeline)
     }
 
-    /// A message of a robot arrives now.
+    /// The same services, whose messages and jobs take time from here on.
+    #[must_use]
+    pub fn with_times(self, times: Times) -> Self {
+        Self { times: Some(times), ..self }
+    }
+
+    /// A robot sends a message now.
     pub fn receive(&mut self, message: Message) {
-        self.ingest.receive(self.now, message, &mut self.queue);
+        let takes = time(&mut self.times, Leg::Report);
+        // The messages of one robot keep their order, those of others do not matter.
+        let at = self.now.after(takes);
+        self.sent += 1;
+        self.flying.insert((at, self.sent), (Receiver::Ingest, message));
         self.deliver();
     }
 
@@ -204,64 +255,131 @@ impl Pipeline {
         self.gets += 1;
         let (get, parameters) = (GetId(self.gets), String::new());
         let get = IncomingGet { get, selector, narrowed: None, parameters, payload };
-        self.clusterer.step(self.now, Input::Get(get), &mut self.queue);
+        let out = self.clusterer.step(self.now, Input::Get(get), &mut self.times);
+        self.send(out);
         self.deliver();
         self.clusterer.refusal.take().map_or(Ok(()), |reason| Err(PipelineError::Refused(reason)))
     }
 
-    /// Advances the time to a moment, and does everything that is due until then.
+    /// All divisions that have reached the reader since this was last asked, with when.
+    pub fn take_received(&mut self) -> Vec<(Tick, Checked<Teams>)> {
+        std::mem::take(&mut self.received)
+    }
+
+    /// Advances the time to a moment, and does everything that happens until then.
     pub fn advance(&mut self, until: Tick) {
         loop {
-            let dues =
-                [self.ingest.due(), self.embedder.due(), self.clusterer.due(), self.auditor.due()];
-            let next = (0..dues.len()).filter_map(|at| Some((dues[at]?, at))).min();
-            let Some((due, at)) = next.filter(|(due, _)| *due <= until) else { break };
-            self.now = self.now.max(due);
-            let (now, queue) = (self.now, &mut self.queue);
-            match at {
-                0 => self.ingest.wake(now, queue),
-                1 => self.embedder.wake(now, queue),
-                2 => self.clusterer.wake(now, queue),
-                _ => self.auditor.wake(now, queue),
+            let dues = [
+                (self.ingest.due(), Receiver::Ingest),
+                (self.embedder.due(), Receiver::Embedder),
+                (self.clusterer.due(), Receiver::Clusterer),
+                (self.auditor.due(), Receiver::Auditor),
+            ];
+            let due = dues.into_iter().filter_map(|(at, of)| Some((at?, of))).min();
+            let arrival = self.flying.first_key_value().map(|(key, _)| *key);
+            let is_first = |at: Tick| due.is_none_or(|(due, _)| at <= due);
+            if let Some((at, number)) = arrival.filter(|(at, _)| *at <= until && is_first(*at)) {
+                self.now = self.now.max(at);
+                if let Some((receiver, message)) = self.flying.remove(&(at, number)) {
+                    self.arrive(number, receiver, message);
+                }
+            } else if let Some((due, of)) = due.filter(|(due, _)| *due <= until) {
+                self.now = self.now.max(due);
+                self.wake(of);
+            } else {
+                break;
             }
-            self.deliver();
         }
         self.now = self.now.max(until);
     }
 
-    /// Delivers what was published to the services that subscribe to it.
+    /// Delivers the messages that arrive now.
     fn deliver(&mut self) {
-        let now = self.now;
-        while let Some(message) = self.queue.pop_front() {
-            let out = &mut self.queue;
-            match &message {
+        while let Some(((at, number), (receiver, message))) = self.flying.pop_first() {
+            if at > self.now {
+                self.flying.insert((at, number), (receiver, message));
+                break;
+            }
+            self.arrive(number, receiver, message);
+        }
+    }
+
+    /// A service does what is due.
+    fn wake(&mut self, service: Receiver) {
+        let (now, times) = (self.now, &mut self.times);
+        let out = match service {
+            Receiver::Ingest => self.ingest.wake(now, times),
+            Receiver::Embedder => self.embedder.wake(now, times),
+            Receiver::Clusterer => self.clusterer.wake(now, times),
+            Receiver::Auditor => self.auditor.wake(now, times),
+            Receiver::Reader => return,
+        };
+        if service == Receiver::Ingest && out.iter().any(|one| matches!(one, Message::Roster(_))) {
+            self.ingest.busy_until = now.after(time(times, Leg::Frame));
+        }
+        self.send(out);
+    }
+
+    /// A message arrives, which was sent under a number.
+    fn arrive(&mut self, number: u64, receiver: Receiver, message: Message) {
+        let (now, times) = (self.now, &mut self.times);
+        let out = match receiver {
+            Receiver::Ingest if self.ingest.busy_until > now => {
+                self.flying.insert((self.ingest.busy_until, number), (receiver, message));
+                return;
+            }
+            Receiver::Ingest => self.ingest.receive(now, message, times),
+            Receiver::Embedder => self.embedder.receive(now, message, times),
+            Receiver::Clusterer => self.clusterer.receive(now, message, times),
+            Receiver::Auditor => self.auditor.receive(now, message, times),
+            Receiver::Reader => {
+                match message {
+                    Message::Teams { teams, .. } => {
+                        self.teams = Some(teams.clone());
+                        self.received.push((now, teams));
+                    }
+                    Message::Audit(audit) => self.audit = Some(audit),
+                    _ => {}
+                }
+                return;
+            }
+        };
+        self.send(out);
+    }
+
+    /// Sends what was published to the services that subscribe to it.
+    fn send(&mut self, messages: Vec<Message>) {
+        for message in messages {
+            let (leg, receivers): (Leg, &[Receiver]) = match &message {
                 Message::Graph(delta) => {
                     // On this bus nothing is lost, so that every delta applies.
                     let _ = self.graphs.entry(delta.modality.clone()).or_default().apply(delta);
-                    self.embedder.receive(now, message, out);
+                    (Leg::Graphs, &[Receiver::Embedder])
                 }
                 Message::Roster(_) => {
-                    self.embedder.receive(now, message.clone(), out);
-                    self.clusterer.receive(now, message.clone(), out);
-                    self.auditor.receive(now, message, out);
+                    let all = &[Receiver::Embedder, Receiver::Clusterer, Receiver::Auditor];
+                    (Leg::Graphs, all)
                 }
                 Message::Settings(announced) if announced.service == ServiceName::Clusterer => {
-                    self.embedder.receive(now, message, out);
+                    (Leg::Teams, &[Receiver::Embedder])
                 }
                 Message::Embedding(embedding) => {
                     self.dimension = embedding.dimension;
-                    self.clusterer.receive(now, message.clone(), out);
-                    self.auditor.receive(now, message, out);
+                    self.embedding = Some(embedding.clone());
+                    (Leg::Vectors, &[Receiver::Clusterer, Receiver::Auditor])
                 }
-                Message::Teams { teams, .. } => {
-                    self.teams = Some(teams.clone());
-                    self.auditor.receive(now, message, out);
-                }
-                Message::Audit(audit) => {
-                    self.audit = Some(Arc::clone(audit));
-                    self.clusterer.receive(now, message, out);
-                }
-                _ => {}
+                Message::Teams { .. } => (Leg::Teams, &[Receiver::Auditor, Receiver::Reader]),
+                Message::Audit(_) => (Leg::Teams, &[Receiver::Clusterer, Receiver::Reader]),
+                _ => continue,
+            };
+            // What `ingest` publishes leaves once the whole frame is made.
+            let leaves = if leg == Leg::Graphs { self.ingest.busy_until } else { self.now };
+            for receiver in receivers {
+                let at = leaves.max(self.now).after(time(&mut self.times, leg));
+                let last = self.last_arrivals.entry((leg as u8, *receiver)).or_default();
+                *last = at.max(*last);
+                self.sent += 1;
+                self.flying.insert((*last, self.sent), (*receiver, message.clone()));
             }
         }
     }

@@ -3,23 +3,88 @@
 use rayon::prelude::*;
 
 use super::faults::{Fault, Sense};
-use super::measures::{GRACE_S, Outcome};
+use super::measures::Outcome;
 use super::mission::Case;
 use super::pipeline::AllSettings;
-use super::run::{RunError, Setup, run};
+use super::run::{Count, RunError, Setup, run};
 use crate::experiments::Progress;
 use crate::formations::Radio;
 
-/// Fleets: robots, teams, seeds of missions without faults and of those with one. The large ones have few
-/// seeds, as one mission of theirs takes as long as hundreds of the smallest.
-const FLEETS: [(usize, usize, usize, usize); 5] =
-    [(50, 4, 20, 10), (200, 8, 8, 4), (500, 10, 4, 0), (1000, 10, 2, 0), (5000, 10, 1, 0)];
+/// One size of fleets with what is run on it.
+#[derive(Debug, Clone, Copy)]
+struct Size {
+    robots: usize,
+    teams: usize,
+    /// Seeds of each mission.
+    seeds: usize,
+    /// Missions where radios have a range, and where they are nets.
+    in_range: &'static [Case],
+    in_nets: &'static [Case],
+    /// Missions in which the operator chooses the number of teams.
+    told: &'static [Case],
+    /// Seeds of each mission with a fault.
+    faulty: usize,
+}
+
+/// The sizes. The large fleets have few missions, as one of theirs takes as long as hundreds of the smallest.
+const SIZES: [Size; 5] = [
+    Size {
+        robots: 50,
+        teams: 4,
+        seeds: 20,
+        in_range: &Case::ALL,
+        in_nets: &Case::ALL,
+        told: &[Case::Split],
+        faulty: 20,
+    },
+    Size {
+        robots: 200,
+        teams: 8,
+        seeds: 20,
+        in_range: &Case::ALL,
+        in_nets: &[Case::Split],
+        told: &[],
+        faulty: 0,
+    },
+    Size {
+        robots: 500,
+        teams: 10,
+        seeds: 20,
+        in_range: &[Case::Rest, Case::March, Case::Split, Case::Regroup],
+        in_nets: &[],
+        told: &[],
+        faulty: 0,
+    },
+    Size {
+        robots: 1000,
+        teams: 10,
+        seeds: 5,
+        in_range: &[Case::March, Case::Split],
+        in_nets: &[],
+        told: &[],
+        faulty: 0,
+    },
+    Size {
+        robots: 5000,
+        teams: 10,
+        seeds: 5,
+        in_range: &[Case::Split],
+        in_nets: &[],
+        told: &[],
+        faulty: 0,
+    },
+];
 
 /// The same for a quick run.
-const QUICK_FLEETS: [(usize, usize, usize, usize); 1] = [(50, 4, 1, 1)];
-
-/// Fleets above this size have missions of two kinds, on radios of one.
-const SMALL_FLEET_ROBOTS: usize = 500;
+const QUICK_SIZES: [Size; 1] = [Size {
+    robots: 50,
+    teams: 4,
+    seeds: 1,
+    in_range: &Case::ALL,
+    in_nets: &[],
+    told: &[Case::Split],
+    faulty: 1,
+}];
 
 /// Missions that faults are tried on.
 pub const FAULTY_CASES: [Case; 2] = [Case::March, Case::Split];
@@ -66,27 +131,26 @@ pub struct CurvePoint {
 #[must_use]
 pub fn planned(quick: bool) -> Vec<Planned> {
     let mut all = Vec::new();
-    for (robots, teams, seeds, faulty) in if quick { &QUICK_FLEETS[..] } else { &FLEETS[..] } {
-        let setup =
-            |case, radio, fault| Setup { robots: *robots, teams: *teams, case, radio, fault };
-        for case in Case::ALL {
-            let is_in_nets =
-                *robots <= SMALL_FLEET_ROBOTS || matches!(case, Case::March | Case::Split);
-            let radios = if *robots < SMALL_FLEET_ROBOTS && !quick {
-                &Radio::ALL[..]
-            } else {
-                &Radio::ALL[..1]
-            };
-            for radio in radios.iter().filter(|_| is_in_nets) {
-                all.push(Planned { setup: setup(case, *radio, None), seeds: *seeds });
-            }
+    for size in if quick { &QUICK_SIZES[..] } else { &SIZES[..] } {
+        let mut add = |case: &Case, radio, fault, count, seeds| {
+            let Size { robots, teams, .. } = *size;
+            let setup = Setup { robots, teams, case: *case, radio, fault, count };
+            all.push(Planned { setup, seeds });
+        };
+        let kinds = [
+            (size.in_range, Radio::Range, Count::Chosen),
+            (size.in_nets, Radio::Net, Count::Chosen),
+            (size.told, Radio::Range, Count::Told),
+        ];
+        for (cases, radio, count) in kinds {
+            cases.iter().for_each(|case| add(case, radio, None, count, size.seeds));
         }
         let cases = if quick { &FAULTY_CASES[..1] } else { &FAULTY_CASES[..] };
-        for case in cases.iter().copied().filter(|_| *faulty > 0) {
+        for case in cases.iter().filter(|_| size.faulty > 0) {
             for fault in Fault::ALL {
                 for sense in Sense::ALL {
-                    let setup = setup(case, Radio::Range, Some((sense, fault)));
-                    all.push(Planned { setup, seeds: *faulty });
+                    let fault = Some((sense, fault));
+                    add(case, Radio::Range, fault, Count::Chosen, size.faulty);
                 }
             }
         }
@@ -109,12 +173,16 @@ pub fn tried(planned: &Planned, seeds: &[u64], progress: &Progress<'_>) -> Resul
     Ok(Tried { setup, outcomes })
 }
 
-/// Radio and fault in words.
+/// Radio, fault, and who chooses the number of teams, in words.
 #[must_use]
 pub fn condition(setup: &Setup) -> String {
+    let told = match setup.count {
+        Count::Chosen => "",
+        Count::Told => ", number told",
+    };
     match setup.fault {
-        None => setup.radio.to_string(),
-        Some((sense, fault)) => format!("{}, {sense} {fault}", setup.radio),
+        None => format!("{}{told}", setup.radio),
+        Some((sense, fault)) => format!("{}, {sense} {fault}{told}", setup.radio),
     }
 }
 
@@ -131,12 +199,17 @@ impl Tried {
         self.outcomes.iter().map(of).collect()
     }
 
-    /// The share of the seeds on which a change of the truth was followed within [`GRACE_S`].
+    /// Median and largest time in seconds in which a change of the truth was followed, where it never was
+    /// infinite; none where there is no such change.
     #[must_use]
-    pub fn in_time(&self, change: usize) -> f64 {
-        let all = self.took_s(change);
-        let good = all.iter().flatten().filter(|took| **took <= GRACE_S + 1e-9).count();
-        good as f64 / all.len().max(1) as f64
+    pub fn following_s(&self, change: usize) -> Option<(f64, f64)> {
+        if self.outcomes.iter().all(|(_, outcome)| outcome.followings.len() <= change) {
+            return None;
+        }
+        let took = self.took_s(change).into_iter();
+        let mut all: Vec<f64> = took.map(|took| took.unwrap_or(f64::INFINITY)).collect();
+        all.sort_by(f64::total_cmp);
+        Some((*all.get((all.len() - 1) / 2)?, *all.last()?))
     }
 
     /// How the accuracy went, as a mean over seeds.

@@ -3,9 +3,10 @@
 use muster_model::id::RobotId;
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Report};
 use muster_wire::Message;
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use super::chance::normal_pair;
 use super::faults::{Fault, LATE_S, Mask, Sense};
 use super::mission::Mission;
 use super::radio::Air;
@@ -142,14 +143,6 @@ impl<'a> Reports<'a> {
 /// The message of a report; none if its content is wrong, which a simulated robot never reports.
 fn report(robot: RobotId, report: impl Into<Report>) -> Option<Message> {
     CheckedReport::new(robot, report).ok().map(Message::Report)
-}
-
-/// Two independent numbers of the standard normal distribution (Box and Muller 1958).
-fn normal_pair(chance: &mut ChaCha8Rng) -> [f64; 2] {
-    // Within (0, 1], so that the logarithm is finite.
-    let radius = (-2.0 * (1.0 - chance.random::<f64>()).ln()).sqrt();
-    let (sin, cos) = (std::f64::consts::TAU * chance.random::<f64>()).sin_cos();
-    [radius * cos, radius * sin]
 }
 
 #[cfg(test)]
