@@ -213,6 +213,7 @@ mod tests {
             header,
             embedding: Revision::default(),
             requested: 2,
+            considered: vec![],
             teams,
             unassigned,
             stale: vec![],

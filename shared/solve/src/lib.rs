@@ -65,7 +65,7 @@ All keys, with what is taken where they are left out:
               three modalities or eight robots is not examined
   alpha       a number below 1/ρ, or {"fraction": 0.6} of 1/ρ (default)
   dimension   even, from 2 to twice the number of robots, or "auto" (default)
-  scale       "sqrt-sigma" (default), "inverse-sqrt-sigma" or "none"
+  scale       "none" (default), "sqrt-sigma" or "inverse-sqrt-sigma"
   rows        "unit" (default) or "none"
   teams       how many, {"from": 2, "to": 6}, or "auto" (default): by the gap of the values of the fused
               graph; or instead of it:

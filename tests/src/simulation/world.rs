@@ -145,7 +145,7 @@ pub(super) fn places(scale: &Scale) -> Vec<Place> {
 }
 
 /// The configuration files of a seed.
-fn files(chance: &mut Chance, robots: usize) -> BTreeMap<ServiceName, Value> {
+fn files(seed: u64, chance: &mut Chance, robots: usize) -> BTreeMap<ServiceName, Value> {
     let max_robots = robots + chance.below(12) + 4;
     let ingest = json!({
         "stale_after_s": chance.real(1.0, 2.5),
@@ -154,9 +154,11 @@ fn files(chance: &mut Chance, robots: usize) -> BTreeMap<ServiceName, Value> {
         "max_robots": max_robots,
     });
     let teams = chance.between(1, 4);
-    let clusterer = match chance.below(4) {
+    // A chance of its own: how the number of teams is given has no bearing on clocks and links.
+    let mut form = Chance::new(seed, Purpose::Fleet, 3);
+    let clusterer = match form.below(4) {
         0 => json!({"teams": "auto"}),
-        1 => json!({"teams": {"from": teams, "to": teams + 2}, "dwell_s": chance.real(0.0, 2.0)}),
+        1 => json!({"teams": {"from": teams, "to": teams + 2}, "dwell_s": form.real(0.0, 2.0)}),
         _ => json!({"teams": teams}),
     };
     BTreeMap::from([
@@ -178,7 +180,7 @@ impl World {
         #[expect(clippy::expect_used, reason = "a simulation without a fleet would prove nothing")]
         let space = KeySpace::new(FleetId::new("fleet").expect("this is a name"));
         let mut chance = Chance::new(seed, Purpose::Fleet, 1);
-        let files = files(&mut chance, scale.robots);
+        let files = files(seed, &mut chance, scale.robots);
         let mut nodes = Vec::new();
         for (link, place) in places(scale).into_iter().enumerate() {
             let Place::Service(service, instance) = place else { continue };
