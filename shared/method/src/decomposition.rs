@@ -144,10 +144,13 @@ impl Decomposer {
         let (tolerance, seed, threads) = (params.tolerance, params.seed, params.threads);
         let least = cut.least_rank(n);
         let mut known = Known { rank: least, exact: cut.exact_rank(n).min(least) };
+        // A search for more triplets may find them among those of the one before.
+        let mut has_searched = false;
         let (chosen, report) = loop {
             let Known { rank, exact } = known;
             let options = KatzSvdOptions { rank, exact: Some(exact), tolerance, seed, threads };
             let report = self.leading.search(task, options, progress)?;
+            has_searched |= report.rounds > 0;
             if !report.converged && n <= params.dense_fallback_robots {
                 self.leading.search.forget();
                 return self.whole(similarity, None, task, progress);
@@ -164,10 +167,7 @@ impl Decomposer {
                 None => known.rank = (2 * rank).min(n),
             }
         };
-        let mode = match report.rounds {
-            0 => EmbeddingMode::Updated,
-            _ => EmbeddingMode::InverseFree,
-        };
+        let mode = if has_searched { EmbeddingMode::InverseFree } else { EmbeddingMode::Updated };
         let found = self.leading.found(chosen, report, mode)?;
         self.last = Some(Last::Leading { alpha: decay.alpha, known, report });
         Ok(found)

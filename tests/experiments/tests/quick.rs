@@ -59,7 +59,7 @@ fn the_program_follows_fleets_that_move() {
     let (page, _) = written("moving");
     assert!(
         page.contains(
-            "| no robot changes team at rest | 50 robots, rest, range | 0 changes | reached |"
+            "| no robot changes team at rest | 50 robots, rest, range | 0 changes, with "
         ),
         "{page}"
     );

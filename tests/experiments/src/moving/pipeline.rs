@@ -390,12 +390,15 @@ impl Pipeline {
 mod tests {
     use muster_model::id::RobotId;
     use muster_model::observation::{CheckedReport, Pose};
+    use muster_model::settings::TeamCount;
 
     use super::*;
 
     #[test]
     fn groups_become_as_many_teams_as_are_asked_for() {
-        let mut pipeline = Pipeline::new(Tick(10_000_000), AllSettings::default()).unwrap();
+        let mut settings = AllSettings::default();
+        settings.clusterer.teams = TeamCount::Fixed(2);
+        let mut pipeline = Pipeline::new(Tick(10_000_000), settings).unwrap();
         for step in 0..40_u64 {
             for robot in 0..12_u32 {
                 let name = RobotId::new(format!("r{robot:02}")).unwrap();
