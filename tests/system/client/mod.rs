@@ -114,7 +114,11 @@ async fn event(events: &mut Events, what: &str, right: impl Fn(&EventKind) -> bo
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_in_ten_lines_gets_its_team_and_consoles_see_it() {
-    let cluster = Cluster::start("alpha", &[("ingest", "modalities=[\"thermal\"]")]).unwrap();
+    let cluster = Cluster::start(
+        "alpha",
+        &[("ingest", "modalities=[\"thermal\"]"), ("clusterer", "teams=2")],
+    )
+    .unwrap();
     let console = Client::open(&config(&cluster)).await.unwrap();
     let mut events = console.events().await.unwrap();
     let others = drive(&console, "b2").await;
@@ -179,7 +183,7 @@ async fn a_robot_in_ten_lines_gets_its_team_and_consoles_see_it() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_examples_run_as_they_are_shown() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let environment =
         [("MUSTER_FLEET", cluster.fleet.as_str()), ("MUSTER_CONNECT", cluster.endpoint.as_str())];
     let start = |name: &str, arguments: &[&str]| {
@@ -217,7 +221,7 @@ async fn the_examples_run_as_they_are_shown() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_that_loses_its_router_keeps_its_team_and_marks_it_stale() {
-    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let client = Client::open(&config(&cluster)).await.unwrap();
     let fleet = drive(&client, "").await;
     let robot = &fleet.robots["a2"];
@@ -276,7 +280,7 @@ async fn answers_to(outside: &muster_tests::client::Client, superior: &str) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_clusterer_that_dies_leaves_teams_that_turn_stale_and_fresh() {
-    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let client = Client::open(&config(&cluster)).await.unwrap();
     let fleet = drive(&client, "").await;
     let mut team = fleet.robots["b3"].team();
@@ -313,7 +317,8 @@ async fn a_clusterer_that_dies_leaves_teams_that_turn_stale_and_fresh() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_that_leaves_is_gone_and_may_come_back() {
-    let cluster = Cluster::start("alpha", &[("ingest", "gone_after_s=3")]).unwrap();
+    let cluster =
+        Cluster::start("alpha", &[("ingest", "gone_after_s=3"), ("clusterer", "teams=2")]).unwrap();
     let client = Client::open(&config(&cluster)).await.unwrap();
     let fleet = drive(&client, "a3").await;
     let outside = cluster.client().await.unwrap();
@@ -348,7 +353,7 @@ async fn a_robot_that_leaves_is_gone_and_may_come_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_on_the_callers_session_leaves_it_open() {
-    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let outside = cluster.client().await.unwrap();
     let config = Config { fleet: cluster.fleet.clone(), ..Config::default() };
     let client = Client::on_session(outside.session().clone(), &config).await.unwrap();

@@ -210,7 +210,7 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
             r#"{"teams":3,"restarts":0}"#,
         ],
     );
-    add("clusterer", OnlyByService("from that is above to"), &[r#"{"teams":{"from":3,"to":2}}"#]);
+    add("clusterer", OnlyByService("at least `from`"), &[r#"{"teams":{"from":3,"to":2}}"#]);
     add("clusterer", OnlyByService("17, not 17.0"), &[r#"{"teams":3.0}"#]);
     add("auditor", Accepted, &[r#"{"good":0.9,"poor":0.1}"#, r#"{"good":null}"#]);
     add("auditor", Refused, &[r#"{"good":"high"}"#, r#"{"goods":0.5}"#]);
