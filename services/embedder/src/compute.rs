@@ -61,7 +61,7 @@ pub(crate) enum Task {
     /// An embedding.
     Embed {
         frame: Arc<Frame>,
-        basis: Basis,
+        basis: Box<Basis>,
         /// The embedding that the new one is aligned with.
         previous: Option<Checked<Embedding>>,
     },
@@ -109,7 +109,7 @@ pub(crate) fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {
         Task::Embed { frame, basis, previous } => {
             let frames = &mut memory.frames;
             let result = compute(&frame, &basis, previous.as_deref(), frames, stopwatch);
-            Outcome::Embedded { frame, basis: Box::new(basis), result: result.map(Box::new) }
+            Outcome::Embedded { frame, basis, result: result.map(Box::new) }
         }
         Task::Compare(pairs) => Outcome::Compared(memory.frames.compare(&pairs)),
     };

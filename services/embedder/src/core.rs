@@ -383,6 +383,7 @@ impl Embedder {
         self.flight.started(basis.clone());
         let previous = self.embedding.clone();
         let memory = self.memory.take().unwrap_or_default();
+        let basis = Box::new(basis);
         context.start_job(slot, Job { task: Task::Embed { frame, basis, previous }, memory });
     }
 
