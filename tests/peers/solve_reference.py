@@ -23,15 +23,27 @@ def spectral_radius(a):
     return radius
 
 
+# Degrees are raised by this share of their mean.
+RAISED_DEGREE = 0.2
+
+
+def raised(degrees):
+    """Degrees, raised by a share of the mean of those that are not 0."""
+    return degrees + RAISED_DEGREE * degrees[degrees > 0.0].mean() if degrees.any() else degrees
+
+
 def by_degree(a):
-    """Each edge divided by the roots of the degrees of its ends."""
-    outgoing, incoming = np.sqrt(a.sum(axis=1)), np.sqrt(a.sum(axis=0))
+    """Each edge divided by the roots of the raised degrees of its ends."""
+    outgoing, incoming = np.sqrt(raised(a.sum(axis=1))), np.sqrt(raised(a.sum(axis=0)))
     ends = np.outer(outgoing, incoming)
     return np.divide(a, ends, out=np.zeros_like(a), where=a > 0.0)
 
 
 def fuse(names, graphs, weights, normalize, self_loops, trusted):
     """A*, and for each graph its weight with the trust in it, the trust and the agreement."""
+    # A graph without an edge has no weight beside others.
+    used = np.array([a.any() for a in graphs]) * np.array(weights, dtype=float)
+    weights = used / used.sum() if used.sum() > 0.0 else np.array(weights, dtype=float)
     degree = normalize == "degree"
     scaled = [by_degree(a) for a in graphs] if degree else graphs
     norms = [np.linalg.norm(a, 2) if normalize == "spectral" and a.any() else 1.0 for a in scaled]
@@ -67,7 +79,7 @@ def katz_similarity(walks):
 
 
 # What counts as a large drop of the singular values, as a share of the largest, in logarithms.
-LARGE_DROP = 0.4
+LARGE_DROP = 0.75
 
 
 # Largest K that the rule chooses.
