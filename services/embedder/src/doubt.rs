@@ -1,4 +1,4 @@
-//! When an operator is told that a modality is in doubt, and that it is trusted again.
+//! When it is reported that a modality is in doubt, and that it is trusted again.
 
 use std::collections::BTreeMap;
 use std::time::Duration;

@@ -132,7 +132,7 @@ impl Frames {
     }
 
     /// The robots whose superior is another than a moment ago, for the frames that follow: their ranks count
-    /// before where they are and whom they hear.
+    /// before their places and links.
     pub fn set_new_orders(&mut self, robots: Vec<RobotId>) {
         self.new_orders = robots;
     }

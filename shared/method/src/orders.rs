@@ -1,6 +1,7 @@
 //! Orders first: what is left of places and links of robots that have new orders.
 //!
-//! A robot whose superior has changed stands where its old orders have sent it, and hears whom it heard there.
+//! A robot whose superior has changed stands where its old orders have sent it, and its links are those of that
+//! place.
 //! While its orders are new, its edges of all modalities but the ranks count [`OLD_TIE`] of their weight,
 //! except those to robots of the same new orders: its superior, those with the same superior, and those below
 //! the same robot with new orders. Its rank is not doubted meanwhile.
@@ -10,7 +11,11 @@ use muster_numeric::matrix::{MatrixError, SparseMatrix};
 /// What is left of the weight of an edge that old orders explain.
 const OLD_TIE: f64 = 0.2;
 
-/// Who has new orders, and from whom.
+/// Steps up the chain of command that are followed. No real chain is longer; without a limit, a chain or a circle
+/// of all robots of a large fleet would take time with the square of their number.
+const LONGEST_CHAIN: usize = 64;
+
+/// Which robots have new orders, and which robots have given them.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Standings {
     /// Per robot; empty if no robot has new orders.
@@ -49,8 +54,7 @@ impl Standings {
         let standing = |robot: usize| {
             let mut head = is_new[robot].then_some(robot);
             let mut at = robot;
-            // Ranks may form a circle, which has as many robots as the fleet at most.
-            for _ in 0..nodes {
+            for _ in 0..LONGEST_CHAIN {
                 let Some(next) = superior(at).filter(|next| *next != robot) else { break };
                 if is_new[next] {
                     head = Some(next);
@@ -139,6 +143,16 @@ mod tests {
         let edges = SparseMatrix::from_triplets(7, [(5, 3, 1.0), (5, 0, 1.0)]).unwrap();
         let left = standings.weigh_edges(&edges).unwrap().unwrap();
         assert_eq!((left.weight(5, 3), left.weight(5, 0)), (OLD_TIE, 1.0));
+    }
+
+    #[test]
+    fn a_chain_of_all_robots_takes_no_longer_than_its_length() {
+        let nodes = 100_000;
+        let chain = SparseMatrix::from_triplets(nodes, (1..nodes).map(|i| (i - 1, i, 1.0)));
+        let standings = Standings::new(&chain.unwrap(), &[0, nodes - 1]);
+        assert_eq!(standings.robots[LONGEST_CHAIN].head, Some(0));
+        assert_eq!(standings.robots[LONGEST_CHAIN + 1].head, None);
+        assert_eq!(standings.robots[nodes - 1].head, Some(nodes - 1));
     }
 
     #[test]

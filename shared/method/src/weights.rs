@@ -21,7 +21,7 @@ pub fn weights(set: &BTreeMap<Modality, f64>, frame: &Frame) -> Result<Vec<f64>,
     let related: Vec<f64> =
         frame.graphs.iter().map(|(_, graph)| graph.related_share(robots)).collect();
     let nothing = related.iter().all(|related| *related <= 0.0);
-    // Beside graphs with edges, one without has no weight that self-loops would be measured by.
+    // A graph without edges has no weight where others have some: self-loops are measured by the sum.
     let is_used = |related: f64| nothing || related > 0.0;
     let graphs = || frame.graphs.iter().zip(&related);
     if set.is_empty() {
