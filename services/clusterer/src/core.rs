@@ -109,9 +109,9 @@ impl Clusterer {
         let settings =
             ClustererSettings { heartbeat_s: 1.0, dwell_s: 0.0, ..context.settings().clone() };
         let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
-        let scores = &newest.embedding.quality.team_scores;
+        let shown = newest.embedding.quality.teams_shown;
         let last = last.map(|division| division.requested);
-        let teams = self.count.decide(now, settings.teams, scores, last);
+        let teams = self.count.decide(now, settings.teams, shown, last);
         let task = Task { source: newest.clone(), settings, teams };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()

@@ -55,7 +55,7 @@ pub(crate) fn same_data(left: &Embedding, right: &Embedding) -> bool {
         || left.dimension == right.dimension
             && left.robots == right.robots
             && left.without_embedding == right.without_embedding
-            && left.quality.team_scores == right.quality.team_scores
+            && left.quality.teams_shown == right.quality.teams_shown
             && left.values == right.values
 }
 

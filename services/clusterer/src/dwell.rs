@@ -6,7 +6,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use muster_method::team_count::choose;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::settings::TeamCount;
 use muster_model::teams::Teams;
@@ -25,23 +24,20 @@ pub(crate) struct CountDwell {
 }
 
 impl CountDwell {
-    /// How many teams the next division has. `scores` are those of the newest embedding, `current` is the
-    /// number of the last division, none if there is none to go on from.
+    /// How many teams the next division has. `shown` is the number by the newest embedding, none if it has no
+    /// evidence, `current` is the number of the last division, none if there is none to go on from.
     pub(crate) fn decide(
         &mut self,
         now: Tick,
         wanted: TeamCount,
-        scores: &[f64],
+        shown: Option<u32>,
         current: Option<u32>,
     ) -> u32 {
         self.due = None;
         let range = wanted.range();
         let current = current.filter(|teams| range.contains(teams));
-        let best = match current {
-            // Without relations there is nothing to choose by.
-            Some(current) if scores.is_empty() => current,
-            _ => choose(scores, range, current),
-        };
+        let best = shown.or(current).unwrap_or(*range.start());
+        let best = best.clamp(*range.start(), *range.end());
         let Some(current) = current.filter(|current| *current != best) else {
             self.candidate = None;
             return best;
@@ -267,22 +263,23 @@ mod tests {
     #[test]
     fn another_number_of_teams_must_last() {
         let mut dwell = CountDwell::default();
-        let (two, three) = ([0.1, 0.6, 0.2], [0.1, 0.2, 0.6]);
-        let mut next = |ms, wanted, scores: &[f64], current| {
-            (dwell.decide(at(ms), wanted, scores, current), dwell.due())
+        let (two, three) = (Some(2), Some(3));
+        let mut next = |ms, wanted, shown, current| {
+            (dwell.decide(at(ms), wanted, shown, current), dwell.due())
         };
         let auto = TeamCount::Auto;
-        assert_eq!(next(0, auto, &two, None), (2, None), "the first at once");
-        assert_eq!(next(100, auto, &three, Some(2)), (2, Some(at(500))));
-        assert_eq!(next(200, auto, &two, Some(2)), (2, None));
-        assert_eq!(next(300, auto, &three, Some(2)), (2, Some(at(700))));
-        assert_eq!(next(699, auto, &three, Some(2)), (2, Some(at(700))));
-        assert_eq!(next(700, auto, &three, Some(2)), (3, None));
-        assert_eq!(next(800, auto, &[], Some(3)), (3, None), "nothing to choose by");
-        assert_eq!(next(800, auto, &[], None), (1, None));
+        assert_eq!(next(0, auto, two, None), (2, None), "the first at once");
+        assert_eq!(next(100, auto, three, Some(2)), (2, Some(at(500))));
+        assert_eq!(next(200, auto, two, Some(2)), (2, None));
+        assert_eq!(next(300, auto, three, Some(2)), (2, Some(at(700))));
+        assert_eq!(next(699, auto, three, Some(2)), (2, Some(at(700))));
+        assert_eq!(next(700, auto, three, Some(2)), (3, None));
+        assert_eq!(next(800, auto, None, Some(3)), (3, None), "nothing to choose by");
+        assert_eq!(next(800, auto, None, None), (1, None));
         // Settings are obeyed at once.
-        assert_eq!(next(900, TeamCount::Fixed(5), &two, Some(3)), (5, None));
-        assert_eq!(next(900, TeamCount::Between { from: 2, to: 2 }, &three, Some(3)), (2, None));
-        assert_eq!(next(900, TeamCount::Between { from: 4, to: 6 }, &three, Some(3)), (4, None));
+        assert_eq!(next(900, TeamCount::Fixed(5), two, Some(3)), (5, None));
+        assert_eq!(next(900, TeamCount::Between { from: 2, to: 2 }, three, Some(3)), (2, None));
+        assert_eq!(next(900, TeamCount::Between { from: 4, to: 6 }, three, Some(3)), (4, None));
+        assert_eq!(next(900, auto, Some(u32::MAX), None), (16, None), "within the range");
     }
 }

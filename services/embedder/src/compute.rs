@@ -183,6 +183,8 @@ fn computed(
             gap: svd.gap(),
             ambiguous: svd.ambiguous(),
             mode: decomposition.mode,
+            teams_shown: (!decomposition.teams.scores.is_empty())
+                .then_some(decomposition.teams.teams),
             team_scores: decomposition.teams.scores,
             stage_us,
             singular_values: svd.sigma,

@@ -1,9 +1,9 @@
-//! How many teams the leading triplets show, and how many of the triplets are kept: K.
+//! How many of the leading triplets are kept: K.
 //!
 //! There is one rule for K, [`choose_covering_dimension`]: the last large drop of the singular values, raised
 //! until every robot with relations has a non-zero embedding. From frame to frame it may keep the K before; for
 //! a single problem there is no K before. The rule expects a number of teams. Where that is not fixed, it is
-//! chosen by the same singular values, see [`crate::team_count`].
+//! chosen by the same triplets, see [`crate::candidates`].
 
 use muster_model::settings::{Dimension, TeamCount};
 use muster_numeric::dimension::{Choice, Spectrum, choose_covering_dimension, least_rank};
@@ -11,7 +11,6 @@ use muster_numeric::matrix::SparseMatrix;
 use muster_numeric::svd::FullSvd;
 
 use crate::params::EmbeddingParams;
-use crate::team_count::{choose, scores};
 
 /// How many teams the rule for K expects, and why.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,23 +21,12 @@ pub struct TeamEvidence {
     pub scores: Vec<f64>,
 }
 
-/// What was chosen in the frame before.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Previous {
-    /// K.
-    pub(crate) rank: Option<usize>,
-    /// How many teams.
-    pub(crate) teams: Option<u32>,
-}
-
 /// Where the triplets are cut off.
 #[derive(Debug, Clone)]
 pub(crate) struct Cut {
     count: TeamCount,
-    alpha: f64,
-    previous: Previous,
-    /// Robots with an edge from or to another one: there are no more teams than these.
-    linked: usize,
+    /// K of the frame before.
+    previous: Option<usize>,
     rank: Rank,
 }
 
@@ -56,41 +44,23 @@ enum Rank {
     },
 }
 
-/// A choice for the triplets of a frame.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Chosen {
-    /// K, and whether more triplets than are known could lead to another.
-    pub(crate) rank: Choice,
-    pub(crate) teams: TeamEvidence,
-}
-
 impl Cut {
-    /// That of the parameters for A* with its decay.
+    /// That of the parameters for A*. `previous` is the K of the frame before.
     pub(crate) fn new(
         params: &EmbeddingParams,
         fused: &SparseMatrix,
-        alpha: f64,
-        previous: Previous,
+        previous: Option<usize>,
     ) -> Self {
-        let mut related = vec![false; fused.nodes()];
-        let mut linked = vec![false; fused.nodes()];
-        for (from, to, _) in fused.triplets() {
-            (related[from], related[to]) = (true, true);
-            if from != to {
-                (linked[from], linked[to]) = (true, true);
-            }
-        }
         let rank = match params.dimension {
             Dimension::Fixed(dimension) => Rank::Fixed(dimension as usize / 2),
-            Dimension::Auto => Rank::Rule { related, most: params.max_rank },
+            Dimension::Auto => Rank::Rule { related: fused.related(), most: params.max_rank },
         };
-        let linked = linked.into_iter().filter(|linked| *linked).count();
-        Self { count: params.teams, alpha, previous, linked, rank }
+        Self { count: params.teams, previous, rank }
     }
 
-    /// The choice where all triplets are known.
-    pub(crate) fn of_all(&self, svd: &FullSvd) -> Chosen {
-        self.choose(svd)
+    /// K where all triplets are known.
+    pub(crate) fn of_all(&self, svd: &FullSvd, teams: u32) -> usize {
+        self.choose(svd, teams).dimension
     }
 
     /// The number of triplets, of `nodes`, that must be known for a choice.
@@ -101,7 +71,7 @@ impl Cut {
         let rank = match &self.rank {
             Rank::Fixed(rank) => rank + 1,
             Rank::Rule { most: largest, .. } => {
-                let previous = self.previous.rank.unwrap_or(0).min(*largest) + 1;
+                let previous = self.previous.unwrap_or(0).min(*largest) + 1;
                 least_rank(nodes, most).max(previous)
             }
         };
@@ -117,48 +87,40 @@ impl Cut {
         }
         let rank = match self.rank {
             Rank::Fixed(rank) => rank,
-            Rank::Rule { .. } => self.previous.rank.unwrap_or(2).max(2),
+            Rank::Rule { .. } => self.previous.unwrap_or(2).max(2),
         };
         rank.clamp(1, nodes)
     }
 
-    /// The choice where `rank` leading triplets are known; none if these are too few.
-    pub(crate) fn of_leading(&self, svd: &impl Spectrum, rank: usize) -> Option<Chosen> {
+    /// K where `rank` leading triplets are known, and whether more of them could lead to another; none if these
+    /// are too few.
+    pub(crate) fn of_leading(
+        &self,
+        svd: &impl Spectrum,
+        rank: usize,
+        teams: u32,
+    ) -> Option<Choice> {
         let nodes = svd.nodes();
         if rank < self.least_rank(nodes) {
             return None;
         }
-        let Chosen { rank: choice, teams } = self.choose(svd);
+        let choice = self.choose(svd, teams);
         let most = match &self.rank {
             Rank::Fixed(_) => nodes,
             Rank::Rule { most, .. } => *most,
         };
         let short = choice.short && rank < nodes.min(most + 1);
-        Some(Chosen { rank: Choice { short, ..choice }, teams })
+        Some(Choice { short, ..choice })
     }
 
-    /// How many teams the triplets show.
-    fn teams(&self, svd: &impl Spectrum) -> TeamEvidence {
-        if let Some(teams) = self.count.fixed() {
-            return TeamEvidence { teams, scores: Vec::new() };
-        }
-        let range = self.count.range();
-        let mut scores = scores(svd.singular_values(), self.alpha);
-        scores.truncate(self.linked.min(*range.end() as usize));
-        TeamEvidence { teams: choose(&scores, range, self.previous.teams), scores }
-    }
-
-    fn choose(&self, svd: &impl Spectrum) -> Chosen {
+    fn choose(&self, svd: &impl Spectrum, teams: u32) -> Choice {
         let nodes = svd.nodes();
-        let teams = self.teams(svd);
-        let rank = match &self.rank {
+        match &self.rank {
             Rank::Fixed(rank) => Choice { dimension: (*rank).clamp(1, nodes), short: false },
             Rank::Rule { related, most } => {
-                let expected = teams.teams as usize;
-                let choice = choose_covering_dimension(svd, related, expected, self.previous.rank);
+                let choice = choose_covering_dimension(svd, related, teams as usize, self.previous);
                 Choice { dimension: choice.dimension.min(*most).clamp(1, nodes), ..choice }
             }
-        };
-        Chosen { rank, teams }
+        }
     }
 }

@@ -12,8 +12,9 @@ use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::svd::{FullSvd, RankKSvd, SvdError, full_svd};
 use serde::Serialize;
 
+use crate::candidates::{Candidates, Counted};
 use crate::correspondence::Correspondence;
-use crate::cut::{Chosen, Cut, TeamEvidence};
+use crate::cut::{Cut, TeamEvidence};
 use crate::decay::Decay;
 use crate::error::MethodError;
 use crate::params::{Effort, EmbeddingParams, Pace};
@@ -67,6 +68,7 @@ pub(crate) struct Task<'a> {
     pub(crate) robots: &'a Arc<[RobotId]>,
     pub(crate) params: &'a EmbeddingParams,
     pub(crate) cut: &'a Cut,
+    pub(crate) counted: Counted<'a>,
 }
 
 /// The decomposition of the last frame.
@@ -74,6 +76,7 @@ pub(crate) struct Task<'a> {
 pub(crate) struct Decomposer {
     last: Option<Last>,
     leading: LeadingTriplets,
+    candidates: Candidates,
 }
 
 /// What the last frame was decomposed into.
@@ -103,6 +106,11 @@ impl Known {
 }
 
 impl Decomposer {
+    /// Takes what is known of the robots along to the next frame.
+    pub(crate) fn carry(&mut self, robots: &Correspondence) {
+        self.candidates.carry(robots);
+    }
+
     /// The leading triplets of a frame. Those of the last frame serve if A* and the decay are the same bit
     /// for bit and they are exact and many enough.
     pub(crate) fn decompose(
@@ -126,27 +134,33 @@ impl Decomposer {
         task: Task<'_>,
         progress: &mut Progress<'_>,
     ) -> Result<Decomposition, MethodError> {
-        let Task { fused, decay, robots, params, cut } = task;
+        let Task { fused, decay, robots, params, cut, counted } = task;
         let n = fused.nodes();
         progress(Step::SEARCH);
         if let Some(Last::Leading { alpha, known, report }) = last
             && alpha.to_bits() == decay.alpha.to_bits()
             && report.residual <= params.tolerance
-            && let Some(chosen) = cut.of_leading(&self.leading.search, known.rank)
-            && !chosen.rank.short
-            && known.suffices(chosen.rank.dimension, params)
+            && known.rank >= cut.least_rank(n)
             && self.leading.compare(fused, robots) == Change::None
         {
-            let found = self.leading.found(chosen, report, EmbeddingMode::Cached)?;
-            self.last = Some(Last::Leading { alpha, known, report });
-            return Ok(found);
+            let teams = self.candidates.count(&self.leading.search, counted)?;
+            let chosen = cut.of_leading(&self.leading.search, known.rank, teams.teams);
+            if let Some(chosen) = chosen.filter(|chosen| !chosen.short)
+                && known.suffices(chosen.dimension, params)
+            {
+                let (rank, mode) = (chosen.dimension, EmbeddingMode::Cached);
+                let found = self.leading.found(rank, teams, report, mode)?;
+                self.last = Some(Last::Leading { alpha, known, report });
+                return Ok(found);
+            }
         }
         let (tolerance, seed, threads) = (params.tolerance, params.seed, params.threads);
         let least = cut.least_rank(n);
         let mut known = Known { rank: least, exact: cut.exact_rank(n).min(least) };
         // A search for more triplets may find them among those of the one before.
         let mut has_searched = false;
-        let (chosen, report) = loop {
+        let mut evidence: Option<TeamEvidence> = None;
+        let (chosen, teams, report) = loop {
             let Known { rank, exact } = known;
             let options = KatzSvdOptions { rank, exact: Some(exact), tolerance, seed, threads };
             let report = self.leading.search(task, options, progress)?;
@@ -155,20 +169,26 @@ impl Decomposer {
                 self.leading.search.forget();
                 return self.whole(similarity, None, task, progress);
             }
-            match cut.of_leading(&self.leading.search, rank) {
-                Some(chosen) if chosen.rank.short => known.rank = (2 * rank).min(n),
-                Some(chosen) if known.suffices(chosen.rank.dimension, params) => {
-                    break (chosen, report);
+            // What the first search has found is evidence enough; a further one only adds digits.
+            let teams = match evidence.take() {
+                Some(teams) => teams,
+                None => self.candidates.count(&self.leading.search, counted)?,
+            };
+            match cut.of_leading(&self.leading.search, rank, teams.teams) {
+                Some(chosen) if chosen.short => known.rank = (2 * rank).min(n),
+                Some(chosen) if known.suffices(chosen.dimension, params) => {
+                    break (chosen.dimension, teams, report);
                 }
                 Some(chosen) => {
                     let behind = usize::from(params.pace == Pace::AtRest);
-                    known.exact = (chosen.rank.dimension + behind).min(rank);
+                    known.exact = (chosen.dimension + behind).min(rank);
                 }
                 None => known.rank = (2 * rank).min(n),
             }
+            evidence = Some(teams);
         };
         let mode = if has_searched { EmbeddingMode::InverseFree } else { EmbeddingMode::Updated };
-        let found = self.leading.found(chosen, report, mode)?;
+        let found = self.leading.found(chosen, teams, report, mode)?;
         self.last = Some(Last::Leading { alpha: decay.alpha, known, report });
         Ok(found)
     }
@@ -181,7 +201,7 @@ impl Decomposer {
         task: Task<'_>,
         progress: &mut Progress<'_>,
     ) -> Result<Decomposition, MethodError> {
-        let Task { fused, decay, robots, params, cut } = task;
+        let Task { fused, decay, robots, params, cut, counted } = task;
         progress(Step::Katz);
         let Solved { matrix, origin, probe } = similarity.solve(fused, decay, robots, params)?;
         progress(Step::Svd);
@@ -198,8 +218,8 @@ impl Decomposer {
             (_, Origin::Kept | Origin::Updated) => (full_svd(&matrix)?, EmbeddingMode::Updated),
             (_, Origin::Solved) => (full_svd(&matrix)?, EmbeddingMode::Dense),
         };
-        let Chosen { rank, teams } = cut.of_all(&all);
-        let svd = all.truncate(rank.dimension)?;
+        let teams = self.candidates.count(&all, counted)?;
+        let svd = all.truncate(cut.of_all(&all, teams.teams))?;
         if fused.nodes() <= params.cached_robots {
             self.last = Some(Last::Whole { fused: Arc::clone(fused), alpha: decay.alpha, all });
         }
@@ -333,13 +353,14 @@ impl LeadingTriplets {
 
     fn found(
         &self,
-        chosen: Chosen,
+        rank: usize,
+        teams: TeamEvidence,
         report: KatzSvdReport,
         mode: EmbeddingMode,
     ) -> Result<Decomposition, MethodError> {
         Ok(Decomposition {
-            svd: self.search.truncate(chosen.rank.dimension)?,
-            teams: chosen.teams,
+            svd: self.search.truncate(rank)?,
+            teams,
             path: Path::InverseFree,
             mode,
             residual: report.residual,
@@ -357,7 +378,6 @@ mod tests {
     use muster_numeric::spectral_radius::spectral_radius;
 
     use super::*;
-    use crate::cut::Previous;
 
     /// A ring with a chord from node 0, so heavy.
     fn ring(n: usize, chord: f64) -> SparseMatrix {
@@ -388,12 +408,15 @@ mod tests {
                 teams: 2.into(),
                 ..EmbeddingParams::default()
             };
+            let counted =
+                Counted { relations: &[], params: &params, alpha, previous: None, linked: &[] };
             let task = Task {
                 fused: &fused,
                 decay: &Decay { alpha, radius },
                 robots: &names(n),
                 params: &params,
-                cut: &Cut::new(&params, &fused, alpha, Previous::default()),
+                cut: &Cut::new(&params, &fused, None),
+                counted,
             };
             self.decomposer.decompose(&mut self.similarity, task, &mut |_| {}).unwrap()
         }

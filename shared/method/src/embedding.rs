@@ -10,8 +10,9 @@ use muster_numeric::embedding::embed_powers;
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::svd::RankKSvd;
 
+use crate::candidates::Counted;
 use crate::correspondence::Correspondence;
-use crate::cut::{Cut, Previous, TeamEvidence};
+use crate::cut::{Cut, TeamEvidence};
 use crate::decay::{Decay, DecayTracker};
 use crate::decomposition::{Decomposer, Decomposition, Path, Task};
 use crate::error::MethodError;
@@ -94,12 +95,13 @@ impl Frames {
         self.last = None;
         if let Some(between) = Correspondence::between(&self.robots, &frame.robots) {
             self.decay.carry(&between);
+            self.decomposer.carry(&between);
         }
         self.robots = Arc::clone(&frame.robots);
         let weights = weights(&params.weights, frame)?;
         let place = |robot: &RobotId| frame.robots.binary_search(robot).ok();
         let new_orders: Vec<usize> = self.new_orders.iter().filter_map(place).collect();
-        let Fused { matrix, weights, trust } =
+        let Fused { matrix, weights, trust, relations } =
             self.fusion.fuse(frame, weights, &new_orders, params)?;
         let fused = Arc::new(matrix);
         progress(Step::SpectralRadius);
@@ -112,10 +114,16 @@ impl Frames {
             of_no_edges(fused.nodes(), params)?
         } else {
             let rank = previous.map(|embedding| embedding.dimension as usize / 2);
-            let before = Previous { rank, teams: self.teams };
-            let cut = Cut::new(params, &fused, decay.alpha, before);
+            let cut = Cut::new(params, &fused, rank);
+            let counted = Counted {
+                relations: &relations,
+                params,
+                alpha: decay.alpha,
+                previous: self.teams,
+                linked: &linked(&fused),
+            };
             let robots = &frame.robots;
-            let task = Task { fused: &fused, decay: &decay, robots, params, cut: &cut };
+            let task = Task { fused: &fused, decay: &decay, robots, params, cut: &cut, counted };
             self.decomposer.decompose(&mut self.similarity, task, progress)?
         };
         self.teams = Some(decomposition.teams.teams);
@@ -155,6 +163,15 @@ impl Frames {
         }
         Ok(last.centralities.as_deref().unwrap_or_default())
     }
+}
+
+/// Per robot, whether it has an edge from or to another one.
+fn linked(fused: &SparseMatrix) -> Vec<bool> {
+    let mut linked = vec![false; fused.nodes()];
+    for (from, to, _) in fused.triplets().filter(|(from, to, _)| from != to) {
+        (linked[from], linked[to]) = (true, true);
+    }
+    linked
 }
 
 /// The decomposition of a similarity of zeros: one triplet of zeros, or as many as the parameters fix.

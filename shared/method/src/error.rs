@@ -4,6 +4,7 @@ use muster_model::id::Modality;
 use muster_numeric::fuse::FuseError;
 use muster_numeric::katz::KatzError;
 use muster_numeric::katz_svd::KatzSvdError;
+use muster_numeric::kmeans::KMeansError;
 use muster_numeric::matrix::MatrixError;
 use muster_numeric::svd::SvdError;
 
@@ -55,6 +56,9 @@ pub enum MethodError {
     /// The leading triplets of the similarity cannot be searched for.
     #[error("the similarity cannot be decomposed: {0}")]
     Search(KatzSvdError),
+    /// The divisions by which the number of teams is chosen cannot be made.
+    #[error("the number of teams cannot be chosen: {0}")]
+    TeamCount(#[from] KMeansError),
 }
 
 impl MethodError {
@@ -69,6 +73,7 @@ impl MethodError {
             Self::Fuse(_) => "fuse",
             Self::Katz(_) => "katz",
             Self::Svd(_) | Self::Search(_) => "svd",
+            Self::TeamCount(_) => "teams",
         }
     }
 }

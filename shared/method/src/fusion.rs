@@ -16,6 +16,7 @@ use muster_numeric::fuse::{degree_scaled, fuse_scaled, raised_degrees};
 use muster_numeric::matrix::{MatrixError, SparseMatrix};
 use muster_numeric::norm_band::NormBand;
 
+use crate::candidates::Relation;
 use crate::error::MethodError;
 use crate::graph::{Frame, Graph};
 use crate::orders::Standings;
@@ -40,6 +41,8 @@ pub(crate) struct Fused {
     pub(crate) weights: Vec<f64>,
     /// The trust in each graph of the frame, in its order.
     pub(crate) trust: Vec<Trust>,
+    /// The graphs as they are reported, by which the number of teams is chosen; none where it is fixed.
+    pub(crate) relations: Vec<Relation>,
 }
 
 /// A graph with a weight.
@@ -48,6 +51,8 @@ struct Scaled {
     /// None where robots came or went: the matrix is that of another list, but its scale may hold.
     graph: Option<Graph>,
     reciprocity: f64,
+    /// The matrix before it is divided by degrees.
+    reported: Arc<SparseMatrix>,
     matrix: Arc<SparseMatrix>,
     scale: Scale,
     /// The matrix with the trust in each of its edges; that matrix itself where all are trusted.
@@ -106,7 +111,36 @@ impl Fusion {
         };
         let trust = self.weigh_by_trust(frame, &mut weights, &standings, params)?;
         self.self_loops = params.self_loops;
-        Ok(Fused { matrix: self.sum(frame.robots.len())?, weights, trust })
+        let relations = match params.teams.fixed() {
+            Some(_) => Vec::new(),
+            None => self.relations(&standings)?,
+        };
+        Ok(Fused { matrix: self.sum(frame.robots.len())?, weights, trust, relations })
+    }
+
+    /// The graphs as they are reported, without what is not trusted and what old orders explain.
+    fn relations(&self, standings: &Standings) -> Result<Vec<Relation>, MethodError> {
+        let relation = |(name, scaled): (&Modality, &Scaled)| {
+            let weighed = self.weighed(name, &scaled.reported, standings)?;
+            Ok((weighed, scaled.weight))
+        };
+        self.graphs.iter().map(relation).collect()
+    }
+
+    /// A graph of a modality with the trust in each of its edges.
+    fn weighed(
+        &self,
+        name: &Modality,
+        matrix: &Arc<SparseMatrix>,
+        standings: &Standings,
+    ) -> Result<Arc<SparseMatrix>, MethodError> {
+        let weighed = if *name == Modality::hierarchy() {
+            self.trust.weigh_edges(name, matrix, standings)
+        } else {
+            let without_old = standings.weigh_edges(matrix);
+            without_old.map_or_else(|| Ok(Arc::clone(matrix)), |weighed| weighed.map(Arc::new))
+        };
+        weighed.map_err(|error| MethodError::Graph { modality: name.clone(), error })
     }
 
     /// Multiplies the weights of the modalities, and of the edges of some, by the trust in them.
@@ -145,19 +179,10 @@ impl Fusion {
             weights.iter_mut().for_each(|weight| *weight *= before / after);
         }
         for ((name, _), weight) in frame.graphs.iter().zip(weights.iter()) {
+            let Some(scaled) = self.graphs.get(name) else { continue };
+            let trusted = self.weighed(name, &scaled.matrix, standings)?;
             if let Some(scaled) = self.graphs.get_mut(name) {
-                scaled.weight = *weight;
-                let weighed = if *name == Modality::hierarchy() {
-                    self.trust.weigh_edges(name, &scaled.matrix, standings)
-                } else {
-                    let without_old = standings.weigh_edges(&scaled.matrix);
-                    without_old.map_or_else(
-                        || Ok(Arc::clone(&scaled.matrix)),
-                        |weighed| weighed.map(Arc::new),
-                    )
-                };
-                scaled.trusted = weighed
-                    .map_err(|error| MethodError::Graph { modality: name.clone(), error })?;
+                (scaled.weight, scaled.trusted) = (*weight, trusted);
             }
         }
         Ok(trust)
@@ -220,10 +245,10 @@ impl Scaled {
         let same_robots = before.as_ref().is_some_and(|before| before.graph.is_some());
         let reported = graph.matrix(robots, reciprocity)?;
         let (matrix, scale) = match params.normalize {
-            Normalization::None => (reported, Scale::None),
+            Normalization::None => (Arc::clone(&reported), Scale::None),
             Normalization::Spectral => {
                 let scale = by_norm(&reported, before.map(|before| before.scale), params);
-                (reported, scale)
+                (Arc::clone(&reported), scale)
             }
             Normalization::Degree => {
                 let kept = before.filter(|_| same_robots && is_moving).map(|before| before.scale);
@@ -231,7 +256,8 @@ impl Scaled {
             }
         };
         let trusted = Arc::clone(&matrix);
-        Ok(Self { graph: Some(graph.clone()), reciprocity, matrix, scale, trusted, weight })
+        let graph = Some(graph.clone());
+        Ok(Self { graph, reciprocity, reported, matrix, scale, trusted, weight })
     }
 }
 

@@ -8,6 +8,7 @@
 //! | fused graph A* = Σ w_m N_m + β I, N_m the scaled A_m + r_m A_mᵀ | `fusion` |
 //! | bounds of ρ(A*), decay α, Katz centralities | `decay` |
 //! | leading singular triplets of the Katz similarity S, whole or without forming S | [`decomposition`] |
+//! | divisions into each number of teams | `candidates` |
 //! | how many teams they show | [`team_count`] |
 //! | how many of them are kept: K | `cut` |
 //! | rows of X = \[U, V\], scaled | [`embedding`] |
@@ -24,6 +25,7 @@
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
+mod candidates;
 mod correspondence;
 mod cut;
 mod decay;

@@ -44,8 +44,10 @@ pub struct EmbeddingQuality {
     pub ambiguous: bool,
     /// Which way it was computed.
     pub mode: EmbeddingMode,
-    /// The evidence for 1, 2, … teams: (λ_k − λ_{k+1}) / λ_1 for the values λ of the fused graph; empty where
-    /// the number of teams is fixed.
+    /// How many teams the relations show; none where the number is fixed, or there are no relations.
+    pub teams_shown: Option<u32>,
+    /// The evidence for 1, 2, … teams: the modularity of the division into so many and a share of the gap in
+    /// the spectrum, and for one team what a division must reach. Empty where `teams_shown` is none.
     pub team_scores: Vec<f64>,
     /// Microseconds that fusing with the spectral radius and the centralities, the similarity, and the
     /// decomposition took.

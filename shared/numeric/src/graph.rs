@@ -1,5 +1,6 @@
-//! Graph algorithms on the pattern of an adjacency matrix.
+//! Graph algorithms on an adjacency matrix.
 
 pub(crate) mod components;
+pub mod modularity;
 pub(crate) mod ordering;
 pub(crate) mod subgraph;

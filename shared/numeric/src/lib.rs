@@ -16,10 +16,11 @@
 //! | k-means on the rows of X | [`kmeans`], [`margins`] |
 //! | carry cluster identities over from the previous division | [`matching`] |
 //! | score the division | [`silhouette`] |
+//! | score divisions into several numbers of groups | [`modularity`] |
 //!
 //! The folders are fields of mathematics, and imports between them lead downwards only: `svd`
 //! (decomposition and representation), `katz` (similarity and decay), `fuse`, `norm` (spectral
-//! norm), `radius` (spectral radius), `graph` (algorithms on the pattern) and `linalg` (matrices
+//! norm), `radius` (spectral radius), `graph` (algorithms on graphs) and `linalg` (matrices
 //! and kernels); `cluster` (division and its quality) needs `linalg` alone. Public modules are
 //! re-exported here under the names of the table.
 //!
@@ -44,6 +45,7 @@ mod radius;
 pub mod svd;
 
 pub use cluster::{kmeans, margins, matching, silhouette};
+pub use graph::modularity;
 pub use katz::{alpha_band, cached as cached_katz, column as katz_column};
 pub use linalg::matrix;
 pub use norm::band as norm_band;

@@ -312,6 +312,7 @@ impl Author {
                 gap: draw.number(),
                 ambiguous: draw.chance(),
                 mode: EmbeddingMode::Dense,
+                teams_shown: draw.maybe(|draw| u32::from(draw.below(20))),
                 team_scores: draw.some(3, Draw::number),
                 stage_us: [0; 3],
             },

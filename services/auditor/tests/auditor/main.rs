@@ -150,6 +150,7 @@ fn embedding(epoch: u64, rows: Rows<'_>) -> Message {
             gap: 0.9,
             ambiguous: false,
             mode: EmbeddingMode::Dense,
+            teams_shown: None,
             team_scores: vec![],
             stage_us: [0; 3],
         },

@@ -176,6 +176,7 @@ pub fn from_rows(
             gap: 0.9,
             ambiguous: false,
             mode: EmbeddingMode::Dense,
+            teams_shown: None,
             team_scores: vec![],
             stage_us: [0; 3],
         },

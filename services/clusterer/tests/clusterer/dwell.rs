@@ -11,9 +11,11 @@ fn automatic() -> ClustererSettings {
     ClustererSettings { teams: TeamCount::Auto, ..patient() }
 }
 
-/// The same embedding with the evidence for 1, 2, … teams.
+/// The same embedding with the evidence for 1, 2, … teams, of which it shows the number with the best one.
 fn scored(embedding: &Embedding, scores: &[f64]) -> Checked<Embedding> {
     let mut scored = embedding.clone();
+    let best = (1..).zip(scores).max_by(|left, right| left.1.total_cmp(right.1));
+    scored.quality.teams_shown = best.map(|(teams, _)| teams);
     scored.quality.team_scores = scores.to_vec();
     Checked::new_unchecked(scored)
 }

@@ -139,6 +139,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
             gap: 0.75,
             ambiguous: false,
             mode: EmbeddingMode::Dense,
+            teams_shown: Some(2),
             team_scores: vec![0.25, 0.5],
             stage_us: [10, 20, 30],
         },
