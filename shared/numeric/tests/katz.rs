@@ -159,9 +159,10 @@ proptest! {
     #[test]
     fn permutes_with_the_nodes(a in directed_graphs(15), seed: u64) {
         let order = permutation(a.nodes(), seed);
-        // Of the same decay: the spectral radius of a cycle of weights of many magnitudes has fewer digits.
         let (alpha, s) = similarity(&a, Alpha::Fraction { fraction: 0.5 }).unwrap();
-        let rounding = 1e-11 * s.max_abs();
+        // An entry that is zero has rounding errors of the scales of its nodes, which weights over six orders
+        // of magnitude spread by as much.
+        let rounding = 1e-8 * s.max_abs();
         let (_, t) = similarity(&permuted(&a, &order), Alpha::Value(alpha)).unwrap();
         for i in 0..a.nodes() {
             for j in 0..a.nodes() {
