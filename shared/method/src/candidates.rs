@@ -28,8 +28,9 @@ const FIRST_STARTS: usize = 4;
 /// is found within a few.
 const LATER_STARTS: usize = 1;
 
-/// Robots times teams times columns that a frame works on, after the first: a few milliseconds.
-const WORK_AT_ONCE: usize = 4_000_000;
+/// Robots times teams times columns after which a frame renews no further division, except for those near the
+/// number before: a few milliseconds. A fleet of fifty robots renews all, one of thousands one in turn.
+const WORK_AT_ONCE: usize = 100_000;
 
 /// Leading singular triplets that are known.
 pub(crate) trait Triplets: Spectrum {
@@ -120,28 +121,20 @@ impl Candidates {
     /// The numbers whose divisions are made in this frame: all, or those near the number before and some others
     /// in turn.
     fn renewed(&mut self, robots: usize, most: u32, frame: Counted<'_>) -> Vec<u32> {
-        let mut left = match frame.params.pace {
-            Pace::Moving => WORK_AT_ONCE,
-            Pace::AtRest => usize::MAX,
-        };
         let near = frame.previous.unwrap_or(1);
         let near = near.saturating_sub(1)..=near.saturating_add(1);
         let mut numbers: Vec<u32> = (2..=most)
             .filter(|teams| near.contains(teams) || !self.known.contains_key(teams))
             .collect();
-        for teams in &numbers {
-            left = left.saturating_sub(work(robots, *teams));
-        }
-        for _ in 2..=most {
+        let mut done: usize = numbers.iter().map(|teams| work(robots, *teams)).sum();
+        for turn in 1..most {
+            let is_enough = turn > 1 && done >= WORK_AT_ONCE;
+            if is_enough && frame.params.pace == Pace::Moving {
+                break;
+            }
             self.next = if (2..most).contains(&self.next) { self.next + 1 } else { 2 };
             if !numbers.contains(&self.next) {
-                match left.checked_sub(work(robots, self.next)) {
-                    Some(rest) => left = rest,
-                    None => {
-                        self.next -= 1;
-                        break;
-                    }
-                }
+                done = done.saturating_add(work(robots, self.next));
                 numbers.push(self.next);
             }
         }
