@@ -583,9 +583,12 @@ fn the_evidence_for_a_number_of_teams_is_published() {
     assert_eq!(bench.last().dimension, 6, "the rule for the dimension expects three teams");
     let within = TeamCount::Between { from: 1, to: 2 };
     bench.receive_teams(&chosen(within));
-    assert_eq!(bench.last().quality.team_scores, scores[..2]);
+    // What a division must reach goes by the best one within the range.
+    assert_eq!(bench.last().quality.team_scores[1..], scores[1..2]);
+    assert_eq!(bench.last().quality.teams_shown, Some(2));
     bench.receive_teams(&teams(3));
     assert!(bench.last().quality.team_scores.is_empty());
+    assert_eq!(bench.last().quality.teams_shown, None);
     // A fixed dimension needs no number of teams, and the number of teams no free dimension.
     bench.receive_teams(&chosen(TeamCount::Auto));
     bench.set(r#"{"dimension": 4}"#);

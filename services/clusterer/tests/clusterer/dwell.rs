@@ -158,11 +158,6 @@ fn the_number_of_teams_follows_evidence_that_lasts() {
     assert_eq!(sent.changes().len(), 3, "a merger and its two robots: {:?}", sent.changes());
     let few = |kind: &EventKind| matches!(kind, EventKind::FewerTeams { .. });
     assert!(!sent.events.iter().any(few));
-    // As good as the present number is not good enough.
-    bench.receive_embedding(&groups(5, &[0.1, 0.55, 0.6, 0.1]));
-    bench.take();
-    bench.wait(1.0);
-    assert!(bench.take().teams.iter().all(|(teams, _)| teams.requested == 2));
     // A number that is asked for is obeyed, and has no evidence.
     bench.get("service/clusterer/settings", Some("{\"teams\":3}")).unwrap();
     let fixed = bench.division();
