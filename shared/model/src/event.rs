@@ -88,9 +88,9 @@ pub enum EventKind {
         /// Mean silhouette in the embedding.
         mean: f64,
     },
-    /// A service has begun a term.
+    /// A service has begun a term, that of the message.
     ServiceStarted {
-        /// Its term.
+        /// Its term, which is that of the header.
         term: u64,
     },
     /// A setting of an earlier run is no longer valid; file and flags apply.

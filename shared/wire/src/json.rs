@@ -40,6 +40,10 @@ struct Head<'a> {
     stages: Vec<Stage>,
 }
 
+/// The fields of the head. No further field of a message may have one of these names: an object with the
+/// same name twice is read differently by different parsers.
+const HEAD_FIELDS: [&str; 5] = ["fleet", "term", "epoch", "data_age_s", "stages"];
+
 /// When a service had received what it needed, and when it published what it made of it.
 #[derive(Debug, Serialize, JsonSchema)]
 struct Stage {
@@ -321,6 +325,7 @@ impl Variant {
     fn named(&self, names: &[(&str, &str)]) -> Value {
         let fields = self.content.get("properties").and_then(Value::as_object);
         let mut properties = fields.cloned().unwrap_or_default();
+        properties.retain(|name, _| !HEAD_FIELDS.contains(&name.as_str()));
         let mut required: Vec<Value> = names.iter().map(|(name, _)| json!(name)).collect();
         required.extend(properties.keys().map(|name| json!(name)));
         for (name, value) in names {
@@ -360,6 +365,8 @@ fn named_variant(name: &str, value: Value) -> Map<String, Value> {
         Value::Object(fields) => named.extend(fields),
         _ => {}
     }
+    // The term of `service_started` is that of the head.
+    named.retain(|name, _| !HEAD_FIELDS.contains(&name.as_str()));
     named
 }
 

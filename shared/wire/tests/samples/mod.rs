@@ -263,3 +263,47 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ("katz", Message::Katz(Box::new(pair))),
     ]
 }
+
+/// One of every kind of event; the changes of a division with every kind of change.
+pub fn event_kinds() -> Vec<EventKind> {
+    let r1 = || robot("r1");
+    let (t1, t2) = (team("t1"), team("t2"));
+    let reason = || "alpha: must be below 1/rho".to_owned();
+    let changes = [
+        TeamChange::Born { team: t1.clone() },
+        TeamChange::Died { team: t1.clone() },
+        TeamChange::Split { from: t1.clone(), into: t2.clone() },
+        TeamChange::Merged { from: t2, into: t1.clone() },
+        TeamChange::Moved { robot: r1(), from: Some(t1), to: None },
+    ];
+    let mut kinds = vec![
+        EventKind::Quarantined {
+            robot: Some(r1()),
+            key: "muster/v1/alpha/robot/r1/pose".to_owned(),
+            reason: reason(),
+            count: 2,
+        },
+        EventKind::RobotJoined { robot: r1() },
+        EventKind::RobotStale { robot: r1() },
+        EventKind::RobotRecovered { robot: r1() },
+        EventKind::RobotLeft { robot: r1() },
+        EventKind::FewerTeams { requested: 3, formed: 2, reason: reason() },
+        EventKind::SettingsChanged { settings: "{\"teams\":3}".to_owned() },
+        EventKind::JobFailed { reason: reason() },
+        EventKind::QualityLow { mean: 0.25 },
+        EventKind::QualityRecovered { mean: 0.5 },
+        EventKind::ServiceStarted { term: 3 },
+        EventKind::SettingDropped { field: "teams".to_owned() },
+        EventKind::LinkRestored { outage_s: 2.5 },
+        EventKind::Flapping { returns_per_robot_minute: 1.5, robots: vec![r1()] },
+        EventKind::FlappingEnded { returns_per_robot_minute: 0.5 },
+        EventKind::ModalityDoubted {
+            modality: Modality::spatial(),
+            trust: 0.25,
+            robots: vec![r1()],
+        },
+        EventKind::ModalityTrusted { modality: Modality::spatial(), trust: 1.0 },
+    ];
+    kinds.extend(changes.map(EventKind::TeamChanged));
+    kinds
+}
