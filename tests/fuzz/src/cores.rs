@@ -401,7 +401,9 @@ impl<C: Core> World<C> {
                 let _: serde_json::Value = serde_json::from_slice(payload).unwrap();
             }
         }
-        if let Some(header) = message.header().filter(|_| !matches!(message, Message::Event(_))) {
+        if let Some(header) =
+            message.header().filter(|_| !matches!(message, Message::Event(_) | Message::Refused(_)))
+        {
             let before = self.published.insert(key.clone(), header.revision);
             let repeats = matches!(
                 message,

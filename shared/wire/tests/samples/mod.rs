@@ -16,9 +16,10 @@ use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
+use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
-use muster_model::status::ServiceStatus;
+use muster_model::status::{Departure, ServiceStatus};
 use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
@@ -212,6 +213,13 @@ pub fn all() -> Vec<(&'static str, Message)> {
         reason: "x: must be finite".to_owned(),
         count: 2,
     };
+    let refused = Refused {
+        header: header(47),
+        robot: robot("r1"),
+        key: "muster/v1/alpha/robot/r1/poze".to_owned(),
+        reason: "the stream \"poze\" is unknown".to_owned(),
+        count: 2,
+    };
     let status = ServiceStatus {
         fleet: fleet(),
         service: ServiceName::Ingest,
@@ -223,6 +231,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         revision: revision(42),
         state: "2 robots, 1 stale".to_owned(),
         counters: BTreeMap::from([("poses_accepted".to_owned(), 600)]),
+        departed: vec![Departure { robot: robot("r7"), left: Tick(NOW.0 - 30_000_000) }],
     };
     vec![
         ("pose", from_robot("r1", pose)),
@@ -234,6 +243,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ("embedding", Message::Embedding(Checked::new_unchecked(embedding))),
         ("teams", Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }),
         ("robot_team", Message::RobotTeam(robot_team)),
+        ("refused", Message::Refused(Box::new(refused))),
         ("audit", Message::Audit(Arc::new(audit))),
         ("event", event(quarantined)),
         (
@@ -303,6 +313,9 @@ pub fn event_kinds() -> Vec<EventKind> {
             robots: vec![r1()],
         },
         EventKind::ModalityTrusted { modality: Modality::spatial(), trust: 1.0 },
+        EventKind::RobotsStale { count: 2, robots: vec![r1(), robot("r2")] },
+        EventKind::RobotsRecovered { count: 2, robots: vec![r1(), robot("r2")] },
+        EventKind::RobotsLeft { count: 2, robots: vec![r1(), robot("r2")] },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));
     kinds
