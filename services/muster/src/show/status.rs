@@ -296,7 +296,7 @@ mod tests {
             instance: InstanceId::new("base").unwrap(),
             version: "0.1.0".to_owned(),
             started: Tick(0),
-            now: Tick(1_000_000_000),
+            now: Tick(10_000_000_000),
             standing,
             revision: Revision::default(),
             state: String::new(),
@@ -304,7 +304,7 @@ mod tests {
             departed: (0..count)
                 .map(|number| Departure {
                     robot: RobotId::new(format!("r{number}")).unwrap(),
-                    left: Tick(1_000_000_000 - 50_000_000 * (number + 1)),
+                    left: Tick(10_000_000_000 - 50_000_000 * (number + 1)),
                 })
                 .collect(),
         };
