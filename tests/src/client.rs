@@ -359,3 +359,19 @@ impl Watch {
         }
     }
 }
+
+/// The robots that an event is about: one, or several that changed within a moment.
+#[must_use]
+pub fn robots_of_event(event: &Value) -> Vec<String> {
+    let several = event["robots"].as_array().into_iter().flatten();
+    let all = several.chain(event.get("robot"));
+    all.filter_map(|robot| robot.as_str().map(str::to_owned)).collect()
+}
+
+/// Whether an event has a name such as `robot_left`, or that of several robots, `robots_left`.
+#[must_use]
+pub fn is_event_of_robots(event: &Value, name: &str) -> bool {
+    let named = event["event"].as_str().unwrap_or_default();
+    let of_several = named.strip_prefix("robots_");
+    named == name || of_several.is_some_and(|tail| name.strip_prefix("robot_") == Some(tail))
+}

@@ -143,6 +143,10 @@ fn the_units_start_what_there_is() {
     for service in SERVICES {
         check_command(&line("systemd/muster@.service", service));
     }
+    // A service without a standby that hangs stops the division until it is restarted.
+    for unit in ["systemd/muster-router.service", "systemd/muster@.service"] {
+        assert!(read(unit).lines().any(|line| line == "WatchdogSec=10"), "{unit}");
+    }
 }
 
 #[test]

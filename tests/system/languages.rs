@@ -163,6 +163,55 @@ async fn the_robot_and_the_dashboard_of_the_document_work_as_they_stand() {
     printed(&mut late, "the audit, late", |line| line.starts_with("audit  ")).await;
 }
 
+/// Waits until a program has printed a text so many times.
+async fn printed_times(program: &mut Process, text: &str, times: usize) {
+    let start = Instant::now();
+    while program.output().matches(text).count() < times {
+        let output = program.output();
+        assert!(program.is_running().unwrap(), "{text}: the program has ended:\n{output}");
+        assert!(start.elapsed() < FORMED_WITHIN, "{text}: it has printed only\n{output}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_robot_of_the_document_says_what_it_has_lost_and_what_is_refused() {
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=1")]).unwrap();
+    let python = python().unwrap();
+    let start = |cluster: &Cluster, arguments: &[&str]| {
+        let programs = Programs { cluster, python: python.clone() };
+        programs.start("robot.py", arguments)
+    };
+    let mut r1 = start(&cluster, &["r1", "0", "0"]);
+    let _r2 = start(&cluster, &["r2", "3", "4", "r1"]);
+    let told = "r1 is in team t1, led by r1: ['r1', 'r2']";
+    printed_times(&mut r1, told, 1).await;
+    assert!(!r1.output().contains("stale"), "{}", r1.output());
+
+    cluster.kill_router().unwrap();
+    printed_times(&mut r1, "r1 keeps its team, which is stale: the link is lost", 1).await;
+    cluster.restart_router().unwrap();
+    printed_times(&mut r1, told, 2).await;
+    for service in ["clusterer", "auditor"] {
+        cluster.service(service).unwrap().kill().unwrap();
+    }
+    printed_times(&mut r1, "which is stale: no service has told it for 4 s", 1).await;
+    for service in ["clusterer", "auditor"] {
+        cluster.start_service(service).unwrap();
+    }
+    printed_times(&mut r1, told, 3).await;
+    assert!(!r1.output().contains("refused"), "{}", r1.output());
+
+    // What is refused is told to the robot that put it, and to no other.
+    let mut lost = start(&cluster, &["r3", "nan", "0"]);
+    printed_times(&mut lost, "r3 is refused: this is not the JSON it should be", 1).await;
+    let mut twin = start(&cluster, &["r1", "50", "0"]);
+    for program in [&mut r1, &mut twin] {
+        printed_times(program, "r1 is refused: two programs put as r1", 1).await;
+    }
+    assert!(!r1.output().contains("r3"), "{}", r1.output());
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn python_programs_follow_services_that_restarted_with_lower_terms() {
     let endpoint = free_endpoint().unwrap();

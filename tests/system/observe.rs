@@ -145,6 +145,28 @@ fn a_service_without_its_input_is_not_ready() {
 }
 
 #[test]
+fn a_service_whose_jobs_all_fail_is_not_ready_until_one_does_not() {
+    let (endpoint, address) = (free_endpoint().unwrap(), free_address());
+    let folder = tempfile::tempdir().unwrap();
+    let _router = start_router(&endpoint, folder.path()).unwrap();
+    let up = ["up", "--connect", &endpoint, "--http", &address, "--state-directory", "none"];
+    let up = [&up[..], &["--set", "embedder.alpha=50"]].concat();
+    let _up = Process::start("muster", &up, &[], folder.path()).unwrap();
+    let robots = ["robot", "--connect", &endpoint, "--scenario", "clusters", "--robots", "8"];
+    let _robots = Process::start("muster", &robots, &[], folder.path()).unwrap();
+    until("it says that its jobs fail", || {
+        get(&address, "/readyz").is_some_and(|(code, body)| {
+            code == 503 && body.contains("every job has failed for") && body.contains("alpha: 50")
+        })
+    });
+    assert!(is(&address, "/healthz", 200), "a restart would not help");
+    let set = ["set", "embedder", "alpha=0.3", "--connect", &endpoint];
+    let (code, _, err) = run("muster", &set, SOON).unwrap();
+    assert_eq!(code, Some(0), "{err}");
+    until("it is ready", || is(&address, "/readyz", 200));
+}
+
+#[test]
 fn an_instance_that_stands_by_is_ready() {
     let endpoint = free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();

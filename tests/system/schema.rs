@@ -5,7 +5,7 @@ use std::io::Write as _;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use muster_tests::client::Client;
+use muster_tests::client::{Client, is_event_of_robots};
 use muster_tests::cluster::{Cluster, SERVICES};
 use muster_tests::process::{python, run};
 use serde_json::{Map, Value, json};
@@ -101,14 +101,16 @@ fn the_messages_of_the_document_are_valid() {
                 serde_json::Deserializer::from_str(rest).into_iter().next().unwrap().unwrap();
             let name = match name {
                 "robot/r1/team" => "robot_team",
+                "robot/r1/refused" => "refused",
                 name => name.trim_start_matches("json/"),
             };
             cases.push((name.to_owned(), message.to_string()));
         }
     }
     let names: BTreeSet<&str> = cases.iter().map(|(name, _)| name.as_str()).collect();
-    let wanted = ["audit", "event", "links", "pose", "rank", "relation", "robot_team", "teams"];
-    assert_eq!(names, BTreeSet::from(wanted));
+    let mut wanted = BTreeSet::from(["audit", "event", "links", "pose", "rank", "relation"]);
+    wanted.extend(["refused", "robot_team", "teams"]);
+    assert_eq!(names, wanted);
     for (problem, case) in validated(&offline(), &[], &cases).iter().zip(&cases) {
         assert_eq!(*problem, None, "{case:?}");
     }
@@ -119,6 +121,7 @@ fn schema_of(key: &str) -> String {
     match key.split('/').collect::<Vec<_>>()[..] {
         ["json", name] => name.to_owned(),
         ["robot", _, "team"] => "robot_team".to_owned(),
+        ["robot", _, "refused"] => "refused".to_owned(),
         ["graph", _] => "graph".to_owned(),
         ["service", service, "settings"] => format!("{service}_settings"),
         ["service", _, "status"] => "status".to_owned(),
@@ -137,8 +140,10 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
     ];
     let mut cluster = Cluster::start("alpha", &settings).unwrap();
     let client = cluster.client().await.unwrap();
-    let watched =
-        [client.watch("json/*").await.unwrap(), client.watch("robot/*/team").await.unwrap()];
+    let mut watched = Vec::new();
+    for keys in ["json/*", "robot/*/team", "robot/*/refused"] {
+        watched.push(client.watch(keys).await.unwrap());
+    }
     let scenario = ["--scenario", "clusters", "--robots", "8"];
     let mut robots = cluster.robots(&scenario).unwrap();
     formed(&client, &truth(&cluster, &scenario)).await;
@@ -182,7 +187,7 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
     robots.signal("STOP").unwrap();
     let events = &watched[0];
     let happened = async |kind: &str| {
-        let right = |value: &Value| value["event"] == kind;
+        let right = |value: &Value| is_event_of_robots(value, kind);
         events.until(kind, Duration::from_secs(20), right).await.unwrap();
     };
     happened("robot_stale").await;
@@ -206,7 +211,14 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
         }
     }
     let mut wanted = vec!["audit", "claim", "embedding", "event", "graph", "robot_team", "roster"];
-    wanted.extend(["katz", "status", "teams", "event robot_joined", "event robot_left"]);
+    wanted.extend([
+        "katz",
+        "status",
+        "teams",
+        "event robot_joined",
+        "event robots_left",
+        "refused",
+    ]);
     for name in wanted {
         assert!(seen.contains_key(name), "no message of {name}: {seen:?}");
     }

@@ -99,3 +99,17 @@ async fn the_console_sets_and_shows_settings() {
     assert_eq!(code, Some(2));
     assert!(err.contains("FIELD=VALUE"), "{err}");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_decay_that_the_fleet_does_not_allow_is_refused_with_the_limit() {
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
+    let _robots = cluster.robots(&SCENARIO).unwrap();
+    let client = cluster.client().await.unwrap();
+    let watch = client.watch("json/teams").await.unwrap();
+    watch.until("two teams", Duration::from_secs(20), teams(2)).await.unwrap();
+    let (code, _, err) = cluster.muster(&["set", "embedder", "alpha=5"]).unwrap();
+    assert_eq!(code, Some(2), "{err}");
+    assert!(err.contains("alpha: 5 must be less than 1/ρ = ") && err.contains("fraction"), "{err}");
+    watch.clear();
+    watch.until("teams as before", Duration::from_secs(5), teams(2)).await.unwrap();
+}

@@ -14,7 +14,7 @@ use muster_model::embedding::Embedding;
 use muster_model::id::{Modality, RobotId, ServiceName};
 use muster_model::orders::NewOrders;
 use muster_model::role::ReplicaState;
-use muster_model::settings::{Dimension, EmbedderSettings};
+use muster_model::settings::{Alpha, Dimension, EmbedderSettings, SettingsError};
 use muster_model::time::Tick;
 use muster_service::{
     Connectivity, Core, Delivery, FreeJobSlot, Get, JobEnd, MemoryUse, ServedKey, SingleFlight,
@@ -231,6 +231,32 @@ impl Core for Embedder {
         }
     }
 
+    /// A decay that is a number must be below 1/ρ of the fleet as it is, or every frame would fail. ρ of other
+    /// weights or another scaling of the graphs is known only once a frame is embedded with them.
+    fn check_settings(
+        &self,
+        _view: &View<'_>,
+        settings: &EmbedderSettings,
+    ) -> Result<(), SettingsError> {
+        let (Alpha::Value(alpha), Some((basis, _)), Some(embedding)) =
+            (settings.alpha, &self.computed, &self.embedding)
+        else {
+            return Ok(());
+        };
+        let radius = embedding.quality.spectral_radius.1;
+        if alpha * radius < 1.0 || !has_same_graphs(&basis.settings, settings) {
+            return Ok(());
+        }
+        let limit = radius.recip();
+        Err(SettingsError::new(
+            "alpha",
+            format!(
+                "{alpha} must be less than 1/ρ = {limit:.4} of the present fleet; set it below, or as a \
+                 part of 1/ρ, which follows the fleet: alpha={{\"fraction\":0.5}}"
+            ),
+        ))
+    }
+
     /// Does what has become due, whatever happened.
     fn after_input(&mut self, context: &mut Context<'_>) {
         let now = context.now();
@@ -319,6 +345,15 @@ impl Core for Embedder {
     fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {
         run(job, stopwatch)
     }
+}
+
+/// Whether two settings fuse the same graphs in the same way, so that ρ is the same.
+fn has_same_graphs(left: &EmbedderSettings, right: &EmbedderSettings) -> bool {
+    left.weights == right.weights
+        && left.reciprocity == right.reciprocity
+        && left.normalize == right.normalize
+        && left.self_loops == right.self_loops
+        && left.trusted == right.trusted
 }
 
 /// Whether the graphs are to be followed: the inquiry has asked for them.

@@ -384,7 +384,8 @@ fn the_number_of_teams_is_known_from_the_start() {
 fn a_decay_that_is_too_large_is_refused_and_the_last_embedding_stands() {
     let (mut bench, mut ingest) = following();
     let good = learned(&mut bench);
-    bench.set(r#"{"alpha": 50.0}"#);
+    // The radius of other graphs is not known before a frame is embedded with them.
+    bench.set(r#"{"alpha": 50.0, "self_loops": 0.4}"#);
     assert_eq!(bench.failures(), 1);
     let Some(EventKind::JobFailed { reason }) = bench.events.last() else { panic!() };
     let limit = reason.strip_prefix("alpha: 50 must be less than 1/ρ = ").expect(reason);
@@ -406,6 +407,42 @@ fn a_decay_that_is_too_large_is_refused_and_the_last_embedding_stands() {
     bench.set(r#"{"alpha": 0.1}"#);
     assert_eq!(bench.published.len(), 2);
     assert!(!bench.state().contains("failed"));
+}
+
+#[test]
+fn a_decay_that_the_present_fleet_does_not_allow_is_refused_with_the_limit() {
+    let (mut bench, _ingest) = following();
+    for alpha in ["5", "50.0"] {
+        let problem = bench
+            .get("service/embedder/settings", Some(&format!("{{\"alpha\": {alpha}}}")))
+            .unwrap_err();
+        let problem: serde_json::Value = serde_json::from_str(&problem).unwrap();
+        assert_eq!(problem["field"], "alpha");
+        let text = problem["error"].as_str().unwrap();
+        let (_, limit) = text.split_once("must be less than 1/ρ = ").expect(text);
+        let limit: f64 = limit.split(' ').next().unwrap().parse().unwrap();
+        assert!(limit > 1.0 / 1.5 && limit < 1.0 && text.contains("fraction"), "{text}");
+    }
+    assert_eq!(bench.counter("settings_changed"), 0);
+    assert_eq!(bench.failures(), 0);
+    bench.set(r#"{"alpha": 0.5}"#);
+    bench.set(r#"{"alpha": {"fraction": 0.9}}"#);
+    assert_eq!((bench.failures(), bench.counter("settings_changed")), (0, 2));
+}
+
+#[test]
+fn a_service_whose_jobs_fail_says_since_when_until_one_does_not() {
+    let (mut bench, mut ingest) = following();
+    assert_eq!(bench.host.failing_jobs(), None);
+    bench.set(r#"{"alpha": 50.0, "self_loops": 0.4}"#);
+    let first = bench.host.failing_jobs().cloned().unwrap();
+    assert!(first.reason.starts_with("alpha: 50 must be less"), "{}", first.reason);
+    bench.wait(5.0);
+    ingest.edge("spatial", "a0", "a1", 0.3);
+    bench.frame(&mut ingest);
+    assert_eq!(bench.host.failing_jobs().map(|failing| failing.since), Some(first.since));
+    bench.set(r#"{"alpha": 0.1}"#);
+    assert_eq!(bench.host.failing_jobs(), None);
 }
 
 #[test]

@@ -21,6 +21,13 @@ const REMEMBERED_BOOTS: usize = 8;
 /// How many seconds' worth of messages may come at once: a link that stalled delivers in a burst.
 const BURST_S: f64 = 1.0;
 
+/// How often a late message must follow an accepted one for two programs to be the reason. Chance delays come
+/// once; two programs with the same rate reach this within three of their periods.
+const TURNS_OF_TWO_PROGRAMS: u32 = 3;
+
+/// Longest time between two such turns: two of the slowest periods of robots that put regularly.
+const TURNS_WITHIN: Duration = Duration::from_secs(10);
+
 /// A robot's clock that is further off than this is not set at all. That is counted, not refused, and
 /// says nothing of the order: age is measured by the receiver's clock.
 const ABSURD_STAMP: Duration = Duration::from_secs(86_400);
@@ -139,6 +146,16 @@ pub(crate) enum Refusal {
     /// for `stale_after_s`; until then they only extend the robot's grace period.
     #[error("replayed or out of order: {0}")]
     Ambiguous(&'static str),
+    /// Messages of the robot come late and in order by turns: two programs count on their own.
+    #[error(
+        "two programs put as {robot}: give each robot an id of its own, or end one of the two ({reason})"
+    )]
+    TwoPrograms {
+        /// The robot.
+        robot: RobotId,
+        /// How this message is out of order.
+        reason: &'static str,
+    },
     /// The robot has put more messages per second than this on the stream.
     #[error("rate: at most {0} messages per second")]
     Rate(f64),
@@ -261,6 +278,33 @@ pub(crate) struct Gate {
     left: VecDeque<Run>,
     late_since: Option<Tick>,
     may_restart: bool,
+    turns: Turns,
+}
+
+/// How often late messages and accepted ones have followed each other. One late message may have been
+/// delayed, and some in a row are those of a robot that restarted; two programs that put as one robot take turns.
+#[derive(Debug, Default)]
+struct Turns {
+    count: u32,
+    /// Whether the last message was late.
+    is_late: bool,
+    /// When the last turn was.
+    last: Option<Tick>,
+}
+
+impl Turns {
+    fn passed(&mut self) {
+        self.is_late = false;
+    }
+
+    fn late(&mut self, now: Tick) {
+        if std::mem::replace(&mut self.is_late, true) {
+            return;
+        }
+        let goes_on = self.last.is_some_and(|last| now.since(last) < TURNS_WITHIN);
+        self.count = if goes_on { self.count.saturating_add(1) } else { 1 };
+        self.last = Some(now);
+    }
 }
 
 /// How far one run of a robot's software has come.
@@ -311,7 +355,13 @@ impl Gate {
             left: VecDeque::new(),
             late_since: None,
             may_restart: false,
+            turns: Turns::default(),
         }
+    }
+
+    /// Whether the last messages show that two programs put as the robot.
+    pub(crate) fn is_contested(&self) -> bool {
+        self.turns.count >= TURNS_OF_TWO_PROGRAMS
     }
 
     /// The robot has restarted: the next message need not follow the last one.
@@ -338,7 +388,10 @@ impl Gate {
             None if boots => None,
             None => self.run.late(boot.as_ref(), *seq, stamp),
         };
-        self.check_order(now, late, seconds(settings.stale_after_s))?;
+        if let Err(refusal) = self.check_order(now, late, seconds(settings.stale_after_s)) {
+            self.turns.late(now);
+            return Err(refusal);
+        }
         let refill = now.since(self.passed).as_secs_f64() * settings.max_rate_hz;
         let allowance = (self.allowance + refill).min(capacity(settings));
         if allowance < 1.0 {
@@ -348,6 +401,7 @@ impl Gate {
         self.passed = now;
         self.late_since = None;
         self.may_restart = false;
+        self.turns.passed();
         if boots {
             let run = returns.and_then(|at| self.left.remove(at)).unwrap_or_default();
             let left = std::mem::replace(&mut self.run, run);

@@ -7,6 +7,7 @@ use muster_model::id::{RobotId, ServiceName};
 use muster_model::observation::CheckedReport;
 use muster_model::role::ReplicaState;
 use muster_model::settings::IngestSettings;
+use muster_model::status::Departure;
 use muster_model::time::Tick;
 use muster_service::{
     Connectivity, Core, Delivery, Get, MemoryUse, ServedKey, Stopwatch, Subscription, Wiring,
@@ -15,6 +16,7 @@ use muster_wire::{Key, Message, Pattern};
 
 use crate::admission::{self, Observed, Refusal};
 use crate::frames::Frames;
+use crate::presence::{Departures, GATHERING_WINDOW, PresenceEvents};
 use crate::restore;
 use crate::robot::{Change, GracePeriods, Transition};
 use crate::roster::Fleet;
@@ -51,6 +53,8 @@ enum Reception {
 pub struct Ingest {
     fleet: Fleet,
     frames: Frames,
+    presence_events: PresenceEvents,
+    departures: Departures,
     reception: Reception,
     /// Whether no robot was known in this run so far.
     is_without_robots: bool,
@@ -92,6 +96,7 @@ impl Ingest {
                 self.gathered = now.after(GATHERING_TIME);
             }
             self.frames.touch_members(now);
+            self.departures.returned(robot);
             report_joined(context, robot.clone());
         }
         if change.roster {
@@ -100,29 +105,59 @@ impl Ingest {
         if self.is_publishing(&context.view()) {
             let grace = GracePeriods::from(context.settings());
             if self.fleet.has_recovered(now, robot, grace) {
-                self.report_transition(context, robot.clone(), Transition::Recovered);
+                // Others that were lost with it may be back as well.
+                let more = self.fleet.stale_count() > 0;
+                self.changed_presence(context, robot.clone(), Transition::Recovered, more);
+                self.report_presence(context);
             }
         }
     }
 
-    fn report_transition(
+    /// The presence of a robot has changed. With `more`, that of others may follow within a moment.
+    fn changed_presence(
         &mut self,
         context: &mut Context<'_>,
         robot: RobotId,
         transition: Transition,
+        more: bool,
     ) {
         let now = context.now();
-        let (severity, kind) = match transition {
-            Transition::Stale => (Severity::Warning, EventKind::RobotStale { robot }),
-            Transition::Recovered => (Severity::Info, EventKind::RobotRecovered { robot }),
-            Transition::Left => (Severity::Warning, EventKind::RobotLeft { robot }),
-        };
         if transition == Transition::Left {
             context.count("robots_left");
             self.frames.touch_members(now);
+            self.departures.left(now, robot.clone());
         }
         self.frames.touch_roster(now);
-        context.publish_event(severity, kind);
+        self.presence_events.add(now, robot, transition, more);
+    }
+
+    /// Publishes the events of changed presence that are due.
+    fn report_presence(&mut self, context: &mut Context<'_>) {
+        for (severity, kind) in self.presence_events.take(context.now()) {
+            context.publish_event(severity, kind);
+        }
+    }
+
+    /// Brings the presence of all robots up to date, and reports it.
+    fn update_presence(&mut self, context: &mut Context<'_>) {
+        let now = context.now();
+        let transitions = self.fleet.update_presence(now, context.settings());
+        let grace = GracePeriods::from(context.settings());
+        let more =
+            !transitions.is_empty() && self.fleet.changes_within(now, GATHERING_WINDOW, grace);
+        for (robot, transition) in transitions {
+            self.changed_presence(context, robot, transition, more);
+        }
+    }
+
+    /// Brings the presence of all robots up to date while the leader reports it.
+    fn follow_presence(&mut self, context: &Context<'_>) {
+        let now = context.now();
+        for (robot, transition) in self.fleet.update_presence(now, context.settings()) {
+            if transition == Transition::Left {
+                self.departures.left(now, robot);
+            }
+        }
     }
 
     /// Whether this instance leads and can receive robots, so that it publishes their presence and frames.
@@ -148,7 +183,10 @@ impl Ingest {
 }
 
 fn refuse(context: &mut Context<'_>, key: &Key, refusal: &Refusal) {
-    if matches!(refusal, Refusal::Late(_) | Refusal::Ambiguous(_)) {
+    let is_late = |refusal: &Refusal| {
+        matches!(refusal, Refusal::Late(_) | Refusal::Ambiguous(_) | Refusal::TwoPrograms { .. })
+    };
+    if is_late(refusal) {
         context.count("messages_late");
     }
     context.refuse(key, refusal.to_string());
@@ -199,6 +237,8 @@ impl Core for Ingest {
         Self {
             fleet: Fleet::default(),
             frames,
+            presence_events: PresenceEvents::default(),
+            departures: Departures::default(),
             reception: Reception::Online,
             is_without_robots: true,
             gathered: now,
@@ -231,6 +271,8 @@ impl Core for Ingest {
     /// once.
     fn on_stand_down(&mut self, context: &mut Context<'_>) {
         self.frames = Frames::default();
+        // The next leader reports its own.
+        self.presence_events = PresenceEvents::default();
         self.reception = Reception::Online;
         self.fleet.extend_all_grace(context.now());
     }
@@ -266,17 +308,15 @@ impl Core for Ingest {
         let now = context.now();
         let is_due = self.fleet.presence_deadline().is_some_and(|at| at <= now);
         if is_due && self.is_following(&context.view()) {
-            // The leader reports it.
-            self.fleet.update_presence(now, context.settings());
+            self.follow_presence(context);
         }
         if !self.is_publishing(&context.view()) {
             return;
         }
         if is_due {
-            for (robot, transition) in self.fleet.update_presence(now, context.settings()) {
-                self.report_transition(context, robot, transition);
-            }
+            self.update_presence(context);
         }
+        self.report_presence(context);
         if self.next_frame(context.settings()).is_some_and(|at| at <= now) {
             for message in self.frames.make(context, &self.fleet) {
                 context.publish(message);
@@ -320,7 +360,8 @@ impl Core for Ingest {
         let presence = self.fleet.presence_deadline().filter(|_| publishing || following);
         let frame = self.next_frame(view.settings()).filter(|_| publishing);
         let made = self.frames.publishing().filter(|_| publishing);
-        [presence, frame, made].into_iter().flatten().min()
+        let events = self.presence_events.due().filter(|_| publishing);
+        [presence, frame, made, events].into_iter().flatten().min()
     }
 
     fn state(&self, view: &View<'_>) -> String {
@@ -338,9 +379,13 @@ impl Core for Ingest {
         format!("{robots} robot{plural}, {stale} stale{link}")
     }
 
+    fn departed(&self, now: Tick) -> Vec<Departure> {
+        self.departures.recent(now)
+    }
+
     fn memory_use(&self) -> MemoryUse {
         MemoryUse {
-            robots: self.fleet.record_count(),
+            robots: self.fleet.record_count() + self.departures.len(),
             edges: self.fleet.reported_edge_count() + self.frames.edge_count(),
             messages: self.frames.roster_count(),
             offenders: 0,

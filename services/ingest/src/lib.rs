@@ -22,6 +22,7 @@ mod admission;
 mod core;
 mod frames;
 mod graphs;
+mod presence;
 mod restore;
 mod robot;
 mod roster;

@@ -96,7 +96,7 @@ pub(crate) struct Change {
 }
 
 /// How the presence of a robot changed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Transition {
     /// It has been silent for too long.
     Stale,

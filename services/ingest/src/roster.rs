@@ -1,6 +1,7 @@
 //! All known robots: how they join, when their presence changes, how they leave.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 use muster_model::graph::Node;
 use muster_model::id::{Modality, RobotId};
@@ -127,12 +128,18 @@ impl Fleet {
         let mut fresh = Gate::new(now, settings);
         let gate = known.and_then(|robot| robot.gates.get_mut(&stream)).unwrap_or(&mut fresh);
         let passed = gate.pass(now, &provenance, settings);
+        let is_contested = gate.is_contested();
         if matches!(passed, Err(Refusal::Ambiguous(_)))
             && let Some(robot) = self.robots.get_mut(name)
         {
             robot.extend_grace_for(now, &stream);
         }
-        passed?;
+        match passed {
+            Err(Refusal::Late(reason) | Refusal::Ambiguous(reason)) if is_contested => {
+                return Err(Refusal::TwoPrograms { robot: name.clone(), reason });
+            }
+            passed => passed?,
+        }
         let (robot, joined) = self.find_or_join(now, name, settings)?;
         robot.gates.entry(stream.clone()).or_insert(fresh);
         robot.mark_seen(now);
@@ -198,6 +205,13 @@ impl Fleet {
     pub(crate) fn schedule_presence_update(&mut self, name: &RobotId, grace: GracePeriods) {
         let next = self.robots.get(name).and_then(|robot| robot.presence_deadline(grace));
         self.presence_deadline = self.presence_deadline.into_iter().chain(next).min();
+    }
+
+    /// Whether the presence of a robot changes within a time from now on if nothing more is received from it.
+    pub(crate) fn changes_within(&self, now: Tick, time: Duration, grace: GracePeriods) -> bool {
+        let until = now.after(time);
+        let mut deadlines = self.robots.values().filter_map(|robot| robot.presence_deadline(grace));
+        deadlines.any(|at| at <= until)
     }
 
     /// Makes the presence of all robots due.
@@ -341,7 +355,7 @@ mod tests {
         report(&mut fleet, "r1", 3).unwrap();
         report(&mut fleet, "r1", 2).unwrap();
         assert_eq!(fleet.reported_edge_count(), 2);
-        let later = NOW.after(std::time::Duration::from_secs(11));
+        let later = NOW.after(Duration::from_secs(11));
         fleet.update_presence(later, &IngestSettings::default());
         assert_eq!(fleet.reported_edge_count(), 0);
     }

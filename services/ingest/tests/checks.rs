@@ -10,7 +10,9 @@ use bench::{
 use muster_model::observation::{Links, Observation, Pose, Relation};
 use muster_model::roster::Presence;
 use muster_model::settings::IngestSettings;
-use muster_wire::Rejection;
+use muster_service::Delivery;
+use muster_service::inbox::Parcel;
+use muster_wire::{KeySpace, Packet, Pattern, Rejection};
 use serde_json::json;
 
 fn settings() -> IngestSettings {
@@ -357,4 +359,99 @@ fn refused_messages_change_nothing() {
         bench.published
     };
     assert_eq!(run(true), run(false));
+}
+
+/// Lets two programs put by turns, and returns the reasons of what was refused.
+fn by_turns(puts: impl Fn(u32) -> [Put; 2]) -> Vec<String> {
+    let mut bench = Bench::default();
+    for count in 0..40 {
+        for put in puts(count) {
+            bench.receive(put);
+            bench.wait(0.05);
+        }
+    }
+    bench.refused.iter().map(|refused| refused.reason.clone()).collect()
+}
+
+#[test]
+fn two_programs_that_put_as_one_robot_are_called_that() {
+    let stamp = |count: u32, behind: f64| {
+        Some(bench::START.as_seconds() + f64::from(count) / 10.0 - behind)
+    };
+    let boots = |count: u32| {
+        let put = |boot| ordered(Some(boot), Some(u64::from(count)), None);
+        [put("a"), put("b")]
+    };
+    let cloned_boot = |count: u32| {
+        let put = |ahead: u32| ordered(Some("a"), Some(u64::from(count + ahead)), None);
+        [put(500), put(0)]
+    };
+    let without_boots = |count: u32| {
+        let put = |ahead: u32| ordered(None, Some(u64::from(count + ahead)), None);
+        [put(500), put(0)]
+    };
+    let stamps = |count: u32| [0.0, 60.0].map(|behind| ordered(None, None, stamp(count, behind)));
+    let all: [&dyn Fn(u32) -> [Put; 2]; 4] = [&boots, &cloned_boot, &without_boots, &stamps];
+    for (number, puts) in all.into_iter().enumerate() {
+        let reasons = by_turns(puts);
+        let last = reasons.last().unwrap();
+        assert!(
+            last.starts_with("two programs put as r1: give each robot"),
+            "{number}: {reasons:?}"
+        );
+    }
+}
+
+#[test]
+fn a_single_late_message_is_no_second_program() {
+    let mut bench = Bench::default();
+    for count in 0..200_u64 {
+        bench.receive(ordered(Some("a"), Some(count), None));
+        bench.wait(0.1);
+        if count % 150 == 50 {
+            bench.receive(ordered(Some("a"), Some(count - 20), None));
+        }
+    }
+    let reasons: Vec<_> = bench.refused.iter().map(|refused| refused.reason.as_str()).collect();
+    assert_eq!(reasons, ["replayed or out of order: seq goes back"]);
+}
+
+#[test]
+fn a_robot_learns_why_its_messages_are_refused() {
+    let mut bench = three_robots();
+    let space = KeySpace::new(bench::fleet());
+    let misspelt = Packet::put("muster/v1/alpha/robot/r9/poze", "application/json", b"{}".to_vec());
+    let pattern = Pattern::UnknownStreams;
+    let parcel = Parcel::new(&space, misspelt.clone(), &pattern, Delivery::Latest);
+    assert!(parcel.is_some(), "the subscription of ingest covers it");
+    bench.receive(misspelt);
+    let frame = Pose { frame: Some("mars".to_owned()), ..bare_pose(0.0, 0.0) };
+    for _ in 0..100 {
+        bench.receive(report("r1", frame.clone()));
+    }
+    bench.wait(2.0);
+    bench.receive(report("r1", frame));
+    let learned: Vec<_> = bench
+        .refused
+        .iter()
+        .map(|refused| (refused.robot.as_str(), refused.key.as_str(), refused.count))
+        .collect();
+    let key = "muster/v1/alpha/robot/r1/pose";
+    let misspelt = ("r9", "muster/v1/alpha/robot/r9/poze", 1);
+    assert_eq!(learned, [misspelt, ("r1", key, 1), ("r1", key, 100)]);
+    assert!(bench.refused[0].reason.contains("\"poze\" is unknown"), "{:?}", bench.refused[0]);
+    assert!(bench.refused[0].reason.contains("relation/{modality}"));
+    assert!(bench.refused[1].reason.contains("there are map, odom"), "{:?}", bench.refused[1]);
+    let is_named = |happened: &String| happened.starts_with("refused") && happened.contains("poze");
+    assert!(bench.happened().iter().any(is_named), "operators see it as well");
+}
+
+#[test]
+fn a_long_reason_is_whole() {
+    let frames: Vec<String> = (0..12).map(|number| format!("frame-of-building-{number}")).collect();
+    let mut bench = Bench::new(IngestSettings { frames, ..IngestSettings::default() });
+    let frame = Pose { frame: Some("mars".to_owned()), ..bare_pose(0.0, 0.0) };
+    let happened = refusal(&mut bench, report("r1", frame));
+    assert!(happened.ends_with("frame-of-building-11"), "{happened}");
+    assert_eq!(bench.refused[0].reason.split(", ").count(), 12);
 }

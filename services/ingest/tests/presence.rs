@@ -223,9 +223,9 @@ fn no_robot_is_marked_stale_while_the_link_is_lost() {
     bench.wait(1.998);
     assert!(bench.happened().is_empty(), "their grace period begins again");
     bench.wait(0.001);
-    assert_eq!(bench.happened(), ["stale r1", "stale r2"]);
+    assert_eq!(bench.happened(), ["stale r1 r2"]);
     bench.wait(8.0);
-    assert_eq!(bench.happened(), ["left r1", "left r2"]);
+    assert_eq!(bench.happened(), ["left r1 r2"]);
     bench.input(Input::LinkRestored);
     assert!(bench.happened().is_empty(), "the link was not lost");
 }
@@ -271,7 +271,7 @@ fn tokens_that_are_lost_with_the_link_are_no_sign_of_dead_robots() {
     bench.wait(0.1);
     assert_eq!(bench.happened(), ["stale during"], "has not come back");
     bench.wait(20.0);
-    assert_eq!(bench.happened(), ["left dead", "left during"]);
+    assert_eq!(bench.happened(), ["left dead during"]);
     assert_eq!(bench.names(), ["never", "shortly"]);
 }
 
@@ -350,7 +350,7 @@ fn a_pause_is_no_outage_and_no_robot_is_judged_by_the_time_that_ingest_did_not_r
     assert!(bench.happened().is_empty(), "their grace period begins again");
     assert_eq!(bench.presence("r1"), Some(Active));
     bench.wait(0.1);
-    assert_eq!(bench.happened(), ["stale r1", "stale r2"]);
+    assert_eq!(bench.happened(), ["stale r1 r2"]);
     // A real outage is reported as before.
     bench.input(Input::LinkLost);
     bench.wait(3.0);
@@ -386,4 +386,48 @@ fn a_paused_leader_with_peers_marks_no_robot_stale_until_it_is_confirmed() {
     bench.input(Input::LinkRestored);
     bench.wait(0.7);
     assert_eq!(bench.happened(), ["link back after 2.7 s"]);
+}
+
+#[test]
+fn robots_that_are_lost_together_are_one_event_and_remembered_for_an_hour() {
+    let mut bench = Bench::default();
+    let names: Vec<String> = (0..18).map(|number| format!("r{number:02}")).collect();
+    // Each puts ten poses a second, at a phase of its own.
+    for name in &names {
+        bench.receive(pose(name, 0.0, 0.0));
+        bench.wait(0.1 / 18.0);
+    }
+    bench.happened();
+    let listed = names.join(" ");
+    bench.wait(2.5);
+    assert_eq!(bench.happened(), [format!("stale {listed}")]);
+    assert_eq!(bench.counter("robots_left"), 1, "one before the test");
+    bench.wait(8.0);
+    assert_eq!(bench.happened(), [format!("left {listed}")]);
+    let departed = |bench: &mut Bench| -> Vec<String> {
+        bench.status().departed.iter().map(|departure| departure.robot.to_string()).collect()
+    };
+    let mut known = departed(&mut bench);
+    known.sort();
+    assert_eq!(known, [&["last".to_owned()], names.as_slice()].concat());
+    bench.receive(pose("r07", 0.0, 0.0));
+    assert!(!departed(&mut bench).contains(&"r07".to_owned()), "it is here again");
+    bench.wait(3600.0);
+    assert_eq!(departed(&mut bench), ["r07"], "the others have left more than an hour ago");
+}
+
+#[test]
+fn robots_that_come_back_together_are_one_event() {
+    let mut bench = Bench::default();
+    for name in ["r1", "r2", "r3"] {
+        bench.receive(pose(name, 0.0, 0.0));
+    }
+    bench.wait(3.0);
+    bench.happened();
+    for name in ["r1", "r2", "r3"] {
+        bench.receive(pose(name, 0.0, 0.0));
+        bench.wait(0.03);
+    }
+    bench.wait(0.5);
+    assert_eq!(bench.happened(), ["recovered r1 r2 r3"]);
 }

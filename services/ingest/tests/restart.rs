@@ -122,16 +122,17 @@ fn restored_robots_have_their_whole_grace_period() {
     assert!(new.now.since(new.entry("r1").unwrap().last_seen) > seconds(3600.0));
     assert!(new.roster.as_ref().unwrap().header.data_age_s(new.now) > Some(3600.0));
     new.wait(0.1);
-    assert_eq!(new.happened(), ["stale r1", "stale r2", "stale r3", "stale r4"]);
+    assert_eq!(new.happened(), ["stale r1 r2 r3 r4"]);
     assert_eq!(new.presence("r1"), Some(Stale));
     new.receive(token("r4", true));
     new.receive(pose("r1", 0.0, 0.0));
-    assert_eq!(new.happened(), ["recovered r4", "recovered r1"]);
-    new.wait(7.9);
+    new.wait(0.5);
+    assert_eq!(new.happened(), ["recovered r1 r4"]);
+    new.wait(7.4);
     new.happened();
     new.wait(0.2);
     let left = new.happened();
-    assert!(left.ends_with(&["left r2".to_owned(), "left r3".to_owned()]), "{left:?}");
+    assert!(left.ends_with(&["left r2 r3".to_owned()]), "{left:?}");
     assert_eq!(new.names(), ["r1", "r4"]);
 }
 
@@ -348,10 +349,10 @@ fn a_stale_robot_stays_stale_and_leaves_however_often_ingest_restarts() {
                 roster.robots.iter().all(|e| e.robot != robot("r1") || e.presence == Stale),
             _ => true,
         }));
-        happened.extend(new.happened().into_iter().filter(|happened| happened.ends_with("r1")));
+        happened.extend(new.happened().into_iter().filter(|happened| happened.contains("r1")));
         old = new;
     }
-    assert_eq!(happened, ["left r1"]);
+    assert!(matches!(happened.as_slice(), [left] if left.starts_with("left r1")), "{happened:?}");
     assert!(old.now.since(last_seen) < seconds(12.5));
 }
 

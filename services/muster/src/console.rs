@@ -50,6 +50,7 @@ pub(crate) fn exit_error(error: Error) -> ExitError {
              --connect; `--log warn` shows what is wrong with a link",
             routers.join(", ")
         )),
+        // `Error::Denied` is a failure: the service is there.
         Error::Unanswered { .. } => ExitError::unreachable(error.to_string()),
         other => ExitError { exit: Exit::Failure, message: other.to_string() },
     }

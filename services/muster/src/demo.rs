@@ -7,9 +7,11 @@ use std::net::TcpListener;
 use std::path::PathBuf;
 
 use muster_client::Client;
-use muster_model::id::ServiceName;
+use muster_model::id::{FleetId, ServiceName};
 use muster_runtime::bus::{Bus, ConnectTimeout};
-use muster_runtime::config::{DEFAULT_ENDPOINT, Origin, ProcessConfig, Sourced};
+use muster_runtime::config::{
+    DEFAULT_ENDPOINT, Origin, ProcessConfig, Sourced, process_environment,
+};
 use muster_runtime::exit::ExitError;
 use muster_runtime::observe::Observatory;
 use muster_runtime::recording::RecordTo;
@@ -23,6 +25,16 @@ use crate::{show, up};
 /// Poses per second of each robot.
 const RATE_HZ: f64 = 10.0;
 
+/// The fleet of a demo, unless a flag names another.
+const FLEET: &str = "demo";
+
+/// The variables that a demo reads: how it logs. All others may be those of a live fleet, whose operators the
+/// simulated robots must not mislead.
+const VARIABLES: [&str; 2] = ["MUSTER_LOG", "MUSTER_LOG_JSON"];
+
+/// The variables by which other commands in the same environment look for a router.
+const ROUTER_VARIABLES: [&str; 3] = ["MUSTER_CONNECT", "MUSTER_ZENOH_CONFIG", "MUSTER_CONFIG"];
+
 /// Most robots of a demo: their simulation shares the processors with everything else.
 const MAX_ROBOTS: usize = 2000;
 
@@ -31,7 +43,8 @@ const MAX_ROBOTS: usize = 2000;
 #[command(
     after_help = "Two platoons march, split at a crossing, where one squad is handed over for a \
 while, and rejoin. The table is redrawn as the division changes. While it runs, look at it from \
-another terminal with `muster teams --watch`, `muster audit`, `muster graph` and `muster status`.\n\n\
+another terminal with `muster teams --watch --fleet demo`, and likewise `audit`, `graph` and `status`. It has \
+a router and a fleet of its own: of the environment it reads MUSTER_LOG and MUSTER_LOG_JSON only.\n\n\
 Examples:\n  muster demo\n  muster demo --robots 60 --teams 3 --seconds 60\n  muster demo --json | jq .teams"
 )]
 pub(crate) struct DemoArgs {
@@ -55,10 +68,35 @@ pub(crate) struct DemoArgs {
     record: Option<PathBuf>,
 }
 
+/// The environment as a demo reads it.
+pub(crate) fn environment(name: &str) -> Option<String> {
+    process_environment(name).filter(|_| VARIABLES.contains(&name))
+}
+
+/// Separates the demo from every other fleet: it has a name and a router of its own.
+///
+/// # Errors
+/// If a flag connects it to another router.
+fn isolate(config: &mut ProcessConfig) -> anyhow::Result<()> {
+    if config.connect.origin == Origin::Flag {
+        let problem = "--connect: the demo has a router of its own and connects to no other; leave it \
+                       out, or put a simulated fleet on another router with `muster robot`";
+        return Err(ExitError::usage(problem).into());
+    }
+    // Chosen, so that no configuration of Zenoh names other routers either.
+    config.connect = Sourced { value: Vec::new(), origin: Origin::Flag };
+    if config.fleet.origin != Origin::Flag {
+        config.fleet = Sourced { value: FleetId::new(FLEET)?, origin: Origin::Default };
+    }
+    // Every demo starts without the settings of an earlier one.
+    config.state_directory = Sourced { value: None, origin: Origin::Flag };
+    Ok(())
+}
+
 /// Runs the demo until it is time to stop.
 ///
 /// # Errors
-/// If the numbers make no fleet, the router cannot listen, or a service fails.
+/// If the numbers make no fleet, a flag names another router, the router cannot listen, or a service fails.
 pub(crate) async fn run(
     args: &DemoArgs,
     mut config: ProcessConfig,
@@ -73,8 +111,7 @@ pub(crate) async fn run(
     let fleet = crate::robot::simulate(ScenarioKind::Crossing, &options(args))?;
     let seconds = crate::robot::check_seconds(args.seconds)?;
     config.set(ServiceName::Clusterer, &[format!("teams={}", args.teams)])?;
-    // Every demo starts without the settings of an earlier one.
-    config.state_directory = Sourced { value: None, origin: Origin::Flag };
+    isolate(&mut config)?;
     let listen = if config.listen.value.is_empty() {
         vec![free_endpoint()?]
     } else {
@@ -100,9 +137,13 @@ pub(crate) async fn run(
         endpoints.join(", ")
     );
     let connect = endpoints.first().map_or("", String::as_str);
-    let flag =
-        if connect == DEFAULT_ENDPOINT { String::new() } else { format!(" --connect {connect}") };
-    eprintln!("from another terminal: muster teams --watch{flag}");
+    let elsewhere = ROUTER_VARIABLES.iter().any(|name| process_environment(name).is_some());
+    let flag = if connect == DEFAULT_ENDPOINT && !elsewhere {
+        String::new()
+    } else {
+        format!(" --connect {connect}")
+    };
+    eprintln!("from another terminal: muster teams --watch --fleet {}{flag}", config.fleet.value);
 
     let ended = tokio::select! {
         ended = show::watch::follow(&console, teams, args.json) => ended,

@@ -25,7 +25,7 @@ use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
 use muster_model::id::ServiceName;
-use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
+use muster_runtime::config::{Environment, Mode, ProcessArgs, ProcessConfig, process_environment};
 use muster_runtime::exit::{self, ExitError};
 use muster_runtime::service::{block_on, report};
 use muster_solve as solve;
@@ -100,8 +100,11 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Some(Command::Router(_)) => Mode::Router,
         _ => Mode::Client,
     };
-    let mut config =
-        ProcessConfig::resolve(&arguments.process, default_mode, &process_environment)?;
+    let environment: Environment<'_> = match &arguments.command {
+        Some(Command::Demo(_)) => &demo::environment,
+        _ => &process_environment,
+    };
+    let mut config = ProcessConfig::resolve(&arguments.process, default_mode, environment)?;
     if matches!(arguments.command, Some(Command::Demo(_))) {
         // People look at the table; the services log what is wrong.
         config.log.value.get_or_insert_with(|| "warn".to_owned());

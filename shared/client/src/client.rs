@@ -16,7 +16,7 @@ use tokio::sync::watch;
 
 use crate::config::Config;
 use crate::error::Error;
-use crate::feed::{self, Events, Feed, ReceivedPose};
+use crate::feed::{self, Events, Feed, ReceivedPose, Refusals};
 use crate::freshness::Publication;
 use crate::send_queue::SendQueue;
 use crate::watch::Watch;
@@ -147,6 +147,14 @@ impl Client {
     ) -> Result<Feed<ReceivedPose>, Error> {
         let keys = robots.into_iter().map(|robot| Key::Stream(robot, Stream::Pose));
         Feed::subscribe(self.bus(), keys, feed::pose).await
+    }
+
+    /// Subscribes to why messages of a robot are refused, from now on.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn refusals(&self, robot: &RobotId) -> Result<Refusals, Error> {
+        Feed::subscribe(self.bus(), [Key::RobotRefused(robot.clone())], feed::refused).await
     }
 
     /// Whether a router is linked, and every change of it.

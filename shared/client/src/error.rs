@@ -50,6 +50,19 @@ pub enum Error {
         /// The fleet.
         fleet: FleetId,
     },
+    /// The service runs and answers other gets, but not this one: the rules of a router drop it.
+    #[error(
+        "denied: {service} of fleet {fleet} runs, and the router does not let this client get or change \
+         {key}; use the identity of an operator (--zenoh-config, Config::zenoh_config)"
+    )]
+    Denied {
+        /// The service.
+        service: ServiceName,
+        /// The key below the fleet's prefix.
+        key: String,
+        /// The fleet.
+        fleet: FleetId,
+    },
     /// A service refused a get.
     #[error("{service} refuses: {reason}")]
     Refused {

@@ -1,12 +1,15 @@
 //! Messages of which each one counts, in order: events of a fleet, poses of robots.
 
+use std::sync::Arc;
+
 use futures_util::{Stream, StreamExt as _, stream};
 use muster_bus::{Bus, Subscription};
 use muster_model::event::Event;
 use muster_model::id::RobotId;
 use muster_model::observation::{Pose, Report};
+use muster_model::refused::Refused;
 use muster_model::time::Tick;
-use muster_wire::{Key, Message, Pattern};
+use muster_wire::{Key, KeySpace, Message, Packet, Pattern, Rejection};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{broadcast, watch};
 
@@ -23,11 +26,15 @@ pub struct Feed<T> {
     receiver: broadcast::Receiver<T>,
     link: watch::Receiver<bool>,
     missed: u64,
-    _subscriptions: Vec<Subscription>,
+    _subscriptions: Arc<Vec<Subscription>>,
 }
 
 /// The events of a fleet, from the moment of subscribing on.
 pub type Events = Feed<Event>;
+
+/// Why messages of a robot are refused, from the moment of subscribing on. Services send one at most every
+/// two seconds for each key.
+pub type Refusals = Feed<Refused>;
 
 /// The pose of a robot, as it arrived.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,24 +52,23 @@ impl<T: Clone + Send + 'static> Feed<T> {
     pub(crate) async fn subscribe(
         bus: &Bus,
         keys: impl IntoIterator<Item = Key>,
-        read: fn(Message) -> Option<T>,
+        read: fn(&KeySpace, &Packet) -> Result<Option<T>, Rejection>,
     ) -> Result<Self, Error> {
         let (sender, receiver) = broadcast::channel(MAX_WAITING_MESSAGES);
         let mut subscriptions = Vec::new();
         for key in keys {
             let (sender, space) = (sender.clone(), bus.space().clone());
-            let accept = move |packet| match Message::decode(&space, &packet) {
-                Ok(message) => {
-                    if let Some(content) = read(message) {
-                        // It fails if the reader is gone; the subscription follows at once.
-                        let _ = sender.send(content);
-                    }
+            let accept = move |packet| match read(&space, &packet) {
+                Ok(Some(content)) => {
+                    // It fails if the reader is gone; the subscription follows at once.
+                    let _ = sender.send(content);
                 }
+                Ok(None) => {}
                 Err(refused) => tracing::debug!("refused on {}: {}", refused.key, refused.reason),
             };
             subscriptions.push(bus.listen(&Pattern::One(key), accept).await.map_err(Error::bus)?);
         }
-        Ok(Self { receiver, link: bus.link(), missed: 0, _subscriptions: subscriptions })
+        Ok(Self { receiver, link: bus.link(), missed: 0, _subscriptions: Arc::new(subscriptions) })
     }
 
     /// The next message. It may be cancelled at any time, as in `select!`, without losing one.
@@ -86,6 +92,17 @@ impl<T: Clone + Send + 'static> Feed<T> {
         }
     }
 
+    /// The same messages for one more reader, from now on.
+    #[must_use]
+    pub fn resubscribe(&self) -> Self {
+        Self {
+            receiver: self.receiver.resubscribe(),
+            link: self.link.clone(),
+            missed: 0,
+            _subscriptions: Arc::clone(&self._subscriptions),
+        }
+    }
+
     /// How many messages were dropped because more than 1024 waited.
     #[must_use]
     pub const fn missed(&self) -> u64 {
@@ -99,17 +116,25 @@ impl<T: Clone + Send + 'static> Feed<T> {
     }
 }
 
-/// An event out of a message.
-pub(crate) fn event(message: Message) -> Option<Event> {
-    match message {
+/// An event out of a packet.
+pub(crate) fn event(space: &KeySpace, packet: &Packet) -> Result<Option<Event>, Rejection> {
+    Ok(match Message::decode(space, packet)? {
         Message::Event(event) => Some(event),
         _ => None,
-    }
+    })
 }
 
-/// A pose out of a message.
-pub(crate) fn pose(message: Message) -> Option<ReceivedPose> {
-    match message {
+/// A refusal out of a packet; it is logged, for a program that does not read them.
+pub(crate) fn refused(space: &KeySpace, packet: &Packet) -> Result<Option<Refused>, Rejection> {
+    let refused = muster_wire::refused::decode(space, packet, wall_clock())?;
+    let Refused { key, reason, count, .. } = &refused;
+    tracing::warn!("services refuse {key}: {reason} ({count} messages since the last warning)");
+    Ok(Some(refused))
+}
+
+/// A pose out of a packet.
+pub(crate) fn pose(space: &KeySpace, packet: &Packet) -> Result<Option<ReceivedPose>, Rejection> {
+    Ok(match Message::decode(space, packet)? {
         Message::Report(report) => match report.into_parts() {
             (robot, Report::Pose(pose)) => {
                 Some(ReceivedPose { robot, pose, received: wall_clock() })
@@ -117,5 +142,5 @@ pub(crate) fn pose(message: Message) -> Option<ReceivedPose> {
             _ => None,
         },
         _ => None,
-    }
+    })
 }

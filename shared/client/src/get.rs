@@ -11,10 +11,11 @@ use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::katz::PairSimilarity;
+use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
-use muster_wire::message::quoted;
+use muster_wire::message::{plain_reason, quoted};
 use muster_wire::{Key, Message, Packet, Pattern};
 use serde_json::Value;
 
@@ -53,7 +54,7 @@ pub struct FleetPresence {
 fn reason(error: &str) -> String {
     let text = serde_json::from_str::<Value>(error).ok();
     let text = text.as_ref().and_then(|value| value.get("error")?.as_str());
-    quoted(text.unwrap_or(error))
+    plain_reason(text.unwrap_or(error))
 }
 
 fn revision(message: &Message) -> Revision {
@@ -195,8 +196,8 @@ impl Client {
     /// The settings of a service, as the JSON object that `muster set SERVICE` shows.
     ///
     /// # Errors
-    /// [`Error::Unanswered`] if the service does not run, [`Error::Bus`] if the bus fails or the reply is
-    /// no JSON.
+    /// [`Error::Unanswered`] if the service does not run, [`Error::Denied`] if it runs and the rules of the
+    /// router drop the get, [`Error::Bus`] if the bus fails or the reply is no JSON.
     pub async fn get_settings(&self, service: ServiceName) -> Result<Value, Error> {
         self.settings_reply(service, None).await
     }
@@ -276,7 +277,22 @@ impl Client {
                 }
             }
         }
-        Err(refused.unwrap_or_else(|| self.unanswered(Key::Settings(service))))
+        match refused {
+            Some(refused) => Err(refused),
+            None => Err(self.settings_unanswered(service).await),
+        }
+    }
+
+    /// Why the settings of a service are not answered. A router drops what its rules deny without a word; a
+    /// leader that answers for its status runs, and would answer for its settings.
+    async fn settings_unanswered(&self, service: ServiceName) -> Error {
+        let key = Key::Settings(service);
+        let statuses = self.get_statuses(Some(service)).await.unwrap_or_default();
+        if statuses.iter().any(|status| status.standing == ReplicaState::Leading) {
+            let fleet = self.bus().space().fleet().clone();
+            return Error::Denied { service, key: key.to_string(), fleet };
+        }
+        self.unanswered(key)
     }
 
     async fn newest<T>(&self, key: Key, read: fn(Message) -> Option<T>) -> Result<T, Error> {
@@ -323,6 +339,6 @@ mod tests {
     fn the_reason_of_a_refusal_is_fit_for_a_terminal() {
         assert_eq!(reason(r#"{"error": "teams: too few", "field": "teams"}"#), "teams: too few");
         assert_eq!(reason("plain\u{1b}[2J"), "plain\u{FFFD}[2J");
-        assert!(reason(&"x".repeat(10_000)).len() < 200);
+        assert_eq!(reason(&"x".repeat(10_000)).len(), muster_wire::message::MAX_REASON);
     }
 }

@@ -27,6 +27,9 @@
 //! the newest message, with whether it is still valid. Dropping the robot takes it out of the fleet;
 //! [`Robot::leave`] does so after it has sent what is queued. `examples/robot.rs` is a whole program.
 //!
+//! What services refuse of it, such as a pose in an unknown frame, [`Robot::refusals`] delivers with the
+//! reason; each is logged as a warning as well.
+//!
 //! # What happens when something is lost
 //!
 //! | lost | the robot sees |
@@ -110,13 +113,14 @@ mod watch;
 pub use muster_bus::Session;
 pub use muster_model as model;
 pub use muster_model::observation::{Pose, Report};
+pub use muster_model::refused::Refused;
 pub use muster_wire::Format;
 
 pub use crate::changes::Change;
 pub use crate::client::Client;
 pub use crate::config::{Config, Mode};
 pub use crate::error::Error;
-pub use crate::feed::{Events, Feed, ReceivedPose};
+pub use crate::feed::{Events, Feed, ReceivedPose, Refusals};
 pub use crate::freshness::{Latest, Publication, Staleness};
 pub use crate::get::{FleetPresence, ServiceInstance};
 pub use crate::robot::{Robot, RobotPublisher};

@@ -16,6 +16,7 @@ use tokio::time::{MissedTickBehavior, interval};
 use crate::client::Client;
 use crate::config::Config;
 use crate::error::Error;
+use crate::feed::Refusals;
 use crate::reporter::Reporter;
 use crate::send_queue::SendQueue;
 use crate::watch::Watch;
@@ -127,6 +128,7 @@ pub struct Robot {
     /// None once the robot has left.
     publisher: Option<RobotPublisher>,
     team: Watch<RobotTeam>,
+    refusals: Refusals,
     duplicate: Arc<Mutex<Duplicate>>,
     republishing: AbortHandle,
     _duplicates: Subscription,
@@ -162,6 +164,7 @@ impl Robot {
         let pattern = Pattern::One(Key::Stream(id.clone(), Stream::Pose));
         let duplicates = client.bus().listen(&pattern, accept).await.map_err(Error::bus)?;
         let team = client.team(&id).await?;
+        let refusals = client.refusals(&id).await?;
         let publisher = RobotPublisher::declare(&client, reporter).await?;
         let republishing = republish(
             Arc::clone(&publisher.reporter),
@@ -176,6 +179,7 @@ impl Robot {
             id,
             publisher: Some(publisher),
             team,
+            refusals,
             duplicate,
             republishing,
             _duplicates: duplicates,
@@ -199,6 +203,14 @@ impl Robot {
     #[must_use]
     pub fn team(&self) -> Watch<RobotTeam> {
         self.team.clone()
+    }
+
+    /// What services refuse of its messages from now on, each with the reason and the remedy. Unlike an
+    /// [`Error::Input`] these are known to `ingest` only: frames and modalities that its settings do not
+    /// name, rates, or another program with the same id.
+    #[must_use]
+    pub fn refusals(&self) -> Refusals {
+        self.refusals.resubscribe()
     }
 
     /// Puts where it is: `Pose::at(x, y)`, or with more fields

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::header::Header;
 use crate::id::{Modality, RobotId, ServiceName};
-use crate::limits::{MAX_DOUBTED_ROBOTS, MAX_FLAPPING_ROBOTS};
+use crate::limits::{MAX_DOUBTED_ROBOTS, MAX_FLAPPING_ROBOTS, MAX_ROBOTS_OF_EVENT};
 use crate::teams::TeamChange;
 
 /// How much an event matters to an operator.
@@ -32,7 +32,7 @@ pub enum EventKind {
         robot: Option<RobotId>,
         /// The key, cut short and without control characters.
         key: String,
-        /// What is wrong, and the remedy.
+        /// What is wrong and the remedy, without control characters.
         reason: String,
         /// How many messages were refused for this robot and key since the last such event.
         count: u64,
@@ -88,9 +88,9 @@ pub enum EventKind {
         /// Mean silhouette in the embedding.
         mean: f64,
     },
-    /// A service has begun a term.
+    /// A service has begun a term, that of the message.
     ServiceStarted {
-        /// Its term.
+        /// Its term, which is that of the header.
         term: u64,
     },
     /// A setting of an earlier run is no longer valid; file and flags apply.
@@ -133,6 +133,30 @@ pub enum EventKind {
         modality: Modality,
         /// By how much its weight is multiplied, from 0 to 1.
         trust: f64,
+    },
+    /// Several robots became silent within a moment. One alone is `robot_stale`.
+    RobotsStale {
+        /// How many.
+        count: u32,
+        /// The first of them, ordered by name.
+        #[schemars(length(max = MAX_ROBOTS_OF_EVENT))]
+        robots: Vec<RobotId>,
+    },
+    /// Several stale robots report again since a moment. One alone is `robot_recovered`.
+    RobotsRecovered {
+        /// How many.
+        count: u32,
+        /// The first of them, ordered by name.
+        #[schemars(length(max = MAX_ROBOTS_OF_EVENT))]
+        robots: Vec<RobotId>,
+    },
+    /// Several robots have left the fleet within a moment. One alone is `robot_left`.
+    RobotsLeft {
+        /// How many.
+        count: u32,
+        /// The first of them, ordered by name.
+        #[schemars(length(max = MAX_ROBOTS_OF_EVENT))]
+        robots: Vec<RobotId>,
     },
 }
 

@@ -22,6 +22,7 @@ pub mod limits;
 pub mod object;
 pub mod observation;
 pub mod orders;
+pub mod refused;
 pub mod role;
 pub mod roster;
 mod schema;

@@ -68,3 +68,11 @@ pub const MAX_FLAPPING_ROBOTS: usize = 16;
 /// Most robots that an event lists as disagreeing with a modality: some names tell an operator which source
 /// to look at.
 pub const MAX_DOUBTED_ROBOTS: usize = 8;
+
+/// Most robots that an event of many robots lists; its count is that of all. With the longest names they are
+/// a twelfth of what an event may hold, and a log line of usual names stays readable.
+pub const MAX_ROBOTS_OF_EVENT: usize = 64;
+
+/// Most robots that a status lists as having left, the last ones: with the longest names they and their times
+/// are less than half of what a status may hold.
+pub const MAX_DEPARTED_ROBOTS: usize = 256;

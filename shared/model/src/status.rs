@@ -6,7 +6,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::header::Revision;
-use crate::id::{FleetId, InstanceId, ServiceName};
+use crate::id::{FleetId, InstanceId, RobotId, ServiceName};
+use crate::limits::MAX_DEPARTED_ROBOTS;
 use crate::role::ReplicaState;
 use crate::time::Tick;
 
@@ -33,4 +34,18 @@ pub struct ServiceStatus {
     pub state: String,
     /// Its counters since it started, by name.
     pub counters: BTreeMap<String, u64>,
+    /// Robots that have left within the last hour and have not returned, the last one first. Only `ingest`
+    /// has them, of its own run.
+    #[serde(default)]
+    #[schemars(length(max = MAX_DEPARTED_ROBOTS))]
+    pub departed: Vec<Departure>,
+}
+
+/// A robot that has left.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Departure {
+    /// The robot.
+    pub robot: RobotId,
+    /// When it left, some seconds after its last sign of life.
+    pub left: Tick,
 }

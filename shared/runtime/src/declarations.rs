@@ -36,7 +36,9 @@ pub(crate) async fn declare<C: Core>(
         let (push, space) = (push(observer), bus.space().clone());
         let pattern = subscription.pattern.clone();
         let receive = move |packet| {
-            push(Parcel::new(&space, packet, &pattern, subscription.delivery));
+            if let Some(parcel) = Parcel::new(&space, packet, &pattern, subscription.delivery) {
+                push(parcel);
+            }
         };
         bus.subscribe(&subscription.pattern, receive).await?;
     }

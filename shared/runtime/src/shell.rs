@@ -299,7 +299,7 @@ impl<C: Core> Shell<C> {
             send_queue: self.send_queue.backlog(),
             sending: self.send_queue.counts(),
         };
-        self.observer.turned(&status, &queues);
+        self.observer.turned(&status, &queues, self.host.failing_jobs());
     }
 
     fn handle_packets(&mut self) {

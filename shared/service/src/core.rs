@@ -4,7 +4,8 @@ use muster_model::event::{EventKind, Severity};
 use muster_model::header::{Revision, StageTime};
 use muster_model::id::{FleetId, ServiceName};
 use muster_model::role::ReplicaState;
-use muster_model::settings::Settings;
+use muster_model::settings::{Settings, SettingsError};
+use muster_model::status::Departure;
 use muster_model::time::Tick;
 use muster_wire::{Attachment, ForeignKey, Key, KeySpace, Message, Packet, Pattern, Rejection};
 
@@ -138,6 +139,19 @@ pub trait Core: Send + Sized + 'static {
     ) {
     }
 
+    /// Whether changed settings work with what the core knows of the fleet. The settings by themselves are
+    /// valid; a refused change leaves those in force.
+    ///
+    /// # Errors
+    /// Names the field that does not work, and what would.
+    fn check_settings(
+        &self,
+        _view: &View<'_, Self>,
+        _settings: &Self::Settings,
+    ) -> Result<(), SettingsError> {
+        Ok(())
+    }
+
     /// An operator has changed the settings.
     fn on_settings(&mut self, _context: &mut Context<'_, Self>) {}
 
@@ -157,6 +171,12 @@ pub trait Core: Send + Sized + 'static {
 
     /// What the service is doing, in a few words.
     fn state(&self, view: &View<'_, Self>) -> String;
+
+    /// Robots that have left within the last hour, the last one first; at most
+    /// [`MAX_DEPARTED_ROBOTS`](muster_model::limits::MAX_DEPARTED_ROBOTS).
+    fn departed(&self, _now: Tick) -> Vec<Departure> {
+        Vec::new()
+    }
 
     /// What the core holds now.
     fn memory_use(&self) -> MemoryUse {
@@ -370,10 +390,16 @@ impl<C: Core> Context<'_, C> {
     /// Counts a failed job and reports it by an event, at a bounded rate for each kind.
     pub fn report_job_failure(&mut self, kind: &'static str, reason: &str) {
         self.count("jobs_failed");
+        self.0.jobs.failed(self.0.now, reason);
         if self.0.failures.is_to_be_reported(self.0.now, kind) {
             let kind = EventKind::JobFailed { reason: reason.to_owned() };
             self.publish_event(Severity::Error, kind);
         }
+    }
+
+    /// A job has ended well, or what the last one was for is over: the service works again.
+    pub fn report_job_success(&mut self) {
+        self.0.jobs.succeeded();
     }
 
     /// Answers a get with messages, of which those are sent that it selects.

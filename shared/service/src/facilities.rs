@@ -7,7 +7,7 @@ use muster_model::settings::Settings;
 use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern, Rejection};
 
-use crate::failures::Failures;
+use crate::failures::{Failures, JobOutcomes};
 use crate::fetches::{Fetched, Fetches, Purpose};
 use crate::gets::{Gets, encode_answer};
 use crate::io::{Command, GetId, Publication, Reply};
@@ -35,6 +35,8 @@ pub(crate) struct Facilities<S, F, J> {
     pub(crate) gets: Gets,
     pub(crate) job: JobSlot<J>,
     pub(crate) failures: Failures,
+    /// Whether the last jobs have all failed.
+    pub(crate) jobs: JobOutcomes,
     pub(crate) commands: Vec<Command>,
 }
 
@@ -82,8 +84,8 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         }
     }
 
-    /// Counts a refused message and reports it, unless the term has not begun or the like has just
-    /// been reported.
+    /// Counts a refused message and reports it to operators, and to the robot whose key it stands on, unless
+    /// the term has not begun or the like has just been reported.
     pub(crate) fn refuse(&mut self, rejection: Rejection) {
         self.replica.add("messages_refused", 1);
         if !self.replica.election.has_term() {
@@ -91,6 +93,11 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         }
         let Some(count) = self.replica.refusals.add(self.now, &rejection) else { return };
         let Rejection { robot, key, reason } = rejection;
+        if let Some(robot) = &robot {
+            let (robot, key, reason) = (robot.clone(), key.clone(), reason.clone());
+            let refused = self.replica.refused(self.now, robot, key, reason, count);
+            self.publish_as_leader(refused);
+        }
         let kind = EventKind::Quarantined { robot, key, reason, count };
         self.publish_event(Severity::Warning, kind);
     }

@@ -20,7 +20,7 @@ use muster_wire::{KeySpace, Message};
 
 use crate::core::{Connectivity, Context, Core, CoreFacilities, JobEnd, MemoryUse, View};
 use crate::facilities::{Facilities, JobSlot};
-use crate::failures::Failures;
+use crate::failures::{Failures, JobOutcomes, JobsFailing};
 use crate::fetches::{Fetched, Fetches, Purpose};
 use crate::gets::Gets;
 use crate::io::{Arrival, AskId, Command, Input};
@@ -61,6 +61,7 @@ impl<C: Core> Host<C> {
             gets: Gets::default(),
             job: JobSlot::Free,
             failures: Failures::default(),
+            jobs: JobOutcomes::default(),
             commands: Vec::new(),
         };
         Self {
@@ -135,7 +136,16 @@ impl<C: Core> Host<C> {
     /// What the service reports of itself.
     #[must_use]
     pub fn status(&self, now: Tick) -> ServiceStatus {
-        self.facilities.replica.status(now, self.core.state(&View(&self.facilities)))
+        let state = self.core.state(&View(&self.facilities));
+        let status = self.facilities.replica.status(now, state);
+        ServiceStatus { departed: self.core.departed(now), ..status }
+    }
+
+    /// Since when every job of a leader has failed; none if the last one has not.
+    #[must_use]
+    pub fn failing_jobs(&self) -> Option<&JobsFailing> {
+        let is_leading = self.facilities.replica.election.is_leading();
+        self.facilities.jobs.failing().filter(|_| is_leading)
     }
 
     /// What the service holds in memory.

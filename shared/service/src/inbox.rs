@@ -30,8 +30,21 @@ impl Parcel {
     /// A packet of a subscription. What robots send is decoded at once, and a refused packet waits in
     /// a slot of its own: it must not take that of a good message of the same key. Services
     /// republish, and their messages may be large: they are decoded as they are handled.
+    ///
+    /// None if the packet is not meant for a reader of the pattern.
     #[must_use]
-    pub fn new(space: &KeySpace, packet: Packet, pattern: &Pattern, delivery: Delivery) -> Self {
+    pub fn new(
+        space: &KeySpace,
+        packet: Packet,
+        pattern: &Pattern,
+        delivery: Delivery,
+    ) -> Option<Self> {
+        pattern
+            .is_meant_for_reader(&packet.key)
+            .then(|| Self::of_reader(space, packet, pattern, delivery))
+    }
+
+    fn of_reader(space: &KeySpace, packet: Packet, pattern: &Pattern, delivery: Delivery) -> Self {
         let size = packet.key.len() + packet.size();
         let slot = packet.key.clone();
         if matches!(pattern, Pattern::Foreign(_)) {

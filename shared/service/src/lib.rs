@@ -29,6 +29,7 @@ pub mod testkit;
 mod wiring;
 
 pub use crate::core::{Connectivity, Context, Core, FreeJobSlot, JobEnd, MemoryUse, View};
+pub use failures::JobsFailing;
 pub use gets::Get;
 pub use host::Host;
 pub use io::{

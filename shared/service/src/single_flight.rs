@@ -54,6 +54,7 @@ impl<Task: PartialEq> SingleFlight<Task> {
     ) -> Option<T> {
         match end {
             JobEnd::Finished(Ok(result)) => {
+                context.report_job_success();
                 self.succeeded();
                 return Some(result);
             }

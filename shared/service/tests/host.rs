@@ -368,7 +368,7 @@ fn packets_of_other_programs_reach_the_core_as_they_are_and_are_answered_on_thei
         ..Packet::put("other/topic", "application/cdr", [1, 2])
     };
     let mut inbox = Inbox::default();
-    inbox.push(Parcel::new(&space(), packet, &pattern, Delivery::Latest));
+    inbox.push(Parcel::new(&space(), packet, &pattern, Delivery::Latest).unwrap());
     let now = driven.now;
     let commands = driven.host.handle(now, Input::Arrived(inbox.pop().unwrap()));
     let Some(Command::Publish(publication)) = commands.first() else { panic!("{commands:?}") };
@@ -379,7 +379,7 @@ fn packets_of_other_programs_reach_the_core_as_they_are_and_are_answered_on_thei
     assert_eq!(publication.packets, [expected]);
     // On a subscription of the fleet such a key is refused, as is every other that does not belong.
     let stray = Packet::put("other/topic", "", []);
-    inbox.push(Parcel::new(&space(), stray, &Pattern::RobotTeams, Delivery::Latest));
+    inbox.push(Parcel::new(&space(), stray, &Pattern::RobotTeams, Delivery::Latest).unwrap());
     let refused = inbox.pop().unwrap().into_message(&space());
     assert!(refused.unwrap_err().reason.contains("does not stand under"));
 }

@@ -46,6 +46,9 @@ pub enum DecodeError {
     /// The key takes no JSON.
     #[error("this key takes binary messages between services, with an encoding of {BINARY}")]
     NotBinary,
+    /// The key takes JSON only.
+    #[error("this key takes JSON, with an encoding of {JSON}")]
+    NotJson,
     /// The payload is not the JSON of the message.
     #[error("this is not the JSON it should be: {0}")]
     Json(#[from] serde_json::Error),

@@ -15,6 +15,7 @@ use muster_model::header::Header;
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::limits::MAX_MEMBERS_PUBLISHED;
+use muster_model::refused::Refused;
 use muster_model::roster::{Presence, Roster};
 use muster_model::teams::{RobotTeam, TeamCountScore, Teams};
 use muster_model::time::Tick;
@@ -22,6 +23,8 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 use serde_json::{Map, Value, json};
+
+use crate::packet::MAX_REASON;
 
 /// The head of every JSON message.
 #[derive(Debug, Serialize, JsonSchema)]
@@ -39,6 +42,10 @@ struct Head<'a> {
     /// The services that the data has passed, in order.
     stages: Vec<Stage>,
 }
+
+/// The fields of the head. No further field of a message may have one of these names: an object with the
+/// same name twice is read differently by different parsers.
+const HEAD_FIELDS: [&str; 5] = ["fleet", "term", "epoch", "data_age_s", "stages"];
 
 /// When a service had received what it needed, and when it published what it made of it.
 #[derive(Debug, Serialize, JsonSchema)]
@@ -166,6 +173,35 @@ impl EdgeJson for RobotTeam {
             members: self.members.as_deref(),
             leader: self.leader.as_ref(),
             confidence: self.confidence,
+        })
+    }
+}
+
+/// Messages of a robot were refused: what `ingest` publishes on the robot's own key, at most every two seconds
+/// for each of its keys. What was accepted before stays.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct RefusedForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// The robot.
+    robot: &'a RobotId,
+    /// The key of the messages, cut short and without control characters.
+    key: &'a str,
+    /// What is wrong and the remedy, of the newest of them.
+    #[schemars(length(max = MAX_REASON))]
+    reason: &'a str,
+    /// How many messages were refused on this key since the last such message.
+    count: u64,
+}
+
+impl EdgeJson for Refused {
+    fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec(&RefusedForm {
+            head: head(&self.header, now),
+            robot: &self.robot,
+            key: &self.key,
+            reason: &self.reason,
+            count: self.count,
         })
     }
 }
@@ -321,6 +357,7 @@ impl Variant {
     fn named(&self, names: &[(&str, &str)]) -> Value {
         let fields = self.content.get("properties").and_then(Value::as_object);
         let mut properties = fields.cloned().unwrap_or_default();
+        properties.retain(|name, _| !HEAD_FIELDS.contains(&name.as_str()));
         let mut required: Vec<Value> = names.iter().map(|(name, _)| json!(name)).collect();
         required.extend(properties.keys().map(|name| json!(name)));
         for (name, value) in names {
@@ -360,6 +397,8 @@ fn named_variant(name: &str, value: Value) -> Map<String, Value> {
         Value::Object(fields) => named.extend(fields),
         _ => {}
     }
+    // The term of `service_started` is that of the head.
+    named.retain(|name, _| !HEAD_FIELDS.contains(&name.as_str()));
     named
 }
 

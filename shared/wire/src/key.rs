@@ -13,6 +13,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::envelope::{MAX_SERVICE_PAYLOAD, MAX_SMALL_PAYLOAD};
 use crate::foreign::{ForeignKey, ForeignPattern};
+use crate::packet::quoted;
+
+/// What services put for a robot, below its name.
+const KEYS_FOR_ROBOTS: [&str; 2] = ["team", "refused"];
 
 /// What stands before the fleet in every key.
 const ROOT: &str = "muster/v1";
@@ -56,6 +60,9 @@ pub enum Key {
     ServiceToken(ServiceName, InstanceId),
     /// A key of another program, outside of the fleet's keys. [`KeySpace::parse`] never returns it.
     Foreign(ForeignKey),
+    // Recordings hold keys and patterns by their number: new ones come last.
+    /// `robot/{robot}/refused`: why messages of the robot are refused.
+    RobotRefused(RobotId),
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -83,6 +90,10 @@ pub enum Pattern {
     One(Key),
     /// Keys of other programs, outside of the fleet's keys.
     Foreign(ForeignPattern),
+    /// `robot/*/*`, of which only names are meant that no stream of a robot has.
+    UnknownStreams,
+    /// `robot/*/refused`
+    RobotRefusals,
 }
 
 /// Why a text is not a key of the fleet.
@@ -94,6 +105,11 @@ pub enum KeyError {
     /// It has wild chunks: a sample must name exactly one place.
     #[error("the key is wild; put to exactly one key")]
     Wild,
+    /// No stream of a robot has this name.
+    #[error(
+        "the stream {0:?} is unknown; a robot puts pose, links, rank and relation/{{modality}}"
+    )]
+    UnknownStream(String),
     /// No key has this form.
     #[error("no key of the fleet has this form")]
     Unknown,
@@ -147,8 +163,10 @@ impl KeySpace {
         let tail = match pattern {
             Pattern::RobotTokens => "robot/*",
             Pattern::Stream(stream) => return format!("{}robot/*/{stream}", self.prefix),
+            Pattern::UnknownStreams => "robot/*/*",
             Pattern::Relations => "robot/*/relation/*",
             Pattern::RobotTeams => "robot/*/team",
+            Pattern::RobotRefusals => "robot/*/refused",
             Pattern::Graphs => "graph/*",
             Pattern::ServiceTokens => "service/*/*",
             Pattern::InstanceTokens(service) => {
@@ -176,7 +194,20 @@ impl KeySpace {
         // The longest key has four chunks; a fifth means that the form is not known.
         let mut chunks = tail.splitn(5, '/');
         let chunks = [chunks.next(), chunks.next(), chunks.next(), chunks.next(), chunks.next()];
-        parse_chunks(chunks).ok_or(KeyError::Unknown)
+        parse_chunks(chunks).ok_or_else(|| match chunks {
+            [Some("robot"), Some(robot), Some(stream), None, _] if RobotId::new(robot).is_ok() => {
+                KeyError::UnknownStream(quoted(stream))
+            }
+            _ => KeyError::Unknown,
+        })
+    }
+
+    /// The robot that the text of a key names, also where the rest is no key of the fleet.
+    #[must_use]
+    pub fn robot_of(&self, text: &str) -> Option<RobotId> {
+        let mut chunks = text.strip_prefix(&self.prefix)?.split('/');
+        let robot = (chunks.next() == Some("robot")).then(|| chunks.next()).flatten()?;
+        RobotId::new(robot).ok()
     }
 }
 
@@ -197,6 +228,7 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
             let robot = robot.parse().ok()?;
             match stream {
                 "team" => Key::RobotTeam(robot),
+                "refused" => Key::RobotRefused(robot),
                 stream => Key::Stream(robot, Stream::built_in(stream)?),
             }
         }
@@ -217,19 +249,30 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
 }
 
 impl Pattern {
-    /// All streams of all robots.
+    /// All streams of all robots, and those that there are not.
     #[must_use]
-    pub fn streams() -> [Self; 4] {
+    pub fn streams() -> [Self; 5] {
         let [first, second, third] = Stream::BUILT_IN.map(Self::Stream);
-        [first, second, third, Self::Relations]
+        [first, second, third, Self::Relations, Self::UnknownStreams]
+    }
+
+    /// Whether a packet is meant for a reader of the pattern: one of unknown streams reads neither the known
+    /// ones, which have patterns of their own, nor what services put for a robot.
+    #[must_use]
+    pub fn is_meant_for_reader(&self, key: &str) -> bool {
+        if *self != Self::UnknownStreams {
+            return true;
+        }
+        let name = key.rsplit('/').next().unwrap_or_default();
+        Stream::built_in(name).is_none() && !KEYS_FOR_ROBOTS.contains(&name)
     }
 
     /// Most bytes that may stand on any of the keys.
     #[must_use]
     pub const fn payload_limit(&self) -> usize {
         match self {
-            Self::Stream(_) | Self::Relations => MAX_ROBOT_PAYLOAD,
-            Self::RobotTeams | Self::Statuses => MAX_SMALL_PAYLOAD,
+            Self::Stream(_) | Self::UnknownStreams | Self::Relations => MAX_ROBOT_PAYLOAD,
+            Self::RobotTeams | Self::RobotRefusals | Self::Statuses => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
             Self::Graphs | Self::Everything | Self::Foreign(_) => MAX_SERVICE_PAYLOAD,
             Self::One(key) => key.payload_limit(),
@@ -244,6 +287,7 @@ impl Key {
         match self {
             Self::Stream(..) => MAX_ROBOT_PAYLOAD,
             Self::RobotTeam(_)
+            | Self::RobotRefused(_)
             | Self::Event
             | Self::JsonEvent
             | Self::Settings(_)
@@ -258,9 +302,10 @@ impl Key {
     #[must_use]
     pub fn robot(&self) -> Option<&RobotId> {
         match self {
-            Self::RobotToken(robot) | Self::Stream(robot, _) | Self::RobotTeam(robot) => {
-                Some(robot)
-            }
+            Self::RobotToken(robot)
+            | Self::Stream(robot, _)
+            | Self::RobotTeam(robot)
+            | Self::RobotRefused(robot) => Some(robot),
             _ => None,
         }
     }
@@ -273,6 +318,7 @@ impl fmt::Display for Key {
             Self::RobotToken(robot) => write!(formatter, "robot/{robot}"),
             Self::Stream(robot, stream) => write!(formatter, "robot/{robot}/{stream}"),
             Self::RobotTeam(robot) => write!(formatter, "robot/{robot}/team"),
+            Self::RobotRefused(robot) => write!(formatter, "robot/{robot}/refused"),
             Self::Graph(modality) => write!(formatter, "graph/{modality}"),
             Self::Roster => formatter.write_str("roster"),
             Self::Embedding => formatter.write_str("embedding"),
@@ -309,7 +355,8 @@ mod tests {
         let mut keys = vec![
             Key::RobotToken(robot.clone()),
             Key::Stream(robot.clone(), Stream::Relation(thermal.clone())),
-            Key::RobotTeam(robot),
+            Key::RobotTeam(robot.clone()),
+            Key::RobotRefused(robot),
             Key::Graph(thermal),
             Key::Roster,
             Key::Embedding,
@@ -346,6 +393,32 @@ mod tests {
     }
 
     #[test]
+    fn a_stream_that_no_robot_has_is_named_with_those_that_there_are() {
+        for stream in ["poze", "relation", "Pose", "@x"] {
+            let text = format!("muster/v1/alpha/robot/r1/{stream}");
+            let error = space().parse(&text).unwrap_err();
+            assert_eq!(error, KeyError::UnknownStream(stream.to_owned()));
+            let error = error.to_string();
+            for name in Stream::BUILT_IN.map(|stream| stream.to_string()) {
+                assert!(error.contains(&format!(" {name}")), "{error}");
+            }
+            assert_eq!(space().robot_of(&text), RobotId::new("r1").ok());
+        }
+        assert_eq!(space().robot_of("muster/v1/beta/robot/r1/pose"), None);
+        assert_eq!(space().robot_of("muster/v1/alpha/graph/r1"), None);
+    }
+
+    #[test]
+    fn a_reader_of_unknown_streams_is_meant_by_nothing_else() {
+        for (tail, meant) in [("pose", false), ("poze", true), ("team", false), ("refused", false)]
+        {
+            let key = format!("muster/v1/alpha/robot/r1/{tail}");
+            assert_eq!(Pattern::UnknownStreams.is_meant_for_reader(&key), meant, "{tail}");
+            assert!(Pattern::Everything.is_meant_for_reader(&key));
+        }
+    }
+
+    #[test]
     fn what_is_no_key_of_the_fleet_is_refused() {
         let parse = |text: &str| space().parse(text).unwrap_err();
         assert!(matches!(parse("muster/v1/beta/teams"), KeyError::Elsewhere(_)));
@@ -360,7 +433,6 @@ mod tests {
             "robot/R1/pose",
             "robot/r1/pose/x",
             "robot//pose",
-            "robot/r1/relation",
             "robot/r1/relation/a/b",
             "service/ingest",
             "service/x/settings",

@@ -21,6 +21,7 @@ pub mod key;
 pub mod message;
 pub mod packet;
 pub mod recording;
+pub mod refused;
 pub mod report;
 pub mod request;
 pub mod robot_team;

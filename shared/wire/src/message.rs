@@ -12,6 +12,7 @@ use muster_model::header::Header;
 use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::katz::PairSimilarity;
 use muster_model::observation::CheckedReport;
+use muster_model::refused::Refused;
 use muster_model::role::LeaseRenewal;
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
@@ -26,7 +27,7 @@ use crate::packet::{Format, Outbound, Packet, Rejection, Source, binary_encoding
 use crate::report;
 use crate::request::Request;
 
-pub use crate::packet::{JSON, quoted};
+pub use crate::packet::{JSON, MAX_REASON, plain_reason, quoted};
 
 /// What stands, or is to stand, on the bus.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,6 +52,8 @@ pub enum Message {
     Report(CheckedReport),
     /// The team of a robot.
     RobotTeam(RobotTeam),
+    /// Messages of a robot were refused.
+    Refused(Box<Refused>),
     /// A change of one graph, or a snapshot of it.
     Graph(Arc<GraphDelta>),
     /// Who belongs to the fleet.
@@ -170,6 +173,7 @@ impl Message {
             | Key::JsonAudit
             | Key::JsonEvent
             | Key::Status(_)
+            | Key::RobotRefused(_)
             | Key::Schema
             | Key::Stream(..)
             | Key::Foreign(_) => return Err(DecodeError::NotRead),
@@ -181,6 +185,7 @@ impl Message {
     pub fn header(&self) -> Option<&Header> {
         match self {
             Self::RobotTeam(team) => Some(&team.header),
+            Self::Refused(refused) => Some(&refused.header),
             Self::Graph(delta) => Some(&delta.header),
             Self::Roster(roster) => Some(&roster.header),
             Self::Embedding(embedding) => Some(&embedding.header),
@@ -204,6 +209,7 @@ impl Message {
             }
             Self::Report(report) => (Key::Stream(report.robot().clone(), report.stream()), None),
             Self::RobotTeam(team) => (Key::RobotTeam(team.robot.clone()), None),
+            Self::Refused(refused) => (Key::RobotRefused(refused.robot.clone()), None),
             Self::Graph(delta) => (Key::Graph(delta.modality.clone()), None),
             Self::Roster(_) => (Key::Roster, None),
             Self::Embedding(_) | Self::Katz(_) => (Key::Embedding, None),
@@ -218,13 +224,14 @@ impl Message {
 
     /// What a service puts on the bus for this message: the message, and its JSON mirror.
     ///
-    /// The team of a robot is written in JSON, everything between services in binary form.
+    /// What robots read is written in JSON, everything between services in binary form.
     ///
     /// # Errors
     /// [`EnvelopeError`] if the content is larger than its kind may be.
     pub fn publish(&self, now: Tick) -> Result<Vec<Outbound>, EnvelopeError> {
         let (key, mirror) = self.keys();
-        let form = if matches!(self, Self::RobotTeam(_)) { Format::Json } else { Format::Binary };
+        let is_for_robots = matches!(self, Self::RobotTeam(_) | Self::Refused(_));
+        let form = if is_for_robots { Format::Json } else { Format::Binary };
         let mut all = vec![self.encode(key, form, now)?];
         let mirrored = !matches!(self, Self::Teams { mirror: false, .. });
         if let Some(mirror) = mirror.filter(|_| mirrored) {
@@ -245,9 +252,11 @@ impl Message {
     ) -> Result<Vec<Outbound>, EnvelopeError> {
         let (key, mirror) = self.keys();
         let native = match self {
-            Self::RobotTeam(_) | Self::Settings(_) | Self::Status(_) | Self::Katz(_) => {
-                Format::Json
-            }
+            Self::RobotTeam(_)
+            | Self::Refused(_)
+            | Self::Settings(_)
+            | Self::Status(_)
+            | Self::Katz(_) => Format::Json,
             _ => Format::Binary,
         };
         let mut all = Vec::new();
@@ -302,6 +311,7 @@ impl Message {
             Self::RobotToken { .. } | Self::ServiceToken { .. } => Ok(Vec::new()),
             Self::Report(report) => serde_json::to_vec(report.report()),
             Self::RobotTeam(team) => team.to_json(now),
+            Self::Refused(refused) => refused.to_json(now),
             Self::Graph(delta) => delta.to_json(now),
             Self::Roster(roster) => roster.to_json(now),
             Self::Embedding(embedding) => embedding.to_json(now),
@@ -332,6 +342,7 @@ impl Message {
             Self::LeaseRenewal(claim) => named(claim.as_ref()),
             Self::RobotToken { .. }
             | Self::ServiceToken { .. }
+            | Self::Refused(_)
             | Self::Status(_)
             | Self::Katz(_) => Err(EnvelopeError::Encode(
                 "this message has no binary form; ask with format=json".to_owned(),

@@ -15,8 +15,12 @@ pub const JSON: &str = "application/json";
 /// What the encoding of every binary message begins with; the kind and version follow.
 pub(crate) const BINARY: &str = "application/octet-stream";
 
-/// Longest piece of foreign text that is repeated in an error.
+/// Longest piece of foreign text that is repeated in an error, in characters.
 const MAX_QUOTED: usize = 120;
+
+/// Longest reason in characters: some whole sentences, with a few pieces of foreign text in them. Only what
+/// lists many names is longer.
+pub const MAX_REASON: usize = 1000;
 
 /// The two forms of a payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -123,7 +127,7 @@ pub struct Rejection {
     pub robot: Option<RobotId>,
     /// Its key, cut short, without control characters.
     pub key: String,
-    /// What is wrong and what would be right, cut short, without control characters.
+    /// What is wrong and what would be right, at most [`MAX_REASON`] characters, no control characters.
     pub reason: String,
 }
 
@@ -131,18 +135,25 @@ impl Rejection {
     /// A refusal of a packet with a key.
     #[must_use]
     pub fn new(space: &KeySpace, key: &str, reason: impl AsRef<str>) -> Self {
-        Self {
-            robot: space.parse(key).ok().and_then(|key| key.robot().cloned()),
-            key: quoted(key),
-            reason: quoted(reason.as_ref()),
-        }
+        Self { robot: space.robot_of(key), key: quoted(key), reason: plain_reason(reason.as_ref()) }
     }
 }
 
 /// Makes foreign text fit for a log line or an event: short, and without control characters.
 #[must_use]
 pub fn quoted(text: &str) -> String {
-    text.chars().take(MAX_QUOTED).map(|c| if c.is_control() { '\u{FFFD}' } else { c }).collect()
+    plain(text, MAX_QUOTED)
+}
+
+/// Makes the reason of a refusal or failure fit for a log line or an event: whole sentences, and no control
+/// characters.
+#[must_use]
+pub fn plain_reason(text: &str) -> String {
+    plain(text, MAX_REASON)
+}
+
+fn plain(text: &str, limit: usize) -> String {
+    text.chars().take(limit).map(|c| if c.is_control() { '\u{FFFD}' } else { c }).collect()
 }
 
 /// The encoding of a binary message.

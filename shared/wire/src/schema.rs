@@ -23,8 +23,8 @@ use serde_json::{Map, Value, json};
 
 use crate::envelope::MAX_SMALL_PAYLOAD;
 use crate::json::{
-    AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RobotTeamForm, RosterForm,
-    TeamsForm,
+    AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm, RobotTeamForm,
+    RosterForm, TeamsForm,
 };
 use crate::report;
 
@@ -121,6 +121,7 @@ impl Schemas {
         let mut all = Self::default();
         all.streams();
         all.written::<RobotTeamForm<'_>>("robot_team", &["robot/{robot}/team"]);
+        all.written::<RefusedForm<'_>>("refused", &["robot/{robot}/refused"]);
         all.written::<TeamsForm<'_>>("teams", &["json/teams", "teams?format=json"]);
         all.written::<AuditForm<'_>>("audit", &["json/audit", "audit?format=json"]);
         all.written::<EventForm<'_>>("event", &["json/event"]);

@@ -20,6 +20,7 @@ use muster_service::{
     Arrival, Ask, Command, Core, GetId, Host, IncomingGet, Input, Publication, Reply, Start,
     Stopwatch, Stored,
 };
+use muster_wire::message::MAX_REASON;
 use muster_wire::{Format, Key, KeySpace, Message, Packet, Pattern, Request, Source, report};
 
 use crate::draw::{Author, Draw, Drawn};
@@ -48,9 +49,6 @@ const ROUNDING: f64 = 1e-9;
 
 /// Longest error that a get is answered with, in characters.
 const MAX_ERROR: usize = 1000;
-
-/// Longest text in an event, in characters.
-const MAX_REASON: usize = 400;
 
 /// Keys that packets come in on.
 pub(crate) const KEYS: [&str; 16] = [
@@ -401,7 +399,9 @@ impl<C: Core> World<C> {
                 let _: serde_json::Value = serde_json::from_slice(payload).unwrap();
             }
         }
-        if let Some(header) = message.header().filter(|_| !matches!(message, Message::Event(_))) {
+        if let Some(header) =
+            message.header().filter(|_| !matches!(message, Message::Event(_) | Message::Refused(_)))
+        {
             let before = self.published.insert(key.clone(), header.revision);
             let repeats = matches!(
                 message,

@@ -11,6 +11,7 @@ use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
 use muster_wire::envelope::{AnnouncedSettings, BinaryMessage, MAGIC, VERSION, decode, encode};
+use muster_wire::message::MAX_REASON;
 use muster_wire::report::{decode_unchecked, encode_unchecked};
 use muster_wire::{Format, Key, KeySpace, Message, Packet, Rejection, Source};
 
@@ -53,7 +54,7 @@ fn read<T>(
     let result = allocation::at_most(may_hold(length), what, || decode(packet));
     if let Err(rejection) = &result {
         text::check(&rejection.key, MAX_REFUSAL);
-        text::check(&rejection.reason, MAX_REFUSAL);
+        text::check(&rejection.reason, MAX_REASON);
     }
     result
 }
@@ -155,6 +156,14 @@ pub(crate) fn katz(data: &[u8]) -> Outcome {
 pub(crate) fn robot_team(data: &[u8]) -> Outcome {
     let Some(packet) = foreign(data) else { return Outcome::Refused };
     let space = space();
+    let decode = |packet: &Packet| muster_wire::refused::decode(&space, packet, NOW);
+    if let Ok(refused) = read(&packet, "reading the refusals of a robot", decode) {
+        let key = Key::RobotRefused(refused.robot.clone());
+        assert_eq!(space.format(&key), packet.key, "a robot reads the refusals of another key");
+        text::check(&refused.key, MAX_REFUSAL);
+        text::check(&refused.reason, MAX_REASON);
+        return Outcome::Accepted;
+    }
     let decode = |packet: &Packet| muster_wire::robot_team::decode(&space, packet, NOW);
     let Ok(team) = read(&packet, "reading the team of a robot", decode) else {
         return Outcome::Refused;

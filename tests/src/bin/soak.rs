@@ -12,7 +12,7 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use muster_tests::client::{Client, division, now};
+use muster_tests::client::{Client, division, is_event_of_robots, now, robots_of_event};
 use muster_tests::cluster::{Cluster, SERVICES};
 use muster_tests::process_stats::{ProcessStats, process_stats, quantile, slope};
 use serde_json::Value;
@@ -200,9 +200,10 @@ async fn main() -> anyhow::Result<ExitCode> {
         }
         longest = longest.max(now() - last);
         for (_, value) in events.take() {
-            if value["event"] == "robot_left" {
-                left += 1;
-                writeln!(out, "after {at:.0} s {} left: {}", value["robot"], value["reason"])?;
+            if is_event_of_robots(&value, "robot_left") {
+                let robots = robots_of_event(&value);
+                left += robots.len();
+                writeln!(out, "after {at:.0} s left: {}", robots.join(" "))?;
             }
         }
         if at >= minute * 60.0 {

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use serde_json::Value;
 
-use crate::client::{Division, division};
+use crate::client::{Division, division, is_event_of_robots, robots_of_event};
 
 /// One line of an observer.
 #[derive(Debug, Clone)]
@@ -60,20 +60,25 @@ impl Record {
     /// When the first event of a name was seen since a moment.
     #[must_use]
     pub fn first_event(&self, name: &str, since: f64) -> Option<f64> {
-        self.of("json/event", since).find(|seen| seen.value["event"] == name).map(|seen| seen.at)
+        self.of("json/event", since)
+            .find(|seen| is_event_of_robots(&seen.value, name))
+            .map(|seen| seen.at)
     }
 
     /// When the last event of a name was seen since a moment.
     #[must_use]
     pub fn last_event(&self, name: &str, since: f64) -> Option<f64> {
-        self.of("json/event", since).rfind(|seen| seen.value["event"] == name).map(|seen| seen.at)
+        self.of("json/event", since)
+            .rfind(|seen| is_event_of_robots(&seen.value, name))
+            .map(|seen| seen.at)
     }
 
     /// The robots that events of a name are about, since a moment.
     #[must_use]
     pub fn robots_of(&self, name: &str, since: f64) -> BTreeSet<String> {
-        let events = self.of("json/event", since).filter(|seen| seen.value["event"] == name);
-        events.filter_map(|seen| seen.value["robot"].as_str().map(str::to_owned)).collect()
+        let events =
+            self.of("json/event", since).filter(|seen| is_event_of_robots(&seen.value, name));
+        events.flat_map(|seen| robots_of_event(&seen.value)).collect()
     }
 
     /// When a division was published for the first time since a moment that is the wanted one, has no

@@ -206,7 +206,9 @@ impl Node {
             if size > pattern.payload_limit() {
                 packet.payload = Err(size);
             }
-            process.inbox.push(Parcel::new(space, packet, pattern, *delivery));
+            if let Some(parcel) = Parcel::new(space, packet, pattern, *delivery) {
+                process.inbox.push(parcel);
+            }
         }
     }
 

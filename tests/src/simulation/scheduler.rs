@@ -258,7 +258,13 @@ impl World {
             }
             _ => packets.first().cloned(),
         };
-        let decoded = packet.map(|packet| Message::decode(&self.space, &packet));
+        let now = Tick(self.now);
+        let decoded = packet.map(|packet| match message {
+            // Robots read it, and no service does.
+            Message::Refused(_) => muster_wire::refused::decode(&self.space, &packet, now)
+                .map(|refused| Message::Refused(Box::new(refused))),
+            _ => Message::decode(&self.space, &packet),
+        });
         let Some(Ok(decoded)) = decoded else {
             let seen = format!("{}: {decoded:?}", node.name());
             return breach("what a service publishes, others understand", seen);

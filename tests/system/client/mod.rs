@@ -407,3 +407,60 @@ async fn a_client_on_the_callers_session_leaves_it_open() {
     assert!(matches!(robots[0].put_pose(Pose::at(0.0, 0.0)), Err(Error::Closed)));
     assert!(outside.get_one("teams?format=json").await.is_ok(), "the session is open");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_learns_what_services_refuse_of_it() {
+    let cluster = Cluster::start("alpha", &[]).unwrap();
+    let robot = Robot::join(&config(&cluster), "r1").await.unwrap();
+    let (mut first, mut second) = (robot.refusals(), robot.refusals());
+    let frame = Some("mars".to_owned());
+    let learned = async {
+        loop {
+            let _ = robot.put_pose(Pose { frame: frame.clone(), ..Pose::at(0.0, 0.0) });
+            if let Ok(refused) = timeout(Duration::from_millis(100), first.next()).await {
+                return refused.unwrap();
+            }
+        }
+    };
+    let refused = timeout(RECEIVED_WITHIN, learned).await.expect("a refusal");
+    assert!(refused.reason.starts_with("frame: \"mars\" is not known"), "{}", refused.reason);
+    assert_eq!(refused.key, "muster/v1/alpha/robot/r1/pose");
+    let other = timeout(RECEIVED_WITHIN, second.next()).await.expect("the same refusal").unwrap();
+    assert_eq!(other, refused);
+
+    // A stream that there is not, by another program and another robot.
+    let outside = cluster.client().await.unwrap();
+    let mut stray = robot.client().refusals(&RobotId::new("r2").unwrap()).await.unwrap();
+    let named = async {
+        loop {
+            outside.put("robot/r2/poze", &json!({"x": 0.0, "y": 0.0})).await.unwrap();
+            if let Ok(refused) = timeout(Duration::from_millis(100), stray.next()).await {
+                return refused.unwrap();
+            }
+        }
+    };
+    let refused = timeout(RECEIVED_WITHIN, named).await.expect("a refusal of r2");
+    assert!(refused.reason.contains("\"poze\" is unknown"), "{}", refused.reason);
+    let putting = async {
+        loop {
+            outside.put("robot/r2/poze", &json!({})).await.unwrap();
+            sleep(Duration::from_millis(100)).await;
+        }
+    };
+    let look = tokio::task::spawn_blocking({
+        let (fleet, endpoint) = (cluster.fleet.clone(), cluster.endpoint.clone());
+        move || {
+            let flags = ["--fleet", &fleet, "--connect", &endpoint, "--json"];
+            let command = ["doctor", "--listen-for", "3"];
+            muster_tests::process::run("muster", &[&command[..], &flags].concat(), FORMED_WITHIN)
+        }
+    });
+    let (_, report, _) = tokio::select! {
+        look = look => look.unwrap().unwrap(),
+        () = putting => unreachable!(),
+    };
+    let report: Value = serde_json::from_str(&report).unwrap();
+    let findings = report["findings"].as_array().unwrap();
+    let refused = findings.iter().find(|finding| finding["id"] == "refused").expect("a finding");
+    assert!(refused["seen"].as_str().unwrap().contains("poze"), "{refused}");
+}

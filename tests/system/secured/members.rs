@@ -71,6 +71,28 @@ async fn members_of_a_secured_fleet_work_as_on_a_plain_bus() {
     assert_eq!(code, Some(0), "{err}");
     assert_eq!(operator.get_one(settings).await.unwrap()["hysteresis"], 0.06);
 
+    // A viewer sees the services, so that its console can tell a denied change from a service that is gone.
+    let (code, _, err) = secured.muster_as("viewer.wall", &["set", "clusterer", "hysteresis=0.07"]);
+    assert_eq!(code, Some(1), "{err}");
+    assert!(err.contains("denied: clusterer") && err.contains("operator"), "{err}");
+    // The doctor looks where the identity leads, and finds the fleet well as far as it may look.
+    for identity in ["operator.op", "viewer.wall"] {
+        let (_, out, err) = secured.muster_as(identity, &["doctor", "--json", "--listen-for", "1"]);
+        let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
+        assert!(
+            report["routers"][0]["endpoint"].as_str().unwrap().starts_with("quic/"),
+            "{report}"
+        );
+        assert_eq!(report["services"].as_array().unwrap().len(), 4, "{identity}: {report}");
+        let unreachable = ["no_router", "service_missing", "service_silent", "access_denied"];
+        for finding in report["findings"].as_array().unwrap() {
+            assert!(
+                !unreachable.contains(&finding["id"].as_str().unwrap()),
+                "{identity}: {report}"
+            );
+        }
+    }
+
     restarted_services_fetch_their_state(&mut secured, &operator, &robots, &teams, &formed).await;
     a_second_instance_takes_over(&mut secured, &operator, &robots, &teams, &formed).await;
     for (_, event) in events.all() {

@@ -116,7 +116,11 @@ impl Secured {
     }
 
     fn muster(&self, arguments: &[&str]) -> (Option<i32>, String, String) {
-        let config = self.identity("operator.op");
+        self.muster_as("operator.op", arguments)
+    }
+
+    fn muster_as(&self, identity: &str, arguments: &[&str]) -> (Option<i32>, String, String) {
+        let config = self.identity(identity);
         let common = ["--fleet", "alpha", "--zenoh-config", text(&config)];
         run("muster", &[arguments, &common].concat(), SOON).unwrap()
     }

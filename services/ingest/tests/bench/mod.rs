@@ -14,6 +14,7 @@ use muster_model::graph::GraphReplica;
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report};
+use muster_model::refused::Refused;
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::IngestSettings;
 use muster_model::status::ServiceStatus;
@@ -96,6 +97,11 @@ pub(crate) fn token(name: &str, alive: bool) -> Put {
     Put::Token(robot(name), alive)
 }
 
+/// Names with spaces between them.
+pub(crate) fn names(robots: &[RobotId]) -> String {
+    robots.iter().map(RobotId::as_str).collect::<Vec<_>>().join(" ")
+}
+
 /// What a roster says of a robot that said nothing but that it is there.
 pub(crate) fn entry_of(name: &str, presence: Presence, last_seen: Tick) -> RosterEntry {
     RosterEntry {
@@ -135,6 +141,8 @@ pub(crate) struct Bench {
     /// Everything but events and settings, with its time, in order.
     pub(crate) published: Vec<(Tick, Message)>,
     pub(crate) events: Vec<EventKind>,
+    /// What robots learn of their refused messages.
+    pub(crate) refused: Vec<Refused>,
     pub(crate) roster: Option<Checked<Roster>>,
     pub(crate) graphs: BTreeMap<Modality, GraphReplica>,
 }
@@ -162,6 +170,7 @@ impl Bench {
             kit: testkit::Bench::new(start),
             published: Vec::new(),
             events: Vec::new(),
+            refused: Vec::new(),
             roster: None,
             graphs: BTreeMap::new(),
         }
@@ -234,6 +243,7 @@ impl Bench {
     fn follow_one(&mut self, message: Message) {
         match &message {
             Message::Event(event) => return self.events.push(event.kind.clone()),
+            Message::Refused(refused) => return self.refused.push(refused.as_ref().clone()),
             Message::Settings(..) | Message::LeaseRenewal(..) => return,
             Message::Graph(delta) => {
                 let replica = self.graphs.entry(delta.modality.clone()).or_default();
@@ -338,6 +348,11 @@ impl Bench {
             EventKind::RobotStale { robot } => Some(format!("stale {robot}")),
             EventKind::RobotRecovered { robot } => Some(format!("recovered {robot}")),
             EventKind::RobotLeft { robot } => Some(format!("left {robot}")),
+            EventKind::RobotsStale { robots, .. } => Some(format!("stale {}", names(&robots))),
+            EventKind::RobotsRecovered { robots, .. } => {
+                Some(format!("recovered {}", names(&robots)))
+            }
+            EventKind::RobotsLeft { robots, .. } => Some(format!("left {}", names(&robots))),
             EventKind::LinkRestored { outage_s } => Some(format!("link back after {outage_s} s")),
             EventKind::Quarantined { robot, reason, .. } => Some(format!(
                 "refused {}: {reason}",

@@ -79,9 +79,12 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
     let outputs = texts(&mut served.iter().filter(is_output).map(|key| key.pattern.clone()));
     let answered = texts(&mut served.into_iter().map(|key| key.pattern));
     let events = [Key::Event, Key::JsonEvent].map(|key| space.format(&key));
+    // Whoever reads what robots put tells them what it refuses.
+    let reads_robots = received.contains(&space.pattern(&Pattern::UnknownStreams));
+    let refusals = reads_robots.then(|| space.pattern(&Pattern::RobotRefusals));
 
     let mut rights = Rights {
-        put: [outputs.as_slice(), &events].concat(),
+        put: outputs.iter().chain(&events).cloned().chain(refusals).collect(),
         // At the start it gets what it subscribes to, and its own last output.
         get: [received.as_slice(), &outputs].concat(),
         subscribe: received,
@@ -105,13 +108,14 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
 fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
     let key = |key: Key| space.format(&key);
     let team = key(Key::RobotTeam(robot.clone()));
+    let refused = key(Key::RobotRefused(robot.clone()));
     let token = key(Key::RobotToken(robot.clone()));
     let declared = fleet.modalities.iter().cloned().map(Stream::Relation);
     let streams = Stream::BUILT_IN.into_iter().chain(declared);
     let mut rights = Rights {
         put: streams.map(|stream| key(Key::Stream(robot.clone(), stream))).collect(),
         // It checks whether another process uses its id: one with a copy of its certificate.
-        subscribe: vec![team.clone(), key(Key::Stream(robot.clone(), Stream::Pose))],
+        subscribe: vec![team.clone(), refused, key(Key::Stream(robot.clone(), Stream::Pose))],
         get: vec![team, schema(space)],
         declare_token: vec![token.clone()],
         watch_token: vec![token],
@@ -212,6 +216,7 @@ mod tests {
             ("teams", "clusterer"),
             ("json/teams", "clusterer"),
             ("robot/*/team", "clusterer"),
+            ("robot/*/refused", "ingest"),
             ("audit", "auditor"),
             ("json/audit", "auditor"),
         ] {
@@ -251,6 +256,7 @@ mod tests {
         }
         assert!(rights("service.embedder").get.contains(&of("service/clusterer/settings")));
         assert!(rights("service.ingest").subscribe.contains(&of("robot/*/pose")));
+        assert!(rights("service.ingest").subscribe.contains(&of("robot/*/*")));
         assert!(rights("service.ingest").watch_token.contains(&of("robot/*")));
     }
 

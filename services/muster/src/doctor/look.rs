@@ -225,7 +225,7 @@ async fn settings<S: DeserializeOwned>(
 ) -> Result<Option<S>, Error> {
     match client.get_settings(service).await {
         Ok(settings) => Ok(serde_json::from_value(settings).ok()),
-        Err(Error::Unanswered { .. } | Error::Refused { .. }) => Ok(None),
+        Err(Error::Unanswered { .. } | Error::Refused { .. } | Error::Denied { .. }) => Ok(None),
         Err(error) => Err(error),
     }
 }

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use muster_client::Client;
 use muster_runtime::bus::handshake::{self, Reach};
+use muster_runtime::bus::{BusConfig, routers};
 use muster_runtime::config::{Mode, ProcessConfig};
 use muster_runtime::exit::{Exit, ExitError};
 use serde_json::json;
@@ -65,9 +66,11 @@ pub(crate) async fn run(args: &DoctorArgs, config: &ProcessConfig) -> anyhow::Re
         return Err(ExitError::usage(problem).into());
     }
     let mut endpoints = Vec::new();
-    for endpoint in &config.connect.value {
-        let reach = handshake::reach(endpoint, REACH_TIMEOUT).await;
-        endpoints.push(Endpoint { name: endpoint.clone(), reach });
+    // Zenoh's own configuration may name the routers, as that of a secured fleet does.
+    let bus = BusConfig::from(config);
+    for name in routers(&bus).map_err(|error| ExitError::usage(error.to_string()))? {
+        let reach = handshake::reach(&name, REACH_TIMEOUT).await;
+        endpoints.push(Endpoint { name, reach });
     }
     let mut found: Vec<Finding> = endpoints.iter().filter_map(findings::of_endpoint).collect();
     let client = if endpoints.iter().any(|endpoint| endpoint.reach.answers()) {

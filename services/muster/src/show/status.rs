@@ -22,6 +22,9 @@ use super::page::{Column, Page};
 use super::watch::{Polled, Shown, follow, print};
 use crate::console::{self, exit_error, reply};
 
+/// Most robots that have left that are shown in words: a few lines of a terminal.
+const MAX_DEPARTED_SHOWN: usize = 24;
+
 /// What is known of a fleet.
 #[derive(Debug)]
 struct FleetStatus {
@@ -152,6 +155,29 @@ impl FleetStatus {
     }
 }
 
+/// The robots that have left lately, with how long ago; nothing if none has. Of several instances of ingest
+/// the leader knows best.
+fn departed(services: &[ServiceStatus]) -> Option<String> {
+    let ingest = ingest(services)?;
+    let (listed, others) = ingest.departed.split_at(ingest.departed.len().min(MAX_DEPARTED_SHOWN));
+    let shown = listed.iter().map(|departure| {
+        let ago = ingest.now.since(departure.left).as_secs();
+        let ago = if ago < 60 { format!("{ago} s") } else { format!("{} min", ago / 60) };
+        format!("{} ({ago} ago)", departure.robot)
+    });
+    let mut shown: Vec<_> = shown.collect();
+    if !others.is_empty() {
+        shown.push(format!("and {} more, see --json", others.len()));
+    }
+    (!shown.is_empty()).then(|| format!("left within the last hour: {}", shown.join(", ")))
+}
+
+/// The status of the ingest that leads; of any if none does.
+fn ingest(services: &[ServiceStatus]) -> Option<&ServiceStatus> {
+    let all = services.iter().filter(|status| status.service == ServiceName::Ingest);
+    all.max_by_key(|status| status.standing == ReplicaState::Leading)
+}
+
 /// The weight of each modality, and the trust in it where that is not whole.
 fn modalities(graphs: &[EmbeddingGraph]) -> String {
     let modality = |graph: &EmbeddingGraph| {
@@ -179,6 +205,7 @@ impl Shown for FleetStatus {
         let silent = self.silent().into_iter();
         lines.extend(silent.map(|name| format!("{name} is on the bus and does not answer")));
         lines.push(self.robots());
+        lines.extend(departed(&self.services));
         if !self.modalities.is_empty() {
             lines.push(modalities(&self.modalities));
         }
@@ -201,6 +228,7 @@ impl Shown for FleetStatus {
             "fleet": self.fleet, "services": self.services, "absent": self.absent(),
             "silent": self.silent(), "robot_tokens": self.joined,
             "robots": robots.collect::<Vec<_>>(),
+            "departed": ingest(&self.services).map_or(&[][..], |status| &status.departed),
             "modalities": modalities.collect::<Vec<_>>(),
             "flapping": self.audit.as_ref().map(|audit| &audit.flapping),
         });
@@ -217,7 +245,8 @@ mod tests {
     use std::collections::BTreeMap;
 
     use muster_model::header::Revision;
-    use muster_model::id::{InstanceId, Modality};
+    use muster_model::id::{InstanceId, Modality, RobotId};
+    use muster_model::status::Departure;
 
     use super::super::page::tests::{WIDTHS, assert_fits, page};
     use super::*;
@@ -235,6 +264,7 @@ mod tests {
             revision: Revision { term: 12, epoch: 1_234_567 },
             state: "200 robots in 5 teams, hierarchy missing, and a text that is long".to_owned(),
             counters: BTreeMap::new(),
+            departed: Vec::new(),
         };
         let fleet = FleetStatus {
             fleet: FleetId::new("alpha").unwrap(),
@@ -256,6 +286,34 @@ mod tests {
             assert_eq!(text.contains("epoch"), width >= 120, "{text}");
             assert_eq!(below[0], "embedder does not answer; start it with `muster up embedder`");
         }
+    }
+
+    #[test]
+    fn who_has_left_is_shown_with_when_and_bounded() {
+        let status = |standing, count: u64| ServiceStatus {
+            fleet: FleetId::new("alpha").unwrap(),
+            service: ServiceName::Ingest,
+            instance: InstanceId::new("base").unwrap(),
+            version: "0.1.0".to_owned(),
+            started: Tick(0),
+            now: Tick(10_000_000_000),
+            standing,
+            revision: Revision::default(),
+            state: String::new(),
+            counters: BTreeMap::new(),
+            departed: (0..count)
+                .map(|number| Departure {
+                    robot: RobotId::new(format!("r{number}")).unwrap(),
+                    left: Tick(10_000_000_000 - 50_000_000 * (number + 1)),
+                })
+                .collect(),
+        };
+        assert_eq!(departed(&[status(ReplicaState::Leading, 0)]), None);
+        let both = [status(ReplicaState::Leading, 2), status(ReplicaState::Standby, 1)];
+        let shown = departed(&both).unwrap();
+        assert_eq!(shown, "left within the last hour: r0 (50 s ago), r1 (1 min ago)");
+        let many = departed(&[status(ReplicaState::Leading, 30)]).unwrap();
+        assert!(many.ends_with(", and 6 more, see --json"), "{many}");
     }
 
     #[test]

@@ -17,6 +17,10 @@ const ROSTER_SILENT_AFTER: Duration = Duration::from_secs(5);
 /// than a second.
 const RESULT_SILENT_AFTER: Duration = Duration::from_secs(10);
 
+/// How long every job must have failed, without one that has not: the same frame is tried again a second after
+/// a panic, and one frame that cannot be embedded is followed by others within a moment.
+const JOBS_FAILING_AFTER: Duration = Duration::from_secs(2);
+
 /// What is known of a service at one moment.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Look {
@@ -34,6 +38,8 @@ pub(super) struct Look {
     pub(super) since_teams: Option<Duration>,
     /// How long the roster has had robots, without a break.
     pub(super) peopled_for: Option<Duration>,
+    /// How long every job has failed, and why the last one did; none if the last one has not.
+    pub(super) jobs_failing: Option<(Duration, String)>,
 }
 
 /// Whether the loop of a service runs. One that still waits for its router has none that could hang.
@@ -62,6 +68,11 @@ pub(super) fn reasons(service: ServiceName, look: &Look) -> Vec<String> {
         ReplicaState::Suspect => {
             reasons.push("it is not certain whether another instance has taken over".to_owned());
         }
+    }
+    if let Some((lasting, reason)) = &look.jobs_failing
+        && *lasting >= JOBS_FAILING_AFTER
+    {
+        reasons.push(format!("every job has failed for {}: {reason}", seconds(Some(*lasting))));
     }
     if service == ServiceName::Ingest {
         // A fleet without robots is no fault of the service that waits for them.
@@ -114,6 +125,7 @@ mod tests {
             since_embedding: Some(S),
             since_teams: Some(S),
             peopled_for: Some(100 * S),
+            jobs_failing: None,
         }
     }
 
@@ -166,6 +178,18 @@ mod tests {
         assert!(reason(ServiceName::Auditor, &teams).contains("from clusterer"));
         let empty = Look { since_embedding: None, since_teams: None, peopled_for: None, ..well() };
         assert_eq!(reason(ServiceName::Auditor, &empty), "", "a fleet without robots has no teams");
+    }
+
+    #[test]
+    fn a_service_whose_jobs_all_fail_is_not_ready_and_says_why() {
+        let failing = |lasting| Look {
+            jobs_failing: Some((lasting, "alpha: must be less".to_owned())),
+            ..well()
+        };
+        assert_eq!(reason(ServiceName::Embedder, &failing(S)), "", "one frame may fail");
+        let reason = reason(ServiceName::Embedder, &failing(JOBS_FAILING_AFTER));
+        assert_eq!(reason, "every job has failed for 2 s: alpha: must be less");
+        assert!(is_alive(&failing(100 * S)), "a restart would not help");
     }
 
     #[test]

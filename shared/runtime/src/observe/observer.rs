@@ -10,9 +10,10 @@ use muster_model::role::ReplicaState;
 use muster_model::roster::{Presence, Roster};
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
+use muster_service::JobsFailing;
 use muster_service::inbox::InboxCounts;
 use muster_wire::Message;
-use muster_wire::message::quoted;
+use muster_wire::message::plain_reason;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
@@ -65,6 +66,8 @@ struct State {
     embedding: Option<Instant>,
     teams: Option<Instant>,
     peopled: Option<Instant>,
+    /// How long all jobs have failed, and why the last one did.
+    failing: Option<(Duration, String)>,
 }
 
 /// The metrics of one service. They are handles: an update takes no lock that others hold for long.
@@ -164,6 +167,7 @@ impl Watched {
             since_embedding: since(state.embedding),
             since_teams: since(state.teams),
             peopled_for: since(state.peopled),
+            jobs_failing: state.failing.clone(),
         }
     }
 
@@ -192,10 +196,12 @@ impl Observer {
         Self(watched)
     }
 
-    /// The loop runs, and the service has this status.
-    pub fn turned(&self, status: &ServiceStatus, queues: &Queues) {
+    /// The loop runs, and the service has this status. `failing` says since when all its jobs have failed.
+    pub fn turned(&self, status: &ServiceStatus, queues: &Queues, failing: Option<&JobsFailing>) {
         let (own, mut state) = (&self.0.metrics, self.0.state());
         state.turned = Some(Instant::now());
+        state.failing =
+            failing.map(|failing| (status.now.since(failing.since), failing.reason.clone()));
         let before = std::mem::replace(&mut state.standing, status.standing);
         drop(state);
         if before != status.standing {
@@ -371,7 +377,7 @@ impl Observer {
 /// Events for consoles go to the log as well, by their severity for the operator of the process:
 /// what robots do wrong is not wrong with the process.
 fn log_event(event: &FleetEvent) {
-    let text = || quoted(&serde_json::to_string(&event.kind).unwrap_or_default());
+    let text = || plain_reason(&serde_json::to_string(&event.kind).unwrap_or_default());
     match event.severity {
         Severity::Error => tracing::error!("event {}", text()),
         Severity::Warning => tracing::info!("event {}", text()),

@@ -5,7 +5,7 @@ use muster_model::role::ReplicaState;
 use muster_wire::{Key, Message, Outbound, Packet, Request, schema};
 
 use super::Host;
-use crate::core::{Context, Core};
+use crate::core::{Context, Core, View};
 use crate::facilities::ReplyKind;
 use crate::gets::Get;
 use crate::io::{Command, GetId, IncomingGet, Reply};
@@ -85,8 +85,15 @@ impl<C: Core> Host<C> {
             let problem = "settings are changed on exactly one key, without wildcards";
             return Context::<C>(facilities).reply_error(get, problem_json("(key)", problem));
         }
-        if let Err(problem) = facilities.replica.settings.change(payload) {
-            return Context::<C>(facilities).reply_error(get, problem);
+        let core = &self.core;
+        let change = facilities.replica.settings.changed(payload).and_then(|settings| {
+            let checked = core.check_settings(&View(facilities), &settings);
+            checked.map_err(|error| problem_json(&error.field, &error.problem))?;
+            Ok(settings)
+        });
+        match change {
+            Ok(settings) => facilities.replica.settings.change(settings),
+            Err(problem) => return Context::<C>(facilities).reply_error(get, problem),
         }
         facilities.store();
         let settings = facilities.replica.settings_message(facilities.now);

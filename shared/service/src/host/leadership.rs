@@ -84,6 +84,7 @@ impl<C: Core> Host<C> {
         self.facilities.fetches.forget();
         self.facilities.fetched.clear();
         self.facilities.abandon_job();
+        self.facilities.jobs.succeeded();
         self.core.on_stand_down(&mut Context(&mut self.facilities));
         self.inquire();
     }

@@ -11,7 +11,8 @@ use std::collections::BTreeMap;
 
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::header::{Header, Revision, StageTime};
-use muster_model::id::{FleetId, ServiceName};
+use muster_model::id::{FleetId, RobotId, ServiceName};
+use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::settings::Settings;
 use muster_model::status::ServiceStatus;
@@ -116,6 +117,21 @@ impl<S: Settings> Replica<S> {
         Message::Event(Event { header, source: self.service, severity, kind })
     }
 
+    /// What a robot learns of its refused messages, with the next number of the events.
+    pub(crate) fn refused(
+        &mut self,
+        now: Tick,
+        robot: RobotId,
+        key: String,
+        reason: String,
+        count: u64,
+    ) -> Message {
+        self.event_epoch = self.event_epoch.saturating_add(1);
+        let revision = Revision { term: self.revision.term, epoch: self.event_epoch };
+        let header = self.own_header(now, revision);
+        Message::Refused(Box::new(Refused { header, robot, key, reason, count }))
+    }
+
     /// The header of what the service publishes of itself, with no robot's data behind it.
     fn own_header(&self, now: Tick, revision: Revision) -> Header {
         Header {
@@ -153,6 +169,7 @@ impl<S: Settings> Replica<S> {
             revision: self.election.followed().unwrap_or(self.revision),
             state: if standing == ReplicaState::Standby { "standby".to_owned() } else { state },
             counters: counters.collect(),
+            departed: Vec::new(),
         }
     }
 }

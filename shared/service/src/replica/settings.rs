@@ -80,24 +80,25 @@ impl<S: Settings> ReplicaSettings<S> {
         self.announcements_left = 0;
     }
 
-    /// Changes the settings, as a whole or not at all.
+    /// The settings with a patch, which holds as a whole or not at all.
     ///
     /// # Errors
     /// The JSON text of a [`Problem`] that names the field and the remedy.
-    pub(crate) fn change(&mut self, payload: &[u8]) -> Result<(), String> {
+    pub(crate) fn changed(&self, payload: &[u8]) -> Result<S, String> {
         if payload.len() > MAX_PATCH_BYTES {
             let problem = format!("may have at most {MAX_PATCH_BYTES} bytes");
             return Err(problem_json("(patch)", &problem));
         }
         let patch: Value = serde_json::from_slice(payload)
             .map_err(|error| problem_json("(patch)", &format!("is no JSON: {error}")))?;
-        let settings = self
-            .current
-            .patched(&patch)
-            .map_err(|error| problem_json(&error.field, &error.problem))?;
+        let patched = self.current.patched(&patch);
+        patched.map_err(|error| problem_json(&error.field, &error.problem))
+    }
+
+    /// An operator has changed the settings.
+    pub(crate) fn change(&mut self, settings: S) {
         self.accept(settings);
         self.announcements_left = REPEATED_ANNOUNCEMENTS;
-        Ok(())
     }
 
     /// Whether changed settings are announced again, now that the lease is renewed.

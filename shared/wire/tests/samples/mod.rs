@@ -16,9 +16,10 @@ use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
+use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
-use muster_model::status::ServiceStatus;
+use muster_model::status::{Departure, ServiceStatus};
 use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
@@ -213,6 +214,13 @@ pub fn all() -> Vec<(&'static str, Message)> {
         reason: "x: must be finite".to_owned(),
         count: 2,
     };
+    let refused = Refused {
+        header: header(47),
+        robot: robot("r1"),
+        key: "muster/v1/alpha/robot/r1/poze".to_owned(),
+        reason: "the stream \"poze\" is unknown".to_owned(),
+        count: 2,
+    };
     let status = ServiceStatus {
         fleet: fleet(),
         service: ServiceName::Ingest,
@@ -224,6 +232,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         revision: revision(42),
         state: "2 robots, 1 stale".to_owned(),
         counters: BTreeMap::from([("poses_accepted".to_owned(), 600)]),
+        departed: vec![Departure { robot: robot("r7"), left: Tick(NOW.0 - 30_000_000) }],
     };
     vec![
         ("pose", from_robot("r1", pose)),
@@ -235,6 +244,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ("embedding", Message::Embedding(Checked::new_unchecked(embedding))),
         ("teams", Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }),
         ("robot_team", Message::RobotTeam(robot_team)),
+        ("refused", Message::Refused(Box::new(refused))),
         ("audit", Message::Audit(Arc::new(audit))),
         ("event", event(quarantined)),
         (
@@ -263,4 +273,51 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ("status", Message::Status(Box::new(status))),
         ("katz", Message::Katz(Box::new(pair))),
     ]
+}
+
+/// One of every kind of event; the changes of a division with every kind of change.
+pub fn event_kinds() -> Vec<EventKind> {
+    let r1 = || robot("r1");
+    let (t1, t2) = (team("t1"), team("t2"));
+    let reason = || "alpha: must be below 1/rho".to_owned();
+    let changes = [
+        TeamChange::Born { team: t1.clone() },
+        TeamChange::Died { team: t1.clone() },
+        TeamChange::Split { from: t1.clone(), into: t2.clone() },
+        TeamChange::Merged { from: t2, into: t1.clone() },
+        TeamChange::Moved { robot: r1(), from: Some(t1), to: None },
+    ];
+    let mut kinds = vec![
+        EventKind::Quarantined {
+            robot: Some(r1()),
+            key: "muster/v1/alpha/robot/r1/pose".to_owned(),
+            reason: reason(),
+            count: 2,
+        },
+        EventKind::RobotJoined { robot: r1() },
+        EventKind::RobotStale { robot: r1() },
+        EventKind::RobotRecovered { robot: r1() },
+        EventKind::RobotLeft { robot: r1() },
+        EventKind::FewerTeams { requested: 3, formed: 2, reason: reason() },
+        EventKind::SettingsChanged { settings: "{\"teams\":3}".to_owned() },
+        EventKind::JobFailed { reason: reason() },
+        EventKind::QualityLow { mean: 0.25 },
+        EventKind::QualityRecovered { mean: 0.5 },
+        EventKind::ServiceStarted { term: 3 },
+        EventKind::SettingDropped { field: "teams".to_owned() },
+        EventKind::LinkRestored { outage_s: 2.5 },
+        EventKind::Flapping { returns_per_robot_minute: 1.5, robots: vec![r1()] },
+        EventKind::FlappingEnded { returns_per_robot_minute: 0.5 },
+        EventKind::ModalityDoubted {
+            modality: Modality::spatial(),
+            trust: 0.25,
+            robots: vec![r1()],
+        },
+        EventKind::ModalityTrusted { modality: Modality::spatial(), trust: 1.0 },
+        EventKind::RobotsStale { count: 2, robots: vec![r1(), robot("r2")] },
+        EventKind::RobotsRecovered { count: 2, robots: vec![r1(), robot("r2")] },
+        EventKind::RobotsLeft { count: 2, robots: vec![r1(), robot("r2")] },
+    ];
+    kinds.extend(changes.map(EventKind::TeamChanged));
+    kinds
 }

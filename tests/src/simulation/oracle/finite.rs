@@ -16,6 +16,8 @@ use super::{Verified, breach};
 pub(crate) fn check(message: &Message) -> Verified {
     let walked = match message {
         Message::RobotToken { .. } | Message::ServiceToken { .. } => Ok(()),
+        // Texts and whole numbers.
+        Message::Refused(_) => Ok(()),
         Message::Report(report) => report.report().serialize(Walker),
         Message::RobotTeam(team) => team.serialize(Walker),
         Message::Graph(delta) => delta.serialize(Walker),

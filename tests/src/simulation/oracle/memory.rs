@@ -1,7 +1,9 @@
 //! The memory use of a service stays within what settings and limits allow.
 
 use muster_model::id::ServiceName;
-use muster_model::limits::{MAX_DECLARED_MODALITIES, MAX_LINKS, MAX_RELATION_EDGES, MAX_ROBOTS};
+use muster_model::limits::{
+    MAX_DECLARED_MODALITIES, MAX_DEPARTED_ROBOTS, MAX_LINKS, MAX_RELATION_EDGES, MAX_ROBOTS,
+};
 use muster_service::MemoryUse;
 
 use super::super::clock::{Micros, SECOND};
@@ -32,8 +34,8 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
     let graphs = MAX_DECLARED_MODALITIES + 3;
     match service {
         ServiceName::Ingest => MemoryUse {
-            // Robots that are known, and those that left with their token still there.
-            robots: 2 * robots,
+            // Robots that are known, those that left with their token still there, and the last that left.
+            robots: 2 * robots + MAX_DEPARTED_ROBOTS,
             edges: robots * (MAX_LINKS + MAX_DECLARED_MODALITIES * MAX_RELATION_EDGES)
                 + graphs * robots * robots,
             messages: 1,

@@ -8,7 +8,7 @@ use muster_model::id::{RobotId, ServiceName};
 use muster_model::roster::{Presence, Roster};
 use muster_model::settings::IngestSettings;
 use muster_model::status::ServiceStatus;
-use muster_wire::message::quoted;
+use muster_wire::message::{plain_reason, quoted};
 
 use super::{Finding, Severity, error, finding, warning};
 use crate::doctor::look::Look;
@@ -151,7 +151,7 @@ pub(super) fn refused(look: &Look) -> Option<Finding> {
     for event in &look.events {
         if let EventKind::Quarantined { robot, key, reason, count } = &event.kind {
             let who = robot.as_ref().map_or_else(|| quoted(key), ToString::to_string);
-            *by.entry((who, quoted(reason))).or_default() += count;
+            *by.entry((who, plain_reason(reason))).or_default() += count;
         }
     }
     if by.is_empty() {

@@ -7,7 +7,7 @@ use muster_model::event::EventKind;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_model::status::ServiceStatus;
-use muster_wire::message::quoted;
+use muster_wire::message::{plain_reason, quoted};
 
 use super::{Finding, Severity, error, finding, warning};
 use crate::doctor::look::{Instance, Look};
@@ -179,7 +179,7 @@ pub(super) fn jobs(look: &Look) -> Vec<Finding> {
         let more = failed(after) - before.map_or(0, failed).min(failed(after));
         let reported = look.events.iter().rev().find_map(|event| match &event.kind {
             EventKind::JobFailed { reason } if event.source == after.service => {
-                Some(quoted(reason))
+                Some(plain_reason(reason))
             }
             _ => None,
         });
