@@ -21,7 +21,9 @@ use muster_experiments::results::Page;
 use muster_experiments::seeds::{HELD_OUT, TRAINING, held_out};
 use muster_experiments::situations::exchange::{Baselines, export};
 use muster_experiments::situations::kinds::List;
-use muster_experiments::situations::{page as situations_page, run as situations_run};
+use muster_experiments::situations::{
+    page as situations_page, run as situations_run, steps as situations_steps,
+};
 use muster_experiments::statistics::Estimate;
 
 /// Divides formations, random systems and planted fleets by all methods, and reports how well.
@@ -120,6 +122,9 @@ const TITLE: &str = "# Experiments\n\n";
 /// Seeds of a quick run.
 const QUICK_SEEDS: usize = 5;
 
+/// Most seeds of each kind on which the method is run without one step each.
+const STEP_SEEDS: usize = 5;
+
 /// Seeds of each kind of situation in a quick run.
 const QUICK_SITUATIONS: usize = 2;
 
@@ -133,7 +138,7 @@ fn main() -> anyhow::Result<()> {
             if let Some(folder) = export {
                 return self::export(&cases, &folder);
             }
-            let page = situations(&cases, baselines.as_deref())?;
+            let page = situations(&cases, baselines.as_deref(), seeds)?;
             return shown(&page, arguments.out.as_deref());
         }
         _ => {}
@@ -212,10 +217,15 @@ fn shown(page: &Page, folder: Option<&Path>) -> anyhow::Result<()> {
 }
 
 /// The page of situations.
-fn situations(cases: &[situations_run::Case], baselines: Option<&Path>) -> anyhow::Result<Page> {
+fn situations(
+    cases: &[situations_run::Case],
+    baselines: Option<&Path>,
+    seeds: usize,
+) -> anyhow::Result<Page> {
     let baselines = baselines.map(Baselines::read).transpose()?;
     let outcomes = situations_run::outcomes(cases, baselines.as_ref())?;
-    Ok(situations_page::page(&outcomes)?)
+    let steps = situations_steps::steps(seeds.min(STEP_SEEDS))?;
+    Ok(situations_page::page(&outcomes, &steps)?)
 }
 
 fn grid(seeds: usize, recipes: Option<u32>, bar: &Bar) -> anyhow::Result<String> {

@@ -9,6 +9,7 @@
 //! | Muster and the paper's method on one | [`divided`] |
 //! | what baselines read and write | [`exchange`] |
 //! | all kinds over all seeds | [`run`] |
+//! | the method without one step each | [`steps`] |
 //! | the page | [`page`] |
 //!
 //! Kinds are divided like seeds ([`crate::seeds`]): defaults may be chosen on the kinds of one list alone; those
@@ -26,3 +27,4 @@ pub mod page;
 pub mod run;
 mod shapes;
 pub mod situation;
+pub mod steps;

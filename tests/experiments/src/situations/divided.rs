@@ -40,7 +40,19 @@ pub enum DividedError {
 /// # Errors
 /// [`DividedError`]
 pub fn muster(situation: &Situation, teams: usize) -> Result<Labels, DividedError> {
-    let embedded = embedded(situation, TeamCount::from(teams))?;
+    muster_with(situation, teams, &EmbedderSettings::default())
+}
+
+/// Muster with these settings of the embedder, and the defaults of all other services, divided into `teams`.
+///
+/// # Errors
+/// [`DividedError`]
+pub fn muster_with(
+    situation: &Situation,
+    teams: usize,
+    settings: &EmbedderSettings,
+) -> Result<Labels, DividedError> {
+    let embedded = embedded(situation, TeamCount::from(teams), settings)?;
     let params = DivisionParams::new(&ClustererSettings::default(), teams);
     labels(&embedded.x, &embedded.without_embedding, params)
 }
@@ -50,7 +62,7 @@ pub fn muster(situation: &Situation, teams: usize) -> Result<Labels, DividedErro
 /// # Errors
 /// [`DividedError`]
 pub fn muster_by_itself(situation: &Situation) -> Result<(Labels, usize), DividedError> {
-    let embedded = embedded(situation, TeamCount::Auto)?;
+    let embedded = embedded(situation, TeamCount::Auto, &EmbedderSettings::default())?;
     let teams = embedded.decomposition.teams.teams as usize;
     let params = DivisionParams::new(&ClustererSettings::default(), teams);
     Ok((labels(&embedded.x, &embedded.without_embedding, params)?, teams))
@@ -79,7 +91,11 @@ pub fn paper(situation: &Situation, teams: usize, seed: u64) -> Result<Labels, D
     labels(&vectors.x, &vectors.without_embedding, params)
 }
 
-fn embedded(situation: &Situation, teams: TeamCount) -> Result<Embedded, DividedError> {
+fn embedded(
+    situation: &Situation,
+    teams: TeamCount,
+    settings: &EmbedderSettings,
+) -> Result<Embedded, DividedError> {
     let graphs = [
         (Modality::spatial(), situation.spatial()?),
         (Modality::connectivity(), situation.connectivity()?),
@@ -93,9 +109,7 @@ fn embedded(situation: &Situation, teams: TeamCount) -> Result<Embedded, Divided
         robots: names.collect::<Result<Vec<_>, _>>().map_err(MethodError::from)?.into(),
         graphs: graphs.into_iter().filter_map(present).collect(),
     };
-    let params = EmbeddingParams::once(&EmbedderSettings::default(), teams)
-        .check()
-        .map_err(MethodError::from)?;
+    let params = EmbeddingParams::once(settings, teams).check().map_err(MethodError::from)?;
     Ok(embed(&frame, &params, &mut |_| {}).map_err(MethodError::from)?)
 }
 

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use super::kinds::{Kind, List};
 use super::run::{Divider, Outcome, Score};
+use super::steps::Worth;
 use crate::plots::dots::{Row, dots};
 use crate::plots::{Axis, Look, PlotError};
 use crate::results::{Page, Record};
@@ -119,11 +120,11 @@ fn over_kinds(estimates: &[Estimate]) -> Option<Estimate> {
     Some(Estimate { mean, half, count })
 }
 
-/// The page of all outcomes.
+/// The page of all outcomes, and of the worth of each step.
 ///
 /// # Errors
 /// If the plot cannot be drawn.
-pub fn page(outcomes: &[Outcome]) -> Result<Page, PlotError> {
+pub fn page(outcomes: &[Outcome], steps: &[Worth]) -> Result<Page, PlotError> {
     let mut page = Page::default();
     page.say("# Situations", BEFORE);
     kinds(&mut page);
@@ -145,13 +146,35 @@ pub fn page(outcomes: &[Outcome]) -> Result<Page, PlotError> {
         "## The number of teams",
         "*Right*: seeds in which the number that a method chooses by itself is that of the true teams. *ARI*: the Rand \
          index adjusted for chance (Hubert and Arabie 1985), which is 1 for the true division and about 0 for an \
-         arbitrary one; a robot without a team counts as a team of its own.",
+         arbitrary one; a robot without a team counts as a team of its own. The rule for the number was chosen on \
+         the first list, after the second one had been looked at with another rule.",
     );
     for (list, kinds) in lists() {
         numbers(&mut page, *list, kinds);
     }
+    worth(&mut page, steps);
     page.records = outcomes.iter().flat_map(records).collect();
     Ok(page)
+}
+
+fn worth(page: &mut Page, steps: &[Worth]) {
+    page.say(
+        "## What each step is worth",
+        "Robots in the right team over the kinds that defaults may be chosen on, in percent, with the number of \
+         teams given: the defaults, and the defaults with one step changed. *Loss*: how much less than the \
+         defaults, kind by kind, with its 95 % interval.",
+    );
+    let head = ["method", "right", "loss", "loses most"].map(str::to_owned);
+    let row = |step: &Worth| {
+        let worst = step.worst.map(|(kind, loss)| format!("{kind} ({:.1})", 100.0 * loss));
+        vec![
+            step.name.to_owned(),
+            format!("{:.1}", 100.0 * step.accuracy),
+            format!("{:.1} ± {:.1}", 100.0 * step.loss.mean, 100.0 * step.loss.half),
+            worst.unwrap_or_else(|| NOTHING.to_owned()),
+        ]
+    };
+    page.table(&head, &steps.iter().map(row).collect::<Vec<_>>());
 }
 
 fn kinds(page: &mut Page) {
@@ -402,7 +425,14 @@ mod tests {
                 [outcome(&kinds[0], seed, &won), outcome(&kinds[1], seed, &lost)]
             })
             .collect();
-        let page = page(&outcomes).unwrap();
+        let steps = [Worth {
+            name: "without it",
+            accuracy: 0.9,
+            loss: Estimate { mean: 0.05, half: 0.01, count: 2 },
+            worst: Some(("a kind", 0.1)),
+        }];
+        let page = page(&outcomes, &steps).unwrap();
+        assert!(page.text.contains("| without it | 90.0 | 5.0 ± 1.0 | a kind (10.0) |"));
         let text = &page.text;
         let won = "| round teams | 2,000 | 3 | 2 | 100.0 ± 0.0 | – | – | – | – | – | 50.0 | \
                    50.0 (the paper's method) | +50.0 ± 0.0 |";
