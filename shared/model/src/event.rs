@@ -134,6 +134,12 @@ pub enum EventKind {
         /// By how much its weight is multiplied, from 0 to 1.
         trust: f64,
     },
+    /// A service began without what it had stored, or cannot store: settings that operators changed are
+    /// those of file and flags again, now or after a restart.
+    StateLost {
+        /// What is wrong, and the remedy.
+        reason: String,
+    },
 }
 
 /// One event of one service.
