@@ -73,10 +73,40 @@ fn a_standby_adopts_the_newest_settings() {
     assert_eq!(receive_settings(&mut driven, 6, 9, 3), 5, "a leader before");
     assert_eq!(receive_settings(&mut driven, 7, 4, 3), 5, "overtaken on the way");
     assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6, "changed between two outputs");
-    // No leader published these, and they must not shut out the leader's for good.
-    assert_eq!(receive_settings(&mut driven, 9, 1, 9), 9);
-    assert_eq!(receive_settings(&mut driven, 6, 9, 3), 9);
-    assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6);
+    assert_eq!(receive_settings(&mut driven, 6, 9, 3), 6);
+}
+
+/// The standby takes over with what it has adopted: an operator's change would be lost.
+#[test]
+fn a_standby_adopts_no_settings_of_a_higher_term_than_its_leaders() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5), settings(7, 5, 5)]);
+    assert_eq!(receive_settings(&mut driven, 1 << 20, 1, 9), 5, "forged");
+    assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6, "the leader's own go on");
+    // Settings of a new leader may overtake its first renewal, and count from then on.
+    assert_eq!(receive_settings(&mut driven, 8, 0, 3), 6);
+    driven.receive(token("c", true));
+    driven.receive(renewal("c", 8, 0));
+    assert_eq!(driven.teams(), 3);
+}
+
+#[test]
+fn an_announcement_that_was_overtaken_does_not_bring_old_settings_back() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5), settings(7, 5, 5)]);
+    assert_eq!(receive_settings(&mut driven, 7, 9, 2), 2);
+    // The leader's renewals are late as well: the last one that came was of before the change.
+    assert_eq!(receive_settings(&mut driven, 7, 8, 3), 2);
+}
+
+#[test]
+fn a_forged_announcement_of_the_same_term_does_not_shut_out_the_leader() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5), settings(7, 5, 5)]);
+    assert_eq!(receive_settings(&mut driven, 7, 1 << 40, 9), 9);
+    driven.receive(token("a", true));
+    for epoch in 6..9 {
+        assert_eq!(receive_settings(&mut driven, 7, epoch, 4), 9);
+        driven.receive(renewal("a", 7, epoch));
+    }
+    assert_eq!(receive_settings(&mut driven, 7, 9, 4), 4);
 }
 
 #[test]
