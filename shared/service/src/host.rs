@@ -233,6 +233,7 @@ impl<C: Core> Host<C> {
             }
             Message::Settings(announced) if announced.service == C::SERVICE => {
                 self.adopt(&announced);
+                self.replace_leader_without_state(&announced);
                 self.confirm_leadership();
             }
             message => {

@@ -10,6 +10,7 @@ use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_service::Input;
+use muster_service::Stored;
 use muster_wire::Key;
 use small::{ONE_LEADS, header, output, renewal, settings, token};
 
@@ -244,4 +245,35 @@ fn a_term_is_raised_only_when_readers_have_seen_the_same_higher_revision_twice()
     driven.answer_all(vec![seen(9)]);
     assert_eq!(driven.host.status(driven.now).revision.term, 10);
     assert_eq!(driven.log_after(logged).last().unwrap(), "new term with 1 messages");
+}
+
+/// Both were down, and the one that has lost its disk is the first to run again: its term, by the clock, is
+/// above that of the other one, which has what operators changed.
+#[test]
+fn a_leader_without_state_is_replaced_by_an_instance_that_has_it() {
+    let with_state = |stored: u64| {
+        let patch = serde_json::json!({"teams": 5}).as_object().unwrap().clone();
+        let mut bench = small::Driven::<ONE_LEADS>::with_stored(Stored { term: stored, patch });
+        bench.now = small::START.before(Duration::from_secs(2));
+        bench.input(Input::Started { linked: true });
+        bench.now = small::START;
+        bench.answer_all(vec![renewal("a", 900, 1)]);
+        bench
+    };
+    let mut driven = with_state(7);
+    driven.receive(token("a", true));
+    assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Standby, 5));
+    assert_eq!(receive_settings(&mut driven, 0, 0, 3), 5);
+    driven.receive(renewal("a", 900, 2));
+    driven.answer_all(vec![renewal("a", 900, 2)]);
+    assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Leading, 5));
+    assert_eq!(driven.host.status(driven.now).revision.term, 901);
+    // One without state has nothing to bring back, and one that has adopted the leader's stays a standby.
+    let mut fresh = with_state(0);
+    assert_eq!(receive_settings(&mut fresh, 0, 0, 3), 5);
+    assert!(fresh.asks.is_empty());
+    let mut follower = with_state(7);
+    assert_eq!(receive_settings(&mut follower, 900, 3, 4), 4);
+    assert_eq!(receive_settings(&mut follower, 0, 0, 3), 4);
+    assert!(follower.asks.is_empty());
 }

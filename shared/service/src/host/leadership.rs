@@ -111,6 +111,19 @@ impl<C: Core> Host<C> {
         }
     }
 
+    /// A leader that announces settings without a term leads without state: it has lost what operators
+    /// changed. An instance that has kept it, and nothing of this leader, takes over.
+    pub(super) fn replace_leader_without_state(&mut self, announced: &AnnouncedSettings) {
+        let replica = &mut self.facilities.replica;
+        let Some(leader) = replica.election.followed() else { return };
+        if announced.header.revision.term == 0
+            && replica.settings.are_known()
+            && replica.settings.adopted().term < leader.term
+        {
+            replica.election.replace_leader(self.facilities.now);
+        }
+    }
+
     /// The leader that this instance follows has renewed its lease.
     pub(super) fn leader_renewed(&mut self) {
         let replica = &mut self.facilities.replica;

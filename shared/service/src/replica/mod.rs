@@ -90,13 +90,19 @@ impl<S: Settings> Replica<S> {
         term <= highest_term(now)
     }
 
-    /// Begins a term above every believed term that was seen on the bus or held on this host, and not
-    /// below the seconds of the clock: an instance that has lost its state cannot fall behind what it
-    /// published before.
+    /// Begins a term above every believed term that was seen on the bus or held on this host. An instance
+    /// that has stored none begins at the seconds of the clock at least, so that it cannot fall behind what
+    /// it published before its state was lost. One that has stored a term counts on from there: another
+    /// one with a later state then notices that it knows less, and takes over.
     pub(crate) fn begin_term(&mut self, now: Tick, seen: Option<Revision>) {
         let believed = seen.map(|revision| revision.term).filter(|term| self.believes(now, *term));
         let known = believed.unwrap_or(0).max(self.stored_term).max(self.election.highest_term());
-        let term = known.saturating_add(1).max(clock_term(now));
+        let term = known.saturating_add(1);
+        let term = if self.stored_term == 0 { term.max(clock_term(now)) } else { term };
+        if self.election.highest_term() > 0 {
+            // It has followed a leader, and adopted what that announced.
+            self.settings.set_known();
+        }
         self.revision = Revision { term, epoch: 0 };
         self.event_epoch = 0;
         self.stored_term = self.revision.term;
@@ -117,10 +123,11 @@ impl<S: Settings> Replica<S> {
         }))
     }
 
-    /// The settings in force. Those of an instance without a term have the first of all revisions, so
-    /// that no other instance takes them over.
+    /// The settings in force. Those of an instance without a term, or of one that leads without state,
+    /// have the first of all revisions, so that no other instance takes them over.
     pub(crate) fn settings_message(&self, now: Tick) -> Message {
-        let revision = if self.election.has_term() { self.revision } else { Revision::default() };
+        let counts = self.election.has_term() && self.settings.are_known();
+        let revision = if counts { self.revision } else { Revision::default() };
         Message::Settings(Box::new(AnnouncedSettings {
             header: self.own_header(now, revision),
             service: self.service,

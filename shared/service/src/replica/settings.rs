@@ -34,6 +34,9 @@ pub(crate) struct ReplicaSettings<S> {
     adopted: Revision,
     /// How many renewals of the leader in a row were below that.
     renewals_below: u8,
+    /// Whether the settings are those that the fleet had, as far as this instance can know: it had stored
+    /// some, has adopted them, or an operator has changed them since.
+    are_known: bool,
     /// An announcement of a higher term than that of the followed leader: a new leader's, if its renewal
     /// follows, else forged.
     of_next_leader: Option<AnnouncedSettings>,
@@ -71,6 +74,7 @@ impl<S: Settings> ReplicaSettings<S> {
             dropped,
             adopted: revision,
             renewals_below: 0,
+            are_known: revision.term > 0,
             of_next_leader: None,
             announcements_left: 0,
         }
@@ -102,6 +106,21 @@ impl<S: Settings> ReplicaSettings<S> {
         self.announcements_left = 0;
     }
 
+    /// Whether an instance that leads with these settings may announce them as the fleet's.
+    pub(crate) fn are_known(&self) -> bool {
+        self.are_known
+    }
+
+    /// The settings are those of the fleet from now on.
+    pub(crate) fn set_known(&mut self) {
+        self.are_known = true;
+    }
+
+    /// The revision of the announcement that the settings are from.
+    pub(crate) fn adopted(&self) -> Revision {
+        self.adopted
+    }
+
     /// Changes the settings, as a whole or not at all.
     ///
     /// # Errors
@@ -118,6 +137,7 @@ impl<S: Settings> ReplicaSettings<S> {
             .patched(&patch)
             .map_err(|error| problem_json(&error.field, &error.problem))?;
         self.accept(settings);
+        self.are_known = true;
         self.announcements_left = REPEATED_ANNOUNCEMENTS;
         Ok(())
     }
@@ -164,6 +184,7 @@ impl<S: Settings> ReplicaSettings<S> {
         let before = self.patch.clone();
         self.accept(settings);
         self.adopted = revision;
+        self.are_known = true;
         if self.patch == before { Adoption::Unchanged } else { Adoption::Changed }
     }
 }

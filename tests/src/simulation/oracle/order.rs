@@ -84,6 +84,10 @@ impl Order {
         let of_process = matches!(message, Message::Event(_));
         let key = if of_process { format!("{key} of process {}", publisher.process) } else { key };
         let place = (service, instance, key);
+        if matches!(message, Message::Settings(_)) && revision == Revision::default() {
+            // A leader that has lost its state does not say that these are the settings of the fleet.
+            return Ok(());
+        }
         let last = self.given.get(&place).copied();
         let key = &place.2;
         if last.is_some_and(|last| revision < last || counts && revision == last) {
