@@ -19,13 +19,13 @@ use muster_model::time::Tick;
 use muster_wire::message::quoted;
 use muster_wire::{KeySpace, Message};
 
+use self::leadership::Occasion;
 use crate::core::{Connectivity, Context, Core, CoreFacilities, JobEnd, MemoryUse, View};
 use crate::facilities::{Facilities, JobSlot};
 use crate::failures::Failures;
 use crate::fetches::{Fetched, Fetches, Purpose};
 use crate::gets::Gets;
 use crate::io::{Arrival, AskId, Command, Input};
-use self::leadership::Occasion;
 use crate::replica::Replica;
 use crate::replica::election::{RenewalSource, Rivalry};
 use crate::start::Start;

@@ -69,7 +69,8 @@ fn losses(bench: &Bench<Small<ONE_LEADS>>) -> Vec<&str> {
 
 #[test]
 fn a_term_begins_at_the_seconds_of_the_clock_or_above_what_is_known() {
-    let begun = |now: Tick, stored: u64, answers: Vec<Message>| term(&leading(now, stored, answers));
+    let begun =
+        |now: Tick, stored: u64, answers: Vec<Message>| term(&leading(now, stored, answers));
     assert_eq!(begun(at(RIGHT_S), 0, vec![]), RIGHT_S + 2, "without state");
     assert_eq!(begun(at(RIGHT_S), 7, vec![]), 8, "it counts on");
     assert_eq!(begun(at(RIGHT_S), RIGHT_S + 900, vec![]), RIGHT_S + 901, "its clock was ahead");

@@ -71,8 +71,10 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         let failed_before = self.replica.count_of(STATE_UNWRITABLE) > 0;
         self.replica.set(STATE_UNWRITABLE, u64::from(error.is_some()));
         if let Some(error) = error.filter(|_| !failed_before) {
-            let reason =
-                format!("state cannot be written and will not survive a restart: {}", quoted(error));
+            let reason = format!(
+                "state cannot be written and will not survive a restart: {}",
+                quoted(error)
+            );
             self.publish_event(Severity::Error, EventKind::StateLost { reason });
         }
     }

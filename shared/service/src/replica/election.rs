@@ -488,7 +488,14 @@ impl Election {
 
 impl Candidate {
     fn new(now: Tick) -> Self {
-        Self { leader: None, take_over_at: now, asking: false, waited: false, outdated_renewals: 0, replaces: None }
+        Self {
+            leader: None,
+            take_over_at: now,
+            asking: false,
+            waited: false,
+            outdated_renewals: 0,
+            replaces: None,
+        }
     }
 }
 
