@@ -72,7 +72,7 @@ async fn the_console_shows_the_live_fleet() {
 }
 
 /// A division of one robot in one team, as a clusterer publishes it.
-fn division(term: u64, epoch: u64, team: u64) -> Outbound {
+pub(crate) fn division(term: u64, epoch: u64, team: u64) -> Outbound {
     let robot = RobotId::new("r1").unwrap();
     let team = Team {
         id: TeamId::numbered(team),

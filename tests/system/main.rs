@@ -29,3 +29,4 @@ mod schema;
 mod secured;
 mod settings;
 mod standby;
+mod terms;

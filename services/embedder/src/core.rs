@@ -142,11 +142,7 @@ impl Core for Embedder {
     }
 
     fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
-        let embeddings = answers.iter().filter_map(|answer| match answer {
-            Message::Embedding(embedding) => Some(embedding),
-            _ => None,
-        });
-        let newest = embeddings.max_by_key(|embedding| embedding.header.revision).cloned();
+        let newest = newest_embedding(&answers);
         self.accept_answers(context, answers);
         self.embedding = newest;
     }
@@ -162,6 +158,14 @@ impl Core for Embedder {
 
     fn on_new_term(&mut self, context: &mut Context<'_>, _found: Vec<Message>) {
         self.republish(context);
+    }
+
+    /// If all answers to the inquiry were lost, a reader may still hold an embedding of the leader before:
+    /// robots that have left since must not stay in it.
+    fn on_term_sound(&mut self, _context: &mut Context<'_>, found: Vec<Message>) {
+        if self.embedding.is_none() {
+            self.embedding = newest_embedding(&found);
+        }
     }
 
     fn on_message(&mut self, context: &mut Context<'_>, message: Message) {
@@ -354,6 +358,15 @@ fn has_same_graphs(left: &EmbedderSettings, right: &EmbedderSettings) -> bool {
         && left.normalize == right.normalize
         && left.self_loops == right.self_loops
         && left.trusted == right.trusted
+}
+
+/// The newest embedding among messages.
+fn newest_embedding(messages: &[Message]) -> Option<Checked<Embedding>> {
+    let embeddings = messages.iter().filter_map(|message| match message {
+        Message::Embedding(embedding) => Some(embedding),
+        _ => None,
+    });
+    embeddings.max_by_key(|embedding| embedding.header.revision).cloned()
 }
 
 /// Whether the graphs are to be followed: the inquiry has asked for them.

@@ -51,12 +51,17 @@ impl TeamsWanted {
         &mut self,
         announced: &AnnouncedSettings,
     ) -> Result<Acceptance, SettingsError> {
+        // A leader without state announces its settings without a term. They hold, whatever was before.
         let revision = announced.header.revision;
-        if self.at.is_some_and(|at| revision < at) {
+        if revision.term > 0 && self.is_old(announced) {
             return Ok(Acceptance::Old);
         }
         self.apply(announced)?;
         Ok(Acceptance::Applied)
+    }
+
+    fn is_old(&self, announced: &AnnouncedSettings) -> bool {
+        self.at.is_some_and(|at| announced.header.revision < at)
     }
 
     /// Accepts an answer. When two answers in a row are older than the announcement, that one is void (it
@@ -68,13 +73,11 @@ impl TeamsWanted {
         &mut self,
         answer: &AnnouncedSettings,
     ) -> Result<(), SettingsError> {
-        if self.accept(answer)? == Acceptance::Old {
-            if self.contradicted {
-                return self.apply(answer);
-            }
+        if self.is_old(answer) && !self.contradicted {
             self.contradicted = true;
+            return Ok(());
         }
-        Ok(())
+        self.apply(answer)
     }
 
     fn apply(&mut self, announced: &AnnouncedSettings) -> Result<(), SettingsError> {

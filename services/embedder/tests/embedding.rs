@@ -8,7 +8,7 @@ use common::{Bench, Ingest, announced, announced_at, closed_forms, dot, robot, r
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode};
 use muster_model::event::EventKind;
-use muster_model::header::Revision;
+use muster_model::header::{Header, Revision};
 use muster_model::id::ServiceName;
 use muster_model::settings::{Alpha, Dimension, EmbedderSettings, MAX_DIMENSION, TeamCount};
 use muster_service::Input;
@@ -339,6 +339,31 @@ fn a_fleet_that_has_left_leaves_an_empty_embedding() {
     ingest.leave("a0");
     bench.frame(&mut ingest);
     assert!(bench.last().robots.is_empty());
+}
+
+/// All answers to the inquiry of a restarted embedder were lost, and the fleet has left meanwhile. A reader
+/// that still holds the last embedding would divide robots that are gone.
+#[test]
+fn what_readers_hold_of_the_leader_before_is_learned_later_too() {
+    let (mut bench, mut ingest) = following();
+    let known = bench.published[0].clone();
+    let names: Vec<_> = bench.last().robots.iter().map(|name| name.as_str().to_owned()).collect();
+    names.iter().for_each(|name| ingest.leave(name));
+    let frame = bench.frame(&mut ingest);
+    let mut next = Bench::started(EmbedderSettings::default(), Vec::new());
+    // Its term is above that of the embedding.
+    let again = Embedding::clone(&known);
+    let header = Header { revision: Revision { term: 0, epoch: 9 }, ..again.header.clone() };
+    let held = Message::Embedding(Checked::new_unchecked(Embedding { header, ..again }));
+    frame.messages().for_each(|message| next.receive(message));
+    next.input(Input::LinkRestored);
+    next.answer_fetches(&ingest);
+    next.wait(5.5);
+    assert!(next.published.is_empty());
+    let check = next.term_checks.pop_front().unwrap();
+    next.answer_fetch(check, vec![held]);
+    assert_eq!(next.published.len(), 1);
+    assert!(next.last().robots.is_empty());
 }
 
 #[test]

@@ -17,6 +17,7 @@ use muster_runtime::recording::host_facts;
 use muster_service::recording::{Entry, Head};
 use muster_service::replay::{Comparison, Difference, Ending, Step, compare};
 use muster_service::{Arrival, Command, Input};
+use muster_wire::message::quoted;
 use muster_wire::recording::Reader;
 use muster_wire::{Format, KeySpace, Message, Packet, Source};
 use serde_json::{Value, json};
@@ -268,6 +269,7 @@ impl Show {
                 format!("lookup {lookup} has found {} records", records.len())
             }
             Input::ProcessCounters(counters) => format!("counters of the process: {counters:?}"),
+            Input::StateLost { reason } => format!("stored state is lost: {}", quoted(reason)),
         }
     }
 

@@ -158,6 +158,12 @@ pub enum EventKind {
         #[schemars(length(max = MAX_ROBOTS_OF_EVENT))]
         robots: Vec<RobotId>,
     },
+    /// A service began without what it had stored, or cannot store: settings that operators changed are
+    /// those of file and flags again, now or after a restart.
+    StateLost {
+        /// What is wrong, and the remedy.
+        reason: String,
+    },
 }
 
 /// One event of one service.

@@ -8,8 +8,9 @@ use crate::time::Tick;
 
 /// A place in the outputs of one service: first by term, then by epoch.
 ///
-/// The term counts the leaders of the service (each begins the highest that it has received, plus one), the
-/// epoch counts the outputs of one leader. A reader never goes back to a lower revision.
+/// The term counts the leaders of the service (each begins the highest that it has received, plus one, and
+/// one without stored state not below the seconds since 1970); the epoch counts the outputs of one leader. A
+/// reader never goes back to a lower revision.
 #[derive(
     Debug,
     Clone,

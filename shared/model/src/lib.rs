@@ -29,4 +29,5 @@ mod schema;
 pub mod settings;
 pub mod status;
 pub mod teams;
+pub mod term;
 pub mod time;

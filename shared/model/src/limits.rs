@@ -48,9 +48,8 @@ pub const MAX_COORDINATE_M: f64 = 4.0e7;
 /// Largest weight of an edge: products of weights stay finite over the longest sums that are formed.
 pub const MAX_WEIGHT: f64 = 1.0e6;
 
-/// No term or epoch from here on is believed. They count restarts and frames one by one and never come
-/// near it, so that no sum of them overflows. It does not prevent a forged high term: only access
-/// control on the bus does.
+/// No term or epoch from here on is decoded, so that no sum of them overflows. Terms have a lower bound
+/// that follows the clock ([`term`](crate::term)); epochs count frames and never come near this one.
 pub const MAX_REVISION: u64 = 1 << 48;
 
 /// Largest team whose members are all listed to each of its robots: beyond it, these lists would be

@@ -91,12 +91,13 @@ pub async fn run<C: Core>(
     let (gets, mut incoming) = mpsc::channel(MAX_WAITING_GETS);
     let (ended_sender, mut ended) = mpsc::channel(MAX_WAITING_INPUTS);
 
+    let mut state_loss = None;
     let start = Start {
         fleet: bus.space().fleet().clone(),
         instance: options.instance.clone(),
         now: clock.now(),
         settings: options.settings,
-        stored: options.store.load(),
+        stored: options.store.load_noting(&mut state_loss),
     };
     let recording = match options.record {
         Some(file) => Some(Recording::start(file, &Head::new::<C>(&start, host_facts())?)?),
@@ -136,6 +137,9 @@ pub async fn run<C: Core>(
     let linked = *link.borrow_and_update();
     observer.link(linked);
     shell.handle(Input::Started { linked });
+    if let Some(reason) = state_loss {
+        shell.handle(Input::StateLost { reason });
+    }
     let mut show = tokio::time::interval(SHOW_INTERVAL);
     show.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {

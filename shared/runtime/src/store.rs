@@ -29,10 +29,19 @@ impl Store {
     /// renamed to `….bad`, for an operator to look at.
     #[must_use]
     pub fn load(&self) -> Stored {
+        self.load_noting(&mut None)
+    }
+
+    /// The same, and notes why what was kept is lost, if it is.
+    pub fn load_noting(&self, loss: &mut Option<String>) -> Stored {
         let Some(path) = &self.path else { return Stored::default() };
         match self.read(path) {
             Ok(stored) => stored,
             Err(error) => {
+                *loss = Some(format!(
+                    "the stored state is damaged and not used: {error:#}; settings that were changed are \
+                     lost, so change them again"
+                ));
                 let bad = path.with_extension("json.bad");
                 tracing::error!(
                     "the stored state is damaged, not used, and renamed to {}: {error:#}",

@@ -100,6 +100,11 @@ pub trait Core: Send + Sized + 'static {
     /// what the readers hold of [`Core::output`].
     fn on_new_term(&mut self, context: &mut Context<'_, Self>, found: Vec<Message>);
 
+    /// The leader has asked its readers what they hold of [`Core::output`], and none of them holds a higher
+    /// revision than its own for the second time. `found` is what they hold: an output of an earlier term is
+    /// one that this leader did not learn of when it began.
+    fn on_term_sound(&mut self, _context: &mut Context<'_, Self>, _found: Vec<Message>) {}
+
     /// A message arrived.
     fn on_message(&mut self, context: &mut Context<'_, Self>, message: Message);
 

@@ -8,6 +8,7 @@
 
 mod answering;
 mod leadership;
+mod state_loss;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
@@ -18,6 +19,7 @@ use muster_model::time::Tick;
 use muster_wire::message::quoted;
 use muster_wire::{KeySpace, Message};
 
+use self::leadership::Occasion;
 use crate::core::{Connectivity, Context, Core, CoreFacilities, JobEnd, MemoryUse, View};
 use crate::facilities::{Facilities, JobSlot};
 use crate::failures::{Failures, JobOutcomes, JobsFailing};
@@ -188,6 +190,7 @@ impl<C: Core> Host<C> {
             Input::LinkRestored => self.link_restored(),
             Input::Stored { error } => {
                 self.confirm_leadership();
+                self.facilities.store_ended(error.as_deref());
                 let replies = self.facilities.gets.stored(error.as_deref());
                 self.facilities.commands.extend(replies.into_iter().map(Command::Reply));
             }
@@ -196,6 +199,7 @@ impl<C: Core> Host<C> {
                 self.core.on_records(&mut Context(&mut self.facilities), lookup, records);
             }
             Input::ProcessCounters(counters) => self.process_counters = counters,
+            Input::StateLost { reason } => self.facilities.state_lost(&reason),
         }
     }
 
@@ -217,7 +221,9 @@ impl<C: Core> Host<C> {
             let packet = arrival.into_packet();
             return self.core.on_foreign(&mut Context(&mut self.facilities), packet);
         }
-        let message = match arrival.into_message(&self.facilities.replica.space) {
+        let key = arrival.packet().key.clone();
+        let decoded = arrival.into_message(&self.facilities.replica.space);
+        let message = match decoded.and_then(|message| self.facilities.believed(&key, message)) {
             Ok(message) => message,
             Err(rejection) => {
                 self.confirm_leadership();
@@ -228,6 +234,7 @@ impl<C: Core> Host<C> {
             Message::LeaseRenewal(renewal) => {
                 let rivalry = self.renewal(&renewal, RenewalSource::Published);
                 self.resolve(rivalry);
+                self.leader_renewed();
                 self.confirm_leadership();
             }
             Message::ServiceToken { service, instance, alive } if service == C::SERVICE => {
@@ -236,6 +243,7 @@ impl<C: Core> Host<C> {
             }
             Message::Settings(announced) if announced.service == C::SERVICE => {
                 self.adopt(&announced);
+                self.replace_leader_without_state(&announced);
                 self.confirm_leadership();
             }
             message => {
@@ -247,11 +255,16 @@ impl<C: Core> Host<C> {
 
     fn answered(&mut self, ask: AskId, arrivals: Vec<Arrival>) {
         self.confirm_leadership();
-        let space = &self.facilities.replica.space;
-        let decoded = arrivals.into_iter().map(|arrival| arrival.into_message(space));
-        let (messages, refused): (Vec<_>, Vec<_>) = decoded.partition(Result::is_ok);
+        let (mut messages, mut refused) = (Vec::new(), Vec::new());
+        for arrival in arrivals {
+            let key = arrival.packet().key.clone();
+            let decoded = arrival.into_message(&self.facilities.replica.space);
+            match decoded.and_then(|message| self.facilities.believed(&key, message)) {
+                Ok(message) => messages.push(message),
+                Err(rejection) => refused.push(rejection),
+            }
+        }
         self.facilities.replica.add("answers_refused", refused.len() as u64);
-        let messages = messages.into_iter().filter_map(Result::ok).collect();
         let ended = self.facilities.fetches.answered(self.facilities.now, ask, messages);
         self.facilities.fetched.extend(ended);
     }
@@ -265,7 +278,8 @@ impl<C: Core> Host<C> {
     fn handle_answers(&mut self, fetched: Fetched<C::Fetch>) {
         let Fetched { purpose, answers } = fetched;
         match purpose {
-            Purpose::Start | Purpose::TakeOver => self.inquiry_answered(answers),
+            Purpose::Start => self.inquiry_answered(answers, Occasion::Start),
+            Purpose::TakeOver => self.inquiry_answered(answers, Occasion::TakeOver),
             Purpose::Leader(query) => {
                 if self.renewals_among(&answers) == Rivalry::StandDown {
                     return self.stand_down();

@@ -162,6 +162,11 @@ pub enum Input {
     /// Counters of the process, for the next status. They are data like any other, so that a replay
     /// answers the same.
     ProcessCounters(BTreeMap<String, u64>),
+    /// What was kept could not be read: it is damaged, or the disk fails. The instance began without it.
+    StateLost {
+        /// What is wrong with it, and where it is.
+        reason: String,
+    },
 }
 
 /// A get as the bus brings it.
@@ -297,6 +302,7 @@ impl Input {
             Self::LinkLost => "link_lost",
             Self::LinkRestored => "link_restored",
             Self::Stored { .. } => "stored",
+            Self::StateLost { .. } => "state_lost",
             Self::Found { .. } => "found",
             Self::ProcessCounters(_) => "process_counters",
         }

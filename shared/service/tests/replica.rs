@@ -10,6 +10,7 @@ use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_service::Input;
+use muster_service::Stored;
 use muster_wire::Key;
 use small::{ONE_LEADS, header, output, renewal, settings, token};
 
@@ -73,10 +74,40 @@ fn a_standby_adopts_the_newest_settings() {
     assert_eq!(receive_settings(&mut driven, 6, 9, 3), 5, "a leader before");
     assert_eq!(receive_settings(&mut driven, 7, 4, 3), 5, "overtaken on the way");
     assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6, "changed between two outputs");
-    // No leader published these, and they must not shut out the leader's for good.
-    assert_eq!(receive_settings(&mut driven, 9, 1, 9), 9);
-    assert_eq!(receive_settings(&mut driven, 6, 9, 3), 9);
-    assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6);
+    assert_eq!(receive_settings(&mut driven, 6, 9, 3), 6);
+}
+
+/// The standby takes over with what it has adopted: an operator's change would be lost.
+#[test]
+fn a_standby_adopts_no_settings_of_a_higher_term_than_its_leaders() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5), settings(7, 5, 5)]);
+    assert_eq!(receive_settings(&mut driven, 1 << 20, 1, 9), 5, "forged");
+    assert_eq!(receive_settings(&mut driven, 7, 5, 6), 6, "the leader's own go on");
+    // Settings of a new leader may overtake its first renewal, and count from then on.
+    assert_eq!(receive_settings(&mut driven, 8, 0, 3), 6);
+    driven.receive(token("c", true));
+    driven.receive(renewal("c", 8, 0));
+    assert_eq!(driven.teams(), 3);
+}
+
+#[test]
+fn an_announcement_that_was_overtaken_does_not_bring_old_settings_back() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5), settings(7, 5, 5)]);
+    assert_eq!(receive_settings(&mut driven, 7, 9, 2), 2);
+    // The leader's renewals are late as well: the last one that came was of before the change.
+    assert_eq!(receive_settings(&mut driven, 7, 8, 3), 2);
+}
+
+#[test]
+fn a_forged_announcement_of_the_same_term_does_not_shut_out_the_leader() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5), settings(7, 5, 5)]);
+    assert_eq!(receive_settings(&mut driven, 7, 1 << 40, 9), 9);
+    driven.receive(token("a", true));
+    for epoch in 6..9 {
+        assert_eq!(receive_settings(&mut driven, 7, epoch, 4), 9);
+        driven.receive(renewal("a", 7, epoch));
+    }
+    assert_eq!(receive_settings(&mut driven, 7, 9, 4), 4);
 }
 
 #[test]
@@ -214,4 +245,35 @@ fn a_term_is_raised_only_when_readers_have_seen_the_same_higher_revision_twice()
     driven.answer_all(vec![seen(9)]);
     assert_eq!(driven.host.status(driven.now).revision.term, 10);
     assert_eq!(driven.log_after(logged).last().unwrap(), "new term with 1 messages");
+}
+
+/// Both were down, and the one that has lost its disk is the first to run again: its term, by the clock, is
+/// above that of the other one, which has what operators changed.
+#[test]
+fn a_leader_without_state_is_replaced_by_an_instance_that_has_it() {
+    let with_state = |stored: u64| {
+        let patch = serde_json::json!({"teams": 5}).as_object().unwrap().clone();
+        let mut bench = small::Driven::<ONE_LEADS>::with_stored(Stored { term: stored, patch });
+        bench.now = small::START.before(Duration::from_secs(2));
+        bench.input(Input::Started { linked: true });
+        bench.now = small::START;
+        bench.answer_all(vec![renewal("a", 900, 1)]);
+        bench
+    };
+    let mut driven = with_state(7);
+    driven.receive(token("a", true));
+    assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Standby, 5));
+    assert_eq!(receive_settings(&mut driven, 0, 0, 3), 5);
+    driven.receive(renewal("a", 900, 2));
+    driven.answer_all(vec![renewal("a", 900, 2)]);
+    assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Leading, 5));
+    assert_eq!(driven.host.status(driven.now).revision.term, 901);
+    // One without state has nothing to bring back, and one that has adopted the leader's stays a standby.
+    let mut fresh = with_state(0);
+    assert_eq!(receive_settings(&mut fresh, 0, 0, 3), 5);
+    assert!(fresh.asks.is_empty());
+    let mut follower = with_state(7);
+    assert_eq!(receive_settings(&mut follower, 900, 3, 4), 4);
+    assert_eq!(receive_settings(&mut follower, 0, 0, 3), 4);
+    assert!(follower.asks.is_empty());
 }

@@ -11,8 +11,11 @@ pub(crate) const MS: Micros = 1000;
 /// A second.
 pub(crate) const SECOND: Micros = 1_000_000;
 
+/// A year.
+const YEAR: Micros = 31_557_600 * SECOND;
+
 /// What the clocks of the hosts show when a run begins, if they are right: November 2026.
-const BEGINNING: u64 = 1_795_000_000 * SECOND;
+pub(crate) const BEGINNING: u64 = 1_795_000_000 * SECOND;
 
 /// The wall clock of a host.
 #[derive(Debug, Clone, Copy, Default)]
@@ -24,6 +27,15 @@ pub(crate) struct HostClock {
 }
 
 impl HostClock {
+    /// Clocks that are off by years: never set, so that they begin with 1970; set to 2019 by a file; ten
+    /// years ahead; and three centuries.
+    pub(crate) const WRONG: [i64; 4] = [
+        -(BEGINNING.cast_signed()),
+        -8 * YEAR.cast_signed(),
+        10 * YEAR.cast_signed(),
+        300 * YEAR.cast_signed(),
+    ];
+
     /// What it shows.
     pub(crate) fn wall(&self, now: Micros) -> Tick {
         let gained = scaled(now, self.drift);

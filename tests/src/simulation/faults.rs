@@ -4,14 +4,16 @@ use std::sync::Arc;
 
 use muster_model::header::Header;
 use muster_model::id::{RobotId, ServiceName};
+use muster_model::limits::MAX_REVISION;
 use muster_model::observation::{CheckedReport, Pose, Stream};
+use muster_model::term::highest_term;
 use muster_service::Stored;
 use muster_wire::{Format, Key, Message, Packet, Source};
 
 use super::chance::{Chance, Purpose};
-use super::clock::{MS, Micros, SECOND};
+use super::clock::{HostClock, MS, Micros, SECOND};
 use super::link::{State, Storm, Way};
-use super::plan::{Fault, OutputKind, Rubbish};
+use super::plan::{Fault, Forgery, OutputKind, Rubbish};
 use super::robots::{RobotStream, packet};
 use super::router::Carried;
 use super::world::{Event, World};
@@ -60,19 +62,19 @@ impl World {
             Fault::LostDisk { at, lasts } => {
                 if let Some(index) = node(self, at) {
                     self.kill(index, lasts, &mut chance);
-                    self.nodes[index].stored = Stored::default();
-                    let node = &self.nodes[index];
-                    self.oracle.forget_order(node.service, node.instance);
-                    self.operator.forgets(node.service);
+                    self.lose_disk(index);
                 }
             }
-            Fault::Blackout { lasts } => {
+            Fault::Blackout { lasts, disks } => {
                 for index in 0..self.nodes.len() {
                     let lasts = chance.between(lasts / 2, lasts);
                     self.kill(index, lasts, &mut chance);
+                    if !disks {
+                        self.lose_disk(index);
+                    }
                 }
             }
-            Fault::ForgedTerm { what, terms } => self.forge_term(what, terms),
+            Fault::ForgedTerm { what, term } => self.forge_term(what, term),
             Fault::Hang { at, lasts } => {
                 let Some(index) = node(self, at) else { return };
                 let until = self.now + lasts;
@@ -166,6 +168,18 @@ impl World {
         self.schedule(restart, Event::Start { node: index });
     }
 
+    /// A service that was killed begins without what it stored. By a clock that is right it begins above
+    /// the terms that it held all the same.
+    fn lose_disk(&mut self, index: usize) {
+        let node = &mut self.nodes[index];
+        node.stored = Stored::default();
+        let (service, instance) = (node.service, node.instance);
+        if !self.clocks_agree || self.oracle.had_forged_terms() {
+            self.oracle.forget_order(service, instance);
+        }
+        self.operator.forgets(service);
+    }
+
     fn leave(&mut self, index: usize, politely: bool, back: Option<Micros>, chance: &mut Chance) {
         let Some(robot) = self.robots.all.get_mut(index).filter(|robot| robot.runs) else { return };
         robot.runs = false;
@@ -187,9 +201,17 @@ impl World {
 
     /// Repeats the last message on a key with a higher term. To a reader it looks like the first
     /// message of a new leader.
-    fn forge_term(&mut self, what: OutputKind, terms: u64) {
+    fn forge_term(&mut self, what: OutputKind, term: Forgery) {
         let Some(mut message) = self.oracle.last_on(what) else { return };
-        let raise = |header: &mut Header| header.revision.term += terms;
+        let bound = highest_term(HostClock::default().wall(self.now));
+        let forged = |term_before: u64| match term {
+            Forgery::Higher(terms) => term_before + terms,
+            Forgery::Bound if self.clocks_agree => bound,
+            Forgery::Bound => term_before + 2,
+            Forgery::Largest => MAX_REVISION - 1,
+        };
+        let raise = |header: &mut Header| header.revision.term = forged(header.revision.term);
+        self.oracle.terms_forged();
         match &mut message {
             Message::Roster(roster) => raise(&mut roster.make_mut_unchecked().header),
             Message::Graph(delta) => raise(&mut Arc::make_mut(delta).header),

@@ -8,6 +8,9 @@ use muster_model::header::Revision;
 use muster_model::id::{RobotId, ServiceName, TeamId};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
+use serde_json::Value;
+
+use super::clock::{BEGINNING, SECOND};
 use muster_wire::envelope::EnvelopeError;
 use muster_wire::{Format, Key, KeySpace, Message, Packet};
 
@@ -40,11 +43,17 @@ pub enum Mutant {
     OlderRoster,
     /// The auditor sees no positions any more once a link was cut.
     NoPositions,
+    /// Every service except the clusterer counts its terms from one again once all had lost their disks.
+    TermsFromOne,
+    /// Robots are sent terms as if they had been counted from one again.
+    DeafRobots,
+    /// Every leader except the clusterer goes above any term that an attacker forged.
+    UnbelievedTerm,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 15] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -57,6 +66,9 @@ impl Mutant {
         Self::TermTwice,
         Self::OlderRoster,
         Self::NoPositions,
+        Self::TermsFromOne,
+        Self::DeafRobots,
+        Self::UnbelievedTerm,
     ];
 
     /// The kinds of faults after which it shows.
@@ -73,12 +85,43 @@ impl Mutant {
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
             Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
             Self::Restless | Self::Fickle => &["settings"],
+            Self::TermsFromOne | Self::DeafRobots => &["blackout without disks"],
+            Self::UnbelievedTerm => &["forged term"],
         }
     }
 }
 
 /// How many epochs later a term is continued that another leader began: more than a run has.
 const CONTINUED_EPOCHS: u64 = 1 << 20;
+
+/// By how much terms are lower that are counted from one: some days less than the clocks of a run show.
+const CLOCK_TERMS: u64 = BEGINNING / SECOND - (1 << 20);
+
+/// How much higher a term is that nobody believes.
+const UNBELIEVED_TERMS: u64 = 1 << 40;
+
+/// The term of the main output of a service other than the clusterer.
+fn term_of(message: &mut Message) -> Option<&mut u64> {
+    let header = match message {
+        Message::Roster(roster) => &mut roster.make_mut_unchecked().header,
+        Message::Embedding(embedding) => &mut embedding.make_mut_unchecked().header,
+        Message::Audit(audit) => &mut Arc::make_mut(audit).header,
+        _ => return None,
+    };
+    Some(&mut header.revision.term)
+}
+
+/// What a robot is sent, with a term that is counted from one; other packets as they are.
+fn with_counted_term(packet: Packet) -> Packet {
+    let is_for_robot = packet.key.contains("/robot/") && packet.key.ends_with("/team");
+    let bytes = packet.payload.as_ref().ok().filter(|_| is_for_robot);
+    let value = bytes.and_then(|bytes| serde_json::from_slice::<Value>(bytes).ok());
+    let Some(mut value) = value else { return packet };
+    if let Some(term) = value.get("term").and_then(Value::as_u64) {
+        value["term"] = term.saturating_sub(CLOCK_TERMS).into();
+    }
+    Packet { payload: Ok(value.to_string().into_bytes()), ..packet }
+}
 
 /// Makes the faults of a mutant.
 #[derive(Debug)]
@@ -222,6 +265,18 @@ impl Mutator {
                 }
                 message
             }
+            (Mutant::TermsFromOne, mut message) => {
+                if let Some(term) = term_of(&mut message) {
+                    *term = term.saturating_sub(CLOCK_TERMS).max(1);
+                }
+                message
+            }
+            (Mutant::UnbelievedTerm, mut message) => {
+                if let Some(term) = term_of(&mut message) {
+                    *term += UNBELIEVED_TERMS;
+                }
+                message
+            }
             (Mutant::OlderRoster, Message::Embedding(mut embedding)) => {
                 self.published += 1;
                 let old = *self.old.get_or_insert(embedding.roster);
@@ -253,6 +308,9 @@ impl Mutator {
 
     /// What the bus does with a packet.
     pub(crate) fn carried(&mut self, space: &KeySpace, packet: Packet, now: Tick) -> Packet {
+        if self.active && self.mutant == Some(Mutant::DeafRobots) {
+            return with_counted_term(packet);
+        }
         let old = self.active && self.mutant == Some(Mutant::OldTermAsNewest);
         if !old || packet.key != space.format(&Key::Embedding) {
             return packet;

@@ -5,14 +5,19 @@ use std::sync::Arc;
 
 use muster_model::id::ServiceName;
 use muster_service::{Arrival, Ask, Input};
-use muster_wire::{Key, Message};
+use muster_wire::{Key, Message, Packet};
 
 use super::clock::{MS, Micros, SECOND};
 use super::link::{State, Way};
 use super::log::digest;
-use super::plan::{OutputKind, Place};
+use super::oracle::breach;
+use super::plan::{OutputKind, Place, Span};
+use super::robots::Reception;
 use super::router::{Answer, BusGet, BusGetId, Carried, LinkId};
 use super::world::{Asker, Event, Pending, World};
+
+/// How long robots may refuse services that have lost their state.
+const BELIEVED_WITHIN: Micros = 5 * SECOND;
 
 /// How long operators and consoles wait for the answers to a get, as the client does.
 const CONSOLE_TIMEOUT: Micros = SECOND;
@@ -116,11 +121,8 @@ impl World {
         }
         if link >= self.nodes.len() {
             let robot = link - self.nodes.len();
-            if let Carried::Put(packet) = carried
-                && self.robots.receive(robot, packet)
-            {
-                let name = &self.robots.all[robot].name;
-                self.log.line(self.now, format_args!("{name} receives its team"));
+            if let Carried::Put(packet) = carried {
+                self.robot_receives(robot, packet);
             }
             return;
         }
@@ -132,6 +134,26 @@ impl World {
             Carried::Answer { .. } | Carried::Complete { .. } => {}
         }
         self.schedule_step(link);
+    }
+
+    /// A robot receives something. Where there are no standbys, whose terms may be seconds apart, and where
+    /// terms come from clocks that are right, it believes a restarted service soon.
+    fn robot_receives(&mut self, robot: usize, packet: &Packet) {
+        let received = self.robots.receive(robot, packet, self.now);
+        let name = &self.robots.all[robot].name;
+        match received {
+            Reception::News => self.log.line(self.now, format_args!("{name} receives its team")),
+            Reception::Known => {}
+            Reception::Refused { since } => {
+                let is_alone = self.nodes.len() == ServiceName::ALL.len();
+                let applies = is_alone && self.clocks_agree && !self.oracle.had_forged_terms();
+                if applies && self.now > since + BELIEVED_WITHIN {
+                    let promise = "robots believe services that have lost their state within 5 s";
+                    let seen = format!("{name} refuses its team since {}", Span(since));
+                    self.require(breach(promise, seen));
+                }
+            }
+        }
     }
 
     /// A token was declared or withdrawn.

@@ -19,8 +19,6 @@ pub(crate) struct Operator {
     wanted: BTreeMap<ServiceName, VecDeque<String>>,
     /// How many teams the clusterer has confirmed, or has in its file.
     teams: Option<u32>,
-    /// Whether the clusterer has lost its disk.
-    terms_lost: bool,
     /// How often a service has refused, confirmed, or not answered.
     pub(crate) refused: u64,
     pub(crate) confirmed: u64,
@@ -29,7 +27,7 @@ pub(crate) struct Operator {
 impl Operator {
     pub(crate) fn new(link: LinkId, teams: Option<u64>) -> Self {
         let teams = teams.and_then(|teams| u32::try_from(teams).ok());
-        Self { link, wanted: BTreeMap::new(), teams, terms_lost: false, refused: 0, confirmed: 0 }
+        Self { link, wanted: BTreeMap::new(), teams, refused: 0, confirmed: 0 }
     }
 
     /// It wants to change settings.
@@ -41,7 +39,6 @@ impl Operator {
     pub(crate) fn forgets(&mut self, service: ServiceName) {
         if service == ServiceName::Clusterer {
             self.teams = None;
-            self.terms_lost = true;
         }
     }
 
@@ -100,7 +97,6 @@ impl Operator {
                 .collect(),
             leading: runs.clone().filter(leads).map(Node::publisher).collect(),
             running: runs.map(Node::publisher).collect(),
-            terms_lost: self.terms_lost,
             teams: self.teams,
         }
     }

@@ -74,6 +74,22 @@ impl OutputKind {
         [Self::Roster, Self::Graph, Self::Embedding, Self::Teams, Self::Audit, Self::Settings];
 }
 
+/// How high a forged term is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Forgery {
+    /// So many terms higher.
+    Higher(u64),
+    /// The highest that services believe; [`Forgery::Higher`] by two where clocks are far apart.
+    Bound,
+    /// The highest that the protocol can carry.
+    Largest,
+}
+
+impl Forgery {
+    const ALL: [Self; 5] =
+        [Self::Higher(1), Self::Higher(2), Self::Higher(1 << 20), Self::Bound, Self::Largest];
+}
+
 /// One thing that goes wrong, or that people and robots do. Spans are in microseconds.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Fault {
@@ -87,10 +103,11 @@ pub(crate) enum Fault {
     Kill { at: Place, lasts: Micros },
     /// A service is killed, loses its disk, and is started again.
     LostDisk { at: Place, lasts: Micros },
-    /// All services are killed at once, and started again within a while.
-    Blackout { lasts: Micros },
-    /// An attacker repeats the last message on the key of a service, so many terms higher.
-    ForgedTerm { what: OutputKind, terms: u64 },
+    /// All services are killed at once, and started again within a while; their disks may be lost with
+    /// them.
+    Blackout { lasts: Micros, disks: bool },
+    /// An attacker repeats the last message on the key of a service with a higher term.
+    ForgedTerm { what: OutputKind, term: Forgery },
     /// A service is stopped as by SIGSTOP, and continues after a while.
     Hang { at: Place, lasts: Micros },
     /// A service takes long over every event.
@@ -144,7 +161,7 @@ impl Fault {
             | Self::LostDisk { at, lasts }
             | Self::Hang { at, lasts }
             | Self::Slow { at, lasts, .. } => (*at, *lasts),
-            Self::Router { lasts } | Self::Blackout { lasts } => return Some((None, *lasts)),
+            Self::Router { lasts } | Self::Blackout { lasts, .. } => return Some((None, *lasts)),
             Self::ForgedTerm { .. } => return Some((None, 0)),
             _ => return None,
         };
@@ -163,7 +180,8 @@ impl Fault {
             Self::Router { .. } => "router restart",
             Self::Kill { .. } => "kill",
             Self::LostDisk { .. } => "lost disk",
-            Self::Blackout { .. } => "blackout",
+            Self::Blackout { disks: true, .. } => "blackout",
+            Self::Blackout { disks: false, .. } => "blackout without disks",
             Self::ForgedTerm { .. } => "forged term",
             Self::Hang { .. } => "hang",
             Self::Slow { .. } => "slow service",
@@ -202,10 +220,8 @@ impl fmt::Display for Injection {
             | Fault::LostDisk { at, lasts }
             | Fault::Hang { at, lasts }
             | Fault::Panics { at, lasts } => write!(formatter, "{at} for {}", Span(*lasts)),
-            Fault::ForgedTerm { what, terms } => {
-                write!(formatter, "{what:?}, {terms} terms higher")
-            }
-            Fault::Router { lasts } | Fault::BadAlpha { lasts } | Fault::Blackout { lasts } => {
+            Fault::ForgedTerm { what, term } => write!(formatter, "{what:?}, {term:?}"),
+            Fault::Router { lasts } | Fault::BadAlpha { lasts } | Fault::Blackout { lasts, .. } => {
                 write!(formatter, "for {}", Span(*lasts))
             }
             Fault::Slow { at, lasts, each } | Fault::SlowJobs { at, lasts, each } => {
@@ -360,11 +376,11 @@ fn draw(chance: &mut Chance, scale: &Scale, places: &[Place], room: Micros) -> F
         31..34 => Fault::Router { lasts: short },
         34..44 => Fault::Kill { at: service, lasts: short },
         44..46 => Fault::Kill { at: service, lasts: long },
-        46..48 => Fault::LostDisk { at: service, lasts: short },
-        48..49 => Fault::Blackout { lasts: short },
+        46..47 => Fault::LostDisk { at: service, lasts: short },
+        47..49 => Fault::Blackout { lasts: short, disks: chance.percent(50) },
         49..51 => Fault::ForgedTerm {
             what: chance.pick(&OutputKind::ALL).copied().unwrap_or(OutputKind::Roster),
-            terms: [1, 2, 1 << 20][chance.below(3)],
+            term: chance.pick(&Forgery::ALL).copied().unwrap_or(Forgery::Largest),
         },
         51..55 => Fault::Hang { at: service, lasts: if chance.percent(50) { short } else { long } },
         55..58 => Fault::Slow { at: service, lasts: long, each: chance.between(5, 200) * MS },

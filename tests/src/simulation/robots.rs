@@ -21,6 +21,21 @@ use super::router::LinkId;
 /// Time step of the scenario: robots that report in between repeat themselves.
 const SCENARIO_STEP: Micros = 200 * MS;
 
+/// After so long without a report that it accepts, a robot goes by one with a lower revision: services have
+/// started again.
+const SERVICES_RESTARTED: Micros = 10 * SECOND;
+
+/// What a report of its team is to a robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Reception {
+    /// It is newer than what the robot knows.
+    News,
+    /// It is what the robot knows, or not for it.
+    Known,
+    /// It is older, and so is everything that came since that moment.
+    Refused { since: Micros },
+}
+
 /// One stream of a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RobotStream {
@@ -66,6 +81,10 @@ pub(crate) struct Robot {
     superior: Option<Option<usize>>,
     /// The newest that it has received of its team.
     pub(crate) team_report: Option<TeamReport>,
+    /// When it last received a report that it accepted …
+    received: Micros,
+    /// … and since when it has received older ones alone, if it has.
+    refused_since: Option<Micros>,
     chance: Chance,
 }
 
@@ -188,19 +207,26 @@ impl Robots {
         period + robot.chance.between(0, 20 * MS)
     }
 
-    /// A robot receives a report of its team; whether that is news. It never goes back to an older
-    /// division, and ignores what it cannot read: any client may put that.
-    pub(crate) fn receive(&mut self, robot: usize, packet: &Packet) -> bool {
-        let Some(robot) = self.all.get_mut(robot).filter(|robot| robot.runs) else { return false };
+    /// A robot receives a report of its team; what that is to it. It goes back to an older division only
+    /// after [`SERVICES_RESTARTED`] without another one, as the robot in Python of the documents does, and
+    /// ignores what it cannot read: any client may put that.
+    pub(crate) fn receive(&mut self, robot: usize, packet: &Packet, now: Micros) -> Reception {
+        let Some(robot) = self.all.get_mut(robot).filter(|robot| robot.runs) else {
+            return Reception::Known;
+        };
         let Some(report) = packet.payload.as_ref().ok().and_then(|bytes| read_team_report(bytes))
         else {
-            return false;
+            return Reception::Known;
         };
-        if robot.team_report.as_ref().is_some_and(|last| last.revision >= report.revision) {
-            return false;
+        let last = robot.team_report.as_ref().map(|last| last.revision);
+        if last > Some(report.revision) && now < robot.received + SERVICES_RESTARTED {
+            return Reception::Refused { since: *robot.refused_since.get_or_insert(now) };
         }
+        robot.refused_since = None;
+        robot.received = now;
+        let is_news = last != Some(report.revision);
         robot.team_report = Some(report);
-        true
+        if is_news { Reception::News } else { Reception::Known }
     }
 }
 
@@ -255,6 +281,8 @@ impl Robot {
             off: [0.0; 2],
             superior: None,
             team_report: None,
+            received: 0,
+            refused_since: None,
             chance,
         }
     }
@@ -270,6 +298,7 @@ impl Robot {
         self.life += 1;
         self.seq = 0;
         self.team_report = None;
+        self.refused_since = None;
     }
 
     /// It is somewhere else from now on.

@@ -315,6 +315,8 @@ fn describe(space: &muster_wire::KeySpace, input: &Input) -> String {
         Input::LinkLost => "the loss of its link".to_owned(),
         Input::LinkRestored => "the return of its link".to_owned(),
         Input::Stored { .. } => "that its state is on the disk".to_owned(),
-        Input::Found { .. } | Input::ProcessCounters(_) => input.kind().to_owned(),
+        Input::Found { .. } | Input::ProcessCounters(_) | Input::StateLost { .. } => {
+            input.kind().to_owned()
+        }
     }
 }

@@ -20,7 +20,7 @@ use super::mutants::Mutator;
 use super::node::Node;
 use super::operator::Operator;
 use super::oracle::{Agreed, Bounds, Breach, MEMORY, Oracle, Verified};
-use super::plan::{Injection, Place};
+use super::plan::{Fault, Injection, Place};
 use super::robots::{RobotStream, Robots};
 use super::router::{Answer, BusGetId, Carried, LinkId, Router};
 use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
@@ -33,6 +33,9 @@ const LONG_RUN_EVERY: u64 = 8;
 
 /// How long such a run continues: longer than the longest interval at which a service asks again.
 const LONG_RUN_TIME: Micros = 12 * SECOND;
+
+/// In one run of so many, some hosts of services have a clock that is off by years.
+const WRONG_CLOCKS_EVERY: u64 = 6;
 
 /// Most events of a run: far more than one of the longest has.
 const MAX_EVENTS: u64 = 20_000_000;
@@ -119,6 +122,8 @@ pub(super) struct World {
     pub(super) oracle: Oracle,
     pub(super) log: Log,
     pub(super) injections: Vec<Injection>,
+    /// Whether the clocks of all services are right all the time, to some seconds.
+    pub(super) clocks_agree: bool,
     pub(super) operator: Operator,
     pub(super) pending: BTreeMap<BusGetId, Pending>,
     pub(super) damage: Damage,
@@ -182,6 +187,11 @@ impl World {
         let mut chance = Chance::new(seed, Purpose::Fleet, 1);
         let files = files(seed, &mut chance, scale.robots);
         let mut nodes = Vec::new();
+        let sets_clock = |injection: &Injection| {
+            matches!(injection.fault, Fault::Clock { at: Place::Service(..), .. })
+        };
+        let mut clocks_agree = !injections.iter().any(sets_clock);
+        let mut wrong = Chance::new(seed, Purpose::Fleet, 4);
         for (link, place) in places(scale).into_iter().enumerate() {
             let Place::Service(service, instance) = place else { continue };
             let offset = |chance: &mut Chance, most: u64| {
@@ -189,7 +199,11 @@ impl World {
                     - i64::try_from(most).unwrap_or_default()
             };
             let ahead = offset(&mut chance, 3 * SECOND);
-            let clock = HostClock { ahead, drift: offset(&mut chance, 200) };
+            let mut clock = HostClock { ahead, drift: offset(&mut chance, 200) };
+            if seed % WRONG_CLOCKS_EVERY == 3 && wrong.percent(40) {
+                clock.ahead = wrong.pick(&HostClock::WRONG).copied().unwrap_or_default();
+                clocks_agree = false;
+            }
             let own = Chance::new(seed, Purpose::Node, link);
             nodes.push(Node::new(&space, service, instance, link, clock, own));
         }
@@ -215,6 +229,7 @@ impl World {
             oracle: Oracle::default(),
             log: Log::new(logged),
             injections,
+            clocks_agree,
             pending: BTreeMap::new(),
             damage: Damage::default(),
             mutator: Mutator::new(mutant),

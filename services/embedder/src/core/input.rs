@@ -51,10 +51,11 @@ impl Embedder {
     /// that are older than what is known are normal, because several services answer.
     pub(super) fn accept_answers(&mut self, context: &mut Context<'_>, messages: Vec<Message>) {
         let mut rosters = Vec::new();
-        let mut old = Vec::new();
+        let (mut settings, mut old) = (Vec::new(), Vec::new());
         for message in messages {
             match message {
                 Message::Roster(_) => rosters.push(message),
+                Message::Settings(_) => settings.push(message),
                 Message::Graph(delta) => {
                     if self.accept(context, Message::Graph(delta.clone())) == Some(Acceptance::Old)
                     {
@@ -66,6 +67,7 @@ impl Embedder {
                 }
             }
         }
+        self.settings_answered(context, &settings);
         for roster in rosters {
             self.accept(context, roster);
         }

@@ -25,7 +25,7 @@ use muster_wire::{Key, KeySpace, Message, Packet, Rejection};
 use serde_json::Value;
 
 /// Some moment: cores know no absolute time.
-pub(crate) const START: Tick = Tick(1_800_000_000_000_000);
+pub(crate) const START: Tick = Tick(1_000_000_000_000);
 
 pub(crate) fn robot(name: &str) -> RobotId {
     RobotId::new(name).unwrap()

@@ -14,6 +14,15 @@ use crate::replica::lease::TermCheck;
 use crate::replica::settings::Adoption;
 use crate::wiring::Replication;
 
+/// Why an instance asks the bus what there is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Occasion {
+    /// It has started, or stood down.
+    Start,
+    /// Its leader is gone.
+    TakeOver,
+}
+
 impl<C: Core> Host<C> {
     /// Asks the bus for what an instance begins with: what the core wants, who leads, and with which
     /// settings.
@@ -97,9 +106,31 @@ impl<C: Core> Host<C> {
         let followed = replica.election.followed();
         match replica.settings.adopt(announced, followed) {
             Adoption::Changed => self.facilities.store(),
-            Adoption::Unchanged | Adoption::WithoutTerm => {}
+            Adoption::Unchanged | Adoption::WithoutTerm | Adoption::NotLeaders => {}
             Adoption::Old => replica.add("settings_old", 1),
             Adoption::Misfit => replica.add("settings_not_adopted", 1),
+        }
+    }
+
+    /// A leader that announces settings without a term leads without state: it has lost what operators
+    /// changed. An instance that has kept it, and nothing of this leader, takes over.
+    pub(super) fn replace_leader_without_state(&mut self, announced: &AnnouncedSettings) {
+        let replica = &mut self.facilities.replica;
+        let Some(leader) = replica.election.followed() else { return };
+        if announced.header.revision.term == 0
+            && replica.settings.are_known()
+            && replica.settings.adopted().term < leader.term
+        {
+            replica.election.replace_leader(self.facilities.now);
+        }
+    }
+
+    /// The leader that this instance follows has renewed its lease.
+    pub(super) fn leader_renewed(&mut self) {
+        let replica = &mut self.facilities.replica;
+        let Some(leader) = replica.election.followed() else { return };
+        if let Some(announced) = replica.settings.renewed(leader) {
+            self.adopt(&announced);
         }
     }
 
@@ -118,7 +149,7 @@ impl<C: Core> Host<C> {
         rivalry
     }
 
-    pub(super) fn inquiry_answered(&mut self, answers: Vec<Message>) {
+    pub(super) fn inquiry_answered(&mut self, answers: Vec<Message>, occasion: Occasion) {
         if !self.facilities.replica.election.inquiry_answered() {
             return;
         }
@@ -139,16 +170,20 @@ impl<C: Core> Host<C> {
             }
         }
         match decision {
-            Decision::Lead => self.lead(wanted),
+            Decision::Lead => self.lead(wanted, occasion),
             Decision::StandBy | Decision::Wait => {
                 self.core.on_follow(&mut Context(&mut self.facilities), wanted);
             }
         }
     }
 
-    fn lead(&mut self, answers: Vec<Message>) {
+    fn lead(&mut self, answers: Vec<Message>, occasion: Occasion) {
         let outputs = answers.iter().filter(|answer| C::is_output(answer));
         let seen = outputs.filter_map(|output| Some(output.header()?.revision)).max();
+        // A standby that takes over may never have led on this host.
+        if occasion == Occasion::Start {
+            self.facilities.notice_state_loss(seen);
+        }
         self.begin_term(seen);
         self.core.on_lead(&mut Context(&mut self.facilities), answers);
     }
@@ -159,6 +194,7 @@ impl<C: Core> Host<C> {
         facilities.store();
         let term = facilities.replica.revision().term;
         facilities.publish_event(Severity::Info, EventKind::ServiceStarted { term });
+        facilities.report_state_loss();
         facilities.announce_settings();
         for field in facilities.replica.settings.take_dropped() {
             let kind = EventKind::SettingDropped { field };
@@ -171,9 +207,12 @@ impl<C: Core> Host<C> {
         let seen = found.iter().filter_map(|message| Some(message.header()?.revision)).max();
         let own = replica.revision();
         let Some(lease) = replica.election.lease() else { return };
-        if let TermCheck::Outrun(revision) = lease.term_checked(self.facilities.now, seen, own) {
-            self.begin_term(Some(revision));
-            self.core.on_new_term(&mut Context(&mut self.facilities), found);
+        match lease.term_checked(self.facilities.now, seen, own) {
+            TermCheck::Outrun(revision) => {
+                self.begin_term(Some(revision));
+                self.core.on_new_term(&mut Context(&mut self.facilities), found);
+            }
+            TermCheck::Sound => self.core.on_term_sound(&mut Context(&mut self.facilities), found),
         }
     }
 

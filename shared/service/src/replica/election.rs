@@ -59,6 +59,8 @@ struct Candidate {
     waited: bool,
     /// How many renewals in a row were of a term that this instance began itself, or of a lower one.
     outdated_renewals: u32,
+    /// The term of a leader that this instance takes over from, though that lives.
+    replaces: Option<u64>,
 }
 
 /// What a leader that was cut off or paused waits for.
@@ -416,6 +418,9 @@ impl Election {
     /// begins an outdated term if it could not reach this instance, nor any reader of it.
     fn supersedes(&mut self, now: Tick, revision: Revision, term: u64) -> bool {
         let Some(candidate) = self.candidate_mut() else { return false };
+        if candidate.replaces == Some(revision.term) {
+            return true;
+        }
         if revision.term > term {
             candidate.outdated_renewals = 0;
             return false;
@@ -423,10 +428,18 @@ impl Election {
         candidate.outdated_renewals = candidate.outdated_renewals.saturating_add(1);
         let supersedes = candidate.outdated_renewals >= OUTDATED_RENEWALS;
         if supersedes {
-            candidate.leader = None;
-            candidate.take_over_at = candidate.take_over_at.min(now);
+            self.replace_leader(now);
         }
         supersedes
+    }
+
+    /// This instance takes over from the leader that it follows, though that lives.
+    pub(crate) fn replace_leader(&mut self, now: Tick) {
+        if let Some(candidate) = self.candidate_mut() {
+            let leader = candidate.leader.take();
+            candidate.replaces = leader.map(|leader| leader.revision.term);
+            candidate.take_over_at = candidate.take_over_at.min(now);
+        }
     }
 
     fn set_leader(&mut self, now: Tick, renewal: &LeaseRenewal) {
@@ -475,7 +488,14 @@ impl Election {
 
 impl Candidate {
     fn new(now: Tick) -> Self {
-        Self { leader: None, take_over_at: now, asking: false, waited: false, outdated_renewals: 0 }
+        Self {
+            leader: None,
+            take_over_at: now,
+            asking: false,
+            waited: false,
+            outdated_renewals: 0,
+            replaces: None,
+        }
     }
 }
 

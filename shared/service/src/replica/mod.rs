@@ -16,6 +16,7 @@ use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::settings::Settings;
 use muster_model::status::ServiceStatus;
+use muster_model::term::{clock_term, highest_term};
 use muster_model::time::Tick;
 use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{KeySpace, Message};
@@ -37,14 +38,24 @@ pub(crate) struct Replica<S> {
     started: Tick,
     /// The term that was last begun on this host.
     stored_term: u64,
+    /// Why this instance has begun without the state that it kept before; taken once it is reported.
+    pub(crate) state_loss: Option<String>,
     revision: Revision,
     event_epoch: u64,
     counters: BTreeMap<&'static str, u64>,
 }
 
 impl<S: Settings> Replica<S> {
+    /// An instance with what it kept. A stored term that is not believed is damage: it is dropped, and the
+    /// settings stay.
     pub(crate) fn new(service: ServiceName, replication: Replication, start: Start<S>) -> Self {
-        let revision = Revision { term: start.stored.term, epoch: 0 };
+        let kept = start.stored.term;
+        let stored_term = if kept <= highest_term(start.now) { kept } else { 0 };
+        let damage = (kept != stored_term).then(|| {
+            let highest = highest_term(start.now);
+            format!("the stored term {kept} is above {highest}, so the file is damaged")
+        });
+        let revision = Revision { term: stored_term, epoch: 0 };
         Self {
             space: KeySpace::new(start.fleet),
             service,
@@ -52,7 +63,8 @@ impl<S: Settings> Replica<S> {
             settings: ReplicaSettings::new(start.settings, &start.stored.patch, revision),
             refusals: Refusals::default(),
             started: start.now,
-            stored_term: start.stored.term,
+            stored_term,
+            state_loss: damage,
             revision,
             event_epoch: 0,
             counters: BTreeMap::new(),
@@ -74,11 +86,25 @@ impl<S: Settings> Replica<S> {
         self.revision
     }
 
-    /// Begins a term above every term that was seen on the bus or held on this host.
+    /// Whether a term is believed: one above the bound was forged, or its sender's clock is far off.
+    pub(crate) fn believes(&self, now: Tick, term: u64) -> bool {
+        term <= highest_term(now)
+    }
+
+    /// Begins a term above every believed term that was seen on the bus or held on this host. An instance
+    /// that has stored none begins at the seconds of the clock at least, so that it cannot fall behind what
+    /// it published before its state was lost. One that has stored a term counts on from there: another
+    /// one with a later state then notices that it knows less, and takes over.
     pub(crate) fn begin_term(&mut self, now: Tick, seen: Option<Revision>) {
-        let seen = seen.map_or(0, |revision| revision.term);
-        let seen = seen.max(self.stored_term).max(self.election.highest_term());
-        self.revision = Revision { term: seen.saturating_add(1), epoch: 0 };
+        let believed = seen.map(|revision| revision.term).filter(|term| self.believes(now, *term));
+        let known = believed.unwrap_or(0).max(self.stored_term).max(self.election.highest_term());
+        let term = known.saturating_add(1);
+        let term = if self.stored_term == 0 { term.max(clock_term(now)) } else { term };
+        if self.election.highest_term() > 0 {
+            // It has followed a leader, and adopted what that announced.
+            self.settings.set_known();
+        }
+        self.revision = Revision { term, epoch: 0 };
         self.event_epoch = 0;
         self.stored_term = self.revision.term;
         self.election.lead(now);
@@ -98,10 +124,11 @@ impl<S: Settings> Replica<S> {
         }))
     }
 
-    /// The settings in force. Those of an instance without a term have the first of all revisions, so
-    /// that no other instance takes them over.
+    /// The settings in force. Those of an instance without a term, or of one that leads without state,
+    /// have the first of all revisions, so that no other instance takes them over.
     pub(crate) fn settings_message(&self, now: Tick) -> Message {
-        let revision = if self.election.has_term() { self.revision } else { Revision::default() };
+        let counts = self.election.has_term() && self.settings.are_known();
+        let revision = if counts { self.revision } else { Revision::default() };
         Message::Settings(Box::new(AnnouncedSettings {
             header: self.own_header(now, revision),
             service: self.service,
@@ -152,6 +179,25 @@ impl<S: Settings> Replica<S> {
     pub(crate) fn add(&mut self, counter: &'static str, count: u64) {
         let counter = self.counters.entry(counter).or_default();
         *counter = counter.saturating_add(count);
+    }
+
+    /// Sets a counter that says how things are; zero takes it away.
+    pub(crate) fn set(&mut self, counter: &'static str, value: u64) {
+        if value == 0 {
+            self.counters.remove(counter);
+        } else {
+            self.counters.insert(counter, value);
+        }
+    }
+
+    /// The value of a counter.
+    pub(crate) fn count_of(&self, counter: &'static str) -> u64 {
+        self.counters.get(counter).copied().unwrap_or_default()
+    }
+
+    /// Whether this host has stored no term.
+    pub(crate) fn has_no_stored_term(&self) -> bool {
+        self.stored_term == 0
     }
 
     /// What the service reports of itself, with a text that says what it is doing.

@@ -16,6 +16,10 @@ const MAX_PATCH_BYTES: usize = MAX_SMALL_PAYLOAD;
 /// more within 1.5 s are rarely all lost, and a leader is rarely lost so soon after a change.
 const REPEATED_ANNOUNCEMENTS: u8 = 3;
 
+/// After how many lease renewals below it in a row the revision in force counts as forged. One or two that
+/// an announcement has overtaken are normal.
+const RENEWALS_BELOW: u8 = 3;
+
 /// The settings of one instance.
 #[derive(Debug)]
 pub(crate) struct ReplicaSettings<S> {
@@ -28,6 +32,14 @@ pub(crate) struct ReplicaSettings<S> {
     dropped: Vec<String>,
     /// The revision of the announcement that the settings are from; an older one is not adopted.
     adopted: Revision,
+    /// How many renewals of the leader in a row were below that.
+    renewals_below: u8,
+    /// Whether the settings are those that the fleet had, as far as this instance can know: it had stored
+    /// some, has adopted them, or an operator has changed them since.
+    are_known: bool,
+    /// An announcement of a higher term than that of the followed leader: a new leader's, if its renewal
+    /// follows, else forged.
+    of_next_leader: Option<AnnouncedSettings>,
     /// How many lease renewals are still to be followed by an announcement.
     announcements_left: u8,
 }
@@ -45,6 +57,8 @@ pub(crate) enum Adoption {
     Misfit,
     /// Its sender has no term, and may know less than this instance.
     WithoutTerm,
+    /// It is not of the leader that this instance follows. It waits for the renewal of a new one.
+    NotLeaders,
 }
 
 impl<S: Settings> ReplicaSettings<S> {
@@ -53,7 +67,17 @@ impl<S: Settings> ReplicaSettings<S> {
     pub(crate) fn new(base: S, patch: &Map<String, Value>, revision: Revision) -> Self {
         let (current, dropped) = restore(&base, patch);
         let patch = difference(&base, &current);
-        Self { base, current, patch, dropped, adopted: revision, announcements_left: 0 }
+        Self {
+            base,
+            current,
+            patch,
+            dropped,
+            adopted: revision,
+            renewals_below: 0,
+            are_known: revision.term > 0,
+            of_next_leader: None,
+            announcements_left: 0,
+        }
     }
 
     pub(crate) fn current(&self) -> &S {
@@ -77,7 +101,24 @@ impl<S: Settings> ReplicaSettings<S> {
     /// An instance that stood down goes by announcements from its own last output on.
     pub(crate) fn stood_down(&mut self, revision: Revision) {
         self.adopted = revision;
+        self.renewals_below = 0;
+        self.of_next_leader = None;
         self.announcements_left = 0;
+    }
+
+    /// Whether an instance that leads with these settings may announce them as the fleet's.
+    pub(crate) fn are_known(&self) -> bool {
+        self.are_known
+    }
+
+    /// The settings are those of the fleet from now on.
+    pub(crate) fn set_known(&mut self) {
+        self.are_known = true;
+    }
+
+    /// The revision of the announcement that the settings are from.
+    pub(crate) fn adopted(&self) -> Revision {
+        self.adopted
     }
 
     /// The settings with a patch, which holds as a whole or not at all.
@@ -98,6 +139,7 @@ impl<S: Settings> ReplicaSettings<S> {
     /// An operator has changed the settings.
     pub(crate) fn change(&mut self, settings: S) {
         self.accept(settings);
+        self.are_known = true;
         self.announcements_left = REPEATED_ANNOUNCEMENTS;
     }
 
@@ -115,8 +157,9 @@ impl<S: Settings> ReplicaSettings<S> {
 
     /// Adopts the leader's settings, so that what an operator has changed outlives the leader.
     /// Settings that do not fit this program are left where they are, and so are those of an older
-    /// revision than the ones in force, unless the revision in force is
-    /// above the followed leader's own: then no leader published it.
+    /// revision than the ones in force, unless the term in force is above the followed leader's own: then
+    /// no leader published it. While a leader is followed, an announcement of a higher term waits for the
+    /// renewal of that term: a forged one has none, and must not replace what an operator changed.
     pub(crate) fn adopt(
         &mut self,
         announced: &AnnouncedSettings,
@@ -126,7 +169,12 @@ impl<S: Settings> ReplicaSettings<S> {
         if revision.term == 0 {
             return Adoption::WithoutTerm;
         }
-        let is_leaders = |leader: Revision| leader.term == revision.term && leader < self.adopted;
+        if followed.is_some_and(|leader| leader.term < revision.term) {
+            self.of_next_leader = Some(announced.clone());
+            return Adoption::NotLeaders;
+        }
+        let is_leaders =
+            |leader: Revision| leader.term == revision.term && leader.term < self.adopted.term;
         if revision < self.adopted && !followed.is_some_and(is_leaders) {
             return Adoption::Old;
         }
@@ -137,7 +185,22 @@ impl<S: Settings> ReplicaSettings<S> {
         let before = self.patch.clone();
         self.accept(settings);
         self.adopted = revision;
+        self.are_known = true;
         if self.patch == before { Adoption::Unchanged } else { Adoption::Changed }
+    }
+}
+
+impl<S: Settings> ReplicaSettings<S> {
+    /// The followed leader has renewed its lease. Returns the announcement that waited for that, if one
+    /// did.
+    pub(crate) fn renewed(&mut self, leader: Revision) -> Option<AnnouncedSettings> {
+        let is_below = leader < self.adopted;
+        self.renewals_below = if is_below { self.renewals_below.saturating_add(1) } else { 0 };
+        if self.renewals_below >= RENEWALS_BELOW {
+            self.adopted = leader;
+            self.renewals_below = 0;
+        }
+        self.of_next_leader.take_if(|waiting| waiting.header.revision.term <= leader.term)
     }
 }
 

@@ -307,12 +307,16 @@ impl<const KIND: u8> DerefMut for Driven<KIND> {
 
 impl<const KIND: u8> Driven<KIND> {
     pub(crate) fn new() -> Self {
+        Self::with_stored(Stored::default())
+    }
+
+    pub(crate) fn with_stored(stored: Stored) -> Self {
         let mut bench = Bench::new(Start {
             fleet: space().fleet().clone(),
             instance: instance("b"),
             now: START,
             settings: ClustererSettings::default(),
-            stored: Stored::default(),
+            stored,
         });
         (bench.hold_jobs, bench.hold_leader_queries) = (true, true);
         Self(bench)

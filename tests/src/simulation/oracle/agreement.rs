@@ -15,10 +15,6 @@ use super::super::robots::TeamReport;
 use super::Publisher;
 use super::{Divided, Oracle, Published, Verified, breach, silhouettes};
 
-/// How many epochs after its own a robot that has a lost revision is certain to have received its team
-/// again: that is published with every heartbeat, in which a quiet fleet has one epoch or two.
-const REPORTED_AGAIN_EPOCHS: u64 = 5;
-
 /// What is promised of a fleet in which nothing changes.
 const UNCHANGED: &str = "unchanged input leaves the teams unchanged";
 
@@ -40,10 +36,6 @@ pub(crate) struct GroundTruth<'a> {
     pub(crate) running: BTreeSet<Publisher>,
     /// Those of them that lead.
     pub(crate) leading: BTreeSet<Publisher>,
-    /// Whether the clusterer has lost its disk. If only the robots then remember its last division, which
-    /// answer no gets, it cannot know which term is above all that were published; a robot that has a
-    /// higher revision than the last keeps its team until the epochs have passed that.
-    pub(crate) terms_lost: bool,
     /// How many teams an operator was last confirmed to have asked for, if that is known.
     pub(crate) teams: Option<u32>,
 }
@@ -181,13 +173,6 @@ impl Oracle {
                 .iter()
                 .find(|team| team.members.iter().any(|member| member.robot == **robot));
             let report = report.ok_or_else(|| format!("{robot} has received no team"))?;
-            let now = teams.header.revision;
-            let held = report.revision;
-            if ground_truth.terms_lost
-                && (held > now || now.epoch < held.epoch + REPORTED_AGAIN_EPOCHS)
-            {
-                continue;
-            }
             let right = match team {
                 None => report.team.is_none(),
                 Some(team) => {

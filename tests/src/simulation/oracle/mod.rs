@@ -133,12 +133,23 @@ pub(crate) struct Oracle {
     divided: Option<Divided>,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
+    had_forged_terms: bool,
 }
 
 impl Oracle {
     /// An instance has lost its disk: it cannot know the terms that it held.
     pub(crate) fn forget_order(&mut self, service: ServiceName, instance: usize) {
         self.order.forget(service, instance);
+    }
+
+    /// An attacker has forged a term: terms no longer follow from clocks and restarts.
+    pub(crate) fn terms_forged(&mut self) {
+        self.had_forged_terms = true;
+    }
+
+    /// Whether an attacker has forged a term.
+    pub(crate) fn had_forged_terms(&self) -> bool {
+        self.had_forged_terms
     }
 
     /// The last message of a kind.

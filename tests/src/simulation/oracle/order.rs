@@ -7,12 +7,18 @@ use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_wire::Message;
 
-use super::super::clock::{MS, Micros};
+use super::super::clock::{BEGINNING, MS, Micros, SECOND};
 use super::{Publisher, Verified, breach};
 
 /// How long after a lease renewal an instance that begins its term may not have handled it: links take a
 /// millisecond, inputs some, and those that wait before it as long.
 const RENEWAL_DELAY: Micros = 100 * MS;
+
+/// The highest term that anybody may begin, by a clock that is right: 68 years ahead, and a minute for
+/// clocks that differ and leaders that follow each other.
+fn highest_term(now: Micros) -> u64 {
+    (BEGINNING + now) / SECOND + 2_147_483_648 + 60
+}
 
 /// The newest revisions of each instance of each service.
 #[derive(Debug, Default)]
@@ -57,6 +63,12 @@ impl Order {
     ) -> Verified {
         let Some(header) = message.header() else { return Ok(()) };
         let revision = header.revision;
+        if revision.term > highest_term(now) {
+            return breach(
+                "no service begins a term that others do not believe",
+                format!("{publisher:?} publishes {revision:?}"),
+            );
+        }
         let key = message.keys().0.to_string();
         self.check_takeover(now, publisher, &key, message, revision)?;
         // Robots receive the division of that revision, and a lease renewal names the last output;
@@ -72,6 +84,10 @@ impl Order {
         let of_process = matches!(message, Message::Event(_) | Message::Refused(_));
         let key = if of_process { format!("{key} of process {}", publisher.process) } else { key };
         let place = (service, instance, key);
+        if matches!(message, Message::Settings(_)) && revision == Revision::default() {
+            // A leader that has lost its state does not say that these are the settings of the fleet.
+            return Ok(());
+        }
         let last = self.given.get(&place).copied();
         let key = &place.2;
         if last.is_some_and(|last| revision < last || counts && revision == last) {

@@ -75,6 +75,7 @@ pub(super) fn of_fleet(look: &Look) -> Vec<Finding> {
     found.extend(services::services(look));
     found.extend(services::denied(look));
     found.extend(services::clocks(look));
+    found.extend(services::state(look));
     found.extend(robots::robots(look));
     found.extend(robots::refused(look));
     found.extend(services::jobs(look));

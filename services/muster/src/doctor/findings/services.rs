@@ -169,6 +169,42 @@ pub(super) fn clocks(look: &Look) -> Option<Finding> {
     Some(warning("clock_off", seen, remedy).about(off.iter().map(|(who, _)| who)))
 }
 
+/// Services that began without what they had stored, or cannot store.
+pub(super) fn state(look: &Look) -> Vec<Finding> {
+    let with = |counter: &str| -> Vec<String> {
+        let is_set = |status: &&ServiceStatus| status.counters.contains_key(counter);
+        let of = |status: &ServiceStatus| format!("{} {}", status.service, status.instance);
+        look.after.iter().filter(is_set).map(of).collect()
+    };
+    let mut found = Vec::new();
+    let lost = with("state_lost");
+    if !lost.is_empty() {
+        found.push(
+            warning(
+                "state_lost",
+                format!("began without the state that was stored: {}", lost.join(", ")),
+                "settings that were changed are those of file and flags again: compare `muster set \
+                 SERVICE`. Keep the state directory on a disk that lasts (a volume, for a container); \
+                 its log names the file. The finding ends with the next start of the service",
+            )
+            .about(&lost),
+        );
+    }
+    let unwritable = with("state_unwritable");
+    if !unwritable.is_empty() {
+        found.push(
+            error(
+                "state_unwritable",
+                format!("cannot store settings and terms: {}", unwritable.join(", ")),
+                "make the state directory writable and free space on its disk: the log of the service \
+                 names the file. Then change a setting, or restart the service",
+            )
+            .about(&unwritable),
+        );
+    }
+    found
+}
+
 pub(super) fn jobs(look: &Look) -> Vec<Finding> {
     let mut found = Vec::new();
     for after in &look.after {

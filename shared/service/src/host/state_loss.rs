@@ -1,0 +1,81 @@
+//! What a host says when stored state is lost or cannot be written, and which terms it believes.
+
+use muster_model::event::{EventKind, Severity};
+use muster_model::header::Revision;
+use muster_model::settings::Settings;
+use muster_model::term::highest_term;
+use muster_wire::message::quoted;
+use muster_wire::{Message, Rejection};
+
+use crate::facilities::Facilities;
+
+/// The counter of a status that says that the instance began without its stored state.
+const STATE_LOST: &str = "state_lost";
+
+/// The counter of a status that is 1 while stored state cannot be written.
+const STATE_UNWRITABLE: &str = "state_unwritable";
+
+/// The counter of a status for messages with a term that is not believed.
+const TERMS_REFUSED: &str = "terms_refused";
+
+impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
+    /// A message, if its term is believed. One far above what any clock allows was forged: a leader that
+    /// went above it would be believed by nobody.
+    ///
+    /// # Errors
+    /// The refusal, which names the bound.
+    pub(crate) fn believed(&mut self, key: &str, message: Message) -> Result<Message, Rejection> {
+        let term = message.header().map_or(0, |header| header.revision.term);
+        let replica = &mut self.replica;
+        if replica.believes(self.now, term) {
+            return Ok(message);
+        }
+        replica.add(TERMS_REFUSED, 1);
+        let reason = format!(
+            "term: {term} is above {}, which no service can have begun; it was forged or its sender\'s \
+             clock is wrong",
+            highest_term(self.now)
+        );
+        Err(Rejection::new(&replica.space, key, reason))
+    }
+
+    /// What was kept could not be read.
+    pub(crate) fn state_lost(&mut self, reason: &str) {
+        self.replica.state_loss = Some(quoted(reason));
+        if self.replica.election.has_term() {
+            self.report_state_loss();
+        }
+    }
+
+    /// An instance that has stored nothing begins to lead, and others know an earlier output of its service.
+    pub(crate) fn notice_state_loss(&mut self, seen: Option<Revision>) {
+        let Some(seen) = seen.filter(|_| self.replica.has_no_stored_term()) else { return };
+        let loss = format!(
+            "nothing is stored on this host, and others know term {}: settings that were changed are lost, \
+             unless this service is new here; keep its state directory on a disk that lasts",
+            seen.term
+        );
+        self.replica.state_loss.get_or_insert(loss);
+    }
+
+    /// Reports a loss of state, once there is a term to report it in.
+    pub(crate) fn report_state_loss(&mut self) {
+        if let Some(reason) = self.replica.state_loss.take() {
+            self.replica.set(STATE_LOST, 1);
+            self.publish_event(Severity::Error, EventKind::StateLost { reason });
+        }
+    }
+
+    /// State was written, or could not be. A failure is reported when it begins.
+    pub(crate) fn store_ended(&mut self, error: Option<&str>) {
+        let failed_before = self.replica.count_of(STATE_UNWRITABLE) > 0;
+        self.replica.set(STATE_UNWRITABLE, u64::from(error.is_some()));
+        if let Some(error) = error.filter(|_| !failed_before) {
+            let reason = format!(
+                "state cannot be written and will not survive a restart: {}",
+                quoted(error)
+            );
+            self.publish_event(Severity::Error, EventKind::StateLost { reason });
+        }
+    }
+}
