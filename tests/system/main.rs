@@ -18,6 +18,7 @@ mod hostile;
 mod keys;
 mod languages;
 mod latency;
+mod lost_team;
 mod notify;
 mod observe;
 mod partition;

@@ -25,6 +25,7 @@ use crate::division::{DivisionError, Job, divide, same_data};
 use crate::dwell::{CountDwell, MoveDwell};
 use crate::identity::Memory;
 use crate::publishing::{Rotation, plural};
+use crate::seats::{Newcomers, Seats};
 
 type Context<'a> = muster_service::Context<'a, Clusterer>;
 type View<'a> = muster_service::View<'a, Clusterer>;
@@ -89,6 +90,8 @@ pub struct Clusterer {
     published: Option<Published>,
     /// The number of teams, while it may change.
     count: CountDwell,
+    /// Robots that no team knew.
+    newcomers: Newcomers,
     /// The robots that are kept in their team for now.
     moves: MoveDwell,
     /// The robots that have another superior than before.
@@ -108,10 +111,15 @@ impl Clusterer {
         let now = context.now();
         let settings =
             ClustererSettings { heartbeat_s: 1.0, dwell_s: 0.0, ..context.settings().clone() };
+        if self.memory.is_overdue(now) {
+            Arc::make_mut(&mut self.memory).forget(now);
+        }
         let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
+        let seats = Seats::of(self.division.as_deref(), &self.memory, &newest.embedding);
+        let current = seats.current(last.map(|division| division.requested));
+        let wanted = seats.wanted(now, settings.teams, current, &mut self.newcomers);
         let scores = &newest.embedding.quality.team_scores;
-        let last = last.map(|division| division.requested);
-        let teams = self.count.decide(now, settings.teams, scores, last);
+        let teams = self.count.decide(now, wanted, scores, current);
         let task = Task { source: newest.clone(), settings, teams };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
@@ -121,13 +129,12 @@ impl Clusterer {
             }
             return;
         }
-        if self.memory.is_overdue(now) {
-            Arc::make_mut(&mut self.memory).forget(now);
-        }
         let job = Job {
             embedding: newest.embedding.clone(),
-            settings: task.settings.clone(),
             teams,
+            requested: teams.max(*task.settings.teams.range().start()),
+            same_number: current == Some(teams),
+            settings: task.settings.clone(),
             previous: self.division.clone(),
             memory: Arc::clone(&self.memory),
         };

@@ -3,7 +3,7 @@
 //! Read in the order of the data's path: [`Clusterer`] receives embeddings and decides what is published
 //! when; `division` is the job, k-means on the rows of an embedding, started from the teams before;
 //! `identity` gives each cluster a team id that lives on, and names what changed, with the help of
-//! `memory`, which robot was in which team lately; `dwell` says how long a change must last before it
+//! `memory`, which robot was in which team lately; `seats` keeps the places of teams that are absent; `dwell` says how long a change must last before it
 //! counts; `leader` finds the commander of each team; `publishing` says which robots are informed.
 //!
 //! What holds at all times:
@@ -31,6 +31,7 @@ mod identity;
 mod leader;
 mod memory;
 mod publishing;
+mod seats;
 
 pub use crate::core::{Clusterer, MissedInputs};
 pub use crate::division::{DivisionError, Job};

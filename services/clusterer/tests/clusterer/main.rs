@@ -8,6 +8,7 @@
     reason = "this is a test, and so are its helpers"
 )]
 
+mod absence;
 mod common;
 mod division;
 mod dwell;
