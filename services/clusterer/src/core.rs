@@ -1,5 +1,6 @@
 //! What is divided when, and what is published of it.
 
+mod awaiting;
 mod input;
 mod output;
 
@@ -23,9 +24,12 @@ use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::division::{DivisionError, Job, divide, same_data};
 use crate::dwell::{CountDwell, MoveDwell};
-use crate::identity::Memory;
+use crate::identity::{Memory, is_believable};
+use crate::keeping::Keeping;
 use crate::publishing::{Rotation, plural};
 use crate::seats::{Newcomers, Seats};
+
+use awaiting::Reunion;
 
 type Context<'a> = muster_service::Context<'a, Clusterer>;
 type View<'a> = muster_service::View<'a, Clusterer>;
@@ -85,6 +89,12 @@ pub struct Clusterer {
     received_by_others: Option<Checked<Teams>>,
     /// The embedding that the division names.
     divided: Option<Checked<Embedding>>,
+    /// What is on disk.
+    keeping: Keeping,
+    /// The robots of the division that was found on disk are awaited.
+    reunion: Option<Reunion>,
+    /// Since when robots that return have no relations yet.
+    returning_since: Option<Tick>,
     /// Teams that robots had before the division.
     memory: Arc<Memory>,
     published: Option<Published>,
@@ -107,8 +117,11 @@ impl Clusterer {
     /// Starts a job if there is something to divide that is neither divided nor failed.
     fn consider(&mut self, context: &mut Context<'_>) {
         let Some(slot) = context.free_job_slot() else { return };
-        let Some(newest) = &self.newest else { return };
         let now = context.now();
+        if self.awaits_robots(now) || self.awaits_relations(now) {
+            return;
+        }
+        let Some(newest) = &self.newest else { return };
         let settings =
             ClustererSettings { heartbeat_s: 1.0, dwell_s: 0.0, ..context.settings().clone() };
         if self.memory.is_overdue(now) {
@@ -129,6 +142,11 @@ impl Clusterer {
             }
             return;
         }
+        let next = self.division.as_ref().map_or(1, |division| division.next_team);
+        let need = next.max(self.memory.next_team).saturating_add(u64::from(teams));
+        if !self.keeping.may_give(now, need) {
+            return self.keep(context);
+        }
         let job = Job {
             embedding: newest.embedding.clone(),
             teams,
@@ -141,6 +159,17 @@ impl Clusterer {
         self.flight.started(task);
         context.count("jobs_started");
         context.start_job(slot, job);
+    }
+
+    /// Keeps what has changed on disk, if that is due.
+    fn keep(&mut self, context: &mut Context<'_>) {
+        let now = context.now();
+        if self.keeping.due().is_some_and(|due| now >= due)
+            && let Some(content) = self.keeping.write(now)
+        {
+            context.count("divisions_kept");
+            context.keep(content);
+        }
     }
 
     fn accept_division(&mut self, context: &mut Context<'_>, teams: Teams) {
@@ -159,7 +188,7 @@ impl Clusterer {
         let space = context.space();
         let selects = |key: &Key| request.selects(space, key);
         let mut messages = Vec::new();
-        if let Some(teams) = &self.division {
+        if let Some(teams) = self.division.as_ref().or(self.keeping.division()) {
             messages.extend(answer_teams(space, request, teams)?);
         }
         if selects(&Key::Embedding) {
@@ -190,6 +219,7 @@ impl Core for Clusterer {
     type Job = Job;
     type Done = Result<Teams, DivisionError>;
     const SERVICE: ServiceName = ServiceName::Clusterer;
+    const KEEPS: bool = true;
 
     fn wiring() -> Wiring {
         let subscription =
@@ -198,7 +228,10 @@ impl Core for Clusterer {
         let own = [Pattern::One(Key::Teams), Pattern::One(Key::JsonTeams), Pattern::RobotTeams];
         let served = own.map(ServedKey::own).into_iter().chain(cached.map(ServedKey::cached));
         Wiring {
-            subscriptions: [Key::Embedding, Key::Roster, Key::Audit].map(subscription).to_vec(),
+            // A standby keeps the division of the leader.
+            subscriptions: [Key::Embedding, Key::Roster, Key::Audit, Key::Teams]
+                .map(subscription)
+                .to_vec(),
             tokens: vec![],
             served: served.collect(),
         }
@@ -231,12 +264,16 @@ impl Core for Clusterer {
     }
 
     fn on_stand_down(&mut self, _context: &mut Context<'_>) {
-        *self = Self::default();
+        let mut keeping = std::mem::take(&mut self.keeping);
+        keeping.next_team = keeping.next_team.max(self.memory.next_team);
+        *self = Self { keeping, ..Self::default() };
     }
 
     fn on_new_term(&mut self, context: &mut Context<'_>, found: Vec<Message>) {
         for message in &found {
-            if let Message::Teams { teams, .. } = message {
+            if let Message::Teams { teams, .. } = message
+                && is_believable(teams)
+            {
                 // The numbers of that division are taken, whichever instance has given them.
                 let memory = Arc::make_mut(&mut self.memory);
                 memory.next_team = memory.next_team.max(teams.next_team);
@@ -261,6 +298,19 @@ impl Core for Clusterer {
 
     fn on_answers(&mut self, context: &mut Context<'_>, _: MissedInputs, answers: Vec<Message>) {
         self.accept_all(context, answers);
+    }
+
+    fn on_restored(&mut self, content: &[u8]) -> Result<(), String> {
+        self.keeping.restore(content)
+    }
+
+    fn on_kept(&mut self, context: &mut Context<'_>, is_on_disk: bool) {
+        self.keeping.ended(context.now(), is_on_disk);
+        self.consider(context);
+    }
+
+    fn after_input(&mut self, context: &mut Context<'_>) {
+        self.keep(context);
     }
 
     fn on_get(&mut self, context: &mut Context<'_>, get: Get) {
@@ -295,7 +345,12 @@ impl Core for Clusterer {
             self.settle_again(context);
         }
         self.inform_in_rotation(context, &BTreeSet::new());
-        let due = [self.flight.retry_at(), self.count.due()];
+        let due = [
+            self.flight.retry_at(),
+            self.count.due(),
+            self.keeping.gives_at(),
+            self.awaits_until(),
+        ];
         if due.into_iter().flatten().any(|due| now >= due) {
             self.consider(context);
         }
@@ -314,10 +369,17 @@ impl Core for Clusterer {
 
     fn deadline(&self, view: &View<'_>) -> Option<Tick> {
         // An instance whose output is suppressed divides nothing.
-        let waiting = [self.flight.retry_at(), self.count.due(), self.settle_at(view)];
+        let waiting = [
+            self.flight.retry_at(),
+            self.count.due(),
+            self.settle_at(view),
+            self.keeping.gives_at(),
+            self.awaits_until(),
+        ];
         let waiting = waiting.into_iter().flatten();
         let waiting = waiting.min().filter(|_| view.is_leading() && !view.is_job_running());
-        [self.heartbeat_at(view), self.rotation_at(view), waiting].into_iter().flatten().min()
+        let due = [self.heartbeat_at(view), self.rotation_at(view), self.keeping.due(), waiting];
+        due.into_iter().flatten().min()
     }
 
     fn state(&self, _view: &View<'_>) -> String {
@@ -329,6 +391,9 @@ impl Core for Clusterer {
                 format!("{} of {}", plural(teams, "team"), plural(robots, "robot"))
             }
             (None, Some(_)) => "dividing the first embedding".to_owned(),
+            (Some(_), None) if self.reunion.is_some() => {
+                "waiting for the robots of the kept division".to_owned()
+            }
             (_, None) => "waiting for an embedding".to_owned(),
         }
     }
@@ -346,7 +411,7 @@ impl Core for Clusterer {
         ];
         MemoryUse {
             robots: self.memory.robot_count() + self.moves.robot_count(),
-            messages: held.into_iter().filter(|held| *held).count(),
+            messages: held.into_iter().filter(|held| *held).count() + self.keeping.message_count(),
             ..MemoryUse::default()
         }
     }

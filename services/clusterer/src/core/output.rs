@@ -106,6 +106,7 @@ impl Clusterer {
         self.division = Some(teams.clone());
         self.inform_in_rotation(context, &changed);
         if context.is_leading() {
+            self.keeping.note(&teams);
             self.report_changes(context, &teams, absent);
             self.received_by_others = Some(teams);
         }

@@ -122,3 +122,26 @@ fn robots_that_no_team_knows_get_a_free_seat_if_the_evidence_is_for_it() {
         assert_eq!(short(&held(&mut bench)), wanted);
     }
 }
+
+#[test]
+fn who_returns_without_relations_is_not_told_that_it_has_no_team() {
+    let all = [("a b", WEST), ("x y", EAST)];
+    let (mut bench, _) = divided(settings(TeamCount::Fixed(2)), &embedding(1, &all));
+    bench.receive_embedding(&embedding(2, &[("a b", WEST)]));
+    bench.wait(2.0);
+    bench.take();
+    bench.receive_embedding(&embedding(3, &[("a b", WEST), ("x!", EAST)]));
+    bench.wait(0.5);
+    bench.receive_embedding(&embedding(4, &[("a b", WEST), ("x! y", EAST)]));
+    bench.wait(0.4);
+    assert!(bench.take().robots.iter().all(|told| told.team.is_some()));
+    bench.receive_embedding(&embedding(5, &all));
+    assert_eq!(short(&held(&mut bench)), "t1: a b | t2: x y");
+    assert!(bench.take().robots.iter().all(|told| told.team.is_some()));
+    // Who has none after a second has none.
+    bench.receive_embedding(&embedding(6, &[("a b", WEST)]));
+    bench.wait(0.1);
+    bench.receive_embedding(&embedding(7, &[("a b", WEST), ("x!", EAST)]));
+    bench.wait(1.1);
+    assert_eq!(short(&held(&mut bench)), "t1: a b | - x");
+}

@@ -14,6 +14,7 @@ mod division;
 mod dwell;
 mod gets;
 mod identity;
+mod kept;
 mod properties;
 mod publishing;
 mod recovery;
