@@ -57,6 +57,7 @@ fn every_promise_holds_for_three_hundred_seeds() {
         "kill",
         "lost disk",
         "blackout",
+        "power cut",
         "forged term",
         "hang",
         "slow service",
@@ -150,6 +151,7 @@ fn every_mutant_is_found_and_its_run_made_short() {
         (Mutant::TermTwice, vec!["a new leader begins above every term of its service"]),
         (Mutant::OlderRoster, vec!["a reader never goes back to a lower term or epoch"]),
         (Mutant::NoPositions, vec![settle]),
+        (Mutant::Forgetful, vec!["a restart of everything changes no team"]),
     ] {
         let options = Options { robots: Some(6), ..Options::default() };
         let outcomes = (0..200).map(|seed| simulate(seed, &options, Some(mutant), false));

@@ -23,6 +23,7 @@ mod notify;
 mod observe;
 mod partition;
 mod pipeline;
+mod power_cut;
 mod presence;
 mod record;
 mod restarts;

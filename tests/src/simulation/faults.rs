@@ -61,6 +61,7 @@ impl World {
                 if let Some(index) = node(self, at) {
                     self.kill(index, lasts, &mut chance);
                     self.nodes[index].stored = Stored::default();
+                    self.nodes[index].kept = None;
                     let node = &self.nodes[index];
                     self.oracle.forget_order(node.service, node.instance);
                     self.operator.forgets(node.service);
@@ -72,6 +73,7 @@ impl World {
                     self.kill(index, lasts, &mut chance);
                 }
             }
+            Fault::PowerCut { lasts } => self.power_cut = Some(lasts),
             Fault::ForgedTerm { what, terms } => self.forge_term(what, terms),
             Fault::Hang { at, lasts } => {
                 let Some(index) = node(self, at) else { return };
@@ -164,6 +166,20 @@ impl World {
         let seen = self.now + chance.between(KILL_NOTICED.0, KILL_NOTICED.1);
         self.schedule(seen, Event::TokensGone { link, keys });
         self.schedule(restart, Event::Start { node: index });
+    }
+
+    /// All services are killed while all agree. What was agreed on stands from now on: the disks have it.
+    pub(super) fn cut_power(&mut self, lasts: Micros) {
+        self.log.line(self.now, format_args!("the power is cut"));
+        self.oracle.order.disturbed(None, self.now + lasts + RECOVERY_TIME);
+        let mut chance = Chance::new(self.seed, Purpose::Fault, self.injections.len());
+        for index in 0..self.nodes.len() {
+            let lasts = chance.between(lasts / 2, lasts);
+            self.kill(index, lasts, &mut chance);
+            if self.mutator.forgets() {
+                self.nodes[index].kept = None;
+            }
+        }
     }
 
     fn leave(&mut self, index: usize, politely: bool, back: Option<Micros>, chance: &mut Chance) {

@@ -40,11 +40,13 @@ pub enum Mutant {
     OlderRoster,
     /// The auditor sees no positions any more once a link was cut.
     NoPositions,
+    /// What the clusterer keeps on disk is not there once the power was cut.
+    Forgetful,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -57,6 +59,7 @@ impl Mutant {
         Self::TermTwice,
         Self::OlderRoster,
         Self::NoPositions,
+        Self::Forgetful,
     ];
 
     /// The kinds of faults after which it shows.
@@ -73,6 +76,7 @@ impl Mutant {
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
             Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
             Self::Restless | Self::Fickle => &["settings"],
+            Self::Forgetful => &["power cut"],
         }
     }
 }
@@ -267,6 +271,11 @@ impl Mutator {
             Ok(outbound) => Packet { payload: Ok(outbound.payload), ..packet },
             Err(_) => packet,
         }
+    }
+
+    /// Whether disks lose what cores keep.
+    pub(crate) fn forgets(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Forgetful)
     }
 
     /// Whether a service receives nothing.
