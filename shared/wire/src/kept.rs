@@ -1,11 +1,11 @@
 //! What a service keeps over a restart beside its settings, as bytes of a file.
 //!
-//! A file is [`MAGIC`], the [`VERSION`] of the content, and one frame: length, checksum, and the content in
-//! bincode. A file that breaks off or was damaged is told from a whole one, and is not used.
+//! A file is [`MAGIC`], the [`VERSION`] of the content, and one frame: length, checksum, and the content. That
+//! is the end of the reserved numbers in eight bytes with the lowest first, and the division as it is on the bus,
+//! if there was one. A file that breaks off or was damaged is told from a whole one, and is not used.
 
 use muster_model::content::Checked;
 use muster_model::teams::Teams;
-use serde::{Deserialize, Serialize};
 
 use crate::envelope::{self, EnvelopeError, MAX_SERVICE_PAYLOAD};
 use crate::recording::{framed, unframed};
@@ -45,30 +45,19 @@ pub struct KeptTeams {
     pub teams: Option<Checked<Teams>>,
 }
 
-/// The content as it is written.
-#[derive(Serialize)]
-struct ContentRef<'a> {
-    reserved: u64,
-    teams: Option<&'a Teams>,
-}
-
-/// The content as it is read.
-#[derive(Deserialize)]
-struct Content {
-    reserved: u64,
-    teams: Option<Teams>,
-}
-
 impl KeptTeams {
     /// The bytes of the file.
     ///
     /// # Errors
     /// [`EnvelopeError`] if the division is larger than [`MAX_KEPT`] bytes.
     pub fn encode(&self) -> Result<Vec<u8>, EnvelopeError> {
-        let content = ContentRef { reserved: self.reserved, teams: self.teams.as_deref() };
+        let mut content = self.reserved.to_le_bytes().to_vec();
+        if let Some(teams) = &self.teams {
+            content.extend(envelope::encode(&**teams)?);
+        }
         let mut bytes = MAGIC.to_vec();
         bytes.push(VERSION);
-        bytes.extend(framed(&envelope::pack(&content)?, MAX_KEPT - 2 * HEAD)?);
+        bytes.extend(framed(&content, MAX_KEPT - 2 * HEAD)?);
         Ok(bytes)
     }
 
@@ -88,11 +77,17 @@ impl KeptTeams {
             return Err(KeptError::Version(head[MAGIC.len()]));
         }
         let content = unframed(rest, MAX_KEPT).map_err(damaged)?;
-        let content: Content =
-            envelope::unpack(content).map_err(|error| damaged(error.to_string()))?;
-        let checked = content.teams.map(Checked::new).transpose();
-        let teams = checked.map_err(|error| damaged(error.to_string()))?;
-        Ok(Self { reserved: content.reserved, teams })
+        let Some((reserved, division)) = content.split_first_chunk() else {
+            return Err(damaged("it breaks off".to_owned()));
+        };
+        let reserved = u64::from_le_bytes(*reserved);
+        if division.is_empty() {
+            return Ok(Self { reserved, teams: None });
+        }
+        let teams: Teams =
+            envelope::decode(division).map_err(|error| damaged(error.to_string()))?;
+        let teams = Checked::new(teams).map_err(|error| damaged(error.to_string()))?;
+        Ok(Self { reserved, teams: Some(teams) })
     }
 }
 
