@@ -3,15 +3,14 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use muster_model::embedding::Embedding;
 use muster_model::id::RobotId;
 use muster_model::time::Tick;
 
 use super::Clusterer;
 
 /// How long the robots of a division that was found on disk are awaited before the first division, from the
-/// first robot on. Robots connect again within a second or two of the router's return, and one that was there
-/// first must not be divided as if it were the fleet.
+/// first robot on. Robots connect again within a second or two of the router's return, and repeat their links and
+/// ranks as often: before that, what relates them is not what it was when they were divided.
 const REUNION_TIME: Duration = Duration::from_secs(3);
 
 /// How long robots that return are awaited until something relates them to others: their next report, and the
@@ -29,18 +28,14 @@ pub(super) struct Reunion {
 impl Clusterer {
     /// Whether the robots of the division that was found on disk are still awaited.
     pub(super) fn awaits_robots(&mut self, now: Tick) -> bool {
-        let (Some(reunion), Some(division), Some(newest)) =
-            (&mut self.reunion, &self.division, &self.newest)
-        else {
+        let (Some(reunion), Some(newest)) = (&mut self.reunion, &self.newest) else {
             return false;
         };
-        let embedding = &newest.embedding;
-        if embedding.robots.is_empty() {
+        if newest.embedding.robots.is_empty() {
             return true;
         }
         let begun = *reunion.begun.get_or_insert(now);
-        let are_awaited = now.since(begun) < REUNION_TIME
-            && !division.assignments().all(|(robot, _)| is_related(embedding, robot));
+        let are_awaited = now.since(begun) < REUNION_TIME;
         if !are_awaited {
             self.reunion = None;
         }
@@ -73,9 +68,4 @@ impl Clusterer {
         let returning = self.returning_since.map(|since| since.after(RELATION_TIME));
         reunion.into_iter().chain(returning).min()
     }
-}
-
-fn is_related(embedding: &Embedding, robot: &RobotId) -> bool {
-    let row = embedding.robots.binary_search(robot).ok();
-    row.and_then(|row| embedding.without_embedding.get(row)) == Some(&false)
 }

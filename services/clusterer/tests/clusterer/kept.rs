@@ -45,6 +45,7 @@ fn ids_members_and_leaders_stand_though_robots_come_one_by_one() {
         assert!(sent.teams.is_empty() && sent.robots.is_empty(), "they are awaited: {sent:?}");
     }
     next.receive_embedding(&embedding(9, &ALL));
+    next.wait(2.5);
     let sent = next.take();
     assert!(sent.changes().is_empty(), "{sent:?}");
     assert_eq!(
@@ -86,6 +87,7 @@ fn no_number_is_given_twice_though_the_last_writes_are_lost() {
     assert!(highest > 30 && highest < kept(&bench).reserved, "{highest}");
     let mut next = restarted(settings(), &on_disk);
     next.receive_embedding(&embedding(30, &[("n1 n2", WEST), ("n3", EAST), ("a b c", NORTH)]));
+    next.wait(3.1);
     let division = next.division();
     assert!(short(&division).starts_with("t1: a b c | "), "{}", short(&division));
     let number = |id: &TeamId| id.as_str()[1..].parse::<u64>().unwrap();
@@ -146,6 +148,7 @@ fn a_standby_keeps_what_it_hears_and_takes_over_from_it() {
     assert!(kept(&standby).reserved > 70);
     let mut next = restarted(settings(), &standby.kept.clone().unwrap());
     next.receive_embedding(&embedding(2, &ALL));
+    next.wait(3.1);
     assert!(next.division().same_division(&heard));
     // A forged message must not take the numbers that are left.
     let mut forged = Teams::clone(&heard);
