@@ -12,6 +12,7 @@ use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::ServiceName;
 use muster_model::orders::NewOrders;
+use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::Teams;
@@ -188,7 +189,11 @@ impl Clusterer {
         let space = context.space();
         let selects = |key: &Key| request.selects(space, key);
         let mut messages = Vec::new();
-        if let Some(teams) = self.division.as_ref().or(self.keeping.division()) {
+        // A standby has heard it. One that starts has it from its disk, and must not seem to know more than that:
+        // it hears its own answer.
+        let is_standby = context.replica_state() == ReplicaState::Standby;
+        let heard = self.keeping.division().filter(|_| is_standby);
+        if let Some(teams) = self.division.as_ref().or(heard) {
             messages.extend(answer_teams(space, request, teams)?);
         }
         if selects(&Key::Embedding) {
