@@ -53,6 +53,7 @@ macro_rules! faults {
 faults! {
     cable_of_the_robots_pulled_shortly: "robots-pulled-3";
     cable_of_the_robots_pulled_until_they_leave: "robots-pulled-20";
+    cable_of_a_whole_team_pulled: "team-pulled-20";
     packets_of_the_robots_lost_shortly: "robots-lost-3";
     packets_of_the_robots_lost_until_they_leave: "robots-lost-20";
     cable_of_the_base_pulled_shortly: "base-pulled-3";

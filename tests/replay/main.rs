@@ -55,6 +55,8 @@ struct Out {
     answers: Vec<Packet>,
     /// How many stores are not confirmed yet.
     stores: u32,
+    /// How often something is to be kept, and that is not confirmed yet.
+    keeps: u32,
 }
 
 /// A node whatever its service.
@@ -105,6 +107,7 @@ impl<C: Core> Node<C> {
                     self.stored = stored;
                     self.out.stores += 1;
                 }
+                Command::Keep(_) => self.out.keeps += 1,
                 Command::ReplicaState(_) => {}
                 other => panic!("{} wants {other:?}", C::SERVICE),
             }
@@ -117,6 +120,9 @@ impl<C: Core> Node<C> {
             // Whether a disk is full decides over answers; a core must not depend on it otherwise.
             let error = (now.0 / 100).is_multiple_of(5).then(|| "the disk is full".to_owned());
             self.handle(now, Input::Stored { error });
+        }
+        for _ in 0..std::mem::take(&mut self.out.keeps) {
+            self.handle(now, Input::Kept { error: None });
         }
     }
 }

@@ -61,6 +61,7 @@ fn every_promise_holds_for_three_hundred_seeds() {
         "lost disk",
         "blackout",
         "blackout without disks",
+        "power cut",
         "forged term",
         "hang",
         "slow service",
@@ -177,6 +178,7 @@ fn every_mutant_is_found_and_its_run_made_short() {
         (Mutant::TermsFromOne, vec!["epochs grow within a term, and terms never go back"]),
         (Mutant::DeafRobots, vec!["robots believe services that have lost their state within 5 s"]),
         (Mutant::UnbelievedTerm, vec!["no service begins a term that others do not believe"]),
+        (Mutant::Forgetful, vec!["a restart of everything changes no team"]),
     ] {
         let options = Options { robots: Some(6), ..Options::default() };
         let outcomes = (0..200).map(|seed| simulate(seed, &options, Some(mutant), false));

@@ -24,14 +24,14 @@ const AGREED_WITHIN: Duration = Duration::from_secs(10);
 const FORMED_WITHIN: Duration = Duration::from_secs(20);
 
 /// A wire between two routers that can be cut: a relay of TCP connections.
-struct Wire {
+pub(crate) struct Wire {
     whole: watch::Sender<bool>,
-    endpoint: String,
+    pub(crate) endpoint: String,
 }
 
 impl Wire {
     /// Relays to an endpoint.
-    async fn to(endpoint: &str) -> Self {
+    pub(crate) async fn to(endpoint: &str) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let own = format!("tcp/{}", listener.local_addr().unwrap());
         let far = endpoint.trim_start_matches("tcp/").to_owned();
@@ -54,11 +54,11 @@ impl Wire {
         Self { whole, endpoint: own }
     }
 
-    fn cut(&self) {
+    pub(crate) fn cut(&self) {
         self.whole.send_replace(false);
     }
 
-    fn restore(&self) {
+    pub(crate) fn restore(&self) {
         self.whole.send_replace(true);
     }
 }

@@ -1,5 +1,6 @@
 //! What is divided when, and what is published of it.
 
+mod awaiting;
 mod input;
 mod output;
 
@@ -11,6 +12,7 @@ use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::ServiceName;
 use muster_model::orders::NewOrders;
+use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::Teams;
@@ -23,8 +25,12 @@ use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::division::{DivisionError, Job, divide, same_data};
 use crate::dwell::{CountDwell, MoveDwell};
-use crate::identity::Memory;
+use crate::identity::{Memory, is_believable};
+use crate::keeping::Keeping;
 use crate::publishing::{Rotation, plural};
+use crate::seats::{Newcomers, Seats};
+
+use awaiting::Reunion;
 
 type Context<'a> = muster_service::Context<'a, Clusterer>;
 type View<'a> = muster_service::View<'a, Clusterer>;
@@ -84,11 +90,19 @@ pub struct Clusterer {
     received_by_others: Option<Checked<Teams>>,
     /// The embedding that the division names.
     divided: Option<Checked<Embedding>>,
+    /// What is on disk.
+    keeping: Keeping,
+    /// The robots of the division that was found on disk are awaited.
+    reunion: Option<Reunion>,
+    /// Since when robots that return have no relations yet.
+    returning_since: Option<Tick>,
     /// Teams that robots had before the division.
     memory: Arc<Memory>,
     published: Option<Published>,
     /// The number of teams, while it may change.
     count: CountDwell,
+    /// Robots that no team knew.
+    newcomers: Newcomers,
     /// The robots that are kept in their team for now.
     moves: MoveDwell,
     /// The robots that have another superior than before.
@@ -104,14 +118,22 @@ impl Clusterer {
     /// Starts a job if there is something to divide that is neither divided nor failed.
     fn consider(&mut self, context: &mut Context<'_>) {
         let Some(slot) = context.free_job_slot() else { return };
-        let Some(newest) = &self.newest else { return };
         let now = context.now();
+        if self.awaits_robots(now) || self.awaits_relations(now) {
+            return;
+        }
+        let Some(newest) = &self.newest else { return };
         let settings =
             ClustererSettings { heartbeat_s: 1.0, dwell_s: 0.0, ..context.settings().clone() };
+        if self.memory.is_overdue(now) {
+            Arc::make_mut(&mut self.memory).forget(now);
+        }
         let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
+        let seats = Seats::of(self.division.as_deref(), &self.memory, &newest.embedding);
+        let current = seats.current(last.map(|division| division.requested));
+        let wanted = seats.wanted(now, settings.teams, current, &mut self.newcomers);
         let shown = newest.embedding.quality.teams_shown;
-        let last = last.map(|division| division.requested);
-        let teams = self.count.decide(now, settings.teams, shown, last);
+        let teams = self.count.decide(now, wanted, shown, current);
         let task = Task { source: newest.clone(), settings, teams };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
@@ -121,19 +143,34 @@ impl Clusterer {
             }
             return;
         }
-        if self.memory.is_overdue(now) {
-            Arc::make_mut(&mut self.memory).forget(now);
+        let next = self.division.as_ref().map_or(1, |division| division.next_team);
+        let need = next.max(self.memory.next_team).saturating_add(u64::from(teams));
+        if !self.keeping.may_give(now, need) {
+            return self.keep(context);
         }
         let job = Job {
             embedding: newest.embedding.clone(),
-            settings: task.settings.clone(),
             teams,
+            requested: teams.max(*task.settings.teams.range().start()),
+            same_number: current == Some(teams),
+            settings: task.settings.clone(),
             previous: self.division.clone(),
             memory: Arc::clone(&self.memory),
         };
         self.flight.started(task);
         context.count("jobs_started");
         context.start_job(slot, job);
+    }
+
+    /// Keeps what has changed on disk, if that is due.
+    fn keep(&mut self, context: &mut Context<'_>) {
+        let now = context.now();
+        if self.keeping.due().is_some_and(|due| now >= due)
+            && let Some(content) = self.keeping.write(now)
+        {
+            context.count("divisions_kept");
+            context.keep(content);
+        }
     }
 
     fn accept_division(&mut self, context: &mut Context<'_>, teams: Teams) {
@@ -152,7 +189,11 @@ impl Clusterer {
         let space = context.space();
         let selects = |key: &Key| request.selects(space, key);
         let mut messages = Vec::new();
-        if let Some(teams) = &self.division {
+        // A standby has heard it. One that starts has it from its disk, and must not seem to know more than that:
+        // it hears its own answer.
+        let is_standby = context.replica_state() == ReplicaState::Standby;
+        let heard = self.keeping.division().filter(|_| is_standby);
+        if let Some(teams) = self.division.as_ref().or(heard) {
             messages.extend(answer_teams(space, request, teams)?);
         }
         if selects(&Key::Embedding) {
@@ -183,6 +224,7 @@ impl Core for Clusterer {
     type Job = Job;
     type Done = Result<Teams, DivisionError>;
     const SERVICE: ServiceName = ServiceName::Clusterer;
+    const KEEPS: bool = true;
 
     fn wiring() -> Wiring {
         let subscription =
@@ -191,7 +233,10 @@ impl Core for Clusterer {
         let own = [Pattern::One(Key::Teams), Pattern::One(Key::JsonTeams), Pattern::RobotTeams];
         let served = own.map(ServedKey::own).into_iter().chain(cached.map(ServedKey::cached));
         Wiring {
-            subscriptions: [Key::Embedding, Key::Roster, Key::Audit].map(subscription).to_vec(),
+            // A standby keeps the division of the leader.
+            subscriptions: [Key::Embedding, Key::Roster, Key::Audit, Key::Teams]
+                .map(subscription)
+                .to_vec(),
             tokens: vec![],
             served: served.collect(),
         }
@@ -224,12 +269,16 @@ impl Core for Clusterer {
     }
 
     fn on_stand_down(&mut self, _context: &mut Context<'_>) {
-        *self = Self::default();
+        let mut keeping = std::mem::take(&mut self.keeping);
+        keeping.next_team = keeping.next_team.max(self.memory.next_team);
+        *self = Self { keeping, ..Self::default() };
     }
 
     fn on_new_term(&mut self, context: &mut Context<'_>, found: Vec<Message>) {
         for message in &found {
-            if let Message::Teams { teams, .. } = message {
+            if let Message::Teams { teams, .. } = message
+                && is_believable(teams)
+            {
                 // The numbers of that division are taken, whichever instance has given them.
                 let memory = Arc::make_mut(&mut self.memory);
                 memory.next_team = memory.next_team.max(teams.next_team);
@@ -254,6 +303,19 @@ impl Core for Clusterer {
 
     fn on_answers(&mut self, context: &mut Context<'_>, _: MissedInputs, answers: Vec<Message>) {
         self.accept_all(context, answers);
+    }
+
+    fn on_restored(&mut self, content: &[u8]) -> Result<(), String> {
+        self.keeping.restore(content)
+    }
+
+    fn on_kept(&mut self, context: &mut Context<'_>, is_on_disk: bool) {
+        self.keeping.ended(context.now(), is_on_disk);
+        self.consider(context);
+    }
+
+    fn after_input(&mut self, context: &mut Context<'_>) {
+        self.keep(context);
     }
 
     fn on_get(&mut self, context: &mut Context<'_>, get: Get) {
@@ -288,7 +350,12 @@ impl Core for Clusterer {
             self.settle_again(context);
         }
         self.inform_in_rotation(context, &BTreeSet::new());
-        let due = [self.flight.retry_at(), self.count.due()];
+        let due = [
+            self.flight.retry_at(),
+            self.count.due(),
+            self.keeping.gives_at(),
+            self.awaits_until(),
+        ];
         if due.into_iter().flatten().any(|due| now >= due) {
             self.consider(context);
         }
@@ -307,10 +374,17 @@ impl Core for Clusterer {
 
     fn deadline(&self, view: &View<'_>) -> Option<Tick> {
         // An instance whose output is suppressed divides nothing.
-        let waiting = [self.flight.retry_at(), self.count.due(), self.settle_at(view)];
+        let waiting = [
+            self.flight.retry_at(),
+            self.count.due(),
+            self.settle_at(view),
+            self.keeping.gives_at(),
+            self.awaits_until(),
+        ];
         let waiting = waiting.into_iter().flatten();
         let waiting = waiting.min().filter(|_| view.is_leading() && !view.is_job_running());
-        [self.heartbeat_at(view), self.rotation_at(view), waiting].into_iter().flatten().min()
+        let due = [self.heartbeat_at(view), self.rotation_at(view), self.keeping.due(), waiting];
+        due.into_iter().flatten().min()
     }
 
     fn state(&self, _view: &View<'_>) -> String {
@@ -322,6 +396,9 @@ impl Core for Clusterer {
                 format!("{} of {}", plural(teams, "team"), plural(robots, "robot"))
             }
             (None, Some(_)) => "dividing the first embedding".to_owned(),
+            (Some(_), None) if self.reunion.is_some() => {
+                "waiting for the robots of the kept division".to_owned()
+            }
             (_, None) => "waiting for an embedding".to_owned(),
         }
     }
@@ -339,7 +416,7 @@ impl Core for Clusterer {
         ];
         MemoryUse {
             robots: self.memory.robot_count() + self.moves.robot_count(),
-            messages: held.into_iter().filter(|held| *held).count(),
+            messages: held.into_iter().filter(|held| *held).count() + self.keeping.message_count(),
             ..MemoryUse::default()
         }
     }

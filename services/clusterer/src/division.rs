@@ -1,6 +1,6 @@
 //! The job: from the rows of an embedding to named teams.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use muster_method::division::{Division, divide as divide_robots};
@@ -16,14 +16,19 @@ use muster_numeric::matching::MatchError;
 use muster_numeric::matrix::{DenseMatrix, MatrixError};
 
 use crate::identity::{self, Memory};
+use crate::seats::last_teams;
 
 /// One embedding to divide.
 #[derive(Debug, Clone)]
 pub struct Job {
     pub(crate) embedding: Checked<Embedding>,
     pub(crate) settings: ClustererSettings,
-    /// How many teams.
+    /// How many teams the robots of the embedding are divided into.
     pub(crate) teams: u32,
+    /// How many teams were asked for, with those that are absent.
+    pub(crate) requested: u32,
+    /// Whether those robots were in so many teams before.
+    pub(crate) same_number: bool,
     pub(crate) previous: Option<Checked<Teams>>,
     pub(crate) memory: Arc<Memory>,
 }
@@ -99,7 +104,7 @@ pub(crate) fn divide(job: &Job) -> Result<Teams, DivisionError> {
     Ok(Teams {
         header: embedding.header.clone(),
         embedding: embedding.header.revision,
-        requested: job.teams,
+        requested: job.requested,
         considered: considered(&job.settings, embedding),
         teams,
         unassigned,
@@ -191,21 +196,24 @@ pub(crate) fn changes(new: &Teams, before: Option<&Teams>) -> Vec<TeamChange> {
     changes
 }
 
-/// k-means, from the teams before where they were asked for in the same number.
+/// k-means, from the teams before where those were as many.
 fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
     let Job { embedding, settings, .. } = job;
-    let warm = job.previous.as_deref().filter(|teams| teams.requested == job.teams);
-    let warm: Option<Vec<Option<usize>>> = warm.map(|teams| {
-        let team_of: BTreeMap<&RobotId, usize> = teams
-            .teams
-            .iter()
-            .enumerate()
-            .flat_map(|(number, team)| team.members.iter().map(move |m| (&m.robot, number)))
-            .collect();
-        embedding.robots.iter().map(|robot| team_of.get(robot).copied()).collect()
-    });
+    let warm = job.previous.as_deref().filter(|_| job.same_number);
+    let warm = warm.map(|previous| last_labels(previous, job));
     let params = DivisionParams::new(settings, job.teams as usize).check()?;
     Ok(divide_robots(x, &embedding.without_embedding, &params, warm.as_deref(), &mut |_| {})?)
+}
+
+/// The team of each robot before, as a number.
+fn last_labels(previous: &Teams, job: &Job) -> Vec<Option<usize>> {
+    let embedding = &*job.embedding;
+    let last = last_teams(previous, &job.memory, embedding);
+    let ids: BTreeSet<&TeamId> = last.iter().flatten().copied().collect();
+    let number_of: BTreeMap<&TeamId, usize> = ids.into_iter().zip(0..).collect();
+    let mut labels = last.into_iter().map(|id| number_of.get(id?).copied());
+    let label = |without: &bool| if *without { None } else { labels.next().flatten() };
+    embedding.without_embedding.iter().map(label).collect()
 }
 
 /// The clusters, ordered by their smallest member, so that nothing rests on how they were numbered.

@@ -35,6 +35,16 @@ fn number(id: &TeamId) -> Option<u64> {
     (TeamId::numbered(number) == *id).then_some(number)
 }
 
+/// The end of the numbers that are believed of others. A fleet that forms a thousand teams a second gets there
+/// in nine thousand years; a forged message that names the last number of all would leave none to be given.
+const MAX_BELIEVED_NUMBER: u64 = 1 << 48;
+
+/// Whether the numbers of a division of another instance leave some to be given.
+pub(crate) fn is_believable(teams: &Teams) -> bool {
+    let mut numbers = teams.teams.iter().filter_map(|team| number(&team.id));
+    teams.next_team <= MAX_BELIEVED_NUMBER && numbers.all(|number| number < MAX_BELIEVED_NUMBER)
+}
+
 /// The weight of a robot of a living team against one of a team that ended: on a tie the living team wins.
 const LIVING: u64 = 2;
 

@@ -3,14 +3,14 @@
 //! Read in the order of the data's path: [`Clusterer`] receives embeddings and decides what is published
 //! when; `division` is the job, k-means on the rows of an embedding, started from the teams before;
 //! `identity` gives each cluster a team id that lives on, and names what changed, with the help of
-//! `memory`, which robot was in which team lately; `dwell` says how long a change must last before it
-//! counts; `leader` finds the commander of each team; `publishing` says which robots are informed.
+//! `memory`, which robot was in which team lately; `seats` keeps the places of teams that are absent; `dwell` says how long a change must last before it
+//! counts; `leader` finds the commander of each team; `keeping` has what is on disk; `publishing` says which robots are informed.
 //!
 //! What holds at all times:
 //! - A robot of the embedding stands in exactly one team, or among those without one.
 //! - A team keeps its id while most of its robots stay together, and gets it back if the same robots form it
-//!   again within a minute of its end. No id is given to another team, not even after a restart, as long as
-//!   any service holds the last division.
+//!   again within a minute of its end. No id is given to another team, not even after a restart of
+//!   everything, as long as a disk or any service holds the last division.
 //! - A robot changes from one living team to another only after every division has said so for `dwell_s`,
 //!   unless its orders or the number of teams have changed.
 //! - The same embedding under the same settings is divided once, and once more where another number of teams
@@ -28,9 +28,11 @@ mod core;
 mod division;
 mod dwell;
 mod identity;
+mod keeping;
 mod leader;
 mod memory;
 mod publishing;
+mod seats;
 
 pub use crate::core::{Clusterer, MissedInputs};
 pub use crate::division::{DivisionError, Job};

@@ -93,6 +93,15 @@ impl Memory {
         self.last.get(robot).map(|(team, _)| team)
     }
 
+    /// Teams that ended as their robots left: most of them are in no team since.
+    pub(crate) fn lost_teams(&self) -> impl Iterator<Item = &TeamId> {
+        let is_lost = |(id, ended): &(&TeamId, &Ended)| {
+            let left = ended.members.iter().filter(|robot| self.last_team(robot) == Some(*id));
+            left.count() * 2 > ended.members.len()
+        };
+        self.ended.iter().filter(is_lost).map(|(id, _)| id)
+    }
+
     /// Teams that ended and may be revived, each with its cluster and how many robots they share: more than
     /// half of the team's present robots, and more than half of the cluster. At most one for each cluster.
     pub(crate) fn revivable(

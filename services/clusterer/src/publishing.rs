@@ -52,7 +52,13 @@ pub(crate) fn plural(count: usize, what: &str) -> String {
 
 /// How many teams were asked for, how many there are, and why, if they are too few. Of a range its least
 /// number was asked for.
-pub(crate) fn shortage(teams: &Teams, wanted: TeamCount) -> Option<(u32, u32, String)> {
+///
+/// Teams that are `absent` have a seat, which nobody else takes.
+pub(crate) fn shortage(
+    teams: &Teams,
+    wanted: TeamCount,
+    absent: u32,
+) -> Option<(u32, u32, String)> {
     let formed = u32::try_from(teams.teams.len()).unwrap_or(u32::MAX);
     let requested = match wanted {
         TeamCount::Fixed(_) => teams.requested,
@@ -67,6 +73,8 @@ pub(crate) fn shortage(teams: &Teams, wanted: TeamCount) -> Option<(u32, u32, St
         "there are no robots".to_owned()
     } else if placed == 0 {
         "nothing relates the robots to each other".to_owned()
+    } else if formed.saturating_add(absent) >= requested {
+        format!("all robots of {} are absent", plural(absent as usize, "other team"))
     } else if placed < requested as usize {
         format!("only {} can be placed", plural(placed, "robot"))
     } else {

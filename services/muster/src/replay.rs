@@ -265,6 +265,9 @@ impl Show {
             Input::LinkRestored => "the link to the router is back".to_owned(),
             Input::Stored { error: None } => "the state is stored".to_owned(),
             Input::Stored { error: Some(error) } => format!("the state is not stored: {error}"),
+            Input::Restored(content) => format!("{} bytes were kept", content.len()),
+            Input::Kept { error: None } => "what is to be kept is written".to_owned(),
+            Input::Kept { error: Some(error) } => format!("nothing is kept: {error}"),
             Input::Found { lookup, records } => {
                 format!("lookup {lookup} has found {} records", records.len())
             }
@@ -310,6 +313,8 @@ impl Show {
             Command::Store(stored) => {
                 format!("store {}", serde_json::to_string(stored).unwrap_or_default())
             }
+            Command::Keep(content) => format!("keep {} bytes", content.len()),
+            Command::KeptIsUnusable(problem) => format!("put aside what was kept: {problem}"),
             Command::ReplicaState(state) => format!("be {state:?} from now on"),
             Command::DeclareToken(key) => format!("declare the token {}", self.space.format(key)),
             Command::WithdrawToken(key) => {

@@ -3,7 +3,7 @@
 //! [`service`] is the whole `main` of a service binary, and [`shell`] runs the host of one service. [`config`]
 //! reads flags, environment and file; [`bus`] is the session, from a crate of its own. Packets wait in
 //! [`inbox`] and [`send_queue`], gets for the thread of `reply_worker`. [`store`] keeps settings over a
-//! restart, [`records`] what a service records, [`recording`] what happens to it. [`observe`] serves health
+//! restart, [`kept`] what a core keeps, [`records`] what a service records, [`recording`] what happens to it. [`observe`] serves health
 //! and metrics, [`notify`] informs a service manager, and [`stop`] turns signals into a clean end.
 
 pub mod clock;
@@ -12,6 +12,7 @@ mod declarations;
 pub mod exit;
 pub mod inbox;
 pub mod instance;
+pub mod kept;
 pub mod logging;
 pub mod notify;
 pub mod observe;

@@ -10,6 +10,7 @@ use muster_wire::Packet;
 use tokio::sync::{mpsc, oneshot};
 
 use crate::bus::Query;
+use crate::kept::KeptStore;
 use crate::records::RecordStore;
 use crate::store::Store;
 
@@ -26,6 +27,8 @@ const ROOM_TASKS: usize = 8;
 enum Task {
     /// The newest state, which has a place of its own, so that it is never dropped.
     Store,
+    /// What the core keeps, in the same way.
+    Keep,
     Reply {
         query: Query,
         answer: Result<Vec<Packet>, String>,
@@ -38,18 +41,44 @@ enum Task {
     },
 }
 
-/// State that is not kept yet.
-#[derive(Default)]
-struct Unstored {
-    newest: Option<Stored>,
+/// What is not on disk yet.
+struct Unwritten<T> {
+    newest: Option<T>,
     /// How many inputs are owed for it.
     confirmations: u32,
+}
+
+impl<T> Default for Unwritten<T> {
+    fn default() -> Self {
+        Self { newest: None, confirmations: 0 }
+    }
+}
+
+/// A place for the newest of its kind.
+type Place<T> = Arc<Mutex<Unwritten<T>>>;
+
+fn put<T>(place: &Mutex<Unwritten<T>>, newest: T) {
+    let mut unwritten = place.lock().unwrap_or_else(PoisonError::into_inner);
+    unwritten.newest = Some(newest);
+    unwritten.confirmations += 1;
+}
+
+fn take<T>(place: &Mutex<Unwritten<T>>) -> Unwritten<T> {
+    std::mem::take(&mut *place.lock().unwrap_or_else(PoisonError::into_inner))
+}
+
+/// The files of a service.
+pub(crate) struct Files {
+    pub(crate) store: Store,
+    pub(crate) kept: KeptStore,
+    pub(crate) records: RecordStore,
 }
 
 /// Hands tasks to the thread, which ends when all handles are gone.
 pub(crate) struct ReplyWorker {
     tasks: mpsc::Sender<Task>,
-    unstored: Arc<Mutex<Unstored>>,
+    unstored: Place<Stored>,
+    unkept: Place<Vec<u8>>,
     waiting_bytes: Arc<AtomicUsize>,
 }
 
@@ -57,14 +86,14 @@ impl ReplyWorker {
     /// Starts the thread. `send` brings inputs back to the loop. The returned receiver learns of the
     /// thread's end.
     pub(crate) fn start(
-        store: Store,
-        mut records: RecordStore,
+        files: Files,
         send: impl Fn(Input) + Send + 'static,
     ) -> anyhow::Result<(Self, oneshot::Receiver<()>)> {
         let (sender, mut tasks) = mpsc::channel::<Task>(MAX_WAITING_TASKS);
         let (done, ended) = oneshot::channel();
-        let unstored = Arc::new(Mutex::new(Unstored::default()));
-        let to_store = Arc::clone(&unstored);
+        let Files { store, kept, mut records } = files;
+        let (unstored, unkept) = (Place::default(), Place::default());
+        let (to_store, to_keep) = (Arc::clone(&unstored), Arc::clone(&unkept));
         let waiting_bytes = Arc::new(AtomicUsize::new(0));
         let sent_bytes = Arc::clone(&waiting_bytes);
         let span = tracing::Span::current();
@@ -73,9 +102,10 @@ impl ReplyWorker {
             .spawn(move || {
                 let _service = span.enter();
                 while let Some(task) = tasks.blocking_recv() {
-                    keep_newest(&store, &to_store, &send);
+                    store_newest(&store, &to_store, &send);
                     match task {
                         Task::Store => {}
+                        Task::Keep => {}
                         Task::Reply { query, answer, bytes } => {
                             sent_bytes.fetch_sub(bytes, Ordering::Relaxed);
                             reply(&query, answer);
@@ -93,21 +123,27 @@ impl ReplyWorker {
                             send(Input::Found { lookup, records });
                         }
                     }
+                    // Answers wait for the state, and not for this.
+                    keep_newest(&kept, &to_keep, &send);
                 }
                 let _ = done.send(());
             })
             .context("cannot start the thread that answers gets")?;
-        Ok((Self { tasks: sender, unstored, waiting_bytes }, ended))
+        Ok((Self { tasks: sender, unstored, unkept, waiting_bytes }, ended))
     }
 
     /// Keeps a state over a restart; [`Input::Stored`] follows. Never waits.
     pub(crate) fn store(&self, stored: Stored) {
-        let mut unstored = self.unstored.lock().unwrap_or_else(PoisonError::into_inner);
-        unstored.newest = Some(stored);
-        unstored.confirmations += 1;
-        drop(unstored);
+        put(&self.unstored, stored);
         // If the queue is full, the next task in it stores the state as well.
         let _ = self.tasks.try_send(Task::Store);
+    }
+
+    /// Keeps what the core wants kept over a restart; [`Input::Kept`] follows. Never waits.
+    pub(crate) fn keep(&self, content: Vec<u8>) {
+        put(&self.unkept, content);
+        // If the queue is full, it is kept after the next task in it.
+        let _ = self.tasks.try_send(Task::Keep);
     }
 
     /// Whether there is room for what a further get leads to. Where there is none, gets wait where
@@ -142,8 +178,8 @@ impl ReplyWorker {
     }
 }
 
-fn keep_newest(store: &Store, unstored: &Mutex<Unstored>, send: &impl Fn(Input)) {
-    let unstored = std::mem::take(&mut *unstored.lock().unwrap_or_else(PoisonError::into_inner));
+fn store_newest(store: &Store, unstored: &Mutex<Unwritten<Stored>>, send: &impl Fn(Input)) {
+    let unstored = take(unstored);
     let Some(stored) = unstored.newest else { return };
     let error = store.save(&stored).err().map(|error| {
         tracing::error!("settings will not survive a restart: {error:#}");
@@ -151,6 +187,18 @@ fn keep_newest(store: &Store, unstored: &Mutex<Unstored>, send: &impl Fn(Input))
     });
     for _ in 0..unstored.confirmations {
         send(Input::Stored { error: error.clone() });
+    }
+}
+
+fn keep_newest(store: &KeptStore, unkept: &Mutex<Unwritten<Vec<u8>>>, send: &impl Fn(Input)) {
+    let unkept = take(unkept);
+    let Some(content) = unkept.newest else { return };
+    let error = store.save(&content).err().map(|error| {
+        tracing::error!("{error:#}");
+        format!("{error:#}")
+    });
+    for _ in 0..unkept.confirmations {
+        send(Input::Kept { error: error.clone() });
     }
 }
 
@@ -170,7 +218,12 @@ mod tests {
 
     fn worker() -> (ReplyWorker, mpsc::Receiver<Task>) {
         let (tasks, receiver) = mpsc::channel(MAX_WAITING_TASKS);
-        let worker = ReplyWorker { tasks, unstored: Arc::default(), waiting_bytes: Arc::default() };
+        let worker = ReplyWorker {
+            tasks,
+            unstored: Place::default(),
+            unkept: Place::default(),
+            waiting_bytes: Arc::default(),
+        };
         (worker, receiver)
     }
 
@@ -202,12 +255,12 @@ mod tests {
         let fleet = muster_model::id::FleetId::new("f").unwrap();
         let service = muster_model::id::ServiceName::Ingest;
         let store = Store::new(Some(folder.path()), &fleet, service);
-        let unstored = Mutex::new(Unstored {
+        let unstored = Mutex::new(Unwritten {
             newest: Some(Stored { term: 7, ..Stored::default() }),
             confirmations: 3,
         });
         let confirmed = Mutex::new(Vec::new());
-        keep_newest(&store, &unstored, &|input| confirmed.lock().unwrap().push(input));
+        store_newest(&store, &unstored, &|input| confirmed.lock().unwrap().push(input));
         assert_eq!(confirmed.into_inner().unwrap(), vec![Input::Stored { error: None }; 3]);
         assert_eq!(store.load().term, 7);
     }

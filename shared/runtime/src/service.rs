@@ -13,6 +13,7 @@ use crate::bus::{self, Bus, ConnectTimeout};
 use crate::config::{Mode, ProcessArgs, ProcessConfig, process_environment};
 use crate::exit::{self, ExitError};
 use crate::instance::instance_name;
+use crate::kept::KeptStore;
 use crate::notify;
 use crate::observe::{Observatory, Observer};
 use crate::recording::RecordTo;
@@ -146,6 +147,7 @@ async fn run_instance<C: Core>(
         record,
         settings: config.settings(C::SERVICE)?,
         store: Store::new(directory, &config.fleet.value, C::SERVICE),
+        kept: KeptStore::new(directory, &config.fleet.value, C::SERVICE),
         records: RecordStore::new(directory, &config.fleet.value, C::SERVICE),
         observer,
     };

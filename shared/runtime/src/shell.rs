@@ -26,11 +26,12 @@ use crate::bus::{Answer, Ask, Bus, IncomingQuery, Query, Target, Urgency};
 use crate::clock::Clock;
 use crate::declarations::{TokenChange, declare, declare_tokens};
 use crate::inbox::SharedInbox;
+use crate::kept::KeptStore;
 use crate::notify;
 use crate::observe::{Observer, Queues};
 use crate::recording::{RecordFile, Recording, host_facts};
 use crate::records::RecordStore;
-use crate::reply_worker::ReplyWorker;
+use crate::reply_worker::{Files, ReplyWorker};
 use crate::send_queue::SendQueue;
 use crate::stop::Stop;
 use crate::store::Store;
@@ -60,6 +61,8 @@ pub struct ServiceOptions<S> {
     pub settings: S,
     /// Where it keeps settings over a restart.
     pub store: Store,
+    /// Where its core keeps what is its own over a restart.
+    pub kept: KeptStore,
     /// Where it keeps its records.
     pub records: RecordStore,
     /// Sees what passes, for metrics and health.
@@ -99,6 +102,8 @@ pub async fn run<C: Core>(
         settings: options.settings,
         stored: options.store.load_noting(&mut state_loss),
     };
+    let has_run = start.stored.term > 0;
+    let restored = if C::KEEPS { options.kept.load(has_run) } else { None };
     let recording = match options.record {
         Some(file) => Some(Recording::start(file, &Head::new::<C>(&start, host_facts())?)?),
         None => None,
@@ -106,11 +111,12 @@ pub async fn run<C: Core>(
     let host = Host::<C>::new(start);
     start_sending(&bus, &send_queue)?;
     let worker_ended = ended_sender.clone();
-    let (replies, replies_done) =
-        ReplyWorker::start(options.store, options.records, move |input| {
-            // Sending fails only after the loop has ended.
-            let _ = worker_ended.blocking_send(Ended { input, done: None });
-        })?;
+    let files =
+        Files { store: options.store, kept: options.kept.clone(), records: options.records };
+    let (replies, replies_done) = ReplyWorker::start(files, move |input| {
+        // Sending fails only after the loop has ended.
+        let _ = worker_ended.blocking_send(Ended { input, done: None });
+    })?;
     let observer = options.observer;
     let leads = watchdog.during(declare::<C>(&bus, &inbox, gets, &observer)).await?;
     let token = bus.declare_token(&Key::ServiceToken(C::SERVICE, options.instance)).await?;
@@ -129,6 +135,7 @@ pub async fn run<C: Core>(
         gets: HashMap::new(),
         next_get: 0,
         observer: observer.clone(),
+        kept: options.kept,
         recording,
     };
     let serving = format!("{} serves fleet {}", C::SERVICE, bus.space().fleet());
@@ -136,6 +143,9 @@ pub async fn run<C: Core>(
     notify::ready(&serving);
     let linked = *link.borrow_and_update();
     observer.link(linked);
+    if let Some(content) = restored {
+        shell.handle(Input::Restored(content));
+    }
     shell.handle(Input::Started { linked });
     if let Some(reason) = state_loss {
         shell.handle(Input::StateLost { reason });
@@ -213,6 +223,7 @@ struct Shell<C: Core> {
     tokens: mpsc::Sender<TokenChange>,
     gets: HashMap<GetId, Query>,
     next_get: u64,
+    kept: KeptStore,
     recording: Option<Recording>,
     observer: Observer,
 }
@@ -253,6 +264,8 @@ impl<C: Core> Shell<C> {
             Command::RunJob => self.run_job(),
             Command::Ask(ask) => self.ask(ask),
             Command::Store(stored) => self.replies.store(stored),
+            Command::Keep(content) => self.replies.keep(content),
+            Command::KeptIsUnusable(problem) => self.kept.put_aside(&problem),
             Command::ReplicaState(state) => self.show_replica_state(state),
             Command::DeclareToken(key) => self.change_token(TokenChange::Declare(key)),
             Command::WithdrawToken(key) => self.change_token(TokenChange::Withdraw(key)),

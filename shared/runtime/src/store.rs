@@ -70,20 +70,27 @@ impl Store {
     /// If the directory or file cannot be written; the text names it.
     pub fn save(&self, stored: &Stored) -> anyhow::Result<()> {
         let Some(path) = &self.path else { return Ok(()) };
-        let directory = path.parent().unwrap_or(Path::new("."));
-        std::fs::create_dir_all(directory)
-            .with_context(|| format!("cannot make the directory {}", directory.display()))?;
-        let mut file = tempfile::NamedTempFile::new_in(directory)
-            .with_context(|| format!("cannot write in {}", directory.display()))?;
-        serde_json::to_writer_pretty(&mut file, stored)?;
-        file.flush()?;
-        file.as_file().sync_all()?;
-        file.persist(path).with_context(|| format!("cannot write {}", path.display()))?;
-        // The new name is only kept over a loss of power once the directory is on the disk, too.
-        std::fs::File::open(directory)
-            .and_then(|directory| directory.sync_all())
-            .with_context(|| format!("cannot sync the directory {}", directory.display()))
+        replace(path, &serde_json::to_vec_pretty(stored)?)
     }
+}
+
+/// Replaces a file, whole or not at all.
+///
+/// # Errors
+/// If the directory or file cannot be written; the text names it.
+pub(crate) fn replace(path: &Path, content: &[u8]) -> anyhow::Result<()> {
+    let directory = path.parent().unwrap_or(Path::new("."));
+    std::fs::create_dir_all(directory)
+        .with_context(|| format!("cannot make the directory {}", directory.display()))?;
+    let mut file = tempfile::NamedTempFile::new_in(directory)
+        .with_context(|| format!("cannot write in {}", directory.display()))?;
+    file.write_all(content).with_context(|| format!("cannot write in {}", directory.display()))?;
+    file.as_file().sync_all()?;
+    file.persist(path).with_context(|| format!("cannot write {}", path.display()))?;
+    // The new name is only kept over a loss of power once the directory is on the disk, too.
+    std::fs::File::open(directory)
+        .and_then(|directory| directory.sync_all())
+        .with_context(|| format!("cannot sync the directory {}", directory.display()))
 }
 
 /// Reads a file that should be small, and never more than its limit.

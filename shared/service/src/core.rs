@@ -66,6 +66,8 @@ pub trait Core: Send + Sized + 'static {
     type Done: Send + 'static;
     /// Its name.
     const SERVICE: ServiceName;
+    /// Whether it keeps anything over a restart itself, by [`Context::keep`].
+    const KEEPS: bool = false;
     /// How many instances publish.
     const REPLICATION: Replication = Replication::OneLeads;
 
@@ -134,6 +136,18 @@ pub trait Core: Send + Sized + 'static {
 
     /// A job that the core no longer waited for has ended, so that another one may start.
     fn on_job_slot_free(&mut self, _context: &mut Context<'_, Self>) {}
+
+    /// Takes over what it kept in its last run. It is called before everything else, if at all: the file may
+    /// be lost.
+    ///
+    /// # Errors
+    /// Why that cannot be used, for operators. The core begins without it then.
+    fn on_restored(&mut self, _content: &[u8]) -> Result<(), String> {
+        Ok(())
+    }
+
+    /// What was given to [`Context::keep`] is on disk; or is not, and operators have been told why.
+    fn on_kept(&mut self, _context: &mut Context<'_, Self>, _is_on_disk: bool) {}
 
     /// A lookup of records has ended; oldest first.
     fn on_records(
@@ -425,6 +439,12 @@ impl<C: Core> Context<'_, C> {
     /// Withdraws a liveliness token.
     pub fn withdraw_token(&mut self, key: Key) {
         self.0.commands.push(Command::WithdrawToken(key));
+    }
+
+    /// Keeps this over a restart, in place of what was kept before. [`Core::on_kept`] follows, and the next
+    /// run gets it by [`Core::on_restored`]. It works in every state of the replica.
+    pub fn keep(&mut self, content: Vec<u8>) {
+        self.0.commands.push(Command::Keep(content));
     }
 
     /// Appends a record to the service's own, with the moment of the input.

@@ -194,6 +194,15 @@ impl<C: Core> Host<C> {
                 let replies = self.facilities.gets.stored(error.as_deref());
                 self.facilities.commands.extend(replies.into_iter().map(Command::Reply));
             }
+            Input::Restored(content) => {
+                if let Err(problem) = self.core.on_restored(&content) {
+                    self.facilities.commands.push(Command::KeptIsUnusable(problem));
+                }
+            }
+            Input::Kept { error } => {
+                self.confirm_leadership();
+                self.core.on_kept(&mut Context(&mut self.facilities), error.is_none());
+            }
             Input::Found { lookup, records } => {
                 self.confirm_leadership();
                 self.core.on_records(&mut Context(&mut self.facilities), lookup, records);

@@ -152,6 +152,13 @@ pub enum Input {
         /// Why it could not be written.
         error: Option<String>,
     },
+    /// What the core kept in its last run. It comes before [`Input::Started`], if there is anything.
+    Restored(Vec<u8>),
+    /// What the core wants kept has been written, or could not be.
+    Kept {
+        /// Why it could not be written.
+        error: Option<String>,
+    },
     /// A lookup of records has ended.
     Found {
         /// The number that the core gave it.
@@ -266,6 +273,11 @@ pub enum Command {
     Ask(Ask),
     /// Keep state over a restart; [`Input::Stored`] comes back.
     Store(Stored),
+    /// Keep this for the core over a restart, in place of what was kept before; [`Input::Kept`] comes back.
+    Keep(Vec<u8>),
+    /// What the core kept in its last run cannot be used: operators are to be told why, and the file is to be
+    /// put aside.
+    KeptIsUnusable(String),
     /// The instance stands elsewhere in the election. A leader's answer suffices on the service's own
     /// keys, so that they are declared again when leadership comes or goes.
     ReplicaState(ReplicaState),
@@ -303,6 +315,8 @@ impl Input {
             Self::LinkRestored => "link_restored",
             Self::Stored { .. } => "stored",
             Self::StateLost { .. } => "state_lost",
+            Self::Restored(_) => "restored",
+            Self::Kept { .. } => "kept",
             Self::Found { .. } => "found",
             Self::ProcessCounters(_) => "process_counters",
         }

@@ -32,6 +32,8 @@ pub struct Bench<C: Core> {
     pub asks: Vec<Ask>,
     /// What is kept over a restart.
     pub stored: Stored,
+    /// What the core keeps over a restart, if it keeps anything.
+    pub kept: Option<Vec<u8>>,
     /// Answers of gets, oldest first.
     pub replies: Vec<Reply>,
     /// Faults of the program: messages without a form on the bus.
@@ -40,7 +42,7 @@ pub struct Bench<C: Core> {
     pub others: Vec<Command>,
     /// Jobs wait in `job` instead of being run at once.
     pub hold_jobs: bool,
-    /// State waits for [`Input::Stored`], with its command in `others`, instead of being kept at once.
+    /// State waits for [`Input::Stored`] or [`Input::Kept`], with its command in `others`, instead of being kept at once.
     pub hold_stores: bool,
     /// Queries for the current leader wait in `asks`, instead of going unanswered at once.
     pub hold_leader_queries: bool,
@@ -63,6 +65,7 @@ impl<C: Core> Bench<C> {
             host: Host::new(start),
             published: Vec::new(),
             asks: Vec::new(),
+            kept: None,
             replies: Vec::new(),
             unencodable: Vec::new(),
             others: Vec::new(),
@@ -205,6 +208,10 @@ impl<C: Core> Bench<C> {
                     Command::Store(stored) if !self.hold_stores => {
                         self.stored = stored;
                         inputs.push_back(Input::Stored { error: None });
+                    }
+                    Command::Keep(content) if !self.hold_stores => {
+                        self.kept = Some(content);
+                        inputs.push_back(Input::Kept { error: None });
                     }
                     Command::Unencodable(problem) => self.unencodable.push(problem),
                     other => self.others.push(other),

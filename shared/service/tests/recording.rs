@@ -272,12 +272,15 @@ fn every_command_that_is_changed_is_found_where_it_is() {
             match &mut commands[command] {
                 Command::Publish(publication) => spoil(&mut publication.packets[0]),
                 Command::Reply(Reply { answer: Ok(packets), .. }) => spoil(&mut packets[0]),
-                Command::Reply(Reply { answer: Err(text), .. }) | Command::Unencodable(text) => {
+                Command::Reply(Reply { answer: Err(text), .. })
+                | Command::Unencodable(text)
+                | Command::KeptIsUnusable(text) => {
                     text.push('!');
                 }
                 Command::RunJob => commands.clear(),
                 Command::Ask(ask) => ask.within += Duration::from_secs(1),
                 Command::Store(stored) => stored.term += 1,
+                Command::Keep(content) => content.push(1),
                 Command::ReplicaState(state) => *state = ReplicaState::Starting,
                 Command::DeclareToken(key) | Command::WithdrawToken(key) => *key = Key::Teams,
                 Command::Append(record) => record.at += 1,
@@ -411,6 +414,9 @@ fn the_bytes_of_entries_are_frozen() {
         Input::LinkRestored,
         Input::Stored { error: None },
         Input::Stored { error: Some("full".to_owned()) },
+        Input::Restored(vec![1, 2, 3]),
+        Input::Kept { error: None },
+        Input::Kept { error: Some("full".to_owned()) },
         Input::Found { lookup: 6, records: vec![record()] },
         Input::ProcessCounters(BTreeMap::from([("threads".to_owned(), 2)])),
     ];
@@ -431,6 +437,8 @@ fn the_bytes_of_entries_are_frozen() {
         ask(Pattern::Graphs),
         ask(Pattern::One(Key::Lease(ServiceName::Auditor))),
         Command::Store(start().stored),
+        Command::Keep(vec![4, 5]),
+        Command::KeptIsUnusable("damaged".to_owned()),
         Command::ReplicaState(ReplicaState::Starting),
         Command::ReplicaState(ReplicaState::Standby),
         Command::ReplicaState(ReplicaState::Suspect),

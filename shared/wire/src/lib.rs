@@ -6,7 +6,7 @@
 //! key to a content and its two forms: [`envelope`] (binary) and [`json`]. [`report`] reads and writes the
 //! reports of robots, [`robot_team`] the team that a robot reads, [`katz`] the similarity of a pair that a
 //! console reads, [`request`] gets; [`decode`] has the reasons for refusals. [`foreign`] has the keys of other
-//! programs, [`recording`] the files of recordings, [`schema`] the JSON Schema. Nothing outside of this crate
+//! programs, [`recording`] the files of recordings, [`kept`] what is kept over a restart, [`schema`] the JSON Schema. Nothing outside of this crate
 //! handles bytes, and nothing in it knows the bus.
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
@@ -17,6 +17,7 @@ pub mod envelope;
 pub mod foreign;
 pub mod json;
 pub mod katz;
+pub mod kept;
 pub mod key;
 pub mod message;
 pub mod packet;

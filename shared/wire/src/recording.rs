@@ -19,7 +19,7 @@ use crate::packet::quoted;
 pub const MAGIC: [u8; 8] = *b"\xB7mustrec";
 
 /// Version of the entries. Any change of their types is a new version.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 
 /// Length and checksum of a frame.
 const FRAME_HEAD: usize = 8;
@@ -65,7 +65,7 @@ fn checksum(bytes: &[u8]) -> u32 {
     u32::from_le_bytes([a ^ e, b ^ f, c ^ g, d ^ h])
 }
 
-fn framed(content: &[u8], limit: usize) -> Result<Vec<u8>, EnvelopeError> {
+pub(crate) fn framed(content: &[u8], limit: usize) -> Result<Vec<u8>, EnvelopeError> {
     let size = content.len();
     let length = u32::try_from(size).ok().filter(|_| size <= limit);
     let Some(length) = length else { return Err(EnvelopeError::TooLarge { size, limit }) };
@@ -74,6 +74,25 @@ fn framed(content: &[u8], limit: usize) -> Result<Vec<u8>, EnvelopeError> {
     frame.extend(checksum(content).to_le_bytes());
     frame.extend(content);
     Ok(frame)
+}
+
+/// The content of bytes that are one frame.
+///
+/// # Errors
+/// What is wrong with them.
+pub(crate) fn unframed(bytes: &[u8], limit: usize) -> Result<&[u8], String> {
+    let (Some(head), Some(content)) = (bytes.get(..FRAME_HEAD), bytes.get(FRAME_HEAD..)) else {
+        return Err("it breaks off".to_owned());
+    };
+    let &[a, b, c, d, e, f, g, h] = head else { return Err("it breaks off".to_owned()) };
+    let (length, sum) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
+    if content.len() > limit || content.len() != length as usize {
+        return Err(format!("it has {} bytes and not {length}", content.len()));
+    }
+    if checksum(content) != sum {
+        return Err("the checksum is another one".to_owned());
+    }
+    Ok(content)
 }
 
 /// What a file begins with.

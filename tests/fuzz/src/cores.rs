@@ -134,6 +134,8 @@ struct World<C: Core> {
     asks: Vec<Ask>,
     /// How many stores are not confirmed.
     stores: usize,
+    /// How often something is to be kept, and that is not confirmed.
+    keeps: usize,
     confirmed_stores: usize,
     gets: u64,
     open: BTreeMap<GetId, OpenGet>,
@@ -168,6 +170,7 @@ impl<C: Core> World<C> {
             job: None,
             asks: Vec::new(),
             stores: 0,
+            keeps: 0,
             confirmed_stores: 0,
             gets: 0,
             open: BTreeMap::new(),
@@ -339,6 +342,11 @@ impl<C: Core> World<C> {
             self.stores -= 1;
             self.handle(Input::Stored { error });
         }
+        while self.keeps > 0 {
+            self.keeps -= 1;
+            let error = self.keeps.is_multiple_of(3).then(|| "the disk is full".to_owned());
+            self.handle(Input::Kept { error });
+        }
     }
 
     fn handle(&mut self, input: Input) {
@@ -361,6 +369,7 @@ impl<C: Core> World<C> {
                         .patched(&serde_json::Value::Object(stored.patch))
                         .expect("stored settings do not fit");
                 }
+                Command::Keep(_) => self.keeps += 1,
                 Command::ReplicaState(state) => assert_eq!(state, self.host.replica_state()),
                 Command::Unencodable(problem) => panic!("{problem}"),
                 other => panic!("{} wants {other:?}", C::SERVICE),

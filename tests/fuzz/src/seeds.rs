@@ -155,6 +155,8 @@ fn recordings() -> Vec<Seed> {
         Input::LinkLost,
         Input::LinkRestored,
         Input::Stored { error: Some("no".to_owned()) },
+        Input::Restored(vec![1, 2]),
+        Input::Kept { error: Some("no".to_owned()) },
         Input::Found { lookup: 1, records: vec![record.clone()] },
         Input::ProcessCounters([("inbox_dropped".to_owned(), 3)].into()),
     ];
@@ -173,6 +175,8 @@ fn recordings() -> Vec<Seed> {
             pattern: Pattern::Graphs,
             within: Duration::from_secs(1),
         }),
+        Command::Keep(vec![3, 4]),
+        Command::KeptIsUnusable("no".to_owned()),
         Command::Store(Stored {
             term: 3,
             patch: [("teams".to_owned(), 3.into())].into_iter().collect(),
@@ -249,6 +253,10 @@ fn golden() -> Vec<Seed> {
         add("envelope", name, bytes[2..].to_vec());
         let head = format!("p~{key}\n{BINARY}\n");
         add("packet", name, [head.as_bytes(), &bytes].concat());
+        if name == "teams" {
+            add("kept", "division", [&300_u64.to_le_bytes()[..], &bytes].concat());
+            add("kept", "numbers", 300_u64.to_le_bytes().to_vec());
+        }
         if name == "robot_team" {
             add("robot_team", name, [head.as_bytes(), &bytes].concat());
         }

@@ -9,6 +9,8 @@ use super::lab::Host;
 pub enum Kind {
     /// The cable of a host is pulled.
     Pulled(Host),
+    /// The cable of the robots' host is pulled, where all robots of one of three teams are.
+    TeamPulled,
     /// Every packet from and to a host is dropped silently.
     Lost(Host),
     /// The link of the robots' host is narrowed to so many kbit/s, and they are configured for that.
@@ -39,7 +41,7 @@ const fn fault(name: &'static str, what: &'static str, kind: Kind, seconds: u64)
 }
 
 /// Every fault that is tested, in the order of the table.
-pub const FAULTS: [Fault; 13] = [
+pub const FAULTS: [Fault; 14] = [
     fault(
         "robots-pulled-3",
         "cable of the robots' host pulled, 3 s",
@@ -47,6 +49,7 @@ pub const FAULTS: [Fault; 13] = [
         3,
     ),
     fault("robots-pulled-20", "the same, 20 s", Kind::Pulled(Host::Robots), 20),
+    fault("team-pulled-20", "the same with one of three whole teams, 20 s", Kind::TeamPulled, 20),
     fault(
         "robots-lost-3",
         "packets of the robots' host dropped silently, 3 s",
@@ -100,10 +103,19 @@ impl Fault {
         FAULTS.into_iter().find(|fault| fault.name == name)
     }
 
+    /// How many teams the fleet has.
+    #[must_use]
+    pub fn teams(&self) -> usize {
+        if self.kind == Kind::TeamPulled { 3 } else { 2 }
+    }
+
     /// Whether it cuts the robots' host off, so that its robots are missed.
     #[must_use]
     pub fn cuts_robots_off(&self) -> bool {
-        matches!(self.kind, Kind::Pulled(Host::Robots) | Kind::Lost(Host::Robots))
+        matches!(
+            self.kind,
+            Kind::Pulled(Host::Robots) | Kind::TeamPulled | Kind::Lost(Host::Robots)
+        )
     }
 
     /// Whether it cuts the robots' host off so long that its robots leave.

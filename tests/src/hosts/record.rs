@@ -133,8 +133,8 @@ impl Record {
         })
     }
 
-    /// Everything published since a moment that puts a robot into a team that is not the wanted one, or
-    /// leaves out one of `always` or puts it nowhere.
+    /// Everything published since a moment that puts a robot elsewhere than into the wanted team, or leaves
+    /// out one of `always`.
     #[must_use]
     pub fn contradictions(
         &self,
@@ -147,20 +147,20 @@ impl Record {
             let published = division(&seen.value);
             for (robot, team) in &published {
                 let expected = wanted.get(robot).and_then(Option::as_ref);
-                if team.is_some() && team.as_ref() != expected {
+                if team.as_ref() != expected {
                     found.push(format!("{robot} is in {team:?}, not {expected:?}: {}", seen.value));
                 }
             }
             for robot in always {
-                if published.get(robot).is_none_or(Option::is_none) {
-                    found.push(format!("{robot} is in no team: {}", seen.value));
+                if !published.contains_key(robot) {
+                    found.push(format!("{robot} is missing: {}", seen.value));
                 }
             }
         }
         for seen in self.0.iter().filter(|seen| seen.at >= since && seen.key.ends_with("/team")) {
             let Some(robot) = seen.value["robot"].as_str() else { continue };
             let expected = wanted.get(robot).and_then(Option::as_deref);
-            if seen.value["team"].as_str().is_some_and(|team| Some(team) != expected) {
+            if seen.value["team"].as_str() != expected {
                 found.push(format!("{robot} received {}", seen.value));
             }
         }

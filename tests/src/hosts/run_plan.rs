@@ -104,12 +104,18 @@ fn start(
     Process::start_command(name, command, folder)
 }
 
-/// The names of the robots that run on the robots' host. Half of each group, so that both teams live
-/// on without them; all robots where the link is narrow, so that it is.
-fn on_the_robots_host(fault: &Fault, robots: &[String]) -> Vec<String> {
+/// The names of the robots that run on the robots' host, of robots with their groups. Half of each group, so
+/// that both teams live on without them; all robots where the link is narrow, so that it is; or one group.
+fn on_the_robots_host(fault: &Fault, robots: &[(String, String)]) -> Vec<String> {
+    let names = robots.iter().map(|(robot, _)| robot.clone());
+    let last = robots.iter().map(|(_, group)| group).max();
     match fault.kind {
-        Kind::Narrow(_) => robots.to_vec(),
-        _ => robots.iter().step_by(2).cloned().collect(),
+        Kind::Narrow(_) => names.collect(),
+        Kind::TeamPulled => {
+            let of_last = robots.iter().filter(|(_, group)| Some(group) == last);
+            of_last.map(|(robot, _)| robot.clone()).collect()
+        }
+        _ => names.step_by(2).collect(),
     }
 }
 
@@ -125,23 +131,29 @@ impl World {
         let endpoint = endpoint();
         let bus = ["--fleet", FLEET, "--connect", &endpoint];
         let mut others = Vec::new();
+        let teams = fault.teams().to_string();
+        let setting = format!("teams={teams}");
         let state = folder.path().join("state").to_string_lossy().into_owned();
         for service in SERVICES {
             let mut arguments = [&bus[..], &["--state-directory", &state]].concat();
             if service == "clusterer" {
-                arguments.extend(["--set", "teams=2"]);
+                arguments.extend(["--set", &setting]);
             }
             let name = format!("muster-{service}");
             others.push(start(&lab, folder.path(), Host::Base, &name, &arguments)?);
         }
         let count = ROBOTS.to_string();
-        let scenario = ["robot", "--scenario", "clusters", "--robots", &count];
+        let scenario = ["robot", "--scenario", "clusters", "--robots", &count, "--teams", &teams];
         let list = [&scenario[..], &["--list"]].concat();
         let (_, list, _) = crate::process::run("muster", &list, Duration::from_secs(20))?;
-        let robots: Vec<String> =
-            list.lines().filter_map(|line| line.split(' ').next()).map(str::to_owned).collect();
+        let robot = |line: &str| {
+            let (robot, group) = line.split_once(' ')?;
+            Some((robot.to_owned(), group.to_owned()))
+        };
+        let robots: Vec<(String, String)> = list.lines().filter_map(robot).collect();
         let here = on_the_robots_host(fault, &robots);
-        let there: Vec<_> = robots.iter().filter(|robot| !here.contains(robot)).cloned().collect();
+        let names = robots.iter().map(|(robot, _)| robot);
+        let there: Vec<_> = names.filter(|robot| !here.contains(robot)).cloned().collect();
         for (host, robots) in [(Host::Robots, &here), (Host::Router, &there)] {
             if !robots.is_empty() {
                 let only = robots.join(",");
@@ -165,8 +177,8 @@ impl World {
         start(lab, folder, Host::Router, "muster", &["router", "--listen", &endpoint()])
     }
 
-    /// Waits until both observers have received all robots in two teams.
-    fn formed(&self) -> anyhow::Result<Division> {
+    /// Waits until both observers have received all robots in so many teams.
+    fn formed(&self, teams: usize) -> anyhow::Result<Division> {
         let begin = Instant::now();
         loop {
             let [console, on_board] = [&self.console, &self.on_board].map(|observer| {
@@ -177,7 +189,7 @@ impl World {
                 && on_board.as_ref() == Some(&division)
                 && division.len() == ROBOTS
                 && division.values().all(Option::is_some)
-                && division.values().collect::<BTreeSet<_>>().len() == 2
+                && division.values().collect::<BTreeSet<_>>().len() == teams
             {
                 return Ok(division);
             }
@@ -207,6 +219,7 @@ impl World {
     fn begin(&mut self, kind: Kind) -> anyhow::Result<()> {
         match kind {
             Kind::Pulled(host) => self.lab.pull(host),
+            Kind::TeamPulled => self.lab.pull(Host::Robots),
             Kind::Lost(host) => self.lab.lose(host),
             Kind::Narrow(rate) => self.lab.limit(Host::Robots, rate),
             Kind::Slow => self.signal_relay("USR1"),
@@ -218,6 +231,7 @@ impl World {
     fn end(&mut self, kind: Kind) -> anyhow::Result<()> {
         match kind {
             Kind::Pulled(host) => self.lab.plug(host),
+            Kind::TeamPulled => self.lab.plug(Host::Robots),
             Kind::Lost(host) => self.lab.find(host),
             Kind::Narrow(_) => self.lab.widen(Host::Robots),
             Kind::Slow => self.signal_relay("USR2"),
@@ -236,9 +250,13 @@ impl World {
 /// If the fleet cannot be started, or forms no teams before the fault.
 pub fn run(fault: Fault) -> anyhow::Result<Measured> {
     let (mut world, there) = World::start(&fault)?;
-    let wanted = world.formed()?;
+    let wanted = world.formed(fault.teams())?;
     sleep(QUIET_TIME);
-    ensure!(world.formed()? == wanted, "the teams change before the fault:\n{}", world.logs());
+    ensure!(
+        world.formed(fault.teams())? == wanted,
+        "the teams change before the fault:\n{}",
+        world.logs()
+    );
 
     let begin = now();
     world.begin(fault.kind)?;
@@ -277,7 +295,7 @@ pub fn run(fault: Fault) -> anyhow::Result<Measured> {
     let late_elsewhere = console.lateness(begin + 1.0, healed, &here);
     let half_and_all = |late: &[f64]| late.get(late.len() / 2).copied().zip(late.last().copied());
     let mut contradictions = console.contradictions(&wanted, &there, begin);
-    // Robots that have left and come back are in no team for a moment; the others always are.
+    // Robots that are cut off may leave; the others are always there.
     contradictions.extend(on_board.contradictions(&wanted, &there, begin));
     Ok(Measured {
         fault,

@@ -74,6 +74,7 @@ impl World {
                     }
                 }
             }
+            Fault::PowerCut { lasts } => self.power_cut = Some(lasts),
             Fault::ForgedTerm { what, term } => self.forge_term(what, term),
             Fault::Hang { at, lasts } => {
                 let Some(index) = node(self, at) else { return };
@@ -173,11 +174,26 @@ impl World {
     fn lose_disk(&mut self, index: usize) {
         let node = &mut self.nodes[index];
         node.stored = Stored::default();
+        node.kept = None;
         let (service, instance) = (node.service, node.instance);
         if !self.clocks_agree || self.oracle.had_forged_terms() {
             self.oracle.forget_order(service, instance);
         }
         self.operator.forgets(service);
+    }
+
+    /// All services are killed while all agree. What was agreed on stands from now on: the disks have it.
+    pub(super) fn cut_power(&mut self, lasts: Micros) {
+        self.log.line(self.now, format_args!("the power is cut"));
+        self.oracle.order.disturbed(None, self.now + lasts + RECOVERY_TIME);
+        let mut chance = Chance::new(self.seed, Purpose::Fault, self.injections.len());
+        for index in 0..self.nodes.len() {
+            let lasts = chance.between(lasts / 2, lasts);
+            self.kill(index, lasts, &mut chance);
+            if self.mutator.forgets() {
+                self.nodes[index].kept = None;
+            }
+        }
     }
 
     fn leave(&mut self, index: usize, politely: bool, back: Option<Micros>, chance: &mut Chance) {

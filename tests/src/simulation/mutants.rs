@@ -49,11 +49,13 @@ pub enum Mutant {
     DeafRobots,
     /// Every leader except the clusterer goes above any term that an attacker forged.
     UnbelievedTerm,
+    /// What the clusterer keeps on disk is not there once the power was cut.
+    Forgetful,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -69,6 +71,7 @@ impl Mutant {
         Self::TermsFromOne,
         Self::DeafRobots,
         Self::UnbelievedTerm,
+        Self::Forgetful,
     ];
 
     /// The kinds of faults after which it shows.
@@ -87,6 +90,7 @@ impl Mutant {
             Self::Restless | Self::Fickle => &["settings"],
             Self::TermsFromOne | Self::DeafRobots => &["blackout without disks"],
             Self::UnbelievedTerm => &["forged term"],
+            Self::Forgetful => &["power cut"],
         }
     }
 }
@@ -325,6 +329,11 @@ impl Mutator {
             Ok(outbound) => Packet { payload: Ok(outbound.payload), ..packet },
             Err(_) => packet,
         }
+    }
+
+    /// Whether disks lose what cores keep.
+    pub(crate) fn forgets(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Forgetful)
     }
 
     /// Whether a service receives nothing.

@@ -81,6 +81,8 @@ pub(crate) struct Node {
     pub(crate) machine_clock: HostClock,
     /// What is on its disk.
     pub(crate) stored: Stored,
+    /// What its core keeps there.
+    pub(crate) kept: Option<Vec<u8>>,
     /// Counts the processes.
     pub(crate) life: u32,
     pub(crate) process: Option<Process>,
@@ -128,6 +130,7 @@ impl Node {
             link,
             machine_clock,
             stored: Stored::default(),
+            kept: None,
             life: 0,
             process: None,
             down_until: 0,
@@ -155,13 +158,14 @@ impl Node {
 
     /// A process begins with the host that was made for it.
     pub(crate) fn begin(&mut self, host: Box<dyn AnyHost>, clock: ProcessClock, token: Arc<str>) {
+        let restored = self.kept.clone().map(Input::Restored).into_iter();
         self.process = Some(Process {
             host,
             clock,
             inbox: Inbox::default(),
             waiting_gets: VecDeque::new(),
             // A process waits for its router before it starts its host.
-            completed: VecDeque::from([Input::Started { linked: true }]),
+            completed: restored.chain([Input::Started { linked: true }]).collect(),
             unanswered: BTreeMap::new(),
             next_get: 0,
             visible_tokens: BTreeSet::new(),

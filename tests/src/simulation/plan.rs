@@ -12,6 +12,9 @@ use super::clock::{MS, Micros, SECOND};
 /// How much quiet a fleet has before the first fault, so that there is something to break.
 const QUIET_TIME: Micros = 2 * SECOND;
 
+/// In how many of a hundred runs the power is cut once all agree.
+const POWER_CUT_PERCENT: u64 = 25;
+
 /// What is connected to the router by a link of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Place {
@@ -106,6 +109,8 @@ pub(crate) enum Fault {
     /// All services are killed at once, and started again within a while; their disks may be lost with
     /// them.
     Blackout { lasts: Micros, disks: bool },
+    /// All services are killed at once when all agree after the storm, and started again within a while.
+    PowerCut { lasts: Micros },
     /// An attacker repeats the last message on the key of a service with a higher term.
     ForgedTerm { what: OutputKind, term: Forgery },
     /// A service is stopped as by SIGSTOP, and continues after a while.
@@ -182,6 +187,7 @@ impl Fault {
             Self::LostDisk { .. } => "lost disk",
             Self::Blackout { disks: true, .. } => "blackout",
             Self::Blackout { disks: false, .. } => "blackout without disks",
+            Self::PowerCut { .. } => "power cut",
             Self::ForgedTerm { .. } => "forged term",
             Self::Hang { .. } => "hang",
             Self::Slow { .. } => "slow service",
@@ -221,9 +227,10 @@ impl fmt::Display for Injection {
             | Fault::Hang { at, lasts }
             | Fault::Panics { at, lasts } => write!(formatter, "{at} for {}", Span(*lasts)),
             Fault::ForgedTerm { what, term } => write!(formatter, "{what:?}, {term:?}"),
-            Fault::Router { lasts } | Fault::BadAlpha { lasts } | Fault::Blackout { lasts, .. } => {
-                write!(formatter, "for {}", Span(*lasts))
-            }
+            Fault::Router { lasts }
+            | Fault::BadAlpha { lasts }
+            | Fault::Blackout { lasts, .. }
+            | Fault::PowerCut { lasts } => write!(formatter, "for {}", Span(*lasts)),
             Fault::Slow { at, lasts, each } | Fault::SlowJobs { at, lasts, each } => {
                 write!(formatter, "{at} for {}: {} each", Span(*lasts), Span(*each))
             }
@@ -343,6 +350,12 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
         let fault = Fault::Ghosts { count: scale.ghosts };
         Injection { number: 0, at: second * SECOND, fault }
     }));
+    // A chance of its own: whether there is a power cut has no bearing on the storm before it.
+    let mut power = Chance::new(seed, Purpose::Plan, 1);
+    if power.percent(POWER_CUT_PERCENT) {
+        let fault = Fault::PowerCut { lasts: power.between(50 * MS, 3 * SECOND) };
+        injections.push(Injection { number: 0, at: begin, fault });
+    }
     injections.sort_by_key(|injection| injection.at);
     for (number, injection) in injections.iter_mut().enumerate() {
         injection.number = number;

@@ -125,6 +125,10 @@ impl World {
             Command::RunJob => self.run_job(index),
             Command::Ask(ask) => self.ask_for_host(index, &ask),
             Command::Store(stored) => self.store(index, stored),
+            Command::Keep(content) => self.keep(index, content),
+            Command::KeptIsUnusable(seen) => {
+                self.require(breach("what is kept can be read again", seen));
+            }
             Command::ReplicaState(state) => {
                 let name = self.nodes[index].name();
                 self.log.line(self.now, format_args!("{name} is {state:?}"));
@@ -183,6 +187,26 @@ impl World {
         }
     }
 
+    /// The disk writes what a core keeps after everything before it.
+    fn keep(&mut self, index: usize, content: Vec<u8>) {
+        let node = &mut self.nodes[index];
+        let Some(process) = &mut node.process else { return };
+        let time = node.chance.between(WRITE_TIME.0, WRITE_TIME.1);
+        process.disk_free_at = process.disk_free_at.max(self.now) + time;
+        let (at, life) = (process.disk_free_at, node.life);
+        self.schedule(at, Event::Kept { node: index, life, content });
+    }
+
+    /// What a core keeps is on the disk.
+    pub(super) fn kept(&mut self, index: usize, life: u32, content: Vec<u8>) {
+        let node = &mut self.nodes[index];
+        if node.life == life {
+            node.kept = Some(content);
+            node.complete(Input::Kept { error: None });
+            self.schedule_step(index);
+        }
+    }
+
     fn reply(&mut self, index: usize, reply: Reply) {
         let Reply { get, answer, messages } = reply;
         let name = self.nodes[index].name();
@@ -228,6 +252,10 @@ impl World {
                 process.settings_changes += 1;
             }
             _ => {}
+        }
+        if let (Message::Teams { teams, .. }, Some(before)) = (&message, &self.stands) {
+            let checked = before.stands(teams);
+            self.require(checked);
         }
         self.stats.published += 1;
         let checked = self.check_published(index, &message, &packets);
@@ -315,6 +343,8 @@ fn describe(space: &muster_wire::KeySpace, input: &Input) -> String {
         Input::LinkLost => "the loss of its link".to_owned(),
         Input::LinkRestored => "the return of its link".to_owned(),
         Input::Stored { .. } => "that its state is on the disk".to_owned(),
+        Input::Restored(_) => "what it has kept".to_owned(),
+        Input::Kept { .. } => "that what it keeps is on the disk".to_owned(),
         Input::Found { .. } | Input::ProcessCounters(_) | Input::StateLost { .. } => {
             input.kind().to_owned()
         }

@@ -28,6 +28,9 @@ use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
 /// How long all must have agreed without a change before a run ends.
 const AGREED_TIME: Micros = 6 * SECOND;
 
+/// How long after an agreement it is on the disks.
+const KEPT_TIME: Micros = 2 * SECOND;
+
 /// One run in so many continues past the time within which all must have agreed.
 const LONG_RUN_EVERY: u64 = 8;
 
@@ -47,6 +50,7 @@ pub(super) enum Event {
     Start { node: usize },
     JobEnded { node: usize, life: u32 },
     Stored { node: usize, life: u32, stored: Stored },
+    Kept { node: usize, life: u32, content: Vec<u8> },
     Report { robot: usize, life: u32, stream: RobotStream },
     RobotStarts { robot: usize, life: u32 },
     AtRouter { link: LinkId, session: u32, carried: Carried },
@@ -135,6 +139,12 @@ pub(super) struct World {
     pub(super) stats: Stats,
     storm: Micros,
     storm_over: bool,
+    /// Since when nothing more goes wrong.
+    quiet_since: Micros,
+    /// The power is to be cut for so long once all agree.
+    pub(super) power_cut: Option<Micros>,
+    /// What all had agreed on when the power was cut, until they agree again.
+    pub(super) stands: Option<Agreed>,
     settled: Option<(Micros, Agreed)>,
     differs: String,
     finished: bool,
@@ -238,11 +248,17 @@ impl World {
             stats: Stats::default(),
             storm: scale.storm,
             storm_over: false,
+            quiet_since: scale.storm,
+            power_cut: None,
+            stands: None,
             settled: None,
             differs: String::new(),
             finished: false,
             breach: None,
         };
+        if scale.instances == 1 {
+            world.oracle.one_gives_ids();
+        }
         world.fill_agenda(&mut chance, scale.fleet);
         world
     }
@@ -321,6 +337,7 @@ impl World {
             Event::Start { node } => self.start_node(node),
             Event::JobEnded { node, life } => self.job_ended(node, life),
             Event::Stored { node, life, stored } => self.stored(node, life, stored),
+            Event::Kept { node, life, content } => self.kept(node, life, content),
             Event::Report { robot, life, stream } => self.report(robot, life, stream),
             Event::RobotStarts { robot, life } => self.start_robot(robot, life),
             Event::AtRouter { link, session, carried } => {
@@ -445,7 +462,7 @@ impl World {
 
     /// Checks whether all agree.
     fn poll(&mut self) {
-        let since = self.now - self.storm;
+        let since = self.now.saturating_sub(self.quiet_since);
         let limit = AGREEMENT_TICKS * TICK;
         let agreed = {
             let ground_truth = self.operator.ground_truth(&self.robots, &self.nodes);
@@ -461,6 +478,10 @@ impl World {
                 self.log.line(self.now, format_args!("all agree"));
                 if now.has_robots() {
                     self.join_late();
+                }
+                if let Some(before) = self.stands.take() {
+                    let stood = self.oracle.stood(&before);
+                    self.require(stood);
                 }
                 self.settled = Some((since, now));
             }
@@ -485,10 +506,24 @@ impl World {
         if let Some((at, _)) = &self.settled {
             self.stats.agreement = *at;
             let is_long = self.seed.is_multiple_of(LONG_RUN_EVERY);
-            self.finished =
+            let is_over =
                 if is_long { since > limit + LONG_RUN_TIME } else { since >= at + AGREED_TIME };
+            self.finished = is_over && self.power_cut.is_none();
         }
+        self.cut_power_if_settled(since);
         self.schedule(self.now + TICK, Event::Poll);
+    }
+
+    /// Cuts the power once all have agreed for long enough that it is on the disks.
+    fn cut_power_if_settled(&mut self, since: Micros) {
+        let Some(lasts) = self.power_cut else { return };
+        let Some((_, agreed)) = self.settled.take_if(|(at, _)| since >= *at + KEPT_TIME) else {
+            return;
+        };
+        self.power_cut = None;
+        self.quiet_since = self.now + lasts;
+        self.stands = Some(agreed).filter(Agreed::has_robots);
+        self.cut_power(lasts);
     }
 
     /// Makes sure that a service takes its next input in time.

@@ -6,9 +6,12 @@ use muster_model::audit::Audit;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::roster::Roster;
+use muster_model::teams::Teams;
 use muster_wire::Message;
 
+use super::awaiting::Reunion;
 use super::{Clusterer, Context, Received};
+use crate::identity::is_believable;
 
 impl Clusterer {
     pub(super) fn accept_message(&mut self, context: &mut Context<'_>, message: Message) {
@@ -16,6 +19,7 @@ impl Clusterer {
             Message::Embedding(embedding) => self.accept_embedding(context, embedding),
             Message::Roster(roster) => self.accept_roster(context, roster),
             Message::Audit(audit) => self.accept_audit(audit),
+            Message::Teams { teams, .. } => self.accept_teams(context, &teams),
             _ => {}
         }
     }
@@ -26,6 +30,15 @@ impl Clusterer {
         messages.sort_by_key(|message| std::cmp::Reverse(revision(message)));
         for message in messages {
             self.accept_message(context, message);
+        }
+    }
+
+    /// A division that was published. A standby keeps it, a leader gives none of its numbers.
+    fn accept_teams(&mut self, context: &Context<'_>, teams: &Checked<Teams>) {
+        if !context.has_term() {
+            self.keeping.hear(teams);
+        } else if is_believable(teams) && teams.next_team > self.memory.next_team {
+            Arc::make_mut(&mut self.memory).next_team = teams.next_team;
         }
     }
 
@@ -80,11 +93,18 @@ impl Clusterer {
     pub(super) fn inherit(&mut self, messages: &[Message]) {
         for message in messages {
             let Message::Teams { teams, .. } = message else { continue };
+            if !is_believable(teams) {
+                continue;
+            }
+            let next_team = &mut self.keeping.next_team;
+            *next_team = teams.next_team.max(*next_team);
             let last = self.division.as_ref().map(|division| division.header.revision);
             if last.is_none_or(|last| teams.header.revision > last) {
                 self.division = Some(teams.clone());
             }
         }
+        self.inherit_kept();
+        Arc::make_mut(&mut self.memory).next_team = self.keeping.next_team;
         let named = self.division.as_ref().map(|division| division.embedding);
         for message in messages {
             if let Message::Embedding(embedding) = message
@@ -94,5 +114,16 @@ impl Clusterer {
             }
         }
         self.received_by_others = self.division.clone();
+    }
+
+    /// Takes over the division on disk, if no service holds one that is as new.
+    fn inherit_kept(&mut self) {
+        let Some(kept) = self.keeping.division() else { return };
+        let last = self.division.as_ref().map(|division| division.header.revision);
+        if last.is_none_or(|last| kept.header.revision > last) {
+            self.division = Some(kept.clone());
+            // Nobody else remembers it: all services were restarted, and hear one robot after the other.
+            self.reunion = Some(Reunion::default());
+        }
     }
 }

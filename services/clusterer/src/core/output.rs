@@ -16,6 +16,7 @@ use super::{Clusterer, Context, Published, Received, View};
 use crate::division::{changes, with_held};
 use crate::leader::leaders;
 use crate::publishing::{robots_to_inform, shortage};
+use crate::seats::{Seats, reseated};
 
 /// Most changes of one division that are published as events; the others are only counted. When a whole fleet
 /// changes teams, the division itself is the better report.
@@ -29,7 +30,9 @@ impl Clusterer {
         let before = self.division.clone();
         let dwell = seconds(context.settings().dwell_s);
         let renewed = self.orders.renewed(now, self.roster.as_deref());
-        let held = self.moves.hold(now, dwell, &new, before.as_deref(), &renewed);
+        let seated = before.as_deref().and_then(|before| reseated(before, &new));
+        let seated = seated.as_ref().or(before.as_deref());
+        let held = self.moves.hold(now, dwell, &new, seated, &renewed);
         let mut teams = new.clone();
         if !held.is_empty() {
             match with_held(&new, &held, &source.embedding) {
@@ -97,12 +100,14 @@ impl Clusterer {
         }
         let changed: BTreeSet<&RobotId> = changed.into_iter().collect();
         let mirrored = if mirror { now } else { mirrored.unwrap_or(now) };
+        let absent = Seats::of(Some(&teams), &self.memory, &source.embedding).absent;
         self.divided = Some(source.embedding.clone());
         self.published = Some(Published { source, at: now, mirrored });
         self.division = Some(teams.clone());
         self.inform_in_rotation(context, &changed);
         if context.is_leading() {
-            self.report_changes(context, &teams);
+            self.keeping.note(&teams);
+            self.report_changes(context, &teams, absent);
             self.received_by_others = Some(teams);
         }
     }
@@ -137,7 +142,7 @@ impl Clusterer {
     }
 
     /// Publishes what a division has changed.
-    fn report_changes(&mut self, context: &mut Context<'_>, teams: &Teams) {
+    fn report_changes(&mut self, context: &mut Context<'_>, teams: &Teams, absent: u32) {
         let changes = teams.changes.clone();
         let count = changes.len();
         context.add("team_changes", count as u64);
@@ -148,7 +153,7 @@ impl Clusterer {
         if unreported > 0 {
             context.add("team_changes_untold", unreported as u64);
         }
-        match shortage(teams, context.settings().teams) {
+        match shortage(teams, context.settings().teams, absent) {
             Some((requested, formed, reason)) if self.fewer != Some((requested, formed)) => {
                 self.fewer = Some((requested, formed));
                 let kind = EventKind::FewerTeams { requested, formed, reason };

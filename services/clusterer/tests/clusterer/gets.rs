@@ -6,7 +6,7 @@ use super::*;
 fn the_wiring_is_that_of_the_service() {
     let wiring = Clusterer::wiring();
     let patterns: Vec<_> = wiring.subscriptions.iter().map(|s| s.pattern.clone()).collect();
-    assert_eq!(patterns, [Key::Embedding, Key::Roster, Key::Audit].map(Pattern::One));
+    assert_eq!(patterns, [Key::Embedding, Key::Roster, Key::Audit, Key::Teams].map(Pattern::One));
     for key in [Key::Audit, Key::JsonAudit] {
         assert!(wiring.served.contains(&ServedKey::cached(Pattern::One(key))));
     }

@@ -8,11 +8,13 @@
     reason = "this is a test, and so are its helpers"
 )]
 
+mod absence;
 mod common;
 mod division;
 mod dwell;
 mod gets;
 mod identity;
+mod kept;
 mod properties;
 mod publishing;
 mod recovery;

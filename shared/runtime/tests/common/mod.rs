@@ -5,6 +5,7 @@
 use muster_model::id::{FleetId, InstanceId};
 use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
+use muster_runtime::kept::KeptStore;
 use muster_runtime::observe::{Observatory, Observer};
 use muster_runtime::records::RecordStore;
 use muster_runtime::shell::ServiceOptions;
@@ -74,6 +75,7 @@ pub(crate) fn options<C: Core>(settings: C::Settings) -> ServiceOptions<C::Setti
         settings,
         records: RecordStore::new(None, &fleet, C::SERVICE),
         store: Store::new(None, &fleet, C::SERVICE),
+        kept: KeptStore::new(None, &fleet, C::SERVICE),
         record: None,
         observer: observer::<C>(),
     }

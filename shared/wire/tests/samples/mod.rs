@@ -317,6 +317,7 @@ pub fn event_kinds() -> Vec<EventKind> {
         EventKind::RobotsStale { count: 2, robots: vec![r1(), robot("r2")] },
         EventKind::RobotsRecovered { count: 2, robots: vec![r1(), robot("r2")] },
         EventKind::RobotsLeft { count: 2, robots: vec![r1(), robot("r2")] },
+        EventKind::StateLost { reason: "term.json: cannot be read".to_owned() },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));
     kinds

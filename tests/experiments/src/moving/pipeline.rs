@@ -125,10 +125,12 @@ impl<C: Core> Stage<C> {
                     }
                     Command::Reply(reply) => self.refusal = reply.answer.err(),
                     Command::Store(_) => inputs.push_back(Input::Stored { error: None }),
+                    Command::Keep(_) => inputs.push_back(Input::Kept { error: None }),
                     // There is no other bus here, and these services keep no records.
                     Command::ReplicaState(_)
                     | Command::DeclareToken(_)
                     | Command::WithdrawToken(_)
+                    | Command::KeptIsUnusable(_)
                     | Command::Append(_)
                     | Command::LookUp { .. }
                     | Command::Unencodable(_) => {}

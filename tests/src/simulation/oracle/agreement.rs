@@ -18,6 +18,9 @@ use super::{Divided, Oracle, Published, Verified, breach, silhouettes};
 /// What is promised of a fleet in which nothing changes.
 const UNCHANGED: &str = "unchanged input leaves the teams unchanged";
 
+/// What is promised of a restart of everything, as long as the disks are there.
+const STANDS: &str = "a restart of everything changes no team";
+
 /// What is true of one robot.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct RobotTruth {
@@ -51,6 +54,24 @@ impl Agreed {
     /// Whether there were robots to divide.
     pub(crate) fn has_robots(&self) -> bool {
         self.division.is_some()
+    }
+
+    /// No robot of a division is in another team than it was.
+    pub(crate) fn stands(&self, now: &Teams) -> Verified {
+        let Some(before) = &self.division else { return Ok(()) };
+        let teams: BTreeMap<&RobotId, &TeamId> = before.assignments().collect();
+        let loose = now.unassigned.iter().find(|robot| teams.contains_key(robot));
+        let elsewhere = now
+            .assignments()
+            .find(|(robot, team)| teams.get(robot).is_some_and(|before| before != team))
+            .map(|(robot, _)| robot);
+        match loose.or(elsewhere) {
+            None => Ok(()),
+            Some(robot) => breach(
+                STANDS,
+                format!("{robot} was elsewhere in {:?}, now {:?}", short(before), short(now)),
+            ),
+        }
     }
 }
 
@@ -205,7 +226,8 @@ impl Oracle {
         if (before.publisher, before.settings) != (now.publisher, now.settings) || !same_vectors() {
             return Ok(());
         }
-        let changed = before.teams.requested != now.teams.requested;
+        let number = |teams: &Teams| (teams.requested, teams.teams.len());
+        let changed = number(&before.teams) != number(&now.teams);
         let moved = moved(&before.teams, &now.teams);
         let ids =
             |teams: &Teams| teams.teams.iter().map(|team| team.id.clone()).collect::<Vec<_>>();
@@ -227,6 +249,14 @@ impl Oracle {
             }
         }
         Ok(())
+    }
+
+    /// A restart of everything leaves the division as all had agreed on it.
+    pub(crate) fn stood(&self, before: &Agreed) -> Verified {
+        match self.unchanged(before) {
+            Ok(()) => Ok(()),
+            Err(broken) => breach(STANDS, broken.seen),
+        }
     }
 
     /// Unchanged input leaves the division as all had agreed on it.

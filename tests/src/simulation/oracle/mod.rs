@@ -7,6 +7,7 @@
 mod agreement;
 mod division;
 mod finite;
+mod ids;
 mod memory;
 mod order;
 mod silhouettes;
@@ -131,6 +132,9 @@ pub(crate) struct Oracle {
     /// Which process of a service last published its output.
     last_by: BTreeMap<ServiceName, Publisher>,
     divided: Option<Divided>,
+    /// The ids of teams, where one instance of the clusterer gives them all. Of two, the one that is cut off
+    /// may give some that nobody hears of.
+    ids: Option<ids::Ids>,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
     had_forged_terms: bool,
@@ -140,6 +144,16 @@ impl Oracle {
     /// An instance has lost its disk: it cannot know the terms that it held.
     pub(crate) fn forget_order(&mut self, service: ServiceName, instance: usize) {
         self.order.forget(service, instance);
+        if service == ServiceName::Clusterer
+            && let Some(ids) = &mut self.ids
+        {
+            ids.forget();
+        }
+    }
+
+    /// Every id of a team comes from one instance of the clusterer.
+    pub(crate) fn one_gives_ids(&mut self) {
+        self.ids = Some(ids::Ids::default());
     }
 
     /// An attacker has forged a term: terms no longer follow from clocks and restarts.
@@ -230,6 +244,9 @@ impl Oracle {
             }
             Message::Teams { teams, .. } => {
                 division::check_division(teams, &self.embeddings)?;
+                if let Some(ids) = &mut self.ids {
+                    ids.check(teams)?;
+                }
                 let (moved, counted) = (BTreeSet::new(), false);
                 let teams_now = teams.clone();
                 let divided = Divided { publisher, settings, teams: teams_now, moved, counted };

@@ -1,0 +1,71 @@
+//! Robots that are awaited before the fleet is divided.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use muster_model::id::RobotId;
+use muster_model::time::Tick;
+
+use super::Clusterer;
+
+/// How long the robots of a division that was found on disk are awaited before the first division, from the
+/// first robot on. Robots connect again within a second or two of the router's return, and repeat their links and
+/// ranks as often: before that, what relates them is not what it was when they were divided.
+const REUNION_TIME: Duration = Duration::from_secs(3);
+
+/// How long robots that return are awaited until something relates them to others: their next report, and the
+/// frame that holds it. Without that they would be told that they have no team, and a moment later that they
+/// have their old one.
+const RELATION_TIME: Duration = Duration::from_secs(1);
+
+/// The robots of a division that was found on disk are awaited.
+#[derive(Debug, Default)]
+pub(super) struct Reunion {
+    /// When the first of them was there.
+    begun: Option<Tick>,
+}
+
+impl Clusterer {
+    /// Whether the robots of the division that was found on disk are still awaited.
+    pub(super) fn awaits_robots(&mut self, now: Tick) -> bool {
+        let (Some(reunion), Some(newest)) = (&mut self.reunion, &self.newest) else {
+            return false;
+        };
+        if newest.embedding.robots.is_empty() {
+            return true;
+        }
+        let begun = *reunion.begun.get_or_insert(now);
+        let are_awaited = now.since(begun) < REUNION_TIME;
+        if !are_awaited {
+            self.reunion = None;
+        }
+        are_awaited
+    }
+
+    /// Whether robots that return are awaited until something relates them to others.
+    pub(super) fn awaits_relations(&mut self, now: Tick) -> bool {
+        let (Some(newest), Some(division)) = (&self.newest, &self.division) else { return false };
+        let robots = newest.embedding.robots.iter().zip(&newest.embedding.without_embedding);
+        let loose = robots.filter(|(_, without)| **without).map(|(robot, _)| robot);
+        let mut back = loose.filter(|robot| self.memory.last_team(robot).is_some()).peekable();
+        if back.peek().is_none() {
+            self.returning_since = None;
+            return false;
+        }
+        let members = division.assignments().map(|(robot, _)| robot);
+        let divided: BTreeSet<&RobotId> = members.chain(&division.unassigned).collect();
+        if back.all(|robot| divided.contains(robot)) {
+            self.returning_since = None;
+            return false;
+        }
+        now.since(*self.returning_since.get_or_insert(now)) < RELATION_TIME
+    }
+
+    /// When robots are awaited no longer.
+    pub(super) fn awaits_until(&self) -> Option<Tick> {
+        let begun = self.reunion.as_ref().and_then(|reunion| reunion.begun);
+        let reunion = begun.map(|begun| begun.after(REUNION_TIME));
+        let returning = self.returning_since.map(|since| since.after(RELATION_TIME));
+        reunion.into_iter().chain(returning).min()
+    }
+}

@@ -1,0 +1,221 @@
+//! What is kept on disk, so that ids and members stand after a restart of everything.
+//!
+//! The last division is written when its teams have changed, not with every frame. Numbers of new teams are
+//! reserved on disk in blocks, before a division can give them: whatever was lost since, no number is given
+//! again. A standby keeps the divisions that it hears.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use muster_model::content::Checked;
+use muster_model::teams::Teams;
+use muster_model::time::Tick;
+use muster_wire::kept::KeptTeams;
+
+use crate::identity::is_believable;
+
+/// Shortest time between two writes of divisions: a fleet that changes in every frame must not wear out its
+/// disk, and what a power cut may lose is less than half a second of changes.
+const WRITE_INTERVAL: Duration = Duration::from_millis(500);
+
+/// How long after a failed write the next is tried.
+const RETRY_TIME: Duration = Duration::from_secs(10);
+
+/// How many numbers are reserved beyond those that the next division may give: a fleet that forms a new team
+/// every few seconds writes every few minutes.
+const NUMBER_BLOCK: u64 = 100;
+
+/// How long a division waits for its numbers to be on disk. A disk that hangs must not stop a fleet.
+const RESERVATION_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// What is on disk, or on its way.
+#[derive(Debug, Default)]
+pub(crate) struct Keeping {
+    /// The newest division to be kept.
+    newest: Option<Checked<Teams>>,
+    /// The division of the last write.
+    written: Option<Checked<Teams>>,
+    /// When a division was last written.
+    written_at: Option<Tick>,
+    /// When the last write failed.
+    failed_at: Option<Tick>,
+    /// The end of the numbers that each write that is under way reserves.
+    under_way: VecDeque<u64>,
+    /// All numbers below this one are reserved on disk, or were not in time.
+    reserved: u64,
+    /// The same, once all writes have ended.
+    requested: u64,
+    /// When more numbers were requested.
+    requested_at: Option<Tick>,
+    /// No number below this one may be given: it may have been given.
+    pub(crate) next_team: u64,
+}
+
+impl Keeping {
+    /// Takes over what was kept.
+    ///
+    /// # Errors
+    /// What is wrong with the bytes.
+    pub(crate) fn restore(&mut self, content: &[u8]) -> Result<(), String> {
+        let kept = KeptTeams::decode(content).map_err(|error| error.to_string())?;
+        self.next_team = kept.reserved;
+        (self.reserved, self.requested) = (kept.reserved, kept.reserved);
+        self.written.clone_from(&kept.teams);
+        self.newest = kept.teams;
+        Ok(())
+    }
+
+    /// The division to be kept.
+    pub(crate) fn division(&self) -> Option<&Checked<Teams>> {
+        self.newest.as_ref()
+    }
+
+    /// A division was published, by this instance or another one.
+    pub(crate) fn note(&mut self, teams: &Checked<Teams>) {
+        self.next_team = self.next_team.max(teams.next_team);
+        self.newest = Some(teams.clone());
+    }
+
+    /// A division was heard while another instance leads.
+    pub(crate) fn hear(&mut self, teams: &Checked<Teams>) {
+        if is_believable(teams) {
+            self.note(teams);
+            // The leader may give some more that this instance does not hear of.
+            let given = teams.next_team.saturating_add(NUMBER_BLOCK / 2);
+            if given > self.requested {
+                self.requested = given.saturating_add(NUMBER_BLOCK / 2);
+            }
+        }
+    }
+
+    /// Whether the numbers up to `need` may be given; if not, they are being reserved.
+    pub(crate) fn may_give(&mut self, now: Tick, need: u64) -> bool {
+        if need > self.requested {
+            self.requested = need.saturating_add(NUMBER_BLOCK);
+            self.requested_at = Some(now);
+        }
+        let waited = self.requested_at.is_none_or(|at| now.since(at) >= RESERVATION_TIMEOUT);
+        need <= self.reserved || waited
+    }
+
+    /// When a division that waits for its numbers waits no longer.
+    pub(crate) fn gives_at(&self) -> Option<Tick> {
+        let at = self.requested_at.filter(|_| self.reserved < self.requested)?;
+        Some(at.after(RESERVATION_TIMEOUT))
+    }
+
+    /// When something is to be written: at once if numbers are to be reserved.
+    pub(crate) fn due(&self) -> Option<Tick> {
+        let begun = self.under_way.iter().max().copied().unwrap_or(self.reserved);
+        if let Some(failed_at) = self.failed_at {
+            return Some(failed_at.after(RETRY_TIME));
+        }
+        if self.requested > begun {
+            return Some(Tick(0));
+        }
+        if !self.is_changed() || !self.under_way.is_empty() {
+            return None;
+        }
+        Some(self.written_at.map_or(Tick(0), |at| at.after(WRITE_INTERVAL)))
+    }
+
+    fn is_changed(&self) -> bool {
+        match (&self.newest, &self.written) {
+            (Some(newest), Some(written)) => !same_teams(newest, written),
+            (newest, _) => newest.is_some(),
+        }
+    }
+
+    /// The bytes to be written now; none if they have no form.
+    pub(crate) fn write(&mut self, now: Tick) -> Option<Vec<u8>> {
+        if self.is_changed() {
+            self.written_at = Some(now);
+        }
+        self.written.clone_from(&self.newest);
+        self.failed_at = None;
+        let kept = KeptTeams { reserved: self.requested, teams: self.newest.clone() };
+        let bytes = kept.encode().ok();
+        if bytes.is_some() {
+            self.under_way.push_back(self.requested);
+        } else {
+            self.reserved = self.requested;
+        }
+        bytes
+    }
+
+    /// A write has ended. One that failed reserves numbers until the end of the process: the fleet goes on.
+    pub(crate) fn ended(&mut self, now: Tick, is_on_disk: bool) {
+        if let Some(reserved) = self.under_way.pop_front() {
+            self.reserved = self.reserved.max(reserved);
+            self.failed_at = if is_on_disk { self.failed_at } else { Some(now) };
+        }
+        if self.reserved >= self.requested {
+            self.requested_at = None;
+        }
+    }
+
+    /// How many whole messages it holds.
+    pub(crate) fn message_count(&self) -> usize {
+        usize::from(self.newest.is_some()) + usize::from(self.written.is_some())
+    }
+}
+
+/// Whether two divisions have the same teams with the same members and leaders.
+fn same_teams(left: &Teams, right: &Teams) -> bool {
+    left.requested == right.requested
+        && left.teams.len() == right.teams.len()
+        && left.teams.iter().zip(&right.teams).all(|(left, right)| {
+            let robots = |team: &'_ muster_model::teams::Team| -> Vec<_> {
+                team.members.iter().map(|member| member.robot.clone()).collect()
+            };
+            left.id == right.id && left.leader == right.leader && robots(left) == robots(right)
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: u64) -> Tick {
+        Tick(1_000_000).after(Duration::from_millis(ms))
+    }
+
+    #[test]
+    fn numbers_are_reserved_before_they_are_given_and_in_blocks() {
+        let mut keeping = Keeping::default();
+        assert!(!keeping.may_give(at(0), 4));
+        assert_eq!(keeping.due(), Some(Tick(0)));
+        let bytes = keeping.write(at(0)).unwrap();
+        assert_eq!(KeptTeams::decode(&bytes).unwrap().reserved, 104);
+        assert_eq!(keeping.due(), None);
+        assert!(!keeping.may_give(at(10), 4), "it is not on disk yet");
+        keeping.ended(at(10), true);
+        assert!(keeping.may_give(at(11), 104) && !keeping.may_give(at(11), 105));
+        let mut next = Keeping::default();
+        next.restore(&bytes).unwrap();
+        assert_eq!(next.next_team, 104, "whatever was given of them");
+        assert!(!next.may_give(at(0), 107));
+    }
+
+    #[test]
+    fn a_disk_that_hangs_or_fails_stops_nobody() {
+        let mut keeping = Keeping::default();
+        assert!(!keeping.may_give(at(0), 4));
+        assert_eq!(keeping.gives_at(), Some(at(2000)));
+        assert!(keeping.write(at(0)).is_some());
+        assert!(keeping.may_give(at(2000), 4));
+        keeping.ended(at(2000), false);
+        assert!(keeping.may_give(at(2001), 4));
+        assert_eq!(keeping.due(), Some(at(12_000)), "it is tried again");
+        assert!(keeping.write(at(12_000)).is_some());
+        keeping.ended(at(12_000), true);
+        assert_eq!((keeping.due(), keeping.gives_at()), (None, None));
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_refused() {
+        let mut keeping = Keeping::default();
+        assert!(keeping.restore(b"{}").unwrap_err().contains("no kept division"));
+        assert!(keeping.division().is_none());
+    }
+}

@@ -1,0 +1,155 @@
+//! Seats: while a whole team is absent its place is kept, so that the robots that are there are divided into
+//! the number of teams less those that are absent, and nobody has to fill a place that is only empty for now.
+//!
+//! A team is absent while none of its robots is in the embedding: their link is cut, or the services have just
+//! been started and hear one robot after the other. Its seat is kept for as long as the team is remembered
+//! (`TEAM_MEMORY_TIME`). Robots that no team knows may be a team of their own: for a moment after they came
+//! the evidence decides whether they get a free seat.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+use muster_model::embedding::Embedding;
+use muster_model::id::{RobotId, TeamId};
+use muster_model::settings::TeamCount;
+use muster_model::teams::Teams;
+use muster_model::time::Tick;
+
+use crate::memory::Memory;
+
+/// For how long after robots came that no team knows the evidence decides whether they get a free seat: the
+/// robots of a team come within a second or two, one after the other.
+const NEWCOMERS_SETTLE_TIME: Duration = Duration::from_secs(3);
+
+/// Who has a team, at one embedding.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct Seats {
+    /// The teams of which a robot is there.
+    present: BTreeSet<TeamId>,
+    /// How many teams have a seat and no robot that is there.
+    pub(crate) absent: u32,
+    /// How many of the present teams are not in the last division: they return.
+    returning: u32,
+    /// Whether there are robots that no team knows.
+    newcomers: bool,
+}
+
+impl Seats {
+    /// The seats of the last division and of the teams that are remembered.
+    pub(crate) fn of(division: Option<&Teams>, memory: &Memory, embedding: &Embedding) -> Self {
+        let Some(division) = division else { return Self::default() };
+        let last_of = last_teams(division, memory, embedding);
+        let mut seats = Self { newcomers: last_of.contains(&None), ..Self::default() };
+        let occupied: BTreeSet<&TeamId> = last_of.into_iter().flatten().collect();
+        for team in &division.teams {
+            if occupied.contains(&team.id) {
+                seats.present.insert(team.id.clone());
+            } else {
+                seats.absent += 1;
+            }
+        }
+        for id in memory.lost_teams() {
+            if occupied.contains(id) {
+                seats.present.insert(id.clone());
+                seats.returning += 1;
+            } else {
+                seats.absent += 1;
+            }
+        }
+        if seats.present.is_empty() {
+            // Whoever is there, nobody of them had a team: there is nothing to keep together.
+            seats.absent = 0;
+        }
+        seats
+    }
+
+    /// How many teams the robots that are there were in, none if there is no division to go on from.
+    /// `requested` is the number that the last division was asked for.
+    pub(crate) fn current(&self, requested: Option<u32>) -> Option<u32> {
+        if self.absent == 0 && self.returning == 0 {
+            // Robots in the same place are fewer teams than asked for, and may come apart.
+            return requested;
+        }
+        u32::try_from(self.present.len()).ok()
+    }
+
+    /// The number of teams that is wanted of the robots that are there, while absent teams keep their seats.
+    pub(crate) fn wanted(
+        &self,
+        now: Tick,
+        wanted: TeamCount,
+        current: Option<u32>,
+        newcomers: &mut Newcomers,
+    ) -> TeamCount {
+        if self.newcomers {
+            newcomers.last = Some(now);
+        }
+        if self.absent == 0 {
+            return wanted;
+        }
+        let less = |teams: u32| teams.saturating_sub(self.absent).max(1);
+        match (wanted, current) {
+            (TeamCount::Auto, _) => wanted,
+            (TeamCount::Between { from, to }, _) => TeamCount::Between { from: less(from), to },
+            (TeamCount::Fixed(teams), Some(current)) if !newcomers.decide(now) => {
+                TeamCount::Fixed(current.clamp(less(teams), teams))
+            }
+            (TeamCount::Fixed(to), _) => TeamCount::Between { from: less(to), to },
+        }
+    }
+}
+
+/// When robots were last there that no team knew.
+#[derive(Debug, Default)]
+pub(crate) struct Newcomers {
+    last: Option<Tick>,
+}
+
+impl Newcomers {
+    fn decide(&self, now: Tick) -> bool {
+        self.last.is_some_and(|last| now.since(last) < NEWCOMERS_SETTLE_TIME)
+    }
+}
+
+/// The team of each robot that has an embedding, in the order of the embedding: in the division, or else the
+/// last one that is remembered.
+pub(crate) fn last_teams<'a>(
+    division: &'a Teams,
+    memory: &'a Memory,
+    embedding: &Embedding,
+) -> Vec<Option<&'a TeamId>> {
+    let team_of: BTreeMap<&RobotId, &TeamId> = division.assignments().collect();
+    let known = |robot: &RobotId| team_of.get(robot).copied().or_else(|| memory.last_team(robot));
+    let robots = embedding.robots.iter().zip(&embedding.without_embedding);
+    robots.filter(|(_, without)| !**without).map(|(robot, _)| known(robot)).collect()
+}
+
+/// A division as it would be with the seats of the next one: without the teams that have lost all their
+/// robots, and with those whose robots are all back. What is between the two are moves of robots alone; none
+/// if teams were divided or put together.
+pub(crate) fn reseated(before: &Teams, new: &Teams) -> Option<Teams> {
+    let ids = |teams: &Teams| -> BTreeSet<TeamId> {
+        teams.teams.iter().map(|team| team.id.clone()).collect()
+    };
+    let (old_ids, new_ids) = (ids(before), ids(new));
+    if old_ids == new_ids {
+        return None;
+    }
+    let old: BTreeSet<&RobotId> = before.assignments().map(|(robot, _)| robot).collect();
+    let now: BTreeSet<&RobotId> = new.assignments().map(|(robot, _)| robot).collect();
+    let is_among = |robots: &BTreeSet<&RobotId>, team: &muster_model::teams::Team| {
+        team.members.iter().any(|member| robots.contains(&member.robot))
+    };
+    let lost = |team: &&muster_model::teams::Team| !new_ids.contains(&team.id);
+    let back = |team: &&muster_model::teams::Team| !old_ids.contains(&team.id);
+    if before.teams.iter().filter(lost).any(|team| is_among(&now, team))
+        || new.teams.iter().filter(back).any(|team| is_among(&old, team))
+    {
+        return None;
+    }
+    let mut seated = before.clone();
+    seated.teams.retain(|team| new_ids.contains(&team.id));
+    seated.teams.extend(new.teams.iter().filter(back).cloned());
+    seated.requested = new.requested;
+    Some(seated)
+}

@@ -1,0 +1,149 @@
+//! Whole teams that are absent for a while: their seats are kept.
+
+use super::*;
+
+/// Three teams, each with parts of its own that a fourth or third team could be made of.
+const CAMPS: [(&str, [f64; 2]); 4] = [
+    ("a b c d e", [0.0, 0.0]),
+    ("m n o p", [9.0, 0.0]),
+    ("w x y z", [0.0, 9.0]),
+    ("q r s", [9.0, 9.0]),
+];
+
+/// The robots of a camp stand in a row: more teams than camps are always a better division.
+fn camps(epoch: u64, present: &str, scores: &[f64]) -> Checked<Embedding> {
+    let mut rows = Vec::new();
+    for (names, place) in CAMPS {
+        for (i, name) in names.split_whitespace().enumerate() {
+            if present.split_whitespace().any(|there| there == name) {
+                let apart = f64::from(u32::try_from(i).unwrap());
+                rows.push((robot(name), vec![place[0] + apart, place[1] + 0.1 * apart], false));
+            }
+        }
+    }
+    let mut embedding = Embedding::clone(&from_rows(1, epoch, rows));
+    let best = (1..).zip(scores).max_by(|left, right| left.1.total_cmp(right.1));
+    embedding.quality.teams_shown = best.map(|(teams, _)| teams);
+    embedding.quality.team_scores = scores.to_vec();
+    Checked::new_unchecked(embedding)
+}
+
+const ALL: &str = "a b c d m n o p w x y z";
+const WITHOUT: &str = "a b c d m n o p";
+const TWO: [f64; 4] = [0.1, 0.6, 0.2, 0.1];
+const THREE: [f64; 4] = [0.1, 0.2, 0.6, 0.1];
+const WHOLE: &str = "t1: a b c d | t2: m n o p | t3: w x y z";
+const REST: &str = "t1: a b c d | t2: m n o p";
+
+fn settings(teams: TeamCount) -> ClustererSettings {
+    ClustererSettings { teams, restarts: 10, ..ClustererSettings::default() }
+}
+
+/// The division that holds.
+fn held(bench: &mut Bench) -> Checked<Teams> {
+    match &bench.get("teams", None).unwrap()[..] {
+        [Message::Teams { teams, .. }] => teams.clone(),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_team_that_is_cut_off_moves_nobody_else_and_comes_back_as_what_it_was() {
+    let range = TeamCount::Between { from: 3, to: 5 };
+    for wanted in [TeamCount::Fixed(3), TeamCount::Auto, range] {
+        let (mut bench, first) = divided(settings(wanted), &camps(1, ALL, &THREE));
+        assert_eq!(short(&first), WHOLE, "{wanted}");
+        let mut epoch = 1;
+        let mut receive = |bench: &mut Bench, present: &str, scores: &[f64]| {
+            epoch += 1;
+            bench.wait(0.1);
+            bench.receive_embedding(&camps(epoch, present, scores));
+            held(bench)
+        };
+        // They leave and come back one after the other.
+        for present in ["a b c d m n o p w x y", "a b c d m n o p y"] {
+            let left = receive(&mut bench, present, &THREE);
+            assert!(left.teams.len() == 3 && short(&left).starts_with(REST), "{}", short(&left));
+        }
+        for _ in 0..100 {
+            let rest = receive(&mut bench, WITHOUT, &TWO);
+            assert_eq!(short(&rest), REST, "{wanted}");
+        }
+        let present = ["a b c d m n o p z", "a b c d m n o p w z", ALL];
+        for (present, team) in present.iter().zip(["t3: z", "t3: w z", "t3: w x y z"]) {
+            let back = receive(&mut bench, present, &THREE);
+            assert_eq!(short(&back), format!("{REST} | {team}"), "{wanted}");
+        }
+        assert_eq!(bench.counter("moves_held"), 0, "{wanted}");
+    }
+}
+
+#[test]
+fn an_absent_team_is_the_reason_for_fewer_teams_and_not_reported_as_another_one() {
+    let (mut bench, _) = divided(settings(TeamCount::Fixed(3)), &camps(1, ALL, &[]));
+    bench.receive_embedding(&camps(2, WITHOUT, &[]));
+    let sent = bench.take();
+    assert_eq!((sent.division().requested, sent.division().teams.len()), (3, 2));
+    let reasons = sent.events.iter().filter_map(|kind| match kind {
+        EventKind::FewerTeams { requested: 3, formed: 2, reason } => Some(reason.as_str()),
+        _ => None,
+    });
+    assert_eq!(reasons.collect::<Vec<_>>(), ["all robots of 1 other team are absent"]);
+}
+
+#[test]
+fn a_seat_is_given_up_when_the_team_is_forgotten() {
+    let (mut bench, _) = divided(settings(TeamCount::Fixed(3)), &camps(1, ALL, &[]));
+    bench.receive_embedding(&camps(2, WITHOUT, &[]));
+    assert_eq!(short(&held(&mut bench)), REST);
+    bench.wait(59.0);
+    bench.take();
+    bench.receive_embedding(&camps(3, "a b c m n o p", &[]));
+    assert_eq!(held(&mut bench).teams.len(), 2);
+    bench.wait(1.5);
+    bench.take();
+    bench.receive_embedding(&camps(4, WITHOUT, &[]));
+    assert_eq!(held(&mut bench).teams.len(), 3, "three teams are asked for");
+}
+
+#[test]
+fn robots_that_no_team_knows_get_a_free_seat_if_the_evidence_is_for_it() {
+    let (relief, one) = ("a b c d m n o p q r s", "a b c d e m n o p");
+    for (present, scores, wanted) in [
+        (relief, &THREE, "t1: a b c d | t2: m n o p | t4: q r s"),
+        (one, &TWO, "t1: a b c d e | t2: m n o p"),
+    ] {
+        let (mut bench, _) = divided(settings(TeamCount::Fixed(3)), &camps(1, ALL, &THREE));
+        bench.receive_embedding(&camps(2, WITHOUT, &TWO));
+        assert_eq!(short(&held(&mut bench)), REST);
+        for epoch in 3..60 {
+            bench.wait(0.1);
+            bench.take();
+            bench.receive_embedding(&camps(epoch, present, scores));
+        }
+        assert_eq!(short(&held(&mut bench)), wanted);
+    }
+}
+
+#[test]
+fn who_returns_without_relations_is_not_told_that_it_has_no_team() {
+    let all = [("a b", WEST), ("x y", EAST)];
+    let (mut bench, _) = divided(settings(TeamCount::Fixed(2)), &embedding(1, &all));
+    bench.receive_embedding(&embedding(2, &[("a b", WEST)]));
+    bench.wait(2.0);
+    bench.take();
+    bench.receive_embedding(&embedding(3, &[("a b", WEST), ("x!", EAST)]));
+    bench.wait(0.5);
+    bench.receive_embedding(&embedding(4, &[("a b", WEST), ("x! y", EAST)]));
+    bench.wait(0.4);
+    assert!(bench.take().robots.iter().all(|told| told.team.is_some()));
+    bench.receive_embedding(&embedding(5, &all));
+    assert_eq!(short(&held(&mut bench)), "t1: a b | t2: x y");
+    assert!(bench.take().robots.iter().all(|told| told.team.is_some()));
+    // Who has none after a second has none.
+    bench.receive_embedding(&embedding(6, &[("a b", WEST)]));
+    bench.wait(0.1);
+    bench.receive_embedding(&embedding(7, &[("a b", WEST), ("x!", EAST)]));
+    bench.wait(1.1);
+    assert_eq!(short(&held(&mut bench)), "t1: a b | - x");
+}

@@ -1,0 +1,195 @@
+//! What stands after a restart of everything, when nobody but the disk remembers the division.
+
+use muster_service::Command;
+use muster_wire::kept::KeptTeams;
+
+use super::*;
+
+const ALL: [(&str, [f64; 2]); 3] = [("a b c", WEST), ("m n o", EAST), ("x y z", NORTH)];
+
+fn settings() -> ClustererSettings {
+    ClustererSettings { dwell_s: 0.5, ..teams(3) }
+}
+
+/// The next process with what was on disk. Nobody answers it.
+fn restarted(settings: ClustererSettings, kept: &[u8]) -> Bench {
+    let mut bench = Bench::new(settings);
+    bench.input(Input::Restored(kept.to_vec()));
+    bench.start(vec![]);
+    bench
+}
+
+fn kept(bench: &Bench) -> KeptTeams {
+    KeptTeams::decode(bench.kept.as_ref().expect("something is kept")).unwrap()
+}
+
+#[test]
+fn ids_members_and_leaders_stand_though_robots_come_one_by_one() {
+    // Their ids are not those that a first division gives.
+    let (mut bench, _) = divided(settings(), &embedding(1, &ALL));
+    bench.get("service/clusterer/settings", Some("{\"teams\":1}")).unwrap();
+    bench.wait(61.0);
+    bench.get("service/clusterer/settings", Some("{\"teams\":3}")).unwrap();
+    bench.wait(1.0);
+    let last = bench.take().teams.pop().unwrap().0;
+    assert_ne!(short(&last), "t1: a b c | t2: m n o | t3: x y z");
+    let mut next = restarted(settings(), &bench.kept.clone().unwrap());
+    for (epoch, present) in (3..).zip([
+        vec![("c", WEST), ("x", NORTH)],
+        vec![("c", WEST), ("n", EAST), ("x y", NORTH)],
+        vec![("a c", WEST), ("n", EAST), ("x y z", NORTH)],
+    ]) {
+        next.receive_embedding(&embedding(epoch, &present));
+        next.wait(0.2);
+        let sent = next.take();
+        assert!(sent.teams.is_empty() && sent.robots.is_empty(), "they are awaited: {sent:?}");
+    }
+    next.receive_embedding(&embedding(9, &ALL));
+    next.wait(2.5);
+    let sent = next.take();
+    assert!(sent.changes().is_empty(), "{sent:?}");
+    assert_eq!(
+        (short(&sent.division()), leaders(&sent.division())),
+        (short(&last), leaders(&last))
+    );
+}
+
+#[test]
+fn who_is_not_back_in_time_keeps_its_seat() {
+    let (bench, last) = divided(settings(), &embedding(1, &ALL));
+    let mut next = restarted(settings(), &bench.kept.clone().unwrap());
+    next.receive_embedding(&embedding(2, &[]));
+    next.wait(60.0);
+    assert!(next.take().teams.is_empty(), "no robot was there yet");
+    let there = embedding(3, &[("a b c", WEST), ("x", NORTH)]);
+    next.receive_embedding(&there);
+    next.wait(2.9);
+    assert!(next.take().teams.is_empty());
+    next.wait(0.2);
+    assert_eq!(short(&next.take().division()), "t1: a b c | t3: x");
+    next.receive_embedding(&embedding(4, &ALL));
+    assert!(next.take().division().same_division(&last));
+}
+
+#[test]
+fn no_number_is_given_twice_though_the_last_writes_are_lost() {
+    let (mut bench, _) = divided(settings(), &embedding(1, &[("a b c", WEST)]));
+    let on_disk = bench.kept.clone().unwrap();
+    let mut highest = 0;
+    for epoch in 2..20_u64 {
+        // A minute later, another fleet: its teams are new ones. Nothing of it gets to the disk.
+        bench.wait(61.0);
+        let names = [format!("a{epoch} b{epoch}"), format!("c{epoch} d{epoch}")];
+        bench.receive_embedding(&embedding(epoch, &[(&names[0], WEST), (&names[1], EAST)]));
+        let last = bench.take().teams.pop().unwrap().0;
+        highest = last.next_team;
+    }
+    assert!(highest > 30 && highest < kept(&bench).reserved, "{highest}");
+    let mut next = restarted(settings(), &on_disk);
+    next.receive_embedding(&embedding(30, &[("n1 n2", WEST), ("n3", EAST), ("a b c", NORTH)]));
+    next.wait(3.1);
+    let division = next.division();
+    assert!(short(&division).starts_with("t1: a b c | "), "{}", short(&division));
+    let number = |id: &TeamId| id.as_str()[1..].parse::<u64>().unwrap();
+    assert!(division.teams[1..].iter().all(|team| number(&team.id) >= highest), "{division:?}");
+}
+
+#[test]
+fn a_division_waits_until_its_numbers_are_on_disk_but_not_for_ever() {
+    let mut bench = Bench::new(settings());
+    bench.hold_stores = true;
+    bench.start(vec![]);
+    bench.receive_embedding(&embedding(1, &ALL));
+    let keeps = |bench: &Bench| {
+        bench.others.iter().filter(|command| matches!(command, Command::Keep(_))).count()
+    };
+    assert_eq!((bench.jobs_run, keeps(&bench)), (0, 1));
+    bench.input(Input::Kept { error: None });
+    assert_eq!(short(&bench.division()), "t1: a b c | t2: m n o | t3: x y z");
+
+    let mut hanging = Bench::new(settings());
+    hanging.hold_stores = true;
+    hanging.start(vec![]);
+    hanging.receive_embedding(&embedding(1, &ALL));
+    hanging.wait(1.9);
+    assert_eq!(hanging.jobs_run, 0);
+    hanging.wait(0.2);
+    assert_eq!(short(&hanging.take().teams[0].0), "t1: a b c | t2: m n o | t3: x y z");
+}
+
+#[test]
+fn it_is_written_when_teams_change_and_not_with_every_frame() {
+    let first = embedding(1, &ALL);
+    let (mut bench, _) = divided(settings(), &first);
+    bench.wait(1.0);
+    let written = bench.counter("divisions_kept");
+    for epoch in 2..50 {
+        bench.wait(0.1);
+        let moved = [("a b c", WEST), ("m n o", [1.0, 0.01 * epoch as f64]), ("x y z", NORTH)];
+        bench.receive_embedding(&embedding(epoch, &moved));
+    }
+    assert_eq!(bench.counter("divisions_kept"), written);
+    bench.receive_embedding(&embedding(50, &[("a b c", WEST), ("m n o", EAST), ("x y", NORTH)]));
+    let last = bench.take().teams.pop().unwrap().0;
+    assert_eq!(bench.counter("divisions_kept"), written + 1);
+    assert!(kept(&bench).teams.unwrap().same_division(&last));
+}
+
+#[test]
+fn a_standby_keeps_what_it_hears_and_takes_over_from_it() {
+    let (_, heard) = divided(settings(), &embedding(1, &ALL));
+    let mut numbered = Teams::clone(&heard);
+    numbered.next_team = 70;
+    let heard = Checked::new_unchecked(numbered);
+    let mut standby = Bench::new(settings());
+    standby.input(Input::Started { linked: true });
+    standby.receive(mirrored(&heard));
+    assert_eq!(kept(&standby).teams, Some(heard.clone()));
+    assert!(kept(&standby).reserved > 70);
+    let mut next = restarted(settings(), &standby.kept.clone().unwrap());
+    next.receive_embedding(&embedding(2, &ALL));
+    next.wait(3.1);
+    assert!(next.division().same_division(&heard));
+    // A forged message must not take the numbers that are left.
+    let mut forged = Teams::clone(&heard);
+    (forged.header, forged.next_team) = (header(9, 1), u64::MAX);
+    standby.receive(mirrored(&Checked::new_unchecked(forged)));
+    assert!(kept(&standby).reserved < 1000);
+}
+
+#[test]
+fn a_division_that_a_service_remembers_is_newer_than_the_disk() {
+    let (bench, _) = divided(settings(), &embedding(1, &ALL));
+    let kept = bench.kept.clone().unwrap();
+    let mut newer =
+        Teams::clone(&bench_division(&embedding(1, &[("a b", WEST), ("c m n o x y z", EAST)])));
+    newer.header = header(4, 1);
+    let newer = Checked::new_unchecked(newer);
+    let mut next = Bench::new(teams(2));
+    next.input(Input::Restored(kept));
+    next.start(vec![mirrored(&newer)]);
+    match &next.get("teams", None).unwrap()[..] {
+        [Message::Teams { teams, .. }] => assert_eq!(*teams, newer),
+        other => panic!("{other:?}"),
+    }
+}
+
+fn bench_division(embedding: &Checked<Embedding>) -> Checked<Teams> {
+    divided(teams(2), embedding).1
+}
+
+#[test]
+fn a_damaged_file_is_told_and_not_used() {
+    let (bench, _) = divided(settings(), &embedding(1, &ALL));
+    let mut damaged = bench.kept.clone().unwrap();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 4;
+    let mut next = restarted(settings(), &damaged);
+    let told = next.others.iter().find_map(|command| match command {
+        Command::KeptIsUnusable(problem) => Some(problem.clone()),
+        _ => None,
+    });
+    assert!(told.unwrap().contains("checksum"));
+    next.receive_embedding(&embedding(1, &ALL));
+    assert_eq!(short(&next.division()), "t1: a b c | t2: m n o | t3: x y z");
+}

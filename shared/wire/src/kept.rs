@@ -1,0 +1,161 @@
+//! What a service keeps over a restart beside its settings, as bytes of a file.
+//!
+//! A file is [`MAGIC`], the [`VERSION`] of the content, and one frame: length, checksum, and the content. That
+//! is the end of the reserved numbers in eight bytes with the lowest first, and the division as it is on the bus,
+//! if there was one. A file that breaks off or was damaged is told from a whole one, and is not used.
+
+use muster_model::content::Checked;
+use muster_model::teams::Teams;
+
+use crate::envelope::{self, EnvelopeError, MAX_SERVICE_PAYLOAD};
+use crate::recording::{framed, unframed};
+
+/// The first bytes of every file.
+pub const MAGIC: [u8; 8] = *b"\xB7mustkpt";
+
+/// Version of the content. Any change of its types is a new version.
+pub const VERSION: u8 = 1;
+
+/// Magic bytes and version.
+const HEAD: usize = MAGIC.len() + 1;
+
+/// Largest file in bytes: a division as large as a message may be, and what stands around it.
+pub const MAX_KEPT: usize = MAX_SERVICE_PAYLOAD + 1024;
+
+/// Why a file is not used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum KeptError {
+    /// The first bytes are others, or too few.
+    #[error("this is no kept division")]
+    NotKept,
+    /// The content has another form.
+    #[error("the kept division has version {0}, and this program reads version {VERSION}")]
+    Version(u8),
+    /// The bytes are not those that were written.
+    #[error("the kept division is damaged: {0}")]
+    Damaged(String),
+}
+
+/// What the clusterer keeps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KeptTeams {
+    /// All numbers of teams below this one may have been given; they are never given again.
+    pub reserved: u64,
+    /// The last division, if there was one.
+    pub teams: Option<Checked<Teams>>,
+}
+
+impl KeptTeams {
+    /// The bytes of the file.
+    ///
+    /// # Errors
+    /// [`EnvelopeError`] if the division is larger than [`MAX_KEPT`] bytes.
+    pub fn encode(&self) -> Result<Vec<u8>, EnvelopeError> {
+        let mut content = self.reserved.to_le_bytes().to_vec();
+        if let Some(teams) = &self.teams {
+            content.extend(envelope::encode(&**teams)?);
+        }
+        let mut bytes = MAGIC.to_vec();
+        bytes.push(VERSION);
+        bytes.extend(framed(&content, MAX_KEPT - 2 * HEAD)?);
+        Ok(bytes)
+    }
+
+    /// Reads the bytes of a file.
+    ///
+    /// # Errors
+    /// [`KeptError`] names what is wrong with them.
+    pub fn decode(bytes: &[u8]) -> Result<Self, KeptError> {
+        let damaged = |problem: String| KeptError::Damaged(problem);
+        let (Some(head), Some(rest)) = (bytes.get(..HEAD), bytes.get(HEAD..)) else {
+            return Err(KeptError::NotKept);
+        };
+        if head[..MAGIC.len()] != MAGIC {
+            return Err(KeptError::NotKept);
+        }
+        if head[MAGIC.len()] != VERSION {
+            return Err(KeptError::Version(head[MAGIC.len()]));
+        }
+        let content = unframed(rest, MAX_KEPT).map_err(damaged)?;
+        let Some((reserved, division)) = content.split_first_chunk() else {
+            return Err(damaged("it breaks off".to_owned()));
+        };
+        let reserved = u64::from_le_bytes(*reserved);
+        if division.is_empty() {
+            return Ok(Self { reserved, teams: None });
+        }
+        let teams: Teams =
+            envelope::decode(division).map_err(|error| damaged(error.to_string()))?;
+        let teams = Checked::new(teams).map_err(|error| damaged(error.to_string()))?;
+        Ok(Self { reserved, teams: Some(teams) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::header::{Header, Revision};
+    use muster_model::id::{FleetId, RobotId, TeamId};
+    use muster_model::teams::{Member, Team};
+
+    use super::*;
+
+    fn kept() -> KeptTeams {
+        let robot = RobotId::new("r1").unwrap();
+        let member = Member { robot: robot.clone(), margin: 0.5 };
+        let team = Team {
+            id: TeamId::numbered(7),
+            members: vec![member],
+            leader: robot,
+            centroid: vec![0.25],
+        };
+        let header = Header {
+            fleet: FleetId::new("f").unwrap(),
+            revision: Revision { term: 3, epoch: 9 },
+            oldest: None,
+            newest: None,
+            stages: vec![],
+        };
+        let teams = Teams {
+            header,
+            embedding: Revision::default(),
+            requested: 1,
+            considered: vec![],
+            teams: vec![team],
+            unassigned: vec![],
+            stale: vec![],
+            inertia: 0.0,
+            changes: vec![],
+            next_team: 8,
+        };
+        KeptTeams { reserved: 108, teams: Some(Checked::new(teams).unwrap()) }
+    }
+
+    #[test]
+    fn what_is_kept_is_read_back() {
+        for kept in [kept(), KeptTeams { reserved: 5, teams: None }] {
+            assert_eq!(KeptTeams::decode(&kept.encode().unwrap()), Ok(kept));
+        }
+    }
+
+    #[test]
+    fn the_bytes_are_those_of_the_version() {
+        let bytes = KeptTeams { reserved: 300, teams: None }.encode().unwrap();
+        let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        assert_eq!(hex, "b76d7573746b707401040000005e897f8bfb2c0100");
+    }
+
+    #[test]
+    fn every_damage_is_found() {
+        let good = kept().encode().unwrap();
+        for at in 0..good.len() {
+            let mut bad = good.clone();
+            bad[at] ^= 1;
+            assert!(KeptTeams::decode(&bad).is_err(), "byte {at}");
+            assert!(KeptTeams::decode(&good[..at]).is_err(), "{at} bytes");
+        }
+        assert!(KeptTeams::decode(&[&good[..], &[0]].concat()).is_err());
+        let mut newer = good;
+        newer[MAGIC.len()] = 9;
+        assert_eq!(KeptTeams::decode(&newer), Err(KeptError::Version(9)));
+    }
+}
