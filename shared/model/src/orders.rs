@@ -13,6 +13,10 @@ use crate::time::Tick;
 /// How long orders are new: a squad that is handed over reaches its new neighbours within it.
 pub const NEW_ORDERS_TIME: Duration = Duration::from_secs(10);
 
+/// For so long after a robot was first seen, its first superior is no new order: its messages come one by one, and
+/// after a restart of everything the rank is the last one.
+const JOINING_TIME: Duration = Duration::from_secs(5);
+
 fn is_past(now: Tick, at: Tick) -> bool {
     now >= at.after(NEW_ORDERS_TIME)
 }
@@ -21,6 +25,8 @@ fn is_past(now: Tick, at: Tick) -> bool {
 #[derive(Debug, Default)]
 pub struct NewOrders {
     changed: BTreeMap<RobotId, Tick>,
+    /// When each robot was first seen, for a while.
+    joined: BTreeMap<RobotId, Tick>,
 }
 
 impl NewOrders {
@@ -28,12 +34,20 @@ impl NewOrders {
     pub fn follow(&mut self, now: Tick, before: Option<&Roster>, after: &Roster) {
         let place = |robot: &RobotId| after.robots.binary_search_by(|entry| entry.robot.cmp(robot));
         self.changed.retain(|robot, at| !is_past(now, *at) && place(robot).is_ok());
+        self.joined.retain(|robot, at| now < at.after(JOINING_TIME) && place(robot).is_ok());
         let mut old = before.into_iter().flat_map(|before| &before.robots).peekable();
         for RosterEntry { robot, superior, .. } in &after.robots {
             while old.next_if(|entry| entry.robot < *robot).is_some() {}
             let known = old.peek().filter(|entry| entry.robot == *robot);
-            if known.is_some_and(|entry| entry.superior != *superior) {
-                self.changed.insert(robot.clone(), now);
+            match known {
+                None => {
+                    self.joined.insert(robot.clone(), now);
+                }
+                Some(entry) if entry.superior == *superior => {}
+                Some(entry) if entry.superior.is_none() && self.joined.contains_key(robot) => {}
+                Some(_) => {
+                    self.changed.insert(robot.clone(), now);
+                }
             }
         }
     }
@@ -134,10 +148,27 @@ mod tests {
         assert_eq!(names(&orders, 10_100, &second), "");
         // A circle of superiors ends, and who has left is forgotten.
         let circle = roster("a<b b<a c<b x");
-        orders.follow(at(300), Some(&second), &circle);
-        assert_eq!(names(&orders, 300, &circle), "a b c");
-        orders.follow(at(400), Some(&circle), &roster("x"));
-        assert_eq!(names(&orders, 400, &circle), "");
-        assert!(orders.changed.is_empty());
+        orders.follow(at(20_000), Some(&second), &circle);
+        assert_eq!(names(&orders, 20_000, &circle), "a b c");
+        orders.follow(at(20_100), Some(&circle), &roster("x"));
+        assert_eq!(names(&orders, 20_100, &circle), "");
+        assert!(orders.changed.is_empty() && orders.joined.is_empty());
+    }
+
+    #[test]
+    fn the_first_rank_of_a_robot_that_has_just_joined_is_no_new_order() {
+        let mut orders = NewOrders::default();
+        let [posed, ranked, top] = ["a b c", "a b<a c", "a b<a c<a"].map(roster);
+        orders.follow(at(0), None, &posed);
+        orders.follow(at(1000), Some(&posed), &ranked);
+        assert_eq!(orders.changed(at(1000)).count(), 0);
+        // Later it is one, for a robot at the top as well.
+        orders.follow(at(6000), Some(&ranked), &top);
+        assert_eq!(orders.changed(at(6000)).collect::<Vec<_>>(), [&robot("c")]);
+        // And so is another rank at any time.
+        let mut orders = NewOrders::default();
+        orders.follow(at(0), None, &ranked);
+        orders.follow(at(100), Some(&ranked), &roster("a b<c c"));
+        assert_eq!(orders.changed(at(100)).collect::<Vec<_>>(), [&robot("b")]);
     }
 }
