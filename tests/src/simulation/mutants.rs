@@ -104,15 +104,15 @@ const CLOCK_TERMS: u64 = BEGINNING / SECOND - (1 << 20);
 /// How much higher a term is that nobody believes.
 const UNBELIEVED_TERMS: u64 = 1 << 40;
 
-/// The term of the main output of a service other than the clusterer.
-fn term_of(message: &mut Message) -> Option<&mut u64> {
+/// The revision of the main output of a service other than the clusterer.
+fn revision_of(message: &mut Message) -> Option<&mut Revision> {
     let header = match message {
         Message::Roster(roster) => &mut roster.make_mut_unchecked().header,
         Message::Embedding(embedding) => &mut embedding.make_mut_unchecked().header,
         Message::Audit(audit) => &mut Arc::make_mut(audit).header,
         _ => return None,
     };
-    Some(&mut header.revision.term)
+    Some(&mut header.revision)
 }
 
 /// What a robot is sent, with a term that is counted from one; other packets as they are.
@@ -141,6 +141,19 @@ pub(crate) struct Mutator {
     inertia: Option<u64>,
     /// A revision that it comes back to.
     old: Option<Revision>,
+    /// The terms that new leaders keep, by key.
+    kept: BTreeMap<String, KeptTerm>,
+}
+
+/// The term of a leader that those after it keep.
+#[derive(Debug)]
+struct KeptTerm {
+    /// The newest that a leader began.
+    given: Revision,
+    /// What is published instead of its term …
+    term: u64,
+    /// … and how many epochs later.
+    epochs: u64,
 }
 
 impl Mutator {
@@ -153,6 +166,7 @@ impl Mutator {
             taken_out: None,
             inertia: None,
             old: None,
+            kept: BTreeMap::new(),
         }
     }
 
@@ -172,6 +186,9 @@ impl Mutator {
         packets: Vec<Packet>,
         now: Tick,
     ) -> Result<(Message, Vec<Packet>), EnvelopeError> {
+        if !self.active {
+            self.note_term(&message);
+        }
         let Some(mutant) = self.mutant.filter(|_| self.active) else {
             return Ok((message, packets));
         };
@@ -179,6 +196,15 @@ impl Mutator {
         let outbound = message.publish(now)?.into_iter();
         let packets = outbound.map(|outbound| outbound.into_packet(space)).collect();
         Ok((message, packets))
+    }
+
+    /// Notes the highest term of each key before the faults begin.
+    fn note_term(&mut self, message: &Message) {
+        let Some(given) = message.header().map(|header| header.revision) else { return };
+        let key = message.keys().0.to_string();
+        if self.kept.get(&key).is_none_or(|kept| given.term > kept.term) {
+            self.kept.insert(key, KeptTerm { given, term: given.term, epochs: 0 });
+        }
     }
 
     fn mutated(&mut self, mutant: Mutant, message: Message) -> Message {
@@ -253,30 +279,28 @@ impl Mutator {
                 Message::Roster(roster)
             }
             (Mutant::TermTwice, mut message) => {
-                let revision = match &mut message {
-                    Message::Roster(roster) => &mut roster.make_mut_unchecked().header.revision,
-                    Message::Embedding(embedding) => {
-                        &mut embedding.make_mut_unchecked().header.revision
+                let key = message.keys().0.to_string();
+                if let Some(revision) = revision_of(&mut message)
+                    && let Some(kept) = self.kept.get_mut(&key)
+                    && revision.term >= kept.given.term
+                {
+                    if revision.term > kept.given.term {
+                        kept.epochs += CONTINUED_EPOCHS;
+                        kept.given = *revision;
                     }
-                    Message::Audit(audit) => &mut Arc::make_mut(audit).header.revision,
-                    _ => return message,
-                };
-                if revision.term > 1 {
-                    *revision = Revision {
-                        term: revision.term - 1,
-                        epoch: revision.epoch + CONTINUED_EPOCHS,
-                    };
+                    revision.term = kept.term;
+                    revision.epoch += kept.epochs;
                 }
                 message
             }
             (Mutant::TermsFromOne, mut message) => {
-                if let Some(term) = term_of(&mut message) {
+                if let Some(Revision { term, .. }) = revision_of(&mut message) {
                     *term = term.saturating_sub(CLOCK_TERMS).max(1);
                 }
                 message
             }
             (Mutant::UnbelievedTerm, mut message) => {
-                if let Some(term) = term_of(&mut message) {
+                if let Some(Revision { term, .. }) = revision_of(&mut message) {
                     *term += UNBELIEVED_TERMS;
                 }
                 message
