@@ -224,6 +224,71 @@ fn the_robot_of_the_readme_is_the_one_that_is_compiled() {
     assert_eq!(block(&read("README.md"), "```rust\n"), block(&docs, "```no_run\n"));
 }
 
+/// Where the workspace's ban of unsafe code does not hold as it stands.
+const UNSAFE_ALLOWED_BY_MACROS: [&str; 1] = ["tests/peers/rust/Cargo.toml"];
+
+#[test]
+fn no_crate_of_ours_may_contain_unsafe_code() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
+    let read = |path: &str| std::fs::read_to_string(root.join(path)).unwrap();
+    let workspace = read("Cargo.toml");
+    assert!(workspace.contains("[workspace.lints.rust]\nunsafe_code = \"forbid\"\n"));
+    let (_, members) = workspace.split_once("members = [").unwrap();
+    let members: Vec<&str> =
+        members.split_once(']').unwrap().0.split('"').skip(1).step_by(2).collect();
+    assert!(members.len() > 15, "{members:?}");
+    for member in members {
+        let manifest = read(&format!("{member}/Cargo.toml"));
+        assert!(manifest.contains("[lints]\nworkspace = true\n"), "{member} has lints of its own");
+    }
+    // The ban can only be lifted where a comment says why.
+    for manifest in UNSAFE_ALLOWED_BY_MACROS {
+        let text = read(manifest);
+        let mut lines = text.lines().rev().skip_while(|line| *line != "unsafe_code = \"deny\"");
+        assert!(lines.nth(1).unwrap().starts_with("# "), "{manifest} does not say why");
+    }
+}
+
+#[test]
+fn each_accepted_exception_of_dependencies_has_its_reason_and_is_needed() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let read = |path: &str| std::fs::read_to_string(root.join(path)).unwrap();
+    let (rules, lock) = (read("deny.toml"), read("Cargo.lock"));
+    let list = |name: &str| -> Vec<String> {
+        let (_, entries) = rules.split_once(&format!("\n{name} = [")).expect(name);
+        let entries = entries.split_once("]\n").unwrap().0;
+        let is_entry = |line: &&str| !line.is_empty() && !line.starts_with('#');
+        entries.lines().map(str::trim).filter(is_entry).map(str::to_owned).collect()
+    };
+    let reason = |entry: &str| {
+        let reason =
+            entry.split_once("reason = \"").map(|(_, rest)| rest.split('"').next().unwrap());
+        reason.unwrap_or_else(|| panic!("no reason: {entry}")).to_owned()
+    };
+    let accepted = list("ignore");
+    assert!(!accepted.is_empty());
+    for entry in &accepted {
+        assert!(entry.starts_with("{ id = \"RUSTSEC-"), "{entry}");
+        let reason = reason(entry);
+        // It begins with the crate, which must still be there, and says what would end the exception.
+        let name = reason.split(' ').next().unwrap();
+        assert!(lock.contains(&format!("name = \"{name}\"\n")), "{name} is gone: {entry}");
+        assert!(reason.contains(" Ends with "), "{entry}");
+    }
+    for entry in list("deny") {
+        reason(&entry);
+    }
+    // What the reason of lz4_flex rests on.
+    let output = Command::new(env!("CARGO"))
+        .args(["tree", "--locked", "-e", "features", "-i", "zenoh-transport", "--workspace"])
+        .current_dir(&root)
+        .output()
+        .unwrap();
+    let features = String::from_utf8(output.stdout).unwrap();
+    assert!(features.contains("feature \"transport_tcp\""), "{features}");
+    assert!(!features.contains("transport_compression"), "a feature turns lz4_flex on");
+}
+
 /// A version such as `1.89` or `1.89.0` as numbers that compare.
 fn version(text: &str) -> Vec<u32> {
     text.split('.').take(2).map(|number| number.parse().unwrap()).collect()

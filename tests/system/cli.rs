@@ -304,6 +304,7 @@ fn every_command_has_examples() {
         "graph",
         "status",
         "doctor",
+        "probe",
         "set",
         "solve",
         "replay-core",

@@ -1,13 +1,14 @@
 //! The files in `deploy/` fit the programs: files are accepted, command lines are understood, and
 //! service managers find nothing to complain of.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use muster_tests::cluster::SERVICES;
-use muster_tests::process::{program, run};
+use muster_tests::cluster::{SERVICES, free_endpoint};
+use muster_tests::process::{Process, program, run};
 use serde_json::Value;
 
 const SOON: Duration = Duration::from_secs(20);
@@ -15,6 +16,12 @@ const SOON: Duration = Duration::from_secs(20);
 /// Highest exposure that `systemd-analyze security` may see, in tenths: 10.0 is a process of root
 /// without any restriction.
 const MAX_EXPOSURE_TENTHS: &str = "20";
+
+/// How often what a process uses in this test, a fleet without robots, must fit into its limits.
+const MIN_LIMIT_FACTOR: u64 = 4;
+
+/// How long a container may take to be alive, and to be so again.
+const ALIVE_WITHIN: Duration = Duration::from_secs(20);
 
 fn deploy() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy").canonicalize().unwrap()
@@ -100,6 +107,8 @@ fn systemd_finds_nothing_to_complain_of() {
     let bad = folder.path().join("bad.service");
     std::fs::write(&bad, text.replace("/muster router", "/no-such-program router")).unwrap();
     assert!(!systemd_analyze(&["verify"], &bad).0);
+    std::fs::write(&bad, text.replace("MemoryMax=2G", "MemoryMax=2Q")).unwrap();
+    assert!(systemd_analyze(&["verify"], &bad).1.contains("memory limit"));
     std::fs::write(&bad, "[Service]\nExecStart=/bin/true\n").unwrap();
     let threshold = format!("--threshold={MAX_EXPOSURE_TENTHS}");
     assert!(!systemd_analyze(&["security", "--offline=true", &threshold], &bad).0);
@@ -149,10 +158,24 @@ fn the_units_start_what_there_is() {
     }
 }
 
+/// `compose.yaml` with its merge keys filled in.
+fn compose() -> Value {
+    let mut compose: serde_yaml_ng::Value = serde_yaml_ng::from_str(&read("compose.yaml")).unwrap();
+    compose.apply_merge().unwrap();
+    serde_json::to_value(compose).unwrap()
+}
+
+fn text(value: &Value) -> String {
+    value.as_str().unwrap_or_else(|| panic!("{value} is no text")).to_owned()
+}
+
+fn texts(list: &Value) -> Vec<String> {
+    list.as_array().unwrap_or_else(|| panic!("{list} is no list")).iter().map(text).collect()
+}
+
 #[test]
 fn the_containers_run_what_is_built() {
-    let compose: Value = serde_yaml_ng::from_str(&read("compose.yaml")).unwrap();
-    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    let compose = compose();
     let containers = compose["services"].as_object().unwrap();
     let names: BTreeSet<_> = containers.keys().map(String::as_str).collect();
     assert_eq!(names, SERVICES.into_iter().chain(["router"]).collect());
@@ -161,17 +184,15 @@ fn the_containers_run_what_is_built() {
     let (_, built) = build.split_once("programs=(").unwrap();
     let built: Vec<&str> = built.split_once(')').unwrap().0.split(' ').collect();
     for (name, own) in containers {
-        // A YAML merge key is left as it is by the parser.
-        let of = |key: &str| if own[key].is_null() { &own["<<"][key] } else { &own[key] };
-        let build = of("build");
+        let build = &own["build"];
+        assert_eq!(own["image"], format!("muster:{}", env!("CARGO_PKG_VERSION")));
         assert_eq!(build["context"], "..");
         assert!(deploy().join("..").join(text(&build["dockerfile"])).exists());
-        assert_eq!(*of("read_only"), true);
-        let command: Vec<String> = own["command"].as_array().unwrap().iter().map(text).collect();
+        assert_eq!(own["read_only"], true);
+        let command = texts(&own["command"]);
         assert!(built.contains(&command[0].as_str()), "{name} is not built");
         check_command(&command);
-        for volume in own["volumes"].as_array().unwrap() {
-            let volume = text(volume);
+        for volume in texts(&own["volumes"]) {
             let (from, to) = volume.split_once(':').unwrap();
             if from.starts_with('.') {
                 let to = to.strip_suffix(":ro").unwrap();
@@ -191,6 +212,151 @@ fn the_containers_run_what_is_built() {
     }
 }
 
+/// What a router listens at, as Docker names ports: `7447/udp`.
+fn listens_at(router: &str) -> BTreeSet<String> {
+    let file = read(router);
+    let (_, listen) = file.split_once("listen: {").unwrap();
+    let (_, endpoints) = listen.split_once("endpoints: ").unwrap();
+    let (endpoints, _) = endpoints.split_once(",\n").unwrap();
+    let endpoints: Vec<String> = serde_json::from_str(endpoints).unwrap();
+    let port = |endpoint: &String| {
+        let (protocol, address) = endpoint.split_once('/').unwrap();
+        let transport = match protocol {
+            "quic" => "udp",
+            "tcp" | "tls" => "tcp",
+            other => panic!("{router} listens at {other}"),
+        };
+        format!("{}/{transport}", address.rsplit(':').next().unwrap())
+    };
+    endpoints.iter().map(port).collect()
+}
+
+#[test]
+fn robots_reach_plain_and_secured_routers_in_containers() {
+    let published: BTreeSet<String> = texts(&compose()["services"]["router"]["ports"])
+        .iter()
+        .map(|port| {
+            let (host, container) = port.split_once(':').unwrap();
+            // Without a protocol Docker publishes TCP alone.
+            let (number, protocol) = container.split_once('/').unwrap_or((container, "tcp"));
+            assert_eq!(host, number, "documents name one port");
+            format!("{number}/{protocol}")
+        })
+        .collect();
+    let (plain, secured) = (listens_at("router/plain.json5"), listens_at("router/secured.json5"));
+    assert!(plain.contains("7447/tcp") && secured.contains("7447/udp"), "{plain:?} {secured:?}");
+    assert_eq!(published, plain.union(&secured).cloned().collect());
+}
+
+/// A limit of a unit of systemd.
+fn limit(unit: &str, name: &str) -> String {
+    let text = read(unit);
+    let value = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('='));
+    value.unwrap_or_else(|| panic!("{unit} has no {name}")).to_owned()
+}
+
+/// Bytes of a limit such as `2G`.
+fn bytes(limit: &str) -> u64 {
+    let gibibytes = limit.to_uppercase();
+    gibibytes.strip_suffix('G').unwrap().parse::<u64>().unwrap() << 30
+}
+
+/// A number of a file in `/proc` of a process: threads, or kilobytes.
+fn of_status(process: &Process, name: &str) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
+    let value = status.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
+    value.unwrap().split_whitespace().next().unwrap().parse().unwrap()
+}
+
+/// The code with which the health check of a container ends, and what it printed.
+fn check_health(container: &Value, environment: &[(&str, &str)]) -> (Option<i32>, String) {
+    let check = &container["healthcheck"];
+    let test = texts(&check["test"]);
+    assert_eq!(test[0], "CMD", "the image has no shell that is promised");
+    let timeout = text(&check["timeout"]);
+    let timeout = Duration::from_secs(timeout.strip_suffix('s').unwrap().parse().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let arguments: Vec<&str> = test[2..].iter().map(String::as_str).collect();
+    let mut process = Process::start(&test[1], &arguments, environment, folder.path()).unwrap();
+    let code = process.wait(timeout).unwrap().code();
+    (code, process.output())
+}
+
+#[test]
+fn the_health_check_of_each_container_tells_a_process_that_hangs() {
+    let compose = compose();
+    let containers = compose["services"].as_object().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let endpoint = free_endpoint().unwrap();
+    let mut running = BTreeMap::new();
+    // The services first: they are alive while they wait for their router.
+    for name in SERVICES.into_iter().chain(["router"]) {
+        let own = &containers[name];
+        assert!(own["environment"]["MUSTER_HTTP"].is_string(), "{name} has no port to ask");
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+        let environment = [("MUSTER_HTTP", port.as_str())];
+        let command = texts(&own["command"]);
+        let arguments = match name {
+            "router" => vec![command[1].as_str(), "--listen", &endpoint],
+            _ => vec!["--connect", &endpoint, "--state-directory", "none"],
+        };
+        let process = Process::start(&command[0], &arguments, &environment, folder.path()).unwrap();
+        until(name, || check_health(own, &environment).0 == Some(0));
+        running.insert(name, (process, port));
+    }
+    for (name, (process, port)) in &mut running {
+        let (own, environment) = (&containers[*name], [("MUSTER_HTTP", port.as_str())]);
+        let (code, output) = check_health(own, &environment);
+        assert_eq!(code, Some(0), "{name}: {output}");
+        let unit = match *name {
+            "router" => "systemd/muster-router.service",
+            _ => "systemd/muster@.service",
+        };
+        let (memory, tasks) = (bytes(&limit(unit, "MemoryMax")), limit(unit, "TasksMax"));
+        let tasks: u64 = tasks.parse().unwrap();
+        assert_eq!(bytes(&text(&own["mem_limit"])), memory, "{name}");
+        assert_eq!(own["pids_limit"], tasks, "{name}");
+        let resident = of_status(process, "VmHWM") << 10;
+        assert!(resident * MIN_LIMIT_FACTOR <= memory, "{name} uses {resident} bytes");
+        let threads = of_status(process, "Threads");
+        assert!(threads * MIN_LIMIT_FACTOR <= tasks, "{name} has {threads} threads");
+
+        process.signal("STOP").unwrap();
+        let (code, output) = check_health(own, &environment);
+        assert_eq!(code, Some(1), "{name} hangs: {output}");
+        assert!(output.contains("no answer"), "{output}");
+        process.signal("CONT").unwrap();
+        until(name, || check_health(own, &environment).0 == Some(0));
+        process.kill().unwrap();
+        assert_eq!(check_health(own, &environment).0, Some(1), "{name} is gone");
+    }
+    let (code, output) = check_health(&containers["router"], &[]);
+    assert_eq!(code, Some(2), "a check without a port is a wrong configuration");
+    assert!(output.contains("MUSTER_HTTP"), "{output}");
+}
+
+fn until(what: &str, right: impl Fn() -> bool) {
+    let start = Instant::now();
+    while !right() {
+        assert!(start.elapsed() < ALIVE_WITHIN, "{what} is not alive");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+/// Whether the tag of a base names one release and not a series that moves on: all numbers of its version, as
+/// many as its releases have, and not more; with the digest, if there is one, complete.
+fn names_one_release(tag: &str, numbers: usize) -> bool {
+    let (tag, digest) = tag.split_once('@').map_or((tag, None), |(tag, rest)| (tag, Some(rest)));
+    let version: Vec<&str> = tag.split('-').next().unwrap_or_default().split('.').collect();
+    let is_number =
+        |part: &&str| !part.is_empty() && part.chars().all(|digit| digit.is_ascii_digit());
+    let is_digest = |digest: &str| {
+        let hex = digest.strip_prefix("sha256:").unwrap_or_default();
+        hex.len() == 64 && hex.chars().all(|digit| digit.is_ascii_hexdigit())
+    };
+    version.len() == numbers && version.iter().all(is_number) && digest.is_none_or(is_digest)
+}
+
 #[test]
 fn the_image_is_small_pinned_and_not_root_s() {
     let file = read("Containerfile");
@@ -199,11 +365,16 @@ fn the_image_is_small_pinned_and_not_root_s() {
     let bases: Vec<_> = lines.iter().filter_map(|line| line.strip_prefix("FROM ")).collect();
     let bases: Vec<_> = bases.into_iter().filter(|base| !base.starts_with("scratch ")).collect();
     assert_eq!(bases.len(), 2, "one stage builds, another runs");
-    for (base, argument) in bases.iter().zip(&arguments) {
+    // Rust releases have three numbers, those of Debian two.
+    for ((base, argument), numbers) in bases.iter().zip(&arguments).zip([3, 2]) {
         let (name, version) = argument.split_once('=').unwrap();
         assert!(base.contains(&format!(":${{{name}}}")), "{base} is not pinned by {name}");
-        let numbers = version.chars().filter(char::is_ascii_digit).count();
-        assert!(numbers >= 3 && !version.contains("latest"), "{version}");
+        assert!(names_one_release(version, numbers), "{version}");
+    }
+    let digest = format!("1.95.0-slim-bookworm@sha256:{}", "0a".repeat(32));
+    assert!(names_one_release(&digest, 3));
+    for moving in ["latest", "1.95-slim-bookworm", "1-slim-20260101", &digest[..40]] {
+        assert!(!names_one_release(moving, 3), "{moving}");
     }
     assert!(!bases[1].contains("rust"), "the compiler stays behind");
     let build = read("build");

@@ -1,7 +1,8 @@
 //! `muster`: the operator's command.
 //!
 //! It starts processes ([`demo`], [`up`], [`router`], [`robot`]), shows a live fleet ([`show`], [`doctor`]),
-//! changes its settings ([`set`]), prepares hosts ([`deploy`]), prints the form of messages ([`schema`]),
+//! changes its settings ([`set`]), prepares hosts ([`deploy`]), tells container managers whether a process is
+//! alive ([`probe`]), prints the form of messages ([`schema`]),
 //! runs the method once on a file ([`solve`]), replays the recording of a service ([`replay`]), and
 //! describes itself to shells and manuals ([`describe`]). It is the one program that knows all services:
 //! it composes them and adds nothing to them. It talks to a fleet through `muster-client` ([`console`]);
@@ -13,6 +14,7 @@ mod deploy;
 mod describe;
 mod doctor;
 mod fleet;
+mod probe;
 mod replay;
 mod robot;
 mod router;
@@ -67,6 +69,8 @@ enum Command {
     Status(show::ShowArgs),
     /// Find what is wrong with a fleet, and say what to do
     Doctor(doctor::DoctorArgs),
+    /// Ask the process at --http whether it is alive, as a container's health check does
+    Probe(probe::ProbeArgs),
     /// Show or change the settings of a running service
     Set(set::SetArgs),
     /// Print the JSON Schema of the messages
@@ -146,6 +150,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         Command::Doctor(args) => console(&config, async |config| doctor::run(args, &config).await),
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
+        Command::Probe(args) => probe::run(args, &config),
         Command::ReplayCore(args) => replay::run(args),
         Command::Schema(args) => schema::run(args),
         Command::Completions(args) => describe::completions(args, Arguments::command()),

@@ -1,6 +1,7 @@
 //! `muster router`: an embedded Zenoh router.
 
 use std::io::Write as _;
+use std::time::Duration;
 
 use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::ProcessConfig;
@@ -8,6 +9,10 @@ use muster_runtime::exit::ExitError;
 use muster_runtime::notify;
 use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
+
+/// How often the router shows that its loop runs: several times in the five seconds after which `/healthz`
+/// takes it for hung.
+const TURN_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Arguments of `muster router`.
 #[derive(Debug, clap::Args)]
@@ -31,7 +36,7 @@ pub(crate) async fn run(
     if config.mode.value != muster_runtime::config::Mode::Router {
         return Err(ExitError::usage("mode: a router runs in mode router; leave --mode out").into());
     }
-    let _port = Observatory::open(config, &[])?;
+    let observatory = Observatory::open(config, &[])?;
     let bus = tokio::select! {
         bus = Bus::open(config, ConnectTimeout::Never) => bus?,
         () = stop.stopped() => return Ok(()),
@@ -40,13 +45,18 @@ pub(crate) async fn run(
     writeln!(std::io::stdout(), "{listening}")?;
     notify::ready(&listening);
     let mut watched = notify::watch();
+    let mut turn = tokio::time::interval(TURN_INTERVAL);
     loop {
         tokio::select! {
             () = stop.stopped() => break,
+            // Who answers this is not stuck.
             () = watched.due() => {
-                // Who answers this is not stuck.
                 bus.locators().await;
                 watched.report();
+            }
+            _ = turn.tick() => {
+                bus.locators().await;
+                observatory.router_turned();
             }
         }
     }

@@ -133,6 +133,24 @@ async fn healthz_reports_a_core_that_hangs_and_one_that_goes_on() {
 }
 
 #[test]
+fn healthz_reports_a_router_whose_loop_hangs() {
+    let observatory = Observatory::open(&with_port("tcp/127.0.0.1:1"), &[]).unwrap();
+    let address = observatory.address().unwrap();
+    let (code, body) = get(address, "/healthz");
+    assert_eq!(code, 200, "a router that does not listen yet has no loop");
+    assert!(!body.contains("router"), "{body}");
+    observatory.router_turned();
+    let (code, body) = get(address, "/healthz");
+    assert_eq!(code, 200);
+    assert!(body.contains(r#""router":{"alive":true"#), "{body}");
+    until("a loop that hangs is dead", || get(address, "/healthz").0 == 503);
+    let (_, body) = get(address, "/healthz");
+    assert!(body.starts_with(r#"{"alive":false,"router":{"alive":false"#), "{body}");
+    observatory.router_turned();
+    assert_eq!(get(address, "/healthz").0, 200, "it goes on");
+}
+
+#[test]
 fn the_port_answers_three_paths_to_get_and_head_and_nothing_else() {
     let observatory = Observatory::open(&with_port("tcp/127.0.0.1:1"), &ServiceName::ALL).unwrap();
     let address = observatory.address().unwrap();

@@ -44,7 +44,12 @@ pub(super) struct Look {
 
 /// Whether the loop of a service runs. One that still waits for its router has none that could hang.
 pub(super) fn is_alive(look: &Look) -> bool {
-    look.since_turn.is_none_or(|since| since < LOOP_HANGS_AFTER)
+    loop_runs(look.since_turn)
+}
+
+/// Whether a loop runs that last turned so long ago; none for one that has not begun, and cannot hang.
+pub(super) fn loop_runs(since_turn: Option<Duration>) -> bool {
+    since_turn.is_none_or(|since| since < LOOP_HANGS_AFTER)
 }
 
 /// Why a service is not ready; nothing if it is.

@@ -162,7 +162,14 @@ fn healthz(shared: &Shared) -> Response<Full<Bytes>> {
         let since = look.since_turn.map(|since| since.as_secs_f64());
         (alive, json!({"alive": alive, "last_turn_s": since}))
     };
-    answer_for_all(shared, "alive", alive)
+    let (mut all, mut answer) = answer_for_all(shared, "alive", alive);
+    if let Some(since) = shared.since_router_turned() {
+        let runs = health::loop_runs(Some(since));
+        all &= runs;
+        answer["alive"] = all.into();
+        answer["router"] = json!({"alive": runs, "last_turn_s": since.as_secs_f64()});
+    }
+    json_answer(all, &answer)
 }
 
 fn readyz(shared: &Shared) -> Response<Full<Bytes>> {
@@ -171,15 +178,16 @@ fn readyz(shared: &Shared) -> Response<Full<Bytes>> {
         let (ready, standing) = (reasons.is_empty(), look.standing);
         (ready, json!({"ready": ready, "standing": standing, "reasons": reasons}))
     };
-    answer_for_all(shared, "ready", ready)
+    let (all, answer) = answer_for_all(shared, "ready", ready);
+    json_answer(all, &answer)
 }
 
-/// The states of all services, and whether all are good under `name`.
+/// Whether all services are good, and the answer with their states, which says so under `name`.
 fn answer_for_all(
     shared: &Shared,
     name: &str,
     state: impl Fn(ServiceName, &Look) -> (bool, Value),
-) -> Response<Full<Bytes>> {
+) -> (bool, Value) {
     let mut all = true;
     let mut services = Map::new();
     for watched in &shared.watched {
@@ -187,7 +195,7 @@ fn answer_for_all(
         all &= good;
         services.insert(watched.service.to_string(), state);
     }
-    json_answer(all, &json!({name: all, "services": services}))
+    (all, json!({name: all, "services": services}))
 }
 
 fn json_answer(good: bool, value: &Value) -> Response<Full<Bytes>> {

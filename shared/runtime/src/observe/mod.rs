@@ -39,7 +39,7 @@ impl Observatory {
         services.dedup();
         let watched =
             services.iter().map(|service| Arc::new(Watched::new(*service, &metrics))).collect();
-        let shared = Arc::new(Shared { metrics, watched });
+        let shared = Arc::new(Shared::new(metrics, watched));
         let port = match config.http.value {
             Some(address) => Some(http::Port::open(address, Arc::clone(&shared))?),
             None => None,
@@ -51,6 +51,12 @@ impl Observatory {
     #[must_use]
     pub fn address(&self) -> Option<std::net::SocketAddr> {
         self.port.as_ref().map(http::Port::address)
+    }
+
+    /// Reports that the loop of the router of this process runs. From the first call on, the process counts as
+    /// alive only while calls follow at least every five seconds.
+    pub fn router_turned(&self) {
+        self.shared.router_turned();
     }
 
     /// The observer of a service. One that was not named when the observatory was opened is watched

@@ -45,6 +45,26 @@ pub struct Observer(Arc<Watched>);
 pub(super) struct Shared {
     pub(super) metrics: Metrics,
     pub(super) watched: Vec<Arc<Watched>>,
+    /// When the loop of the router of this process last turned; none where no router runs.
+    router_turned: Mutex<Option<Instant>>,
+}
+
+impl Shared {
+    pub(super) fn new(metrics: Metrics, watched: Vec<Arc<Watched>>) -> Self {
+        Self { metrics, watched, router_turned: Mutex::default() }
+    }
+
+    /// The loop of the router runs.
+    pub(super) fn router_turned(&self) {
+        let mut turned = self.router_turned.lock().unwrap_or_else(PoisonError::into_inner);
+        *turned = Some(Instant::now());
+    }
+
+    /// Since when the loop of the router has not turned; none where no router runs.
+    pub(super) fn since_router_turned(&self) -> Option<Duration> {
+        let turned = *self.router_turned.lock().unwrap_or_else(PoisonError::into_inner);
+        turned.map(|turned| turned.elapsed())
+    }
 }
 
 /// One service under observation.
