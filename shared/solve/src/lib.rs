@@ -67,8 +67,8 @@ All keys, with what is taken where they are left out:
   dimension   even, from 2 to twice the number of robots, or "auto" (default)
   scale       "none" (default), "sqrt-sigma" or "inverse-sqrt-sigma"
   rows        "unit" (default) or "none"
-  teams       how many, {"from": 2, "to": 6}, or "auto" (default): by the gap of the values of the fused
-              graph; or instead of it:
+  teams       how many, {"from": 2, "to": 6}, or "auto" (default): by the modularity of the divisions; or
+              instead of it:
   labels      one whole number per robot: the division to judge
   init        "kmeans++" (default) or "random"; restarts (50); seed (0)
   emit        any of "katz", "embedding", "diagnostics": added to the output of --json; "katz" for at

@@ -229,7 +229,7 @@ fn team_count(problem: &Problem, solution: &Solution) -> String {
     let best: Vec<String> = best.map(|one| format!("{} {:.3}", one.teams, one.score)).collect();
     match best.is_empty() {
         true => format!("{teams} (nothing to choose by)"),
-        false => format!("{teams} (chosen by the gap of the values; scores: {})", best.join(", ")),
+        false => format!("{teams} (chosen by modularity; scores: {})", best.join(", ")),
     }
 }
 

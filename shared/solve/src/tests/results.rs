@@ -115,9 +115,9 @@ fn the_number_of_teams_is_chosen_unless_it_is_given() {
         (json["requested"].as_u64(), json["considered"].clone(), solved.summary())
     };
     let (teams, considered, summary) = chosen(Options::default(), &file);
-    assert_eq!((teams, considered.as_array().unwrap().len()), (Some(3), 8));
+    assert_eq!((teams, considered.as_array().unwrap().len()), (Some(3), 9));
     assert!(considered[2]["score"].as_f64().unwrap() > 0.4, "{considered}");
-    assert!(summary.contains("3 (chosen by the gap of the values; scores: 3 "), "{summary}");
+    assert!(summary.contains("3 (chosen by modularity; scores: 3 "), "{summary}");
     let flag = Options { teams: Some(2.into()), ..Options::default() };
     let (teams, considered, summary) = chosen(flag, &file);
     assert_eq!((teams, considered), (Some(2), Value::Null));
