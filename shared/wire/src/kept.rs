@@ -141,7 +141,7 @@ mod tests {
     fn the_bytes_are_those_of_the_version() {
         let bytes = KeptTeams { reserved: 300, teams: None }.encode().unwrap();
         let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        assert_eq!(hex, "b76d7573746b707401040000005e897f8bfb2c0100");
+        assert_eq!(hex, "b76d7573746b70740108000000e4fc1d242c01000000000000");
     }
 
     #[test]
