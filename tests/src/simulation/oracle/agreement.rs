@@ -279,10 +279,11 @@ impl Oracle {
     }
 }
 
-/// Whether the relations decide how many teams there are, and have decided otherwise. The number before has some
-/// advantage, which is not kept on disk: a fleet at the edge between two numbers may be counted anew.
+/// Whether the fleet is divided into another number of teams. Two things are not kept on disk: the seats of teams
+/// that were absent, so that a number that is set is divided among those present, and the advantage that a number
+/// chosen by the relations has over another.
 fn is_counted_anew(before: &Teams, now: &Teams) -> bool {
-    !now.considered.is_empty() && before.requested != now.requested
+    before.requested != now.requested
 }
 
 /// The robots that are in another team than before.
