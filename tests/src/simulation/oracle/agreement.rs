@@ -279,11 +279,12 @@ impl Oracle {
     }
 }
 
-/// Whether the fleet is divided into another number of teams. Two things are not kept on disk: the seats of teams
-/// that were absent, so that a number that is set is divided among those present, and the advantage that a number
-/// chosen by the relations has over another.
+/// Whether the fleet may be divided into another number of teams. Two things are not kept on disk: the seats of
+/// teams that were absent, so that a number that is set is divided among those present, and the advantage that a
+/// number chosen by the relations has over another.
 fn is_counted_anew(before: &Teams, now: &Teams) -> bool {
-    before.requested != now.requested
+    let had_absent_teams = before.teams.len() < before.requested as usize;
+    before.requested != now.requested || had_absent_teams && now.teams.len() > before.teams.len()
 }
 
 /// The robots that are in another team than before.
