@@ -89,8 +89,8 @@ fn every_promise_holds_for_three_hundred_seeds() {
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
-/// About one fresh seed in a thousand breaks a promise: a leader that loses a split brain has confirmed a change of
-/// settings (seed 7001031), or a restart of everything changes a team (seed 9500161). One of a hundred is printed;
+/// One or two fresh seeds in a thousand break a promise: a leader that loses a split brain has confirmed a change of
+/// settings (seed 7001031), or a restart of everything changes a team (seeds 9500161, 9900012). One of a hundred is printed;
 /// two are a fault that is not known.
 const KNOWN_FAILURES: usize = 1;
 

@@ -39,6 +39,10 @@ fn number(id: &TeamId) -> Option<u64> {
 /// in nine thousand years; a forged message that names the last number of all would leave none to be given.
 const MAX_BELIEVED_NUMBER: u64 = 1 << 48;
 
+/// The end of the numbers that are read from disk: what is believed, and room for what was reserved beyond it. A
+/// file with a higher one would leave none to be given, restart after restart.
+pub(crate) const MAX_KEPT_NUMBER: u64 = 2 * MAX_BELIEVED_NUMBER;
+
 /// Whether the numbers of a division of another instance leave some to be given.
 pub(crate) fn is_believable(teams: &Teams) -> bool {
     let mut numbers = teams.teams.iter().filter_map(|team| number(&team.id));

@@ -2,7 +2,7 @@
 //!
 //! The last division is written when its teams have changed, not with every frame. Numbers of new teams are
 //! reserved on disk in blocks, before a division can give them: whatever was lost since, no number is given
-//! again. A standby keeps the divisions that it hears.
+//! again. A standby keeps the divisions that it receives.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -12,7 +12,7 @@ use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_wire::kept::KeptTeams;
 
-use crate::identity::is_believable;
+use crate::identity::{MAX_KEPT_NUMBER, is_believable};
 
 /// Shortest time between two writes of divisions: a fleet that changes in every frame must not wear out its
 /// disk, and what a power cut may lose is less than half a second of changes.
@@ -58,6 +58,10 @@ impl Keeping {
     /// What is wrong with the bytes.
     pub(crate) fn restore(&mut self, content: &[u8]) -> Result<(), String> {
         let kept = KeptTeams::decode(content).map_err(|error| error.to_string())?;
+        let next_team = kept.teams.as_ref().map_or(0, |teams| teams.next_team);
+        if kept.reserved.max(next_team) > MAX_KEPT_NUMBER {
+            return Err(format!("it reserves numbers of teams beyond {MAX_KEPT_NUMBER}"));
+        }
         self.next_team = kept.reserved;
         (self.reserved, self.requested) = (kept.reserved, kept.reserved);
         self.written.clone_from(&kept.teams);
@@ -76,11 +80,11 @@ impl Keeping {
         self.newest = Some(teams.clone());
     }
 
-    /// A division was heard while another instance leads.
+    /// A division was received while another instance leads.
     pub(crate) fn hear(&mut self, teams: &Checked<Teams>) {
         if is_believable(teams) {
             self.note(teams);
-            // The leader may give some more that this instance does not hear of.
+            // The leader may give some more that this instance does not receive.
             let given = teams.next_team.saturating_add(NUMBER_BLOCK / 2);
             if given > self.requested {
                 self.requested = given.saturating_add(NUMBER_BLOCK / 2);
@@ -216,6 +220,13 @@ mod tests {
     fn what_cannot_be_read_is_refused() {
         let mut keeping = Keeping::default();
         assert!(keeping.restore(b"{}").unwrap_err().contains("no kept division"));
+        let used_up = |reserved| KeptTeams { reserved, teams: None }.encode().unwrap();
+        for reserved in [MAX_KEPT_NUMBER + 1, u64::MAX] {
+            let problem = keeping.restore(&used_up(reserved)).unwrap_err();
+            assert!(problem.contains("numbers of teams"), "{problem}");
+            assert_eq!(keeping.next_team, 0);
+        }
+        assert!(Keeping::default().restore(&used_up(MAX_KEPT_NUMBER)).is_ok());
         assert!(keeping.division().is_none());
     }
 }

@@ -1,5 +1,5 @@
 //! Seats: while a whole team is absent its place is kept, so that the robots that are there are divided into
-//! the number of teams less those that are absent, and nobody has to fill a place that is only empty for now.
+//! the number of teams less those that are absent, and no robot has to fill a place that is only empty for now.
 //!
 //! A team is absent while none of its robots is in the embedding: their link is cut, or the services have just
 //! been started and hear one robot after the other. Its seat is kept for as long as the team is remembered
@@ -57,7 +57,7 @@ impl Seats {
             }
         }
         if seats.present.is_empty() {
-            // Whoever is there, nobody of them had a team: there is nothing to keep together.
+            // None of the robots that are there had a team: there is nothing to keep together.
             seats.absent = 0;
         }
         seats

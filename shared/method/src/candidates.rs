@@ -15,11 +15,10 @@ use muster_numeric::modularity::Modularity;
 use muster_numeric::svd::{FullSvd, RankKSvd, SvdError};
 
 use crate::correspondence::Correspondence;
-use crate::cut::TeamEvidence;
 use crate::division::divide;
 use crate::error::MethodError;
 use crate::params::{DivisionParams, EmbeddingParams, Pace};
-use crate::team_count::{RESOLUTION, choose, gaps, scores};
+use crate::team_count::{RESOLUTION, TeamEvidence, choose, gaps, scores};
 
 /// Starts of k-means for a division that no frame before has.
 const FIRST_STARTS: usize = 4;

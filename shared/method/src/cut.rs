@@ -12,15 +12,6 @@ use muster_numeric::svd::FullSvd;
 
 use crate::params::EmbeddingParams;
 
-/// How many teams the rule for K expects, and why.
-#[derive(Debug, Clone, PartialEq)]
-pub struct TeamEvidence {
-    /// How many teams.
-    pub teams: u32,
-    /// The score of each number of teams from 1; empty for a fixed number.
-    pub scores: Vec<f64>,
-}
-
 /// Where the triplets are cut off.
 #[derive(Debug, Clone)]
 pub(crate) struct Cut {

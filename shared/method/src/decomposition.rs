@@ -14,12 +14,13 @@ use serde::Serialize;
 
 use crate::candidates::{Candidates, Counted};
 use crate::correspondence::Correspondence;
-use crate::cut::{Cut, TeamEvidence};
+use crate::cut::Cut;
 use crate::decay::Decay;
 use crate::error::MethodError;
 use crate::params::{Effort, EmbeddingParams, Pace};
 use crate::similarity::{Origin, Similarity, Solved};
 use crate::step::{Progress, Step};
+use crate::team_count::TeamEvidence;
 
 /// A further search is worth while if it leaves at most this share of the residual.
 const WORTHWHILE_SHARE: f64 = 0.5;

@@ -12,7 +12,7 @@ use muster_numeric::svd::RankKSvd;
 
 use crate::candidates::Counted;
 use crate::correspondence::Correspondence;
-use crate::cut::{Cut, TeamEvidence};
+use crate::cut::Cut;
 use crate::decay::{Decay, DecayTracker};
 use crate::decomposition::{Decomposer, Decomposition, Path, Task};
 use crate::error::MethodError;
@@ -21,6 +21,7 @@ use crate::graph::Frame;
 use crate::params::{Pace, ValidEmbeddingParams};
 use crate::similarity::Similarity;
 use crate::step::{Progress, Step};
+use crate::team_count::TeamEvidence;
 use crate::trust::Trust;
 use crate::weights::weights;
 

@@ -45,7 +45,7 @@ pub mod team_count;
 pub mod trust;
 pub mod weights;
 
-pub use cut::TeamEvidence;
 pub use decay::Decay;
 pub use error::MethodError;
 pub use graph::{Frame, Graph};
+pub use team_count::TeamEvidence;

@@ -53,7 +53,7 @@ pub struct EmbeddingParams {
     pub power: f64,
     /// How the rows are scaled.
     pub rows: RowScaling,
-    /// How many teams the rule for K expects; where it is no fixed number, the singular values decide.
+    /// How many teams the rule for K expects; where it is no fixed number, the relations decide.
     pub teams: TeamCount,
     /// How far norms and αρ may drift from scales and decay before these are chosen again, as a fraction,
     /// from 0 to 1.

@@ -36,6 +36,15 @@ pub const FEW_GAP_WEIGHT: f64 = 0.75;
 /// The number before has so much more score than it would have: noise in the weights moves scores by less.
 pub const KEPT_SCORE: f64 = 0.003;
 
+/// How many teams the relations show, and why.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TeamEvidence {
+    /// How many teams.
+    pub teams: u32,
+    /// The [`scores`] of each number of teams from 1; empty for a fixed number.
+    pub scores: Vec<f64>,
+}
+
 /// The eigengap behind each value of A*, from the first: (λ_k − λ_{k+1}) / λ_1 stands at k − 1, from 0 to 1.
 ///
 /// `singular_values` are the leading ones of S = αA*(I − αA*)⁻¹, falling, and `alpha` is its decay:

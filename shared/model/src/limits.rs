@@ -32,7 +32,7 @@ pub const MAX_ROBOTS: usize = 100_000;
 pub const MAX_TEAMS: u32 = 1024;
 
 /// Most teams that are considered where neither a number nor a range is set: each further number needs one
-/// more singular triplet of every frame. A range goes beyond.
+/// more singular triplet and one more division of every frame. A range goes beyond.
 pub const MAX_AUTO_TEAMS: u32 = 16;
 
 /// Most teams that a range may end with: as many singular triplets as the largest embedding has.

@@ -1,5 +1,5 @@
-//! What a core keeps over a restart, as one file per fleet and service, beside the state that every service
-//! has. The core knows the bytes; they are replaced whole or not at all.
+//! What a core keeps over a restart, as one file per fleet and service, in addition to the state that every
+//! service has. The core knows the bytes; they are replaced whole or not at all.
 
 use std::path::{Path, PathBuf};
 

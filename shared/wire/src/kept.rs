@@ -1,8 +1,8 @@
-//! What a service keeps over a restart beside its settings, as bytes of a file.
+//! What a service keeps over a restart in addition to its settings, as bytes of a file.
 //!
 //! A file is [`MAGIC`], the [`VERSION`] of the content, and one frame: length, checksum, and the content. That
 //! is the end of the reserved numbers in eight bytes with the lowest first, and the division as it is on the bus,
-//! if there was one. A file that breaks off or was damaged is told from a whole one, and is not used.
+//! if there was one. A file that breaks off or was damaged is recognised, and is not used.
 
 use muster_model::content::Checked;
 use muster_model::teams::Teams;
