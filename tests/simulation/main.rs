@@ -89,9 +89,9 @@ fn every_promise_holds_for_three_hundred_seeds() {
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
-/// One or two fresh seeds in a thousand break a promise: a leader that loses a split brain has confirmed a change of
-/// settings (seed 7001031), or a restart of everything changes a team (seeds 9500161, 9900012). One of a hundred is printed;
-/// two are a fault that is not known.
+/// One or two fresh seeds in a thousand break a promise: a leader that loses a split brain has confirmed a
+/// change of settings (seed 7001031), or a restart of everything changes a team (seeds 9500161, 9900012). One
+/// of a hundred is printed; two are a fault that is not known.
 const KNOWN_FAILURES: usize = 1;
 
 /// The fixed seeds pass, or a change was not finished. What nobody has looked at are others: each run of the
