@@ -150,6 +150,15 @@ impl Ingest {
         }
     }
 
+    /// The link to the router is lost. That is noticed about as long after the last message as robots are
+    /// marked stale, so a robot whose silence was not reported yet was silent because of the link.
+    fn go_offline(&mut self, now: Tick) {
+        self.reception = Reception::Offline { since: now };
+        let fleet = &mut self.fleet;
+        self.presence_events.take_stale_back(|robot| fleet.take_stale_back(robot));
+        self.frames.touch_roster(now);
+    }
+
     /// Brings the presence of all robots up to date while the leader reports it.
     fn follow_presence(&mut self, context: &Context<'_>) {
         let now = context.now();
@@ -332,7 +341,7 @@ impl Core for Ingest {
         let now = context.now();
         match (connectivity, self.reception) {
             (Connectivity::Offline, Reception::Online | Reception::Paused) => {
-                self.reception = Reception::Offline { since: now };
+                self.go_offline(now);
             }
             (Connectivity::Paused, Reception::Online) => self.reception = Reception::Paused,
             (Connectivity::Online, Reception::Paused) => {

@@ -34,6 +34,16 @@ impl PresenceEvents {
         self.due = Some(self.due.map_or(due, |before| before.min(due)));
     }
 
+    /// Takes back, with `take_back`, that robots fell silent of which no event was published yet; where it
+    /// answers that there was nothing to be taken back, their event stays.
+    pub(crate) fn take_stale_back(&mut self, mut take_back: impl FnMut(&RobotId) -> bool) {
+        if let Some(stale) = self.waiting.get_mut(&Transition::Stale) {
+            stale.retain(|robot| !take_back(robot));
+        }
+        self.waiting.retain(|_, robots| !robots.is_empty());
+        self.due = self.due.filter(|_| !self.waiting.is_empty());
+    }
+
     /// When the next events are due.
     pub(crate) fn due(&self) -> Option<Tick> {
         self.due

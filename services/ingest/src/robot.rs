@@ -142,6 +142,13 @@ impl Robot {
         self.gone_grace_start = now;
     }
 
+    /// Its silence proved nothing: it is active again. Whether it was stale.
+    pub(crate) fn take_stale_back(&mut self) -> bool {
+        let was_stale = self.presence == Presence::Stale;
+        self.presence = Presence::Active;
+        was_stale
+    }
+
     /// Restores what the last roster of the term before says of it. A token that is there after a restart
     /// was there before and is no sign of life.
     ///

@@ -271,6 +271,11 @@ impl Fleet {
         self.update_presence_soon(now);
     }
 
+    /// The silence of a robot proved nothing: it is active again. Whether it was stale.
+    pub(crate) fn take_stale_back(&mut self, name: &RobotId) -> bool {
+        self.robots.get_mut(name).is_some_and(Robot::take_stale_back)
+    }
+
     /// Gives every robot a new node: a new term begins.
     pub(crate) fn renumber(&mut self) {
         self.next_node = 0;

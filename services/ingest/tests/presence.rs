@@ -246,6 +246,27 @@ fn the_age_of_the_data_is_not_forgiven_with_the_outage() {
 }
 
 #[test]
+fn robots_that_fall_silent_just_before_the_link_is_found_lost_are_not_reported_stale() {
+    let mut bench = Bench::default();
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.wait(0.1);
+    bench.receive(pose("r2", 5.0, 0.0));
+    bench.wait(1.9);
+    // The first one is stale, and its event waits for the other.
+    assert_eq!(bench.status().state, "2 robots, 1 stale");
+    bench.happened();
+    bench.input(Input::LinkLost);
+    bench.wait(20.0);
+    bench.input(Input::LinkRestored);
+    bench.wait(1.9);
+    bench.receive(pose("r1", 0.0, 0.0));
+    bench.receive(pose("r2", 5.0, 0.0));
+    bench.wait(0.2);
+    assert_eq!(bench.happened(), ["link back after 20 s"]);
+    assert_eq!(["r1", "r2"].map(|robot| bench.presence(robot)), [Some(Active); 2]);
+}
+
+#[test]
 fn tokens_that_are_lost_with_the_link_are_no_sign_of_dead_robots() {
     let mut bench = Bench::default();
     for name in ["dead", "shortly", "during", "never"] {
