@@ -78,6 +78,8 @@ pub(crate) struct Decomposer {
     last: Option<Last>,
     leading: LeadingTriplets,
     candidates: Candidates,
+    /// The rank at which the last frame stopped although more triplets would embed more robots; else 0.
+    short_at: usize,
 }
 
 /// What the last frame was decomposed into.
@@ -156,10 +158,13 @@ impl Decomposer {
             }
         }
         let (tolerance, seed, threads) = (params.tolerance, params.seed, params.threads);
-        let least = cut.least_rank(n);
+        let least = cut.least_rank(n).max(std::mem::take(&mut self.short_at)).min(n);
         let mut known = Known { rank: least, exact: cut.exact_rank(n).min(least) };
         // A search for more triplets may find them among those of the one before.
         let mut has_searched = false;
+        // While robots move, one frame doubles the rank once: reports that are still to come join groups
+        // that would each need a triplet, and the next frame goes on from there.
+        let mut may_double = true;
         let mut evidence: Option<TeamEvidence> = None;
         let (chosen, teams, report) = loop {
             let Known { rank, exact } = known;
@@ -176,8 +181,12 @@ impl Decomposer {
                 None => self.candidates.count(&self.leading.search, counted)?,
             };
             match cut.of_leading(&self.leading.search, rank, teams.teams) {
-                Some(chosen) if chosen.short => known.rank = (2 * rank).min(n),
+                Some(chosen) if chosen.short && may_double => {
+                    may_double = params.pace == Pace::AtRest;
+                    known.rank = (2 * rank).min(n);
+                }
                 Some(chosen) if known.suffices(chosen.dimension, params) => {
+                    self.short_at = if chosen.short { rank } else { 0 };
                     break (chosen.dimension, teams, report);
                 }
                 Some(chosen) => {

@@ -75,7 +75,9 @@ pub struct EmbeddingParams {
     /// Default: 64, up to which nothing is faster.
     pub dense_robots: usize,
     /// Computation: where the search does not converge, fleets of up to so many robots are decomposed whole
-    /// after all. Default: 2,000, which takes seconds at most.
+    /// after all. Default: 400, which takes half a second at most; a larger live fleet goes on from what was
+    /// found in the next frame, and its division must not stand still meanwhile. For a single problem 2,000,
+    /// which takes seconds.
     pub dense_fallback_robots: usize,
     /// Computation: the similarity of fleets of up to so many robots that are decomposed whole is kept for
     /// the next frame. Default: 2,000, all that the live fleet decomposes whole.
@@ -117,7 +119,7 @@ impl EmbeddingParams {
             threads: 1,
             max_rank: MAX_DIMENSION as usize / 2,
             dense_robots: 64,
-            dense_fallback_robots: 2000,
+            dense_fallback_robots: 400,
             cached_robots: 2000,
             exact_radius_robots: 4096,
             effort: Effort::OneFrame,
@@ -130,6 +132,7 @@ impl EmbeddingParams {
         Self {
             hysteresis: 0.0,
             cached_robots: 0,
+            dense_fallback_robots: 2000,
             exact_radius_robots: usize::MAX,
             effort: Effort::WhileItHelps,
             ..Self::new(settings, teams, Pace::AtRest)
