@@ -23,14 +23,15 @@ const SETTLING_TIME: Duration = Duration::from_secs(5);
 #[derive(Debug, Parser)]
 #[command(
     after_help = "Examples:\n  tests/peers/latency                                all sizes, 60 s each\n  \
-tests/peers/latency --robots 500 --seconds 20\n  tests/peers/latency --set embedder.dimension=8"
+tests/peers/latency --robots 500 --seconds 20\n  tests/peers/latency --set embedder.dimension=8\n  \
+tests/peers/latency --set clusterer.teams=5            with a number of teams that is given"
 )]
 struct Options {
     /// Sizes of the fleet, one run for each
     #[arg(long, value_delimiter = ',', default_values_t = [50, 500, 5000],
           value_parser = clap::value_parser!(u32).range(2..=i64::from(MAX_ROBOTS)))]
     robots: Vec<u32>,
-    /// Teams that the robots march in and are divided into
+    /// Teams that the robots march in
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=64))]
     teams: u32,
     /// Poses per second of each robot

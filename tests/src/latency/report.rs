@@ -143,7 +143,7 @@ pub fn page(
         let settings = plan.settings.iter().map(|(service, set)| format!(", {service} {set}"));
         writeln!(
             page,
-            "- {} robots: {} teams, {} poses per second each, {:.0} s{}",
+            "- {} robots: march in {} teams, {} poses per second each, {:.0} s{}",
             plan.robots,
             plan.teams,
             plan.rate_hz,
@@ -167,7 +167,7 @@ pub fn page(
 /// What the numbers are, for readers of the page alone.
 const DEFINITIONS: &str = "\
 A router, the four services and all robots run as processes of one host, over TCP on loopback, with \
-default settings but for the number of teams. The robots march in squads and move with every pose; \
+default settings, by which the number of teams is chosen as well. The robots march in squads and move with every pose; \
 each has a phase of its own. They join 1,000 a second. They also put links twice a second and ranks \
 once. The heading of a pose is its number, which the roster contains, and the header of each division \
 names its frame: which poses are in a division is known, not estimated.

@@ -37,7 +37,7 @@ const LOSS_COUNTERS: [&str; 2] = ["inbox_dropped", "outbox_dropped"];
 pub struct RunPlan {
     /// How many robots.
     pub robots: usize,
-    /// In how many teams.
+    /// In how many teams they march.
     pub teams: usize,
     /// Poses per second of each.
     pub rate_hz: f64,
@@ -163,9 +163,8 @@ impl Measured {
 /// If a process does not start or ends, or the fleet is not divided in time.
 pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Measured> {
     let robots = plan.robots;
-    let teams = format!("teams={}", plan.teams);
-    let mut settings = vec![("clusterer", teams.as_str())];
-    settings.extend(plan.settings.iter().map(|(service, set)| (service.as_str(), set.as_str())));
+    let set = plan.settings.iter().map(|(service, set)| (service.as_str(), set.as_str()));
+    let settings: Vec<_> = set.collect();
     progress(format!("{robots} robots: a router and four services start"));
     let mut cluster = Cluster::start(FLEET, &settings)?;
     let client = cluster.client().await?;
