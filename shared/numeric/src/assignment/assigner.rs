@@ -134,7 +134,7 @@ impl Assigner {
     }
 
     /// Places of the columns of the last result.
-    pub(super) fn labels(&self) -> &[u32] {
+    pub(crate) fn labels(&self) -> &[u32] {
         &self.labels
     }
 

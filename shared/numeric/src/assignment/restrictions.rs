@@ -9,7 +9,7 @@ const BITS: usize = u64::BITS as usize;
 
 /// Columns that robots may be in. Only robots that may not be everywhere take memory for theirs.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Restrictions {
+pub(crate) struct Restrictions {
     columns: usize,
     robots: usize,
     /// For every robot the number of its set, or [`FREE`]; empty while all are free.
@@ -77,7 +77,7 @@ impl Restrictions {
 
     /// True if `robot` may be in the column at `place`.
     #[inline]
-    pub(super) fn allows(&self, robot: usize, place: usize) -> bool {
+    pub(crate) fn allows(&self, robot: usize, place: usize) -> bool {
         self.set(robot).is_none_or(|set| set[place / BITS] >> (place % BITS) & 1 == 1)
     }
 
@@ -107,7 +107,7 @@ impl Restrictions {
     }
 
     /// The only column that `robot` may be in, if there is just one.
-    pub(super) fn only(&self, robot: usize) -> Option<usize> {
+    pub(crate) fn only(&self, robot: usize) -> Option<usize> {
         let set = self.set(robot)?;
         let count: u32 = set.iter().map(|bits| bits.count_ones()).sum();
         if count != 1 {

@@ -377,7 +377,7 @@ impl Rules {
 pub struct ValidRules {
     rules: Rules,
     pub(super) network: Network,
-    pub(super) restrictions: Restrictions,
+    pub(crate) restrictions: Restrictions,
 }
 
 impl ValidRules {
