@@ -7,7 +7,7 @@ use super::conflict::Conflict;
 use super::costs::CostMatrix;
 use super::cut::find_conflict;
 use super::movers::Movers;
-use super::network::Network;
+use super::network::{Members, Network};
 use super::paths::{Blocked, Flow};
 use super::restrictions::Restrictions;
 use super::rules::{Column, ValidRules};
@@ -64,8 +64,8 @@ pub enum AssignmentError {
 pub struct Assigner {
     /// Price of every node of the last call.
     prices: Vec<i64>,
-    /// Columns of the last call, and limited cells by group and column.
-    shape: (usize, Vec<(Option<usize>, usize)>),
+    /// What the prices are for.
+    shape: Shape,
     labels: Vec<u32>,
 }
 
@@ -122,7 +122,7 @@ impl Assigner {
         if self.labels.len() != costs.robots() || self.prices.len() != network.nodes() {
             return Err(AssignmentError::Shape {
                 robots: self.labels.len(),
-                columns: self.shape.0,
+                columns: self.shape.columns,
                 wanted_robots: costs.robots(),
                 wanted_columns: costs.columns(),
             });
@@ -171,22 +171,30 @@ impl Assigner {
     fn kept_prices(&self, network: &Network) -> Vec<i64> {
         let shape = shape_of(network);
         let bounded = self.prices.iter().all(|price| (-MAX_PRICE..=MAX_PRICE).contains(price));
-        if self.shape.0 != shape.0 || !bounded {
+        if self.shape.columns != shape.columns || !bounded {
             return vec![0; network.nodes()];
         }
         if self.shape == shape {
             return self.prices.clone();
         }
-        let columns = shape.0;
+        let columns = shape.columns;
         let mut prices = self.prices[..columns].to_vec();
-        for (class, column) in &shape.1 {
+        for (class, column) in &shape.cells {
             // A cell that was not limited had the price of its column.
-            let before = self.shape.1.binary_search(&(*class, *column));
+            let before = self.shape.cells.binary_search(&(*class, *column));
             prices.push(self.prices[before.map_or(*column, |place| columns + place)]);
         }
         prices.push(0);
         prices
     }
+}
+
+/// The nodes of a flow graph.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+struct Shape {
+    columns: usize,
+    /// Class and column of every limited cell, in the order of the nodes.
+    cells: Vec<(Option<usize>, usize)>,
 }
 
 /// What [`Assigner::solve_restricted`] found.
@@ -195,14 +203,13 @@ pub(super) struct Solved {
     pub(super) repairs: usize,
 }
 
-/// Number of columns, and class and column of every cell in the order of the nodes.
-fn shape_of(network: &Network) -> (usize, Vec<(Option<usize>, usize)>) {
+fn shape_of(network: &Network) -> Shape {
     let cells = &network.members_at[network.columns..network.sink()];
-    let cell = |members: &Vec<super::network::Members>| {
+    let cell = |members: &Vec<Members>| {
         let first = members.first()?;
         Some((network.class_of_group(first.group as usize), first.column as usize))
     };
-    (network.columns, cells.iter().filter_map(cell).collect())
+    Shape { columns: network.columns, cells: cells.iter().filter_map(cell).collect() }
 }
 
 /// The cheapest column of every robot at `prices`; of equal ones the previous one, then the first.

@@ -78,7 +78,7 @@ pub fn assign_with_wishes(
     node_budget: usize,
 ) -> Result<Division, DivisionError> {
     let chosen = [vec![true; wishes.get().wishes.len()], vec![true; wishes.get().needs.len()]];
-    let ended = search(assigner, rules, wishes, &chosen, costs, node_budget, false)?;
+    let ended = search(assigner, rules, wishes, &chosen, costs, node_budget, Goal::Best)?;
     match ended {
         Ended::Found { labels, cost, bound, nodes } => {
             let columns = labels.iter().map(|at| rules.get().column_at(*at as usize)).collect();
@@ -115,7 +115,7 @@ fn conflicting_wishes(
                 continue;
             }
             chosen[kind][number] = false;
-            let ended = search(assigner, rules, wishes, &chosen, costs, node_budget, true)?;
+            let ended = search(assigner, rules, wishes, &chosen, costs, node_budget, Goal::Any)?;
             if !matches!(ended, Ended::Infeasible) {
                 chosen[kind][number] = true;
                 irreducible &= matches!(ended, Ended::Found { .. });
@@ -126,6 +126,15 @@ fn conflicting_wishes(
         kind.iter().enumerate().filter(|(_, chosen)| **chosen).map(|(number, _)| number).collect()
     });
     Ok(DivisionError::Infeasible { wishes, needs, irreducible })
+}
+
+/// What a search is for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Goal {
+    /// The cheapest division.
+    Best,
+    /// Whether there is any.
+    Any,
 }
 
 /// How a search ended.
@@ -142,7 +151,7 @@ struct Open {
     bound: i128,
 }
 
-/// Searches with the chosen wishes and needs; `any` ends it with the first division.
+/// Searches with the chosen wishes and needs.
 fn search(
     assigner: &mut Assigner,
     rules: &ValidRules,
@@ -150,7 +159,7 @@ fn search(
     chosen: &[Vec<bool>; 2],
     costs: &CostMatrix,
     node_budget: usize,
-    any: bool,
+    goal: Goal,
 ) -> Result<Ended, DivisionError> {
     let shape = (costs.robots(), costs.columns());
     let wanted = (rules.get().robots, rules.get().columns());
@@ -175,7 +184,7 @@ fn search(
         if useless(node.bound) {
             continue;
         }
-        if (any && best.is_some()) || (nodes > 0 && nodes >= node_budget) {
+        if (goal == Goal::Any && best.is_some()) || (nodes > 0 && nodes >= node_budget) {
             open.push(node);
             break;
         }

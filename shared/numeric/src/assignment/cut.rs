@@ -22,6 +22,15 @@ pub(super) struct Fleet<'a> {
     sizes: BTreeMap<Option<usize>, usize>,
 }
 
+/// A column, and a class with limits in it or none.
+type Place = (usize, Option<usize>);
+
+/// Limits of places.
+type Limits = BTreeMap<Place, Bounds>;
+
+/// Node of every column and limited cell.
+type Cells = BTreeMap<Place, usize>;
+
 /// A bounded arc of the flow graph.
 struct BoundedArc {
     from: usize,
@@ -47,7 +56,7 @@ pub(super) struct Cut {
     kinds: Vec<Kind>,
     arcs: Vec<BoundedArc>,
     /// Node of every column and limited cell, by column and class.
-    cells: BTreeMap<(usize, Option<usize>), usize>,
+    cells: Cells,
     /// Whether each node is on the side that has too much: kinds, cells, columns, sink.
     side: Vec<bool>,
 }
@@ -105,7 +114,7 @@ impl<'a> Fleet<'a> {
 
     /// The proof that `active` rules cannot all be satisfied; `None` if they can.
     pub(super) fn cut(&self, active: &[Rule]) -> Option<Cut> {
-        let mut limits: BTreeMap<(usize, Option<usize>), Bounds> = BTreeMap::new();
+        let mut limits = Limits::new();
         let mut pairs = Vec::new();
         for rule in active {
             match *rule {
@@ -119,7 +128,8 @@ impl<'a> Fleet<'a> {
             }
         }
         let kinds = self.kinds(&limits, &pairs);
-        let (cells, arcs) = self.graph(kinds.len(), &limits);
+        let cells = self.cells(kinds.len(), &limits);
+        let arcs = bounded_arcs(&cells, &limits, kinds.len());
         let sink = kinds.len() + cells.len();
         let (source, end) = (sink + 1, sink + 2);
         let mut flow = MaxFlow::new(sink + 3);
@@ -149,11 +159,7 @@ impl<'a> Fleet<'a> {
     }
 
     /// Robots that `limits` and `pairs` treat alike.
-    fn kinds(
-        &self,
-        limits: &BTreeMap<(usize, Option<usize>), Bounds>,
-        pairs: &[Pair],
-    ) -> Vec<Kind> {
+    fn kinds(&self, limits: &Limits, pairs: &[Pair]) -> Vec<Kind> {
         let limited = |class: Option<usize>| {
             class.filter(|class| limits.keys().any(|(_, other)| *other == Some(*class)))
         };
@@ -184,37 +190,26 @@ impl<'a> Fleet<'a> {
         kinds
     }
 
-    /// Nodes of cells and columns from `first` on, and the bounded arcs between them and the sink.
-    fn graph(
-        &self,
-        first: usize,
-        limits: &BTreeMap<(usize, Option<usize>), Bounds>,
-    ) -> (BTreeMap<(usize, Option<usize>), usize>, Vec<BoundedArc>) {
-        let mut cells = BTreeMap::new();
-        for column in 0..self.rules.columns() {
-            cells.insert((column, None), first + cells.len());
-        }
-        for &key in limits.keys().filter(|(_, class)| class.is_some()) {
-            let node = first + cells.len();
-            cells.insert(key, node);
-        }
-        let sink = first + cells.len();
-        let mut arcs = Vec::new();
-        for (&(column, class), &from) in &cells {
-            let to = if class.is_some() { cell_of(&cells, column, None) } else { sink };
-            let bounds = limits.get(&(column, class)).copied().unwrap_or_default();
-            arcs.push(BoundedArc { from, to, column, class, bounds });
-        }
-        (cells, arcs)
+    /// Nodes of columns and limited cells from `first` on.
+    fn cells(&self, first: usize, limits: &Limits) -> Cells {
+        let columns = (0..self.rules.columns()).map(|column| (column, None));
+        let limited = limits.keys().copied().filter(|(_, class)| class.is_some());
+        columns.chain(limited).enumerate().map(|(at, place)| (place, first + at)).collect()
     }
 }
 
+/// Arcs from cells to columns, and from those to the sink, which is the node behind all cells.
+fn bounded_arcs(cells: &Cells, limits: &Limits, first: usize) -> Vec<BoundedArc> {
+    let arc = |(&(column, class), &from): (&Place, &usize)| {
+        let to = if class.is_some() { cell_of(cells, column, None) } else { first + cells.len() };
+        let bounds = limits.get(&(column, class)).copied().unwrap_or_default();
+        BoundedArc { from, to, column, class, bounds }
+    };
+    cells.iter().map(arc).collect()
+}
+
 /// Node that robots of a class flow into.
-fn cell_of(
-    cells: &BTreeMap<(usize, Option<usize>), usize>,
-    column: usize,
-    class: Option<usize>,
-) -> usize {
+fn cell_of(cells: &Cells, column: usize, class: Option<usize>) -> usize {
     let own = cells.get(&(column, class));
     own.or_else(|| cells.get(&(column, None))).copied().unwrap_or(0)
 }

@@ -24,6 +24,15 @@ struct Candidate {
     own: f64,
 }
 
+/// What exchanges did.
+pub(super) struct Exchanged {
+    pub(super) passes: usize,
+    /// True if any point moved.
+    pub(super) moved: bool,
+    /// True when a pass without moves was reached.
+    pub(super) settled: bool,
+}
+
 /// A swap and what it changes.
 struct Swap {
     change: f64,
@@ -32,13 +41,13 @@ struct Swap {
 
 impl Task<'_> {
     /// Moves and swaps points while that lowers the inertia by more than the share `hysteresis` of what the points add
-    /// where they are. Returns the passes, whether any point moved, and whether a pass without moves was reached.
+    /// where they are.
     pub(super) fn exchange(
         &self,
         labels: &mut [u32],
         centroids: &mut DenseMatrix,
         hysteresis: f64,
-    ) -> (usize, bool, bool) {
+    ) -> Exchanged {
         let keep = 1.0 - hysteresis.max(MIN_GAIN);
         let mut places = Places::new(self.limits.rules, labels);
         let mut any = false;
@@ -46,12 +55,12 @@ impl Task<'_> {
             let moved = self.move_points(labels, centroids, &mut places, keep);
             let swapped = self.swap_points(labels, centroids, &mut places, keep);
             if !moved && !swapped {
-                return (pass, any, true);
+                return Exchanged { passes: pass, moved: any, settled: true };
             }
             self.update_means(labels, centroids);
             any = true;
         }
-        (self.options.max_iterations, any, false)
+        Exchanged { passes: self.options.max_iterations, moved: any, settled: false }
     }
 
     /// What a point adds to the inertia when it comes.
@@ -79,8 +88,8 @@ impl Task<'_> {
         keep: f64,
     ) -> bool {
         let mut moved = false;
-        for point in 0..labels.len() {
-            let from = labels[point] as usize;
+        for (point, label) in labels.iter_mut().enumerate() {
+            let from = *label as usize;
             if !places.may_leave(point, from) {
                 continue;
             }
@@ -94,7 +103,7 @@ impl Task<'_> {
             }
             if best.0 != from {
                 self.follow(point, from, best.0, centroids, places);
-                labels[point] = best.0 as u32;
+                *label = best.0 as u32;
                 moved = true;
             }
         }

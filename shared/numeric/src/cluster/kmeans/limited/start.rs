@@ -3,6 +3,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use super::exchange::Exchanged;
 use super::seeding::capped_plus_plus;
 use super::{KMeansLimits, LimitedKMeansError, cost_unit};
 use crate::assignment::{Assigner, Bounds, Column, CostMatrix, Rules};
@@ -121,7 +122,8 @@ impl<'a> Task<'a> {
                 }
                 least = inertia;
             }
-            let (passes, moved, settled) = self.exchange(&mut labels, &mut centroids, 0.0);
+            let Exchanged { passes, moved, settled } =
+                self.exchange(&mut labels, &mut centroids, 0.0);
             iterations += passes;
             if !moved || iterations >= limit {
                 let inertia = self.inertia(&labels, &centroids);
@@ -159,10 +161,10 @@ impl<'a> Task<'a> {
         let keep = 1.0 - self.options.hysteresis;
         let mut labels = self.assigned(&centroids, &mut assigner, keep)?;
         self.update_means(&labels, &mut centroids);
-        let (iterations, _, converged) =
+        let Exchanged { passes, settled: converged, .. } =
             self.exchange(&mut labels, &mut centroids, self.options.hysteresis);
         let inertia = self.inertia(&labels, &centroids);
-        Ok(Some(Divided { labels, centroids, inertia, iterations: iterations + 1, converged }))
+        Ok(Some(Divided { labels, centroids, inertia, iterations: passes + 1, converged }))
     }
 
     /// The exact assignment to `centroids`, where the previous column of a point costs the share `keep` only.
