@@ -17,11 +17,13 @@
 //! | carry cluster identities over from the previous division | [`matching`] |
 //! | score the division | [`silhouette`] |
 //! | score divisions into several numbers of groups | [`modularity`] |
+//! | divide under limits, wishes and needs at the least cost | [`assignment`] |
 //!
 //! The folders are fields of mathematics, and imports between them lead downwards only: `svd`
 //! (decomposition and representation), `katz` (similarity and decay), `fuse`, `norm` (spectral
 //! norm), `radius` (spectral radius), `graph` (algorithms on graphs) and `linalg` (matrices
-//! and kernels); `cluster` (division and its quality) needs `linalg` alone. Public modules are
+//! and kernels); `cluster` (division and its quality) needs `linalg` and `assignment` (limits, which
+//! need nothing) alone. Public modules are
 //! re-exported here under the names of the table.
 //!
 //! The crate identifies nodes by their index, does no input or output, and has no state except in
@@ -35,6 +37,7 @@
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
+pub mod assignment;
 mod cluster;
 pub mod fuse;
 mod graph;

@@ -5,6 +5,8 @@
 //! restarts, greedy k-means++ seeding (Arthur and Vassilvitskii, SODA 2007) and, after Lloyd,
 //! single-point exchanges (Hartigan and Wong, 1979), whose optima are a subset of Lloyd's.
 //!
+//! Teams with limits are divided by [`ValidKMeansOptions::divide_within`]; nothing of it touches a division without.
+//!
 //! Restart r draws from stream r of one generator, and sums run over chunks of points with fixed
 //! bounds: results depend on the seed alone, not on the order of the restarts or on the number of
 //! threads.
@@ -12,6 +14,7 @@
 mod assign;
 mod division;
 mod exchange;
+mod limited;
 mod options;
 mod partition;
 mod points;
@@ -21,5 +24,6 @@ mod sums;
 mod warm;
 
 pub use division::{KMeans, KMeansError, kmeans, kmeans_with_progress, lloyd};
+pub use limited::{KMeansLimits, LimitedKMeans, LimitedKMeansError};
 pub use options::{Init, KMeansOptions, KMeansOptionsError, ValidKMeansOptions};
 pub use seeding::DISTINCT_ROW_RATIO;

@@ -3,6 +3,7 @@
 
 pub(crate) mod fleet;
 pub(crate) mod precise;
+pub(crate) mod teams;
 
 use muster_numeric::matrix::{DenseMatrix, SparseMatrix};
 use muster_numeric::radius_bound::RadiusBound;

@@ -13,11 +13,11 @@ use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::parallel::Threads;
 
 /// Relative improvement of the inertia below which the earlier restart is kept.
-const INERTIA_TIE: f64 = 1e-12;
+pub(super) const INERTIA_TIE: f64 = 1e-12;
 
 /// Restarts per thread between two comparisons of results: enough that no thread waits long for
 /// the slowest one, and few enough that their labels take little memory.
-const RESTARTS_PER_THREAD: usize = 4;
+pub(super) const RESTARTS_PER_THREAD: usize = 4;
 
 /// A division of N points.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,0 +1,117 @@
+//! How many points are in each team, and which moves the limits allow.
+
+use crate::assignment::{Bounds, ValidRules};
+
+/// No class with limits.
+const PLAIN: u32 = u32::MAX;
+
+/// Counts of points in columns, and of those of each limited class.
+pub(super) struct Places<'a> {
+    rules: &'a ValidRules,
+    columns: usize,
+    bounds: Vec<Bounds>,
+    pub(super) sizes: Vec<usize>,
+    /// Limited class of every point, renumbered.
+    classes: Vec<u32>,
+    /// Limits and counts of classes, classes × columns.
+    class_bounds: Vec<Bounds>,
+    class_sizes: Vec<usize>,
+}
+
+impl<'a> Places<'a> {
+    /// Counts of `labels`.
+    pub(super) fn new(rules: &'a ValidRules, labels: &[u32]) -> Self {
+        let all = rules.get();
+        let columns = all.columns();
+        let bounds: Vec<Bounds> = all.teams.iter().copied().chain(all.reserve).collect();
+        let mut numbers: Vec<usize> = all.class_limits.iter().map(|limit| limit.class).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        let mut class_bounds = vec![Bounds::ANY; numbers.len() * columns];
+        for limit in &all.class_limits {
+            if let (Ok(class), Ok(column)) =
+                (numbers.binary_search(&limit.class), all.index_of(limit.column))
+            {
+                class_bounds[class * columns + column] = limit.bounds;
+            }
+        }
+        let number = |class: &Option<usize>| {
+            let place = class.and_then(|class| numbers.binary_search(&class).ok());
+            place.map_or(PLAIN, |place| place as u32)
+        };
+        let classes = if numbers.is_empty() {
+            vec![PLAIN; labels.len()]
+        } else {
+            let mut classes: Vec<u32> = all.classes.iter().map(number).collect();
+            classes.resize(labels.len(), PLAIN);
+            classes
+        };
+        let class_sizes = vec![0; class_bounds.len()];
+        let sizes = vec![0; columns];
+        let mut places = Self { rules, columns, bounds, sizes, classes, class_bounds, class_sizes };
+        for (point, label) in labels.iter().enumerate() {
+            places.add(point, *label as usize);
+        }
+        places
+    }
+
+    /// Entry of the class of a point in a column.
+    fn cell(&self, point: usize, column: usize) -> Option<usize> {
+        let class = self.classes[point];
+        (class != PLAIN).then(|| class as usize * self.columns + column)
+    }
+
+    fn add(&mut self, point: usize, column: usize) {
+        self.sizes[column] += 1;
+        if let Some(cell) = self.cell(point, column) {
+            self.class_sizes[cell] += 1;
+        }
+    }
+
+    /// Counts a point elsewhere.
+    pub(super) fn transfer(&mut self, point: usize, from: usize, to: usize) {
+        self.sizes[from] -= 1;
+        if let Some(cell) = self.cell(point, from) {
+            self.class_sizes[cell] -= 1;
+        }
+        self.add(point, to);
+    }
+
+    /// True if the pairs let the point be there.
+    pub(super) fn admits(&self, point: usize, column: usize) -> bool {
+        self.rules.restrictions.allows(point, column)
+    }
+
+    /// True if one less of the class of the point may be in the column.
+    fn class_may_leave(&self, point: usize, column: usize) -> bool {
+        let spare = |cell: usize| self.class_sizes[cell] > self.class_bounds[cell].lower;
+        self.cell(point, column).is_none_or(spare)
+    }
+
+    /// True if one more of the class of the point may be in the column.
+    fn class_may_enter(&self, point: usize, column: usize) -> bool {
+        let room = |cell: usize| self.class_sizes[cell] < self.class_bounds[cell].upper;
+        self.cell(point, column).is_none_or(room)
+    }
+
+    /// True if the limits let the point leave the column.
+    pub(super) fn may_leave(&self, point: usize, column: usize) -> bool {
+        self.sizes[column] > self.bounds[column].lower && self.class_may_leave(point, column)
+    }
+
+    /// True if pairs and limits let the point come.
+    pub(super) fn may_enter(&self, point: usize, column: usize) -> bool {
+        self.sizes[column] < self.bounds[column].upper
+            && self.class_may_enter(point, column)
+            && self.admits(point, column)
+    }
+
+    /// True if the limits of classes let two points, which the pairs admit, change places.
+    pub(super) fn may_swap(&self, [a, b]: [usize; 2], [of_a, of_b]: [usize; 2]) -> bool {
+        self.classes[a] == self.classes[b]
+            || (self.class_may_leave(a, of_a)
+                && self.class_may_enter(a, of_b)
+                && self.class_may_leave(b, of_b)
+                && self.class_may_enter(b, of_a))
+    }
+}

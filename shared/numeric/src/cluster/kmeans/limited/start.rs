@@ -1,0 +1,263 @@
+//! One start under limits: seeding, exact assignments, exchanges.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::exchange::Exchanged;
+use super::seeding::capped_plus_plus;
+use super::{KMeansLimits, LimitedKMeansError, cost_unit};
+use crate::assignment::{Assigner, Bounds, Column, CostMatrix, Rules};
+use crate::cluster::kmeans::division::INERTIA_TIE;
+use crate::cluster::kmeans::options::{Init, KMeansOptions};
+use crate::cluster::kmeans::points::Points;
+use crate::cluster::kmeans::seeding;
+use crate::linalg::matrix::DenseMatrix;
+use crate::linalg::vector::squared_distance;
+
+/// Largest cost in units: a reserve that costs more is as expensive as one that costs this, which is far more than any
+/// distance.
+const MAX_UNITS: f64 = (1_u64 << 39) as f64;
+
+/// A finished start.
+pub(super) struct Divided {
+    pub(super) labels: Vec<u32>,
+    pub(super) centroids: DenseMatrix,
+    pub(super) inertia: f64,
+    pub(super) iterations: usize,
+    pub(super) converged: bool,
+}
+
+/// What all starts have in common.
+pub(super) struct Task<'a> {
+    pub(super) points: &'a Points<'a>,
+    pub(super) options: &'a KMeansOptions<'a>,
+    pub(super) limits: &'a KMeansLimits<'a>,
+    unit: f64,
+    /// Place of the previous column of every point, where it still is one.
+    previous: Vec<Option<u32>>,
+    /// Mean of the points that are forced into each team, or else that were in it before.
+    anchors: Vec<Option<Vec<f64>>>,
+}
+
+impl<'a> Task<'a> {
+    pub(super) fn new(
+        points: &'a Points<'a>,
+        options: &'a KMeansOptions<'a>,
+        limits: &'a KMeansLimits<'a>,
+    ) -> Self {
+        let rules = limits.rules.get();
+        let place = |column: &Option<Column>| {
+            column.and_then(|column| rules.index_of(column).ok()).map(|at| at as u32)
+        };
+        let previous: Vec<Option<u32>> =
+            limits.previous.unwrap_or_default().iter().map(place).collect();
+        let forced: Vec<Option<u32>> = (0..points.len())
+            .map(|point| limits.rules.restrictions.only(point).map(|at| at as u32))
+            .collect();
+        let teams = rules.teams.len();
+        let (pinned, before) = (means(points.x, &forced, teams), means(points.x, &previous, teams));
+        let anchors =
+            pinned.into_iter().zip(before).map(|(first, second)| first.or(second)).collect();
+        Self { points, options, limits, unit: cost_unit(points), previous, anchors }
+    }
+
+    pub(super) fn teams(&self) -> usize {
+        self.options.clusters
+    }
+
+    /// What a point adds to the inertia in a column.
+    pub(super) fn cost(&self, point: usize, column: usize, centroids: &DenseMatrix) -> f64 {
+        if column < centroids.rows() {
+            squared_distance(self.points.x.row(point), centroids.row(column))
+        } else {
+            self.limits.reserve_cost
+        }
+    }
+
+    /// Sum of what all points add.
+    pub(super) fn inertia(&self, labels: &[u32], centroids: &DenseMatrix) -> f64 {
+        let costs = labels.iter().enumerate();
+        costs.map(|(point, label)| self.cost(point, *label as usize, centroids)).sum()
+    }
+
+    /// Means of the teams; an empty team keeps its centroid.
+    pub(super) fn update_means(&self, labels: &[u32], centroids: &mut DenseMatrix) {
+        let labels: Vec<Option<u32>> = labels.iter().map(|label| Some(*label)).collect();
+        for (team, mean) in means(self.points.x, &labels, self.teams()).into_iter().enumerate() {
+            if let Some(mean) = mean {
+                centroids.row_mut(team).copy_from_slice(&mean);
+            }
+        }
+    }
+
+    /// Cold start `number`.
+    pub(super) fn restart(&self, number: u64) -> Result<Divided, LimitedKMeansError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.options.seed);
+        rng.set_stream(number);
+        let seeds = match self.options.init {
+            Init::PlusPlus if self.limits.rules.get().reserve.is_some() => {
+                let most = self.limits.reserve_cost;
+                capped_plus_plus(self.points.x, self.teams(), most, &mut rng)
+            }
+            Init::PlusPlus => seeding::plus_plus(self.points, self.teams(), &mut rng),
+            Init::Random => seeding::random(self.points.x, self.teams(), &mut rng),
+        };
+        let mut centroids = self.matched(&seeds)?;
+        let limit = self.options.max_iterations;
+        let mut assigner = Assigner::new();
+        let mut iterations = 0;
+        let mut least = f64::INFINITY;
+        loop {
+            let mut labels: Vec<u32> = Vec::new();
+            while iterations < limit {
+                iterations += 1;
+                let next = self.assigned(&centroids, &mut assigner, 1.0)?;
+                let same = next == labels;
+                labels = next;
+                self.update_means(&labels, &mut centroids);
+                let inertia = self.inertia(&labels, &centroids);
+                // Rounding of costs could make assignments alternate for ever.
+                if same || inertia >= least * (1.0 - INERTIA_TIE) {
+                    break;
+                }
+                least = inertia;
+            }
+            let Exchanged { passes, moved, settled } =
+                self.exchange(&mut labels, &mut centroids, 0.0);
+            iterations += passes;
+            if !moved || iterations >= limit {
+                let inertia = self.inertia(&labels, &centroids);
+                let converged = settled && !moved;
+                return Ok(Divided { labels, centroids, inertia, iterations, converged });
+            }
+        }
+    }
+
+    /// The previous division, brought within the limits where it is not, and refined; `None` if there was none.
+    pub(super) fn refined(&self) -> Result<Option<Divided>, LimitedKMeansError> {
+        let teams = self.teams();
+        let before = means(self.points.x, &self.previous, teams);
+        if before.iter().all(Option::is_none) {
+            return Ok(None);
+        }
+        let mut gaps = vec![f64::INFINITY; self.points.len()];
+        let mut centroids = DenseMatrix::from_fn(teams, self.points.x.cols(), |_, _| 0.0);
+        // Teams that had nobody begin at the points that are farthest from all others.
+        let (old, new): (Vec<usize>, Vec<usize>) =
+            (0..teams).partition(|team| before[*team].is_some());
+        for team in old.into_iter().chain(new) {
+            let farther =
+                |best: usize, point: usize| if gaps[point] > gaps[best] { point } else { best };
+            let farthest = (0..gaps.len()).fold(0, farther);
+            let row = before[team].as_deref().unwrap_or_else(|| self.points.x.row(farthest));
+            centroids.row_mut(team).copy_from_slice(row);
+            for (gap, point) in gaps.iter_mut().zip(self.points.x.iter_rows()) {
+                *gap = gap.min(squared_distance(point, row));
+            }
+        }
+        let mut assigner = Assigner::new();
+        let columns: Vec<Option<Column>> = self.limits.previous.unwrap_or_default().to_vec();
+        assigner.set_previous(self.limits.rules, &columns);
+        let keep = 1.0 - self.options.hysteresis;
+        let mut labels = self.assigned(&centroids, &mut assigner, keep)?;
+        self.update_means(&labels, &mut centroids);
+        let Exchanged { passes, settled: converged, .. } =
+            self.exchange(&mut labels, &mut centroids, self.options.hysteresis);
+        let inertia = self.inertia(&labels, &centroids);
+        Ok(Some(Divided { labels, centroids, inertia, iterations: passes + 1, converged }))
+    }
+
+    /// The exact assignment to `centroids`, where the previous column of a point costs the share `keep` only.
+    fn assigned(
+        &self,
+        centroids: &DenseMatrix,
+        assigner: &mut Assigner,
+        keep: f64,
+    ) -> Result<Vec<u32>, LimitedKMeansError> {
+        let rules = self.limits.rules;
+        let columns = rules.get().columns();
+        let reserve = self.limits.reserve_cost.min(MAX_UNITS * self.unit);
+        let mut values = Vec::with_capacity(self.points.len() * columns);
+        for (point, row) in self.points.x.iter_rows().enumerate() {
+            let first = values.len();
+            values.extend(centroids.iter_rows().map(|centroid| squared_distance(row, centroid)));
+            if rules.get().reserve.is_some() {
+                values.push(reserve);
+            }
+            if let Some(Some(own)) = self.previous.get(point).filter(|_| keep < 1.0) {
+                values[first + *own as usize] *= keep;
+            }
+        }
+        let costs = CostMatrix::from_floats(self.points.len(), columns, &values, self.unit)?;
+        assigner.solve(rules, &costs)?;
+        Ok(assigner.labels().to_vec())
+    }
+
+    /// The seeds in the order of the teams: those of teams with pinned or previous points near their means, or else
+    /// seeds with many points for teams with much room.
+    fn matched(&self, seeds: &DenseMatrix) -> Result<DenseMatrix, LimitedKMeansError> {
+        let teams = self.teams();
+        let rules = Rules { teams: vec![Bounds::new(1, 1); teams], ..Rules::new(teams, teams) };
+        let Ok(rules) = rules.check() else { return Ok(seeds.clone()) };
+        let values: Vec<f64> = if self.anchors.iter().any(Option::is_some) {
+            let distance = |seed: &[f64], anchor: &Option<Vec<f64>>| {
+                anchor.as_ref().map_or(0.0, |anchor| squared_distance(seed, anchor))
+            };
+            let rows = seeds.iter_rows();
+            rows.flat_map(|seed| self.anchors.iter().map(move |a| distance(seed, a))).collect()
+        } else {
+            let sizes = nearest_counts(self.points.x, seeds);
+            let bounds = &self.limits.rules.get().teams;
+            let off = |size: usize, bounds: &Bounds| {
+                let excess = size.saturating_sub(bounds.upper);
+                (excess + bounds.lower.saturating_sub(size)) as f64
+            };
+            sizes.iter().flat_map(|size| bounds.iter().map(move |b| off(*size, b))).collect()
+        };
+        let unit = CostMatrix::unit_for(values.iter().fold(0.0, |a: f64, b| a.max(*b)));
+        let costs = CostMatrix::from_floats(teams, teams, &values, unit)?;
+        let mut assigner = Assigner::new();
+        assigner.solve(&rules, &costs)?;
+        let mut order = vec![0; teams];
+        for (seed, team) in assigner.labels().iter().enumerate() {
+            order[*team as usize] = seed;
+        }
+        Ok(seeds.select_rows(&order))
+    }
+}
+
+/// Number of points that are nearest to each seed.
+fn nearest_counts(x: &DenseMatrix, seeds: &DenseMatrix) -> Vec<usize> {
+    let mut counts = vec![0; seeds.rows()];
+    for row in x.iter_rows() {
+        let mut best = (0, f64::INFINITY);
+        for (seed, place) in seeds.iter_rows().enumerate() {
+            let far = squared_distance(row, place);
+            if far < best.1 {
+                best = (seed, far);
+            }
+        }
+        counts[best.0] += 1;
+    }
+    counts
+}
+
+/// Mean of the points of each team; `None` for a team without any.
+fn means(x: &DenseMatrix, labels: &[Option<u32>], teams: usize) -> Vec<Option<Vec<f64>>> {
+    let mut sums = vec![vec![0.0; x.cols()]; teams];
+    let mut sizes = vec![0_usize; teams];
+    for (row, label) in x.iter_rows().zip(labels) {
+        let Some(team) = label.map(|label| label as usize).filter(|team| *team < teams) else {
+            continue;
+        };
+        sizes[team] += 1;
+        for (sum, value) in sums[team].iter_mut().zip(row) {
+            *sum += value;
+        }
+    }
+    let mean = |(mut sum, size): (Vec<f64>, usize)| {
+        sum.iter_mut().for_each(|value| *value /= size.max(1) as f64);
+        (size > 0).then_some(sum)
+    };
+    sums.into_iter().zip(sizes).map(mean).collect()
+}
