@@ -193,6 +193,7 @@ mod tests {
                 tokio::time::sleep(Duration::from_millis(20)).await;
             }
         };
-        assert!(timeout(HANDSHAKE_TIMEOUT, freed).await.is_ok(), "the address is still taken");
+        // A handshake that is given up drains for three of its round trip estimates.
+        assert!(timeout(5 * HANDSHAKE_TIMEOUT, freed).await.is_ok(), "the address is still taken");
     }
 }
