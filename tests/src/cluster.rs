@@ -71,13 +71,28 @@ impl Cluster {
         let endpoint = free_endpoint()?;
         let folder = tempfile::tempdir()?;
         let router = start_router(&endpoint, folder.path())?;
+        Self::start_at(fleet, &endpoint, folder, router, settings, common)
+    }
+
+    /// Starts all services at a router that listens already, with flags as above.
+    ///
+    /// # Errors
+    /// If a program does not start.
+    pub fn start_at(
+        fleet: &str,
+        endpoint: &str,
+        folder: TempDir,
+        router: Process,
+        settings: &[(&str, &str)],
+        common: &[&str],
+    ) -> anyhow::Result<Self> {
         let mut flags: BTreeMap<String, Vec<String>> = BTreeMap::new();
         for (service, assignment) in settings {
             flags.entry((*service).to_owned()).or_default().push((*assignment).to_owned());
         }
         let mut cluster = Self {
             fleet: fleet.to_owned(),
-            endpoint,
+            endpoint: endpoint.to_owned(),
             folder,
             router,
             services: BTreeMap::new(),

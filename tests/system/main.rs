@@ -27,6 +27,7 @@ mod power_cut;
 mod presence;
 mod record;
 mod restarts;
+mod routers;
 mod schema;
 mod secured;
 mod settings;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use muster_model::graph::Node;
 use muster_model::id::{Modality, RobotId};
-use muster_model::limits::MAX_GRAPH_EDGES;
+use muster_model::limits::{MAX_GRAPH_EDGES, MAX_SILENT_ROBOTS};
 use muster_model::observation::Stream;
 use muster_model::roster::{Presence, RosterEntry};
 use muster_model::settings::IngestSettings;
@@ -21,7 +21,10 @@ pub(crate) struct Fleet {
     next_node: Node,
     /// How many edges all robots together have reported on each stream.
     edges: BTreeMap<Stream, usize>,
-    /// Robots that left although their token is still there.
+    /// Robots that joined by their token and have not reported; no more than [`MAX_SILENT_ROBOTS`].
+    silent: BTreeSet<RobotId>,
+    /// Names that have a token and are no robots of the fleet: they left although it was still there, or there
+    /// were too many silent ones. No more than a fleet may have robots.
     lingering: BTreeSet<RobotId>,
     /// No presence changes before this; none if it never does.
     presence_deadline: Option<Tick>,
@@ -39,7 +42,7 @@ impl Fleet {
         self.robots.iter().map(|(name, robot)| robot.entry(name)).collect()
     }
 
-    /// Known robots, and those that left although their token is still there.
+    /// Known robots, and names that have a token and are none.
     pub(crate) fn record_count(&self) -> usize {
         self.robots.len() + self.lingering.len()
     }
@@ -145,13 +148,15 @@ impl Fleet {
         robot.mark_seen(now);
         let change = robot.apply(now, stream.clone(), content);
         self.edges.insert(stream, edges);
+        self.silent.remove(name);
         self.newest_message = Some(now);
         self.schedule_presence_update(name, settings.into());
         Ok(Change { joined, roster: change.roster || joined, ..change })
     }
 
     /// A token appeared or was lost. A token that was known is no sign of life, and a robot that left
-    /// although it had its token does not return by it.
+    /// although it had its token does not return by it. By tokens alone only so many robots join; the others do
+    /// by their first report.
     ///
     /// # Errors
     /// If no more robots may join.
@@ -168,13 +173,25 @@ impl Fleet {
             if let Some(robot) = self.robots.get_mut(name) {
                 robot.token_lost(now);
             }
+        } else if !self.robots.contains_key(name) && self.silent.len() >= MAX_SILENT_ROBOTS {
+            self.linger(name.clone(), settings);
         } else if !self.lingering.contains(name) {
             let (robot, joined) = self.find_or_join(now, name, settings)?;
             robot.token_appeared(now);
+            if joined {
+                self.silent.insert(name.clone());
+            }
             change = Change { joined, roster: joined, graph: joined };
         }
         self.schedule_presence_update(name, settings.into());
         Ok(change)
+    }
+
+    /// Remembers that a name has a token and is no robot of the fleet, unless too many are remembered.
+    fn linger(&mut self, name: RobotId, settings: &IngestSettings) {
+        if self.lingering.len() < settings.max_robots as usize {
+            self.lingering.insert(name);
+        }
     }
 
     /// The robot, with the next node number if it is new, and whether it is.
@@ -252,9 +269,9 @@ impl Fleet {
                 continue;
             }
             let left = self.robots.remove(name);
-            let has_token = left.is_some_and(|robot| robot.has_token());
-            if has_token && self.lingering.len() < settings.max_robots as usize {
-                self.lingering.insert(name.clone());
+            self.silent.remove(name);
+            if left.is_some_and(|robot| robot.has_token()) {
+                self.linger(name.clone(), settings);
             }
         }
         if transitions.iter().any(|(_, transition)| *transition == Transition::Left) {
@@ -287,10 +304,11 @@ impl Fleet {
 
     /// Removes the robots that have joined by their token alone, unless they are to stay.
     pub(crate) fn remove_without_reports(&mut self, stays: impl Fn(&RobotId) -> bool) {
-        let lingering = &mut self.lingering;
+        let (lingering, silent) = (&mut self.lingering, &mut self.silent);
         self.robots.retain(|name, robot| {
             let leaves = !robot.has_reported() && robot.has_token() && !stays(name);
             if leaves {
+                silent.remove(name);
                 lingering.insert(name.clone());
             }
             !leaves
@@ -352,6 +370,30 @@ mod tests {
         );
         report(&mut fleet, "r2", 1).unwrap();
         assert_eq!(fleet.edges[&Stream::Links], most - 1);
+    }
+
+    #[test]
+    fn tokens_without_reports_do_not_fill_the_fleet() {
+        let (mut fleet, settings) = (Fleet::default(), IngestSettings::default());
+        let many = settings.max_robots as usize + 2 * MAX_SILENT_ROBOTS;
+        let name = |number: usize| robot(&format!("s{number:06}"));
+        let mut joined = 0;
+        for number in 0..many {
+            joined += usize::from(fleet.token(NOW, &name(number), true, &settings).unwrap().joined);
+        }
+        assert_eq!((joined, fleet.robots.len()), (MAX_SILENT_ROBOTS, MAX_SILENT_ROBOTS));
+        assert_eq!(fleet.record_count(), MAX_SILENT_ROBOTS + settings.max_robots as usize);
+        // One of them joins by its first report, and its token counts.
+        let late = name(MAX_SILENT_ROBOTS);
+        assert!(report(&mut fleet, late.as_str(), 1).unwrap().joined);
+        assert!(fleet.robots[&late].has_token());
+        // Their end frees everything.
+        for number in 0..many {
+            fleet.token(NOW, &name(number), false, &settings).unwrap();
+        }
+        let later = NOW.after(Duration::from_secs(60));
+        fleet.update_presence(later, &settings);
+        assert_eq!((fleet.record_count(), fleet.silent.len()), (0, 0));
     }
 
     #[test]

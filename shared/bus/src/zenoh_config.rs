@@ -28,6 +28,14 @@ const WAIT_FOR_FRAGMENTS_US: u64 = 1_000_000;
 /// Largest message that is put together from fragments: the largest between services, and its head.
 const MAX_MESSAGE: usize = MAX_SERVICE_PAYLOAD + 64 * 1024;
 
+/// How long a client may take to open a session once its link is there. Zenoh's own 10 s let a hundred silent
+/// connections keep all others out for as long.
+const ACCEPT_WITHIN_MS: u64 = 2000;
+
+/// Most clients that are opening a session at once; a link beyond is closed. With the time above, strangers
+/// must open 500 links a second to keep others out.
+const MAX_OPENING: u64 = 1000;
+
 /// Checks the form of an endpoint.
 ///
 /// # Errors
@@ -146,6 +154,8 @@ fn built_in_values() -> Vec<(&'static str, String)> {
         (DROP, drop_after),
         ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
         ("transport/unicast/max_sessions", "10000".to_owned()),
+        ("transport/unicast/accept_timeout", ACCEPT_WITHIN_MS.to_string()),
+        ("transport/unicast/accept_pending", MAX_OPENING.to_string()),
     ]
 }
 

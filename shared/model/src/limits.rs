@@ -28,6 +28,11 @@ pub const MAX_GRAPHS: usize = MAX_DECLARED_MODALITIES + 3;
 /// larger fleet does not fit the machines that Muster is made for.
 pub const MAX_ROBOTS: usize = 100_000;
 
+/// Most robots that belong to a fleet by their token alone. A token is cheap, and each robot costs a row of every
+/// embedding and an event: whoever declares tokens under names at random must not fill the fleet. A robot
+/// beyond them belongs to it from its first report on; without one it would have no team anyway.
+pub const MAX_SILENT_ROBOTS: usize = 100;
+
 /// Most teams that may be asked for: the division is read by people, and k-means is linear in it.
 pub const MAX_TEAMS: u32 = 1024;
 

@@ -3,6 +3,7 @@
 
 mod certificates;
 mod client;
+mod joining;
 mod members;
 mod refusals;
 
@@ -61,8 +62,15 @@ fn fleet_file(folder: &Path, robots: &str, routers: &[&str]) -> PathBuf {
 
 impl Secured {
     pub(crate) fn start(routers: &[&str]) -> Self {
+        Self::start_over("quic", routers)
+    }
+
+    /// With a protocol of all links to routers.
+    fn start_over(protocol: &str, routers: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let fleet = fleet_file(folder.path(), r#""a1", "a2", "b1", "b2", "absent""#, routers);
+        let members = std::fs::read_to_string(&fleet).unwrap();
+        std::fs::write(&fleet, format!("protocol = \"{protocol}\"\n{members}")).unwrap();
         let identities = folder.path().join("identities");
         deploy(&["certs", "--fleet-file", text(&fleet), "--out", text(&identities)]);
         let mut secured = Self { services: Vec::new(), routers: Vec::new(), folder };

@@ -92,7 +92,8 @@ pub(super) fn denied(look: &Look) -> Vec<Finding> {
                     "either it hangs (see its log and /healthz; restart it), or access control keeps \
                      the get or its answer from passing: {SILENT}. Allow query on \
                      muster/v1/{0}/service/*/status to this client and declare_queryable and reply on \
-                     it to the service, in both directions",
+                     it to the service, in both directions. Or the router is of a Zenoh before 1.9, such as \
+                     1.7.2, which loses answers to gets: run `muster router` or a newer one",
                     look.fleet
                 ),
             )
