@@ -123,6 +123,15 @@ impl CostMatrix {
         &self.values[robot * self.columns..(robot + 1) * self.columns]
     }
 
+    /// The rows of some robots.
+    pub(super) fn selected(&self, robots: &[usize]) -> Self {
+        let mut values = Vec::with_capacity(robots.len() * self.columns);
+        for robot in robots {
+            values.extend_from_slice(self.row(*robot));
+        }
+        Self { robots: robots.len(), columns: self.columns, values }
+    }
+
     /// All rows in order.
     pub(super) fn rows(&self) -> impl Iterator<Item = &[i64]> {
         self.values.chunks_exact(self.columns.max(1))

@@ -4,7 +4,8 @@
 //! path first leaves its column, by one scan of the members. A robot that arrives is compared with
 //! the best; when the best one leaves, the members are scanned again, and from the
 //! [`SCANS_BEFORE_HEAP`]-th time on a heap takes the place of the scan, from which robots that have
-//! left are dropped only when they come to its top. So a call that moves few robots builds no heap,
+//! left are dropped only when they come to its top, and to which robots that have arrived are added
+//! only when it is asked. So a call that moves few robots builds no heap,
 //! and one that moves thousands scans little. Equal costs go to the robot of the lower index.
 
 use std::cmp::Reverse;
@@ -31,6 +32,9 @@ struct Row {
     robots: Vec<u32>,
     scans: Vec<u8>,
     heaps: Vec<Option<BinaryHeap<Entry>>>,
+    /// Robots that have arrived, in order, and how many of them each heap has seen.
+    arrivals: Vec<u32>,
+    seen: Vec<usize>,
 }
 
 /// Members of each column, and the best movers between them.
@@ -86,6 +90,8 @@ impl<'a> Movers<'a> {
             robots: vec![NOBODY; columns],
             scans: vec![0; columns],
             heaps: (0..columns).map(|_| None).collect(),
+            arrivals: Vec::new(),
+            seen: vec![0; columns],
         };
         for &robot in &self.members[at] {
             let costs = self.costs.row(robot as usize);
@@ -93,9 +99,10 @@ impl<'a> Movers<'a> {
             let free = self.restrictions.is_free(robot as usize);
             for (to, cost) in costs.iter().enumerate() {
                 let delta = cost - own;
-                let better =
-                    delta < row.deltas[to] || (delta == row.deltas[to] && robot < row.robots[to]);
-                if better && (free || self.restrictions.allows(robot as usize, to)) {
+                if delta > row.deltas[to] || (delta == row.deltas[to] && robot > row.robots[to]) {
+                    continue;
+                }
+                if free || self.restrictions.allows(robot as usize, to) {
                     row.deltas[to] = delta;
                     row.robots[to] = robot;
                 }
@@ -153,8 +160,17 @@ impl<'a> Movers<'a> {
                 return entries().min().unwrap_or((i64::MAX, NOBODY));
             }
             row.heaps[to] = Some(entries().map(Reverse).collect());
+            row.seen[to] = row.arrivals.len();
         }
         let Some(heap) = &mut row.heaps[to] else { return (i64::MAX, NOBODY) };
+        let seen = std::mem::replace(&mut row.seen[to], row.arrivals.len());
+        for &robot in &row.arrivals[seen..] {
+            let here = self.labels[robot as usize] as usize == from;
+            if here && self.restrictions.allows(robot as usize, to) {
+                let costs = self.costs.row(robot as usize);
+                heap.push(Reverse((costs[to] - costs[from], robot)));
+            }
+        }
         while let Some(&Reverse(best)) = heap.peek() {
             if self.labels[best.1 as usize] as usize == from {
                 return best;
@@ -167,6 +183,7 @@ impl<'a> Movers<'a> {
     /// Compares `robot`, which has arrived, with the best movers.
     fn arrive(&mut self, robot: u32, group: usize, column: usize) {
         let Some(row) = &mut self.rows[group * self.network.columns + column] else { return };
+        row.arrivals.push(robot);
         let costs = self.costs.row(robot as usize);
         for (to, cost) in costs.iter().enumerate() {
             if to == column || !self.restrictions.allows(robot as usize, to) {
@@ -175,9 +192,6 @@ impl<'a> Movers<'a> {
             let entry = (cost - costs[column], robot);
             if entry < (row.deltas[to], row.robots[to]) {
                 (row.deltas[to], row.robots[to]) = entry;
-            }
-            if let Some(heap) = &mut row.heaps[to] {
-                heap.push(Reverse(entry));
             }
         }
     }

@@ -115,6 +115,20 @@ impl Network {
         self.arcs.push(Arc { lower: lower - first, upper: upper - paid, ..arc });
     }
 
+    /// The same graph for some of all `robots`, with bounds in proportion, rounded outwards.
+    pub(super) fn sampled(&self, picked: &[usize], robots: usize) -> Self {
+        let mut sample = self.clone();
+        if !self.is_uniform() {
+            sample.group_of = picked.iter().map(|robot| self.group_of[*robot]).collect();
+        }
+        let (part, all) = (picked.len() as i128, robots.max(1) as i128);
+        for arc in &mut sample.arcs {
+            arc.lower = (i128::from(arc.lower) * part / all) as i64;
+            arc.upper = ((i128::from(arc.upper) * part + all - 1) / all) as i64;
+        }
+        sample
+    }
+
     /// Lists arcs and robots at the nodes.
     fn link(&mut self, nodes: usize) {
         self.arcs_at = vec![Vec::new(); nodes];

@@ -37,6 +37,16 @@ impl Restrictions {
         restrictions
     }
 
+    /// Those of some robots, renumbered in their order.
+    pub(super) fn selected(&self, robots: &[usize]) -> Self {
+        let mut selected = self.clone();
+        selected.robots = robots.len();
+        if !self.is_empty() {
+            selected.slots = robots.iter().map(|robot| self.slots[*robot]).collect();
+        }
+        selected
+    }
+
     /// Number of words of a set.
     fn words(&self) -> usize {
         self.columns.div_ceil(BITS)
