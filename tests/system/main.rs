@@ -30,5 +30,6 @@ mod restarts;
 mod schema;
 mod secured;
 mod settings;
+mod soak;
 mod standby;
 mod terms;

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use muster_tests::client::{Client, Division, Watch, division};
-use muster_tests::cluster::{Cluster, SERVICES};
+use muster_tests::cluster::{Cluster, Robots, SERVICES};
 use serde_json::Value;
 
 use crate::pipeline::{formed, truth};
@@ -23,8 +23,8 @@ fn second(service: &str) -> String {
 }
 
 /// A fleet with two instances of each service, and its division.
-async fn doubled() -> (Cluster, muster_tests::process::Process, Client, Division) {
-    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
+async fn doubled(test: &str) -> (Cluster, Robots, Client, Division) {
+    let mut cluster = Cluster::start_drawn(test, &[("clusterer", "teams=3")], &SCENARIO).unwrap();
     for service in SERVICES {
         cluster.start_instance(service, &second(service)).unwrap();
     }
@@ -159,7 +159,7 @@ impl Followed {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_standby_takes_over_from_a_leader_that_is_killed() {
-    let (mut cluster, _robots, client, wanted) = doubled().await;
+    let (mut cluster, _robots, client, wanted) = doubled("a_leader_that_is_killed").await;
     let mut followed = Followed::of(&client, wanted).await;
     for service in SERVICES {
         let (leader, _) = leader_and_standby(&mut cluster, &client, service).await;
@@ -178,7 +178,7 @@ async fn the_standby_takes_over_from_a_leader_that_is_killed() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_leader_that_hangs_is_replaced_and_is_a_standby_afterwards() {
-    let (mut cluster, _robots, client, wanted) = doubled().await;
+    let (mut cluster, _robots, client, wanted) = doubled("a_leader_that_hangs").await;
     let mut followed = Followed::of(&client, wanted).await;
     let mut went_back = Vec::new();
     for service in SERVICES {
@@ -207,7 +207,7 @@ async fn a_leader_that_hangs_is_replaced_and_is_a_standby_afterwards() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_second_host_takes_over_all_services_and_the_settings() {
-    let (mut cluster, _robots, client, wanted) = doubled().await;
+    let (mut cluster, _robots, client, wanted) = doubled("a_second_host_takes_over").await;
     let mut leaders = Vec::new();
     for service in SERVICES {
         leaders.push(leader_and_standby(&mut cluster, &client, service).await.0);
