@@ -21,6 +21,10 @@ const MAX_BROKEN_PER_STEP: usize = 8;
 /// Zenoh that services and the documents know.
 const MAX_MISPLACED: u64 = 3;
 
+/// The services whose work a division is.
+const MADE_BY: [ServiceName; 3] =
+    [ServiceName::Ingest, ServiceName::Embedder, ServiceName::Clusterer];
+
 /// Why messages are wrong that contradict the division from before the faults.
 const WRONG_TEAM: &str = "a robot is never told a wrong team";
 
@@ -80,6 +84,9 @@ struct State {
     wanted: Option<BTreeMap<RobotId, TeamId>>,
     accepted: Option<Revision>,
     division: Division,
+    /// The robots that it says are stale, and when each stage published it.
+    stale: Vec<String>,
+    made: [f64; 3],
     longest_pause: f64,
     told: BTreeMap<(Observer, RobotId), (Revision, Option<TeamId>)>,
     awaited: Option<Awaited>,
@@ -120,6 +127,8 @@ impl Judge {
             wanted: None,
             accepted: None,
             division: Division::default(),
+            stale: Vec::new(),
+            made: [0.0; 3],
             longest_pause: 0.0,
             told: BTreeMap::new(),
             awaited: None,
@@ -197,6 +206,30 @@ impl Judge {
     pub(super) fn fresh_after_s(&self) -> Option<f64> {
         let awaited = self.state().awaited?;
         Some(awaited.division?.max(awaited.audit?) - awaited.since)
+    }
+
+    /// What of the awaited has not arrived, in words.
+    pub(super) fn missing(&self) -> String {
+        let state = self.state();
+        let Some(awaited) = state.awaited else { return String::new() };
+        let mut missing = Vec::new();
+        if awaited.division.is_none() {
+            let away =
+                |robot: &&RobotId| !matches!(state.division.teams.get(*robot), Some(Some(_)));
+            let away: Vec<String> =
+                state.robots.iter().filter(away).map(ToString::to_string).collect();
+            missing.push(format!(
+                "no fresh division of all; without a team are [{}], stale are [{}], data were published {:?} s \
+                 after the fault by ingest, embedder and clusterer",
+                away.join(" "),
+                state.stale.join(" "),
+                state.made.map(|made| ((made - awaited.since) * 10.0).round() / 10.0),
+            ));
+        }
+        if awaited.audit.is_none() {
+            missing.push("no fresh audit".to_owned());
+        }
+        missing.join("; ")
     }
 
     /// The longest time without a division since the step began, in seconds.
@@ -352,8 +385,8 @@ impl State {
         let is_whole = self.robots.iter().all(|robot| {
             matches!(self.division.teams.get(robot), Some(Some(_))) && !teams.stale.contains(robot)
         });
-        const MADE_BY: [ServiceName; 3] =
-            [ServiceName::Ingest, ServiceName::Embedder, ServiceName::Clusterer];
+        self.stale = teams.stale.iter().map(ToString::to_string).collect();
+        self.made = MADE_BY.map(|service| published(&teams.header, service));
         if let Some(awaited) = &mut self.awaited
             && awaited.division.is_none()
             && is_whole
@@ -377,5 +410,152 @@ impl State {
             }
         }
         self.next_team = self.next_team.max(teams.next_team);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_model::content::Checked;
+    use muster_model::header::StageTime;
+    use muster_model::teams::{Member, Team};
+    use muster_wire::packet::JSON;
+
+    use super::*;
+
+    fn robot(name: &str) -> RobotId {
+        RobotId::new(name).unwrap()
+    }
+
+    /// A division that was made at a moment: each team with its number and its robots.
+    fn divided(at: f64, epoch: u64, teams: &[(u64, &[&str])], next_team: u64) -> Teams {
+        let moment = Tick(0).after(muster_model::time::seconds(at));
+        let stage = |stage| StageTime { stage, received: moment, published: moment };
+        let team = |(number, robots): &(u64, &[&str])| Team {
+            id: TeamId::numbered(*number),
+            members: robots.iter().map(|r| Member { robot: robot(r), margin: 0.5 }).collect(),
+            leader: robot(robots[0]),
+            centroid: vec![0.0],
+        };
+        Teams {
+            header: Header {
+                fleet: FleetId::new("soak").unwrap(),
+                revision: Revision { term: 1, epoch },
+                oldest: Some(moment),
+                newest: Some(moment),
+                stages: MADE_BY.map(stage).to_vec(),
+            },
+            embedding: Revision { term: 1, epoch },
+            requested: 2,
+            considered: Vec::new(),
+            teams: teams.iter().map(team).collect(),
+            unassigned: Vec::new(),
+            stale: Vec::new(),
+            inertia: 0.0,
+            changes: Vec::new(),
+            next_team,
+        }
+    }
+
+    fn receive(judge: &Judge, message: &Message) -> Vec<String> {
+        let space = KeySpace::new(FleetId::new("soak").unwrap());
+        for outbound in message.publish(Tick(0)).unwrap() {
+            judge.state().received(Observer::Console, &outbound.into_packet(&space));
+        }
+        judge.take_broken()
+    }
+
+    fn publish(judge: &Judge, teams: Teams) -> Vec<String> {
+        let teams = Checked::new(teams).unwrap();
+        receive(judge, &Message::Teams { teams, mirror: true })
+    }
+
+    /// A judge of four robots in two teams, who has received one division.
+    fn judge() -> Judge {
+        let judge = Judge::new("soak", &["a", "b", "c", "d"].map(str::to_owned)).unwrap();
+        let first = divided(10.0, 1, &[(1, &["a", "b"]), (2, &["c", "d"])], 3);
+        assert_eq!(publish(&judge, first), [""; 0]);
+        judge.hold();
+        judge
+    }
+
+    fn only(broken: &[String], promise: &str) {
+        assert!(
+            broken.iter().all(|text| text.contains(promise)) && !broken.is_empty(),
+            "{broken:?}"
+        );
+    }
+
+    #[test]
+    fn a_division_with_a_robot_in_another_team_is_wrong_unless_readers_drop_it() {
+        let judge = judge();
+        let wrong = |epoch| divided(11.0, epoch, &[(1, &["a"]), (2, &["b", "c", "d"])], 3);
+        assert_eq!(publish(&judge, wrong(0)), [""; 0], "an outdated one");
+        assert_eq!(judge.counts().outdated, 1);
+        only(&publish(&judge, wrong(2)), WRONG_TEAM);
+        // A stranger may be anywhere, and a robot may be missing for a while.
+        let away = divided(12.0, 3, &[(1, &["a", "stranger-1"]), (2, &["c", "d"])], 3);
+        assert_eq!(publish(&judge, away), [""; 0]);
+    }
+
+    #[test]
+    fn a_robot_is_told_the_team_of_the_division_and_of_before() {
+        let judge = judge();
+        let division = divided(11.0, 2, &[(1, &["a", "b"]), (2, &["c", "d"])], 3);
+        assert_eq!(publish(&judge, division.clone()), [""; 0]);
+        let right = division.robot_team(&robot("a")).unwrap();
+        assert_eq!(receive(&judge, &Message::RobotTeam(right.clone())), [""; 0]);
+        let mut wrong = division.robot_team(&robot("c")).unwrap();
+        (wrong.robot, wrong.members) = (robot("b"), Some(vec![robot("b"), robot("c")]));
+        let broken = receive(&judge, &Message::RobotTeam(wrong));
+        assert!(broken.iter().any(|text| text.contains(WRONG_TEAM)), "{broken:?}");
+        assert!(broken.iter().any(|text| text.contains("team of the division")), "{broken:?}");
+        // The other observer was told nothing.
+        assert!(judge.told_wrong().iter().any(|text| text.starts_with("OnBoard: a")));
+        assert!(!judge.told_wrong().iter().any(|text| text.starts_with("Console: a")));
+    }
+
+    #[test]
+    fn ids_are_neither_given_to_others_nor_used_again() {
+        let judge = judge();
+        judge.release();
+        let without = divided(11.0, 2, &[(1, &["a", "b"])], 7);
+        assert_eq!(publish(&judge, without), [""; 0]);
+        let other = divided(12.0, 3, &[(1, &["a", "b"]), (2, &["x", "y"])], 7);
+        only(&publish(&judge, other), "no id of a team is given to another team");
+        let again = divided(13.0, 4, &[(1, &["a", "b"]), (5, &["p", "q"])], 7);
+        only(&publish(&judge, again), "ids of teams are never used again");
+        let new = divided(14.0, 5, &[(1, &["a", "b"]), (7, &["p", "q"])], 8);
+        assert_eq!(publish(&judge, new), [""; 0]);
+    }
+
+    #[test]
+    fn fresh_is_what_is_whole_and_was_made_since() {
+        let judge = judge();
+        let since = now() - 1.0;
+        judge.step_begins(false);
+        judge.await_fresh(since);
+        let both: [(u64, &[&str]); 2] = [(1, &["a", "b"]), (2, &["c", "d"])];
+        publish(&judge, divided(since - 1.0, 2, &both, 3));
+        publish(&judge, divided(since + 0.5, 3, &[(1, &["a", "b"]), (2, &["c"])], 3));
+        assert!(judge.state().awaited.unwrap().division.is_none());
+        publish(&judge, divided(since + 0.5, 4, &both, 3));
+        assert!(judge.state().awaited.unwrap().division.is_some());
+        // Its audit is still missing.
+        assert_eq!(judge.fresh_after_s(), None);
+    }
+
+    #[test]
+    fn garbage_is_ignored_and_what_cannot_be_read_is_not() {
+        let judge = judge();
+        let put = |payload: &[u8]| {
+            let packet = Packet::put("muster/v1/soak/teams", JSON, payload);
+            judge.state().received(Observer::Console, &packet);
+            judge.take_broken()
+        };
+        assert_eq!(put(b"{}~garbage~"), [""; 0]);
+        only(&put(b"{}"), "others understand");
+        judge.step_begins(true);
+        assert_eq!(put(b"{}"), [""; 0], "after a router hung");
+        assert_eq!((judge.counts().garbage, judge.counts().misplaced), (1, 1));
     }
 }

@@ -319,8 +319,9 @@ impl<S: FnMut(&str)> Run<'_, S> {
         }
         self.note(&seen);
         if fresh.is_none_or(|fresh| fresh > limit + late) {
+            let missing = self.judge.missing();
             self.breaks(format!(
-                "{when}: the division is whole and fresh within {limit:.1} s: {fresh_text}"
+                "{when}: the division is whole and fresh within {limit:.1} s: {fresh_text} {missing}"
             ));
         }
         let max_pause = step.max_pause_s(self.plan.has_standbys);
