@@ -99,18 +99,9 @@ impl Robots {
         self.0.iter().try_for_each(|process| process.signal(signal))
     }
 
-    /// Waits for the end of all processes.
-    ///
-    /// # Errors
-    /// If one has not ended in time; the text holds what it has printed.
-    pub fn wait(&mut self, within: Duration) -> anyhow::Result<()> {
-        self.0.iter_mut().try_for_each(|process| process.wait(within).map(drop))
-    }
-
-    /// What the first process has printed so far.
-    #[must_use]
-    pub fn output(&self) -> String {
-        self.0.first().map(Process::output).unwrap_or_default()
+    /// The processes.
+    pub fn processes(&mut self) -> &mut [Process] {
+        &mut self.0
     }
 }
 
