@@ -391,6 +391,19 @@ impl Cluster {
         endpoint: &str,
         timeout_ms: &str,
     ) -> anyhow::Result<Client> {
+        Client::open(self.member_config(identity, endpoint, timeout_ms)?, &self.fleet).await
+    }
+
+    /// The configuration of such a client.
+    ///
+    /// # Errors
+    /// If there is no such member, or the endpoint is none.
+    pub fn member_config(
+        &self,
+        identity: &str,
+        endpoint: &str,
+        timeout_ms: &str,
+    ) -> anyhow::Result<zenoh::Config> {
         let fail = |error: zenoh::Error| anyhow::anyhow!("{error}");
         let mut config = match &self.access {
             None => client_of(endpoint, timeout_ms)?,
@@ -401,7 +414,7 @@ impl Cluster {
         };
         // As that of Muster's programs: a link that has gone silent is opened again.
         config.insert_json5("transport/link/tx/lease", "2000").map_err(fail)?;
-        Client::open(config, &self.fleet).await
+        Ok(config)
     }
 }
 

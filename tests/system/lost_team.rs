@@ -14,6 +14,10 @@ const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots
 /// How long the link is cut: longer than robots that are silent stay in the fleet.
 const CUT_TIME: Duration = Duration::from_secs(20);
 
+/// How soon the robots are gone: 12 s after the cut, and later where a busy machine pauses `ingest`, which then
+/// waits for robots as after a lost link.
+const GONE_WITHIN: Duration = Duration::from_secs(40);
+
 /// How soon all robots are back in the division.
 const BACK_WITHIN: Duration = Duration::from_secs(15);
 
@@ -54,7 +58,7 @@ async fn cut_one_of_three(test: &str, teams_setting: &str) {
     wire.cut();
     let others = camps.values().filter(|camp| *camp != cut_off).count();
     let without = |value: &serde_json::Value| division(value).len() == others;
-    teams.until("the division without them", CUT_TIME, without).await.unwrap();
+    teams.until("the division without them", GONE_WITHIN, without).await.unwrap();
     tokio::time::sleep(CUT_TIME.saturating_sub(Duration::from_secs(12))).await;
     let away = teams.newest().unwrap();
     teams.clear();

@@ -9,6 +9,7 @@ use clap::{Parser, ValueEnum};
 use muster_tests::access::Security;
 use muster_tests::soak::steady::{self, SteadyOptions};
 use muster_tests::soak::{RunOptions, plan, run};
+use tokio::signal::unix::{SignalKind, signal};
 
 /// Longest run in minutes: a week.
 const MAX_MINUTES: f64 = 10_080.0;
@@ -119,7 +120,13 @@ async fn main() -> anyhow::Result<ExitCode> {
     let say = |line: &str| {
         let _ = writeln!(std::io::stdout(), "{line}");
     };
-    let outcome = run(&plan, &options, say).await?;
+    let mut ends = signal(SignalKind::terminate())?;
+    let outcome = tokio::select! {
+        outcome = run(&plan, &options, say) => outcome?,
+        // All processes end with the run.
+        _ = tokio::signal::ctrl_c() => anyhow::bail!("ended by SIGINT"),
+        _ = ends.recv() => anyhow::bail!("ended by SIGTERM"),
+    };
     writeln!(out, "\n{}", outcome.report)?;
     if outcome.broken.is_empty() {
         writeln!(out, "seed {seed}: {} faults, every promise held", outcome.faults)?;

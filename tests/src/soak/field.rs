@@ -288,9 +288,14 @@ impl Field {
                 // Floods do not add up: the one that began last goes on.
                 self.end_flood();
                 let stranger = format!("robot.{STRANGER}");
-                let client =
-                    self.cluster.member(&stranger, &self.cluster.endpoint, FOR_EVER).await?;
-                let flood = flood(client, kind.clone(), seed, robot.to_owned(), place);
+                let endpoint = &self.cluster.endpoint;
+                let config = self.cluster.member_config(&stranger, endpoint, FOR_EVER)?;
+                let (kind, robot) = (kind.clone(), robot.to_owned());
+                // A router that another fault has stopped keeps the stranger waiting, and nobody else.
+                let flood = async move {
+                    let client = Client::open(config, FLEET).await?;
+                    flood(client, kind, seed, robot, place).await
+                };
                 self.flood = Some(tokio::spawn(flood));
             }
         }
