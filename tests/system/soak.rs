@@ -5,19 +5,20 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use muster_tests::soak::{RunOptions, plan, run};
 
-/// How long faults happen; each run takes some seconds more to form its teams.
-const LASTS: Duration = Duration::from_secs(25);
+/// How long faults happen, in minutes; each run takes some seconds more to form its teams.
+const MINUTES: f64 = 0.42;
 
 /// Other tests run at the same time.
 const PATIENCE: f64 = 2.0;
 
 /// Prints past the test harness, which keeps back what a good test prints.
+#[expect(clippy::explicit_write, reason = "what eprintln prints is kept back")]
 fn say(text: &str) {
     writeln!(std::io::stderr(), "soak: {text}").unwrap();
 }
 
 async fn soak(seed: u64) {
-    let plan = plan(seed, LASTS, None);
+    let plan = plan(seed, Duration::from_secs_f64(MINUTES * 60.0), None);
     let mut log = plan.to_string();
     let outcome = run(&plan, &RunOptions { logs: None, patience: PATIENCE }, |line| {
         log += line;
@@ -37,6 +38,6 @@ async fn every_promise_holds_through_the_faults_of_a_fixed_seed() {
 async fn every_promise_holds_through_the_faults_of_a_fresh_seed() {
     let seed = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs();
     // Before the run: it is to be known whatever happens.
-    say(&format!("fresh seed; again: target/debug/soak --seed {seed} --minutes 0.42"));
+    say(&format!("fresh seed; again: target/debug/soak --seed {seed} --minutes {MINUTES}"));
     soak(seed).await;
 }

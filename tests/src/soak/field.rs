@@ -370,12 +370,14 @@ impl Drop for Field {
     }
 }
 
-/// One whole group behind a link of its own, one robot of each other group behind another, and the others.
+/// One whole group behind a link of its own, one robot of each other group behind another, and the others. The one is
+/// the last of its group by name, which commands nobody: a fleet that loses the leaders of most of its teams has
+/// other relations, and where these choose the number of teams it is divided anew.
 fn on_hosts(truth: &BTreeMap<String, String>) -> BTreeMap<&'static str, Vec<String>> {
     let last = truth.values().max();
     let mut seen = BTreeSet::new();
     let mut hosts: BTreeMap<&'static str, Vec<String>> = BTreeMap::new();
-    for (robot, group) in truth {
+    for (robot, group) in truth.iter().rev() {
         let host = if Some(group) == last {
             host_name(Host::Group)
         } else if seen.insert(group) {
@@ -398,8 +400,8 @@ mod tests {
         let truth = robots.iter().filter_map(|line| line.split_once(' '));
         let truth = truth.map(|(robot, group)| (robot.to_owned(), group.to_owned())).collect();
         let hosts = on_hosts(&truth);
-        assert_eq!(hosts["group"], ["c1", "c2"]);
-        assert_eq!(hosts["mixed"], ["a1", "b1"]);
-        assert_eq!(hosts[ELSEWHERE], ["a2", "b2"]);
+        assert_eq!(hosts["group"], ["c2", "c1"]);
+        assert_eq!(hosts["mixed"], ["b2", "a2"]);
+        assert_eq!(hosts[ELSEWHERE], ["b1", "a1"]);
     }
 }
