@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use muster_wire::{Packet, Source};
 use serde_json::Value;
 use tokio::time::sleep;
 use zenoh::Session;
@@ -12,6 +13,7 @@ use zenoh::handlers::FifoChannelHandler;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
+use zenoh::sample::SampleKind;
 
 /// How often a waiting test looks again.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -69,9 +71,23 @@ fn fail(error: zenoh::Error) -> anyhow::Error {
     anyhow::anyhow!("{error}")
 }
 
-/// The configuration of a client of a router.
-fn client_of(endpoint: &str, timeout_ms: &str) -> anyhow::Result<zenoh::Config> {
-    let mut config = zenoh::Config::default();
+/// The configuration of a client of a plain router.
+///
+/// # Errors
+/// If the endpoint is none.
+pub(crate) fn client_of(endpoint: &str, timeout_ms: &str) -> anyhow::Result<zenoh::Config> {
+    with_retries(zenoh::Config::default(), endpoint, timeout_ms)
+}
+
+/// A configuration with the endpoint of a router, which is tried for so many milliseconds, or for ever with -1.
+///
+/// # Errors
+/// If the endpoint is none.
+pub(crate) fn with_retries(
+    mut config: zenoh::Config,
+    endpoint: &str,
+    timeout_ms: &str,
+) -> anyhow::Result<zenoh::Config> {
     for (key, value) in [
         ("mode", "\"client\"".to_owned()),
         ("connect/endpoints", format!("[\"{endpoint}\"]")),
@@ -274,6 +290,33 @@ impl Client {
                 if let Ok(value) = serde_json::from_slice(&sample.payload().to_bytes()) {
                     arrived(sample.key_expr().as_str().replacen(&prefix, "", 1), value);
                 }
+            })
+            .background()
+            .await
+            .map_err(fail)
+    }
+}
+
+impl Client {
+    /// Calls a function with every packet that arrives on a key expression of the fleet. The function must not
+    /// wait.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn listen_to_packets(
+        &self,
+        tail: &str,
+        arrived: impl Fn(Packet) + Send + Sync + 'static,
+    ) -> anyhow::Result<()> {
+        self.session
+            .declare_subscriber(self.key(tail))
+            .callback(move |sample| {
+                let (key, encoding) = (sample.key_expr().as_str(), sample.encoding().to_string());
+                let mut packet = Packet::put(key, encoding, sample.payload().to_bytes().to_vec());
+                if sample.kind() == SampleKind::Delete {
+                    packet.source = Source::Delete;
+                }
+                arrived(packet);
             })
             .background()
             .await

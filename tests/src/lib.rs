@@ -10,6 +10,7 @@
 //! And the [`simulation`]: the cores of all services in one thread, on a virtual bus, with seeded
 //! faults.
 
+pub mod access;
 pub mod client;
 pub mod cluster;
 pub mod hosts;
@@ -17,4 +18,6 @@ pub mod latency;
 pub mod manager;
 pub mod process;
 pub mod process_stats;
+pub mod relay;
 pub mod simulation;
+pub mod soak;

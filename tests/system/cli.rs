@@ -190,7 +190,7 @@ fn every_program_ends_cleanly_within_five_seconds_of_a_signal() {
         let status = process.wait(Duration::from_secs(5)).unwrap();
         assert_eq!(status.code(), Some(0), "{service}: {}", process.output());
     }
-    for process in [&mut robots, &mut up] {
+    for process in robots.processes().iter_mut().chain([&mut up]) {
         process.signal("TERM").unwrap();
         let status = process.wait(Duration::from_secs(5)).unwrap();
         assert_eq!(status.code(), Some(0), "{}", process.output());

@@ -6,7 +6,7 @@ use std::net::TcpListener;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use muster_tests::client::Client;
-use muster_tests::cluster::{Cluster, SERVICES, free_endpoint, start_router};
+use muster_tests::cluster::{Cluster, Robots, SERVICES, free_endpoint, start_router};
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 
@@ -74,7 +74,7 @@ fn until_found_when(
     }
 }
 
-fn robots(cluster: &Cluster) -> Process {
+fn robots(cluster: &Cluster) -> Robots {
     cluster.robots(&["--scenario", "clusters", "--robots", "8"]).unwrap()
 }
 

@@ -31,5 +31,6 @@ mod routers;
 mod schema;
 mod secured;
 mod settings;
+mod soak;
 mod standby;
 mod terms;

@@ -1,16 +1,14 @@
 //! Two sites with a router and all services each, whose link breaks for longer than any lease: each
 //! side continues with a leader of its own, and afterwards there is one again and the same teams.
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use muster_tests::client::{Client, Division, Watch, division};
 use muster_tests::cluster::{SERVICES, free_endpoint, start_router};
 use muster_tests::process::{Process, run};
+use muster_tests::relay::Relay;
 use serde_json::Value;
 use tempfile::TempDir;
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::watch;
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
 
@@ -22,46 +20,6 @@ const PARTITION_TIME: Duration = Duration::from_secs(7);
 const AGREED_WITHIN: Duration = Duration::from_secs(10);
 
 const FORMED_WITHIN: Duration = Duration::from_secs(20);
-
-/// A wire between two routers that can be cut: a relay of TCP connections.
-pub(crate) struct Wire {
-    whole: watch::Sender<bool>,
-    pub(crate) endpoint: String,
-}
-
-impl Wire {
-    /// Relays to an endpoint.
-    pub(crate) async fn to(endpoint: &str) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let own = format!("tcp/{}", listener.local_addr().unwrap());
-        let far = endpoint.trim_start_matches("tcp/").to_owned();
-        let (whole, cut) = watch::channel(true);
-        tokio::spawn(async move {
-            while let Ok((mut near, _)) = listener.accept().await {
-                let (mut cut, far) = (cut.clone(), far.clone());
-                tokio::spawn(async move {
-                    if !*cut.borrow() {
-                        return;
-                    }
-                    let Ok(mut far) = TcpStream::connect(far).await else { return };
-                    tokio::select! {
-                        _ = tokio::io::copy_bidirectional(&mut near, &mut far) => {}
-                        _ = cut.wait_for(|whole| !*whole) => {}
-                    }
-                });
-            }
-        });
-        Self { whole, endpoint: own }
-    }
-
-    pub(crate) fn cut(&self) {
-        self.whole.send_replace(false);
-    }
-
-    pub(crate) fn restore(&self) {
-        self.whole.send_replace(true);
-    }
-}
 
 /// One site: a router and an instance of each service.
 struct Site {
@@ -145,7 +103,7 @@ fn term(value: &Value) -> u64 {
 async fn both_sides_of_a_partition_go_on_and_agree_afterwards() {
     let folder = tempfile::tempdir().unwrap();
     let here = Site::start(&folder, "here", None);
-    let wire = Arc::new(Wire::to(&here.endpoint).await);
+    let wire = Relay::to(&here.endpoint).await.unwrap();
     let near = Client::connect(&here.endpoint, "alpha").await.unwrap();
     until_one_leads(&near, 1, FORMED_WITHIN, "at the beginning").await;
     let there = Site::start(&folder, "there", Some(&wire.endpoint));

@@ -3,8 +3,9 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use muster_tests::client::{Watch, division};
-use muster_tests::cluster::{Cluster, SERVICES};
+use muster_tests::access::Security;
+use muster_tests::client::{Client, Watch, division};
+use muster_tests::cluster::{Cluster, ClusterOptions, SERVICES, robots_of};
 use muster_tests::process::Process;
 use serde_json::json;
 
@@ -12,6 +13,9 @@ use crate::pipeline::{FORMED_WITHIN, formed, truth};
 use crate::restarts::{now, stage};
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "4", "--robots", "16"];
+
+/// Robots that were never there, with their places along the x axis in metres.
+const NEW_ROBOTS: [(&str, f64); 3] = [("n1", 3000.0), ("n2", 3002.0), ("n3", 3004.0)];
 
 /// How soon there are teams from fresh data after the start: the robots connect again within two seconds, and
 /// are awaited for three.
@@ -23,8 +27,12 @@ fn ids(teams: &Watch) -> BTreeSet<String> {
 }
 
 /// Stops all services and the router, and starts them again.
-async fn power_cut(is_polite: bool) {
-    let mut cluster = Cluster::start("alpha", &[]).unwrap();
+async fn power_cut(test: &str, is_polite: bool) {
+    let new = NEW_ROBOTS.map(|(robot, _)| robot.to_owned());
+    let all: Vec<String> = robots_of(&SCENARIO).unwrap().into_keys().chain(new).collect();
+    let security = Security::drawn(test).unwrap();
+    let options = ClusterOptions { security, robots: &all, ..ClusterOptions::default() };
+    let mut cluster = Cluster::start_by(&options).unwrap();
     let camps = truth(&cluster, &SCENARIO);
     let client = cluster.client().await.unwrap();
     let teams = client.watch("json/teams").await.unwrap();
@@ -87,13 +95,18 @@ async fn power_cut(is_polite: bool) {
     client.get("service/clusterer/settings", Some(&change)).await.unwrap();
     let new_team = |value: &serde_json::Value| {
         let teams = division(value);
-        let new: BTreeSet<_> = ["n1", "n2", "n3"].iter().map(|robot| teams.get(*robot)).collect();
+        let new: BTreeSet<_> = NEW_ROBOTS.iter().map(|(robot, _)| teams.get(*robot)).collect();
         let id = new.first().copied().flatten().cloned().flatten();
         id.filter(|id| new.len() == 1 && !wanted.values().flatten().any(|other| other == id))
     };
     let mut found = None;
+    let mut new_robots: Vec<(Client, &str, f64)> = Vec::new();
+    for (robot, x) in NEW_ROBOTS {
+        let member = cluster.member(&format!("robot.{robot}"), &cluster.endpoint, "10000").await;
+        new_robots.push((member.unwrap(), robot, x));
+    }
     for _ in 0..150 {
-        for (robot, x) in [("n1", 3000.0), ("n2", 3002.0), ("n3", 3004.0)] {
+        for (client, robot, x) in &new_robots {
             let pose = json!({"x": x, "y": 3000.0});
             client.put(&format!("robot/{robot}/pose"), &pose).await.unwrap();
         }
@@ -109,10 +122,10 @@ async fn power_cut(is_polite: bool) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn ids_and_members_stand_after_a_stop_of_everything() {
-    power_cut(true).await;
+    power_cut("a_stop_of_everything", true).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn ids_and_members_stand_after_a_power_cut_of_everything() {
-    power_cut(false).await;
+    power_cut("a_power_cut_of_everything", false).await;
 }

@@ -73,7 +73,9 @@ fn of_several_routers_any_that_answers_is_used() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn each_service_dies_alone_and_the_teams_keep_their_ids() {
-    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
+    let mut cluster =
+        Cluster::start_drawn("each_service_dies_alone", &[("clusterer", "teams=3")], &SCENARIO)
+            .unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
@@ -120,8 +122,9 @@ async fn each_service_dies_alone_and_the_teams_keep_their_ids() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn terms_rise_with_each_restart() {
-    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
     let scenario = ["--scenario", "clusters", "--robots", "6"];
+    let mut cluster =
+        Cluster::start_drawn("terms_rise", &[("clusterer", "teams=2")], &scenario).unwrap();
     let _robots = cluster.robots(&scenario).unwrap();
     let client = cluster.client().await.unwrap();
     let wanted = formed(&client, &truth(&cluster, &scenario)).await;
@@ -145,7 +148,9 @@ async fn terms_rise_with_each_restart() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn teams_survive_the_death_of_a_router() {
-    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
+    let mut cluster =
+        Cluster::start_drawn("the_death_of_a_router", &[("clusterer", "teams=3")], &SCENARIO)
+            .unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
@@ -175,7 +180,9 @@ async fn teams_survive_the_death_of_a_router() {
 #[tokio::test(flavor = "multi_thread")]
 async fn teams_survive_the_reboot_of_a_base_station() {
     for service in ["ingest", "clusterer"] {
-        let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
+        let name = format!("the_reboot_of_a_base_station, {service}");
+        let mut cluster =
+            Cluster::start_drawn(&name, &[("clusterer", "teams=3")], &SCENARIO).unwrap();
         let _robots = cluster.robots(&SCENARIO).unwrap();
         let client = cluster.client().await.unwrap();
         let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;

@@ -39,7 +39,7 @@ fn start(version: &str) -> Cluster {
     )
     .unwrap();
     router.until_prints(&format!("a router of Zenoh {version} listens"), SOON).unwrap();
-    Cluster::start_at("alpha", &endpoint, folder, router, &[], &[]).unwrap()
+    Cluster::start_at(endpoint, folder, router).unwrap()
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use muster_tests::client::{Client, Division, Watch, division};
-use muster_tests::cluster::{Cluster, SERVICES};
+use muster_tests::cluster::{Cluster, Robots, SERVICES};
 use serde_json::Value;
 
 use crate::pipeline::{formed, truth};
@@ -23,8 +23,8 @@ fn second(service: &str) -> String {
 }
 
 /// A fleet with two instances of each service, and its division.
-async fn doubled() -> (Cluster, muster_tests::process::Process, Client, Division) {
-    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
+async fn doubled(test: &str) -> (Cluster, Robots, Client, Division) {
+    let mut cluster = Cluster::start_drawn(test, &[("clusterer", "teams=3")], &SCENARIO).unwrap();
     for service in SERVICES {
         cluster.start_instance(service, &second(service)).unwrap();
     }
@@ -159,7 +159,7 @@ impl Followed {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_standby_takes_over_from_a_leader_that_is_killed() {
-    let (mut cluster, _robots, client, wanted) = doubled().await;
+    let (mut cluster, _robots, client, wanted) = doubled("a_leader_that_is_killed").await;
     let mut followed = Followed::of(&client, wanted).await;
     for service in SERVICES {
         let (leader, _) = leader_and_standby(&mut cluster, &client, service).await;
@@ -178,7 +178,7 @@ async fn the_standby_takes_over_from_a_leader_that_is_killed() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_leader_that_hangs_is_replaced_and_is_a_standby_afterwards() {
-    let (mut cluster, _robots, client, wanted) = doubled().await;
+    let (mut cluster, _robots, client, wanted) = doubled("a_leader_that_hangs").await;
     let mut followed = Followed::of(&client, wanted).await;
     let mut went_back = Vec::new();
     for service in SERVICES {
@@ -207,7 +207,7 @@ async fn a_leader_that_hangs_is_replaced_and_is_a_standby_afterwards() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_second_host_takes_over_all_services_and_the_settings() {
-    let (mut cluster, _robots, client, wanted) = doubled().await;
+    let (mut cluster, _robots, client, wanted) = doubled("a_second_host_takes_over").await;
     let mut leaders = Vec::new();
     for service in SERVICES {
         leaders.push(leader_and_standby(&mut cluster, &client, service).await.0);
@@ -229,4 +229,49 @@ async fn a_second_host_takes_over_all_services_and_the_settings() {
     followed.check("all leaders were killed", silenced);
     let settings = client.get_one("service/clusterer/settings").await.unwrap();
     assert_eq!(settings["hysteresis"], 0.3, "changed settings outlive the leader");
+}
+
+/// The robots that the instances of `ingest` that lead, or all of them, list as departed.
+async fn departed(client: &Client, of_standbys: bool) -> Vec<Vec<String>> {
+    let statuses = client.get_from_all("service/ingest/status").await.unwrap();
+    let asked = statuses.iter().filter(|status| of_standbys || status["standing"] == "holding");
+    let name = |departure: &Value| departure["robot"].as_str().unwrap().to_owned();
+    asked.map(|status| status["departed"].as_array().unwrap().iter().map(name).collect()).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_has_left_is_known_to_the_standby_that_takes_over() {
+    const SETTINGS: [(&str, &str); 2] = [("ingest", "gone_after_s=3"), ("clusterer", "teams=3")];
+    let mut cluster = Cluster::start_drawn("who_has_left", &SETTINGS, &SCENARIO).unwrap();
+    cluster.start_instance("ingest", &second("ingest")).unwrap();
+    let camps = truth(&cluster, &SCENARIO);
+    let names: Vec<&str> = camps.keys().map(String::as_str).collect();
+    let (leaving, others) = names.split_at(2);
+    let start = |only: &[&str]| {
+        cluster.robots(&[&SCENARIO[..], &["--only", &only.join(",")]].concat()).unwrap()
+    };
+    let (mut leaving_robots, _others) = (start(leaving), start(others));
+    let client = cluster.client().await.unwrap();
+    formed(&client, &camps).await;
+    let (leader, _) = leader_and_standby(&mut cluster, &client, "ingest").await;
+
+    leaving_robots.kill().unwrap();
+    let begin = Instant::now();
+    let list = async |of_standbys: bool, wanted: &[&str], count: usize| {
+        loop {
+            let mut found = departed(&client, of_standbys).await;
+            found.iter_mut().for_each(|robots| robots.sort());
+            if found == vec![wanted; count] {
+                return;
+            }
+            assert!(begin.elapsed() < Duration::from_secs(60), "{wanted:?} have left: {found:?}");
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    list(true, leaving, 2).await;
+    cluster.service(&leader).unwrap().kill().unwrap();
+    list(false, leaving, 1).await;
+    // Who is back is known to be.
+    let _again = cluster.robots(&[&SCENARIO[..], &["--only", leaving[0]]].concat()).unwrap();
+    list(false, &leaving[1..], 1).await;
 }

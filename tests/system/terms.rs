@@ -56,7 +56,8 @@ fn doctor_finds(cluster: &Cluster, id: &str, service: &str) {
 /// Robots and consoles drop what is below the last (term, epoch) that they have.
 #[tokio::test(flavor = "multi_thread")]
 async fn services_that_have_lost_all_state_are_believed_at_once() {
-    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
+    let mut cluster =
+        Cluster::start_drawn("lost_all_state", &[("clusterer", "teams=2")], &SCENARIO).unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     formed(&client, &truth(&cluster, &SCENARIO)).await;

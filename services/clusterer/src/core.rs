@@ -28,7 +28,7 @@ use crate::dwell::{CountDwell, MoveDwell};
 use crate::identity::{Memory, is_believable};
 use crate::keeping::Keeping;
 use crate::publishing::{Rotation, plural};
-use crate::seats::{Newcomers, Seats};
+use crate::seats::{Arrivals, Seats};
 
 use awaiting::Reunion;
 
@@ -101,8 +101,8 @@ pub struct Clusterer {
     published: Option<Published>,
     /// The number of teams, while it may change.
     count: CountDwell,
-    /// Robots that no team knew.
-    newcomers: Newcomers,
+    /// Robots that came lately.
+    arrivals: Arrivals,
     /// The robots that are kept in their team for now.
     moves: MoveDwell,
     /// The robots that have another superior than before.
@@ -131,7 +131,7 @@ impl Clusterer {
         let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
         let seats = Seats::of(self.division.as_deref(), &self.memory, &newest.embedding);
         let current = seats.current(last.map(|division| division.requested));
-        let wanted = seats.wanted(now, settings.teams, current, &mut self.newcomers);
+        let wanted = seats.wanted(now, settings.teams, current, &mut self.arrivals);
         let shown = newest.embedding.quality.teams_shown;
         let teams = self.count.decide(now, wanted, shown, current);
         let task = Task { source: newest.clone(), settings, teams };

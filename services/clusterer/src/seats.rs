@@ -4,7 +4,8 @@
 //! A team is absent while none of its robots is in the embedding: their link is cut, or the services have just
 //! been started and hear one robot after the other. Its seat is kept for as long as the team is remembered
 //! (`TEAM_MEMORY_TIME`). Robots that no team knows may be a team of their own: for a moment after they came
-//! the evidence decides whether they get a free seat.
+//! the evidence decides whether they get a free seat. The first robots of a team that returns may be too few to
+//! be one by the evidence: for a moment after they came their team has its seat whatever the evidence is.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -17,9 +18,9 @@ use muster_model::time::Tick;
 
 use crate::memory::Memory;
 
-/// For how long after robots came that no team knows the evidence decides whether they get a free seat: the
-/// robots of a team come within a second or two, one after the other.
-const NEWCOMERS_SETTLE_TIME: Duration = Duration::from_secs(3);
+/// For how long after robots came that no team knows the evidence decides whether they get a free seat, and after
+/// a team returned it has its seat: the robots of a team come within a second or two, one after the other.
+const SETTLE_TIME: Duration = Duration::from_secs(3);
 
 /// Who has a team, at one embedding.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -73,42 +74,52 @@ impl Seats {
         u32::try_from(self.present.len()).ok()
     }
 
-    /// The number of teams that is wanted of the robots that are there, while absent teams keep their seats.
+    /// The number of teams that is wanted of the robots that are there, while absent teams keep their seats and
+    /// those that have just returned have theirs.
     pub(crate) fn wanted(
         &self,
         now: Tick,
         wanted: TeamCount,
         current: Option<u32>,
-        newcomers: &mut Newcomers,
+        arrivals: &mut Arrivals,
     ) -> TeamCount {
         if self.newcomers {
-            newcomers.last = Some(now);
+            arrivals.newcomers = Some(now);
         }
-        if self.absent == 0 {
-            return wanted;
+        if self.returning > 0 {
+            arrivals.returned = Some(now);
         }
         let less = |teams: u32| teams.saturating_sub(self.absent).max(1);
-        match (wanted, current) {
+        let seated = match (wanted, current) {
+            _ if self.absent == 0 => wanted,
             (TeamCount::Auto, _) => wanted,
             (TeamCount::Between { from, to }, _) => TeamCount::Between { from: less(from), to },
-            (TeamCount::Fixed(teams), Some(current)) if !newcomers.decide(now) => {
+            (TeamCount::Fixed(teams), Some(current)) if !settles(arrivals.newcomers, now) => {
                 TeamCount::Fixed(current.clamp(less(teams), teams))
             }
             (TeamCount::Fixed(to), _) => TeamCount::Between { from: less(to), to },
+        };
+        if matches!(seated, TeamCount::Fixed(_)) || !settles(arrivals.returned, now) {
+            return seated;
         }
+        let (range, present) = (seated.range(), u32::try_from(self.present.len()));
+        let from = present.unwrap_or(1).clamp(*range.start(), *range.end());
+        TeamCount::Between { from, to: *range.end() }
     }
 }
 
-/// When robots were last there that no team knew.
+/// Who came lately.
 #[derive(Debug, Default)]
-pub(crate) struct Newcomers {
-    last: Option<Tick>,
+pub(crate) struct Arrivals {
+    /// When robots were last there that no team knew.
+    newcomers: Option<Tick>,
+    /// When the first robots of a team that had been absent were last there again.
+    returned: Option<Tick>,
 }
 
-impl Newcomers {
-    fn decide(&self, now: Tick) -> bool {
-        self.last.is_some_and(|last| now.since(last) < NEWCOMERS_SETTLE_TIME)
-    }
+/// Whether robots that came then may still be followed by others of their team.
+fn settles(came: Option<Tick>, now: Tick) -> bool {
+    came.is_some_and(|came| now.since(came) < SETTLE_TIME)
 }
 
 /// The team of each robot that has an embedding, in the order of the embedding: in the division, or else the

@@ -19,6 +19,8 @@ pub(crate) enum Purpose {
     Fleet = 5,
     /// What a single fault puts on the bus.
     Fault = 6,
+    /// Which faults happen to real processes, and when.
+    Soak = 7,
 }
 
 /// A stream of numbers.

@@ -14,7 +14,7 @@
 //! of each, of which one leads and the other is a standby.
 
 mod batch;
-mod chance;
+pub(crate) mod chance;
 mod clock;
 mod faults;
 mod host;
@@ -24,7 +24,7 @@ mod mutants;
 mod network;
 mod node;
 mod operator;
-mod oracle;
+pub(crate) mod oracle;
 mod plan;
 mod robots;
 mod router;

@@ -78,6 +78,39 @@ fn a_team_that_is_cut_off_moves_nobody_else_and_comes_back_as_what_it_was() {
     }
 }
 
+/// A link that comes back lets one robot through after the other, each as its program connects.
+#[test]
+fn the_first_robot_of_a_team_that_returns_waits_for_the_others_in_its_team() {
+    for wanted in [TeamCount::Auto, TeamCount::Between { from: 2, to: 5 }] {
+        let (mut bench, first) = divided(settings(wanted), &camps(1, ALL, &THREE));
+        assert_eq!(short(&first), WHOLE, "{wanted}");
+        let mut epoch = 1;
+        let mut receive = |bench: &mut Bench, present: &str, scores: &[f64]| {
+            epoch += 1;
+            bench.wait(0.1);
+            bench.receive_embedding(&camps(epoch, present, scores));
+            held(bench)
+        };
+        for _ in 0..100 {
+            assert_eq!(short(&receive(&mut bench, WITHOUT, &TWO)), REST, "{wanted}");
+        }
+        // One robot alone is no team by the evidence.
+        for _ in 0..25 {
+            let back = receive(&mut bench, "a b c d m n o p z", &TWO);
+            assert_eq!(short(&back), format!("{REST} | t3: z"), "{wanted}");
+        }
+        assert_eq!(short(&receive(&mut bench, ALL, &THREE)), WHOLE, "{wanted}");
+        for _ in 0..50 {
+            assert_eq!(short(&receive(&mut bench, ALL, &THREE)), WHOLE, "{wanted}");
+        }
+        // Then the evidence decides again.
+        for _ in 0..20 {
+            receive(&mut bench, ALL, &TWO);
+        }
+        assert_eq!(held(&mut bench).teams.len(), 2, "{wanted}");
+    }
+}
+
 #[test]
 fn an_absent_team_is_the_reason_for_fewer_teams_and_not_reported_as_another_one() {
     let (mut bench, _) = divided(settings(TeamCount::Fixed(3)), &camps(1, ALL, &[]));

@@ -85,7 +85,7 @@ pub(crate) fn check_division(
 }
 
 /// The teams of a division are whole. Pins and limits of size will be checked here once there are any.
-fn check_teams(teams: &Teams) -> Verified {
+pub(super) fn check_teams(teams: &Teams) -> Verified {
     let revision = teams.header.revision;
     let ids: BTreeSet<_> = teams.teams.iter().map(|team| &team.id).collect();
     if ids.len() != teams.teams.len() || teams.teams.len() > teams.requested as usize {

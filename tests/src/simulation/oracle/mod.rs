@@ -10,6 +10,7 @@ mod finite;
 mod ids;
 mod memory;
 mod order;
+mod received;
 mod silhouettes;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -30,7 +31,9 @@ use super::clock::Micros;
 use super::plan::OutputKind;
 
 pub(crate) use agreement::{Agreed, GroundTruth, RobotTruth};
+pub(crate) use ids::Ids;
 pub(crate) use memory::{Bounds, MEMORY, check_memory_use};
+pub(crate) use received::Judged;
 
 /// How many messages of each kind the oracle remembers: more than a minute of frames, longer than
 /// anything that names an older one is under way.
@@ -134,7 +137,7 @@ pub(crate) struct Oracle {
     divided: Option<Divided>,
     /// The ids of teams, where one instance of the clusterer gives them all. Of two, the one that is cut off
     /// may give some that nobody hears of.
-    ids: Option<ids::Ids>,
+    ids: Option<Ids>,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
     had_forged_terms: bool,
@@ -153,7 +156,7 @@ impl Oracle {
 
     /// Every id of a team comes from one instance of the clusterer.
     pub(crate) fn one_gives_ids(&mut self) {
-        self.ids = Some(ids::Ids::default());
+        self.ids = Some(Ids::default());
     }
 
     /// An attacker has forged a term: terms no longer follow from clocks and restarts.
