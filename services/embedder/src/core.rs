@@ -273,10 +273,10 @@ impl Core for Embedder {
         }
         // A standby holds the graphs as well: it answers for an ingest that is gone.
         if follows(&context.view())
-            && let Some(patterns) = self.follow.fetch(now)
+            && let Some((patterns, within)) = self.follow.fetch(now)
         {
             context.count("fetches");
-            context.fetch(EmbedderFetch::Frame, patterns);
+            context.fetch_within(EmbedderFetch::Frame, patterns, within);
         }
         if !context.is_leading() {
             return;
