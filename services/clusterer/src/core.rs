@@ -189,10 +189,9 @@ impl Clusterer {
         let space = context.space();
         let selects = |key: &Key| request.selects(space, key);
         let mut messages = Vec::new();
-        // A standby has heard it. One that starts has it from its disk, and must not seem to know more than that:
-        // it hears its own answer.
+        // One that starts hears its own answer, and must not seem to know more than that.
         let is_standby = context.replica_state() == ReplicaState::Standby;
-        let heard = self.keeping.division().filter(|_| is_standby);
+        let heard = self.keeping.heard_division().filter(|_| is_standby);
         if let Some(teams) = self.division.as_ref().or(heard) {
             messages.extend(answer_teams(space, request, teams)?);
         }

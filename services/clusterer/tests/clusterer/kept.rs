@@ -1,6 +1,8 @@
 //! What stands after a restart of everything, when nobody but the disk remembers the division.
 
-use muster_service::Command;
+use muster_model::id::InstanceId;
+use muster_model::role::{LeaseRenewal, ReplicaState};
+use muster_service::{Command, testkit};
 use muster_wire::kept::KeptTeams;
 
 use super::*;
@@ -155,6 +157,25 @@ fn a_standby_keeps_what_it_hears_and_takes_over_from_it() {
     (forged.header, forged.next_team) = (header(9, 1), u64::MAX);
     standby.receive(mirrored(&Checked::new_unchecked(forged)));
     assert!(kept(&standby).reserved < 1000);
+}
+
+#[test]
+fn a_standby_gives_nobody_what_it_has_from_its_disk_alone() {
+    let (bench, heard) = divided(settings(), &embedding(1, &ALL));
+    let mut standby = Bench::new(settings());
+    standby.input(Input::Restored(bench.kept.clone().unwrap()));
+    standby.now = START.before(testkit::START_RETRY_TIME);
+    standby.input(Input::Started { linked: true });
+    standby.now = START;
+    standby.answer_all(vec![Message::LeaseRenewal(Box::new(LeaseRenewal {
+        header: header(2, 0),
+        service: ServiceName::Clusterer,
+        instance: InstanceId::new("j").unwrap(),
+    }))]);
+    assert_eq!(standby.host.replica_state(), ReplicaState::Standby);
+    assert_eq!(standby.get("teams", None).unwrap(), vec![]);
+    standby.receive(mirrored(&heard));
+    assert_eq!(standby.get("teams", None).unwrap().len(), 1);
 }
 
 #[test]
