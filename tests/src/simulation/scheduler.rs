@@ -246,6 +246,15 @@ impl World {
             }
         };
         match (&message, &mut self.nodes[index].process) {
+            (Message::Embedding(embedding), _) => self.log.line(
+                self.now,
+                format_args!(
+                    "{name} embeds {} robots in {} dimensions, which show {:?} teams",
+                    embedding.robots.len(),
+                    embedding.dimension,
+                    embedding.quality.teams_shown,
+                ),
+            ),
             (Message::Teams { .. }, _) => self.stats.divisions += 1,
             (Message::Settings(new), Some(process)) if new.settings != process.settings => {
                 process.settings.clone_from(&new.settings);
