@@ -11,6 +11,7 @@ use muster_service::{AskId, Stored};
 use muster_wire::{Key, KeySpace, Message, Packet};
 use serde_json::{Value, json};
 
+use super::busy::Freshness;
 use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
 use super::host::ProcessStart;
@@ -137,6 +138,7 @@ pub(super) struct World {
     pub(super) pending: BTreeMap<BusGetId, Pending>,
     pub(super) damage: Damage,
     pub(super) mutator: Mutator,
+    pub(super) freshness: Freshness,
     pub(super) files: BTreeMap<ServiceName, Value>,
     /// The names of robots on the bus, good and forged, and when each was last there.
     pub(super) names: BTreeMap<RobotId, Micros>,
@@ -248,6 +250,7 @@ impl World {
             pending: BTreeMap::new(),
             damage: Damage::default(),
             mutator: Mutator::new(mutant),
+            freshness: Freshness::default(),
             files,
             names: BTreeMap::new(),
             stats: Stats::default(),
@@ -320,6 +323,7 @@ impl World {
             self.now = next.at;
             self.stats.events += 1;
             self.happen(next.event);
+            self.require(self.freshness.check(self.now));
             if self.stats.events > MAX_EVENTS {
                 let seen = "the run does not end".to_owned();
                 self.require(Err(Breach { promise: "a run ends", seen }));
