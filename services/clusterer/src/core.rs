@@ -28,7 +28,7 @@ use crate::dwell::{CountDwell, MoveDwell};
 use crate::identity::{Memory, is_believable};
 use crate::keeping::Keeping;
 use crate::publishing::{Rotation, plural};
-use crate::seats::{Newcomers, Seats};
+use crate::seats::{Newcomers, Seats, Vacancies};
 
 use awaiting::Reunion;
 
@@ -94,6 +94,8 @@ pub struct Clusterer {
     keeping: Keeping,
     /// The robots of the division that was found on disk are awaited.
     reunion: Option<Reunion>,
+    /// Seats that the division on disk kept for absent teams.
+    vacancies: Vacancies,
     /// Since when robots that return have no relations yet.
     returning_since: Option<Tick>,
     /// Teams that robots had before the division.
@@ -129,7 +131,8 @@ impl Clusterer {
             Arc::make_mut(&mut self.memory).forget(now);
         }
         let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
-        let seats = Seats::of(self.division.as_deref(), &self.memory, &newest.embedding);
+        let vacant = self.vacancies.count(now, last);
+        let seats = Seats::of(self.division.as_deref(), &self.memory, vacant, &newest.embedding);
         let current = seats.current(last.map(|division| division.requested));
         let wanted = seats.wanted(now, settings.teams, current, &mut self.newcomers);
         let shown = newest.embedding.quality.teams_shown;

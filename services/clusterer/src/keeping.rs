@@ -134,7 +134,10 @@ impl Keeping {
 
     fn is_changed(&self) -> bool {
         match (&self.newest, &self.written) {
-            (Some(newest), Some(written)) => !same_teams(newest, written),
+            (Some(newest), Some(written)) => {
+                // After a restart the term tells whether the embedder has lived on.
+                newest.embedding.term != written.embedding.term || !same_teams(newest, written)
+            }
             (newest, _) => newest.is_some(),
         }
     }
