@@ -12,7 +12,8 @@ use super::oracle::{Verified, breach};
 use super::plan::Span;
 
 /// What is promised of the age of a division.
-const FRESH: &str = "on busy hosts a division is never older than ten times what its stages take alone";
+const FRESH: &str =
+    "on busy hosts a division is never older than ten times what its stages take alone";
 
 /// See [`FRESH`].
 const MAX_AGE_FACTOR: u64 = 10;
@@ -112,7 +113,10 @@ impl Freshness {
             return Ok(());
         }
         let (age, limit) = (Span(age), Span(limit));
-        breach(FRESH, format!("the newest division rests on data of {age} ago, allowed are {limit}"))
+        breach(
+            FRESH,
+            format!("the newest division rests on data of {age} ago, allowed are {limit}"),
+        )
     }
 }
 

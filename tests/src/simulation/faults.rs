@@ -74,6 +74,9 @@ impl World {
                         self.lose_disk(index);
                     }
                 }
+                if !disks {
+                    self.oracle.forget_ids();
+                }
             }
             Fault::PowerCut { lasts } => self.power_cut = Some(lasts),
             Fault::ForgedTerm { what, term } => self.forge_term(what, term),
