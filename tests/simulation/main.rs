@@ -184,7 +184,9 @@ fn every_mutant_is_found_and_its_run_made_short() {
         (Mutant::Forgetful, vec!["a restart of everything changes no team"]),
         (
             Mutant::StarvedEmbedder,
-            vec!["on busy hosts a division is never older than ten times what its stages take alone"],
+            vec![
+                "on busy hosts a division is never older than ten times what its stages take alone",
+            ],
         ),
     ] {
         let options = Options { robots: Some(6), ..Options::default() };

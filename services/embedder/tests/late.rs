@@ -5,8 +5,10 @@
 mod common;
 
 use common::{Bench, Ingest, patterns};
-use muster_service::Ask;
-use muster_wire::Message;
+use muster_embedder::Embedder;
+use muster_service::inbox::{Inbox, Parcel};
+use muster_service::{Ask, Core, Input};
+use muster_wire::{Key, Message, Pattern};
 
 /// The answers of a fetch, as they were made when it was asked.
 struct UnderWay {
@@ -71,4 +73,36 @@ fn a_fetch_in_vain_gives_the_next_one_more_time() {
         bench.answer_fetch(fetch, answers);
     }
     assert_eq!(within, [1, 2, 4, 8, 8, 1]);
+}
+
+#[test]
+fn one_that_handles_less_than_what_comes_makes_frames_all_the_same() {
+    let names = ["connectivity", "hierarchy", "spatial"];
+    let (mut bench, mut ingest) = (Bench::fresh(), Ingest::two_cliques(&names, 4));
+    let (mut inbox, wiring) = (Inbox::default(), Embedder::wiring());
+    for frame in 1..=60_u32 {
+        bench.wait(0.1);
+        for name in names {
+            ingest.edge(name, "a0", "a1", 0.2 + f64::from(frame) / 1000.0);
+        }
+        // Each frame is three graphs and a roster …
+        for message in ingest.frame(bench.now).messages() {
+            let pattern = match &message {
+                Message::Graph(_) => Pattern::Graphs,
+                _ => Pattern::One(Key::Roster),
+            };
+            let mut subscriptions = wiring.subscriptions.iter();
+            let delivery = subscriptions.find(|of| of.pattern == pattern).unwrap().delivery;
+            let packet = message.to_packet(bench.space());
+            inbox.push(Parcel::new(bench.space(), packet, &pattern, delivery).unwrap());
+        }
+        // … and three packets are handled in its time.
+        for _ in 0..3 {
+            if let Some(arrival) = inbox.pop() {
+                bench.input(Input::Arrived(arrival));
+            }
+        }
+    }
+    let embeddings = bench.published.len();
+    assert!((40..=45).contains(&embeddings), "{embeddings} embeddings of 60 frames");
 }
