@@ -62,6 +62,7 @@ fn every_promise_holds_for_three_hundred_seeds() {
         "blackout",
         "blackout without disks",
         "power cut",
+        "busy hosts",
         "forged term",
         "hang",
         "slow service",
@@ -89,11 +90,6 @@ fn every_promise_holds_for_three_hundred_seeds() {
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
-/// One or two fresh seeds in a thousand break a promise: a leader that loses a split brain has confirmed a
-/// change of settings (seed 7001031), or a restart of everything changes a team (seeds 9500161, 9900012). One
-/// of a hundred is printed; two are a fault that is not known.
-const KNOWN_FAILURES: usize = 1;
-
 /// The fixed seeds pass, or a change was not finished. What nobody has looked at are others: each run of the
 /// test command draws some, and prints the first one, so that a failure can be repeated.
 #[test]
@@ -112,7 +108,7 @@ fn every_promise_holds_for_a_hundred_fresh_seeds() {
     for (seed, failed) in &summary.failed {
         writeln!(std::io::stderr(), "simulation: seed {seed} breaks a promise: {failed}").unwrap();
     }
-    assert!(summary.failed.len() <= KNOWN_FAILURES, "first {first}\n{}", summary.text());
+    assert!(summary.failed.is_empty(), "first {first}\n{}", summary.text());
     assert_eq!(summary.runs, FRESH_SEEDS);
 }
 
@@ -186,6 +182,12 @@ fn every_mutant_is_found_and_its_run_made_short() {
         (Mutant::DeafRobots, vec!["robots believe services that have lost their state within 5 s"]),
         (Mutant::UnbelievedTerm, vec!["no service begins a term that others do not believe"]),
         (Mutant::Forgetful, vec!["a restart of everything changes no team"]),
+        (
+            Mutant::StarvedEmbedder,
+            vec![
+                "on busy hosts a division is never older than ten times what its stages take alone",
+            ],
+        ),
     ] {
         let options = Options { robots: Some(6), ..Options::default() };
         let outcomes = (0..200).map(|seed| simulate(seed, &options, Some(mutant), false));

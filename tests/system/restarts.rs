@@ -120,6 +120,41 @@ async fn each_service_dies_alone_and_the_teams_keep_their_ids() {
     }
 }
 
+/// How soon three services that were killed at once have made fresh teams again. Five seconds are promised;
+/// other tests run at the same time.
+const THREE_RECOVERED_WITHIN: Duration = Duration::from_secs(8);
+
+#[tokio::test(flavor = "multi_thread")]
+async fn three_services_die_at_once_and_the_teams_keep_their_ids() {
+    let settings = [("clusterer", "teams=3"), ("ingest", "tick_hz=50")];
+    let mut cluster = Cluster::start("alpha", &settings).unwrap();
+    let _robots = cluster.robots(&SCENARIO).unwrap();
+    let client = cluster.client().await.unwrap();
+    let wanted = formed(&client, &truth(&cluster, &SCENARIO)).await;
+    // After some hundred frames an `ingest` is known as one that has lived on.
+    let has_run = |status: &Value| status["revision"]["epoch"].as_u64() > Some(310);
+    client.until("service/ingest/status", Duration::from_secs(60), has_run).await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    for survivor in SERVICES {
+        let killed: Vec<&str> = SERVICES.into_iter().filter(|name| *name != survivor).collect();
+        for service in &killed {
+            cluster.service(service).unwrap().kill().unwrap();
+        }
+        let since = now();
+        for service in &killed {
+            cluster.start_service(service).unwrap();
+        }
+        teams.clear();
+        let fresh = |value: &Value| {
+            ["ingest", "embedder", "clusterer"].iter().all(|name| stage(value, name) > since)
+                && division(value) == wanted
+        };
+        teams.until("fresh teams", THREE_RECOVERED_WITHIN, fresh).await.unwrap();
+        eprintln!("all but {survivor} killed: fresh teams after {:.1} s", now() - since);
+        tokio::time::sleep(Duration::from_secs(2)).await;
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn terms_rise_with_each_restart() {
     let scenario = ["--scenario", "clusters", "--robots", "6"];

@@ -28,7 +28,7 @@ use crate::dwell::{CountDwell, MoveDwell};
 use crate::identity::{Memory, is_believable};
 use crate::keeping::Keeping;
 use crate::publishing::{Rotation, plural};
-use crate::seats::{Arrivals, Seats};
+use crate::seats::{Arrivals, Seats, Vacancies};
 
 use awaiting::Reunion;
 
@@ -94,6 +94,8 @@ pub struct Clusterer {
     keeping: Keeping,
     /// The robots of the division that was found on disk are awaited.
     reunion: Option<Reunion>,
+    /// Seats that the division on disk kept for absent teams.
+    vacancies: Vacancies,
     /// Since when robots that return have no relations yet.
     returning_since: Option<Tick>,
     /// Teams that robots had before the division.
@@ -129,7 +131,8 @@ impl Clusterer {
             Arc::make_mut(&mut self.memory).forget(now);
         }
         let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
-        let seats = Seats::of(self.division.as_deref(), &self.memory, &newest.embedding);
+        let vacant = self.vacancies.count(now, last);
+        let seats = Seats::of(self.division.as_deref(), &self.memory, vacant, &newest.embedding);
         let current = seats.current(last.map(|division| division.requested));
         let wanted = seats.wanted(now, settings.teams, current, &mut self.arrivals);
         let shown = newest.embedding.quality.teams_shown;
@@ -189,10 +192,9 @@ impl Clusterer {
         let space = context.space();
         let selects = |key: &Key| request.selects(space, key);
         let mut messages = Vec::new();
-        // A standby has heard it. One that starts has it from its disk, and must not seem to know more than that:
-        // it hears its own answer.
+        // One that starts hears its own answer, and must not seem to know more than that.
         let is_standby = context.replica_state() == ReplicaState::Standby;
-        let heard = self.keeping.division().filter(|_| is_standby);
+        let heard = self.keeping.heard_division().filter(|_| is_standby);
         if let Some(teams) = self.division.as_ref().or(heard) {
             messages.extend(answer_teams(space, request, teams)?);
         }

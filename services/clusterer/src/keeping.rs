@@ -33,6 +33,8 @@ const RESERVATION_TIMEOUT: Duration = Duration::from_secs(2);
 pub(crate) struct Keeping {
     /// The newest division to be kept.
     newest: Option<Checked<Teams>>,
+    /// Whether that was published in the life of this process, and not only found on disk.
+    is_heard: bool,
     /// The division of the last write.
     written: Option<Checked<Teams>>,
     /// When a division was last written.
@@ -74,10 +76,17 @@ impl Keeping {
         self.newest.as_ref()
     }
 
+    /// The same, if it was published since this process began. One from the disk must not be given to others as
+    /// if somebody remembered it: they have a disk of their own, and await the robots of what they find there.
+    pub(crate) fn heard_division(&self) -> Option<&Checked<Teams>> {
+        self.division().filter(|_| self.is_heard)
+    }
+
     /// A division was published, by this instance or another one.
     pub(crate) fn note(&mut self, teams: &Checked<Teams>) {
         self.next_team = self.next_team.max(teams.next_team);
         self.newest = Some(teams.clone());
+        self.is_heard = true;
     }
 
     /// A division was received while another instance leads.
@@ -125,7 +134,10 @@ impl Keeping {
 
     fn is_changed(&self) -> bool {
         match (&self.newest, &self.written) {
-            (Some(newest), Some(written)) => !same_teams(newest, written),
+            (Some(newest), Some(written)) => {
+                // After a restart the term tells whether the embedder has lived on.
+                newest.embedding.term != written.embedding.term || !same_teams(newest, written)
+            }
             (newest, _) => newest.is_some(),
         }
     }

@@ -16,7 +16,7 @@ use muster_model::settings::TeamCount;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 
-use crate::memory::Memory;
+use crate::memory::{Memory, TEAM_MEMORY_TIME};
 
 /// For how long after robots came that no team knows the evidence decides whether they get a free seat, and after
 /// a team returned it has its seat: the robots of a team come within a second or two, one after the other.
@@ -36,11 +36,18 @@ pub(crate) struct Seats {
 }
 
 impl Seats {
-    /// The seats of the last division and of the teams that are remembered.
-    pub(crate) fn of(division: Option<&Teams>, memory: &Memory, embedding: &Embedding) -> Self {
+    /// The seats of the last division and of the teams that are remembered, and `vacant` ones of which no more
+    /// is known.
+    pub(crate) fn of(
+        division: Option<&Teams>,
+        memory: &Memory,
+        vacant: u32,
+        embedding: &Embedding,
+    ) -> Self {
         let Some(division) = division else { return Self::default() };
         let last_of = last_teams(division, memory, embedding);
-        let mut seats = Self { newcomers: last_of.contains(&None), ..Self::default() };
+        let newcomers = last_of.contains(&None);
+        let mut seats = Self { newcomers, absent: vacant, ..Self::default() };
         let occupied: BTreeSet<&TeamId> = last_of.into_iter().flatten().collect();
         for team in &division.teams {
             if occupied.contains(&team.id) {
@@ -105,6 +112,36 @@ impl Seats {
         let (range, present) = (seated.range(), u32::try_from(self.present.len()));
         let from = present.unwrap_or(1).clamp(*range.start(), *range.end());
         TeamCount::Between { from, to: *range.end() }
+    }
+}
+
+/// Seats that were kept for absent teams when the division was written that was found on disk. Which robots
+/// they are kept for is not known any more: whoever returns is a newcomer.
+#[derive(Debug, Default)]
+pub(crate) struct Vacancies {
+    seats: u32,
+    since: Option<Tick>,
+}
+
+impl Vacancies {
+    /// Those of a division that was found on disk.
+    pub(crate) fn of(found: &Teams) -> Self {
+        let teams = u32::try_from(found.teams.len()).unwrap_or(u32::MAX);
+        Self { seats: found.requested.saturating_sub(teams), since: None }
+    }
+
+    /// How many seats are kept. They are as long as a team is remembered, and until all seats are taken in the
+    /// last division.
+    pub(crate) fn count(&mut self, now: Tick, last: Option<&Teams>) -> u32 {
+        if self.seats == 0 {
+            return 0;
+        }
+        let is_full = |last: &Teams| last.teams.len() >= last.requested as usize;
+        let is_over = now.since(*self.since.get_or_insert(now)) >= TEAM_MEMORY_TIME;
+        if is_over || last.is_some_and(is_full) {
+            *self = Self::default();
+        }
+        self.seats
     }
 }
 

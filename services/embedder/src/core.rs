@@ -35,8 +35,10 @@ type View<'a> = muster_service::View<'a, Embedder>;
 /// later, should not cost two thorough embeddings.
 const REST_TIME: Duration = Duration::from_secs(1);
 
-/// Packets of one graph that wait for the core: some seconds of deltas.
-const GRAPH_QUEUE_PACKETS: usize = 64;
+/// Packets of one graph that wait for the core: some seconds of deltas. As many rosters wait, in between: if
+/// the newest took the place of the one before, an instance that is as slow as frames come would always have
+/// deltas to apply before it, and never a whole frame.
+const FRAME_QUEUE_PACKETS: usize = 64;
 
 /// The fetches of the service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -102,8 +104,8 @@ impl Core for Embedder {
         let settings = Pattern::One(Key::Settings(ServiceName::Clusterer));
         Wiring {
             subscriptions: vec![
-                subscription(Pattern::Graphs, Delivery::Queue(GRAPH_QUEUE_PACKETS)),
-                subscription(Pattern::One(Key::Roster), Delivery::Latest),
+                subscription(Pattern::Graphs, Delivery::Queue(FRAME_QUEUE_PACKETS)),
+                subscription(Pattern::One(Key::Roster), Delivery::Queue(FRAME_QUEUE_PACKETS)),
                 subscription(settings, Delivery::Latest),
             ],
             tokens: Vec::new(),
@@ -273,10 +275,10 @@ impl Core for Embedder {
         }
         // A standby holds the graphs as well: it answers for an ingest that is gone.
         if follows(&context.view())
-            && let Some(patterns) = self.follow.fetch(now)
+            && let Some((patterns, within)) = self.follow.fetch(now)
         {
             context.count("fetches");
-            context.fetch(EmbedderFetch::Frame, patterns);
+            context.fetch_within(EmbedderFetch::Frame, patterns, within);
         }
         if !context.is_leading() {
             return;

@@ -2,8 +2,9 @@
 //!
 //! A roster comes after the graphs of its frame and lists the revision of each. Once every listed
 //! graph is at exactly that revision, roster and graphs are one consistent [`Frame`]. What is missing
-//! is fetched, one fetch at a time. Revisions go forward only, with one exception: a graph that stays
-//! ahead of the rosters is rolled back to what they list (see [`Follower::roll_back`]).
+//! is fetched, one fetch at a time; deltas that arrive meanwhile wait for it (see [`WaitingDeltas`]).
+//! Revisions go forward only, with one exception: a graph that stays ahead of the rosters is rolled back to
+//! what they list (see [`Follower::roll_back`]).
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,8 +20,18 @@ use muster_model::time::Tick;
 use muster_service::MemoryUse;
 use muster_wire::{Key, KeySpace, Message, Pattern, Request};
 
+use crate::waiting::WaitingDeltas;
+
 /// Least time between the starts of two fetches.
 const FETCH_INTERVAL: Duration = Duration::from_millis(500);
+
+/// How long the answers of a fetch are waited for. As long as fetches lead to no frame, each next one is given
+/// twice as long: on a busy host the snapshot of a large fleet takes its time, and whoever gives up on it asks
+/// for another one.
+const FETCH_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// How often that is doubled at most.
+const MAX_DOUBLINGS: u32 = 3;
 
 /// Grace period of a graph that is behind the roster without a known gap: its delta may wait in a queue
 /// while the roster, on another key, has overtaken it.
@@ -67,6 +78,21 @@ pub(crate) enum Acceptance {
 struct Followed {
     graph: Arc<GraphReplica>,
     gap: bool,
+    /// Deltas from beyond the gap.
+    waiting: WaitingDeltas,
+}
+
+impl Followed {
+    /// Applies the deltas that have waited for the revision that the graph has now. One that contradicts the
+    /// graph is dropped: a fetch repairs what it leaves.
+    fn catch_up(&mut self) {
+        while let Some(delta) = self.waiting.next(self.graph.revision()) {
+            if Arc::make_mut(&mut self.graph).apply(&delta).is_err() {
+                break;
+            }
+        }
+        self.gap &= !self.waiting.is_empty();
+    }
 }
 
 /// How far the graphs are from the newest roster.
@@ -89,6 +115,8 @@ pub(crate) struct Follower {
     /// Whether a fetch is under way.
     is_fetching: bool,
     fetched: Tick,
+    /// How many fetches have led to no frame since the last one.
+    fetches_in_vain: u32,
     /// Whether everything is to be fetched, whatever is known.
     refresh: bool,
 }
@@ -104,11 +132,12 @@ impl Follower {
         let frame = self.frame.as_deref();
         let framed = frame.into_iter().flat_map(|frame| &frame.graphs).map(|(_, graph)| graph);
         let graphs = self.graphs.values().map(|followed| &followed.graph).chain(framed);
+        let waiting = self.graphs.values().map(|followed| followed.waiting.edge_count());
         let rosters = self.roster.as_ref().into_iter().chain(frame.map(|frame| &frame.roster));
         let sizes: Vec<usize> = rosters.map(|roster| roster.robots.len()).collect();
         MemoryUse {
             robots: sizes.iter().sum(),
-            edges: graphs.map(|graph| graph.edge_count()).sum(),
+            edges: graphs.map(|graph| graph.edge_count()).chain(waiting).sum(),
             messages: sizes.len(),
             offenders: 0,
         }
@@ -144,7 +173,10 @@ impl Follower {
     ///
     /// # Errors
     /// Why the delta is refused; the graph stays as it was.
-    pub(crate) fn accept_graph(&mut self, delta: &GraphDelta) -> Result<Acceptance, GraphError> {
+    pub(crate) fn accept_graph(
+        &mut self,
+        delta: &Arc<GraphDelta>,
+    ) -> Result<Acceptance, GraphError> {
         let known = self.graphs.contains_key(&delta.modality);
         if !known && !self.has_room_for(&delta.modality) {
             return Ok(Acceptance::Ignored);
@@ -153,12 +185,14 @@ impl Follower {
         match Arc::make_mut(&mut followed.graph).apply(delta) {
             Ok(()) => {
                 followed.gap &= delta.base.is_some();
+                followed.catch_up();
                 Ok(Acceptance::Applied)
             }
             Err(GraphError::Old(at)) if delta.header.revision == at => Ok(Acceptance::Known),
             Err(GraphError::Old(_)) => Ok(Acceptance::Old),
             Err(GraphError::Gap { .. }) => {
                 followed.gap = true;
+                followed.waiting.add(delta);
                 Ok(Acceptance::Gap)
             }
             Err(error @ GraphError::Inconsistent(_)) => {
@@ -191,7 +225,7 @@ impl Follower {
         if graph.apply(snapshot).is_err() {
             return false;
         }
-        let followed = Followed { graph: Arc::new(graph), gap: false };
+        let followed = Followed { graph: Arc::new(graph), ..Followed::default() };
         self.graphs.insert(snapshot.modality.clone(), followed);
         true
     }
@@ -248,6 +282,7 @@ impl Follower {
             |(name, _): &(Modality, _)| Some((name.clone(), self.graphs.get(name)?.graph.clone()));
         let graphs = roster.graphs.iter().filter_map(graph).collect();
         let roster = roster.clone();
+        self.fetches_in_vain = 0;
         self.frame = Some(Arc::new(Frame { roster, received: now, robots, graphs }));
         true
     }
@@ -301,8 +336,8 @@ impl Follower {
         Some(wanted.max(self.fetched.after(FETCH_INTERVAL)))
     }
 
-    /// What the fetch asks for that is due; it counts as begun.
-    pub(crate) fn fetch(&mut self, now: Tick) -> Option<Vec<Pattern>> {
+    /// What the fetch asks for that is due, and how long it waits for answers; it counts as begun.
+    pub(crate) fn fetch(&mut self, now: Tick) -> Option<(Vec<Pattern>, Duration)> {
         if self.fetch_due()? > now {
             return None;
         }
@@ -321,7 +356,9 @@ impl Follower {
         }
         self.refresh = false;
         self.fetch_begun(now);
-        Some(patterns)
+        let within = FETCH_TIMEOUT * 2_u32.pow(self.fetches_in_vain.min(MAX_DOUBLINGS));
+        self.fetches_in_vain = self.fetches_in_vain.saturating_add(1);
+        Some((patterns, within))
     }
 
     fn distance(&self, name: &Modality, listed: Revision) -> Distance {

@@ -1,5 +1,7 @@
 //! What a service is: a core with a hook for everything that can happen, and what its hooks may do.
 
+use std::time::Duration;
+
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::{Revision, StageTime};
 use muster_model::id::{FleetId, ServiceName};
@@ -381,6 +383,12 @@ impl<C: Core> Context<'_, C> {
     /// bounded time even without an answer.
     pub fn fetch(&mut self, fetch: C::Fetch, patterns: Vec<Pattern>) {
         self.0.fetch(Purpose::Core(fetch), patterns);
+    }
+
+    /// The same, with answers that are waited for as long as `within`, at most for ten seconds: large ones take
+    /// their time on a busy bus.
+    pub fn fetch_within(&mut self, fetch: C::Fetch, patterns: Vec<Pattern>, within: Duration) {
+        self.0.fetch_within(Purpose::Core(fetch), patterns, within);
     }
 
     /// The right to start a job; none if one runs or this instance does not lead.

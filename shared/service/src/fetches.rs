@@ -9,7 +9,10 @@ use muster_wire::{Message, Pattern};
 use crate::io::{Ask, AskId};
 
 /// How long a question waits for answers: a service that hangs must not hold up one that starts.
-const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
+pub(crate) const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Longest time that a core may have its questions wait, so that it learns of their end before it is of no use.
+const MAX_ANSWER_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// How long a service that starts repeats unanswered questions. After a failure of the router those who
 /// know its last output need a moment to reconnect, and an instance that begins without them begins from
@@ -19,7 +22,7 @@ const START_RETRY_TIME: Duration = Duration::from_secs(2);
 /// How soon it repeats them.
 const START_RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Most questions under way. Each is answered within [`ANSWER_TIMEOUT`], and cores ask a few at a
+/// Most questions under way. Each is answered within [`MAX_ANSWER_TIMEOUT`], and cores ask a few at a
 /// time; beyond it a fetch ends at once without answers.
 const MAX_OPEN_ASKS: usize = 256;
 
@@ -48,6 +51,8 @@ pub(crate) struct Fetched<F> {
 #[derive(Debug)]
 struct Fetch<F> {
     purpose: Purpose<F>,
+    /// How long each question waits for answers.
+    within: Duration,
     /// How many key expressions have no final answer yet.
     open: usize,
     /// Until when unanswered questions are repeated.
@@ -82,13 +87,14 @@ impl<F> Default for Fetches<F> {
 }
 
 impl<F: Copy> Fetches<F> {
-    /// Begins a fetch. `retries` says which key expressions are asked for again while
-    /// they are unanswered. What is to be asked is added to `asks`; a fetch that asks for nothing has ended already.
+    /// Begins a fetch whose questions wait for answers `within` a time. `retries` says which key expressions
+    /// are asked for again while they are unanswered. What is to be asked is added to `asks`; a fetch that asks for nothing has ended already.
     pub(crate) fn begin(
         &mut self,
         now: Tick,
         purpose: Purpose<F>,
         patterns: Vec<Pattern>,
+        within: Duration,
         retries: impl Fn(&Pattern) -> bool,
         asks: &mut Vec<Ask>,
     ) -> Option<Fetched<F>> {
@@ -98,7 +104,9 @@ impl<F: Copy> Fetches<F> {
         let fetch = self.number();
         let retry_until = now.after(START_RETRY_TIME);
         let open = patterns.len();
-        self.fetches.insert(fetch, Fetch { purpose, open, retry_until, answers: Vec::new() });
+        let within = within.min(MAX_ANSWER_TIMEOUT);
+        let answers = Vec::new();
+        self.fetches.insert(fetch, Fetch { purpose, within, open, retry_until, answers });
         for pattern in patterns {
             let retries = retries(&pattern);
             asks.push(self.ask(Question { fetch, pattern, retries }));
@@ -114,8 +122,9 @@ impl<F: Copy> Fetches<F> {
     fn ask(&mut self, question: Question) -> Ask {
         let ask = AskId(self.number());
         let pattern = question.pattern.clone();
+        let within = self.fetches.get(&question.fetch).map_or(ANSWER_TIMEOUT, |of| of.within);
         self.asked.insert(ask, question);
-        Ask { ask, pattern, within: ANSWER_TIMEOUT }
+        Ask { ask, pattern, within }
     }
 
     /// A question has its answers; the fetch, if it has ended with them.
@@ -172,7 +181,8 @@ mod tests {
     fn begin(fetches: &mut Fetches<u8>, patterns: Vec<Pattern>) -> Vec<Ask> {
         let mut asks = Vec::new();
         let only_teams = |pattern: &Pattern| *pattern == Pattern::One(Key::Teams);
-        let ended = fetches.begin(NOW, Purpose::Core(7), patterns, only_teams, &mut asks);
+        let ended =
+            fetches.begin(NOW, Purpose::Core(7), patterns, ANSWER_TIMEOUT, only_teams, &mut asks);
         assert!(ended.is_none());
         asks
     }
@@ -186,6 +196,17 @@ mod tests {
         let ended = fetches.answered(NOW, asks[1].ask, Vec::new()).unwrap();
         assert_eq!(ended.purpose, Purpose::Core(7));
         assert!(fetches.answered(NOW, asks[1].ask, Vec::new()).is_none());
+    }
+
+    #[test]
+    fn a_core_may_give_its_questions_more_time_but_not_for_ever() {
+        let mut fetches: Fetches<u8> = Fetches::default();
+        for (wanted, given) in [(4, 4), (60, 10)] {
+            let (patterns, mut asks) = (vec![Pattern::Graphs], Vec::new());
+            let wanted = Duration::from_secs(wanted);
+            fetches.begin(NOW, Purpose::Core(1), patterns, wanted, |_| false, &mut asks);
+            assert_eq!(asks[0].within, Duration::from_secs(given));
+        }
     }
 
     #[test]
@@ -208,8 +229,9 @@ mod tests {
     fn a_fetch_of_nothing_ends_at_once_and_a_forgotten_one_never() {
         let mut fetches: Fetches<u8> = Fetches::default();
         let mut asks = Vec::new();
-        let nothing =
-            fetches.begin(NOW, Purpose::TermCheck, Vec::new(), |_| true, &mut asks).unwrap();
+        let nothing = fetches
+            .begin(NOW, Purpose::TermCheck, Vec::new(), ANSWER_TIMEOUT, |_| true, &mut asks)
+            .unwrap();
         assert!(nothing.answers.is_empty() && asks.is_empty());
         let asks = begin(&mut fetches, vec![Pattern::One(Key::Teams)]);
         fetches.forget();
@@ -224,7 +246,14 @@ mod tests {
         for _ in 0..1000 {
             let patterns = vec![Pattern::One(Key::Teams)];
             let mut asks = Vec::new();
-            let fetched = fetches.begin(NOW, Purpose::Core(1), patterns, |_| false, &mut asks);
+            let fetched = fetches.begin(
+                NOW,
+                Purpose::Core(1),
+                patterns,
+                ANSWER_TIMEOUT,
+                |_| false,
+                &mut asks,
+            );
             ended += usize::from(fetched.is_some());
         }
         assert_eq!(ended, 1000 - MAX_OPEN_ASKS);

@@ -182,7 +182,10 @@ impl<C: Core> Host<C> {
             }
             Input::JobEnded { panic, .. } => self.job_ended(panic),
             Input::Answered { ask, answers } => self.answered(ask, answers),
-            Input::Get(get) => self.get(get),
+            Input::Get(get) => {
+                self.facilities.replica.election.others_heard();
+                self.get(get);
+            }
             Input::LinkLost => {
                 self.facilities.replica.election.link_lost();
                 self.report_connectivity(Connectivity::Offline);
@@ -239,6 +242,9 @@ impl<C: Core> Host<C> {
                 return self.facilities.refuse(rejection);
             }
         };
+        if !self.is_own(&message) {
+            self.facilities.replica.election.others_heard();
+        }
         match message {
             Message::LeaseRenewal(renewal) => {
                 let rivalry = self.renewal(&renewal, RenewalSource::Published);
@@ -262,6 +268,17 @@ impl<C: Core> Host<C> {
         }
     }
 
+    /// Whether a message may be one that this instance has put itself: the bus delivers those as well.
+    fn is_own(&self, message: &Message) -> bool {
+        match message {
+            Message::LeaseRenewal(renewal) => {
+                renewal.instance == *self.facilities.replica.election.instance()
+            }
+            Message::ServiceToken { .. } | Message::Settings(_) => true,
+            message => C::is_output(message),
+        }
+    }
+
     fn answered(&mut self, ask: AskId, arrivals: Vec<Arrival>) {
         self.confirm_leadership();
         let (mut messages, mut refused) = (Vec::new(), Vec::new());
@@ -274,6 +291,9 @@ impl<C: Core> Host<C> {
             }
         }
         self.facilities.replica.add("answers_refused", refused.len() as u64);
+        if !messages.is_empty() {
+            self.facilities.replica.election.others_heard();
+        }
         let ended = self.facilities.fetches.answered(self.facilities.now, ask, messages);
         self.facilities.fetched.extend(ended);
     }

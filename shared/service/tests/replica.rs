@@ -123,6 +123,34 @@ fn an_instance_that_led_adopts_the_settings_of_the_new_leader() {
     assert_eq!(receive_settings(&mut driven, 2, 5, 5), 5);
 }
 
+/// In a split brain, the one that was cut off has begun the higher term, and an operator has changed settings
+/// at the other one, which everybody could reach.
+#[test]
+fn a_change_at_the_leader_that_was_reached_outlives_one_that_led_unheard() {
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5), settings(7, 5, 5)]);
+    // The link is dead, and not lost yet.
+    driven.wait(2.5);
+    let questions = std::mem::take(&mut driven.asks);
+    driven.answer_fetch(questions, Vec::new());
+    assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
+    cut_off(&mut driven);
+    driven.receive(token("a", true));
+    driven.receive(renewal("a", 7, 9));
+    assert_eq!(driven.host.replica_state(), ReplicaState::Starting);
+    assert_eq!(receive_settings(&mut driven, 7, 9, 3), 3);
+    for query in driven.leader_queries() {
+        driven.answer(&query, Vec::new());
+    }
+    assert_ne!(driven.host.replica_state(), ReplicaState::Leading, "the query was of before");
+    // Readers may have received its term all the same: it takes over, with the settings.
+    for epoch in 10..13 {
+        driven.receive(renewal("a", 7, epoch));
+    }
+    let questions = std::mem::take(&mut driven.asks);
+    driven.answer_fetch(questions, vec![renewal("a", 7, 12), settings(7, 12, 3)]);
+    assert_eq!(driven.teams(), 3);
+}
+
 #[test]
 fn an_instance_that_takes_over_adopts_what_a_suspect_could_not_announce() {
     let driven = Driven::answered(vec![settings(7, 5, 5)]);

@@ -10,6 +10,7 @@ use muster_model::term::highest_term;
 use muster_service::Stored;
 use muster_wire::{Format, Key, Message, Packet, Source};
 
+use super::busy::Load;
 use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
 use super::link::{State, Storm, Way};
@@ -73,6 +74,9 @@ impl World {
                         self.lose_disk(index);
                     }
                 }
+                if !disks {
+                    self.oracle.forget_ids();
+                }
             }
             Fault::PowerCut { lasts } => self.power_cut = Some(lasts),
             Fault::ForgedTerm { what, term } => self.forge_term(what, term),
@@ -90,6 +94,7 @@ impl World {
                 let Some(index) = node(self, at) else { return };
                 self.nodes[index].slow_jobs = (self.now + lasts, each);
             }
+            Fault::Busy { lasts, load } => self.make_busy(self.now + lasts, &load),
             Fault::Panics { at, lasts } => {
                 let Some(index) = node(self, at) else { return };
                 self.nodes[index].panics_until = self.now + lasts;
@@ -147,6 +152,20 @@ impl World {
                 self.schedule(self.now + lasts, later);
             }
         }
+    }
+
+    /// All hosts of services are busy until a moment.
+    fn make_busy(&mut self, until: Micros, load: &Load) {
+        let Load { each, job, delay, late, loss } = *load;
+        for node in &mut self.nodes {
+            node.slow = (until, each);
+            node.slow_jobs = (until, job);
+            let loss = if node.service == ServiceName::Embedder { loss } else { 0 };
+            let link = &mut self.links[node.link];
+            link.storm(Storm { until, loss, copies: 0, delay, reorders: false });
+            link.delay_answers(until, late);
+        }
+        self.freshness.begin(self.now, until, load);
     }
 
     fn kill(&mut self, index: usize, lasts: Micros, chance: &mut Chance) {

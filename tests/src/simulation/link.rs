@@ -48,6 +48,10 @@ pub(crate) struct Link {
     /// Until when the link is cut.
     pub(crate) cut_until: Micros,
     storms: Vec<Storm>,
+    /// Until when answers of gets come later than other messages, and by how much.
+    answers_late: (Micros, Micros),
+    /// The same as `free`, for those answers.
+    answers_free: [Micros; 2],
     /// Before this, nothing that is sent now arrives: a calm link keeps the order.
     free: [Micros; 2],
     held: Vec<(Way, Carried)>,
@@ -69,6 +73,8 @@ impl Link {
             session: 0,
             cut_until: 0,
             storms: Vec::new(),
+            answers_late: (0, 0),
+            answers_free: [0; 2],
             free: [0; 2],
             held: Vec::new(),
             chance,
@@ -78,6 +84,11 @@ impl Link {
     /// Bad weather begins.
     pub(crate) fn storm(&mut self, storm: Storm) {
         self.storms.push(storm);
+    }
+
+    /// Answers of gets wait behind everything else until a moment.
+    pub(crate) fn delay_answers(&mut self, until: Micros, late: Micros) {
+        self.answers_late = (until, late);
     }
 
     /// When copies of something that is sent now arrive; none if it is lost or held back.
@@ -100,6 +111,12 @@ impl Link {
         }
         self.storms.retain(|storm| storm.until > now);
         let base = self.chance.between(100, MS);
+        let (late_until, late) = self.answers_late;
+        if carried.is_answer() && now < late_until {
+            let free = &mut self.answers_free[way as usize];
+            *free = (now + base + late).max(*free + 1);
+            return vec![*free];
+        }
         let free = &mut self.free[way as usize];
         let Some(storm) = self.storms.last() else {
             *free = (now + base).max(*free + 1);
@@ -135,6 +152,7 @@ impl Link {
         self.session += 1;
         self.held.clear();
         self.free = [0; 2];
+        self.answers_free = [0; 2];
         self.state = State::Down;
     }
 
@@ -146,6 +164,7 @@ impl Link {
     /// Ends all bad weather.
     pub(crate) fn calm(&mut self) {
         self.storms.clear();
+        self.answers_late = (0, 0);
     }
 
     /// How long until both ends notice that nothing comes any more, or have found back.

@@ -14,6 +14,7 @@
 //! of each, of which one leads and the other is a standby.
 
 mod batch;
+mod busy;
 pub(crate) mod chance;
 mod clock;
 mod faults;

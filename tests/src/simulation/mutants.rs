@@ -51,11 +51,13 @@ pub enum Mutant {
     UnbelievedTerm,
     /// What the clusterer keeps on disk is not there once the power was cut.
     Forgetful,
+    /// The embedder receives nothing that is published any more once the hosts were busy.
+    StarvedEmbedder,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -72,6 +74,7 @@ impl Mutant {
         Self::DeafRobots,
         Self::UnbelievedTerm,
         Self::Forgetful,
+        Self::StarvedEmbedder,
     ];
 
     /// The kinds of faults after which it shows.
@@ -91,6 +94,7 @@ impl Mutant {
             Self::TermsFromOne | Self::DeafRobots => &["blackout without disks"],
             Self::UnbelievedTerm => &["forged term"],
             Self::Forgetful => &["power cut"],
+            Self::StarvedEmbedder => &["busy hosts"],
         }
     }
 }
@@ -362,8 +366,11 @@ impl Mutator {
 
     /// Whether a service receives nothing.
     pub(crate) fn isolates(&self, service: ServiceName) -> bool {
-        self.active
-            && self.mutant == Some(Mutant::IsolatedAuditor)
-            && service == ServiceName::Auditor
+        let isolated = match self.mutant {
+            Some(Mutant::IsolatedAuditor) => ServiceName::Auditor,
+            Some(Mutant::StarvedEmbedder) => ServiceName::Embedder,
+            _ => return false,
+        };
+        self.active && service == isolated
     }
 }

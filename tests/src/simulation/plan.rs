@@ -6,6 +6,7 @@ use std::fmt;
 use muster_model::id::ServiceName;
 
 use super::Scale;
+use super::busy::Load;
 use super::chance::{Chance, Purpose};
 use super::clock::{MS, Micros, SECOND};
 
@@ -14,6 +15,12 @@ const QUIET_TIME: Micros = 2 * SECOND;
 
 /// In how many of a hundred runs the power is cut once all agree.
 const POWER_CUT_PERCENT: u64 = 25;
+
+/// In how many of a hundred runs all hosts are busy with other work, and nothing else goes wrong with services.
+const BUSY_PERCENT: u64 = 8;
+
+/// For how long of the storm they are: longer than a division may be old then.
+const BUSY_TIME: Micros = 12 * SECOND;
 
 /// What is connected to the router by a link of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -119,6 +126,8 @@ pub(crate) enum Fault {
     Slow { at: Place, lasts: Micros, each: Micros },
     /// Jobs of a service take long.
     SlowJobs { at: Place, lasts: Micros, each: Micros },
+    /// All hosts are busy with other work.
+    Busy { lasts: Micros, load: Load },
     /// Every job of a service that ends within the span has panicked.
     Panics { at: Place, lasts: Micros },
     /// The wall clock of a host is set, by so many microseconds.
@@ -166,13 +175,33 @@ impl Fault {
             | Self::LostDisk { at, lasts }
             | Self::Hang { at, lasts }
             | Self::Slow { at, lasts, .. } => (*at, *lasts),
-            Self::Router { lasts } | Self::Blackout { lasts, .. } => return Some((None, *lasts)),
+            Self::Router { lasts } | Self::Blackout { lasts, .. } | Self::Busy { lasts, .. } => {
+                return Some((None, *lasts));
+            }
             Self::ForgedTerm { .. } => return Some((None, 0)),
             _ => return None,
         };
         match at {
             Place::Service(service, _) => Some((Some(service), lasts)),
             Place::Robot(_) => None,
+        }
+    }
+
+    /// Whether it concerns robots alone, so that services go on dividing.
+    const fn is_of_robots(&self) -> bool {
+        match self {
+            Self::Storm { at, .. } | Self::Cut { at, .. } | Self::Clock { at, .. } => {
+                matches!(at, Place::Robot(_))
+            }
+            Self::Leave { .. }
+            | Self::LeaveForGood { .. }
+            | Self::Reboot { .. }
+            | Self::Promote { .. }
+            | Self::Jump { .. }
+            | Self::Burst { .. }
+            | Self::Rubbish { .. }
+            | Self::Ghosts { .. } => true,
+            _ => false,
         }
     }
 
@@ -192,6 +221,7 @@ impl Fault {
             Self::Hang { .. } => "hang",
             Self::Slow { .. } => "slow service",
             Self::SlowJobs { .. } => "slow jobs",
+            Self::Busy { .. } => "busy hosts",
             Self::Panics { .. } => "job panics",
             Self::Clock { .. } => "clock set",
             Self::Leave { .. } => "robot leaves and returns",
@@ -234,6 +264,7 @@ impl fmt::Display for Injection {
             Fault::Slow { at, lasts, each } | Fault::SlowJobs { at, lasts, each } => {
                 write!(formatter, "{at} for {}: {} each", Span(*lasts), Span(*each))
             }
+            Fault::Busy { lasts, load } => write!(formatter, "for {}: {load}", Span(*lasts)),
             Fault::Clock { at, by } => write!(formatter, "{at} by {by} µs"),
             Fault::Leave { robot, lasts, politely } => {
                 let how = if *politely { "politely" } else { "without withdrawing its token" };
@@ -354,6 +385,15 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
     let mut power = Chance::new(seed, Purpose::Plan, 1);
     if power.percent(POWER_CUT_PERCENT) {
         let fault = Fault::PowerCut { lasts: power.between(50 * MS, 3 * SECOND) };
+        injections.push(Injection { number: 0, at: begin, fault });
+    }
+    let mut busy = Chance::new(seed, Purpose::Plan, 2);
+    if busy.percent(BUSY_PERCENT) && end > begin {
+        injections.retain(|injection| {
+            injection.fault.is_of_robots() || matches!(injection.fault, Fault::PowerCut { .. })
+        });
+        let load = Load::draw(&mut busy);
+        let fault = Fault::Busy { lasts: BUSY_TIME.min(end - begin), load };
         injections.push(Injection { number: 0, at: begin, fault });
     }
     injections.sort_by_key(|injection| injection.at);

@@ -58,6 +58,11 @@ impl Carried {
         matches!(self, Self::Token { .. })
     }
 
+    /// Answers of gets have less priority than what is published.
+    pub(crate) fn is_answer(&self) -> bool {
+        matches!(self, Self::Answer { .. } | Self::Complete { .. })
+    }
+
     /// Gets and their answers have numbers, by which repetitions are seen.
     pub(crate) fn may_be_repeated(&self) -> bool {
         matches!(self, Self::Put(_))

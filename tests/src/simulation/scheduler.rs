@@ -246,6 +246,15 @@ impl World {
             }
         };
         match (&message, &mut self.nodes[index].process) {
+            (Message::Embedding(embedding), _) => self.log.line(
+                self.now,
+                format_args!(
+                    "{name} embeds {} robots in {} dimensions, which show {:?} teams",
+                    embedding.robots.len(),
+                    embedding.dimension,
+                    embedding.quality.teams_shown,
+                ),
+            ),
             (Message::Teams { .. }, _) => self.stats.divisions += 1,
             (Message::Settings(new), Some(process)) if new.settings != process.settings => {
                 process.settings.clone_from(&new.settings);
@@ -260,6 +269,16 @@ impl World {
         self.stats.published += 1;
         let checked = self.check_published(index, &message, &packets);
         self.require(checked);
+        match &message {
+            Message::Roster(roster) => self.freshness.roster(self.now, roster.header.revision),
+            Message::Teams { teams, .. } => {
+                let divided = self.oracle.embeddings.named(teams.embedding).last();
+                if let Some(roster) = divided.map(|embedding| embedding.roster) {
+                    self.freshness.division(roster);
+                }
+            }
+            _ => {}
+        }
         for packet in packets {
             let packet = self.mutator.carried(&self.space, packet, now);
             self.send(link, Way::Up, &Carried::Put(Arc::new(packet)));

@@ -11,6 +11,7 @@ use muster_service::{AskId, Stored};
 use muster_wire::{Key, KeySpace, Message, Packet};
 use serde_json::{Value, json};
 
+use super::busy::Freshness;
 use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
 use super::host::ProcessStart;
@@ -30,6 +31,11 @@ const AGREED_TIME: Micros = 6 * SECOND;
 
 /// How long after an agreement it is on the disks.
 const KEPT_TIME: Micros = 2 * SECOND;
+
+/// How long after the storm nothing is about to change by itself any more: the last new superior is known
+/// within two seconds, counts as new orders for ten, and the fleet is at rest a second later. A division that
+/// was agreed on before changes then, whether the power is cut or not.
+const ORDERS_TIME: Micros = 14 * SECOND;
 
 /// One run in so many continues past the time within which all must have agreed.
 const LONG_RUN_EVERY: u64 = 8;
@@ -132,6 +138,7 @@ pub(super) struct World {
     pub(super) pending: BTreeMap<BusGetId, Pending>,
     pub(super) damage: Damage,
     pub(super) mutator: Mutator,
+    pub(super) freshness: Freshness,
     pub(super) files: BTreeMap<ServiceName, Value>,
     /// The names of robots on the bus, good and forged, and when each was last there.
     pub(super) names: BTreeMap<RobotId, Micros>,
@@ -243,6 +250,7 @@ impl World {
             pending: BTreeMap::new(),
             damage: Damage::default(),
             mutator: Mutator::new(mutant),
+            freshness: Freshness::default(),
             files,
             names: BTreeMap::new(),
             stats: Stats::default(),
@@ -315,6 +323,7 @@ impl World {
             self.now = next.at;
             self.stats.events += 1;
             self.happen(next.event);
+            self.require(self.freshness.check(self.now));
             if self.stats.events > MAX_EVENTS {
                 let seen = "the run does not end".to_owned();
                 self.require(Err(Breach { promise: "a run ends", seen }));
@@ -514,12 +523,12 @@ impl World {
         self.schedule(self.now + TICK, Event::Poll);
     }
 
-    /// Cuts the power once all have agreed for long enough that it is on the disks.
+    /// Cuts the power once nothing is about to change by itself, and all have agreed for long enough that it is
+    /// on the disks.
     fn cut_power_if_settled(&mut self, since: Micros) {
         let Some(lasts) = self.power_cut else { return };
-        let Some((_, agreed)) = self.settled.take_if(|(at, _)| since >= *at + KEPT_TIME) else {
-            return;
-        };
+        let is_settled = |(at, _): &mut (Micros, Agreed)| since >= ORDERS_TIME.max(*at + KEPT_TIME);
+        let Some((_, agreed)) = self.settled.take_if(is_settled) else { return };
         self.power_cut = None;
         self.quiet_since = self.now + lasts;
         self.stands = Some(agreed).filter(Agreed::has_robots);

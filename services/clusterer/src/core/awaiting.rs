@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use muster_model::id::RobotId;
+use muster_model::settings::MAX_TICK_HZ;
 use muster_model::time::Tick;
 
 use super::Clusterer;
@@ -11,7 +12,12 @@ use super::Clusterer;
 /// How long the robots of a division that was found on disk are awaited before the first division, from the
 /// first robot on. Robots connect again within a second or two of the router's return, and repeat their links and
 /// ranks as often: before that, what relates them is not what it was when they were divided.
-const REUNION_TIME: Duration = Duration::from_secs(3);
+const REUNION_TIME: Duration = Duration::from_secs(REUNION_SECONDS as u64);
+
+const REUNION_SECONDS: u32 = 3;
+
+/// After so many frames an `ingest` has run for longer than that, however fast it is: it knows its robots.
+const FRAMES_OF_REUNION: f64 = REUNION_SECONDS as f64 * MAX_TICK_HZ;
 
 /// How long robots that return are awaited until something relates them to others: their next report, and the
 /// frame that holds it. Without that they would be told that they have no team, and a moment later that they
@@ -26,8 +32,21 @@ pub(super) struct Reunion {
 }
 
 impl Clusterer {
+    /// Whether `ingest` or `embedder` have lived on since the division that was found on disk: then there is
+    /// nobody to wait for, robots and relations are those of before.
+    #[expect(clippy::cast_precision_loss, reason = "frames are few")]
+    fn others_lived_on(&self) -> bool {
+        let frames = self.roster.as_ref().map_or(0, |roster| roster.header.revision.epoch);
+        let embedded = self.newest.as_ref().map(|newest| newest.embedding.header.revision.term);
+        let divided = self.division.as_ref().map(|division| division.embedding.term);
+        frames as f64 > FRAMES_OF_REUNION || embedded.is_some() && embedded == divided
+    }
+
     /// Whether the robots of the division that was found on disk are still awaited.
     pub(super) fn awaits_robots(&mut self, now: Tick) -> bool {
+        if self.reunion.is_some() && self.others_lived_on() {
+            self.reunion = None;
+        }
         let (Some(reunion), Some(newest)) = (&mut self.reunion, &self.newest) else {
             return false;
         };

@@ -12,6 +12,7 @@ use muster_wire::Message;
 use super::awaiting::Reunion;
 use super::{Clusterer, Context, Received};
 use crate::identity::is_believable;
+use crate::seats::Vacancies;
 
 impl Clusterer {
     pub(super) fn accept_message(&mut self, context: &mut Context<'_>, message: Message) {
@@ -121,6 +122,7 @@ impl Clusterer {
         let Some(kept) = self.keeping.division() else { return };
         let last = self.division.as_ref().map(|division| division.header.revision);
         if last.is_none_or(|last| kept.header.revision > last) {
+            self.vacancies = Vacancies::of(kept);
             self.division = Some(kept.clone());
             // Nobody else remembers it: all services were restarted, and hear one robot after the other.
             self.reunion = Some(Reunion::default());

@@ -100,7 +100,8 @@ impl Clusterer {
         }
         let changed: BTreeSet<&RobotId> = changed.into_iter().collect();
         let mirrored = if mirror { now } else { mirrored.unwrap_or(now) };
-        let absent = Seats::of(Some(&teams), &self.memory, &source.embedding).absent;
+        let vacant = self.vacancies.count(now, Some(&teams));
+        let absent = Seats::of(Some(&teams), &self.memory, vacant, &source.embedding).absent;
         self.divided = Some(source.embedding.clone());
         self.published = Some(Published { source, at: now, mirrored });
         self.division = Some(teams.clone());

@@ -1,6 +1,8 @@
 //! What stands after a restart of everything, when nobody but the disk remembers the division.
 
-use muster_service::Command;
+use muster_model::id::InstanceId;
+use muster_model::role::{LeaseRenewal, ReplicaState};
+use muster_service::{Command, testkit};
 use muster_wire::kept::KeptTeams;
 
 use super::*;
@@ -17,6 +19,11 @@ fn restarted(settings: ClustererSettings, kept: &[u8]) -> Bench {
     bench.input(Input::Restored(kept.to_vec()));
     bench.start(vec![]);
     bench
+}
+
+/// An embedding of the term after that in which the kept division was made.
+fn later(epoch: u64, groups: &[(&str, [f64; 2])]) -> Checked<Embedding> {
+    again(&embedding(epoch, groups), 2, epoch)
 }
 
 fn kept(bench: &Bench) -> KeptTeams {
@@ -39,12 +46,12 @@ fn ids_members_and_leaders_stand_though_robots_come_one_by_one() {
         vec![("c", WEST), ("n", EAST), ("x y", NORTH)],
         vec![("a c", WEST), ("n", EAST), ("x y z", NORTH)],
     ]) {
-        next.receive_embedding(&embedding(epoch, &present));
+        next.receive_embedding(&later(epoch, &present));
         next.wait(0.2);
         let sent = next.take();
         assert!(sent.teams.is_empty() && sent.robots.is_empty(), "they are awaited: {sent:?}");
     }
-    next.receive_embedding(&embedding(9, &ALL));
+    next.receive_embedding(&later(9, &ALL));
     next.wait(2.5);
     let sent = next.take();
     assert!(sent.changes().is_empty(), "{sent:?}");
@@ -58,17 +65,54 @@ fn ids_members_and_leaders_stand_though_robots_come_one_by_one() {
 fn who_is_not_back_in_time_keeps_its_seat() {
     let (bench, last) = divided(settings(), &embedding(1, &ALL));
     let mut next = restarted(settings(), &bench.kept.clone().unwrap());
-    next.receive_embedding(&embedding(2, &[]));
+    next.receive_embedding(&later(2, &[]));
     next.wait(60.0);
     assert!(next.take().teams.is_empty(), "no robot was there yet");
-    let there = embedding(3, &[("a b c", WEST), ("x", NORTH)]);
+    let there = later(3, &[("a b c", WEST), ("x", NORTH)]);
     next.receive_embedding(&there);
     next.wait(2.9);
     assert!(next.take().teams.is_empty());
     next.wait(0.2);
     assert_eq!(short(&next.take().division()), "t1: a b c | t3: x");
-    next.receive_embedding(&embedding(4, &ALL));
+    next.receive_embedding(&later(4, &ALL));
     assert!(next.take().division().same_division(&last));
+}
+
+#[test]
+fn nobody_is_awaited_where_the_services_before_have_lived_on() {
+    let (bench, last) = divided(settings(), &embedding(1, &ALL));
+    let on_disk = bench.kept.clone().unwrap();
+    let mut with_embedder = restarted(settings(), &on_disk);
+    with_embedder.receive_embedding(&embedding(2, &ALL));
+    assert!(with_embedder.division().same_division(&last));
+    // An `ingest` that has made frames for some seconds knows all its robots; a new one does not.
+    for (epoch, is_awaited) in [(2, true), (1000, false)] {
+        let mut with_ingest = restarted(settings(), &on_disk);
+        with_ingest.receive_roster(roster(epoch, "a b c m n o x y z"));
+        with_ingest.receive_embedding(&later(2, &ALL));
+        let sent = with_ingest.take();
+        assert_eq!(sent.teams.is_empty(), is_awaited, "{epoch} frames");
+    }
+}
+
+#[test]
+fn the_seat_of_a_team_that_was_absent_is_kept_for_a_minute() {
+    let (mut bench, _) = divided(settings(), &embedding(1, &ALL));
+    bench.receive_embedding(&embedding(2, &ALL[..2]));
+    bench.wait(1.0);
+    let last = bench.take().teams.pop().unwrap().0;
+    assert_eq!(short(&last), "t1: a b c | t2: m n o");
+    let mut next = restarted(settings(), &bench.kept.clone().unwrap());
+    next.receive_embedding(&later(3, &ALL[..2]));
+    next.wait(3.1);
+    assert_eq!(short(&next.take().division()), short(&last), "no robot fills the seat");
+    next.wait(61.0);
+    next.take();
+    let moved = [("a b c", WEST), ("m n", EAST), ("o", [0.9, 0.1])];
+    next.receive_embedding(&later(4, &moved));
+    next.wait(1.0);
+    let teams = next.take().teams.pop().unwrap().0;
+    assert_eq!(teams.teams.len(), 3, "{}", short(&teams));
 }
 
 #[test]
@@ -86,7 +130,7 @@ fn no_number_is_given_twice_though_the_last_writes_are_lost() {
     }
     assert!(highest > 30 && highest < kept(&bench).reserved, "{highest}");
     let mut next = restarted(settings(), &on_disk);
-    next.receive_embedding(&embedding(30, &[("n1 n2", WEST), ("n3", EAST), ("a b c", NORTH)]));
+    next.receive_embedding(&later(30, &[("n1 n2", WEST), ("n3", EAST), ("a b c", NORTH)]));
     next.wait(3.1);
     let division = next.division();
     assert!(short(&division).starts_with("t1: a b c | "), "{}", short(&division));
@@ -123,13 +167,17 @@ fn it_is_written_when_teams_change_and_not_with_every_frame() {
     let (mut bench, _) = divided(settings(), &first);
     bench.wait(1.0);
     let written = bench.counter("divisions_kept");
+    bench.receive_embedding(&later(1, &ALL));
+    bench.wait(1.5);
+    assert_eq!(bench.counter("divisions_kept"), written + 1, "the embedder has begun anew");
+    let written = written + 1;
     for epoch in 2..50 {
         bench.wait(0.1);
         let moved = [("a b c", WEST), ("m n o", [1.0, 0.01 * epoch as f64]), ("x y z", NORTH)];
-        bench.receive_embedding(&embedding(epoch, &moved));
+        bench.receive_embedding(&later(epoch, &moved));
     }
     assert_eq!(bench.counter("divisions_kept"), written);
-    bench.receive_embedding(&embedding(50, &[("a b c", WEST), ("m n o", EAST), ("x y", NORTH)]));
+    bench.receive_embedding(&later(50, &[("a b c", WEST), ("m n o", EAST), ("x y", NORTH)]));
     let last = bench.take().teams.pop().unwrap().0;
     assert_eq!(bench.counter("divisions_kept"), written + 1);
     assert!(kept(&bench).teams.unwrap().same_division(&last));
@@ -147,7 +195,7 @@ fn a_standby_keeps_what_it_hears_and_takes_over_from_it() {
     assert_eq!(kept(&standby).teams, Some(heard.clone()));
     assert!(kept(&standby).reserved > 70);
     let mut next = restarted(settings(), &standby.kept.clone().unwrap());
-    next.receive_embedding(&embedding(2, &ALL));
+    next.receive_embedding(&later(2, &ALL));
     next.wait(3.1);
     assert!(next.division().same_division(&heard));
     // A forged message must not take the numbers that are left.
@@ -155,6 +203,25 @@ fn a_standby_keeps_what_it_hears_and_takes_over_from_it() {
     (forged.header, forged.next_team) = (header(9, 1), u64::MAX);
     standby.receive(mirrored(&Checked::new_unchecked(forged)));
     assert!(kept(&standby).reserved < 1000);
+}
+
+#[test]
+fn a_standby_gives_nobody_what_it_has_from_its_disk_alone() {
+    let (bench, heard) = divided(settings(), &embedding(1, &ALL));
+    let mut standby = Bench::new(settings());
+    standby.input(Input::Restored(bench.kept.clone().unwrap()));
+    standby.now = START.before(testkit::START_RETRY_TIME);
+    standby.input(Input::Started { linked: true });
+    standby.now = START;
+    standby.answer_all(vec![Message::LeaseRenewal(Box::new(LeaseRenewal {
+        header: header(2, 0),
+        service: ServiceName::Clusterer,
+        instance: InstanceId::new("j").unwrap(),
+    }))]);
+    assert_eq!(standby.host.replica_state(), ReplicaState::Standby);
+    assert_eq!(standby.get("teams", None).unwrap(), vec![]);
+    standby.receive(mirrored(&heard));
+    assert_eq!(standby.get("teams", None).unwrap().len(), 1);
 }
 
 #[test]
@@ -190,6 +257,6 @@ fn a_damaged_file_is_told_and_not_used() {
         _ => None,
     });
     assert!(told.unwrap().contains("checksum"));
-    next.receive_embedding(&embedding(1, &ALL));
+    next.receive_embedding(&later(1, &ALL));
     assert_eq!(short(&next.division()), "t1: a b c | t2: m n o | t3: x y z");
 }

@@ -4,7 +4,8 @@
 //! its token is lost or it falls silent, the lowest standby takes over. Terms give safety: a new
 //! leader begins a higher term, and a leader that receives a higher one stands down. A leader that
 //! lost its link or was paused becomes *suspect*: its output is suppressed until a query for the
-//! current leader goes unanswered. No instance replaces a leader that lives, unless
+//! current leader goes unanswered. One whose term nobody can have learnt of stands down for a leader that
+//! works, whatever its term. No instance replaces a leader that lives, unless
 //! its term is outdated: one that another instance began before, unknown to the leader.
 
 use std::time::Duration;
@@ -95,6 +96,9 @@ pub(crate) struct Election {
     silence_proves_from: Tick,
     /// When this instance last ran.
     last_run: Tick,
+    /// Whether anything was received of others while this instance led in its present term. If nothing was,
+    /// the link may have been dead when the term began.
+    has_heard_others: bool,
 }
 
 /// What a lease renewal of another instance means for this one.
@@ -141,6 +145,7 @@ impl Election {
             linked: true,
             silence_proves_from: now,
             last_run: now,
+            has_heard_others: false,
         }
     }
 
@@ -295,7 +300,19 @@ impl Election {
 
     /// The instance has begun a term.
     pub(crate) fn lead(&mut self, now: Tick) {
+        self.has_heard_others = false;
         self.state = State::Leading(Lease::new_term(now));
+    }
+
+    /// Something was received that this instance did not send itself.
+    pub(crate) fn others_heard(&mut self) {
+        self.has_heard_others |= self.is_leading();
+    }
+
+    /// Whether a suspect has begun its term on a link that was dead already: it has published nothing that
+    /// counts, and whoever leads knows what operators have changed since.
+    fn began_unheard(&self) -> bool {
+        matches!(self.state, State::Suspect(_)) && !self.has_heard_others
     }
 
     /// The link is lost.
@@ -384,7 +401,7 @@ impl Election {
         self.peers.proved();
         self.highest_term = self.highest_term.max(revision.term);
         if self.has_term() {
-            if revision.term < term {
+            if revision.term < term && !self.began_unheard() {
                 return Rivalry::None;
             }
             if revision.term == term && self.instance < renewal.instance {

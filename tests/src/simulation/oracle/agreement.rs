@@ -59,9 +59,6 @@ impl Agreed {
     /// No robot of a division is in another team than it was.
     pub(crate) fn stands(&self, now: &Teams) -> Verified {
         let Some(before) = &self.division else { return Ok(()) };
-        if is_counted_anew(before, now) {
-            return Ok(());
-        }
         let teams: BTreeMap<&RobotId, &TeamId> = before.assignments().collect();
         let loose = now.unassigned.iter().find(|robot| teams.contains_key(robot));
         let elsewhere = now
@@ -256,11 +253,6 @@ impl Oracle {
 
     /// A restart of everything leaves the division as all had agreed on it.
     pub(crate) fn stood(&self, before: &Agreed) -> Verified {
-        if let (Some(last), Some(before)) = (self.divisions.last(), &before.division)
-            && is_counted_anew(before, last)
-        {
-            return Ok(());
-        }
         match self.unchanged(before) {
             Ok(()) => Ok(()),
             Err(broken) => breach(STANDS, broken.seen),
@@ -277,14 +269,6 @@ impl Oracle {
         }
         breach(UNCHANGED, format!("agreed on {:?}, now {:?}", short(agreed), short(last)))
     }
-}
-
-/// Whether the fleet may be divided into another number of teams. Two things are not kept on disk: the seats of
-/// teams that were absent, so that a number that is set is divided among those present, and the advantage that a
-/// number chosen by the relations has over another.
-fn is_counted_anew(before: &Teams, now: &Teams) -> bool {
-    let had_absent_teams = before.teams.len() < before.requested as usize;
-    before.requested != now.requested || had_absent_teams && now.teams.len() > before.teams.len()
 }
 
 /// The robots that are in another team than before.

@@ -15,6 +15,9 @@ const OFFENDERS: usize = 256;
 /// Most whole messages of each kind that the auditor keeps for divisions that name them.
 const MAX_AUDITOR_MESSAGES: usize = 32;
 
+/// Most deltas of each graph that wait in the embedder for a snapshot.
+const MAX_WAITING_DELTAS: usize = 64;
+
 /// How long a robot may be remembered after its last report: the clusterer's minute since it left,
 /// the longest time until it is taken for gone, and some more for what was under way.
 pub(crate) const MEMORY: Micros = 90 * SECOND;
@@ -42,9 +45,9 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
             offenders: OFFENDERS,
         },
         ServiceName::Embedder => MemoryUse {
-            // The newest roster and graphs, and those of the newest frame.
+            // The newest roster and graphs, those of the newest frame, and deltas that wait.
             robots: 2 * robots,
-            edges: 2 * graphs * robots * robots,
+            edges: (2 + MAX_WAITING_DELTAS) * graphs * robots * robots,
             messages: 3,
             offenders: OFFENDERS,
         },

@@ -147,9 +147,15 @@ impl Oracle {
     /// An instance has lost its disk: it cannot know the terms that it held.
     pub(crate) fn forget_order(&mut self, service: ServiceName, instance: usize) {
         self.order.forget(service, instance);
-        if service == ServiceName::Clusterer
-            && let Some(ids) = &mut self.ids
-        {
+        if service == ServiceName::Clusterer {
+            self.forget_ids();
+        }
+    }
+
+    /// All instances have lost their disks at once: nobody can know which ids were given, whatever their clocks
+    /// say.
+    pub(crate) fn forget_ids(&mut self) {
+        if let Some(ids) = &mut self.ids {
             ids.forget();
         }
     }

@@ -176,6 +176,31 @@ fn an_instance_that_never_had_peers_does_not_wait() {
     assert!(election.confirm(at(3.0)));
 }
 
+/// It began its term on a dead link: whoever leads knows what happened since.
+#[test]
+fn a_suspect_that_led_unheard_stands_down_for_a_leader_of_any_term() {
+    let lower = renewal("a", 4);
+    for source in [Published, Answered] {
+        let mut election = leading();
+        assert_eq!(election.renewal(at(0.1), &lower, source, 9), Rivalry::None, "it leads");
+        election.link_lost();
+        election.link_restored(at(2.0));
+        assert_eq!(election.renewal(at(2.1), &lower, source, 9), Rivalry::StandDown);
+        assert_eq!(election.followed(), Some(lower.header.revision));
+
+        let mut known = leading();
+        known.others_heard();
+        known.link_lost();
+        known.link_restored(at(2.0));
+        assert_eq!(known.renewal(at(2.1), &lower, source, 9), Rivalry::None);
+        // What is received once it is suspect proves nothing about its term.
+        let mut late = leading();
+        late.link_lost();
+        late.others_heard();
+        assert_eq!(late.renewal(at(2.1), &lower, source, 9), Rivalry::StandDown);
+    }
+}
+
 #[test]
 fn the_higher_term_wins_and_in_the_same_the_lower_name() {
     assert_eq!(leading().renewal(START, &renewal("a", 4), Published, 5), Rivalry::None);
