@@ -121,10 +121,11 @@ impl Clusterer {
     fn inherit_kept(&mut self) {
         let Some(kept) = self.keeping.division() else { return };
         let last = self.division.as_ref().map(|division| division.header.revision);
-        if last.is_none_or(|last| kept.header.revision > last) {
+        if last.is_none_or(|last| kept.header.revision >= last) {
             self.vacancies = Vacancies::of(kept);
             self.division = Some(kept.clone());
-            // Nobody else remembers it: all services were restarted, and hear one robot after the other.
+            // Nobody else remembers it, or only from a disk as well: all services were restarted, and hear one
+            // robot after the other.
             self.reunion = Some(Reunion::default());
         }
     }
