@@ -39,6 +39,8 @@ pub(crate) struct Facilities<S, F, J> {
     /// Whether the last jobs have all failed.
     pub(crate) jobs: JobOutcomes,
     pub(crate) commands: Vec<Command>,
+    /// When state that could not be written is written again.
+    pub(crate) store_again_at: Option<Tick>,
 }
 
 /// Whether an answer confirms stored state.
@@ -137,6 +139,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
     }
 
     pub(crate) fn store(&mut self) {
+        self.store_again_at = None;
         self.gets.store_started();
         self.commands.push(Command::Store(self.replica.stored()));
     }

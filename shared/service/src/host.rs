@@ -65,6 +65,7 @@ impl<C: Core> Host<C> {
             failures: Failures::default(),
             jobs: JobOutcomes::default(),
             commands: Vec::new(),
+            store_again_at: None,
         };
         Self {
             core,
@@ -125,7 +126,8 @@ impl<C: Core> Host<C> {
         let core = self.core.deadline(&View(&self.facilities));
         let election = self.facilities.replica.election.deadline();
         let fetches = self.facilities.fetches.deadline();
-        let due = [core, election, fetches].into_iter().flatten().min()?;
+        let store = self.facilities.store_again_at;
+        let due = [core, election, fetches, store].into_iter().flatten().min()?;
         Some(due.max(self.timer_not_before))
     }
 
@@ -176,6 +178,7 @@ impl<C: Core> Host<C> {
             Input::Timer => {
                 self.timer_not_before = self.facilities.now.after(TIMER_INTERVAL);
                 self.confirm_leadership();
+                self.facilities.store_again_when_due();
                 let asks = self.facilities.fetches.due(self.facilities.now);
                 self.facilities.commands.extend(asks.into_iter().map(Command::Ask));
                 self.core.on_timer(&mut Context(&mut self.facilities));

@@ -168,6 +168,17 @@ fn a_loss_of_state_is_reported_where_it_shows() {
 }
 
 #[test]
+fn state_that_could_not_be_written_is_written_once_there_is_room() {
+    let mut bench = leading(at(RIGHT_S), 0, vec![]);
+    bench.input(Input::Stored { error: Some("the disk is full".to_owned()) });
+    bench.wait(9.5);
+    assert_eq!(bench.counter("state_unwritable"), 1);
+    bench.wait(1.0);
+    assert_eq!(bench.counter("state_unwritable"), 0, "it was written again");
+    assert_eq!(losses(&bench).len(), 1);
+}
+
+#[test]
 fn state_that_cannot_be_written_is_reported_once_until_it_can() {
     let mut bench = leading(at(RIGHT_S), 0, vec![]);
     for expected in [1, 1] {

@@ -1,5 +1,7 @@
 //! What a host says when stored state is lost or cannot be written, and which terms it believes.
 
+use std::time::Duration;
+
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::Revision;
 use muster_model::settings::Settings;
@@ -14,6 +16,9 @@ const STATE_LOST: &str = "state_lost";
 
 /// The counter of a status that is 1 while stored state cannot be written.
 const STATE_UNWRITABLE: &str = "state_unwritable";
+
+/// How soon state that could not be written is written again: each attempt on a full disk is a line in the log.
+const STORE_RETRY_INTERVAL: Duration = Duration::from_secs(10);
 
 /// The counter of a status for messages with a term that is not believed.
 const TERMS_REFUSED: &str = "terms_refused";
@@ -66,10 +71,19 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         }
     }
 
+    /// Writes state again that could not be written before: a disk that was full may have room, and an instance
+    /// that starts with an old state would fall behind what readers have received.
+    pub(crate) fn store_again_when_due(&mut self) {
+        if self.store_again_at.is_some_and(|at| at <= self.now) {
+            self.store();
+        }
+    }
+
     /// State was written, or could not be. A failure is reported when it begins.
     pub(crate) fn store_ended(&mut self, error: Option<&str>) {
         let failed_before = self.replica.count_of(STATE_UNWRITABLE) > 0;
         self.replica.set(STATE_UNWRITABLE, u64::from(error.is_some()));
+        self.store_again_at = error.is_some().then(|| self.now.after(STORE_RETRY_INTERVAL));
         if let Some(error) = error.filter(|_| !failed_before) {
             let reason = format!(
                 "state cannot be written and will not survive a restart: {}",
