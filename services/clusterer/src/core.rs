@@ -192,10 +192,10 @@ impl Clusterer {
         let space = context.space();
         let selects = |key: &Key| request.selects(space, key);
         let mut messages = Vec::new();
-        // One that starts hears its own answer, and must not seem to know more than that.
+        // One that starts receives its own answer, and must not seem to know more than that.
         let is_standby = context.replica_state() == ReplicaState::Standby;
-        let heard = self.keeping.heard_division().filter(|_| is_standby);
-        if let Some(teams) = self.division.as_ref().or(heard) {
+        let received = self.keeping.received_division().filter(|_| is_standby);
+        if let Some(teams) = self.division.as_ref().or(received) {
             messages.extend(answer_teams(space, request, teams)?);
         }
         if selects(&Key::Embedding) {

@@ -34,7 +34,7 @@ pub(crate) struct Keeping {
     /// The newest division to be kept.
     newest: Option<Checked<Teams>>,
     /// Whether that was published in the life of this process, and not only found on disk.
-    is_heard: bool,
+    was_received: bool,
     /// The division of the last write.
     written: Option<Checked<Teams>>,
     /// When a division was last written.
@@ -78,15 +78,15 @@ impl Keeping {
 
     /// The same, if it was published since this process began. One from the disk must not be given to others as
     /// if somebody remembered it: they have a disk of their own, and await the robots of what they find there.
-    pub(crate) fn heard_division(&self) -> Option<&Checked<Teams>> {
-        self.division().filter(|_| self.is_heard)
+    pub(crate) fn received_division(&self) -> Option<&Checked<Teams>> {
+        self.division().filter(|_| self.was_received)
     }
 
     /// A division was published, by this instance or another one.
     pub(crate) fn note(&mut self, teams: &Checked<Teams>) {
         self.next_team = self.next_team.max(teams.next_team);
         self.newest = Some(teams.clone());
-        self.is_heard = true;
+        self.was_received = true;
     }
 
     /// A division was received while another instance leads.

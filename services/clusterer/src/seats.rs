@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
+use muster_model::limits::MAX_TEAMS;
 use muster_model::settings::TeamCount;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
@@ -53,7 +54,7 @@ impl Seats {
             if occupied.contains(&team.id) {
                 seats.present.insert(team.id.clone());
             } else {
-                seats.absent += 1;
+                seats.absent = seats.absent.saturating_add(1);
             }
         }
         for id in memory.lost_teams() {
@@ -61,7 +62,7 @@ impl Seats {
                 seats.present.insert(id.clone());
                 seats.returning += 1;
             } else {
-                seats.absent += 1;
+                seats.absent = seats.absent.saturating_add(1);
             }
         }
         if seats.present.is_empty() {
@@ -127,7 +128,9 @@ impl Vacancies {
     /// Those of a division that was found on disk.
     pub(crate) fn of(found: &Teams) -> Self {
         let teams = u32::try_from(found.teams.len()).unwrap_or(u32::MAX);
-        Self { seats: found.requested.saturating_sub(teams), since: None }
+        // A file may say anything.
+        let requested = found.requested.min(MAX_TEAMS);
+        Self { seats: requested.saturating_sub(teams), since: None }
     }
 
     /// How many seats are kept. They are as long as a team is remembered, and until all seats are taken in the

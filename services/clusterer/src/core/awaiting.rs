@@ -33,7 +33,7 @@ pub(super) struct Reunion {
 
 impl Clusterer {
     /// Whether `ingest` or `embedder` have lived on since the division that was found on disk: then there is
-    /// nobody to wait for, robots and relations are those of before.
+    /// no robot to wait for; robots and relations are those of before.
     #[expect(clippy::cast_precision_loss, reason = "frames are few")]
     fn others_lived_on(&self) -> bool {
         let frames = self.roster.as_ref().map_or(0, |roster| roster.header.revision.epoch);

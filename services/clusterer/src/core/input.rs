@@ -124,7 +124,7 @@ impl Clusterer {
         if last.is_none_or(|last| kept.header.revision >= last) {
             self.vacancies = Vacancies::of(kept);
             self.division = Some(kept.clone());
-            // Nobody else remembers it, or only from a disk as well: all services were restarted, and hear one
+            // Nobody else remembers it, or only from a disk as well: all services were restarted, and receive one
             // robot after the other.
             self.reunion = Some(Reunion::default());
         }
