@@ -2,7 +2,7 @@
 
 use crate::linalg::matrix::SparseMatrix;
 
-/// The degrees of a graph, against which divisions of its nodes are measured.
+/// The degrees that a graph's nodes have by chance, against which divisions are measured.
 #[derive(Debug, Clone)]
 pub struct Modularity<'a> {
     graph: &'a SparseMatrix,
@@ -13,10 +13,25 @@ pub struct Modularity<'a> {
 
 impl<'a> Modularity<'a> {
     /// Of a graph; none where it has no edge.
+    ///
+    /// A graph need not relate all nodes, and says nothing of those without an edge. Where it relates the share
+    /// c of them, the degrees that are expected by chance are c times their own, and 1 − c times the mean for
+    /// every node. So a group that has all edges of such a graph is more than chance; by the degrees alone all
+    /// edges had to be there.
     #[must_use]
     pub fn new(graph: &'a SparseMatrix) -> Option<Self> {
-        let (outgoing, incoming) = graph.degrees();
+        let (mut outgoing, mut incoming) = graph.degrees();
         let total: f64 = outgoing.iter().sum();
+        let ends = outgoing.iter().zip(&incoming);
+        let related = ends.filter(|(leaving, entering)| **leaving + **entering > 0.0).count();
+        #[expect(clippy::cast_precision_loss, reason = "there are fewer nodes than 2⁵³")]
+        let (related, nodes) = (related as f64, outgoing.len() as f64);
+        let (share, mean) = (related / nodes, total / nodes);
+        if related < nodes {
+            for degree in outgoing.iter_mut().chain(&mut incoming) {
+                *degree = share * *degree + (1.0 - share) * mean;
+            }
+        }
         (total > 0.0).then_some(Self { graph, outgoing, incoming, total })
     }
 
@@ -72,6 +87,20 @@ mod tests {
         assert!(modularity.of(&[Some(0); 6], 1.0).abs() < 1e-12, "one group is no division");
         let alone: Vec<_> = (0..6).map(Some).collect();
         assert!(modularity.of(&alone, 1.0) < 0.0);
+    }
+
+    #[test]
+    fn edges_within_one_group_of_a_graph_that_says_nothing_of_the_others_are_more_than_chance() {
+        // A triangle among nine nodes: c is a third, each of its nodes has 1/3 · 1/3 + 2/3 · 1/9 of the ends,
+        // the others 2/3 · 1/9 each.
+        let edges = [(0, 1, 1.0), (1, 0, 1.0), (0, 2, 1.0), (2, 0, 1.0), (1, 2, 1.0), (2, 1, 1.0)];
+        let graph = graph(9, &edges);
+        let modularity = Modularity::new(&graph).unwrap();
+        let thirds = [0, 0, 0, 1, 1, 1, 2, 2, 2].map(Some);
+        let (inside, outside) = (5.0_f64 / 9.0, 2.0_f64 / 9.0);
+        let wanted = 1.0 - inside.powi(2) - 2.0 * outside.powi(2);
+        assert!((modularity.of(&thirds, 1.0) - wanted).abs() < 1e-12);
+        assert!(modularity.of(&[Some(0); 9], 1.0).abs() < 1e-12, "one group is no division");
     }
 
     #[test]
