@@ -47,7 +47,7 @@ struct Arguments {
 
 #[derive(Debug, Clone, Subcommand)]
 enum What {
-    /// All experiments but the grid
+    /// All experiments but those with a page of their own: moving, grid and situations
     All,
     /// Formations that experts divide, squads and platoons
     Formations,
@@ -119,6 +119,10 @@ const RECIPE_SEED: u64 = 1;
 /// What a page begins with.
 const TITLE: &str = "# Experiments\n\n";
 
+/// What other pages there are.
+const OTHER_PAGES: &str = "Pages of their own have [kinds of fleets of all sorts](situations/RESULTS.md), on which the \
+    defaults were chosen, [fleets that move](moving/RESULTS.md), and [what each choice is worth](grid/RESULTS.md).\n\n";
+
 /// Seeds of a quick run.
 const QUICK_SEEDS: usize = 5;
 
@@ -158,7 +162,7 @@ fn main() -> anyhow::Result<()> {
     let progress = |what: &str| bar.step(what);
     let mut page = Page { text: TITLE.to_owned(), ..Page::default() };
     let is = |what: &str| match arguments.what {
-        What::All => true,
+        What::All => what != "moving",
         What::Formations => what == "formations",
         What::Noise => what == "noise",
         What::Systems => what == "systems",
@@ -195,7 +199,7 @@ fn main() -> anyhow::Result<()> {
         let explained = papers_numbers(&page);
         page.append(explained);
         let goals = goals(&page).text;
-        page.text = format!("{TITLE}{goals}{}", page.text.trim_start_matches(TITLE));
+        page.text = format!("{TITLE}{OTHER_PAGES}{goals}{}", page.text.trim_start_matches(TITLE));
     }
     if let What::Grid { random } = arguments.what {
         page.text = grid(count, random, &bar)?;
