@@ -32,6 +32,8 @@ pub struct Ask<'a> {
     pub payload: Option<&'a [u8]>,
     /// How long answers are waited for.
     pub within: Duration,
+    /// How long after an answer a further one is waited for; none: until all who are asked have answered.
+    pub further_within: Option<Duration>,
     /// Who is asked.
     pub target: Target,
 }
@@ -107,7 +109,13 @@ impl Bus {
         });
         asking.await.context("asking failed")??;
         let (mut answers, mut bytes) = (Vec::new(), 0);
-        while let Some(answer) = receiver.recv().await {
+        loop {
+            let further = ask.further_within.filter(|_| !answers.is_empty());
+            let answer = match further {
+                None => receiver.recv().await,
+                Some(time) => tokio::time::timeout(time, receiver.recv()).await.ok().flatten(),
+            };
+            let Some(answer) = answer else { break };
             bytes += answer.size();
             if answers.len() >= MAX_ANSWERS || bytes > MAX_ANSWER_BYTES {
                 tracing::warn!("more answers came than are kept");

@@ -153,6 +153,7 @@ impl Client {
             parameters: &format!("format=json;katz={from},{to}"),
             payload: None,
             within: SIMILARITY_TIMEOUT,
+            further_within: None,
             target: Target::Complete,
         };
         match self.get(&Pattern::One(Key::Embedding), ask).await?.into_iter().next() {
@@ -328,7 +329,7 @@ impl Client {
 }
 
 fn ask_for(parameters: &str, target: Target) -> Ask<'_> {
-    Ask { parameters, payload: None, within: REPLY_TIMEOUT, target }
+    Ask { parameters, payload: None, within: REPLY_TIMEOUT, further_within: None, target }
 }
 
 #[cfg(test)]

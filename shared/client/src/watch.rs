@@ -222,6 +222,7 @@ async fn get<T: Publication>(shared: Arc<Shared<T>>, source: Arc<Source<T>>) {
         parameters: "format=bincode",
         payload: None,
         within: *within,
+        further_within: None,
         target: Target::Complete,
     };
     match bus.get(pattern, ask).await {

@@ -409,6 +409,7 @@ async fn answers(bus: &Bus, ask: &muster_service::Ask) -> Vec<Arrival> {
         parameters: "format=bincode",
         payload: None,
         within: ask.within,
+        further_within: ask.further_within,
         target: Target::All,
     };
     let answers = match bus.get(&ask.pattern, question).await {

@@ -155,7 +155,13 @@ async fn status(bus: &Bus, counter: &str) -> u64 {
 }
 
 fn ask(payload: Option<&[u8]>) -> Ask<'_> {
-    Ask { parameters: "", payload, within: Duration::from_secs(3), target: Target::Complete }
+    Ask {
+        parameters: "",
+        payload,
+        within: Duration::from_secs(3),
+        further_within: None,
+        target: Target::Complete,
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

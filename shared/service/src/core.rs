@@ -12,7 +12,7 @@ use muster_model::time::Tick;
 use muster_wire::{Attachment, ForeignKey, Key, KeySpace, Message, Packet, Pattern, Rejection};
 
 use crate::facilities::{Facilities, JobSlot, ReplyKind};
-use crate::fetches::Purpose;
+use crate::fetches::{AnswerTime, Purpose};
 use crate::gets::Get;
 use crate::io::{Command, Publication, Record, RecordRange};
 use crate::stopwatch::Stopwatch;
@@ -386,9 +386,9 @@ impl<C: Core> Context<'_, C> {
     }
 
     /// The same, with answers that are waited for as long as `within`, at most for ten seconds: large ones take
-    /// their time on a busy bus.
+    /// their time on a busy bus. Once one is there, the fetch does not wait for those who remain silent.
     pub fn fetch_within(&mut self, fetch: C::Fetch, patterns: Vec<Pattern>, within: Duration) {
-        self.0.fetch_within(Purpose::Core(fetch), patterns, within);
+        self.0.fetch_in(Purpose::Core(fetch), patterns, AnswerTime::newest(within));
     }
 
     /// The right to start a job; none if one runs or this instance does not lead.

@@ -1,7 +1,6 @@
 //! What the host keeps and does for a core.
 
 use std::collections::VecDeque;
-use std::time::Duration;
 
 use muster_model::event::{EventKind, Severity};
 use muster_model::settings::Settings;
@@ -9,7 +8,7 @@ use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern, Rejection};
 
 use crate::failures::{Failures, JobOutcomes};
-use crate::fetches::{ANSWER_TIMEOUT, Fetched, Fetches, Purpose};
+use crate::fetches::{AnswerTime, Fetched, Fetches, Purpose};
 use crate::gets::{Gets, encode_answer};
 use crate::io::{Command, GetId, Publication, Reply};
 use crate::replica::Replica;
@@ -106,15 +105,15 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
     }
 
     pub(crate) fn fetch(&mut self, purpose: Purpose<F>, patterns: Vec<Pattern>) {
-        self.fetch_within(purpose, patterns, ANSWER_TIMEOUT);
+        self.fetch_in(purpose, patterns, AnswerTime::COMPLETE);
     }
 
     /// A fetch whose questions wait so long for answers.
-    pub(crate) fn fetch_within(
+    pub(crate) fn fetch_in(
         &mut self,
         purpose: Purpose<F>,
         patterns: Vec<Pattern>,
-        within: Duration,
+        time: AnswerTime,
     ) {
         let service = self.replica.service;
         let of_host = [Key::Lease(service), Key::Settings(service)].map(Pattern::One);
@@ -122,7 +121,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         // leader answers at once, or there is none.
         let retries = |pattern: &Pattern| purpose == Purpose::Start && !of_host.contains(pattern);
         let mut asks = Vec::new();
-        let ended = self.fetches.begin(self.now, purpose, patterns, within, retries, &mut asks);
+        let ended = self.fetches.begin(self.now, purpose, patterns, time, retries, &mut asks);
         self.fetched.extend(ended);
         self.commands.extend(asks.into_iter().map(Command::Ask));
     }

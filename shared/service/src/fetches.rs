@@ -9,10 +9,15 @@ use muster_wire::{Message, Pattern};
 use crate::io::{Ask, AskId};
 
 /// How long a question waits for answers: a service that hangs must not hold up one that starts.
-pub(crate) const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Longest time that a core may have its questions wait, so that it learns of their end before it is of no use.
 const MAX_ANSWER_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// How long a question that waits longer than [`ANSWER_TIMEOUT`] waits for one more answer. On a busy bus some of
+/// those who are asked never receive the question, or their answer is lost; what the others have told by then
+/// grows old while it waits for them.
+const FURTHER_ANSWER_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// How long a service that starts repeats unanswered questions. After a failure of the router those who
 /// know its last output need a moment to reconnect, and an instance that begins without them begins from
@@ -25,6 +30,26 @@ const START_RETRY_INTERVAL: Duration = Duration::from_millis(200);
 /// Most questions under way. Each is answered within [`MAX_ANSWER_TIMEOUT`], and cores ask a few at a
 /// time; beyond it a fetch ends at once without answers.
 const MAX_OPEN_ASKS: usize = 256;
+
+/// How long the questions of a fetch wait for answers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct AnswerTime {
+    /// For all of them.
+    pub(crate) within: Duration,
+    /// For one more after each; none: as long as for all.
+    pub(crate) further_within: Option<Duration>,
+}
+
+impl AnswerTime {
+    /// For what everybody who is asked has to tell.
+    pub(crate) const COMPLETE: Self = Self { within: ANSWER_TIMEOUT, further_within: None };
+
+    /// For what is of use at once, and may take so long on a busy bus.
+    pub(crate) fn newest(within: Duration) -> Self {
+        let within = within.min(MAX_ANSWER_TIMEOUT);
+        Self { within, further_within: Some(FURTHER_ANSWER_TIMEOUT) }
+    }
+}
 
 /// What a fetch is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,8 +76,7 @@ pub(crate) struct Fetched<F> {
 #[derive(Debug)]
 struct Fetch<F> {
     purpose: Purpose<F>,
-    /// How long each question waits for answers.
-    within: Duration,
+    time: AnswerTime,
     /// How many key expressions have no final answer yet.
     open: usize,
     /// Until when unanswered questions are repeated.
@@ -87,14 +111,14 @@ impl<F> Default for Fetches<F> {
 }
 
 impl<F: Copy> Fetches<F> {
-    /// Begins a fetch whose questions wait for answers `within` a time. `retries` says which key expressions
-    /// are asked for again while they are unanswered. What is to be asked is added to `asks`; a fetch that asks for nothing has ended already.
+    /// Begins a fetch whose questions wait so long for answers. `retries` says which key expressions are asked for
+    /// again while they are unanswered. What is to be asked is added to `asks`; a fetch that asks for nothing has ended already.
     pub(crate) fn begin(
         &mut self,
         now: Tick,
         purpose: Purpose<F>,
         patterns: Vec<Pattern>,
-        within: Duration,
+        time: AnswerTime,
         retries: impl Fn(&Pattern) -> bool,
         asks: &mut Vec<Ask>,
     ) -> Option<Fetched<F>> {
@@ -104,9 +128,8 @@ impl<F: Copy> Fetches<F> {
         let fetch = self.number();
         let retry_until = now.after(START_RETRY_TIME);
         let open = patterns.len();
-        let within = within.min(MAX_ANSWER_TIMEOUT);
         let answers = Vec::new();
-        self.fetches.insert(fetch, Fetch { purpose, within, open, retry_until, answers });
+        self.fetches.insert(fetch, Fetch { purpose, time, open, retry_until, answers });
         for pattern in patterns {
             let retries = retries(&pattern);
             asks.push(self.ask(Question { fetch, pattern, retries }));
@@ -122,9 +145,11 @@ impl<F: Copy> Fetches<F> {
     fn ask(&mut self, question: Question) -> Ask {
         let ask = AskId(self.number());
         let pattern = question.pattern.clone();
-        let within = self.fetches.get(&question.fetch).map_or(ANSWER_TIMEOUT, |of| of.within);
+        let fetch = self.fetches.get(&question.fetch);
+        let AnswerTime { within, further_within } =
+            fetch.map_or(AnswerTime::COMPLETE, |fetch| fetch.time);
         self.asked.insert(ask, question);
-        Ask { ask, pattern, within }
+        Ask { ask, pattern, within, further_within }
     }
 
     /// A question has its answers; the fetch, if it has ended with them.
@@ -181,8 +206,14 @@ mod tests {
     fn begin(fetches: &mut Fetches<u8>, patterns: Vec<Pattern>) -> Vec<Ask> {
         let mut asks = Vec::new();
         let only_teams = |pattern: &Pattern| *pattern == Pattern::One(Key::Teams);
-        let ended =
-            fetches.begin(NOW, Purpose::Core(7), patterns, ANSWER_TIMEOUT, only_teams, &mut asks);
+        let ended = fetches.begin(
+            NOW,
+            Purpose::Core(7),
+            patterns,
+            AnswerTime::COMPLETE,
+            only_teams,
+            &mut asks,
+        );
         assert!(ended.is_none());
         asks
     }
@@ -203,9 +234,10 @@ mod tests {
         let mut fetches: Fetches<u8> = Fetches::default();
         for (wanted, given) in [(4, 4), (60, 10)] {
             let (patterns, mut asks) = (vec![Pattern::Graphs], Vec::new());
-            let wanted = Duration::from_secs(wanted);
-            fetches.begin(NOW, Purpose::Core(1), patterns, wanted, |_| false, &mut asks);
+            let time = AnswerTime::newest(Duration::from_secs(wanted));
+            fetches.begin(NOW, Purpose::Core(1), patterns, time, |_| false, &mut asks);
             assert_eq!(asks[0].within, Duration::from_secs(given));
+            assert_eq!(asks[0].further_within, Some(FURTHER_ANSWER_TIMEOUT));
         }
     }
 
@@ -230,7 +262,7 @@ mod tests {
         let mut fetches: Fetches<u8> = Fetches::default();
         let mut asks = Vec::new();
         let nothing = fetches
-            .begin(NOW, Purpose::TermCheck, Vec::new(), ANSWER_TIMEOUT, |_| true, &mut asks)
+            .begin(NOW, Purpose::TermCheck, Vec::new(), AnswerTime::COMPLETE, |_| true, &mut asks)
             .unwrap();
         assert!(nothing.answers.is_empty() && asks.is_empty());
         let asks = begin(&mut fetches, vec![Pattern::One(Key::Teams)]);
@@ -250,7 +282,7 @@ mod tests {
                 NOW,
                 Purpose::Core(1),
                 patterns,
-                ANSWER_TIMEOUT,
+                AnswerTime::COMPLETE,
                 |_| false,
                 &mut asks,
             );

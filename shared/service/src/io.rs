@@ -233,6 +233,8 @@ pub struct Ask {
     pub pattern: Pattern,
     /// How long answers are waited for.
     pub within: Duration,
+    /// How long after an answer a further one is waited for; none: until all who are asked have answered.
+    pub further_within: Option<Duration>,
 }
 
 /// An answer to a get. Two are equal if their packets are.

@@ -426,8 +426,14 @@ fn the_bytes_of_entries_are_frozen() {
     };
     let reply =
         |get, answer| Command::Reply(Reply { get: GetId(get), answer, messages: Vec::new() });
-    let ask =
-        |pattern| Command::Ask(Ask { ask: AskId(6), pattern, within: Duration::from_secs(1) });
+    let ask = |pattern| {
+        Command::Ask(Ask {
+            ask: AskId(6),
+            pattern,
+            within: Duration::from_secs(1),
+            further_within: None,
+        })
+    };
     let commands = vec![
         publication(false),
         publication(true),

@@ -174,6 +174,7 @@ fn recordings() -> Vec<Seed> {
             ask: AskId(1),
             pattern: Pattern::Graphs,
             within: Duration::from_secs(1),
+            further_within: Some(Duration::from_millis(300)),
         }),
         Command::Keep(vec![3, 4]),
         Command::KeptIsUnusable("no".to_owned()),

@@ -2,6 +2,7 @@
 //! go.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use muster_model::id::ServiceName;
 use muster_service::{Arrival, Ask, Input};
@@ -108,8 +109,14 @@ impl World {
     pub(super) fn at_client(&mut self, link: LinkId, carried: &Carried) {
         match carried {
             Carried::Answer { get, answer } => {
-                if let Some(pending) = self.pending.get_mut(get) {
-                    pending.answers.push(Arc::clone(answer));
+                let Some(pending) = self.pending.get_mut(get) else { return };
+                pending.answers.push(Arc::clone(answer));
+                // One who has nothing to tell sends no answer that a client sees.
+                let is_seen = answer.packets().is_none_or(|packets| !packets.is_empty());
+                if let Some(time) = pending.further_within.filter(|_| is_seen) {
+                    let ends = self.now + time;
+                    pending.ends = ends;
+                    self.schedule(ends, Event::NoFurtherAnswer { get: *get });
                 }
                 return;
             }
@@ -276,25 +283,32 @@ impl World {
         let node = &self.nodes[index];
         let selector = self.space.pattern(&ask.pattern);
         let get = BusGet { selector, parameters: "format=bincode", payload: None };
-        let within = Micros::try_from(ask.within.as_micros()).unwrap_or(Micros::MAX);
+        let micros = |time: Duration| Micros::try_from(time.as_micros()).unwrap_or(Micros::MAX);
         let asker = Asker::Host { node: index, life: node.life, ask: ask.ask };
-        self.get(node.link, get, within, asker);
+        let further_within = ask.further_within.map(micros);
+        let get = self.get(node.link, get, micros(ask.within), asker);
+        if let Some(pending) = self.pending.get_mut(&get) {
+            pending.further_within = further_within;
+        }
     }
 
     /// Sends a get, whose answers are waited for so long.
-    fn get(&mut self, link: LinkId, asked: BusGet, within: Micros, asker: Asker) {
+    fn get(&mut self, link: LinkId, asked: BusGet, within: Micros, asker: Asker) -> BusGetId {
         let get = self.router.begin_get(link);
-        self.pending.insert(get, Pending { asker, answers: Vec::new() });
+        let (answers, further_within) = (Vec::new(), None);
+        let pending = Pending { asker, answers, further_within, ends: Micros::MAX };
+        self.pending.insert(get, pending);
         // A get over a link that is known to be down fails at once.
         let is_down = self.links[link].state == State::Down;
         let within = if is_down { within.min(REFUSAL_TIME) } else { within };
         self.schedule(self.now + within, Event::GetEnds { get });
         self.send(link, Way::Up, &Carried::Get { get, asked: Arc::new(asked) });
+        get
     }
 
     /// A get has been answered by all, or has timed out.
     pub(super) fn get_ends(&mut self, get: BusGetId) {
-        let Some(Pending { asker, answers }) = self.pending.remove(&get) else { return };
+        let Some(Pending { asker, answers, .. }) = self.pending.remove(&get) else { return };
         self.router.end_get(get);
         match asker {
             Asker::Operator(service) => {

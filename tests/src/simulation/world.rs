@@ -66,6 +66,7 @@ pub(super) enum Event {
     Heal { link: LinkId },
     LinkUp { link: LinkId },
     GetEnds { get: BusGetId },
+    NoFurtherAnswer { get: BusGetId },
     Operate,
     SetLater { service: ServiceName, patch: String },
     Inject(usize),
@@ -116,6 +117,10 @@ pub(super) enum Asker {
 pub(super) struct Pending {
     pub(super) asker: Asker,
     pub(super) answers: Vec<Arc<Answer>>,
+    /// How long after an answer a further one is waited for.
+    pub(super) further_within: Option<Micros>,
+    /// When it ends unless another answer comes.
+    pub(super) ends: Micros,
 }
 
 /// The whole.
@@ -369,6 +374,11 @@ impl World {
             Event::Heal { link } => self.heal(link),
             Event::LinkUp { link } => self.link_up(link),
             Event::GetEnds { get } => self.get_ends(get),
+            Event::NoFurtherAnswer { get } => {
+                if self.pending.get(&get).is_some_and(|pending| self.now >= pending.ends) {
+                    self.get_ends(get);
+                }
+            }
             Event::Operate => self.operate(),
             Event::SetLater { service, patch } => self.operator.wants(service, patch),
             Event::Inject(number) => self.inject(number),
