@@ -307,6 +307,7 @@ fn every_command_has_examples() {
         "probe",
         "set",
         "solve",
+        "tune",
         "replay-core",
         "deploy",
         "completions",

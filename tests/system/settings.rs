@@ -40,6 +40,30 @@ async fn settings_change_at_once_and_survive_a_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_search_proposes_settings_for_the_live_fleet_and_applies_them() {
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=4")]).unwrap();
+    let _robots = cluster.robots(&SCENARIO).unwrap();
+    let client = cluster.client().await.unwrap();
+    let watch = client.watch("json/teams").await.unwrap();
+    watch.until("four teams", Duration::from_secs(20), teams(4)).await.unwrap();
+    let weak = json!({"alpha": {"fraction": 0.05}, "rows": "none"});
+    client.get("service/embedder/settings", Some(&weak)).await.unwrap()[0].1.clone().unwrap();
+
+    let (code, out, err) = cluster.muster(&["tune", "--json", "--draws", "2"]).unwrap();
+    assert_eq!(code, Some(0), "{err}");
+    let found: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((&found["robots"], &found["teams"]), (&json!(16), &json!(4)), "{out}");
+    assert_eq!(found["present"]["settings"]["alpha"], weak["alpha"], "{out}");
+    assert!(found["best"][0]["silhouette"].as_f64() > found["present"]["silhouette"].as_f64());
+
+    let (code, out, err) = cluster.muster(&["tune", "--apply", "--draws", "2"]).unwrap();
+    assert_eq!((code, err.as_str()), (Some(0), "applied\n"), "{out}");
+    let settings = client.get_one("service/embedder/settings").await.unwrap();
+    assert_ne!(settings["alpha"], weak["alpha"], "{out}");
+    assert_eq!(settings["rows"], "none", "what is not searched for stays");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_wrong_setting_is_answered_with_its_field_and_changes_nothing() {
     let cluster = Cluster::start("alpha", &[]).unwrap();
     let client = cluster.client().await.unwrap();

@@ -3,7 +3,7 @@
 //! It starts processes ([`demo`], [`up`], [`router`], [`robot`]), shows a live fleet ([`show`], [`doctor`]),
 //! changes its settings ([`set`]), prepares hosts ([`deploy`]), tells container managers whether a process is
 //! alive ([`probe`]), prints the form of messages ([`schema`]),
-//! runs the method once on a file ([`solve`]), replays the recording of a service ([`replay`]), and
+//! runs the method once on a file ([`solve`]), searches for better settings ([`tune`]), replays the recording of a service ([`replay`]), and
 //! describes itself to shells and manuals ([`describe`]). It is the one program that knows all services:
 //! it composes them and adds nothing to them. It talks to a fleet through `muster-client` ([`console`]);
 //! only what runs services or a router, and the doctor's probe of a router, know the bus.
@@ -21,6 +21,7 @@ mod router;
 mod schema;
 mod set;
 mod show;
+mod tune;
 mod up;
 
 use std::process::ExitCode;
@@ -79,6 +80,8 @@ enum Command {
     Deploy(deploy::DeployArgs),
     /// Divide a fleet that is described in a file, once, without a bus
     Solve(solve::SolveArgs),
+    /// Find weights, decay and dimension that divide the fleet better
+    Tune(tune::TuneArgs),
     /// Feed a recording of a service to its core again, and compare what comes out
     ReplayCore(replay::ReplayArgs),
     /// Print completions for a shell
@@ -150,6 +153,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         Command::Doctor(args) => console(&config, async |config| doctor::run(args, &config).await),
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
+        Command::Tune(args) if args.has_file() => tune::of_file(args),
+        Command::Tune(args) => console(&config, async |config| tune::of_fleet(args, &config).await),
         Command::Probe(args) => probe::run(args, &config),
         Command::ReplayCore(args) => replay::run(args),
         Command::Schema(args) => schema::run(args),

@@ -1,5 +1,6 @@
 //! Clusters of the rows of a matrix: division, quality, and identities over time.
 
+pub mod agreement;
 pub mod kmeans;
 pub mod margins;
 pub mod matching;

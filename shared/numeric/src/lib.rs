@@ -16,6 +16,7 @@
 //! | k-means on the rows of X | [`kmeans`], [`margins`] |
 //! | carry cluster identities over from the previous division | [`matching`] |
 //! | score the division | [`silhouette`] |
+//! | compare two divisions | [`agreement`] |
 //! | score divisions into several numbers of groups | [`modularity`] |
 //! | divide under limits, wishes and needs at the least cost | [`assignment`] |
 //!
@@ -47,7 +48,7 @@ pub mod norm;
 mod radius;
 pub mod svd;
 
-pub use cluster::{kmeans, margins, matching, silhouette};
+pub use cluster::{agreement, kmeans, margins, matching, silhouette};
 pub use graph::modularity;
 pub use katz::{alpha_band, cached as cached_katz, column as katz_column};
 pub use linalg::matrix;

@@ -8,8 +8,7 @@
 
 #![allow(clippy::unwrap_used, reason = "an example may end where it has nothing to show")]
 
-use std::collections::BTreeMap;
-
+use muster_numeric::agreement::adjusted_rand_index;
 use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
 use muster_solve::{Options, Solved};
 use serde_json::{Map, Value, json};
@@ -66,22 +65,6 @@ fn file(fleet: &Fleet, teams: usize, t_seconds: f64, is_whole: bool, spatial: &V
     file.to_string()
 }
 
-/// The adjusted Rand index of two divisions of the same robots.
-fn adjusted_rand_index(left: &[usize], right: &[usize]) -> f64 {
-    let pairs = |count: &f64| count * (count - 1.0) / 2.0;
-    let count = |keys: &mut dyn Iterator<Item = (usize, usize)>| -> f64 {
-        let mut counts: BTreeMap<(usize, usize), f64> = BTreeMap::new();
-        keys.for_each(|key| *counts.entry(key).or_default() += 1.0);
-        counts.values().map(pairs).sum()
-    };
-    let both = count(&mut left.iter().copied().zip(right.iter().copied()));
-    let of_left = count(&mut left.iter().map(|label| (*label, 0)));
-    let of_right = count(&mut right.iter().map(|label| (*label, 0)));
-    let by_chance = of_left * of_right / pairs(&(left.len() as f64));
-    let most = f64::midpoint(of_left, of_right);
-    if most > by_chance { (both - by_chance) / (most - by_chance) } else { 1.0 }
-}
-
 /// Mean and standard error.
 fn mean(values: &[f64]) -> (f64, f64) {
     let count = values.len() as f64;
@@ -113,7 +96,9 @@ fn main() {
                                 let text = file(&fleet, teams, t, is_whole, spatial);
                                 let solved =
                                     Solved::new(text.as_bytes(), Options::default()).unwrap();
-                                scores.push(adjusted_rand_index(solved.labels(), &truth));
+                                let labels = solved.labels().iter().copied();
+                                let both = labels.zip(truth.iter().copied());
+                                scores.push(adjusted_rand_index(both));
                             }
                         }
                     }

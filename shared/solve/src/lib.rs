@@ -27,6 +27,7 @@ mod saved;
 mod speed;
 #[cfg(test)]
 mod tests;
+mod tune;
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -39,6 +40,7 @@ pub use estimate::Estimate;
 use input::{parse, read};
 pub use muster_method::step::{Progress, Step};
 pub use options::{Options, PathChoice, Preset, SilhouetteChoice, TOLERANCES};
+pub use tune::{LEAST_TUNED_ROBOTS, MAX_TUNED_ROBOTS, TuneOptions, TuneStep, Tuned, Tuning};
 
 const AFTER_HELP: &str = r#"A minimal file (edges that are not given do not exist; [from, to, weight]):
 
@@ -177,6 +179,24 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
         output::write_summary(&problem, &solution)?;
     }
     Ok(())
+}
+
+/// A file's bytes, or those of standard input for `-`; at most [`error::MAX_FILE_BYTES`].
+///
+/// # Errors
+/// [`SolveError::Read`] and [`SolveError::Size`].
+pub fn read_file(file: &Path) -> Result<Vec<u8>, SolveError> {
+    read(file)
+}
+
+/// Searches for better settings of the fleet in a text, with a line on the terminal that says how far it is if that
+/// is shown.
+///
+/// # Errors
+/// As of [`Tuning::new`].
+pub fn tune(text: &[u8], options: &TuneOptions, is_shown: bool) -> Result<Tuning, SolveError> {
+    let line = line::Line::start(is_shown);
+    Tuning::new(text, options, &mut |step| line.show(step))
 }
 
 /// A file, and what the method found for it.

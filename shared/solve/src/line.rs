@@ -6,8 +6,6 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use muster_method::step::Step;
-
 /// Time before the line appears: a shorter solve needs no explanation.
 const QUIET: Duration = Duration::from_secs(1);
 
@@ -19,12 +17,12 @@ const ERASE: &str = "\r\x1b[K";
 
 /// The line. A thread of its own writes it, because a step may take minutes without a report.
 #[derive(Debug)]
-pub(super) struct Line {
-    steps: Option<Sender<Step>>,
+pub(super) struct Line<S> {
+    steps: Option<Sender<S>>,
     writer: Option<JoinHandle<()>>,
 }
 
-impl Line {
+impl<S: Display + Send + 'static> Line<S> {
     /// A line on standard error, or none at all.
     pub(super) fn start(is_shown: bool) -> Self {
         if !is_shown {
@@ -37,7 +35,7 @@ impl Line {
     }
 
     /// The step has begun.
-    pub(super) fn show(&self, step: Step) {
+    pub(super) fn show(&self, step: S) {
         if let Some(steps) = &self.steps {
             // It fails only without a writer.
             let _ = steps.send(step);
@@ -45,7 +43,7 @@ impl Line {
     }
 }
 
-impl Drop for Line {
+impl<S> Drop for Line<S> {
     /// Erases the line before anything else is written.
     fn drop(&mut self) {
         self.steps = None;
@@ -56,9 +54,9 @@ impl Drop for Line {
 }
 
 /// Writes the line until its sender is dropped.
-fn write(received: &Receiver<Step>) {
+fn write<S: Display>(received: &Receiver<S>) {
     let begin = Instant::now();
-    let mut step: Option<Step> = None;
+    let mut step: Option<S> = None;
     let mut written: Option<Instant> = None;
     loop {
         match received.recv_timeout(REDRAW_EVERY) {
@@ -94,6 +92,8 @@ fn text(doing: &dyn Display, since: Duration) -> String {
 
 #[cfg(test)]
 mod tests {
+    use muster_method::step::Step;
+
     use super::*;
 
     #[test]

@@ -1,5 +1,6 @@
 //! How good a division is.
 
+use muster_numeric::agreement;
 use muster_numeric::matching::{MatchError, match_by_overlap, overlap_table};
 
 /// Robots that are in the right team, and how many count.
@@ -40,24 +41,16 @@ pub fn correct(found: &[usize], truth: &[Option<usize>]) -> Result<Correct, Matc
     Ok(Correct { right, total: truth.iter().flatten().count() as u64 })
 }
 
-/// The Rand index adjusted for chance (Hubert and Arabie, Journal of Classification 2, 1985): 1 for the
-/// same division, about 0 for an arbitrary one. Robots without a true team do not count.
+/// The Rand index adjusted for chance ([`muster_numeric::agreement`]). Robots without a true team do not count.
 ///
 /// # Errors
 /// If both are not of the same robots.
-#[expect(clippy::cast_precision_loss, reason = "counts are far below 2⁵³")]
 pub fn adjusted_rand_index(found: &[usize], truth: &[Option<usize>]) -> Result<f64, MatchError> {
-    let table = table(found, truth)?;
-    let pairs = |count: u64| (count * count.saturating_sub(1)) as f64 / 2.0;
-    let columns = table.first().map_or(0, Vec::len);
-    let both: f64 = table.iter().flatten().map(|count| pairs(*count)).sum();
-    let rows: f64 = table.iter().map(|row| pairs(row.iter().sum())).sum();
-    let columns: f64 = (0..columns).map(|j| pairs(table.iter().map(|row| row[j]).sum())).sum();
-    let all = pairs(truth.iter().flatten().count() as u64);
-    let by_chance = if all > 0.0 { rows * columns / all } else { 0.0 };
-    let most = 0.5 * (rows + columns);
-    // One team, or only single robots, on both sides: they are the same.
-    Ok(if most == by_chance { 1.0 } else { (both - by_chance) / (most - by_chance) })
+    if found.len() != truth.len() {
+        return Err(MatchError::Labels { new: found.len(), old: truth.len() });
+    }
+    let both = found.iter().zip(truth).filter_map(|(found, truth)| Some((*found, (*truth)?)));
+    Ok(agreement::adjusted_rand_index(both))
 }
 
 /// Robots by the team that was found (rows) and the true one.
