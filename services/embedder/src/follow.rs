@@ -6,7 +6,7 @@
 //! Revisions go forward only, with one exception: a graph that stays ahead of the rosters is rolled back to
 //! what they list (see [`Follower::roll_back`]).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -25,9 +25,10 @@ use crate::waiting::WaitingDeltas;
 /// Least time between the starts of two fetches.
 const FETCH_INTERVAL: Duration = Duration::from_millis(500);
 
-/// How long the answers of a fetch are waited for. As long as fetches lead to no frame, each next one is given
-/// twice as long: on a busy host the snapshot of a large fleet takes its time, and whoever gives up on it asks
-/// for another one.
+/// How long the answers of a fetch are waited for. After each fetch that brought no snapshot of a graph that it
+/// asked for, the next one is given twice as long, until there is a frame: on a busy host the snapshot of a large
+/// fleet takes its time, and whoever gives up on it asks for another one. A snapshot that came in time and did not
+/// suffice is no reason to wait longer: a lost question would then be waited for as long.
 const FETCH_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// How often that is doubled at most.
@@ -115,7 +116,9 @@ pub(crate) struct Follower {
     /// Whether a fetch is under way.
     is_fetching: bool,
     fetched: Tick,
-    /// How many fetches have led to no frame since the last one.
+    /// Graphs that the fetch has asked for and that it has brought no snapshot of.
+    awaited: BTreeSet<Modality>,
+    /// How many fetches have ended without all snapshots since the last frame.
     fetches_in_vain: u32,
     /// Whether everything is to be fetched, whatever is known.
     refresh: bool,
@@ -177,6 +180,9 @@ impl Follower {
         &mut self,
         delta: &Arc<GraphDelta>,
     ) -> Result<Acceptance, GraphError> {
+        if delta.base.is_none() {
+            self.awaited.remove(&delta.modality);
+        }
         let known = self.graphs.contains_key(&delta.modality);
         if !known && !self.has_room_for(&delta.modality) {
             return Ok(Acceptance::Ignored);
@@ -291,12 +297,16 @@ impl Follower {
     pub(crate) fn fetch_begun(&mut self, now: Tick) {
         self.is_fetching = true;
         self.fetched = now;
+        self.awaited.clear();
     }
 
     /// The fetch has ended and its answers have been accepted. What it did not repair shows by the
     /// revisions that the roster lists.
     pub(crate) fn fetch_ended(&mut self) {
         if std::mem::take(&mut self.is_fetching) {
+            if !self.awaited.is_empty() {
+                self.fetches_in_vain = self.fetches_in_vain.saturating_add(1);
+            }
             self.graphs.values_mut().for_each(|followed| followed.gap = false);
         }
     }
@@ -342,22 +352,25 @@ impl Follower {
             return None;
         }
         let mut patterns = vec![Pattern::One(Key::Roster)];
+        let mut awaited = BTreeSet::new();
         match &self.roster {
             Some(roster) if !self.refresh => {
                 let apart =
                     |(name, at): &&(Modality, _)| self.distance(name, *at) != Distance::None;
-                let names = roster.graphs.iter().filter(apart).map(|(name, _)| name.clone());
-                patterns.extend(names.map(|name| Pattern::One(Key::Graph(name))));
+                awaited.extend(roster.graphs.iter().filter(apart).map(|(name, _)| name.clone()));
+                patterns.extend(awaited.iter().cloned().map(|name| Pattern::One(Key::Graph(name))));
             }
-            _ => {
+            roster => {
+                let listed = roster.iter().flat_map(|roster| &roster.graphs);
+                awaited.extend(listed.map(|(name, _)| name.clone()));
                 patterns.push(Pattern::Graphs);
                 patterns.push(Pattern::One(Key::Settings(ServiceName::Clusterer)));
             }
         }
         self.refresh = false;
         self.fetch_begun(now);
+        self.awaited = awaited;
         let within = FETCH_TIMEOUT * 2_u32.pow(self.fetches_in_vain.min(MAX_DOUBLINGS));
-        self.fetches_in_vain = self.fetches_in_vain.saturating_add(1);
         Some((patterns, within))
     }
 

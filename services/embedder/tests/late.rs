@@ -76,6 +76,24 @@ fn a_fetch_in_vain_gives_the_next_one_more_time() {
 }
 
 #[test]
+fn a_fetch_that_was_answered_and_did_not_suffice_gives_the_next_one_no_more_time() {
+    let (mut bench, mut ingest) = (Bench::fresh(), Ingest::two_cliques(&["spatial"], 4));
+    bench.frame(&mut ingest);
+    for weight in 1..=4 {
+        ingest.edge("spatial", "a0", "a1", f64::from(weight) / 10.0);
+        bench.receive(ingest.frame(bench.now).roster());
+        bench.wait(1.0);
+        let fetch = bench.fetches.pop_front().unwrap();
+        assert_eq!(fetch[0].within.as_secs(), 1, "fetch {weight}");
+        // The snapshot is outdated when it comes: the next delta was lost as well.
+        let answers = ingest.answer(&patterns(&fetch));
+        ingest.edge("spatial", "a0", "a2", f64::from(weight) / 10.0);
+        bench.receive(ingest.frame(bench.now).roster());
+        bench.answer_fetch(fetch, answers);
+    }
+}
+
+#[test]
 fn one_that_handles_less_than_what_comes_makes_frames_all_the_same() {
     let names = ["connectivity", "hierarchy", "spatial"];
     let (mut bench, mut ingest) = (Bench::fresh(), Ingest::two_cliques(&names, 4));
