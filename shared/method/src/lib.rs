@@ -15,6 +15,7 @@
 //! | k-means over the rows | [`division`] |
 //! | silhouettes of a division | [`silhouettes`] |
 //! | S_ij of two robots, by modality | [`pairs`] |
+//! | why a robot is in its team, by modality | [`reasons`] |
 //!
 //! The same code serves a live fleet and a single problem. [`embedding::Frames`] keeps what the next frame
 //! can begin with; [`embedding::embed`] is one frame of a new [`embedding::Frames`]. Services, `muster solve`,
@@ -38,6 +39,7 @@ mod graph;
 mod orders;
 pub mod pairs;
 pub mod params;
+pub mod reasons;
 pub mod silhouettes;
 mod similarity;
 pub mod step;

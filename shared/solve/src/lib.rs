@@ -28,8 +28,9 @@ mod speed;
 #[cfg(test)]
 mod tests;
 mod tune;
+mod why;
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -39,6 +40,7 @@ use error::tidy;
 pub use estimate::Estimate;
 use input::{parse, read};
 pub use muster_method::step::{Progress, Step};
+use muster_model::id::RobotId;
 pub use options::{Options, PathChoice, Preset, SilhouetteChoice, TOLERANCES};
 pub use tune::{LEAST_TUNED_ROBOTS, MAX_TUNED_ROBOTS, TuneOptions, TuneStep, Tuned, Tuning};
 
@@ -124,6 +126,7 @@ Examples:
   muster solve fleet.json --teams 2..6
   muster solve fleet.json --path inverse-free --tolerance 1e-6
   muster solve fleet.json --json | jq .teams
+  muster solve fleet.json --why r7
   generate-fleet | muster solve - --json"#;
 
 /// Arguments of `muster solve`.
@@ -139,6 +142,9 @@ pub struct SolveArgs {
     /// Only say how much memory and time it will take on this machine, and whether it fits.
     #[arg(long)]
     estimate: bool,
+    /// Say why a robot is in its team: how much each modality pulls it to each team.
+    #[arg(long, value_name = "ROBOT")]
+    why: Option<RobotId>,
     #[command(flatten)]
     options: Options,
 }
@@ -168,8 +174,13 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
         }
         return estimate.check().with_context(|| name);
     }
-    let solution = solve(&problem, &mut |step| line.show(step)).with_context(|| name)?;
+    let solution = solve(&problem, &mut |step| line.show(step)).with_context(|| name.clone())?;
     drop(line);
+    if let Some(robot) = &args.why {
+        let reasons = why::reasons(&problem, &solution, robot).with_context(|| name)?;
+        let text = if args.json { reasons.to_json()? } else { reasons.text() };
+        return Ok(std::io::stdout().write_all(text.as_bytes())?);
+    }
     for warning in &solution.warnings {
         eprintln!("warning: {warning}");
     }

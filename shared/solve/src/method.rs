@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::thread::available_parallelism;
 
 use muster_method::decomposition::{Decomposition, Path};
-use muster_method::embedding::{Embedded, embed};
+use muster_method::embedding::{Embedded, Frames};
 use muster_method::params::EmbeddingParams;
 use muster_method::step::Progress;
 use muster_method::trust::Trust;
@@ -47,6 +47,8 @@ pub(super) struct Solution {
     pub(super) without_embedding: Vec<bool>,
     pub(super) divided: Divided,
     pub(super) warnings: Vec<String>,
+    /// What the embedding rests on.
+    pub(super) frames: Frames,
 }
 
 impl Solution {
@@ -78,7 +80,8 @@ pub(super) fn solve(
             .collect(),
     };
     let params = params(problem, path).check().map_err(MethodError::from);
-    let found = params.and_then(|params| embed(&frame, &params, progress));
+    let mut frames = Frames::default();
+    let found = params.and_then(|params| frames.embed(&frame, &params, None, progress));
     let mut embedded = found.or_else(of_method)?;
     if !problem.emit.contains(&Emit::Katz) {
         // It is as large as all else together.
@@ -113,6 +116,7 @@ pub(super) fn solve(
         without_embedding,
         divided,
         warnings,
+        frames,
     })
 }
 
