@@ -7,6 +7,7 @@
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
+use muster_historian::Historian;
 use muster_ingest::Ingest;
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::observation::Stream;
@@ -58,6 +59,7 @@ fn wiring(service: ServiceName) -> Wiring {
         ServiceName::Embedder => Wiring::of::<Embedder>(),
         ServiceName::Clusterer => Wiring::of::<Clusterer>(),
         ServiceName::Auditor => Wiring::of::<Auditor>(),
+        ServiceName::Historian => Wiring::of::<Historian>(),
     }
 }
 
@@ -204,6 +206,7 @@ mod tests {
         check_start::<Embedder>();
         check_start::<Clusterer>();
         check_start::<Auditor>();
+        check_start::<Historian>();
     }
 
     #[test]

@@ -13,6 +13,10 @@ use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode, Embeddin
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision, StageTime};
+use muster_model::history::{
+    Coverage, EventCoverage, HistoryAnswer, PastAudit, PastDivision, PastTeam, RecordingState, Rows,
+    TeamMean,
+};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
@@ -272,7 +276,62 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ),
         ("status", Message::Status(Box::new(status))),
         ("katz", Message::Katz(Box::new(pair))),
+        ("history", Message::History(Box::new(history()))),
+        ("history_state", Message::HistoryState(Box::new(history_state()))),
     ]
+}
+
+fn history() -> HistoryAnswer {
+    let audit = PastAudit {
+        sequence: 41,
+        at: Tick(NOW.0 - 20_000_000),
+        division: revision(42),
+        mean: Some(0.5),
+        physical_mean: None,
+        verdict: Quality::Good,
+        per_team: vec![TeamMean { team: team("t1"), mean: 0.5 }],
+    };
+    let division = PastDivision {
+        sequence: 40,
+        at: Tick(NOW.0 - 30_000_000),
+        revision: revision(42),
+        requested: 2,
+        teams: vec![PastTeam {
+            id: team("t1"),
+            members: vec![robot("r1"), robot("r2")],
+            leader: Some(robot("r1")),
+        }],
+        unassigned: vec![robot("r3")],
+        stale: vec![robot("r2")],
+        audit: Some(audit),
+    };
+    HistoryAnswer {
+        fleet: fleet(),
+        instance: InstanceId::new("host-1").unwrap(),
+        recorded_from: Some(Tick(NOW.0 - 60_000_000)),
+        recorded_through: Some(NOW),
+        before: None,
+        rows: Rows::AsOf(Some(Box::new(division))),
+    }
+}
+
+fn history_state() -> RecordingState {
+    let coverage = Coverage {
+        recorded_from: Some(Tick(NOW.0 - 60_000_000)),
+        recorded_through: Some(NOW),
+        sequence: 42,
+        division: Some(revision(42)),
+        audit: Some(revision(17)),
+        events: vec![EventCoverage { source: ServiceName::Ingest, revision: revision(5) }],
+        bytes: 4096,
+    };
+    RecordingState {
+        fleet: fleet(),
+        instance: InstanceId::new("host-1").unwrap(),
+        coverage,
+        lost: 3,
+        degraded: Some("the disk is full".to_owned()),
+    }
 }
 
 /// One of every kind of event; the changes of a division with every kind of change.
@@ -318,6 +377,9 @@ pub fn event_kinds() -> Vec<EventKind> {
         EventKind::RobotsRecovered { count: 2, robots: vec![r1(), robot("r2")] },
         EventKind::RobotsLeft { count: 2, robots: vec![r1(), robot("r2")] },
         EventKind::StateLost { reason: "term.json: cannot be read".to_owned() },
+        EventKind::HistoryDegraded { reason: "the disk is full".to_owned() },
+        EventKind::HistoryRecovered { lost: 3 },
+        EventKind::HistoryDamaged { reason: "history.sqlite: malformed".to_owned() },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));
     kinds
