@@ -169,14 +169,12 @@ fn sources(of: &Path, outside: &str) -> Vec<(String, String)> {
 #[test]
 fn each_foreign_crate_is_spoken_to_in_one_place() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
-    for (what, place) in
-        [
-            ("zenoh::", "shared/bus"),
-            ("bincode::", "shared/wire"),
-            ("faer::", "shared/numeric"),
-            ("rusqlite::", "services/historian"),
-        ]
-    {
+    for (what, place) in [
+        ("zenoh::", "shared/bus"),
+        ("bincode::", "shared/wire"),
+        ("faer::", "shared/numeric"),
+        ("rusqlite::", "services/historian"),
+    ] {
         for folder in ["services", "shared"] {
             for (name, text) in sources(&root.join(folder), place) {
                 assert!(!text.contains(what), "{name} uses {what}");

@@ -72,7 +72,8 @@ async fn newest(states: &Watch, after: f64, wanted: impl Fn(&Value) -> bool) -> 
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_is_published_as_recorded_is_in_the_file_after_twenty_kills() {
-    let mut cluster = Cluster::start_drawn("twenty_kills", &[("clusterer", "teams=4")], &SCENARIO).unwrap();
+    let mut cluster =
+        Cluster::start_drawn("twenty_kills", &[("clusterer", "teams=4")], &SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let (events, teams) =
         (client.watch("json/event").await.unwrap(), client.watch("json/teams").await.unwrap());
@@ -120,8 +121,13 @@ async fn what_is_published_as_recorded_is_in_the_file_after_twenty_kills() {
         for (at, event) in events.timed() {
             let source = event["source"].as_str().unwrap().to_owned();
             let (term, epoch) = revision(&event);
-            if at > run.since && through.get(&source).is_some_and(|through| (term, epoch) <= *through) {
-                assert!(recorded.contains(&(source, term, epoch)), "not recorded: {event}; {run:?}");
+            if at > run.since
+                && through.get(&source).is_some_and(|through| (term, epoch) <= *through)
+            {
+                assert!(
+                    recorded.contains(&(source, term, epoch)),
+                    "not recorded: {event}; {run:?}"
+                );
                 checked_events += 1;
             }
         }
@@ -183,12 +189,18 @@ async fn a_full_disk_costs_the_oldest_minutes_and_is_over_without_a_restart() {
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
     let degraded = newest(&states, 0.0, |state| state["degraded"].is_string()).await;
-    assert!(degraded.last["degraded"].as_str().unwrap().contains("free space") ||
-        degraded.last["degraded"].as_str().unwrap().contains("Free space"), "{degraded:?}");
+    assert!(
+        degraded.last["degraded"].as_str().unwrap().contains("free space")
+            || degraded.last["degraded"].as_str().unwrap().contains("Free space"),
+        "{degraded:?}"
+    );
     // The fleet goes on meanwhile, and so does the recording.
     let before = teams.newest().unwrap();
     client.get("service/clusterer/settings", Some(&json!({"teams": 3}))).await.unwrap();
-    teams.until("another division", SOON, |value| revision(value) > revision(&before)).await.unwrap();
+    teams
+        .until("another division", SOON, |value| revision(value) > revision(&before))
+        .await
+        .unwrap();
     let (code, out, _) = cluster.muster(&["doctor", "--json"]).unwrap();
     assert_eq!(code, Some(1), "{out}");
     assert!(out.contains("history_degraded") && !out.contains("service_missing"), "{out}");
@@ -234,7 +246,8 @@ async fn event(client: &muster_tests::client::Client, number: u64, robots: &[Str
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_past_is_shown_by_the_commands() {
-    let mut cluster = Cluster::start_drawn("the_past", &[("clusterer", "teams=4")], &SCENARIO).unwrap();
+    let mut cluster =
+        Cluster::start_drawn("the_past", &[("clusterer", "teams=4")], &SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let (code, _, err) = cluster.muster(&["history"]).unwrap();
     assert_eq!(code, Some(3), "no historian runs: {err}");
@@ -246,9 +259,8 @@ async fn the_past_is_shown_by_the_commands() {
     tokio::time::sleep(Duration::from_secs(2)).await;
     let (wanted, moment) = (division(&teams.newest().unwrap()), now());
     client.get("service/clusterer/settings", Some(&json!({"teams": 2}))).await.unwrap();
-    let two = |value: &Value| {
-        division(value).values().flatten().collect::<BTreeSet<_>>().len() == 2
-    };
+    let two =
+        |value: &Value| division(value).values().flatten().collect::<BTreeSet<_>>().len() == 2;
     teams.until("two teams", SOON, two).await.unwrap();
     let through = |state: &Value| state["recorded_through"].as_u64() > Some((moment * 1e6) as u64);
     newest(&states, moment, through).await;
@@ -274,9 +286,9 @@ async fn the_past_is_shown_by_the_commands() {
     }
     assert_eq!(found, wanted.clone().into_iter().collect());
     assert!(text_of(&["history", "--as-of", &at]).contains("members"));
-    let moved = wanted.iter().find(|(robot, team)| {
-        division(&teams.newest().unwrap()).get(*robot) != Some(*team)
-    });
+    let moved = wanted
+        .iter()
+        .find(|(robot, team)| division(&teams.newest().unwrap()).get(*robot) != Some(*team));
     let (robot, team) = moved.unwrap();
     let rows = json_of(&["history", "--robot", robot, "--since", "10m"]);
     assert_eq!(rows["rows"]["robot"][0]["was"].as_str(), team.as_deref());
@@ -285,7 +297,10 @@ async fn the_past_is_shown_by_the_commands() {
     let rows = json_of(&["history", "--team", &team]);
     assert!(!rows["rows"]["team"].as_array().unwrap().is_empty());
     assert!(text_of(&["history"]).contains("recording begins"));
-    assert_eq!(json_of(&["history", "--limit", "1"])["rows"]["divisions"].as_array().unwrap().len(), 1);
+    assert_eq!(
+        json_of(&["history", "--limit", "1"])["rows"]["divisions"].as_array().unwrap().len(),
+        1
+    );
     let rows = json_of(&["events", "--kind", "settings_changed"]);
     let settings = rows["rows"]["events"][0]["detail"]["settings"].as_str().unwrap();
     assert!(settings.contains("\"teams\":2"), "{settings}");
@@ -319,6 +334,9 @@ async fn the_past_is_shown_by_the_commands() {
         assert!(now() - start < 60.0, "{rows}");
         tokio::time::sleep(Duration::from_secs(1)).await;
     };
-    assert!(left.iter().all(|stay| stay["reason"] == "disconnected" && stay["left"].is_u64()), "{left:?}");
+    assert!(
+        left.iter().all(|stay| stay["reason"] == "disconnected" && stay["left"].is_u64()),
+        "{left:?}"
+    );
     assert!(text_of(&["robots", "--gone"]).contains("disconnected"));
 }

@@ -18,11 +18,11 @@ use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::HistorianSettings;
 use muster_model::teams::{Member, Team, Teams};
 use muster_model::time::Tick;
-use muster_service::records::{MemoryRecords, Records, RecordQueue, WriteError};
+use muster_service::records::{MemoryRecords, RecordQueue, Records, WriteError};
 use muster_service::testkit::Bench;
 use muster_service::{Command, GetId, IncomingGet, Input};
-use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::Message;
+use muster_wire::envelope::AnnouncedSettings;
 
 const NOW: Tick = Tick(1_795_208_980_000_000);
 const S: Duration = Duration::from_secs(1);
@@ -94,7 +94,9 @@ fn roster(epoch: u64, robots: impl Iterator<Item = usize>) -> Message {
         last_seen: Tick(NOW.0 - 7),
     };
     let robots = robots.map(entry).collect();
-    Message::Roster(Checked::new(Roster { header: header(epoch), robots, graphs: Vec::new() }).unwrap())
+    Message::Roster(
+        Checked::new(Roster { header: header(epoch), robots, graphs: Vec::new() }).unwrap(),
+    )
 }
 
 fn event(epoch: u64) -> Message {
@@ -224,7 +226,8 @@ fn divisions_are_recorded_when_they_change_and_as_a_whole_every_ten_minutes() {
     let [Record::Division(change)] = &recording.take()[..] else { panic!() };
     let moved: Vec<_> = change.places.iter().map(|place| place.robot.clone()).collect();
     assert_eq!((change.snapshot, moved), (None, vec![robot(2)]));
-    let lines: Vec<_> = change.lines.iter().map(|line| (line.team.as_str(), line.members)).collect();
+    let lines: Vec<_> =
+        change.lines.iter().map(|line| (line.team.as_str(), line.members)).collect();
     assert_eq!(lines, [("t1", 1), ("t2", 2)]);
     recording.receive(division(2, &[&[1, 2, 3]]));
     assert!(recording.take().is_empty(), "an older division is none");
@@ -271,11 +274,8 @@ fn robots_that_join_and_leave_are_recorded_with_the_reason() {
     }
     recording.receive(Message::RobotToken { robot: robot(0), alive: false });
     recording.receive(roster(2, 2..5));
-    let left = |number, reason| Record::Left {
-        robot: robot(number),
-        last_seen: Tick(NOW.0 - 7),
-        reason,
-    };
+    let left =
+        |number, reason| Record::Left { robot: robot(number), last_seen: Tick(NOW.0 - 7), reason };
     let expected = [
         left(0, LeaveReason::Disconnected),
         left(1, LeaveReason::Silent),
@@ -349,11 +349,14 @@ fn a_full_disk_is_told_once_and_after_a_loss_everything_is_recorded_as_a_whole()
     recording.write();
     let whole = recording.take();
     assert_eq!(snapshots(&whole), [Some(SnapshotCause::Gap)]);
-    assert!(whole.iter().any(|record| matches!(record, Record::Present(robots) if robots.len() == 3)));
+    assert!(
+        whole.iter().any(|record| matches!(record, Record::Present(robots) if robots.len() == 3))
+    );
     recording.store.fails = None;
     recording.write();
     let told = recording.events();
-    let recovered = |kind: &EventKind| matches!(kind, EventKind::HistoryRecovered { lost } if *lost > 60_000);
+    let recovered =
+        |kind: &EventKind| matches!(kind, EventKind::HistoryRecovered { lost } if *lost > 60_000);
     assert!(told.len() == 1 && recovered(&told[0]), "{told:?}");
     assert!(!recording.bench.host.status(NOW).counters.contains_key("history_degraded"));
     while !recording.queue.is_empty() {
@@ -367,7 +370,8 @@ fn a_full_disk_is_told_once_and_after_a_loss_everything_is_recorded_as_a_whole()
 fn a_damaged_file_is_told_once_there_is_somebody_to_tell() {
     let mut recording = Recording::start(Vec::new());
     recording.events();
-    let report = RecordingReport { damaged: Some("put aside".to_owned()), ..RecordingReport::default() };
+    let report =
+        RecordingReport { damaged: Some("put aside".to_owned()), ..RecordingReport::default() };
     recording.bench.input(Input::Recorded(Box::new(report)));
     let damaged = EventKind::HistoryDamaged { reason: "put aside".to_owned() };
     assert_eq!(recording.events(), [damaged]);
@@ -389,7 +393,8 @@ fn gets_are_answered_by_the_instance_that_they_name_or_by_all() {
         let reply = recording.bench.replies.pop().unwrap();
         reply.answer.map(|packets| {
             let one = |packet: muster_wire::Packet| {
-                let json: serde_json::Value = serde_json::from_slice(&packet.payload.unwrap()).unwrap();
+                let json: serde_json::Value =
+                    serde_json::from_slice(&packet.payload.unwrap()).unwrap();
                 (packet.key, json)
             };
             packets.into_iter().map(one).collect::<Vec<_>>()
@@ -408,7 +413,10 @@ fn gets_are_answered_by_the_instance_that_they_name_or_by_all() {
     assert_eq!(states[0].1["recorded_through"], NOW.0);
     assert_eq!(ask("history/**", "").unwrap().len(), 2, "the rows and the state");
     let problem = ask("history/*", "as_of=noon").unwrap_err();
-    assert!(problem.contains("\"field\":\"as_of\"") && problem.contains("seconds since 1970"), "{problem}");
+    assert!(
+        problem.contains("\"field\":\"as_of\"") && problem.contains("seconds since 1970"),
+        "{problem}"
+    );
 }
 
 #[test]

@@ -156,7 +156,9 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Status(args) => {
             console(&config, async |config| show::status::run(args, &config).await)
         }
-        Command::History(args) => console(&config, async |config| past::history(args, &config).await),
+        Command::History(args) => {
+            console(&config, async |config| past::history(args, &config).await)
+        }
         Command::Events(args) => console(&config, async |config| past::events(args, &config).await),
         Command::Robots(args) => console(&config, async |config| past::robots(args, &config).await),
         Command::Doctor(args) => console(&config, async |config| doctor::run(args, &config).await),

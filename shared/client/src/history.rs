@@ -49,8 +49,7 @@ impl Client {
     /// # Errors
     /// [`Error::Bus`] if the bus fails.
     pub async fn get_history_states(&self) -> Result<Vec<RecordingState>, Error> {
-        let ask =
-            Ask { parameters: "", payload: None, within: REPLY_TIMEOUT, target: Target::All };
+        let ask = Ask { parameters: "", payload: None, within: REPLY_TIMEOUT, target: Target::All };
         let mut states = Vec::new();
         for answer in self.get(&Pattern::HistoryStates, ask).await? {
             let Answer::Packet(packet) = answer else { continue };

@@ -224,8 +224,7 @@ impl ServiceName {
         [Self::Ingest, Self::Embedder, Self::Clusterer, Self::Auditor, Self::Historian];
 
     /// The services that turn observations into audited teams: those that every fleet needs.
-    pub const PIPELINE: [Self; 4] =
-        [Self::Ingest, Self::Embedder, Self::Clusterer, Self::Auditor];
+    pub const PIPELINE: [Self; 4] = [Self::Ingest, Self::Embedder, Self::Clusterer, Self::Auditor];
 
     /// The name as it stands in keys and on the command line.
     #[must_use]

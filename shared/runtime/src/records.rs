@@ -318,7 +318,8 @@ mod tests {
         assert_eq!((written.problem, written.coverage.sequence), (None, 1));
         // A file that was damaged: what comes next must be whole.
         let damaged = Some(WriteError::Damaged("put aside".to_owned()));
-        recorder.store = Some(Box::new(MemoryRecords { fails: damaged, ..MemoryRecords::default() }));
+        recorder.store =
+            Some(Box::new(MemoryRecords { fails: damaged, ..MemoryRecords::default() }));
         recorder.queue.push(*joined(2));
         let report = recorder.step();
         assert_eq!(report.damaged.as_deref(), Some("put aside"));

@@ -33,9 +33,7 @@ pub use crate::core::{Connectivity, Context, Core, FreeJobSlot, JobEnd, MemoryUs
 pub use failures::JobsFailing;
 pub use gets::Get;
 pub use host::Host;
-pub use io::{
-    Arrival, Ask, AskId, Command, GetId, IncomingGet, Input, Publication, Reply,
-};
+pub use io::{Arrival, Ask, AskId, Command, GetId, IncomingGet, Input, Publication, Reply};
 pub use replica::election::LEASE;
 pub use replica::lease::RENEWAL_INTERVAL;
 pub use robot_teams::{TooManyNames, answer_teams};

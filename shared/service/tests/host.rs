@@ -17,9 +17,7 @@ use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
 use muster_service::inbox::{Inbox, Parcel};
 use muster_service::testkit::Bench;
-use muster_service::{
-    Command, Delivery, GetId, IncomingGet, Input, Start, Stored, Wiring,
-};
+use muster_service::{Command, Delivery, GetId, IncomingGet, Input, Start, Stored, Wiring};
 use muster_wire::{Attachment, ForeignPattern, Key, Message, Packet, Pattern, Source};
 use small::{
     CHANGED, Driven, EVERY_INSTANCE, ONE_LEADS, Small, header, order, output, pose, renewal,
@@ -350,10 +348,7 @@ fn records_and_tokens_are_commands() {
     let key = Key::RobotToken(RobotId::new("other").unwrap());
     let expected = [
         Command::DeclareToken(key.clone()),
-        Command::Append(Box::new(Entry {
-            at: small::START,
-            record: Record::Present(Vec::new()),
-        })),
+        Command::Append(Box::new(Entry { at: small::START, record: Record::Present(Vec::new()) })),
         Command::LookUp { lookup: 5, query: Query::of(Subject::Divisions) },
         Command::Retain(Retention { before: Tick(1), max_bytes: 2 }),
         Command::WithdrawToken(key),
@@ -366,8 +361,7 @@ fn records_and_tokens_are_commands() {
     let coverage = Coverage { sequence: 3, ..Coverage::default() };
     let report = RecordingReport { coverage, ..RecordingReport::default() };
     driven.input(Input::Recorded(Box::new(report)));
-    let expected =
-        ["lookup 5 finds Divisions([])", "lookup 6 finds gone", "recorded 3 records"];
+    let expected = ["lookup 5 finds Divisions([])", "lookup 6 finds gone", "recorded 3 records"];
     assert_eq!(driven.log_after(logged), expected);
 }
 

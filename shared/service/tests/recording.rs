@@ -18,8 +18,8 @@ use std::time::Duration;
 use muster_model::event::Severity;
 use muster_model::header::Revision;
 use muster_model::history::{
-    self, DivisionRow, EventRow, LeaveReason, Page, Query, Record, RecordingReport, Retention, Rows,
-    SnapshotCause, Subject,
+    self, DivisionRow, EventRow, LeaveReason, Page, Query, Record, RecordingReport, Retention,
+    Rows, SnapshotCause, Subject,
 };
 use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::role::ReplicaState;
@@ -28,8 +28,8 @@ use muster_model::time::Tick;
 use muster_service::recording::{Entry, Head, commands_frame, input_frame};
 use muster_service::replay::{Comparison, Ending, Replay, ReplayError, compare, panic_text};
 use muster_service::{
-    Arrival, Ask, AskId, Command, Core, GetId, Host, IncomingGet, Input, Publication,
-    Reply, Start, Stopwatch, Stored,
+    Arrival, Ask, AskId, Command, Core, GetId, Host, IncomingGet, Input, Publication, Reply, Start,
+    Stopwatch, Stored,
 };
 use muster_wire::recording::{Reader, begin, frame};
 use muster_wire::{Key, Message, Packet, Pattern, Source};

@@ -101,7 +101,10 @@ pub fn query(parameters: &str) -> Result<Query, QueryError> {
         (Some("events"), None, None, None, event) => Subject::Events(event),
         (Some("robots"), None, robot, None, None) => Subject::Robots(robot),
         (Some(other), ..) if !["divisions", "events", "robots"].contains(&other) => {
-            return refuse("of", format!("{:?} must be divisions, events or robots", quoted(other)));
+            return refuse(
+                "of",
+                format!("{:?} must be divisions, events or robots", quoted(other)),
+            );
         }
         _ => {
             let problem = "ask for one of as_of, robot, team, of=divisions, of=events (with event) and \

@@ -239,8 +239,7 @@ impl Message {
     /// [`EnvelopeError`] if the content is larger than its kind may be.
     pub fn publish(&self, now: Tick) -> Result<Vec<Outbound>, EnvelopeError> {
         let (key, mirror) = self.keys();
-        let is_json =
-            matches!(self, Self::RobotTeam(_) | Self::Refused(_) | Self::HistoryState(_));
+        let is_json = matches!(self, Self::RobotTeam(_) | Self::Refused(_) | Self::HistoryState(_));
         let form = if is_json { Format::Json } else { Format::Binary };
         let mut all = vec![self.encode(key, form, now)?];
         let mirrored = !matches!(self, Self::Teams { mirror: false, .. });

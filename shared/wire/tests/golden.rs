@@ -64,6 +64,21 @@ fn the_json_form_of_every_message_is_frozen() {
     }
 }
 
+/// What `muster history`, `events` and `robots` print with `--json`, and a get of a history is answered with.
+#[test]
+fn the_json_form_of_every_answer_of_a_history_is_frozen_and_read_back() {
+    let space = KeySpace::new(samples::fleet());
+    for (name, rows) in samples::history_rows() {
+        let message = samples::history_of(rows);
+        let outbound = message.encode(message.keys().0, Format::Json, samples::NOW).unwrap();
+        let value: serde_json::Value = serde_json::from_slice(&outbound.payload).unwrap();
+        let text = format!("{}\n", serde_json::to_string_pretty(&value).unwrap());
+        check(&format!("history_{name}.json"), &text);
+        let read = muster_wire::history::answer(&space, &outbound.into_packet(&space)).unwrap();
+        assert_eq!(Message::History(Box::new(read)), message, "{name}");
+    }
+}
+
 #[test]
 fn robots_are_understood_in_json() {
     let space = KeySpace::new(samples::fleet());

@@ -20,8 +20,8 @@ use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
 use muster_service::recording::{Entry, Head};
 use muster_service::testkit::Bench;
 use muster_service::{
-    Arrival, Ask, AskId, Command, Core, GetId, IncomingGet, Input, Publication, Reply,
-    Start, Stored,
+    Arrival, Ask, AskId, Command, Core, GetId, IncomingGet, Input, Publication, Reply, Start,
+    Stored,
 };
 use muster_wire::recording::{begin, frame};
 use muster_wire::{Format, Key, Message, Packet, Pattern};

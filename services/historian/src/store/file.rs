@@ -94,10 +94,7 @@ impl HistoryFile {
     ///
     /// # Errors
     /// If it cannot be opened, or is of a newer version or another fleet; the text names the remedy.
-    pub(super) fn open(
-        &mut self,
-        fleet: &FleetId,
-    ) -> Result<(Connection, Option<String>), String> {
+    pub(super) fn open(&mut self, fleet: &FleetId) -> Result<(Connection, Option<String>), String> {
         self.fleet = Some(fleet.clone());
         let opened = Connection::open(&self.path).and_then(|connection| {
             prepare(&connection, fleet)?;
@@ -140,8 +137,9 @@ impl HistoryFile {
     pub(super) fn put_aside(&self, why: &str) -> Result<String, String> {
         let shown = self.path.display();
         let bad = suffixed(&self.path, ".bad");
-        std::fs::rename(&self.path, &bad)
-            .map_err(|error| format!("{shown} is damaged ({why}) and cannot be renamed: {error}"))?;
+        std::fs::rename(&self.path, &bad).map_err(|error| {
+            format!("{shown} is damaged ({why}) and cannot be renamed: {error}")
+        })?;
         // The journal belongs to the old file, and would be taken for one of the new.
         let _ = std::fs::rename(suffixed(&self.path, "-wal"), suffixed(&bad, "-wal"));
         let _ = std::fs::remove_file(suffixed(&self.path, "-shm"));
@@ -291,8 +289,5 @@ fn check_kind(connection: &Connection, path: &Path, fleet: &FleetId) -> Result<(
 }
 
 pub(super) fn is_damage(error: &rusqlite::Error) -> bool {
-    matches!(
-        error.sqlite_error_code(),
-        Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase)
-    )
+    matches!(error.sqlite_error_code(), Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase))
 }

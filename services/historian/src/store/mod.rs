@@ -18,8 +18,8 @@ use muster_model::id::{FleetId, InstanceId};
 use muster_service::records::{Records, WriteError};
 use rusqlite::{Connection, ErrorCode};
 
-pub use file::SCHEMA_VERSION;
 use file::HistoryFile;
+pub use file::SCHEMA_VERSION;
 use writing::Position;
 
 /// Most times that the oldest minutes are deleted for one transaction.
@@ -48,9 +48,7 @@ pub struct FileRecords {
 /// # Errors
 /// If the file cannot be opened; the text names it and the remedy.
 #[cfg(feature = "binary")]
-pub fn open(
-    place: &muster_runtime::records::RecordPlace,
-) -> Result<Box<dyn Records>, String> {
+pub fn open(place: &muster_runtime::records::RecordPlace) -> Result<Box<dyn Records>, String> {
     let records = FileRecords::open(place.folder.as_deref(), &place.fleet, &place.instance)?;
     Ok(Box::new(records))
 }

@@ -11,9 +11,7 @@ use muster_model::time::Tick;
 use muster_service::records::{DivisionHead, MAX_PAGE_BYTES, past_division};
 use rusqlite::{Connection, OptionalExtension as _, Params, Row, params};
 
-use super::values::{
-    moment, number, read, read_some, revision, signed, some_moment, unsigned,
-};
+use super::values::{moment, number, read, read_some, revision, signed, some_moment, unsigned};
 
 fn pragma(connection: &Connection, name: &str) -> rusqlite::Result<u64> {
     connection.query_row(&format!("PRAGMA {name}"), [], |row| number(row, 0))
@@ -47,9 +45,8 @@ pub(super) fn coverage(connection: &Connection) -> rusqlite::Result<Coverage> {
         connection.query_row(&newest, [], |row| revision(row, 0)).optional()
     };
     // Of the row with the highest number, as SQLite promises for a single max.
-    let mut events = connection.prepare(
-        "SELECT source, term, epoch, max(seq) FROM events GROUP BY source",
-    )?;
+    let mut events =
+        connection.prepare("SELECT source, term, epoch, max(seq) FROM events GROUP BY source")?;
     let events = events.query_map([], |row| {
         Ok(EventCoverage { source: read(row, 0)?, revision: revision(row, 1)? })
     })?;
@@ -116,13 +113,9 @@ fn page<T>(
 }
 
 /// The number of the last row of a table until a moment. Within an era, moments and numbers grow together.
-fn last_until(
-    connection: &Connection,
-    table: &str,
-    moment: Tick,
-) -> rusqlite::Result<Option<i64>> {
-    let mut eras = connection
-        .prepare_cached("SELECT era FROM eras WHERE first_us <= ?1 ORDER BY era DESC")?;
+fn last_until(connection: &Connection, table: &str, moment: Tick) -> rusqlite::Result<Option<i64>> {
+    let mut eras =
+        connection.prepare_cached("SELECT era FROM eras WHERE first_us <= ?1 ORDER BY era DESC")?;
     let mut last = connection.prepare_cached(&format!(
         "SELECT seq FROM {table} WHERE era = ?1 AND at_us <= ?2 ORDER BY at_us DESC, seq DESC LIMIT 1"
     ))?;
@@ -200,9 +193,8 @@ fn as_of(connection: &Connection, moment: Tick) -> rusqlite::Result<Option<PastD
 fn past_audit(connection: &Connection, sequence: i64) -> rusqlite::Result<PastAudit> {
     let mut means = connection
         .prepare_cached("SELECT team, mean FROM audit_teams WHERE audit = ?1 ORDER BY team")?;
-    let means = means.query_map([sequence], |row| {
-        Ok(TeamMean { team: read(row, 0)?, mean: row.get(1)? })
-    })?;
+    let means = means
+        .query_map([sequence], |row| Ok(TeamMean { team: read(row, 0)?, mean: row.get(1)? }))?;
     let per_team = means.collect::<rusqlite::Result<_>>()?;
     connection.query_row(
         "SELECT at_us, division_term, division_epoch, mean, physical_mean, verdict FROM audits \
@@ -306,11 +298,7 @@ fn team_rows(connection: &Connection, query: &Query, team: &TeamId) -> rusqlite:
     Ok(Page { rows: Rows::Team(rows), before })
 }
 
-fn events(
-    connection: &Connection,
-    query: &Query,
-    kind: Option<&str>,
-) -> rusqlite::Result<Page> {
+fn events(connection: &Connection, query: &Query, kind: Option<&str>) -> rusqlite::Result<Page> {
     let statement = "SELECT seq, at_us, source, term, epoch, severity, kind, detail FROM events \
          WHERE (?5 IS NULL OR kind = ?5) AND at_us BETWEEN ?1 AND ?2 AND seq < ?3 \
          ORDER BY seq DESC LIMIT ?4";

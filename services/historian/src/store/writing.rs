@@ -58,8 +58,7 @@ pub(super) fn write(
     }
     let Writing { to, mut coverage, position } = writing;
     let through = position.last.map(|last| signed(last.0));
-    let mut meta =
-        to.prepare_cached("INSERT OR REPLACE INTO meta (key, value) VALUES (?1, ?2)")?;
+    let mut meta = to.prepare_cached("INSERT OR REPLACE INTO meta (key, value) VALUES (?1, ?2)")?;
     meta.execute(params!["sequence", signed(position.sequence)])?;
     meta.execute(params!["through_us", through.unwrap_or_default()])?;
     drop(meta);
@@ -232,14 +231,13 @@ impl Writing<'_> {
 
     fn present(&mut self, at: i64, robots: &[RobotId]) -> rusqlite::Result<()> {
         let open: Vec<String> = {
-            let mut open = self.to.prepare_cached(
-                "SELECT robot FROM stays WHERE left_us IS NULL ORDER BY stay",
-            )?;
+            let mut open = self
+                .to
+                .prepare_cached("SELECT robot FROM stays WHERE left_us IS NULL ORDER BY stay")?;
             let names = open.query_map([], |row| row.get(0))?;
             names.collect::<rusqlite::Result<_>>()?
         };
-        let there: std::collections::BTreeSet<&str> =
-            robots.iter().map(RobotId::as_str).collect();
+        let there: std::collections::BTreeSet<&str> = robots.iter().map(RobotId::as_str).collect();
         let mut ending = self.to.prepare_cached(END_STAY)?;
         for gone in open.iter().filter(|robot| !there.contains(robot.as_str())) {
             let reason = word(LeaveReason::Unrecorded);
@@ -268,9 +266,12 @@ impl Writing<'_> {
         reason: LeaveReason,
     ) -> rusqlite::Result<()> {
         let reason = word(reason);
-        self.to
-            .prepare_cached(END_STAY)?
-            .execute(params![robot.as_str(), at, last_seen, reason])?;
+        self.to.prepare_cached(END_STAY)?.execute(params![
+            robot.as_str(),
+            at,
+            last_seen,
+            reason
+        ])?;
         Ok(())
     }
 }

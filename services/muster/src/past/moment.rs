@@ -101,7 +101,8 @@ fn of_day(text: &str) -> Option<f64> {
 fn whole(text: &str) -> Option<Tick> {
     let (date_text, time) = text.split_once(['T', ' '])?;
     let time = time.strip_suffix('Z').unwrap_or(time);
-    let parts: Vec<i64> = date_text.split('-').map(|part| part.parse().ok()).collect::<Option<_>>()?;
+    let parts: Vec<i64> =
+        date_text.split('-').map(|part| part.parse().ok()).collect::<Option<_>>()?;
     let [year, month, day] = parts.as_slice() else { return None };
     let day = days(*year, *month, *day);
     // A date that does not exist is another one.
@@ -158,8 +159,19 @@ mod tests {
     #[test]
     fn what_is_no_moment_is_refused_with_the_forms() {
         for text in [
-            "", "yesterday", "5", "-1s", "nans", "24:00", "1:2:3:4", "2026-02-30T00:00:00Z",
-            "2026-13-01T00:00:00Z", "1e30", "2026-11-20", "12:00:-1", "inf",
+            "",
+            "yesterday",
+            "5",
+            "-1s",
+            "nans",
+            "24:00",
+            "1:2:3:4",
+            "2026-02-30T00:00:00Z",
+            "2026-13-01T00:00:00Z",
+            "1e30",
+            "2026-11-20",
+            "12:00:-1",
+            "inf",
         ] {
             assert!(parse(text, NOW).unwrap_err().contains("10m"), "{text}");
         }

@@ -60,8 +60,17 @@ pub(super) fn csv(rows: &Rows) -> Vec<String> {
             lines
         }
         Rows::Divisions(rows) => {
-            let names =
-                ["at", "sequence", "term", "epoch", "requested", "teams", "robots", "changed", "snapshot"];
+            let names = [
+                "at",
+                "sequence",
+                "term",
+                "epoch",
+                "requested",
+                "teams",
+                "robots",
+                "changed",
+                "snapshot",
+            ];
             let rows = rows.iter().map(|row| {
                 line([
                     exact(row.at),

@@ -37,7 +37,8 @@ fn detail(text: &str) -> String {
     let plain = |value: &Value| match value {
         Value::String(text) => text.clone(),
         Value::Array(all) => {
-            let all = all.iter().map(|one| one.as_str().map_or_else(|| one.to_string(), str::to_owned));
+            let all =
+                all.iter().map(|one| one.as_str().map_or_else(|| one.to_string(), str::to_owned));
             all.collect::<Vec<_>>().join(" ")
         }
         Value::Null => "none".to_owned(),
@@ -93,7 +94,8 @@ fn table(rows: &Rows, page: &Page) -> Vec<String> {
             ],
             rows.iter().rev().map(|row| {
                 let counts = [row.teams, row.robots, row.changed].map(|count| count.to_string());
-                [vec![shown(row.at)], counts.to_vec(), vec![cause(row.snapshot).to_owned()]].concat()
+                [vec![shown(row.at)], counts.to_vec(), vec![cause(row.snapshot).to_owned()]]
+                    .concat()
             }),
         ),
         Rows::Robot(rows) => page.table(
@@ -110,7 +112,8 @@ fn table(rows: &Rows, page: &Page) -> Vec<String> {
         Rows::Team(rows) => page.table(
             &["time (UTC)", "members", "leader", "came", "went"].map(Column::kept),
             rows.iter().rev().map(|row| {
-                let leader = row.leader.as_ref().map_or_else(|| "ended".to_owned(), ToString::to_string);
+                let leader =
+                    row.leader.as_ref().map_or_else(|| "ended".to_owned(), ToString::to_string);
                 let (came, went) = (names(row.came.iter()), names(row.went.iter()));
                 vec![shown(row.at), row.members.to_string(), leader, came, went]
             }),
@@ -162,8 +165,7 @@ fn as_of(division: &PastDivision, page: &Page) -> Vec<String> {
         division.revision.epoch
     )];
     if let Some(audit) = &division.audit {
-        let mean =
-            audit.mean.map_or_else(|| "undefined".to_owned(), |mean| format!("{mean:+.3}"));
+        let mean = audit.mean.map_or_else(|| "undefined".to_owned(), |mean| format!("{mean:+.3}"));
         lines.push(format!(
             "silhouette {mean}, verdict {:?}, of {} UTC",
             audit.verdict,

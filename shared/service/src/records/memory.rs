@@ -4,9 +4,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use muster_model::history::{
-    AuditRecord, Coverage, DivisionRecord, DivisionRow, Entry, EventCoverage, EventRow, LeaveReason,
-    Page, PastAudit, PastDivision, PastTeam, Place, PlaceRow, Query, Record, Retention, Rows,
-    SnapshotCause, StayRow, Subject, TeamMean, TeamRow,
+    AuditRecord, Coverage, DivisionRecord, DivisionRow, Entry, EventCoverage, EventRow,
+    LeaveReason, Page, PastAudit, PastDivision, PastTeam, Place, PlaceRow, Query, Record,
+    Retention, Rows, SnapshotCause, StayRow, Subject, TeamMean, TeamRow,
 };
 use muster_model::id::{RobotId, TeamId};
 use muster_model::time::Tick;
@@ -369,7 +369,9 @@ impl Records for MemoryRecords {
             Subject::Divisions => page!(Divisions, self.division_rows(), |_| 0),
             Subject::Robot(robot) => page!(Robot, self.place_rows(robot), |_| 0),
             Subject::Team(team) => page!(Team, self.team_rows(team), TeamRow::weight),
-            Subject::Events(kind) => page!(Events, self.event_rows(kind.as_deref()), EventRow::weight),
+            Subject::Events(kind) => {
+                page!(Events, self.event_rows(kind.as_deref()), EventRow::weight)
+            }
             Subject::Robots(robot) => {
                 let wanted = |stay: &&StayRow| {
                     robot.as_ref().is_none_or(|robot| stay.robot == *robot)

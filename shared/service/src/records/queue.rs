@@ -182,8 +182,7 @@ mod tests {
     }
 
     fn division(snapshot: Option<SnapshotCause>, places: usize) -> Record {
-        let place =
-            Place { robot: robot(), present: true, team: None, stale: false, was: None };
+        let place = Place { robot: robot(), present: true, team: None, stale: false, was: None };
         Record::Division(DivisionRecord {
             revision: Revision::default(),
             requested: 1,

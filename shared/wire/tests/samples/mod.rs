@@ -14,8 +14,9 @@ use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::history::{
-    Coverage, EventCoverage, HistoryAnswer, PastAudit, PastDivision, PastTeam, RecordingState, Rows,
-    TeamMean,
+    Coverage, DivisionRow, EventCoverage, EventRow, HistoryAnswer, LeaveReason, PastAudit,
+    PastDivision, PastTeam, PlaceRow, RecordingState, Rows, SnapshotCause, StayRow, TeamMean,
+    TeamRow,
 };
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
@@ -313,6 +314,68 @@ fn history() -> HistoryAnswer {
         before: None,
         rows: Rows::AsOf(Some(Box::new(division))),
     }
+}
+
+/// One of every kind of rows that a history answers, by name, but the division at a moment.
+pub fn history_rows() -> Vec<(&'static str, Rows)> {
+    let at = Tick(NOW.0 - 30_000_000);
+    let division = DivisionRow {
+        sequence: 40,
+        at,
+        revision: revision(42),
+        requested: 2,
+        teams: 2,
+        robots: 3,
+        changed: 1,
+        snapshot: Some(SnapshotCause::Gap),
+    };
+    let place = PlaceRow {
+        sequence: 40,
+        at,
+        team: Some(team("t1")),
+        was: None,
+        present: true,
+        stale: false,
+        snapshot: None,
+    };
+    let of_team = TeamRow {
+        sequence: 40,
+        at,
+        leader: Some(robot("r1")),
+        members: 2,
+        came: vec![robot("r2")],
+        went: vec![robot("r3")],
+    };
+    let event = EventRow {
+        sequence: 41,
+        at,
+        source: ServiceName::Ingest,
+        revision: revision(7),
+        severity: Severity::Warning,
+        event: "robot_left".to_owned(),
+        detail: r#"{"robot":"r3"}"#.to_owned(),
+    };
+    let stay = StayRow {
+        sequence: 3,
+        robot: robot("r3"),
+        joined: Some(Tick(NOW.0 - 60_000_000)),
+        recorded: Tick(NOW.0 - 60_000_000),
+        left: Some(at),
+        last_seen: Some(Tick(at.0 - 10_000_000)),
+        reason: Some(LeaveReason::Disconnected),
+    };
+    vec![
+        ("divisions", Rows::Divisions(vec![division])),
+        ("robot", Rows::Robot(vec![place])),
+        ("team", Rows::Team(vec![of_team])),
+        ("events", Rows::Events(vec![event])),
+        ("robots", Rows::Robots(vec![stay])),
+    ]
+}
+
+/// An answer of a history with these rows, and more behind them.
+pub fn history_of(rows: Rows) -> Message {
+    Message::History(Box::new(HistoryAnswer { rows, before: Some(40), ..history() }))
 }
 
 fn history_state() -> RecordingState {
