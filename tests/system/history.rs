@@ -165,7 +165,7 @@ fn start_limited(cluster: &Cluster, kib: u32) -> Process {
 /// A limit on the size of files stands for a full disk: it needs no rights.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_costs_the_oldest_minutes_and_is_over_without_a_restart() {
-    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=4")]).unwrap();
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=4")]).unwrap();
     let client = cluster.client().await.unwrap();
     let events = client.watch("json/event").await.unwrap();
     let teams = client.watch("json/teams").await.unwrap();
