@@ -15,6 +15,7 @@ mod demo;
 mod deploy;
 mod doctor;
 mod documents;
+mod history;
 mod hostile;
 mod keys;
 mod languages;

@@ -1,6 +1,7 @@
 //! `muster`: the operator's command.
 //!
-//! It starts processes ([`demo`], [`up`], [`router`], [`robot`]), shows a live fleet ([`show`], [`doctor`]),
+//! It starts processes ([`demo`], [`up`], [`router`], [`robot`]), shows a live fleet ([`show`], [`doctor`]) and what
+//! one was ([`past`]),
 //! changes its settings ([`set`]), prepares hosts ([`deploy`]), tells container managers whether a process is
 //! alive ([`probe`]), prints the form of messages ([`schema`]),
 //! runs the method once on a file ([`solve`]), searches for better settings ([`tune`]), replays the recording of a service ([`replay`]), and
@@ -14,6 +15,7 @@ mod deploy;
 mod describe;
 mod doctor;
 mod fleet;
+mod past;
 mod probe;
 mod replay;
 mod robot;
@@ -68,6 +70,12 @@ enum Command {
     Graph(show::graph::GraphArgs),
     /// Show services and robots of the live fleet
     Status(show::ShowArgs),
+    /// Show what a fleet was: its teams at a moment, or how they changed
+    History(past::HistoryArgs),
+    /// Show what happened in a fleet
+    Events(past::EventsArgs),
+    /// Show which robots joined a fleet and left it, when and why
+    Robots(past::RobotsArgs),
     /// Find what is wrong with a fleet, and say what to do
     Doctor(doctor::DoctorArgs),
     /// Ask the process at --http whether it is alive, as a container's health check does
@@ -151,6 +159,11 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Status(args) => {
             console(&config, async |config| show::status::run(args, &config).await)
         }
+        Command::History(args) => {
+            console(&config, async |config| past::history(args, &config).await)
+        }
+        Command::Events(args) => console(&config, async |config| past::events(args, &config).await),
+        Command::Robots(args) => console(&config, async |config| past::robots(args, &config).await),
         Command::Doctor(args) => console(&config, async |config| doctor::run(args, &config).await),
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
         Command::Tune(args) if args.has_file() => tune::of_file(args),

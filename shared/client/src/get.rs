@@ -25,7 +25,7 @@ use crate::reporter::wall_clock;
 
 /// How long replies to a get are waited for: a service that runs answers within milliseconds, and one
 /// on a slow link within seconds.
-const REPLY_TIMEOUT: Duration = Duration::from_secs(3);
+pub(crate) const REPLY_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// The same for the similarity of a pair: the first one computes that of all pairs of the fleet.
 const SIMILARITY_TIMEOUT: Duration = Duration::from_secs(30);
@@ -51,7 +51,7 @@ pub struct FleetPresence {
 }
 
 /// The reason in the error reply of a service.
-fn reason(error: &str) -> String {
+pub(crate) fn reason(error: &str) -> String {
     let text = serde_json::from_str::<Value>(error).ok();
     let text = text.as_ref().and_then(|value| value.get("error")?.as_str());
     plain_reason(text.unwrap_or(error))
@@ -319,11 +319,11 @@ impl Client {
         Ok(messages)
     }
 
-    async fn get(&self, pattern: &Pattern, ask: Ask<'_>) -> Result<Vec<Answer>, Error> {
+    pub(crate) async fn get(&self, pattern: &Pattern, ask: Ask<'_>) -> Result<Vec<Answer>, Error> {
         self.bus().get(pattern, ask).await.map_err(Error::bus)
     }
 
-    fn unanswered(&self, key: impl ToString) -> Error {
+    pub(crate) fn unanswered(&self, key: impl ToString) -> Error {
         Error::Unanswered { key: key.to_string(), fleet: self.bus().space().fleet().clone() }
     }
 }

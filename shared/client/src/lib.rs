@@ -96,7 +96,7 @@
 //! `reporter` checks, numbers and remembers the reports of a robot, `send_queue` is the bounded queue to
 //! the bus, `freshness` decides which message is the newest and when it is stale: none of them knows the
 //! bus, and each is tested without one. [`Watch`] and [`Robot`] connect them to a session; `get` has what a
-//! console asks for once.
+//! console asks for once, `history` what it asks recordings.
 
 mod changes;
 mod client;
@@ -105,6 +105,7 @@ mod error;
 mod feed;
 mod freshness;
 mod get;
+mod history;
 mod reporter;
 mod robot;
 mod send_queue;

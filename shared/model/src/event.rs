@@ -164,6 +164,21 @@ pub enum EventKind {
         /// What is wrong, and the remedy.
         reason: String,
     },
+    /// The history cannot be written as it should be. Records wait, and the oldest go when too many do.
+    HistoryDegraded {
+        /// What is wrong, and the remedy.
+        reason: String,
+    },
+    /// The history is written again.
+    HistoryRecovered {
+        /// How many records were lost meanwhile.
+        lost: u64,
+    },
+    /// A file of the history is damaged. It was put aside, and a new one begins.
+    HistoryDamaged {
+        /// Which file, and what is wrong with it.
+        reason: String,
+    },
 }
 
 /// One event of one service.

@@ -77,6 +77,10 @@ pub const MAX_DOUBTED_ROBOTS: usize = 8;
 /// a twelfth of what an event may hold, and a log line of usual names stays readable.
 pub const MAX_ROBOTS_OF_EVENT: usize = 64;
 
+/// Most rows of one answer of a history: what a console shows, many times over. Further rows are asked for
+/// behind them.
+pub const MAX_HISTORY_ROWS: u32 = 10_000;
+
 /// Most robots that a status lists as having left, the last ones: with the longest names they and their times
 /// are less than half of what a status may hold.
 pub const MAX_DEPARTED_ROBOTS: usize = 256;

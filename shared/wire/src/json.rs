@@ -384,6 +384,11 @@ impl EdgeJson for Event {
     }
 }
 
+/// The fields that say what happened, as `json/event` has them.
+pub(crate) fn event_fields(kind: &EventKind) -> Map<String, Value> {
+    named_variant("event", serde_json::to_value(kind).unwrap_or_default())
+}
+
 /// Turns `{"variant": {fields}}`, nested ones too, into `{name: "variant", fields}`: the form that a
 /// reader in any language expects.
 fn named_variant(name: &str, value: Value) -> Map<String, Value> {

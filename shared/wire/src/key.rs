@@ -63,6 +63,10 @@ pub enum Key {
     // Recordings hold keys and patterns by their number: new ones come last.
     /// `robot/{robot}/refused`: why messages of the robot are refused.
     RobotRefused(RobotId),
+    /// `history/{instance}`: a get answers with what an instance of `historian` has recorded.
+    History(InstanceId),
+    /// `history/{instance}/state`: how far the recording of an instance of `historian` goes.
+    HistoryState(InstanceId),
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -94,6 +98,10 @@ pub enum Pattern {
     UnknownStreams,
     /// `robot/*/refused`
     RobotRefusals,
+    /// `history/*`: the recordings of all instances.
+    Histories,
+    /// `history/*/state`: how far those go.
+    HistoryStates,
 }
 
 /// Why a text is not a key of the fleet.
@@ -167,6 +175,8 @@ impl KeySpace {
             Pattern::Relations => "robot/*/relation/*",
             Pattern::RobotTeams => "robot/*/team",
             Pattern::RobotRefusals => "robot/*/refused",
+            Pattern::Histories => "history/*",
+            Pattern::HistoryStates => "history/*/state",
             Pattern::Graphs => "graph/*",
             Pattern::ServiceTokens => "service/*/*",
             Pattern::InstanceTokens(service) => {
@@ -235,6 +245,10 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("robot"), Some(robot), Some("relation"), Some(modality), None] => {
             Key::Stream(robot.parse().ok()?, Stream::Relation(modality.parse().ok()?))
         }
+        [Some("history"), Some(instance), None, ..] => Key::History(instance.parse().ok()?),
+        [Some("history"), Some(instance), Some("state"), None, _] => {
+            Key::HistoryState(instance.parse().ok()?)
+        }
         [Some("service"), Some(service), Some(last), None, _] => {
             let service = service.parse().ok()?;
             match last {
@@ -272,9 +286,13 @@ impl Pattern {
     pub const fn payload_limit(&self) -> usize {
         match self {
             Self::Stream(_) | Self::UnknownStreams | Self::Relations => MAX_ROBOT_PAYLOAD,
-            Self::RobotTeams | Self::RobotRefusals | Self::Statuses => MAX_SMALL_PAYLOAD,
+            Self::RobotTeams | Self::RobotRefusals | Self::Statuses | Self::HistoryStates => {
+                MAX_SMALL_PAYLOAD
+            }
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
-            Self::Graphs | Self::Everything | Self::Foreign(_) => MAX_SERVICE_PAYLOAD,
+            Self::Graphs | Self::Everything | Self::Foreign(_) | Self::Histories => {
+                MAX_SERVICE_PAYLOAD
+            }
             Self::One(key) => key.payload_limit(),
         }
     }
@@ -292,7 +310,8 @@ impl Key {
             | Self::JsonEvent
             | Self::Settings(_)
             | Self::Status(_)
-            | Self::Lease(_) => MAX_SMALL_PAYLOAD,
+            | Self::Lease(_)
+            | Self::HistoryState(_) => MAX_SMALL_PAYLOAD,
             Self::RobotToken(_) | Self::ServiceToken(..) => 0,
             _ => MAX_SERVICE_PAYLOAD,
         }
@@ -335,6 +354,8 @@ impl fmt::Display for Key {
             Self::ServiceToken(service, instance) => {
                 write!(formatter, "service/{service}/{instance}")
             }
+            Self::History(instance) => write!(formatter, "history/{instance}"),
+            Self::HistoryState(instance) => write!(formatter, "history/{instance}/state"),
             Self::Foreign(key) => key.fmt(formatter),
         }
     }
@@ -367,6 +388,8 @@ mod tests {
             Key::JsonAudit,
             Key::JsonEvent,
             Key::Schema,
+            Key::History(InstanceId::new("host-1").unwrap()),
+            Key::HistoryState(InstanceId::new("host-1").unwrap()),
         ];
         let robot = RobotId::new("r2").unwrap();
         keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));

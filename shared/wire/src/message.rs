@@ -9,6 +9,7 @@ use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Header;
+use muster_model::history::{HistoryAnswer, RecordingState};
 use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::katz::PairSimilarity;
 use muster_model::observation::CheckedReport;
@@ -79,6 +80,10 @@ pub enum Message {
     Settings(Box<AnnouncedSettings>),
     /// The status of a service.
     Status(Box<ServiceStatus>),
+    /// What a history answers.
+    History(Box<HistoryAnswer>),
+    /// How far a recording goes.
+    HistoryState(Box<RecordingState>),
 }
 
 fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
@@ -174,6 +179,8 @@ impl Message {
             | Key::JsonEvent
             | Key::Status(_)
             | Key::RobotRefused(_)
+            | Key::History(_)
+            | Key::HistoryState(_)
             | Key::Schema
             | Key::Stream(..)
             | Key::Foreign(_) => return Err(DecodeError::NotRead),
@@ -219,19 +226,21 @@ impl Message {
             Self::Settings(announced) => (Key::Settings(announced.service), None),
             Self::LeaseRenewal(claim) => (Key::Lease(claim.service), None),
             Self::Status(status) => (Key::Status(status.service), None),
+            Self::History(answer) => (Key::History(answer.instance.clone()), None),
+            Self::HistoryState(state) => (Key::HistoryState(state.instance.clone()), None),
         }
     }
 
     /// What a service puts on the bus for this message: the message, and its JSON mirror.
     ///
-    /// What robots read is written in JSON, everything between services in binary form.
+    /// What robots and consoles read is written in JSON, everything between services in binary form.
     ///
     /// # Errors
     /// [`EnvelopeError`] if the content is larger than its kind may be.
     pub fn publish(&self, now: Tick) -> Result<Vec<Outbound>, EnvelopeError> {
         let (key, mirror) = self.keys();
-        let is_for_robots = matches!(self, Self::RobotTeam(_) | Self::Refused(_));
-        let form = if is_for_robots { Format::Json } else { Format::Binary };
+        let is_json = matches!(self, Self::RobotTeam(_) | Self::Refused(_) | Self::HistoryState(_));
+        let form = if is_json { Format::Json } else { Format::Binary };
         let mut all = vec![self.encode(key, form, now)?];
         let mirrored = !matches!(self, Self::Teams { mirror: false, .. });
         if let Some(mirror) = mirror.filter(|_| mirrored) {
@@ -256,6 +265,8 @@ impl Message {
             | Self::Refused(_)
             | Self::Settings(_)
             | Self::Status(_)
+            | Self::History(_)
+            | Self::HistoryState(_)
             | Self::Katz(_) => Format::Json,
             _ => Format::Binary,
         };
@@ -322,6 +333,8 @@ impl Message {
             Self::Settings(announced) => Ok(announced.settings.clone().into_bytes()),
             Self::LeaseRenewal(claim) => serde_json::to_vec(claim),
             Self::Status(status) => serde_json::to_vec(status),
+            Self::History(answer) => serde_json::to_vec(answer),
+            Self::HistoryState(state) => serde_json::to_vec(state),
         }
     }
 
@@ -344,6 +357,8 @@ impl Message {
             | Self::ServiceToken { .. }
             | Self::Refused(_)
             | Self::Status(_)
+            | Self::History(_)
+            | Self::HistoryState(_)
             | Self::Katz(_) => Err(EnvelopeError::Encode(
                 "this message has no binary form; ask with format=json".to_owned(),
             )),

@@ -8,12 +8,14 @@
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
+use muster_model::history::{HistoryAnswer, RecordingState};
 use muster_model::id::{Modality, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Stream;
 use muster_model::role::LeaseRenewal;
 use muster_model::settings::{
-    AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, Settings,
+    AuditorSettings, ClustererSettings, EmbedderSettings, HistorianSettings, IngestSettings,
+    Settings,
 };
 use muster_model::status::ServiceStatus;
 use schemars::generate::SchemaSettings;
@@ -143,6 +145,9 @@ impl Schemas {
         );
         all.settings::<ClustererSettings>(ServiceName::Clusterer, "");
         all.settings::<AuditorSettings>(ServiceName::Auditor, "good that is less than poor");
+        all.settings::<HistorianSettings>(ServiceName::Historian, "");
+        all.written::<HistoryAnswer>("history", &["history/{instance}"]);
+        all.written::<RecordingState>("history_state", &["history/{instance}/state"]);
         all.written::<Problem<'_>>("error", &[]);
         all
     }

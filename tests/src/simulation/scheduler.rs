@@ -142,7 +142,8 @@ impl World {
             other @ (Command::DeclareToken(_)
             | Command::WithdrawToken(_)
             | Command::Append(_)
-            | Command::LookUp { .. }) => {
+            | Command::LookUp { .. }
+            | Command::Retain(_)) => {
                 // None of the four services has tokens or records of its own.
                 let seen = format!("{} wants {other:?}", self.nodes[index].name());
                 self.require(breach(CONTRACT, seen));
@@ -364,8 +365,9 @@ fn describe(space: &muster_wire::KeySpace, input: &Input) -> String {
         Input::Stored { .. } => "that its state is on the disk".to_owned(),
         Input::Restored(_) => "what it has kept".to_owned(),
         Input::Kept { .. } => "that what it keeps is on the disk".to_owned(),
-        Input::Found { .. } | Input::ProcessCounters(_) | Input::StateLost { .. } => {
-            input.kind().to_owned()
-        }
+        Input::Found { .. }
+        | Input::Recorded(_)
+        | Input::ProcessCounters(_)
+        | Input::StateLost { .. } => input.kind().to_owned(),
     }
 }

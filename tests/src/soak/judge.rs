@@ -344,7 +344,7 @@ impl State {
             Message::Audit(audit) => {
                 if let Some(awaited) = &mut self.awaited
                     && awaited.audit.is_none()
-                    && is_since(&audit.header, &ServiceName::ALL, awaited.since)
+                    && is_since(&audit.header, &ServiceName::PIPELINE, awaited.since)
                 {
                     awaited.audit = Some(now());
                 }

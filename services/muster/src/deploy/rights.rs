@@ -7,6 +7,7 @@
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
+use muster_historian::Historian;
 use muster_ingest::Ingest;
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::observation::Stream;
@@ -58,6 +59,7 @@ fn wiring(service: ServiceName) -> Wiring {
         ServiceName::Embedder => Wiring::of::<Embedder>(),
         ServiceName::Clusterer => Wiring::of::<Clusterer>(),
         ServiceName::Auditor => Wiring::of::<Auditor>(),
+        ServiceName::Historian => Wiring::of::<Historian>(),
     }
 }
 
@@ -145,6 +147,8 @@ fn of_reader(space: &KeySpace, kind: Kind) -> Rights {
             Pattern::One(Key::Audit),
             Pattern::One(Key::JsonTeams),
             Pattern::One(Key::JsonAudit),
+            Pattern::Histories,
+            Pattern::HistoryStates,
         ];
         keys.iter().map(|pattern| space.pattern(pattern)).chain([schema(space)]).collect()
     };
@@ -204,6 +208,7 @@ mod tests {
         check_start::<Embedder>();
         check_start::<Clusterer>();
         check_start::<Auditor>();
+        check_start::<Historian>();
     }
 
     #[test]
@@ -219,6 +224,7 @@ mod tests {
             ("robot/*/refused", "ingest"),
             ("audit", "auditor"),
             ("json/audit", "auditor"),
+            ("history/*/state", "historian"),
         ] {
             for service in ServiceName::ALL {
                 let may = rights(&format!("service.{service}"));
@@ -238,13 +244,15 @@ mod tests {
             ] {
                 assert!(!list.iter().any(|key| key.contains("**")), "{list:?}");
             }
-            // Instances of a service elect their leader on this key.
+            // Instances of a service elect their leader on this key; those of historian have none.
+            let elects = service != ServiceName::Historian;
             let lease = of(&format!("service/{service}/holder"));
             for list in [&may.put, &may.subscribe, &may.get, &may.reply] {
-                assert!(list.contains(&lease), "{list:?}");
+                assert_eq!(list.contains(&lease), elects, "{list:?}");
             }
             let tokens = of(&format!("service/{service}/*"));
-            assert!(may.declare_token == [tokens.clone()] && may.watch_token.contains(&tokens));
+            assert_eq!(may.declare_token, [tokens.clone()]);
+            assert_eq!(may.watch_token.contains(&tokens), elects);
             for other in ServiceName::ALL.iter().filter(|other| **other != service) {
                 let foreign = of(&format!("service/{other}/"));
                 assert!(

@@ -180,9 +180,10 @@ async fn statuses(
 ) -> Result<(Vec<ServiceStatus>, Vec<Instance>), Error> {
     let (mut statuses, mut instances) = (Vec::new(), Vec::new());
     let all = ServiceName::ALL.map(|service| status(client, clock, service));
-    let [first, second, third, fourth] = all;
-    let answers = tokio::try_join!(first, second, third, fourth)?;
-    for (status, clock_offset_s) in [answers.0, answers.1, answers.2, answers.3].concat() {
+    let [first, second, third, fourth, fifth] = all;
+    let answers = tokio::try_join!(first, second, third, fourth, fifth)?;
+    let answers = [answers.0, answers.1, answers.2, answers.3, answers.4];
+    for (status, clock_offset_s) in answers.concat() {
         instances.push(Instance {
             service: status.service,
             instance: status.instance.clone(),

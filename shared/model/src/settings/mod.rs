@@ -7,6 +7,7 @@
 mod auditor;
 mod clusterer;
 mod embedder;
+mod historian;
 mod ingest;
 mod team_count;
 
@@ -21,6 +22,7 @@ pub use embedder::{
     SingularValueScaling, Trusted, WEIGHT_SUM_TOLERANCE, WHOLE_FROM, check_reciprocity,
     check_weights, coverage, default_weight,
 };
+pub use historian::HistorianSettings;
 pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialScale,
     SpatialSettings,
@@ -176,6 +178,7 @@ mod tests {
         assert_eq!(EmbedderSettings::default().check(), Ok(()));
         assert_eq!(ClustererSettings::default().check(), Ok(()));
         assert_eq!(AuditorSettings::default().check(), Ok(()));
+        assert_eq!(HistorianSettings::default().check(), Ok(()));
     }
 
     #[test]

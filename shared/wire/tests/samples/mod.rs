@@ -13,6 +13,11 @@ use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode, Embeddin
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision, StageTime};
+use muster_model::history::{
+    Coverage, DivisionRow, EventCoverage, EventRow, HistoryAnswer, LeaveReason, PastAudit,
+    PastDivision, PastTeam, PlaceRow, RecordingState, Rows, SnapshotCause, StayRow, TeamMean,
+    TeamRow,
+};
 use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
@@ -272,7 +277,124 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ),
         ("status", Message::Status(Box::new(status))),
         ("katz", Message::Katz(Box::new(pair))),
+        ("history", Message::History(Box::new(history()))),
+        ("history_state", Message::HistoryState(Box::new(history_state()))),
     ]
+}
+
+fn history() -> HistoryAnswer {
+    let audit = PastAudit {
+        sequence: 41,
+        at: Tick(NOW.0 - 20_000_000),
+        division: revision(42),
+        mean: Some(0.5),
+        physical_mean: None,
+        verdict: Quality::Good,
+        per_team: vec![TeamMean { team: team("t1"), mean: 0.5 }],
+    };
+    let division = PastDivision {
+        sequence: 40,
+        at: Tick(NOW.0 - 30_000_000),
+        revision: revision(42),
+        requested: 2,
+        teams: vec![PastTeam {
+            id: team("t1"),
+            members: vec![robot("r1"), robot("r2")],
+            leader: Some(robot("r1")),
+        }],
+        unassigned: vec![robot("r3")],
+        stale: vec![robot("r2")],
+        audit: Some(audit),
+    };
+    HistoryAnswer {
+        fleet: fleet(),
+        instance: InstanceId::new("host-1").unwrap(),
+        recorded_from: Some(Tick(NOW.0 - 60_000_000)),
+        recorded_through: Some(NOW),
+        before: None,
+        rows: Rows::AsOf(Some(Box::new(division))),
+    }
+}
+
+/// One of every kind of rows that a history answers, by name, but the division at a moment.
+pub fn history_rows() -> Vec<(&'static str, Rows)> {
+    let at = Tick(NOW.0 - 30_000_000);
+    let division = DivisionRow {
+        sequence: 40,
+        at,
+        revision: revision(42),
+        requested: 2,
+        teams: 2,
+        robots: 3,
+        changed: 1,
+        snapshot: Some(SnapshotCause::Gap),
+    };
+    let place = PlaceRow {
+        sequence: 40,
+        at,
+        team: Some(team("t1")),
+        was: None,
+        present: true,
+        stale: false,
+        snapshot: None,
+    };
+    let of_team = TeamRow {
+        sequence: 40,
+        at,
+        leader: Some(robot("r1")),
+        members: 2,
+        came: vec![robot("r2")],
+        went: vec![robot("r3")],
+    };
+    let event = EventRow {
+        sequence: 41,
+        at,
+        source: ServiceName::Ingest,
+        revision: revision(7),
+        severity: Severity::Warning,
+        event: "robot_left".to_owned(),
+        detail: r#"{"robot":"r3"}"#.to_owned(),
+    };
+    let stay = StayRow {
+        sequence: 3,
+        robot: robot("r3"),
+        joined: Some(Tick(NOW.0 - 60_000_000)),
+        recorded: Tick(NOW.0 - 60_000_000),
+        left: Some(at),
+        last_seen: Some(Tick(at.0 - 10_000_000)),
+        reason: Some(LeaveReason::Disconnected),
+    };
+    vec![
+        ("divisions", Rows::Divisions(vec![division])),
+        ("robot", Rows::Robot(vec![place])),
+        ("team", Rows::Team(vec![of_team])),
+        ("events", Rows::Events(vec![event])),
+        ("robots", Rows::Robots(vec![stay])),
+    ]
+}
+
+/// An answer of a history with these rows, and more behind them.
+pub fn history_of(rows: Rows) -> Message {
+    Message::History(Box::new(HistoryAnswer { rows, before: Some(40), ..history() }))
+}
+
+fn history_state() -> RecordingState {
+    let coverage = Coverage {
+        recorded_from: Some(Tick(NOW.0 - 60_000_000)),
+        recorded_through: Some(NOW),
+        sequence: 42,
+        division: Some(revision(42)),
+        audit: Some(revision(17)),
+        events: vec![EventCoverage { source: ServiceName::Ingest, revision: revision(5) }],
+        bytes: 4096,
+    };
+    RecordingState {
+        fleet: fleet(),
+        instance: InstanceId::new("host-1").unwrap(),
+        coverage,
+        lost: 3,
+        degraded: Some("the disk is full".to_owned()),
+    }
 }
 
 /// One of every kind of event; the changes of a division with every kind of change.
@@ -318,6 +440,9 @@ pub fn event_kinds() -> Vec<EventKind> {
         EventKind::RobotsRecovered { count: 2, robots: vec![r1(), robot("r2")] },
         EventKind::RobotsLeft { count: 2, robots: vec![r1(), robot("r2")] },
         EventKind::StateLost { reason: "term.json: cannot be read".to_owned() },
+        EventKind::HistoryDegraded { reason: "the disk is full".to_owned() },
+        EventKind::HistoryRecovered { lost: 3 },
+        EventKind::HistoryDamaged { reason: "history.sqlite: malformed".to_owned() },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));
     kinds

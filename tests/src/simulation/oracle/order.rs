@@ -46,7 +46,7 @@ impl Order {
     /// Until a moment, an instance of a service, or of any if none is named, may not receive the lease
     /// renewals of another one, or receives forged messages.
     pub(crate) fn disturbed(&mut self, service: Option<ServiceName>, until: Micros) {
-        for other in ServiceName::ALL {
+        for other in ServiceName::PIPELINE {
             if service.is_none_or(|service| service == other) {
                 let before = self.disturbed_until.entry(other).or_default();
                 *before = until.max(*before);
