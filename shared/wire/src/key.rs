@@ -63,6 +63,10 @@ pub enum Key {
     // Recordings hold keys and patterns by their number: new ones come last.
     /// `robot/{robot}/refused`: why messages of the robot are refused.
     RobotRefused(RobotId),
+    /// `alerts`: all open alerts; a get with a payload acknowledges one.
+    Alerts,
+    /// `json/alerts`: all open alerts as JSON.
+    JsonAlerts,
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -218,10 +222,12 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("teams"), None, ..] => Key::Teams,
         [Some("audit"), None, ..] => Key::Audit,
         [Some("event"), None, ..] => Key::Event,
+        [Some("alerts"), None, ..] => Key::Alerts,
         [Some("schema"), None, ..] => Key::Schema,
         [Some("json"), Some("teams"), None, ..] => Key::JsonTeams,
         [Some("json"), Some("audit"), None, ..] => Key::JsonAudit,
         [Some("json"), Some("event"), None, ..] => Key::JsonEvent,
+        [Some("json"), Some("alerts"), None, ..] => Key::JsonAlerts,
         [Some("graph"), Some(modality), None, ..] => Key::Graph(modality.parse().ok()?),
         [Some("robot"), Some(robot), None, ..] => Key::RobotToken(robot.parse().ok()?),
         [Some("robot"), Some(robot), Some(stream), None, _] => {
@@ -328,6 +334,8 @@ impl fmt::Display for Key {
             Self::JsonTeams => formatter.write_str("json/teams"),
             Self::JsonAudit => formatter.write_str("json/audit"),
             Self::JsonEvent => formatter.write_str("json/event"),
+            Self::Alerts => formatter.write_str("alerts"),
+            Self::JsonAlerts => formatter.write_str("json/alerts"),
             Self::Schema => formatter.write_str("schema"),
             Self::Settings(service) => write!(formatter, "service/{service}/settings"),
             Self::Status(service) => write!(formatter, "service/{service}/status"),
@@ -367,6 +375,8 @@ mod tests {
             Key::JsonAudit,
             Key::JsonEvent,
             Key::Schema,
+            Key::Alerts,
+            Key::JsonAlerts,
         ];
         let robot = RobotId::new("r2").unwrap();
         keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));

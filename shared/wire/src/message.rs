@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::{Checked, Content};
 use muster_model::embedding::Embedding;
@@ -79,6 +80,8 @@ pub enum Message {
     Settings(Box<AnnouncedSettings>),
     /// The status of a service.
     Status(Box<ServiceStatus>),
+    /// All open alerts.
+    Alerts(Arc<Alerts>),
 }
 
 fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
@@ -158,6 +161,11 @@ impl Message {
                 Self::Audit(Arc::new(audit))
             }
             Key::Event => Self::Event(binary(format, bytes)?),
+            Key::Alerts => {
+                let alerts: Alerts = binary(format, bytes)?;
+                alerts.check()?;
+                Self::Alerts(Arc::new(alerts))
+            }
             Key::Settings(service) => {
                 let announced: AnnouncedSettings = binary(format, bytes)?;
                 agree(&service, &announced.service, "services")?;
@@ -172,6 +180,7 @@ impl Message {
             Key::JsonTeams
             | Key::JsonAudit
             | Key::JsonEvent
+            | Key::JsonAlerts
             | Key::Status(_)
             | Key::RobotRefused(_)
             | Key::Schema
@@ -195,6 +204,7 @@ impl Message {
             Self::Event(event) => Some(&event.header),
             Self::Settings(announced) => Some(&announced.header),
             Self::LeaseRenewal(claim) => Some(&claim.header),
+            Self::Alerts(alerts) => Some(&alerts.header),
             _ => None,
         }
     }
@@ -219,6 +229,7 @@ impl Message {
             Self::Settings(announced) => (Key::Settings(announced.service), None),
             Self::LeaseRenewal(claim) => (Key::Lease(claim.service), None),
             Self::Status(status) => (Key::Status(status.service), None),
+            Self::Alerts(_) => (Key::Alerts, Some(Key::JsonAlerts)),
         }
     }
 
@@ -322,6 +333,7 @@ impl Message {
             Self::Settings(announced) => Ok(announced.settings.clone().into_bytes()),
             Self::LeaseRenewal(claim) => serde_json::to_vec(claim),
             Self::Status(status) => serde_json::to_vec(status),
+            Self::Alerts(alerts) => alerts.to_json(now),
         }
     }
 
@@ -340,6 +352,7 @@ impl Message {
             Self::Event(event) => named(event),
             Self::Settings(announced) => named(announced.as_ref()),
             Self::LeaseRenewal(claim) => named(claim.as_ref()),
+            Self::Alerts(alerts) => named(alerts.as_ref()),
             Self::RobotToken { .. }
             | Self::ServiceToken { .. }
             | Self::Refused(_)

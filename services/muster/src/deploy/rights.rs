@@ -129,7 +129,8 @@ fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
     rights
 }
 
-/// A get of settings may carry a change, which a router cannot distinguish: a viewer may not get them.
+/// A get of settings may carry a change, and one of alerts an acknowledgement, which a router cannot distinguish: a
+/// viewer may not get them.
 fn of_reader(space: &KeySpace, kind: Kind) -> Rights {
     let everything = space.pattern(&Pattern::Everything);
     let get = if kind == Kind::Operator {
@@ -145,6 +146,7 @@ fn of_reader(space: &KeySpace, kind: Kind) -> Rights {
             Pattern::One(Key::Audit),
             Pattern::One(Key::JsonTeams),
             Pattern::One(Key::JsonAudit),
+            Pattern::One(Key::JsonAlerts),
         ];
         keys.iter().map(|pattern| space.pattern(pattern)).chain([schema(space)]).collect()
     };

@@ -30,6 +30,7 @@ pub(crate) fn check(message: &Message) -> Verified {
         Message::LeaseRenewal(claim) => claim.serialize(Walker),
         Message::Settings(announced) => announced.serialize(Walker),
         Message::Status(status) => status.serialize(Walker),
+        Message::Alerts(alerts) => alerts.serialize(Walker),
     };
     match walked {
         Ok(()) => Ok(()),
