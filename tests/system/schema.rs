@@ -79,7 +79,7 @@ async fn every_service_serves_the_schema_that_the_command_prints() {
     validated(&printed, &alone, &[]);
     let (code, _, err) = run("muster", &["schema", "poses"], Duration::from_secs(20)).unwrap();
     assert_eq!(code, Some(2));
-    assert!(err.contains("there are audit"), "{err}");
+    assert!(err.contains("there are alert"), "{err}");
 }
 
 #[test]

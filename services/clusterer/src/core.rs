@@ -7,6 +7,7 @@ mod output;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
@@ -82,6 +83,8 @@ pub struct Clusterer {
     roster: Option<Checked<Roster>>,
     /// What the auditor last published, in case it is gone.
     audit: Option<Arc<Audit>>,
+    /// The open alerts, as the auditor last published them.
+    alerts: Option<Arc<Alerts>>,
     flight: SingleFlight<Task>,
     /// The last good answer; of the leader before until this one has its own.
     division: Option<Checked<Teams>>,
@@ -216,6 +219,12 @@ impl Clusterer {
         {
             messages.push(Message::Audit(Arc::clone(audit)));
         }
+        // An acknowledgement is for the auditor alone.
+        if let Some(alerts) = self.alerts.as_ref().filter(|_| request.payload.is_none())
+            && (selects(&Key::Alerts) || selects(&Key::JsonAlerts))
+        {
+            messages.push(Message::Alerts(Arc::clone(alerts)));
+        }
         Ok(messages)
     }
 }
@@ -231,12 +240,13 @@ impl Core for Clusterer {
     fn wiring() -> Wiring {
         let subscription =
             |key| Subscription { pattern: Pattern::One(key), delivery: Delivery::Latest };
-        let cached = [Key::Embedding, Key::Roster, Key::Audit, Key::JsonAudit].map(Pattern::One);
+        let outputs = [Key::Audit, Key::JsonAudit, Key::Alerts, Key::JsonAlerts];
+        let cached = [Key::Embedding, Key::Roster].into_iter().chain(outputs).map(Pattern::One);
         let own = [Pattern::One(Key::Teams), Pattern::One(Key::JsonTeams), Pattern::RobotTeams];
         let served = own.map(ServedKey::own).into_iter().chain(cached.map(ServedKey::cached));
         Wiring {
             // A standby keeps the division of the leader.
-            subscriptions: [Key::Embedding, Key::Roster, Key::Audit, Key::Teams]
+            subscriptions: [Key::Embedding, Key::Roster, Key::Audit, Key::Teams, Key::Alerts]
                 .map(subscription)
                 .to_vec(),
             tokens: vec![],
@@ -410,6 +420,7 @@ impl Core for Clusterer {
             self.newest.is_some(),
             self.roster.is_some(),
             self.audit.is_some(),
+            self.alerts.is_some(),
             self.division.is_some(),
             self.received_by_others.is_some(),
             self.divided.is_some(),

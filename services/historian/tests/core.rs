@@ -71,6 +71,9 @@ fn audit(epoch: u64, mean: f64, quality: Quality) -> Message {
     let in_embedding =
         SilhouetteReport { mean: Some(mean), ..SilhouetteReport::undefined(Space::Embedding) };
     Message::Audit(std::sync::Arc::new(Audit {
+        graphs: None,
+        losses: vec![],
+        per_team: vec![],
         header: header(epoch),
         teams: header(epoch).revision,
         embedding: Revision::default(),

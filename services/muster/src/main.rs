@@ -9,6 +9,7 @@
 //! it composes them and adds nothing to them. It talks to a fleet through `muster-client` ([`console`]);
 //! only what runs services or a router, and the doctor's probe of a router, know the bus.
 
+mod alerts;
 mod console;
 mod demo;
 mod deploy;
@@ -66,6 +67,8 @@ enum Command {
     Teams(show::ShowArgs),
     /// Show the silhouettes of the live division
     Audit(show::ShowArgs),
+    /// Show open alerts, or say that they have been seen
+    Alerts(alerts::AlertsArgs),
     /// Show the graphs of the live fleet
     Graph(show::graph::GraphArgs),
     /// Show services and robots of the live fleet
@@ -153,6 +156,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Audit(args) => {
             console(&config, async |config| show::audit::run(args, &config).await)
         }
+        Command::Alerts(args) => console(&config, async |config| alerts::run(args, &config).await),
         Command::Graph(args) => {
             console(&config, async |config| show::graph::run(args, &config).await)
         }

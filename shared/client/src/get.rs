@@ -5,11 +5,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_bus::{Answer, Ask, Target};
+use muster_model::alert::{AcknowledgeAlert, Alert, Alerts};
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
-use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
+use muster_model::id::{FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName};
 use muster_model::katz::PairSimilarity;
 use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
@@ -84,6 +85,51 @@ impl Client {
             _ => None,
         })
         .await
+    }
+
+    /// The newest list of open alerts that anybody knows.
+    ///
+    /// # Errors
+    /// [`Error::Unanswered`] without a reply, [`Error::Bus`] if the bus fails.
+    pub async fn get_alerts(&self) -> Result<Arc<Alerts>, Error> {
+        self.newest(Key::Alerts, |message| match message {
+            Message::Alerts(alerts) => Some(alerts),
+            _ => None,
+        })
+        .await
+    }
+
+    /// Says that an operator has seen an alert, and returns the list of open alerts.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] if no such alert is open, [`Error::Unanswered`] if `auditor` does not run,
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn acknowledge_alert(
+        &self,
+        operator: &OperatorId,
+        alert: u64,
+    ) -> Result<Arc<Alerts>, Error> {
+        let request = AcknowledgeAlert { operator: operator.clone(), alert };
+        let payload = serde_json::to_vec(&request).map_err(Error::bus)?;
+        let ask = Ask { payload: Some(&payload), ..ask_for("format=bincode", Target::Complete) };
+        let mut refused = None;
+        for answer in self.get(&Pattern::One(Key::Alerts), ask).await? {
+            match answer {
+                Answer::Packet(packet) => match Message::decode(self.bus().space(), &packet) {
+                    // Without the auditor others may answer, who cannot acknowledge anything.
+                    Ok(Message::Alerts(alerts)) if is_acknowledged(&alerts, &request) => {
+                        return Ok(alerts);
+                    }
+                    Ok(_) => {}
+                    Err(rejection) => return Err(Error::bus(rejection.reason)),
+                },
+                Answer::Error(error) => {
+                    let service = ServiceName::Auditor;
+                    refused = Some(Error::Refused { service, reason: reason(&error) });
+                }
+            }
+        }
+        Err(refused.unwrap_or_else(|| self.unanswered(Key::Alerts)))
     }
 
     /// The newest roster that anybody knows.
@@ -326,6 +372,12 @@ impl Client {
     pub(crate) fn unanswered(&self, key: impl ToString) -> Error {
         Error::Unanswered { key: key.to_string(), fleet: self.bus().space().fleet().clone() }
     }
+}
+
+fn is_acknowledged(alerts: &Alerts, request: &AcknowledgeAlert) -> bool {
+    let by = |alert: &Alert| alert.acknowledged.as_ref().map(|by| by.operator.clone());
+    let mut open = alerts.open.iter();
+    open.any(|alert| alert.id == request.alert && by(alert).as_ref() == Some(&request.operator))
 }
 
 fn ask_for(parameters: &str, target: Target) -> Ask<'_> {

@@ -49,7 +49,13 @@ impl Client {
     /// # Errors
     /// [`Error::Bus`] if the bus fails.
     pub async fn get_history_states(&self) -> Result<Vec<RecordingState>, Error> {
-        let ask = Ask { parameters: "", payload: None, within: REPLY_TIMEOUT, target: Target::All };
+        let ask = Ask {
+            parameters: "",
+            payload: None,
+            within: REPLY_TIMEOUT,
+            further_within: None,
+            target: Target::All,
+        };
         let mut states = Vec::new();
         for answer in self.get(&Pattern::HistoryStates, ask).await? {
             let Answer::Packet(packet) = answer else { continue };
@@ -72,6 +78,7 @@ impl Client {
             parameters: &parameters,
             payload: None,
             within: REPLY_TIMEOUT,
+            further_within: None,
             target: Target::All,
         };
         let (mut answers, mut refused) = (Vec::new(), None);

@@ -145,6 +145,10 @@ id!(
     "One running process of a service."
     InstanceId
 );
+id!(
+    "A person, or a program in its place, who commands a fleet."
+    OperatorId
+);
 
 impl Modality {
     /// The modalities that every fleet has.

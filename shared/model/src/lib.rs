@@ -11,6 +11,7 @@
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
+pub mod alert;
 pub mod audit;
 pub mod content;
 pub mod embedding;
@@ -30,6 +31,7 @@ pub mod roster;
 mod schema;
 pub mod settings;
 pub mod status;
+pub mod team_audit;
 pub mod teams;
 pub mod term;
 pub mod time;

@@ -84,3 +84,24 @@ pub const MAX_HISTORY_ROWS: u32 = 10_000;
 /// Most robots that a status lists as having left, the last ones: with the longest names they and their times
 /// are less than half of what a status may hold.
 pub const MAX_DEPARTED_ROBOTS: usize = 256;
+
+/// Most robots of a team that an audit lists because the team falls apart without them: those that matter most.
+pub const MAX_CUT_ROBOTS: usize = 16;
+
+/// Most losses that an audit lists: as many as an operator reads, and prepares for.
+pub const MAX_LOSSES: usize = 10;
+
+/// Most parts of a team whose sizes an audit lists for a loss. Without the centre of a star there are as many as
+/// robots.
+pub const MAX_LOSS_PARTS: usize = 8;
+
+/// Most alerts that are open at once: more than one of each kind for hundreds of teams. Beyond them none is raised
+/// until others end, which is counted.
+pub const MAX_OPEN_ALERTS: usize = 4096;
+
+/// Most robots that an alert lists: as many as fit a line.
+pub const MAX_ALERT_ROBOTS: usize = 16;
+
+/// Most events of alerts that an auditor publishes within any minute: what an operator can follow. The list of open alerts
+/// is whole whatever happens.
+pub const MAX_ALERT_EVENTS_PER_MINUTE: usize = 20;

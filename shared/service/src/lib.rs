@@ -14,6 +14,7 @@ mod core;
 mod facilities;
 mod failures;
 mod fetches;
+pub mod following;
 mod gets;
 mod host;
 pub mod inbox;

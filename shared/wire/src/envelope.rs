@@ -6,6 +6,7 @@
 
 use bincode::config::{Configuration, Limit};
 use bincode::error::DecodeError;
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
@@ -119,6 +120,7 @@ kinds! {
     11 Event, "Event", MAX_SMALL_PAYLOAD;
     12 AnnouncedSettings, "Settings", MAX_SMALL_PAYLOAD;
     13 LeaseRenewal, "Claim", MAX_SMALL_PAYLOAD;
+    16 Alerts, "Alerts", MAX_SERVICE_PAYLOAD;
 }
 
 /// Writes a message.

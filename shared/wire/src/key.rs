@@ -67,6 +67,10 @@ pub enum Key {
     History(InstanceId),
     /// `history/{instance}/state`: how far the recording of an instance of `historian` goes.
     HistoryState(InstanceId),
+    /// `alerts`: all open alerts; a get with a payload acknowledges one.
+    Alerts,
+    /// `json/alerts`: all open alerts as JSON.
+    JsonAlerts,
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -228,10 +232,12 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("teams"), None, ..] => Key::Teams,
         [Some("audit"), None, ..] => Key::Audit,
         [Some("event"), None, ..] => Key::Event,
+        [Some("alerts"), None, ..] => Key::Alerts,
         [Some("schema"), None, ..] => Key::Schema,
         [Some("json"), Some("teams"), None, ..] => Key::JsonTeams,
         [Some("json"), Some("audit"), None, ..] => Key::JsonAudit,
         [Some("json"), Some("event"), None, ..] => Key::JsonEvent,
+        [Some("json"), Some("alerts"), None, ..] => Key::JsonAlerts,
         [Some("graph"), Some(modality), None, ..] => Key::Graph(modality.parse().ok()?),
         [Some("robot"), Some(robot), None, ..] => Key::RobotToken(robot.parse().ok()?),
         [Some("robot"), Some(robot), Some(stream), None, _] => {
@@ -347,6 +353,8 @@ impl fmt::Display for Key {
             Self::JsonTeams => formatter.write_str("json/teams"),
             Self::JsonAudit => formatter.write_str("json/audit"),
             Self::JsonEvent => formatter.write_str("json/event"),
+            Self::Alerts => formatter.write_str("alerts"),
+            Self::JsonAlerts => formatter.write_str("json/alerts"),
             Self::Schema => formatter.write_str("schema"),
             Self::Settings(service) => write!(formatter, "service/{service}/settings"),
             Self::Status(service) => write!(formatter, "service/{service}/status"),
@@ -390,6 +398,8 @@ mod tests {
             Key::Schema,
             Key::History(InstanceId::new("host-1").unwrap()),
             Key::HistoryState(InstanceId::new("host-1").unwrap()),
+            Key::Alerts,
+            Key::JsonAlerts,
         ];
         let robot = RobotId::new("r2").unwrap();
         keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));

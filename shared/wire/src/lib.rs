@@ -11,6 +11,7 @@
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
+pub mod alerts;
 mod bytes;
 pub mod decode;
 pub mod envelope;

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::{Checked, Content};
 use muster_model::embedding::Embedding;
@@ -84,6 +85,8 @@ pub enum Message {
     History(Box<HistoryAnswer>),
     /// How far a recording goes.
     HistoryState(Box<RecordingState>),
+    /// All open alerts.
+    Alerts(Arc<Alerts>),
 }
 
 fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
@@ -163,6 +166,11 @@ impl Message {
                 Self::Audit(Arc::new(audit))
             }
             Key::Event => Self::Event(binary(format, bytes)?),
+            Key::Alerts => {
+                let alerts: Alerts = binary(format, bytes)?;
+                alerts.check()?;
+                Self::Alerts(Arc::new(alerts))
+            }
             Key::Settings(service) => {
                 let announced: AnnouncedSettings = binary(format, bytes)?;
                 agree(&service, &announced.service, "services")?;
@@ -177,6 +185,7 @@ impl Message {
             Key::JsonTeams
             | Key::JsonAudit
             | Key::JsonEvent
+            | Key::JsonAlerts
             | Key::Status(_)
             | Key::RobotRefused(_)
             | Key::History(_)
@@ -202,6 +211,7 @@ impl Message {
             Self::Event(event) => Some(&event.header),
             Self::Settings(announced) => Some(&announced.header),
             Self::LeaseRenewal(claim) => Some(&claim.header),
+            Self::Alerts(alerts) => Some(&alerts.header),
             _ => None,
         }
     }
@@ -228,6 +238,7 @@ impl Message {
             Self::Status(status) => (Key::Status(status.service), None),
             Self::History(answer) => (Key::History(answer.instance.clone()), None),
             Self::HistoryState(state) => (Key::HistoryState(state.instance.clone()), None),
+            Self::Alerts(_) => (Key::Alerts, Some(Key::JsonAlerts)),
         }
     }
 
@@ -335,6 +346,7 @@ impl Message {
             Self::Status(status) => serde_json::to_vec(status),
             Self::History(answer) => serde_json::to_vec(answer),
             Self::HistoryState(state) => serde_json::to_vec(state),
+            Self::Alerts(alerts) => alerts.to_json(now),
         }
     }
 
@@ -353,6 +365,7 @@ impl Message {
             Self::Event(event) => named(event),
             Self::Settings(announced) => named(announced.as_ref()),
             Self::LeaseRenewal(claim) => named(claim.as_ref()),
+            Self::Alerts(alerts) => named(alerts.as_ref()),
             Self::RobotToken { .. }
             | Self::ServiceToken { .. }
             | Self::Refused(_)

@@ -8,6 +8,7 @@
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
+use muster_model::alert::AcknowledgeAlert;
 use muster_model::history::{HistoryAnswer, RecordingState};
 use muster_model::id::{Modality, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
@@ -25,8 +26,8 @@ use serde_json::{Map, Value, json};
 
 use crate::envelope::MAX_SMALL_PAYLOAD;
 use crate::json::{
-    AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm, RobotTeamForm,
-    RosterForm, TeamsForm,
+    AlertsForm, AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm,
+    RobotTeamForm, RosterForm, TeamsForm,
 };
 use crate::report;
 
@@ -127,6 +128,12 @@ impl Schemas {
         all.written::<TeamsForm<'_>>("teams", &["json/teams", "teams?format=json"]);
         all.written::<AuditForm<'_>>("audit", &["json/audit", "audit?format=json"]);
         all.written::<EventForm<'_>>("event", &["json/event"]);
+        all.written::<AlertsForm<'_>>("alerts", &["json/alerts", "alerts?format=json"]);
+        all.read::<AcknowledgeAlert>(
+            "alert_acknowledgement",
+            &["alerts (payload of a get)"],
+            "alerts that are not open",
+        );
         all.written::<GraphForm<'_>>("graph", &["graph/{modality}?format=json"]);
         all.written::<RosterForm<'_>>("roster", &["roster?format=json"]);
         all.written::<EmbeddingForm<'_>>("embedding", &["embedding?format=json"]);

@@ -376,6 +376,9 @@ impl Author {
             in_physical: report(Space::Physical, draw),
             quality: Quality::Fair,
             flapping: Flapping::default(),
+            graphs: None,
+            per_team: Vec::new(),
+            losses: Vec::new(),
         }
     }
 

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
@@ -20,6 +21,7 @@ impl Clusterer {
             Message::Embedding(embedding) => self.accept_embedding(context, embedding),
             Message::Roster(roster) => self.accept_roster(context, roster),
             Message::Audit(audit) => self.accept_audit(audit),
+            Message::Alerts(alerts) => self.accept_alerts(alerts),
             Message::Teams { teams, .. } => self.accept_teams(context, &teams),
             _ => {}
         }
@@ -47,6 +49,13 @@ impl Clusterer {
         let last = self.audit.as_ref().map(|audit| audit.header.revision);
         if last.is_none_or(|last| audit.header.revision > last) {
             self.audit = Some(audit);
+        }
+    }
+
+    fn accept_alerts(&mut self, alerts: Arc<Alerts>) {
+        let last = self.alerts.as_ref().map(|alerts| alerts.header.revision);
+        if last.is_none_or(|last| alerts.header.revision > last) {
+            self.alerts = Some(alerts);
         }
     }
 

@@ -6,8 +6,9 @@ use super::*;
 fn the_wiring_is_that_of_the_service() {
     let wiring = Clusterer::wiring();
     let patterns: Vec<_> = wiring.subscriptions.iter().map(|s| s.pattern.clone()).collect();
-    assert_eq!(patterns, [Key::Embedding, Key::Roster, Key::Audit, Key::Teams].map(Pattern::One));
-    for key in [Key::Audit, Key::JsonAudit] {
+    let keys = [Key::Embedding, Key::Roster, Key::Audit, Key::Teams, Key::Alerts];
+    assert_eq!(patterns, keys.map(Pattern::One));
+    for key in [Key::Audit, Key::JsonAudit, Key::Alerts, Key::JsonAlerts] {
         assert!(wiring.served.contains(&ServedKey::cached(Pattern::One(key))));
     }
     assert!(wiring.served.contains(&ServedKey::own(Pattern::RobotTeams)));

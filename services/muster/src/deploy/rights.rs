@@ -131,7 +131,8 @@ fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
     rights
 }
 
-/// A get of settings may carry a change, which a router cannot distinguish: a viewer may not get them.
+/// A get of settings may carry a change, and one of alerts an acknowledgement, which a router cannot distinguish: a
+/// viewer may not get them.
 fn of_reader(space: &KeySpace, kind: Kind) -> Rights {
     let everything = space.pattern(&Pattern::Everything);
     let get = if kind == Kind::Operator {
@@ -149,6 +150,7 @@ fn of_reader(space: &KeySpace, kind: Kind) -> Rights {
             Pattern::One(Key::JsonAudit),
             Pattern::Histories,
             Pattern::HistoryStates,
+            Pattern::One(Key::JsonAlerts),
         ];
         keys.iter().map(|pattern| space.pattern(pattern)).chain([schema(space)]).collect()
     };

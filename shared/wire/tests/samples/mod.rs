@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use muster_model::alert::{Acknowledgement, Alert, AlertKind, AlertSubject, Alerts};
 use muster_model::audit::{
     Audit, Flapping, Quality, RobotReturns, SilhouetteMethod, SilhouetteReport, Space,
 };
@@ -18,13 +19,14 @@ use muster_model::history::{
     PastDivision, PastTeam, PlaceRow, RecordingState, Rows, SnapshotCause, StayRow, TeamMean,
     TeamRow,
 };
-use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
+use muster_model::id::{FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
 use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::status::{Departure, ServiceStatus};
+use muster_model::team_audit::{Conductance, LeastFitting, Loss, Radio, Spread, TeamAudit};
 use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
@@ -204,6 +206,36 @@ pub fn all() -> Vec<(&'static str, Message)> {
             returns_per_robot_minute: 1.5,
             robots: vec![RobotReturns { robot: robot("r1"), returns: 3 }],
         },
+        graphs: Some(revision(42)),
+        per_team: vec![TeamAudit {
+            team: team("t1"),
+            robots: 3,
+            stale: 1,
+            leader_stale: true,
+            silhouette: Some(0.5),
+            least: Some(LeastFitting { robot: robot("r1"), silhouette: -0.25 }),
+            conductance: vec![Conductance { modality: Modality::hierarchy(), conductance: 0.125 }],
+            radio: Some(Radio {
+                parts: 2,
+                reached_by_leader: 0,
+                cut_robot_count: 1,
+                cut_robots: vec![robot("r1")],
+                bridges: 2,
+                worst_cut: 0.5,
+            }),
+            heads: 1,
+            only_head: Some(robot("r1")),
+            spread: Some(Spread { rms_m: 2.5, largest_m: 4.0 }),
+        }],
+        losses: vec![Loss {
+            robot: robot("r1"),
+            team: team("t1"),
+            part_count: 2,
+            parts: vec![5, 4],
+            cut_off: 4,
+            is_leader: true,
+            is_only_head: false,
+        }],
     };
     let event = |kind| {
         Message::Event(Event {
@@ -279,6 +311,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ("katz", Message::Katz(Box::new(pair))),
         ("history", Message::History(Box::new(history()))),
         ("history_state", Message::HistoryState(Box::new(history_state()))),
+        ("alerts", Message::Alerts(Arc::new(alerts()))),
     ]
 }
 
@@ -397,6 +430,33 @@ fn history_state() -> RecordingState {
     }
 }
 
+fn alerts() -> Alerts {
+    let cut_off = Alert {
+        id: 7,
+        kind: AlertKind::CutOff,
+        subject: AlertSubject::Team(team("t1")),
+        raised: Tick(NOW.0 - 5_000_000),
+        value: 2.0,
+        threshold: 2.0,
+        reason: "no link joins the 2 parts of t1; its leader reaches 1 of 3 robots".to_owned(),
+        robots: vec![robot("r1")],
+        acknowledged: Some(Acknowledgement {
+            operator: OperatorId::new("kim").unwrap(),
+            at: Tick(NOW.0 - 1_000_000),
+        }),
+    };
+    let doubted = Alert {
+        id: 8,
+        kind: AlertKind::ModalityDoubted,
+        subject: AlertSubject::Modality(Modality::spatial()),
+        value: 0.25,
+        threshold: 0.5,
+        acknowledged: None,
+        ..cut_off.clone()
+    };
+    Alerts { header: header(48), next_id: 9, folded: 3, open: vec![cut_off, doubted] }
+}
+
 /// One of every kind of event; the changes of a division with every kind of change.
 pub fn event_kinds() -> Vec<EventKind> {
     let r1 = || robot("r1");
@@ -443,6 +503,25 @@ pub fn event_kinds() -> Vec<EventKind> {
         EventKind::HistoryDegraded { reason: "the disk is full".to_owned() },
         EventKind::HistoryRecovered { lost: 3 },
         EventKind::HistoryDamaged { reason: "history.sqlite: malformed".to_owned() },
+        EventKind::AlertRaised {
+            alert: 7,
+            kind: AlertKind::CutOff,
+            team: Some(team("t1")),
+            modality: None,
+            value: 2.0,
+            threshold: 2.0,
+            reason: "no link joins the 2 parts of t1".to_owned(),
+            robots: vec![r1()],
+        },
+        EventKind::AlertCleared {
+            alert: 7,
+            kind: AlertKind::CutOff,
+            team: Some(team("t1")),
+            modality: None,
+            open_s: 12.5,
+        },
+        EventKind::AlertAcknowledged { alert: 7, operator: OperatorId::new("kim").unwrap() },
+        EventKind::AlertsFolded { count: 3 },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));
     kinds

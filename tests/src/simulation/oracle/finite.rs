@@ -32,6 +32,7 @@ pub(crate) fn check(message: &Message) -> Verified {
         Message::Status(status) => status.serialize(Walker),
         Message::History(answer) => answer.serialize(Walker),
         Message::HistoryState(state) => state.serialize(Walker),
+        Message::Alerts(alerts) => alerts.serialize(Walker),
     };
     match walked {
         Ok(()) => Ok(()),

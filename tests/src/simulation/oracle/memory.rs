@@ -57,15 +57,16 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
             // limit of a fleet, whatever happens. And the robots that are kept in their team for now.
             robots: bounds.names.min(MAX_ROBOTS) + bounds.names.pow(2).min(MAX_ROBOTS) + robots,
             edges: 0,
-            // The division as it was found is the eighth, and two are on disk or on their way.
-            messages: 10,
+            // The division as it was found is the ninth, and two are on disk or on their way.
+            messages: 11,
             offenders: OFFENDERS,
         },
         ServiceName::Auditor => MemoryUse {
-            // The rosters, and the robots that have changed their team.
-            robots: (MAX_AUDITOR_MESSAGES + 1) * robots,
-            edges: 0,
-            messages: 2 * MAX_AUDITOR_MESSAGES + 4,
+            // The rosters, the robots that have changed their team, and the rosters that graphs are followed by.
+            robots: (MAX_AUDITOR_MESSAGES + 3) * robots,
+            // As in the embedder.
+            edges: (2 + MAX_WAITING_DELTAS) * graphs * robots * robots,
+            messages: 2 * MAX_AUDITOR_MESSAGES + 6,
             offenders: OFFENDERS,
         },
         ServiceName::Historian => MemoryUse {

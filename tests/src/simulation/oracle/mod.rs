@@ -5,6 +5,7 @@
 //! slowly, and share no code with what they check but the types of the messages.
 
 mod agreement;
+mod alerts;
 mod division;
 mod finite;
 mod ids;
@@ -138,6 +139,7 @@ pub(crate) struct Oracle {
     /// The ids of teams, where one instance of the clusterer gives them all. Of two, the one that is cut off
     /// may give some that nobody hears of.
     ids: Option<Ids>,
+    alerts: alerts::AlertLog,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
     had_forged_terms: bool,
@@ -273,6 +275,8 @@ impl Oracle {
                 silhouettes::check(audit, self)?;
                 self.audits.add(audit.header.revision, audit);
             }
+            Message::Alerts(alerts) => self.alerts.check_list(publisher, alerts)?,
+            Message::Event(event) => self.alerts.check_event(publisher, event)?,
             _ => {}
         }
         Ok(())
