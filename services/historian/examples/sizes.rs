@@ -5,7 +5,6 @@
 //! seconds, an event for each move, and a whole division every ten minutes.
 
 #![expect(clippy::expect_used, reason = "a program that measures ends where it cannot")]
-#![expect(clippy::disallowed_types, clippy::disallowed_methods, reason = "it measures time")]
 
 use std::time::Instant;
 

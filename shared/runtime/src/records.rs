@@ -256,7 +256,7 @@ mod tests {
         }
     }
 
-    fn started(open: OpenRecords) -> (RecordWriter, mpsc::Receiver<Input>) {
+    fn started(open: OpenRecords) -> (RecordWriter, Receiver<Input>) {
         let (sender, inputs) = mpsc::channel();
         let options = RecordOptions { place: place(), open };
         let send = move |input| drop(sender.send(input));
@@ -268,7 +268,7 @@ mod tests {
         Box::new(Entry { at: Tick(at), record })
     }
 
-    fn report(inputs: &mpsc::Receiver<Input>) -> RecordingReport {
+    fn report(inputs: &Receiver<Input>) -> RecordingReport {
         loop {
             if let Input::Recorded(report) = inputs.recv_timeout(WAIT).unwrap() {
                 return *report;
@@ -306,8 +306,8 @@ mod tests {
     fn what_is_not_written_waits_and_is_written_once_there_is_room() {
         let overflow = Arc::default();
         let open: OpenRecords = |_| {
-            let full = Some(WriteError::Full("the disk is full".to_owned()));
-            Ok(Box::new(MemoryRecords { fails: full, ..MemoryRecords::default() }))
+            let full = WriteError::Full("the disk is full".to_owned());
+            Ok(Box::new(MemoryRecords::failing(full)))
         };
         let mut recorder = Recorder::new(RecordOptions { place: place(), open }, overflow);
         recorder.queue.push(*joined(1));
@@ -317,9 +317,8 @@ mod tests {
         let written = recorder.step();
         assert_eq!((written.problem, written.coverage.sequence), (None, 1));
         // A file that was damaged: what comes next must be whole.
-        let damaged = Some(WriteError::Damaged("put aside".to_owned()));
-        recorder.store =
-            Some(Box::new(MemoryRecords { fails: damaged, ..MemoryRecords::default() }));
+        let damaged = WriteError::Damaged("put aside".to_owned());
+        recorder.store = Some(Box::new(MemoryRecords::failing(damaged)));
         recorder.queue.push(*joined(2));
         let report = recorder.step();
         assert_eq!(report.damaged.as_deref(), Some("put aside"));

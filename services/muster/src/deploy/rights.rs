@@ -253,7 +253,7 @@ mod tests {
                 assert_eq!(list.contains(&lease), elects, "{list:?}");
             }
             let tokens = of(&format!("service/{service}/*"));
-            assert_eq!(may.declare_token, [tokens.clone()]);
+            assert_eq!(may.declare_token, std::slice::from_ref(&tokens));
             assert_eq!(may.watch_token.contains(&tokens), elects);
             for other in ServiceName::ALL.iter().filter(|other| **other != service) {
                 let foreign = of(&format!("service/{other}/"));

@@ -38,6 +38,12 @@ pub struct MemoryRecords {
 }
 
 impl MemoryRecords {
+    /// A store that writes nothing.
+    #[must_use]
+    pub fn failing(error: WriteError) -> Self {
+        Self { fails: Some(error), ..Self::default() }
+    }
+
     fn add(&mut self, entry: &Entry) {
         let Entry { at, record } = entry.clone();
         self.coverage.sequence += 1;
