@@ -195,9 +195,8 @@ impl Auditor {
         for message in answers {
             match message {
                 Message::Graph(delta) => {
-                    if self.accept_graph(context, &delta) == Some(following::Acceptance::Old) {
-                        old.push(delta);
-                    }
+                    let became = self.accept_graph(context, &delta);
+                    old.extend((became == Some(following::Acceptance::Old)).then_some(delta));
                 }
                 Message::Roster(roster) => {
                     self.accept_roster(roster);

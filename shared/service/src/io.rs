@@ -117,6 +117,10 @@ impl Arrival {
 
 /// Everything that can happen to a service. The set is closed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "an input is handed on once; most are arrivals, the largest variant"
+)]
 pub enum Input {
     /// The service begins; its subscriptions are declared.
     Started {
