@@ -80,3 +80,13 @@ pub const MAX_ROBOTS_OF_EVENT: usize = 64;
 /// Most robots that a status lists as having left, the last ones: with the longest names they and their times
 /// are less than half of what a status may hold.
 pub const MAX_DEPARTED_ROBOTS: usize = 256;
+
+/// Most teams whose size is set one by one: a table that people write and read.
+pub const MAX_TEAM_SIZES: usize = 256;
+
+/// Largest limit on the robots of a team: as many as a fleet may have.
+pub const MAX_TEAM_SIZE: u32 = 100_000;
+
+/// Longest text that says why limits contradict each other, in characters: some names and numbers. It stands in every
+/// division for as long as that is so.
+pub const MAX_CONFLICT_LENGTH: usize = 512;

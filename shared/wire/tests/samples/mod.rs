@@ -20,7 +20,7 @@ use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::status::{Departure, ServiceStatus};
-use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
+use muster_model::teams::{Limited, Member, Team, TeamChange, TeamCountScore, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
@@ -177,6 +177,11 @@ pub fn all() -> Vec<(&'static str, Message)> {
             TeamChange::Moved { robot: robot("r2"), from: Some(team("t1")), to: None },
         ],
         next_team: 3,
+        limited: Some(Limited {
+            optimal: false,
+            gap: 0.125,
+            conflict: Some("8 robots may only be in t1, which holds 6".to_owned()),
+        }),
     };
     let robot_team = teams.robot_team(&robot("r1")).unwrap();
     let report = |space, mean| SilhouetteReport {
@@ -318,6 +323,8 @@ pub fn event_kinds() -> Vec<EventKind> {
         EventKind::RobotsRecovered { count: 2, robots: vec![r1(), robot("r2")] },
         EventKind::RobotsLeft { count: 2, robots: vec![r1(), robot("r2")] },
         EventKind::StateLost { reason: "term.json: cannot be read".to_owned() },
+        EventKind::Infeasible { reason: "8 robots may only be in t1, which holds 6".to_owned() },
+        EventKind::FeasibleAgain { after_s: 2.5 },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));
     kinds

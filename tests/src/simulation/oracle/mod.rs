@@ -8,6 +8,7 @@ mod agreement;
 mod division;
 mod finite;
 mod ids;
+mod limits;
 mod memory;
 mod order;
 mod received;
@@ -138,6 +139,8 @@ pub(crate) struct Oracle {
     /// The ids of teams, where one instance of the clusterer gives them all. Of two, the one that is cut off
     /// may give some that nobody hears of.
     ids: Option<Ids>,
+    /// Whether limits of teams hold.
+    limits: limits::Limits,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
     had_forged_terms: bool,
@@ -262,10 +265,15 @@ impl Oracle {
                 if let Some(before) = self.divided.replace(divided) {
                     self.check_same_again(before)?;
                 }
+                self.limits.check(publisher, teams)?;
                 self.divisions.add(teams.header.revision, teams);
             }
             Message::Graph(delta) => self.graph = Some(Arc::clone(delta)),
+            Message::Event(event) if service == ServiceName::Clusterer => {
+                self.limits.reported(publisher, &event.kind);
+            }
             Message::Settings(announced) if service == ServiceName::Clusterer => {
+                self.limits.announced(publisher, announced);
                 self.settings = Some(announced.clone());
             }
             Message::RobotTeam(team) => division::check_robot_team(team, &self.divisions)?,
