@@ -21,6 +21,7 @@ mod hostile;
 mod keys;
 mod languages;
 mod latency;
+mod limits;
 mod lost_team;
 mod notify;
 mod observe;

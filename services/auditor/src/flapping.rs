@@ -250,6 +250,7 @@ mod tests {
             inertia: 0.0,
             changes: vec![],
             next_team: 9,
+            limited: None,
         })
         .unwrap()
     }

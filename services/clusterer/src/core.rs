@@ -2,6 +2,7 @@
 
 mod awaiting;
 mod input;
+mod numbers;
 mod output;
 
 use std::collections::BTreeSet;
@@ -15,7 +16,7 @@ use muster_model::id::ServiceName;
 use muster_model::orders::NewOrders;
 use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
-use muster_model::settings::ClustererSettings;
+use muster_model::settings::{ClustererSettings, SettingsError};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_service::{
@@ -29,9 +30,11 @@ use crate::dwell::{CountDwell, MoveDwell};
 use crate::identity::{Memory, is_believable};
 use crate::keeping::Keeping;
 use crate::publishing::{Rotation, plural};
-use crate::seats::{Arrivals, Seats, Vacancies};
+use crate::rules::TeamRules;
+use crate::seats::{Arrivals, Vacancies};
 
 use awaiting::Reunion;
+use numbers::Number;
 
 type Context<'a> = muster_service::Context<'a, Clusterer>;
 type View<'a> = muster_service::View<'a, Clusterer>;
@@ -63,6 +66,14 @@ impl PartialEq for Task {
             && self.teams == other.teams
             && same_data(&self.source.embedding, &other.source.embedding)
     }
+}
+
+/// A division of which some changes are held back.
+#[derive(Debug)]
+struct Undecided {
+    teams: Teams,
+    /// What it was made to respect.
+    rules: Option<TeamRules>,
 }
 
 /// What this leader has published.
@@ -113,10 +124,12 @@ pub struct Clusterer {
     /// The robots that have another superior than before.
     orders: NewOrders,
     /// The newest division as it was found, if robots are kept in their team.
-    undecided: Option<Box<Teams>>,
+    undecided: Option<Box<Undecided>>,
     rotation: Rotation,
     /// How many teams were asked for and formed when that was last reported to be too few.
     fewer: Option<(u32, u32)>,
+    /// Since when nothing satisfies the rules.
+    infeasible_since: Option<Tick>,
 }
 
 impl Clusterer {
@@ -133,19 +146,16 @@ impl Clusterer {
         if self.memory.is_overdue(now) {
             Arc::make_mut(&mut self.memory).forget(now);
         }
-        let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
-        let vacant = self.vacancies.count(now, last);
-        let seats = Seats::of(self.division.as_deref(), &self.memory, vacant, &newest.embedding);
-        let current = seats.current(last.map(|division| division.requested));
-        let wanted = seats.wanted(now, settings.teams, current, &mut self.arrivals);
-        let shown = newest.embedding.quality.teams_shown;
-        let teams = self.count.decide(now, wanted, shown, current);
+        let newest = newest.clone();
+        let rules = TeamRules::of(&settings);
+        let Number { teams, is_same } =
+            self.decide_number(now, &settings, rules.as_ref(), &newest.embedding);
         let task = Task { source: newest.clone(), settings, teams };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
                 && let Some(published) = &mut self.published
             {
-                published.source = newest.clone();
+                published.source = newest;
             }
             return;
         }
@@ -155,11 +165,12 @@ impl Clusterer {
             return self.keep(context);
         }
         let job = Job {
-            embedding: newest.embedding.clone(),
+            embedding: newest.embedding,
             teams,
             requested: teams.max(*task.settings.teams.range().start()),
-            same_number: current == Some(teams),
+            same_number: is_same,
             settings: task.settings.clone(),
+            rules: rules.map(Arc::new),
             previous: self.division.clone(),
             memory: Arc::clone(&self.memory),
         };
@@ -181,6 +192,10 @@ impl Clusterer {
 
     fn accept_division(&mut self, context: &mut Context<'_>, teams: Teams) {
         let Some(task) = self.flight.completed() else { return };
+        if TeamRules::of(&task.settings) != TeamRules::of(context.settings()) {
+            // It may break rules that hold since; another job follows.
+            return;
+        }
         // An embedding with the same data may have come while the job ran.
         let is_same = |newest: &&Received| same_data(&newest.embedding, &task.source.embedding);
         let source = self.newest.as_ref().filter(is_same).unwrap_or(&task.source).clone();
@@ -271,7 +286,7 @@ impl Core for Clusterer {
     }
 
     fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
-        self.inherit(&answers);
+        self.inherit(context.now(), &answers);
         self.accept_all(context, answers);
         self.consider(context);
     }
@@ -305,7 +320,7 @@ impl Core for Clusterer {
         if self.published.is_some() {
             self.republish(context);
         } else {
-            self.inherit(&found);
+            self.inherit(context.now(), &found);
         }
     }
 
@@ -335,6 +350,14 @@ impl Core for Clusterer {
             Ok(answer) => context.reply(get, answer),
             Err(problem) => context.reply_error(get, problem.to_string()),
         }
+    }
+
+    fn check_settings(
+        &self,
+        view: &View<'_>,
+        settings: &ClustererSettings,
+    ) -> Result<(), SettingsError> {
+        self.check_limits(view.now(), view.settings(), settings)
     }
 
     fn on_settings(&mut self, context: &mut Context<'_>) {

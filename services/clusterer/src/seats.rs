@@ -118,7 +118,7 @@ impl Seats {
 
 /// Seats that were kept for absent teams when the division was written that was found on disk. Which robots
 /// they are kept for is not known any more: whoever returns is a newcomer.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Vacancies {
     seats: u32,
     since: Option<Tick>,
@@ -149,7 +149,7 @@ impl Vacancies {
 }
 
 /// Who came lately.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Arrivals {
     /// When robots were last there that no team knew.
     newcomers: Option<Tick>,

@@ -63,6 +63,7 @@ fn division(epoch: u64, teams: &[&[usize]]) -> Message {
         inertia: 0.0,
         changes: Vec::new(),
         next_team: 9,
+        limited: None,
     };
     Message::Teams { teams: Checked::new(teams).unwrap(), mirror: false }
 }

@@ -229,6 +229,17 @@ pub enum EventKind {
         /// How many.
         count: u32,
     },
+    /// Nothing satisfies the limits any more, as robots came or left: the last division stands, and robots that have no
+    /// place in it have no team.
+    Infeasible {
+        /// The limits that contradict each other, with their arithmetic.
+        reason: String,
+    },
+    /// The limits hold again.
+    FeasibleAgain {
+        /// Seconds for which they did not.
+        after_s: f64,
+    },
 }
 
 /// One event of one service.

@@ -105,3 +105,13 @@ pub const MAX_ALERT_ROBOTS: usize = 16;
 /// Most events of alerts that an auditor publishes within any minute: what an operator can follow. The list of open alerts
 /// is whole whatever happens.
 pub const MAX_ALERT_EVENTS_PER_MINUTE: usize = 20;
+
+/// Most teams whose size is set one by one: a table that people write and read.
+pub const MAX_TEAM_SIZES: usize = 256;
+
+/// Largest limit on the robots of a team: as many as a fleet may have.
+pub const MAX_TEAM_SIZE: u32 = 100_000;
+
+/// Longest text that says why limits contradict each other, in characters: some names and numbers. It stands in every
+/// division for as long as that is so.
+pub const MAX_CONFLICT_LENGTH: usize = 512;

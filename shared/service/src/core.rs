@@ -245,6 +245,12 @@ pub struct FreeJobSlot(());
 pub struct View<'a, C: Core>(pub(crate) &'a CoreFacilities<C>);
 
 impl<C: Core> View<'_, C> {
+    /// The moment of the last input.
+    #[must_use]
+    pub fn now(&self) -> Tick {
+        self.0.now
+    }
+
     /// The settings in force.
     #[must_use]
     pub fn settings(&self) -> &C::Settings {

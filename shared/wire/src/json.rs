@@ -15,7 +15,9 @@ use muster_model::graph::GraphDelta;
 use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, Modality, OperatorId, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
-use muster_model::limits::{MAX_ALERT_ROBOTS, MAX_LOSSES, MAX_MEMBERS_PUBLISHED, MAX_OPEN_ALERTS};
+use muster_model::limits::{
+    MAX_ALERT_ROBOTS, MAX_CONFLICT_LENGTH, MAX_LOSSES, MAX_MEMBERS_PUBLISHED, MAX_OPEN_ALERTS,
+};
 use muster_model::refused::Refused;
 use muster_model::roster::{Presence, Roster};
 use muster_model::team_audit::{Loss, TeamAudit};
@@ -109,10 +111,20 @@ pub(crate) struct TeamsForm<'a> {
     considered: &'a [TeamCountScore],
     /// The teams, ordered by id as people count: t2 before t10.
     teams: Vec<TeamForm<'a>>,
-    /// Robots that belong to no team, ordered by name: nothing relates them to the others.
+    /// Robots that belong to no team, ordered by name: nothing relates them to the others, or limits leave no place.
     unassigned: &'a [RobotId],
     /// Stale robots, with or without a team, ordered by name.
     stale: &'a [RobotId],
+    /// Whether no assignment of the robots to these teams that respects the limits has a lesser sum of squared
+    /// distances to the teams' centroids; null without limits.
+    optimal: Option<bool>,
+    /// By which share that sum could be lower at most; null where nothing satisfies the limits, and without limits.
+    #[schemars(range(min = 0, max = 1))]
+    gap: Option<f64>,
+    /// Why nothing satisfies the limits, so that the last division stands; null where this one does, and without
+    /// limits.
+    #[schemars(length(max = MAX_CONFLICT_LENGTH))]
+    conflict: Option<&'a str>,
 }
 
 /// One team.
@@ -135,6 +147,7 @@ impl EdgeJson for Teams {
             members: team.members.iter().map(|member| &member.robot).collect(),
             leader: &team.leader,
         });
+        let limited = self.limited.as_ref();
         serde_json::to_vec(&TeamsForm {
             head: head(&self.header, now),
             requested: self.requested,
@@ -142,6 +155,9 @@ impl EdgeJson for Teams {
             teams: teams.collect(),
             unassigned: &self.unassigned,
             stale: &self.stale,
+            optimal: limited.map(|limited| limited.optimal),
+            gap: limited.filter(|limited| limited.conflict.is_none()).map(|limited| limited.gap),
+            conflict: limited.and_then(|limited| limited.conflict.as_deref()),
         })
     }
 }

@@ -14,7 +14,7 @@ use crate::recording::{framed, unframed};
 pub const MAGIC: [u8; 8] = *b"\xB7mustkpt";
 
 /// Version of the content. Any change of its types is a new version.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 
 /// Magic bytes and version.
 const HEAD: usize = MAGIC.len() + 1;
@@ -126,6 +126,7 @@ mod tests {
             inertia: 0.0,
             changes: vec![],
             next_team: 8,
+            limited: None,
         };
         KeptTeams { reserved: 108, teams: Some(Checked::new(teams).unwrap()) }
     }
@@ -141,7 +142,7 @@ mod tests {
     fn the_bytes_are_those_of_the_version() {
         let bytes = KeptTeams { reserved: 300, teams: None }.encode().unwrap();
         let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        assert_eq!(hex, "b76d7573746b70740108000000e4fc1d242c01000000000000");
+        assert_eq!(hex, "b76d7573746b70740208000000e4fc1d242c01000000000000");
     }
 
     #[test]

@@ -150,7 +150,11 @@ impl Schemas {
             ServiceName::Embedder,
             "weights that do not sum to 1 (none at all means equal ones)",
         );
-        all.settings::<ClustererSettings>(ServiceName::Clusterer, "");
+        all.settings::<ClustererSettings>(
+            ServiceName::Clusterer,
+            "a size or team_size whose max is below its min, and limits that nothing satisfies for the \
+             robots of the fleet",
+        );
         all.settings::<AuditorSettings>(ServiceName::Auditor, "good that is less than poor");
         all.settings::<HistorianSettings>(ServiceName::Historian, "");
         all.written::<HistoryAnswer>("history", &["history/{instance}"]);

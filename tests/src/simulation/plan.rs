@@ -363,6 +363,24 @@ const PATCHES: [(ServiceName, &[&str]); 4] = [
     ),
 ];
 
+/// Of a hundred seeds, those in which limits are set.
+const LIMITS_PERCENT: u64 = 30;
+
+/// Most changes of limits in one seed.
+const MAX_LIMITS: u64 = 4;
+
+/// Limits on the robots of teams. Some cannot be satisfied, and are refused; others cannot once robots come or leave.
+const LIMITS: [&str; 8] = [
+    r#"{"size":{"max":4}}"#,
+    r#"{"size":{"max":6}}"#,
+    r#"{"size":{"min":2}}"#,
+    r#"{"size":{"min":2,"max":5}}"#,
+    r#"{"size":{"min":3},"teams":2}"#,
+    r#"{"team_size":{"t1":{"max":3},"t2":{"min":2}}}"#,
+    r#"{"size":null}"#,
+    r#"{"size":null,"team_size":null}"#,
+];
+
 /// The plan of a seed, in order of time. Nothing that heals by itself outlasts the storm.
 pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection> {
     let mut chance = Chance::new(seed, Purpose::Plan, 0);
@@ -387,6 +405,7 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
         let fault = Fault::PowerCut { lasts: power.between(50 * MS, 3 * SECOND) };
         injections.push(Injection { number: 0, at: begin, fault });
     }
+    injections.extend(limits(&mut Chance::new(seed, Purpose::Plan, 3), begin, end));
     let mut busy = Chance::new(seed, Purpose::Plan, 2);
     if busy.percent(BUSY_PERCENT) && end > begin {
         injections.retain(|injection| {
@@ -401,6 +420,22 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
         injection.number = number;
     }
     injections
+}
+
+/// Limits on the robots of teams that an operator sets, in some seeds, from a chance of their own.
+fn limits(chance: &mut Chance, begin: Micros, end: Micros) -> Vec<Injection> {
+    if !chance.percent(LIMITS_PERCENT) || end <= begin {
+        return Vec::new();
+    }
+    let count = chance.between(1, MAX_LIMITS);
+    let mut all = Vec::new();
+    for _ in 0..count {
+        let at = chance.between(begin, end.saturating_sub(MS).max(begin));
+        let patch = chance.pick(&LIMITS).copied().unwrap_or("{}").to_owned();
+        let fault = Fault::Set { service: ServiceName::Clusterer, patch };
+        all.push(Injection { number: 0, at, fault });
+    }
+    all
 }
 
 fn draw(chance: &mut Chance, scale: &Scale, places: &[Place], room: Micros) -> Fault {

@@ -453,6 +453,7 @@ mod tests {
             inertia: 0.0,
             changes: Vec::new(),
             next_team,
+            limited: None,
         }
     }
 

@@ -213,6 +213,7 @@ fn teams(epoch: u64, of: u64, teams: &[(&str, &str)], unassigned: &str) -> Messa
         inertia: 0.0,
         changes: vec![],
         next_team: 9,
+        limited: None,
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

@@ -8,6 +8,7 @@ use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::roster::Roster;
 use muster_model::teams::Teams;
+use muster_model::time::Tick;
 use muster_wire::Message;
 
 use super::awaiting::Reunion;
@@ -100,7 +101,7 @@ impl Clusterer {
 
     /// Takes over the newest division of an earlier leader among messages, and the embedding that it
     /// names.
-    pub(super) fn inherit(&mut self, messages: &[Message]) {
+    pub(super) fn inherit(&mut self, now: Tick, messages: &[Message]) {
         for message in messages {
             let Message::Teams { teams, .. } = message else { continue };
             if !is_believable(teams) {
@@ -122,6 +123,11 @@ impl Clusterer {
             {
                 self.divided = Some(embedding.clone());
             }
+        }
+        let limited = self.division.as_ref().and_then(|division| division.limited.as_ref());
+        if limited.is_some_and(|limited| limited.conflict.is_some()) {
+            // Its event has been published.
+            self.infeasible_since = Some(now);
         }
         self.received_by_others = self.division.clone();
     }

@@ -15,6 +15,7 @@ mod dwell;
 mod gets;
 mod identity;
 mod kept;
+mod limits;
 mod properties;
 mod publishing;
 mod recovery;

@@ -253,6 +253,7 @@ pub(crate) fn output(header: Header) -> Message {
         inertia: 0.0,
         changes: Vec::new(),
         next_team: 1,
+        limited: None,
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

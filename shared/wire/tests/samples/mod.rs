@@ -27,7 +27,7 @@ use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::status::{Departure, ServiceStatus};
 use muster_model::team_audit::{Conductance, LeastFitting, Loss, Radio, Spread, TeamAudit};
-use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
+use muster_model::teams::{Limited, Member, Team, TeamChange, TeamCountScore, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
@@ -184,6 +184,11 @@ pub fn all() -> Vec<(&'static str, Message)> {
             TeamChange::Moved { robot: robot("r2"), from: Some(team("t1")), to: None },
         ],
         next_team: 3,
+        limited: Some(Limited {
+            optimal: false,
+            gap: 0.125,
+            conflict: Some("8 robots may only be in t1, which holds 6".to_owned()),
+        }),
     };
     let robot_team = teams.robot_team(&robot("r1")).unwrap();
     let report = |space, mean| SilhouetteReport {
@@ -522,6 +527,8 @@ pub fn event_kinds() -> Vec<EventKind> {
         },
         EventKind::AlertAcknowledged { alert: 7, operator: OperatorId::new("kim").unwrap() },
         EventKind::AlertsFolded { count: 3 },
+        EventKind::Infeasible { reason: "8 robots may only be in t1, which holds 6".to_owned() },
+        EventKind::FeasibleAgain { after_s: 2.5 },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));
     kinds

@@ -9,6 +9,7 @@ mod alerts;
 mod division;
 mod finite;
 mod ids;
+mod limits;
 mod memory;
 mod order;
 mod received;
@@ -140,6 +141,8 @@ pub(crate) struct Oracle {
     /// may give some that nobody hears of.
     ids: Option<Ids>,
     alerts: alerts::AlertLog,
+    /// Whether limits of teams hold.
+    limits: limits::Limits,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
     had_forged_terms: bool,
@@ -264,10 +267,15 @@ impl Oracle {
                 if let Some(before) = self.divided.replace(divided) {
                     self.check_same_again(before)?;
                 }
+                self.limits.check(publisher, teams)?;
                 self.divisions.add(teams.header.revision, teams);
             }
             Message::Graph(delta) => self.graph = Some(Arc::clone(delta)),
+            Message::Event(event) if service == ServiceName::Clusterer => {
+                self.limits.reported(publisher, &event.kind);
+            }
             Message::Settings(announced) if service == ServiceName::Clusterer => {
+                self.limits.announced(publisher, announced);
                 self.settings = Some(announced.clone());
             }
             Message::RobotTeam(team) => division::check_robot_team(team, &self.divisions)?,
