@@ -36,3 +36,4 @@ mod settings;
 mod soak;
 mod standby;
 mod terms;
+mod wishes;

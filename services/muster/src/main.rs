@@ -1,7 +1,7 @@
 //! `muster`: the operator's command.
 //!
 //! It starts processes ([`demo`], [`up`], [`router`], [`robot`]), shows a live fleet ([`show`], [`doctor`]),
-//! changes its settings ([`set`]), prepares hosts ([`deploy`]), tells container managers whether a process is
+//! changes its settings ([`set`]) and wishes ([`wish`]), prepares hosts ([`deploy`]), tells container managers whether a process is
 //! alive ([`probe`]), prints the form of messages ([`schema`]),
 //! runs the method once on a file ([`solve`]), replays the recording of a service ([`replay`]), and
 //! describes itself to shells and manuals ([`describe`]). It is the one program that knows all services:
@@ -22,6 +22,7 @@ mod schema;
 mod set;
 mod show;
 mod up;
+mod wish;
 
 use std::process::ExitCode;
 
@@ -73,6 +74,8 @@ enum Command {
     Probe(probe::ProbeArgs),
     /// Show or change the settings of a running service
     Set(set::SetArgs),
+    /// Put, withdraw or list wishes about robots and teams
+    Wish(wish::WishArgs),
     /// Print the JSON Schema of the messages
     Schema(schema::SchemaArgs),
     /// Print configurations, make certificates and the rules of routers
@@ -150,6 +153,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         Command::Doctor(args) => console(&config, async |config| doctor::run(args, &config).await),
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
+        Command::Wish(args) => console(&config, async |config| wish::run(args, &config).await),
         Command::Probe(args) => probe::run(args, &config),
         Command::ReplayCore(args) => replay::run(args),
         Command::Schema(args) => schema::run(args),

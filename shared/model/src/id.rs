@@ -134,6 +134,14 @@ id!(
     FleetId
 );
 id!(
+    "An operator: who wishes and commands."
+    OperatorId
+);
+id!(
+    "A wish, among those of its operator."
+    WishId
+);
+id!(
     "A team. It keeps its id for as long as it can be matched with itself."
     TeamId
 );

@@ -31,3 +31,4 @@ pub mod status;
 pub mod teams;
 pub mod term;
 pub mod time;
+pub mod wish;

@@ -18,6 +18,7 @@ use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
+use muster_model::wish::{WishList, WishReport};
 
 use crate::decode::{DecodeError, check_header, format, payload};
 use crate::envelope::{self, AnnouncedSettings, BinaryMessage, EnvelopeError};
@@ -79,6 +80,10 @@ pub enum Message {
     Settings(Box<AnnouncedSettings>),
     /// The status of a service.
     Status(Box<ServiceStatus>),
+    /// All wishes.
+    Wishes(Checked<WishList>),
+    /// One wish: what a get of its key is answered with.
+    Wish(Box<WishReport>),
 }
 
 fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
@@ -168,8 +173,11 @@ impl Message {
                 agree(&service, &claim.service, "services")?;
                 Self::LeaseRenewal(Box::new(claim))
             }
+            Key::Wishes => Self::Wishes(Checked::new(binary(format, bytes)?)?),
             Key::RobotToken(_) | Key::ServiceToken(..) => return Err(DecodeError::OnlyTokens),
-            Key::JsonTeams
+            Key::JsonWishes
+            | Key::Wish(..)
+            | Key::JsonTeams
             | Key::JsonAudit
             | Key::JsonEvent
             | Key::Status(_)
@@ -195,6 +203,8 @@ impl Message {
             Self::Event(event) => Some(&event.header),
             Self::Settings(announced) => Some(&announced.header),
             Self::LeaseRenewal(claim) => Some(&claim.header),
+            Self::Wishes(list) => Some(&list.header),
+            Self::Wish(report) => Some(&report.header),
             _ => None,
         }
     }
@@ -219,6 +229,10 @@ impl Message {
             Self::Settings(announced) => (Key::Settings(announced.service), None),
             Self::LeaseRenewal(claim) => (Key::Lease(claim.service), None),
             Self::Status(status) => (Key::Status(status.service), None),
+            Self::Wishes(_) => (Key::Wishes, Some(Key::JsonWishes)),
+            Self::Wish(report) => {
+                (Key::Wish(report.wish.operator.clone(), report.wish.id.clone()), None)
+            }
         }
     }
 
@@ -256,6 +270,7 @@ impl Message {
             | Self::Refused(_)
             | Self::Settings(_)
             | Self::Status(_)
+            | Self::Wish(_)
             | Self::Katz(_) => Format::Json,
             _ => Format::Binary,
         };
@@ -322,6 +337,8 @@ impl Message {
             Self::Settings(announced) => Ok(announced.settings.clone().into_bytes()),
             Self::LeaseRenewal(claim) => serde_json::to_vec(claim),
             Self::Status(status) => serde_json::to_vec(status),
+            Self::Wishes(list) => list.to_json(now),
+            Self::Wish(report) => report.to_json(now),
         }
     }
 
@@ -340,10 +357,12 @@ impl Message {
             Self::Event(event) => named(event),
             Self::Settings(announced) => named(announced.as_ref()),
             Self::LeaseRenewal(claim) => named(claim.as_ref()),
+            Self::Wishes(list) => named(&**list),
             Self::RobotToken { .. }
             | Self::ServiceToken { .. }
             | Self::Refused(_)
             | Self::Status(_)
+            | Self::Wish(_)
             | Self::Katz(_) => Err(EnvelopeError::Encode(
                 "this message has no binary form; ask with format=json".to_owned(),
             )),

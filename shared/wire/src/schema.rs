@@ -16,6 +16,7 @@ use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, Settings,
 };
 use muster_model::status::ServiceStatus;
+use muster_model::wish::Wish;
 use schemars::generate::SchemaSettings;
 use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -24,7 +25,7 @@ use serde_json::{Map, Value, json};
 use crate::envelope::MAX_SMALL_PAYLOAD;
 use crate::json::{
     AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm, RobotTeamForm,
-    RosterForm, TeamsForm,
+    RosterForm, TeamsForm, WishReportForm, WishesForm,
 };
 use crate::report;
 
@@ -147,6 +148,15 @@ impl Schemas {
              robots of the fleet",
         );
         all.settings::<AuditorSettings>(ServiceName::Auditor, "good that is less than poor");
+        all.written::<WishesForm<'_>>("wishes", &["json/wishes", "wishes?format=json"]);
+        all.written::<WishReportForm<'_>>("wish_report", &["wish/{operator}/{id}"]);
+        all.read::<Wish>(
+            "wish",
+            &["wish/{operator}/{id} (payload of a get)"],
+            "robots or a team that the kind does not take, fewer than two robots of together and apart, a robot \
+             that is named twice, a wish that contradicts the limits and the other wishes for the robots of the \
+             fleet, more than 256 wishes, and a key with wildcards. null withdraws the wish.",
+        );
         all.written::<Problem<'_>>("error", &[]);
         all
     }

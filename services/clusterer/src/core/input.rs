@@ -14,6 +14,7 @@ use super::awaiting::Reunion;
 use super::{Clusterer, Context, Received};
 use crate::identity::is_believable;
 use crate::seats::Vacancies;
+use crate::wishes::WishBook;
 
 impl Clusterer {
     pub(super) fn accept_message(&mut self, context: &mut Context<'_>, message: Message) {
@@ -22,6 +23,7 @@ impl Clusterer {
             Message::Roster(roster) => self.accept_roster(context, roster),
             Message::Audit(audit) => self.accept_audit(audit),
             Message::Teams { teams, .. } => self.accept_teams(context, &teams),
+            Message::Wishes(wishes) if !context.has_term() => self.keeping.note_wishes(wishes),
             _ => {}
         }
     }
@@ -104,6 +106,14 @@ impl Clusterer {
             if last.is_none_or(|last| teams.header.revision > last) {
                 self.division = Some(teams.clone());
             }
+        }
+        for message in messages {
+            if let Message::Wishes(wishes) = message {
+                self.keeping.note_wishes(wishes.clone());
+            }
+        }
+        if let Some(wishes) = self.keeping.wishes() {
+            self.wishes = WishBook::of(&wishes.wishes);
         }
         self.inherit_kept();
         Arc::make_mut(&mut self.memory).next_team = self.keeping.next_team;
