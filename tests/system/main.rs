@@ -38,3 +38,4 @@ mod settings;
 mod soak;
 mod standby;
 mod terms;
+mod wishes;

@@ -4,8 +4,9 @@ mod awaiting;
 mod input;
 mod numbers;
 mod output;
+mod wishing;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use muster_model::alert::Alerts;
@@ -32,9 +33,11 @@ use crate::keeping::Keeping;
 use crate::publishing::{Rotation, plural};
 use crate::rules::TeamRules;
 use crate::seats::{Arrivals, Vacancies};
+use crate::wishes::WishBook;
 
 use awaiting::Reunion;
 use numbers::Number;
+use wishing::{Confirmation, NO_LONGER_LEADS};
 
 type Context<'a> = muster_service::Context<'a, Clusterer>;
 type View<'a> = muster_service::View<'a, Clusterer>;
@@ -56,6 +59,8 @@ struct Task {
     source: Received,
     /// The settings without those that change no division.
     settings: ClustererSettings,
+    /// What it is to respect.
+    rules: Option<TeamRules>,
     /// How many teams.
     teams: u32,
 }
@@ -63,6 +68,7 @@ struct Task {
 impl PartialEq for Task {
     fn eq(&self, other: &Self) -> bool {
         self.settings == other.settings
+            && self.rules == other.rules
             && self.teams == other.teams
             && same_data(&self.source.embedding, &other.source.embedding)
     }
@@ -130,6 +136,12 @@ pub struct Clusterer {
     fewer: Option<(u32, u32)>,
     /// Since when nothing satisfies the rules.
     infeasible_since: Option<Tick>,
+    /// The wishes of operators.
+    wishes: WishBook,
+    /// When they were last published.
+    wishes_published: Option<Tick>,
+    /// Operators who wait until their wish is on disk.
+    confirmations: VecDeque<Confirmation>,
 }
 
 impl Clusterer {
@@ -147,10 +159,10 @@ impl Clusterer {
             Arc::make_mut(&mut self.memory).forget(now);
         }
         let newest = newest.clone();
-        let rules = TeamRules::of(&settings);
+        let rules = self.rules(&settings);
         let Number { teams, is_same } =
             self.decide_number(now, &settings, rules.as_ref(), &newest.embedding);
-        let task = Task { source: newest.clone(), settings, teams };
+        let task = Task { source: newest.clone(), settings, rules: rules.clone(), teams };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
                 && let Some(published) = &mut self.published
@@ -170,7 +182,10 @@ impl Clusterer {
             requested: teams.max(*task.settings.teams.range().start()),
             same_number: is_same,
             settings: task.settings.clone(),
-            rules: rules.map(Arc::new),
+            rules: rules.map(|rules| {
+                let previous = self.division.as_deref();
+                Arc::new(rules.resolved(previous, &self.memory, &task.source.embedding))
+            }),
             previous: self.division.clone(),
             memory: Arc::clone(&self.memory),
         };
@@ -192,7 +207,7 @@ impl Clusterer {
 
     fn accept_division(&mut self, context: &mut Context<'_>, teams: Teams) {
         let Some(task) = self.flight.completed() else { return };
-        if TeamRules::of(&task.settings) != TeamRules::of(context.settings()) {
+        if task.rules != self.rules(context.settings()) {
             // It may break rules that hold since; another job follows.
             return;
         }
@@ -224,6 +239,7 @@ impl Clusterer {
             });
             messages.extend(newest.into_iter().chain(named).cloned().map(Message::Embedding));
         }
+        messages.extend(self.select_wishes(context, request));
         if let Some(roster) = &self.roster
             && selects(&Key::Roster)
         {
@@ -257,20 +273,34 @@ impl Core for Clusterer {
             |key| Subscription { pattern: Pattern::One(key), delivery: Delivery::Latest };
         let outputs = [Key::Audit, Key::JsonAudit, Key::Alerts, Key::JsonAlerts];
         let cached = [Key::Embedding, Key::Roster].into_iter().chain(outputs).map(Pattern::One);
-        let own = [Pattern::One(Key::Teams), Pattern::One(Key::JsonTeams), Pattern::RobotTeams];
+        let own = [
+            Pattern::One(Key::Teams),
+            Pattern::One(Key::JsonTeams),
+            Pattern::RobotTeams,
+            Pattern::One(Key::Wishes),
+            Pattern::One(Key::JsonWishes),
+            Pattern::EachWish,
+        ];
         let served = own.map(ServedKey::own).into_iter().chain(cached.map(ServedKey::cached));
         Wiring {
-            // A standby keeps the division of the leader.
-            subscriptions: [Key::Embedding, Key::Roster, Key::Audit, Key::Teams, Key::Alerts]
-                .map(subscription)
-                .to_vec(),
+            // A standby keeps the division and the wishes that the leader has.
+            subscriptions: [
+                Key::Embedding,
+                Key::Roster,
+                Key::Audit,
+                Key::Teams,
+                Key::Alerts,
+                Key::Wishes,
+            ]
+            .map(subscription)
+            .to_vec(),
             tokens: vec![],
             served: served.collect(),
         }
     }
 
     fn initial() -> Vec<Pattern> {
-        [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One).to_vec()
+        [Key::Teams, Key::Embedding, Key::Roster, Key::Wishes].map(Pattern::One).to_vec()
     }
 
     fn output() -> Key {
@@ -278,7 +308,7 @@ impl Core for Clusterer {
     }
 
     fn is_output(message: &Message) -> bool {
-        matches!(message, Message::Teams { .. })
+        matches!(message, Message::Teams { .. } | Message::Wishes(_))
     }
 
     fn new(_now: Tick, _settings: &ClustererSettings) -> Self {
@@ -287,6 +317,7 @@ impl Core for Clusterer {
 
     fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
         self.inherit(context.now(), &answers);
+        self.publish_wishes(context, &[]);
         self.accept_all(context, answers);
         self.consider(context);
     }
@@ -295,7 +326,10 @@ impl Core for Clusterer {
         self.accept_all(context, answers);
     }
 
-    fn on_stand_down(&mut self, _context: &mut Context<'_>) {
+    fn on_stand_down(&mut self, context: &mut Context<'_>) {
+        for waiting in std::mem::take(&mut self.confirmations) {
+            context.reply_error(waiting.get, NO_LONGER_LEADS);
+        }
         let mut keeping = std::mem::take(&mut self.keeping);
         keeping.next_team = keeping.next_team.max(self.memory.next_team);
         *self = Self { keeping, ..Self::default() };
@@ -322,6 +356,7 @@ impl Core for Clusterer {
         } else {
             self.inherit(context.now(), &found);
         }
+        self.publish_wishes(context, &[]);
     }
 
     fn on_message(&mut self, context: &mut Context<'_>, message: Message) {
@@ -338,6 +373,7 @@ impl Core for Clusterer {
 
     fn on_kept(&mut self, context: &mut Context<'_>, is_on_disk: bool) {
         self.keeping.ended(context.now(), is_on_disk);
+        self.confirm_wishes(context, is_on_disk);
         self.consider(context);
     }
 
@@ -346,6 +382,10 @@ impl Core for Clusterer {
     }
 
     fn on_get(&mut self, context: &mut Context<'_>, get: Get) {
+        let key = get.request.exact_key(context.space());
+        if get.request.payload.is_some() && matches!(key, Some(Key::Wish(..))) {
+            return self.change_wish(context, get);
+        }
         match self.select(context, &get.request) {
             Ok(answer) => context.reply(get, answer),
             Err(problem) => context.reply_error(get, problem.to_string()),
@@ -376,6 +416,7 @@ impl Core for Clusterer {
 
     fn on_timer(&mut self, context: &mut Context<'_>) {
         let now = context.now();
+        self.expire_wishes(context);
         if self.heartbeat_at(&context.view()).is_some_and(|due| now >= due) {
             self.republish(context);
         }
@@ -418,7 +459,9 @@ impl Core for Clusterer {
         ];
         let waiting = waiting.into_iter().flatten();
         let waiting = waiting.min().filter(|_| view.is_leading() && !view.is_job_running());
-        let due = [self.heartbeat_at(view), self.rotation_at(view), self.keeping.due(), waiting];
+        let expiry = self.wishes.due().filter(|_| view.has_term());
+        let due =
+            [self.heartbeat_at(view), self.rotation_at(view), self.keeping.due(), waiting, expiry];
         due.into_iter().flatten().min()
     }
 

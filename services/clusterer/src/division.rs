@@ -4,14 +4,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use muster_method::division::{Division, divide as divide_robots};
+use muster_method::limited::LimitedError;
 use muster_method::params::{DivisionParams, ParamsError};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
-use muster_numeric::assignment::{CostError, RulesError};
-use muster_numeric::kmeans::{KMeansError, LimitedKMeansError};
+use muster_numeric::assignment::{CostError, RulesError, WishesError};
+use muster_numeric::kmeans::KMeansError;
 use muster_numeric::margins::MarginError;
 use muster_numeric::matching::MatchError;
 use muster_numeric::matrix::{DenseMatrix, MatrixError};
@@ -61,7 +62,10 @@ pub enum DivisionError {
     Rules(#[from] RulesError),
     /// k-means under limits refuses the vectors.
     #[error(transparent)]
-    Limited(#[from] LimitedKMeansError),
+    Limited(#[from] LimitedError),
+    /// The wishes do not fit the robots.
+    #[error(transparent)]
+    Wishes(#[from] WishesError),
     /// The costs of robots in teams cannot be computed.
     #[error(transparent)]
     Costs(#[from] CostError),

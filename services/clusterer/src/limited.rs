@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 
 use muster_method::division::Division;
-use muster_method::limited::{Limits, divide_within, optimality, rows_of};
+use muster_method::limited::{LimitedError, Limits, divide_within, optimality, rows_of};
 use muster_method::params::DivisionParams;
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
+use muster_model::limits::MAX_CONFLICT_LENGTH;
 use muster_model::teams::{Limited, Teams};
 use muster_numeric::assignment::{
-    Assigner, AssignmentError, Bounds, Column, CostMatrix, Pair, Rules, ValidRules,
+    Assigner, Bounds, Column, CostMatrix, Pair, Rules, ValidRules, ValidWishes, Wishes,
 };
 use muster_numeric::kmeans::LimitedKMeansError;
 use muster_numeric::matrix::DenseMatrix;
@@ -17,7 +18,7 @@ use muster_numeric::matrix::DenseMatrix;
 use crate::division::{DivisionError, Job, assemble};
 use crate::identity;
 use crate::rules::TeamRules;
-use crate::seats::last_teams;
+use crate::seats::last_of;
 
 /// A division that no rule is asked of yet.
 const NOTHING_TO_OBEY: Limited = Limited { optimal: true, gap: 0.0, conflict: None };
@@ -25,8 +26,7 @@ const NOTHING_TO_OBEY: Limited = Limited { optimal: true, gap: 0.0, conflict: No
 /// Divides the robots that have a non-zero embedding. While nothing satisfies the rules the last division stands.
 pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
     let embedding = &*job.embedding;
-    let rows: Vec<usize> =
-        (0..embedding.robots.len()).filter(|row| !embedding.without_embedding[*row]).collect();
+    let rows = rules.rows(embedding);
     let problem = Problem::new(job, rules, &rows)?;
     let solved = if rows.is_empty() { Solved::default() } else { problem.solve(job)? };
     let Solved { columns, labels, conflict } = solved;
@@ -81,7 +81,10 @@ fn revive(
     let living = job.previous.as_deref().map_or(&[][..], |previous| &previous.teams);
     let lives = |id: &TeamId| living.iter().any(|team| team.id == *id);
     for (id, cluster, _) in job.memory.revivable(&clusters, &unassigned) {
-        if !lives(id) && !lives(&ids[cluster]) && (stands || rules.admits(id, &clusters[cluster])) {
+        if !lives(id)
+            && !lives(&ids[cluster])
+            && (stands || rules.admits(id, &clusters[cluster], ids))
+        {
             ids[cluster] = id.clone();
         }
     }
@@ -109,8 +112,10 @@ pub(crate) fn judge(
     let x = rows_of(&embedding.values, dimension, &rows)?;
     let centroids = teams.teams.iter().flat_map(|team| team.centroid.iter().copied()).collect();
     let centroids = DenseMatrix::new(columns.len(), dimension, centroids)?;
-    let valid = rules.assignment(&columns, rows.len())?;
-    let found = optimality(&x, &labels, &centroids, &valid)?;
+    let robots: Vec<&RobotId> = rows.iter().map(|row| &embedding.robots[*row]).collect();
+    let valid = rules.assignment(&columns, &robots)?;
+    let groups = rules.groups(&valid, &robots)?.valid;
+    let found = optimality(&x, &labels, &centroids, &valid, &groups)?;
     Ok(Limited { optimal: found.optimal, gap: found.gap, conflict: None })
 }
 
@@ -139,10 +144,7 @@ struct Problem<'a> {
 impl<'a> Problem<'a> {
     fn new(job: &'a Job, rules: &'a TeamRules, rows: &[usize]) -> Result<Self, DivisionError> {
         let embedding = &*job.embedding;
-        let last = job.previous.as_deref().map_or_else(
-            || vec![None; rows.len()],
-            |previous| last_teams(previous, &job.memory, embedding),
-        );
+        let last = last_of(job.previous.as_deref(), &job.memory, embedding, rows);
         let teams = (job.teams as usize).min(rows.len());
         let columns = rules.columns(teams, &last, job.previous.as_deref(), &job.memory);
         let place_of: BTreeMap<&TeamId, usize> = columns
@@ -160,20 +162,37 @@ impl<'a> Problem<'a> {
 
     fn solve(self, job: &Job) -> Result<Solved, DivisionError> {
         let params = DivisionParams::new(&job.settings, self.columns.len()).check()?;
-        let divided = |rules: &ValidRules| {
-            let limits = Limits { rules, previous: &self.previous };
+        let divided = |rules: &ValidRules, groups: &ValidWishes| {
+            let limits = Limits { rules, groups, previous: &self.previous };
             divide_within(&self.x, &params, &limits).map(|found| found.labels)
         };
-        let Some(conflict) = self.rules.conflict(&self.columns, &self.robots) else {
-            let labels = divided(&self.rules.assignment(&self.columns, self.robots.len())?)?;
-            let columns = self.named(&labels);
-            return Ok(Solved { columns, labels, conflict: None });
+        let conflict = match self.rules.conflict(&self.columns, &self.robots) {
+            Some(conflict) => conflict,
+            None => {
+                let rules = self.rules.assignment(&self.columns, &self.robots)?;
+                let groups = self.rules.groups(&rules, &self.robots)?;
+                match divided(&rules, &groups.valid) {
+                    Ok(labels) => {
+                        let columns = self.named(&labels);
+                        return Ok(Solved { columns, labels, conflict: None });
+                    }
+                    // The search ended before it found anything.
+                    Err(LimitedError::Groups(error)) => {
+                        error.to_string().chars().take(MAX_CONFLICT_LENGTH).collect()
+                    }
+                    Err(error) => return Err(error.into()),
+                }
+            }
         };
-        let stays = self.rules.relaxed(&self.columns, &self.previous)?;
-        let labels = match divided(&stays) {
+        let relaxed = |stay: &[Option<Column>]| -> Result<_, DivisionError> {
+            let rules = self.rules.relaxed(&self.columns, &self.robots, stay)?;
+            let nobody = Wishes::default().check(&rules)?;
+            Ok(divided(&rules, &nobody))
+        };
+        let labels = match relaxed(&self.previous)? {
             // The last division had more robots in a team than it may have.
-            Err(LimitedKMeansError::Assignment(AssignmentError::Infeasible(_))) => {
-                divided(&self.rules.relaxed(&self.columns, &vec![None; self.robots.len()])?)?
+            Err(LimitedError::KMeans(LimitedKMeansError::Assignment(_))) => {
+                relaxed(&vec![None; self.robots.len()])??
             }
             labels => labels?,
         };
@@ -212,10 +231,9 @@ impl<'a> Problem<'a> {
         // An empty cluster is no team, and has no first robot.
         news.sort_by_key(|cluster| (clusters[*cluster].is_empty(), clusters[*cluster].first()));
         let sorted: Vec<(usize, usize)> = news.into_iter().zip(columns).collect();
-        if sorted
-            .iter()
-            .all(|(at, column)| self.rules.admits(&self.columns[*column], &clusters[*at]))
-        {
+        if sorted.iter().all(|(at, column)| {
+            self.rules.admits(&self.columns[*column], &clusters[*at], &self.columns)
+        }) {
             for (cluster, column) in sorted {
                 order[cluster] = column;
             }
@@ -229,7 +247,7 @@ impl<'a> Problem<'a> {
         let (mut pairs, mut costs) = (Vec::new(), Vec::new());
         for (cluster, (robots, shared)) in clusters.iter().zip(shared).enumerate() {
             for (column, shared) in shared.iter().enumerate() {
-                if !self.rules.admits(&self.columns[column], robots) {
+                if !self.rules.admits(&self.columns[column], robots, &self.columns) {
                     pairs.push(Pair::Forbidden { robot: cluster, column: Column::Team(column) });
                 }
                 // Of equal ones the column itself.

@@ -175,6 +175,20 @@ pub(crate) fn last_teams<'a>(
     robots.filter(|(_, without)| !**without).map(|(robot, _)| known(robot)).collect()
 }
 
+/// The last team of the robots of some rows of an embedding, all of which have one that is not zero.
+pub(crate) fn last_of<'a>(
+    division: Option<&'a Teams>,
+    memory: &'a Memory,
+    embedding: &Embedding,
+    rows: &[usize],
+) -> Vec<Option<&'a TeamId>> {
+    let Some(division) = division else { return vec![None; rows.len()] };
+    let placed = (0..embedding.robots.len()).filter(|row| !embedding.without_embedding[*row]);
+    let all: BTreeMap<usize, Option<&TeamId>> =
+        placed.zip(last_teams(division, memory, embedding)).collect();
+    rows.iter().map(|row| all.get(row).copied().flatten()).collect()
+}
+
 /// A division as it would be with the seats of the next one: without the teams that have lost all their
 /// robots, and with those whose robots are all back. What is between the two are moves of robots alone; none
 /// if teams were divided or put together.

@@ -104,7 +104,7 @@ fn robots_text(count: usize) -> String {
 }
 
 /// "a", "a and b", "a, b and c", "a, b, … and 5 more".
-fn list(names: &[String]) -> String {
+pub(crate) fn list(names: &[String]) -> String {
     if names.len() > MAX_NAMES {
         let more = names.len() - MAX_NAMES;
         return format!("{} and {more} more", names[..MAX_NAMES].join(", "));

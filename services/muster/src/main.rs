@@ -1,8 +1,8 @@
 //! `muster`: the operator's command.
 //!
 //! It starts processes ([`demo`], [`up`], [`router`], [`robot`]), shows a live fleet ([`show`], [`doctor`]) and what
-//! one was ([`past`]),
-//! changes its settings ([`set`]), prepares hosts ([`deploy`]), tells container managers whether a process is
+//! one was ([`past`]), changes its settings ([`set`]) and wishes ([`wish`]), prepares hosts ([`deploy`]), tells
+//! container managers whether a process is
 //! alive ([`probe`]), prints the form of messages ([`schema`]),
 //! runs the method once on a file ([`solve`]), searches for better settings ([`tune`]), replays the recording of a service ([`replay`]), and
 //! describes itself to shells and manuals ([`describe`]). It is the one program that knows all services:
@@ -26,6 +26,7 @@ mod set;
 mod show;
 mod tune;
 mod up;
+mod wish;
 
 use std::process::ExitCode;
 
@@ -85,6 +86,8 @@ enum Command {
     Probe(probe::ProbeArgs),
     /// Show or change the settings of a running service
     Set(set::SetArgs),
+    /// Put, withdraw or list wishes about robots and teams
+    Wish(wish::WishArgs),
     /// Print the JSON Schema of the messages
     Schema(schema::SchemaArgs),
     /// Print configurations, make certificates and the rules of routers
@@ -172,6 +175,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
         Command::Tune(args) if args.has_file() => tune::of_file(args),
         Command::Tune(args) => console(&config, async |config| tune::of_fleet(args, &config).await),
+        Command::Wish(args) => console(&config, async |config| wish::run(args, &config).await),
         Command::Probe(args) => probe::run(args, &config),
         Command::ReplayCore(args) => replay::run(args),
         Command::Schema(args) => schema::run(args),

@@ -10,12 +10,13 @@ use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
-use muster_model::id::{FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName};
+use muster_model::id::{FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, WishId};
 use muster_model::katz::PairSimilarity;
 use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
+use muster_model::wish::{StandingWish, Wish};
 use muster_wire::message::{plain_reason, quoted};
 use muster_wire::{Key, Message, Packet, Pattern};
 use serde_json::Value;
@@ -264,6 +265,69 @@ impl Client {
         self.settings_reply(service, Some(patch.to_string().as_bytes())).await
     }
 
+    /// All wishes of operators.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails. Empty if nobody has put one, or the clusterer does not run.
+    pub async fn get_wishes(&self) -> Result<Vec<StandingWish>, Error> {
+        let all = self.messages(&Pattern::One(Key::Wishes)).await?;
+        let newest = all.into_iter().max_by_key(revision);
+        Ok(match newest {
+            Some(Message::Wishes(list)) => list.wishes.clone(),
+            _ => Vec::new(),
+        })
+    }
+
+    /// Puts a wish of an operator, in place of the one with this id, and returns it with what has become of it. It is on
+    /// the disk of the clusterer then.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] if a field is wrong, or the wish contradicts limits or other wishes; the reason says how.
+    /// [`Error::Unanswered`] if the clusterer does not run, [`Error::Denied`] if the rules of the router drop the get,
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn put_wish(
+        &self,
+        operator: &OperatorId,
+        id: &WishId,
+        wish: &Wish,
+    ) -> Result<StandingWish, Error> {
+        let payload = serde_json::to_vec(wish).map_err(Error::bus)?;
+        self.wish_reply(Key::Wish(operator.clone(), id.clone()), &payload).await
+    }
+
+    /// Withdraws a wish of an operator, and returns it as it was.
+    ///
+    /// # Errors
+    /// As [`Client::put_wish`]; [`Error::Refused`] if it is not there.
+    pub async fn withdraw_wish(
+        &self,
+        operator: &OperatorId,
+        id: &WishId,
+    ) -> Result<StandingWish, Error> {
+        self.wish_reply(Key::Wish(operator.clone(), id.clone()), b"null").await
+    }
+
+    async fn wish_reply(&self, key: Key, payload: &[u8]) -> Result<StandingWish, Error> {
+        let service = ServiceName::Clusterer;
+        let ask = Ask { payload: Some(payload), ..ask_for("format=json", Target::Complete) };
+        let mut refused = None;
+        for answer in self.get(&Pattern::One(key.clone()), ask).await? {
+            match answer {
+                Answer::Packet(Packet { payload: Ok(payload), .. }) => {
+                    return serde_json::from_slice(&payload).map_err(Error::bus);
+                }
+                Answer::Packet(_) => {}
+                Answer::Error(error) => {
+                    refused = Some(Error::Refused { service, reason: reason(&error) });
+                }
+            }
+        }
+        match refused {
+            Some(refused) => Err(refused),
+            None => Err(self.leader_unanswered(service, key).await),
+        }
+    }
+
     /// The running instances of services, by their liveliness tokens.
     ///
     /// # Errors
@@ -326,14 +390,13 @@ impl Client {
         }
         match refused {
             Some(refused) => Err(refused),
-            None => Err(self.settings_unanswered(service).await),
+            None => Err(self.leader_unanswered(service, Key::Settings(service)).await),
         }
     }
 
-    /// Why the settings of a service are not answered. A router drops what its rules deny without a word; a
-    /// leader that answers for its status runs, and would answer for its settings.
-    async fn settings_unanswered(&self, service: ServiceName) -> Error {
-        let key = Key::Settings(service);
+    /// Why a leader does not answer. A router drops what its rules deny without a word; a leader that answers for its
+    /// status runs, and would answer for its other keys.
+    async fn leader_unanswered(&self, service: ServiceName, key: Key) -> Error {
         let statuses = self.get_statuses(Some(service)).await.unwrap_or_default();
         if statuses.iter().any(|status| status.standing == ReplicaState::Leading) {
             let fleet = self.bus().space().fleet().clone();

@@ -5,11 +5,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::alert::AlertKind;
 use crate::header::Header;
-use crate::id::{Modality, OperatorId, RobotId, ServiceName, TeamId};
+use crate::id::{Modality, OperatorId, RobotId, ServiceName, TeamId, WishId};
 use crate::limits::{
     MAX_ALERT_ROBOTS, MAX_DOUBTED_ROBOTS, MAX_FLAPPING_ROBOTS, MAX_ROBOTS_OF_EVENT,
 };
 use crate::teams::TeamChange;
+use crate::wish::WishState;
 
 /// How much an event matters to an operator.
 #[derive(
@@ -239,6 +240,15 @@ pub enum EventKind {
     FeasibleAgain {
         /// Seconds for which they did not.
         after_s: f64,
+    },
+    /// An operator has put or withdrawn a wish, or it has come to another state.
+    WishChanged {
+        /// Whose wish it is.
+        operator: OperatorId,
+        /// Its name.
+        id: WishId,
+        /// What has become of it.
+        state: WishState,
     },
 }
 

@@ -134,6 +134,10 @@ id!(
     FleetId
 );
 id!(
+    "A wish, among those of its operator."
+    WishId
+);
+id!(
     "A team. It keeps its id for as long as it can be matched with itself."
     TeamId
 );

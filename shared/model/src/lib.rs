@@ -35,3 +35,4 @@ pub mod team_audit;
 pub mod teams;
 pub mod term;
 pub mod time;
+pub mod wish;

@@ -115,3 +115,15 @@ pub const MAX_TEAM_SIZE: u32 = 100_000;
 /// Longest text that says why limits contradict each other, in characters: some names and numbers. It stands in every
 /// division for as long as that is so.
 pub const MAX_CONFLICT_LENGTH: usize = 512;
+
+/// Most wishes of a fleet: each is a decision of a person.
+pub const MAX_WISHES: usize = 256;
+
+/// Most wishes that robots be together or apart: the search may have to look at every combination.
+pub const MAX_GROUP_WISHES: usize = 64;
+
+/// Most robots that one wish names: a list that a person writes.
+pub const MAX_WISH_ROBOTS: usize = 64;
+
+/// Longest note of a wish in characters: a sentence or two.
+pub const MAX_NOTE_LENGTH: usize = 256;

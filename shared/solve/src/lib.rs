@@ -162,7 +162,8 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
     // With --json another program waits, which wants no line on the terminal that it shares.
     let line = line::Line::start(!args.json && std::io::stderr().is_terminal());
     let text = read(&args.file).with_context(|| name.clone())?;
-    let problem = parse(&text, args.options).with_context(|| name.clone())?;
+    let mut problem = parse(&text, args.options).with_context(|| name.clone())?;
+    problem.keeps_frames = args.why.is_some();
     drop(text);
     if args.estimate {
         drop(line);

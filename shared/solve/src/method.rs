@@ -47,8 +47,8 @@ pub(super) struct Solution {
     pub(super) without_embedding: Vec<bool>,
     pub(super) divided: Divided,
     pub(super) warnings: Vec<String>,
-    /// What the embedding rests on.
-    pub(super) frames: Frames,
+    /// What the embedding rests on, if it is kept.
+    pub(super) frames: Option<Frames>,
 }
 
 impl Solution {
@@ -102,6 +102,7 @@ pub(super) fn solve(
             (1.0 + found.svd.sigma.first().copied().unwrap_or(0.0)) * found.residual
         }
     };
+    let frames = problem.keeps_frames.then_some(frames);
     let mut warnings = warnings(problem, &embedded, residual);
     let divided = divide(problem, &embedded, &mut warnings, progress)?;
     let Embedded { weights, trust, decay, decomposition, x, without_embedding } = embedded;

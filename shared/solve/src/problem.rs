@@ -33,6 +33,8 @@ pub(super) struct Problem {
     pub(super) emit: BTreeSet<Emit>,
     /// What was chosen by flags.
     pub(super) options: Options,
+    /// Whether what the embedding rests on is kept, to say why a robot is in its team.
+    pub(super) keeps_frames: bool,
 }
 
 /// The graph of one modality.
@@ -96,7 +98,7 @@ impl Problem {
     ) -> Self {
         let weights = graphs.iter().map(|graph| (graph.name.clone(), graph.weight)).collect();
         let settings = EmbedderSettings { weights, reciprocity: BTreeMap::new(), ..settings };
-        Self { robots, graphs, settings, division, emit, options }
+        Self { robots, graphs, settings, division, emit, options, keeps_frames: false }
     }
 }
 

@@ -57,7 +57,8 @@ pub(super) fn reasons(
         labels.map(|label| Some(*label).filter(|label| unassigned != Some(*label))).collect();
     let settings = &problem.settings;
     let (svd, power) = (&solution.decomposition.svd, settings.scale.power());
-    let pulls = solution.frames.reasons(svd, power, settings.rows, place, &labels);
+    let frames = solution.frames.iter();
+    let pulls = frames.flat_map(|frames| frames.reasons(svd, power, settings.rows, place, &labels));
     let reason = |pull: TeamPull| TeamReason {
         team: pull.team,
         score: pull.score,
@@ -68,7 +69,7 @@ pub(super) fn reasons(
         spread: pull.spread,
         rest: pull.rest,
     };
-    let teams = pulls.into_iter().map(reason).collect();
+    let teams = pulls.map(reason).collect();
     Ok(Reasons { robot: robot.clone(), team: labels[place], teams })
 }
 
@@ -145,7 +146,8 @@ mod tests {
              ["c","d",0.3],["d","c",0.3]]}]}"#;
 
     fn of(robot: &str) -> Result<Reasons, SolveError> {
-        let problem = parse(FLEET.as_bytes(), Options::default()).unwrap();
+        let mut problem = parse(FLEET.as_bytes(), Options::default()).unwrap();
+        problem.keeps_frames = true;
         let solution = solve(&problem, &mut |_| {}).unwrap();
         reasons(&problem, &solution, &RobotId::new(robot).unwrap())
     }

@@ -16,6 +16,7 @@ use muster_model::id::ServiceName;
 use muster_model::role::LeaseRenewal;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
+use muster_model::wish::WishList;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -120,6 +121,7 @@ kinds! {
     11 Event, "Event", MAX_SMALL_PAYLOAD;
     12 AnnouncedSettings, "Settings", MAX_SMALL_PAYLOAD;
     13 LeaseRenewal, "Claim", MAX_SMALL_PAYLOAD;
+    14 WishList, "Wishes", MAX_SERVICE_PAYLOAD;
     16 Alerts, "Alerts", MAX_SERVICE_PAYLOAD;
 }
 

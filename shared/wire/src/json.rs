@@ -17,12 +17,14 @@ use muster_model::id::{FleetId, Modality, OperatorId, RobotId, ServiceName, Team
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::limits::{
     MAX_ALERT_ROBOTS, MAX_CONFLICT_LENGTH, MAX_LOSSES, MAX_MEMBERS_PUBLISHED, MAX_OPEN_ALERTS,
+    MAX_WISHES,
 };
 use muster_model::refused::Refused;
 use muster_model::roster::{Presence, Roster};
 use muster_model::team_audit::{Loss, TeamAudit};
 use muster_model::teams::{RobotTeam, TeamCountScore, Teams};
 use muster_model::time::Tick;
+use muster_model::wish::{StandingWish, WishList, WishReport};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
@@ -693,6 +695,38 @@ impl EdgeJson for PairSimilarity {
             method: self.method,
             residual: self.residual,
         })
+    }
+}
+
+/// All wishes of operators, published with every change.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct WishesForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// The wishes, ordered by operator and id.
+    #[schemars(length(max = MAX_WISHES))]
+    wishes: &'a [StandingWish],
+}
+
+impl EdgeJson for WishList {
+    fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec(&WishesForm { head: head(&self.header, now), wishes: &self.wishes })
+    }
+}
+
+/// A wish, as a get of its key is answered.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct WishReportForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// The wish.
+    #[serde(flatten)]
+    wish: &'a StandingWish,
+}
+
+impl EdgeJson for WishReport {
+    fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec(&WishReportForm { head: head(&self.header, now), wish: &self.wish })
     }
 }
 

@@ -6,7 +6,7 @@
 
 use std::fmt;
 
-use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
+use muster_model::id::{FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, WishId};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Stream;
 use serde::{Deserialize, Serialize};
@@ -71,6 +71,12 @@ pub enum Key {
     Alerts,
     /// `json/alerts`: all open alerts as JSON.
     JsonAlerts,
+    /// `wish/{operator}/{id}`: a get answers with the wish, one with a payload puts or withdraws it.
+    Wish(OperatorId, WishId),
+    /// `wishes`: all wishes.
+    Wishes,
+    /// `json/wishes`: all wishes as JSON.
+    JsonWishes,
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -106,6 +112,8 @@ pub enum Pattern {
     Histories,
     /// `history/*/state`: how far those go.
     HistoryStates,
+    /// `wish/*/*`
+    EachWish,
 }
 
 /// Why a text is not a key of the fleet.
@@ -187,6 +195,7 @@ impl KeySpace {
                 return format!("{}service/{service}/*", self.prefix);
             }
             Pattern::Statuses => "service/*/status",
+            Pattern::EachWish => "wish/*/*",
             Pattern::Everything => "**",
             Pattern::One(key) => return self.format(key),
             Pattern::Foreign(pattern) => return pattern.to_string(),
@@ -238,6 +247,11 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("json"), Some("audit"), None, ..] => Key::JsonAudit,
         [Some("json"), Some("event"), None, ..] => Key::JsonEvent,
         [Some("json"), Some("alerts"), None, ..] => Key::JsonAlerts,
+        [Some("json"), Some("wishes"), None, ..] => Key::JsonWishes,
+        [Some("wishes"), None, ..] => Key::Wishes,
+        [Some("wish"), Some(operator), Some(id), None, _] => {
+            Key::Wish(operator.parse().ok()?, id.parse().ok()?)
+        }
         [Some("graph"), Some(modality), None, ..] => Key::Graph(modality.parse().ok()?),
         [Some("robot"), Some(robot), None, ..] => Key::RobotToken(robot.parse().ok()?),
         [Some("robot"), Some(robot), Some(stream), None, _] => {
@@ -292,9 +306,11 @@ impl Pattern {
     pub const fn payload_limit(&self) -> usize {
         match self {
             Self::Stream(_) | Self::UnknownStreams | Self::Relations => MAX_ROBOT_PAYLOAD,
-            Self::RobotTeams | Self::RobotRefusals | Self::Statuses | Self::HistoryStates => {
-                MAX_SMALL_PAYLOAD
-            }
+            Self::RobotTeams
+            | Self::RobotRefusals
+            | Self::Statuses
+            | Self::HistoryStates
+            | Self::EachWish => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
             Self::Graphs | Self::Everything | Self::Foreign(_) | Self::Histories => {
                 MAX_SERVICE_PAYLOAD
@@ -317,7 +333,8 @@ impl Key {
             | Self::Settings(_)
             | Self::Status(_)
             | Self::Lease(_)
-            | Self::HistoryState(_) => MAX_SMALL_PAYLOAD,
+            | Self::HistoryState(_)
+            | Self::Wish(..) => MAX_SMALL_PAYLOAD,
             Self::RobotToken(_) | Self::ServiceToken(..) => 0,
             _ => MAX_SERVICE_PAYLOAD,
         }
@@ -364,6 +381,9 @@ impl fmt::Display for Key {
             }
             Self::History(instance) => write!(formatter, "history/{instance}"),
             Self::HistoryState(instance) => write!(formatter, "history/{instance}/state"),
+            Self::Wish(operator, id) => write!(formatter, "wish/{operator}/{id}"),
+            Self::Wishes => formatter.write_str("wishes"),
+            Self::JsonWishes => formatter.write_str("json/wishes"),
             Self::Foreign(key) => key.fmt(formatter),
         }
     }
@@ -400,6 +420,9 @@ mod tests {
             Key::HistoryState(InstanceId::new("host-1").unwrap()),
             Key::Alerts,
             Key::JsonAlerts,
+            Key::Wish(OperatorId::new("alice").unwrap(), WishId::new("p1").unwrap()),
+            Key::Wishes,
+            Key::JsonWishes,
         ];
         let robot = RobotId::new("r2").unwrap();
         keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));
@@ -472,6 +495,9 @@ mod tests {
             "json/embedding",
             "graph",
             "graph/a/b",
+            "wish/alice",
+            "wish/alice/p1/x",
+            "wish/A/p1",
             "robot/r1/relation/a/",
         ] {
             assert_eq!(

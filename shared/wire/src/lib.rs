@@ -29,6 +29,7 @@ pub mod report;
 pub mod request;
 pub mod robot_team;
 pub mod schema;
+pub mod wish;
 
 pub use decode::DecodeError;
 pub use foreign::{Attachment, ForeignKey, ForeignPattern};

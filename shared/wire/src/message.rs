@@ -20,6 +20,7 @@ use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
+use muster_model::wish::{WishList, WishReport};
 
 use crate::decode::{DecodeError, check_header, format, payload};
 use crate::envelope::{self, AnnouncedSettings, BinaryMessage, EnvelopeError};
@@ -87,6 +88,10 @@ pub enum Message {
     HistoryState(Box<RecordingState>),
     /// All open alerts.
     Alerts(Arc<Alerts>),
+    /// All wishes.
+    Wishes(Checked<WishList>),
+    /// One wish: what a get of its key is answered with.
+    Wish(Box<WishReport>),
 }
 
 fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
@@ -181,8 +186,11 @@ impl Message {
                 agree(&service, &claim.service, "services")?;
                 Self::LeaseRenewal(Box::new(claim))
             }
+            Key::Wishes => Self::Wishes(Checked::new(binary(format, bytes)?)?),
             Key::RobotToken(_) | Key::ServiceToken(..) => return Err(DecodeError::OnlyTokens),
-            Key::JsonTeams
+            Key::JsonWishes
+            | Key::Wish(..)
+            | Key::JsonTeams
             | Key::JsonAudit
             | Key::JsonEvent
             | Key::JsonAlerts
@@ -212,6 +220,8 @@ impl Message {
             Self::Settings(announced) => Some(&announced.header),
             Self::LeaseRenewal(claim) => Some(&claim.header),
             Self::Alerts(alerts) => Some(&alerts.header),
+            Self::Wishes(list) => Some(&list.header),
+            Self::Wish(report) => Some(&report.header),
             _ => None,
         }
     }
@@ -239,6 +249,10 @@ impl Message {
             Self::History(answer) => (Key::History(answer.instance.clone()), None),
             Self::HistoryState(state) => (Key::HistoryState(state.instance.clone()), None),
             Self::Alerts(_) => (Key::Alerts, Some(Key::JsonAlerts)),
+            Self::Wishes(_) => (Key::Wishes, Some(Key::JsonWishes)),
+            Self::Wish(report) => {
+                (Key::Wish(report.wish.operator.clone(), report.wish.id.clone()), None)
+            }
         }
     }
 
@@ -278,6 +292,7 @@ impl Message {
             | Self::Status(_)
             | Self::History(_)
             | Self::HistoryState(_)
+            | Self::Wish(_)
             | Self::Katz(_) => Format::Json,
             _ => Format::Binary,
         };
@@ -347,6 +362,8 @@ impl Message {
             Self::History(answer) => serde_json::to_vec(answer),
             Self::HistoryState(state) => serde_json::to_vec(state),
             Self::Alerts(alerts) => alerts.to_json(now),
+            Self::Wishes(list) => list.to_json(now),
+            Self::Wish(report) => report.to_json(now),
         }
     }
 
@@ -366,12 +383,14 @@ impl Message {
             Self::Settings(announced) => named(announced.as_ref()),
             Self::LeaseRenewal(claim) => named(claim.as_ref()),
             Self::Alerts(alerts) => named(alerts.as_ref()),
+            Self::Wishes(list) => named(&**list),
             Self::RobotToken { .. }
             | Self::ServiceToken { .. }
             | Self::Refused(_)
             | Self::Status(_)
             | Self::History(_)
             | Self::HistoryState(_)
+            | Self::Wish(_)
             | Self::Katz(_) => Err(EnvelopeError::Encode(
                 "this message has no binary form; ask with format=json".to_owned(),
             )),

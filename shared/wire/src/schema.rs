@@ -19,6 +19,7 @@ use muster_model::settings::{
     Settings,
 };
 use muster_model::status::ServiceStatus;
+use muster_model::wish::Wish;
 use schemars::generate::SchemaSettings;
 use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -27,7 +28,7 @@ use serde_json::{Map, Value, json};
 use crate::envelope::MAX_SMALL_PAYLOAD;
 use crate::json::{
     AlertsForm, AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm,
-    RobotTeamForm, RosterForm, TeamsForm,
+    RobotTeamForm, RosterForm, TeamsForm, WishReportForm, WishesForm,
 };
 use crate::report;
 
@@ -159,6 +160,15 @@ impl Schemas {
         all.settings::<HistorianSettings>(ServiceName::Historian, "");
         all.written::<HistoryAnswer>("history", &["history/{instance}"]);
         all.written::<RecordingState>("history_state", &["history/{instance}/state"]);
+        all.written::<WishesForm<'_>>("wishes", &["json/wishes", "wishes?format=json"]);
+        all.written::<WishReportForm<'_>>("wish_report", &["wish/{operator}/{id}"]);
+        all.read::<Wish>(
+            "wish",
+            &["wish/{operator}/{id} (payload of a get)"],
+            "robots or a team that the kind does not take, fewer than two robots of together and apart, a robot \
+             that is named twice, a wish that contradicts the limits and the other wishes for the robots of the \
+             fleet, more than 256 wishes, and a key with wildcards. null withdraws the wish.",
+        );
         all.written::<Problem<'_>>("error", &[]);
         all
     }

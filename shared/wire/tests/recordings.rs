@@ -35,6 +35,7 @@ fn every_message_that_is_received_comes_back_from_a_recording() {
                 | Message::Refused(_)
                 | Message::History(_)
                 | Message::HistoryState(_)
+                | Message::Wish(_)
         ) {
             assert!(
                 again(&message).is_err(),

@@ -367,8 +367,16 @@ impl World {
     }
 
     fn set(&mut self, service: ServiceName, patch: String) {
-        let selector = self.space.format(&Key::Settings(service));
-        let asked = BusGet { selector, parameters: "", payload: Some(patch.into_bytes()) };
+        let settings = self.space.format(&Key::Settings(service));
+        // A wish stands behind its key.
+        let (selector, payload) = match patch.split_once(' ').filter(|_| patch.starts_with("wish/"))
+        {
+            Some((key, wish)) => {
+                (settings.replace(&Key::Settings(service).to_string(), key), wish.to_owned())
+            }
+            None => (settings, patch),
+        };
+        let asked = BusGet { selector, parameters: "", payload: Some(payload.into_bytes()) };
         self.get(self.operator.link, asked, CONSOLE_TIMEOUT, Asker::Operator(service));
     }
 }

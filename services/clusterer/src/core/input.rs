@@ -15,6 +15,7 @@ use super::awaiting::Reunion;
 use super::{Clusterer, Context, Received};
 use crate::identity::is_believable;
 use crate::seats::Vacancies;
+use crate::wishes::WishBook;
 
 impl Clusterer {
     pub(super) fn accept_message(&mut self, context: &mut Context<'_>, message: Message) {
@@ -24,6 +25,7 @@ impl Clusterer {
             Message::Audit(audit) => self.accept_audit(audit),
             Message::Alerts(alerts) => self.accept_alerts(alerts),
             Message::Teams { teams, .. } => self.accept_teams(context, &teams),
+            Message::Wishes(wishes) if !context.has_term() => self.keeping.note_wishes(wishes),
             _ => {}
         }
     }
@@ -113,6 +115,14 @@ impl Clusterer {
             if last.is_none_or(|last| teams.header.revision > last) {
                 self.division = Some(teams.clone());
             }
+        }
+        for message in messages {
+            if let Message::Wishes(wishes) = message {
+                self.keeping.note_wishes(wishes.clone());
+            }
+        }
+        if let Some(wishes) = self.keeping.wishes() {
+            self.wishes = WishBook::of(&wishes.wishes);
         }
         self.inherit_kept();
         Arc::make_mut(&mut self.memory).next_team = self.keeping.next_team;

@@ -17,7 +17,6 @@ use super::{Clusterer, Context, Published, Received, Undecided, View};
 use crate::division::{changes, with_held};
 use crate::leader::leaders;
 use crate::publishing::{robots_to_inform, shortage};
-use crate::rules::TeamRules;
 use crate::seats::{Seats, reseated};
 
 /// Most changes of one division that are published as events; the others are only counted. When a whole fleet
@@ -34,7 +33,10 @@ impl Clusterer {
         let renewed = self.orders.renewed(now, self.roster.as_deref());
         let seated = before.as_deref().and_then(|before| reseated(before, &new));
         let seated = seated.as_ref().or(before.as_deref());
-        let rules = TeamRules::of(context.settings());
+        let asked = self.rules(context.settings());
+        let rules = asked
+            .clone()
+            .map(|rules| rules.resolved(before.as_deref(), &self.memory, &source.embedding));
         let stands = new.limited.as_ref().is_some_and(|limited| limited.conflict.is_some());
         // A division that stands because nothing satisfies the rules has no noise to wait out.
         let dwell = if stands { Duration::ZERO } else { dwell };
@@ -59,7 +61,7 @@ impl Clusterer {
         teams.changes = changes(&teams, before.as_deref());
         // What happened to the teams is published with this one.
         let teams_found = Teams { changes: vec![], ..new };
-        let undecided = Undecided { teams: teams_found, rules };
+        let undecided = Undecided { teams: teams_found, rules: asked };
         self.undecided = (!held.is_empty()).then(|| Box::new(undecided));
         Arc::make_mut(&mut self.memory).follow(now, before.as_deref(), &teams);
         self.publish(context, teams, source);
@@ -76,7 +78,7 @@ impl Clusterer {
         if let Some(published) = &self.published
             && let Some(undecided) = self.undecided.take()
             // What was to follow may break rules that hold since; another division comes then.
-            && undecided.rules == TeamRules::of(context.settings())
+            && undecided.rules == self.rules(context.settings())
         {
             let source = published.source.clone();
             self.settle(context, undecided.teams, source);
@@ -125,6 +127,7 @@ impl Clusterer {
         if context.is_leading() {
             self.keeping.note(&teams);
             self.report_changes(context, &teams, absent);
+            self.assess_wishes(context, &teams);
             self.received_by_others = Some(teams);
         }
     }

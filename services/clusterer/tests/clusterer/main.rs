@@ -19,6 +19,7 @@ mod limits;
 mod properties;
 mod publishing;
 mod recovery;
+mod wishes;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

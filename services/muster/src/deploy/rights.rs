@@ -47,7 +47,8 @@ impl Rights {
                 let named = |robot: &&RobotId| robot.as_str() == identity.name;
                 fleet.robots.iter().find(named).map(|robot| of_robot(fleet, &space, robot))
             }
-            Kind::Operator | Kind::Viewer => Some(of_reader(&space, identity.kind)),
+            Kind::Operator => Some(of_operator(&space, &identity.name)),
+            Kind::Viewer => Some(of_viewer(&space)),
         }
     }
 }
@@ -131,32 +132,54 @@ fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
     rights
 }
 
+/// An operator gets everything but the wishes of others: a get of a wish may carry a change, which a router cannot
+/// distinguish. All wishes are read on `wishes`.
+fn of_operator(space: &KeySpace, name: &str) -> Rights {
+    let all = |tail: &str| format!("muster/v1/{}/{tail}", space.fleet());
+    let keys = [
+        Key::Roster,
+        Key::Embedding,
+        Key::Teams,
+        Key::Audit,
+        Key::Schema,
+        Key::Wishes,
+        Key::Alerts,
+        Key::Event,
+    ];
+    let keys = keys.iter().map(|key| space.format(key));
+    let wildcards = ["robot/**", "graph/*", "service/**", "json/*", "history/**"].map(all);
+    let own = all(&format!("wish/{name}/*"));
+    Rights { get: keys.chain(wildcards).chain([own]).collect(), ..of_reader(space) }
+}
+
 /// A get of settings may carry a change, and one of alerts an acknowledgement, which a router cannot distinguish: a
 /// viewer may not get them.
-fn of_reader(space: &KeySpace, kind: Kind) -> Rights {
+fn of_viewer(space: &KeySpace) -> Rights {
+    let keys = [
+        Pattern::RobotTeams,
+        Pattern::Graphs,
+        Pattern::Statuses,
+        Pattern::One(Key::Roster),
+        Pattern::One(Key::Embedding),
+        Pattern::One(Key::Teams),
+        Pattern::One(Key::Audit),
+        Pattern::One(Key::JsonTeams),
+        Pattern::One(Key::JsonAudit),
+        Pattern::One(Key::Wishes),
+        Pattern::One(Key::JsonWishes),
+        Pattern::Histories,
+        Pattern::HistoryStates,
+        Pattern::One(Key::JsonAlerts),
+    ];
+    let keys = keys.iter().map(|pattern| space.pattern(pattern));
+    Rights { get: keys.chain([schema(space)]).collect(), ..of_reader(space) }
+}
+
+/// What all who read everything may do.
+fn of_reader(space: &KeySpace) -> Rights {
     let everything = space.pattern(&Pattern::Everything);
-    let get = if kind == Kind::Operator {
-        vec![everything.clone()]
-    } else {
-        let keys = [
-            Pattern::RobotTeams,
-            Pattern::Graphs,
-            Pattern::Statuses,
-            Pattern::One(Key::Roster),
-            Pattern::One(Key::Embedding),
-            Pattern::One(Key::Teams),
-            Pattern::One(Key::Audit),
-            Pattern::One(Key::JsonTeams),
-            Pattern::One(Key::JsonAudit),
-            Pattern::Histories,
-            Pattern::HistoryStates,
-            Pattern::One(Key::JsonAlerts),
-        ];
-        keys.iter().map(|pattern| space.pattern(pattern)).chain([schema(space)]).collect()
-    };
     Rights {
         subscribe: vec![everything.clone()],
-        get,
         watch_token: vec![everything],
         ..Rights::default()
     }
@@ -290,9 +313,17 @@ mod tests {
 
     #[test]
     fn only_operators_may_get_settings_which_may_change_them() {
-        assert_eq!(rights("operator.operator").get, ["muster/v1/default/**"]);
+        let operator = rights("operator.operator").get;
+        for key in ["service/**", "wish/operator/*", "wishes"] {
+            assert!(operator.contains(&format!("muster/v1/default/{key}")), "{operator:?}");
+        }
+        // The wishes of another operator are its own.
+        let of_wish = |key: &&String| key.contains("/wish/") || key.ends_with("default/**");
+        assert_eq!(operator.iter().filter(of_wish).count(), 1, "{operator:?}");
         let may = rights("viewer.dashboard");
         assert!(may.put.is_empty() && may.declare_token.is_empty() && may.reply.is_empty());
-        assert!(!may.get.iter().any(|key| key.contains("**") || key.contains("settings")));
+        assert!(!may.get.iter().any(|key| {
+            key.contains("**") || key.contains("settings") || key.contains("/wish/")
+        }));
     }
 }

@@ -19,7 +19,9 @@ use muster_model::history::{
     PastDivision, PastTeam, PlaceRow, RecordingState, Rows, SnapshotCause, StayRow, TeamMean,
     TeamRow,
 };
-use muster_model::id::{FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, TeamId};
+use muster_model::id::{
+    FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, TeamId, WishId,
+};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
 use muster_model::refused::Refused;
@@ -29,6 +31,7 @@ use muster_model::status::{Departure, ServiceStatus};
 use muster_model::team_audit::{Conductance, LeastFitting, Loss, Radio, Spread, TeamAudit};
 use muster_model::teams::{Limited, Member, Team, TeamChange, TeamCountScore, Teams};
 use muster_model::time::Tick;
+use muster_model::wish::{StandingWish, Wish, WishKind, WishList, WishReport, WishState};
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
 
@@ -276,6 +279,19 @@ pub fn all() -> Vec<(&'static str, Message)> {
         counters: BTreeMap::from([("poses_accepted".to_owned(), 600)]),
         departed: vec![Departure { robot: robot("r7"), left: Tick(NOW.0 - 30_000_000) }],
     };
+    let wish = StandingWish {
+        operator: OperatorId::new("alice").unwrap(),
+        id: WishId::new("p1").unwrap(),
+        wish: Wish {
+            kind: WishKind::Pin,
+            robots: vec![robot("r1")],
+            team: Some(team("t2")),
+            expires: Some(1_795_209_990.5),
+            note: Some("carries the relay".to_owned()),
+        },
+        state: WishState::Waiting,
+        reason: Some("team t2 is not there".to_owned()),
+    };
     vec![
         ("pose", from_robot("r1", pose)),
         ("links", from_robot("r1", links)),
@@ -317,6 +333,14 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ("history", Message::History(Box::new(history()))),
         ("history_state", Message::HistoryState(Box::new(history_state()))),
         ("alerts", Message::Alerts(Arc::new(alerts()))),
+        (
+            "wishes",
+            Message::Wishes(Checked::new_unchecked(WishList {
+                header: header(48),
+                wishes: vec![wish.clone()],
+            })),
+        ),
+        ("wish_report", Message::Wish(Box::new(WishReport { header: header(48), wish }))),
     ]
 }
 
@@ -529,6 +553,11 @@ pub fn event_kinds() -> Vec<EventKind> {
         EventKind::AlertsFolded { count: 3 },
         EventKind::Infeasible { reason: "8 robots may only be in t1, which holds 6".to_owned() },
         EventKind::FeasibleAgain { after_s: 2.5 },
+        EventKind::WishChanged {
+            operator: OperatorId::new("alice").unwrap(),
+            id: WishId::new("p1").unwrap(),
+            state: WishState::Active,
+        },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));
     kinds

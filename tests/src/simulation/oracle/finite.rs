@@ -33,6 +33,8 @@ pub(crate) fn check(message: &Message) -> Verified {
         Message::History(answer) => answer.serialize(Walker),
         Message::HistoryState(state) => state.serialize(Walker),
         Message::Alerts(alerts) => alerts.serialize(Walker),
+        Message::Wishes(list) => list.serialize(Walker),
+        Message::Wish(report) => report.wish.serialize(Walker),
     };
     match walked {
         Ok(()) => Ok(()),

@@ -1,17 +1,21 @@
 //! Limits on the robots of teams hold, or the division and an event say why not.
 //!
-//! The limits are those that the publishing process itself has announced. A division that was made before they were
+//! So are pins and bans that the process has published as granted. The limits are those that the publishing process itself has announced. A division that was made before they were
 //! changed may be repeated until the first one that obeys the new ones.
 
 use muster_model::event::EventKind;
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::Teams;
+use muster_model::wish::{StandingWish, WishKind, WishList, WishState};
 use muster_wire::envelope::AnnouncedSettings;
 
 use super::{Publisher, Verified, breach};
 
 /// What is promised of limits.
 const LIMITS: &str = "limits on the robots of teams hold, or the division says why not";
+
+/// What is promised of wishes.
+const WISHES: &str = "a wish that is published as active is granted";
 
 /// What is promised of the event.
 const EVENT: &str = "an event says that nothing satisfies the limits any more";
@@ -25,6 +29,8 @@ pub(crate) struct Limits {
     publisher: Option<Publisher>,
     /// The settings that may still be in force, the newest last.
     announced: Vec<ClustererSettings>,
+    /// The wishes that it has published last.
+    wishes: Vec<StandingWish>,
     /// Whether the last division of the process had no conflict; none if it has published none.
     had_no_conflict: Option<bool>,
     /// Whether an event must come before the next division.
@@ -56,6 +62,34 @@ impl Limits {
         }
     }
 
+    /// A process has published all wishes.
+    pub(crate) fn wished(&mut self, publisher: Publisher, list: &WishList) {
+        self.follow(publisher);
+        self.wishes.clone_from(&list.wishes);
+    }
+
+    /// A pin or a ban that was granted and is not.
+    fn broken_wish(&self, teams: &Teams) -> Option<&StandingWish> {
+        let granted = self.wishes.iter().filter(|one| one.state == WishState::Active);
+        let mut broken = granted.filter(|one| {
+            let wished = one.wish.team.as_ref();
+            let is_there = teams.teams.iter().any(|team| Some(&team.id) == wished);
+            let mut placed = teams
+                .assignments()
+                .filter(|(robot, _)| is_there && one.wish.robots.contains(robot))
+                .map(|(_, team)| team);
+            match one.wish.kind {
+                WishKind::Pin => placed.any(|team| Some(team) != wished),
+                WishKind::Ban => placed.any(|team| Some(team) == wished),
+                WishKind::Reserve => {
+                    teams.assignments().any(|(robot, _)| one.wish.robots.contains(robot))
+                }
+                _ => false,
+            }
+        });
+        broken.next()
+    }
+
     /// A process has published an event.
     pub(crate) fn reported(&mut self, publisher: Publisher, kind: &EventKind) {
         self.follow(publisher);
@@ -74,6 +108,11 @@ impl Limits {
         let conflict = teams.limited.as_ref().and_then(|limited| limited.conflict.as_deref());
         self.awaits_event = conflict.is_some() && self.had_no_conflict == Some(true);
         self.had_no_conflict = Some(conflict.is_none());
+        if conflict.is_none()
+            && let Some(one) = self.broken_wish(teams)
+        {
+            return breach(WISHES, format!("division {revision:?} does not grant {one:?}"));
+        }
         let Some(newest) = self.announced.last().cloned() else { return Ok(()) };
         match self.announced.iter().rposition(|settings| obeys(teams, settings)) {
             Some(place) => {
@@ -97,16 +136,16 @@ impl Limits {
 
 /// Whether a division obeys limits, as far as it says that it does.
 fn obeys(teams: &Teams, settings: &ClustererSettings) -> bool {
+    // Wishes alone are rules as well.
     let Some(limited) = &teams.limited else { return !has_limits(settings) };
-    has_limits(settings)
-        && teams.teams.iter().all(|team| {
-            let own = settings.team_size.get(&team.id);
-            let least = own.and_then(|own| own.min).or(settings.size.min).unwrap_or(0);
-            let most = own.and_then(|own| own.max).or(settings.size.max);
-            let robots = team.members.len();
-            let few = robots < least as usize && limited.conflict.is_none();
-            !few && most.is_none_or(|most| robots <= most as usize)
-        })
+    teams.teams.iter().all(|team| {
+        let own = settings.team_size.get(&team.id);
+        let least = own.and_then(|own| own.min).or(settings.size.min).unwrap_or(0);
+        let most = own.and_then(|own| own.max).or(settings.size.max);
+        let robots = team.members.len();
+        let few = robots < least as usize && limited.conflict.is_none();
+        !few && most.is_none_or(|most| robots <= most as usize)
+    })
 }
 
 fn has_limits(settings: &ClustererSettings) -> bool {

@@ -271,6 +271,7 @@ impl Oracle {
                 self.divisions.add(teams.header.revision, teams);
             }
             Message::Graph(delta) => self.graph = Some(Arc::clone(delta)),
+            Message::Wishes(list) => self.limits.wished(publisher, list),
             Message::Event(event) if service == ServiceName::Clusterer => {
                 self.limits.reported(publisher, &event.kind);
             }

@@ -80,8 +80,9 @@ impl Order {
         let counts = !repeats;
         let Publisher { service, instance, .. } = publisher;
         // A process that is killed before its term is on the disk begins it again. Readers answer with
-        // what it gave, except events and refusals, which no reader keeps.
-        let of_process = matches!(message, Message::Event(_) | Message::Refused(_));
+        // what it gave, except events, refusals and wishes, which no reader keeps.
+        let of_process =
+            matches!(message, Message::Event(_) | Message::Refused(_) | Message::Wishes(_));
         let key = if of_process { format!("{key} of process {}", publisher.process) } else { key };
         let place = (service, instance, key);
         if matches!(message, Message::Settings(_)) && revision == Revision::default() {
