@@ -193,6 +193,10 @@ fn every_mutant_is_found_and_its_run_made_short() {
                 "on busy hosts a division is never older than ten times what its stages take alone",
             ],
         ),
+        (
+            Mutant::Overfull,
+            vec!["limits on the robots of teams hold, or the division says why not"],
+        ),
     ] {
         let options = Options { robots: Some(6), ..Options::default() };
         let outcomes = (0..200).map(|seed| simulate(seed, &options, Some(mutant), false));

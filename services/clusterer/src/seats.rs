@@ -118,7 +118,7 @@ impl Seats {
 
 /// Seats that were kept for absent teams when the division was written that was found on disk. Which robots
 /// they are kept for is not known any more: whoever returns is a newcomer.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Vacancies {
     seats: u32,
     since: Option<Tick>,
@@ -149,7 +149,7 @@ impl Vacancies {
 }
 
 /// Who came lately.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Arrivals {
     /// When robots were last there that no team knew.
     newcomers: Option<Tick>,
@@ -173,6 +173,20 @@ pub(crate) fn last_teams<'a>(
     let known = |robot: &RobotId| team_of.get(robot).copied().or_else(|| memory.last_team(robot));
     let robots = embedding.robots.iter().zip(&embedding.without_embedding);
     robots.filter(|(_, without)| !**without).map(|(robot, _)| known(robot)).collect()
+}
+
+/// The last team of the robots of some rows of an embedding, all of which have one that is not zero.
+pub(crate) fn last_of<'a>(
+    division: Option<&'a Teams>,
+    memory: &'a Memory,
+    embedding: &Embedding,
+    rows: &[usize],
+) -> Vec<Option<&'a TeamId>> {
+    let Some(division) = division else { return vec![None; rows.len()] };
+    let placed = (0..embedding.robots.len()).filter(|row| !embedding.without_embedding[*row]);
+    let all: BTreeMap<usize, Option<&TeamId>> =
+        placed.zip(last_teams(division, memory, embedding)).collect();
+    rows.iter().map(|row| all.get(row).copied().flatten()).collect()
 }
 
 /// A division as it would be with the seats of the next one: without the teams that have lost all their
