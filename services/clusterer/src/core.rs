@@ -397,6 +397,8 @@ impl Core for Clusterer {
             let patterns = [Key::Embedding, Key::Roster].map(Pattern::One);
             context.fetch(MissedInputs, patterns.to_vec());
             self.rotation.make_due();
+            // What was put while the output was suppressed has reached nobody.
+            self.publish_wishes(context, &[]);
             self.republish(context);
             self.consider(context);
         }
