@@ -109,7 +109,7 @@ fn the_messages_of_the_document_are_valid() {
     }
     let names: BTreeSet<&str> = cases.iter().map(|(name, _)| name.as_str()).collect();
     let mut wanted = BTreeSet::from(["audit", "event", "links", "pose", "rank", "relation"]);
-    wanted.extend(["alerts", "refused", "robot_team", "teams"]);
+    wanted.extend(["alerts", "refused", "robot_team", "teams", "wishes"]);
     assert_eq!(names, wanted);
     for (problem, case) in validated(&offline(), &[], &cases).iter().zip(&cases) {
         assert_eq!(*problem, None, "{case:?}");

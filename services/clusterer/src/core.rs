@@ -13,7 +13,7 @@ use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
-use muster_model::id::ServiceName;
+use muster_model::id::{ServiceName, TeamId};
 use muster_model::orders::NewOrders;
 use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
@@ -61,6 +61,8 @@ struct Task {
     settings: ClustererSettings,
     /// What it is to respect.
     rules: Option<TeamRules>,
+    /// The teams that wishes name and that are there: a team that lives again is divided with its wishes.
+    wished: BTreeSet<TeamId>,
     /// How many teams.
     teams: u32,
 }
@@ -69,6 +71,7 @@ impl PartialEq for Task {
     fn eq(&self, other: &Self) -> bool {
         self.settings == other.settings
             && self.rules == other.rules
+            && self.wished == other.wished
             && self.teams == other.teams
             && same_data(&self.source.embedding, &other.source.embedding)
     }
@@ -162,7 +165,9 @@ impl Clusterer {
         let rules = self.rules(&settings);
         let Number { teams, is_same } =
             self.decide_number(now, &settings, rules.as_ref(), &newest.embedding);
-        let task = Task { source: newest.clone(), settings, rules: rules.clone(), teams };
+        let wished = rules.as_ref().map(|rules| rules.wished(self.division.as_deref()));
+        let wished = wished.unwrap_or_default();
+        let task = Task { source: newest.clone(), settings, rules: rules.clone(), wished, teams };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
                 && let Some(published) = &mut self.published
@@ -409,6 +414,8 @@ impl Core for Clusterer {
             let patterns = [Key::Embedding, Key::Roster].map(Pattern::One);
             context.fetch(MissedInputs, patterns.to_vec());
             self.rotation.make_due();
+            // What was put while the output was suppressed has reached nobody.
+            self.publish_wishes(context, &[]);
             self.republish(context);
             self.consider(context);
         }

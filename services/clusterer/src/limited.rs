@@ -60,8 +60,9 @@ pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionErro
     Ok(teams)
 }
 
-/// Gives new teams the ids of those that ended, where most of their robots are back in one, and the rules of the old team
-/// allow it; `stands` if none hold for now.
+/// Gives new teams the ids of those that ended, where most of their robots are back in one, and the limits of the old team
+/// allow it; `stands` if no rules hold for now. Wishes that name such a team count from the next division on, which follows
+/// at once.
 fn revive(
     job: &Job,
     rules: &TeamRules,
@@ -81,10 +82,10 @@ fn revive(
     let living = job.previous.as_deref().map_or(&[][..], |previous| &previous.teams);
     let lives = |id: &TeamId| living.iter().any(|team| team.id == *id);
     for (id, cluster, _) in job.memory.revivable(&clusters, &unassigned) {
-        if !lives(id)
-            && !lives(&ids[cluster])
-            && (stands || rules.admits(id, &clusters[cluster], ids))
-        {
+        // Also while no rules hold no team has more robots than it may have.
+        let robots = clusters[cluster].len();
+        let has_room = || rules.has_room(id, robots) || stands && robots <= rules.bounds(id).upper;
+        if !lives(id) && !lives(&ids[cluster]) && has_room() {
             ids[cluster] = id.clone();
         }
     }

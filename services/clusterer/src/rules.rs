@@ -109,7 +109,7 @@ impl TeamRules {
     }
 
     /// The robots that are in no team on purpose.
-    fn reserved(&self) -> BTreeSet<&RobotId> {
+    pub(crate) fn reserved(&self) -> BTreeSet<&RobotId> {
         let reserves = self.wishes.iter().filter(|asked| asked.wish.kind == WishKind::Reserve);
         reserves.flat_map(|asked| &asked.wish.robots).collect()
     }
@@ -117,6 +117,18 @@ impl TeamRules {
     /// Whether a limit or a wish names a team.
     fn names(&self, team: &TeamId) -> bool {
         self.of_team.contains_key(team) || self.is_wished(team)
+    }
+
+    /// The teams of a division that wishes name.
+    pub(crate) fn wished(&self, division: Option<&Teams>) -> BTreeSet<TeamId> {
+        let teams = division.into_iter().flat_map(|division| &division.teams);
+        teams.map(|team| &team.id).filter(|id| self.is_wished(id)).cloned().collect()
+    }
+
+    /// Whether a team may have so many robots.
+    pub(crate) fn has_room(&self, team: &TeamId, robots: usize) -> bool {
+        let bounds = self.bounds(team);
+        (bounds.lower..=bounds.upper).contains(&robots)
     }
 
     /// Whether a wish names a team.
@@ -354,16 +366,11 @@ impl TeamRules {
         format!("{noun} {}", crate::words::list(&names))
     }
 
-    /// Whether these robots may be a team, beside these others.
-    pub(crate) fn admits(&self, team: &TeamId, robots: &[&RobotId], others: &[TeamId]) -> bool {
-        let bounds = self.bounds(team);
-        let mut columns = others.to_vec();
-        if !columns.contains(team) {
-            columns.push(team.clone());
-        }
+    /// Whether these robots may be a team of these.
+    pub(crate) fn admits(&self, team: &TeamId, robots: &[&RobotId], columns: &[TeamId]) -> bool {
         let is_here = |column: Column| matches!(column, Column::Team(at) if columns[at] == *team);
-        (bounds.lower..=bounds.upper).contains(&robots.len())
-            && self.ties(&columns, robots).iter().all(|tie| match tie.pair {
+        self.has_room(team, robots.len())
+            && self.ties(columns, robots).iter().all(|tie| match tie.pair {
                 Pair::Forced { column, .. } => is_here(column),
                 Pair::Forbidden { column, .. } => !is_here(column),
             })

@@ -38,26 +38,33 @@ pub(crate) struct Seats {
 
 impl Seats {
     /// The seats of the last division and of the teams that are remembered, and `vacant` ones of which no more
-    /// is known.
+    /// is known. Robots that are in no team on purpose have no seat, and neither has a team of which all robots are.
     pub(crate) fn of(
         division: Option<&Teams>,
         memory: &Memory,
         vacant: u32,
+        reserved: &BTreeSet<&RobotId>,
         embedding: &Embedding,
     ) -> Self {
         let Some(division) = division else { return Self::default() };
-        let last_of = last_teams(division, memory, embedding);
+        let robots = embedding.robots.iter().zip(&embedding.without_embedding);
+        let robots = robots.filter(|(_, without)| !**without).map(|(robot, _)| robot);
+        let last_of: Vec<Option<&TeamId>> = robots
+            .zip(last_teams(division, memory, embedding))
+            .filter(|(robot, _)| !reserved.contains(robot))
+            .map(|(_, last)| last)
+            .collect();
         let newcomers = last_of.contains(&None);
         let mut seats = Self { newcomers, absent: vacant, ..Self::default() };
         let occupied: BTreeSet<&TeamId> = last_of.into_iter().flatten().collect();
         for team in &division.teams {
             if occupied.contains(&team.id) {
                 seats.present.insert(team.id.clone());
-            } else {
+            } else if team.members.iter().any(|member| !reserved.contains(&member.robot)) {
                 seats.absent = seats.absent.saturating_add(1);
             }
         }
-        for id in memory.lost_teams() {
+        for id in memory.lost_teams(reserved) {
             if occupied.contains(id) {
                 seats.present.insert(id.clone());
                 seats.returning += 1;

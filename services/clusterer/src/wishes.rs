@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use muster_model::embedding::Embedding;
 use muster_model::id::{OperatorId, RobotId, TeamId, WishId};
-use muster_model::limits::{MAX_CONFLICT_LENGTH, MAX_GROUP_WISHES, MAX_WISHES};
+use muster_model::limits::{MAX_GROUP_WISHES, MAX_WISHES};
 use muster_model::settings::SettingsError;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
@@ -134,10 +134,11 @@ impl WishBook {
             let (state, reason) = match awaited(&one.wish, &there, &living) {
                 Some(reason) => (WishState::Waiting, Some(reason)),
                 None if is_granted(&one.wish, &placed, &there) => (WishState::Active, None),
-                None => {
-                    let why = conflict.unwrap_or("it contradicts the limits or other wishes");
-                    (WishState::Conflicting, Some(why.chars().take(MAX_CONFLICT_LENGTH).collect()))
-                }
+                None => match conflict {
+                    Some(why) => (WishState::Conflicting, Some(why.to_owned())),
+                    // Its team has just come to life again.
+                    None => (WishState::Waiting, Some(NEXT_DIVISION.to_owned())),
+                },
             };
             if one.state != state {
                 changed.push(name.clone());

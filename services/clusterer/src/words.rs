@@ -145,12 +145,12 @@ mod tests {
             text(5, &[least(2), least(2), least(2)]),
             "t1, t2 and t3 need 6 robots, and 5 may be there"
         );
-        let many = text(40, &vec![most(2); 12]);
+        let many = text(40, &[most(2); 12]);
         assert!(many.contains("t8 and 4 more, which hold 24"), "{many}");
     }
 
     #[test]
     fn a_long_text_is_cut() {
-        assert!(text(4000, &vec![Bounds::at_most(1); 1000]).chars().count() <= MAX_CONFLICT_LENGTH);
+        assert!(text(4000, &[Bounds::at_most(1); 1000]).chars().count() <= MAX_CONFLICT_LENGTH);
     }
 }

@@ -53,8 +53,7 @@ pub enum Mutant {
     Forgetful,
     /// The embedder receives nothing that is published any more once the hosts were busy.
     StarvedEmbedder,
-    /// The clusterer puts the robots of the last team into the first one, whatever the limits are, once settings were
-    /// changed.
+    /// The clusterer puts all robots into the first team, whatever the limits are, once settings were changed.
     Overfull,
 }
 
@@ -280,11 +279,9 @@ impl Mutator {
             }
             (Mutant::Overfull, Message::Teams { teams, mirror }) if teams.limited.is_some() => {
                 let mut teams = Teams::clone(&teams);
-                if teams.teams.len() > 1
-                    && let Some(last) = teams.teams.pop()
-                    && let Some(first) = teams.teams.first_mut()
-                {
-                    first.members.extend(last.members);
+                let others = teams.teams.split_off(teams.teams.len().min(1));
+                if let Some(first) = teams.teams.first_mut() {
+                    first.members.extend(others.into_iter().flat_map(|team| team.members));
                     first.members.sort_by(|left, right| left.robot.cmp(&right.robot));
                 }
                 Message::Teams { teams: Checked::new_unchecked(teams), mirror }

@@ -37,10 +37,17 @@ pub(super) struct Number {
 
 impl Clusterer {
     /// How many teams are wanted now, by these settings.
-    fn demand(&mut self, now: Tick, settings: &ClustererSettings, embedding: &Embedding) -> Demand {
+    fn demand(
+        &mut self,
+        now: Tick,
+        settings: &ClustererSettings,
+        rules: Option<&TeamRules>,
+        embedding: &Embedding,
+    ) -> Demand {
+        let reserved = rules.map(TeamRules::reserved).unwrap_or_default();
         let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
         let vacant = self.vacancies.count(now, last);
-        let seats = Seats::of(self.division.as_deref(), &self.memory, vacant, embedding);
+        let seats = Seats::of(self.division.as_deref(), &self.memory, vacant, &reserved, embedding);
         let current = seats.current(last.map(|division| division.requested));
         let wanted = seats.wanted(now, settings.teams, current, &mut self.arrivals);
         Demand { wanted, current }
@@ -54,7 +61,7 @@ impl Clusterer {
         rules: Option<&TeamRules>,
         embedding: &Embedding,
     ) -> Number {
-        let Demand { wanted, current } = self.demand(now, settings, embedding);
+        let Demand { wanted, current } = self.demand(now, settings, rules, embedding);
         let quality = &embedding.quality;
         let (mut shown, mut last) = (quality.teams_shown, current);
         if let Some(rules) = rules {
@@ -122,7 +129,7 @@ impl Clusterer {
             arrivals: self.arrivals.clone(),
             ..Self::default()
         };
-        let demand = asked.demand(now, settings, embedding);
+        let demand = asked.demand(now, settings, Some(&rules), embedding);
         let best = best_number(demand.wanted, embedding.quality.teams_shown, demand.current);
         let robots = self.placeable(&rules, embedding);
         if !robots.possible(demand, best).is_empty() {

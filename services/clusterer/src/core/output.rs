@@ -17,6 +17,7 @@ use super::{Clusterer, Context, Published, Received, Undecided, View};
 use crate::division::{changes, with_held};
 use crate::leader::leaders;
 use crate::publishing::{robots_to_inform, shortage};
+use crate::rules::TeamRules;
 use crate::seats::{Seats, reseated};
 
 /// Most changes of one division that are published as events; the others are only counted. When a whole fleet
@@ -119,7 +120,10 @@ impl Clusterer {
         let changed: BTreeSet<&RobotId> = changed.into_iter().collect();
         let mirrored = if mirror { now } else { mirrored.unwrap_or(now) };
         let vacant = self.vacancies.count(now, Some(&teams));
-        let absent = Seats::of(Some(&teams), &self.memory, vacant, &source.embedding).absent;
+        let rules = self.rules(context.settings());
+        let reserved = rules.as_ref().map(TeamRules::reserved).unwrap_or_default();
+        let embedding = &source.embedding;
+        let absent = Seats::of(Some(&teams), &self.memory, vacant, &reserved, embedding).absent;
         self.divided = Some(source.embedding.clone());
         self.published = Some(Published { source, at: now, mirrored });
         self.division = Some(teams.clone());

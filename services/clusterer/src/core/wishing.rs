@@ -208,9 +208,10 @@ impl Clusterer {
             return;
         }
         let Some(embedding) = self.divided.clone() else { return };
+        let before = self.wishes.clone();
         let changed = self.wishes.assess(teams, &embedding);
         let is_due = |at: Tick| context.now().since(at) >= REPUBLISH_TIME;
-        if !changed.is_empty() || self.wishes_published.is_none_or(is_due) {
+        if self.wishes != before || self.wishes_published.is_none_or(is_due) {
             let states: Vec<(WishName, WishState)> = changed
                 .into_iter()
                 .filter_map(|name| {

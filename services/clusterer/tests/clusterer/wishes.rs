@@ -108,6 +108,26 @@ fn the_robots_of_a_locked_team_stay() {
 }
 
 #[test]
+fn a_team_whose_robots_are_all_in_reserve_has_no_seat() {
+    let settings = ClustererSettings { teams: TeamCount::Fixed(3), ..fixed() };
+    let first = embedding(1, &[("a b c d", WEST), ("m", NORTH), ("x y z", EAST)]);
+    let (mut bench, before) = divided(settings, &first);
+    assert_eq!(short(&before), "t1: a b c d | t2: m | t3: x y z");
+    put(&mut bench, "alice/r", &json!({"kind": "reserve", "robots": ["m"]})).unwrap();
+    let sent = bench.take();
+    assert_eq!(sent.teams.len(), 1, "the same robots are divided once: {sent:?}");
+    let division = sent.division();
+    assert_eq!((division.requested, division.teams.len()), (3, 3), "{}", short(&division));
+    assert_eq!(division.unassigned, [robot("m")]);
+    // Nothing changes after that, also once the team is forgotten.
+    bench.wait(70.0);
+    bench.receive_embedding(&again(&first, 1, 2));
+    for (teams, _) in bench.take().teams {
+        assert_eq!(short(&teams), short(&division));
+    }
+}
+
+#[test]
 fn a_wish_for_who_is_not_there_waits() {
     let (mut bench, _) = divided(fixed(), &six(1));
     let waits = put(&mut bench, "alice/p1", &pin(&["r9"], "t2")).unwrap();
@@ -122,6 +142,22 @@ fn a_wish_for_who_is_not_there_waits() {
     bench.receive_embedding(&embedding(2, &[("a b c r9", WEST), ("x y z", EAST)]));
     assert_eq!(short(&bench.division()), "t1: a b c | t2: r9 x y z");
     assert_eq!(states(&mut bench)[0], "alice/p1 Active");
+}
+
+#[test]
+fn a_wish_for_a_team_that_comes_back_is_granted_once_it_is_there() {
+    let (mut bench, _) = divided(fixed(), &six(1));
+    bench.receive_embedding(&embedding(2, &[("a b c", WEST)]));
+    assert_eq!(short(&bench.division()), "t1: a b c");
+    put(&mut bench, "alice/p", &pin(&["a"], "t2")).unwrap();
+    assert_eq!(states(&mut bench), ["alice/p Waiting"]);
+    bench.wait(1.0);
+    bench.take();
+    bench.receive_embedding(&six(3));
+    bench.wait(0.1);
+    let last = bench.take().teams.last().unwrap().0.clone();
+    assert_eq!(short(&last), "t1: b c | t2: a x y z");
+    assert_eq!(states(&mut bench), ["alice/p Active"]);
 }
 
 #[test]
@@ -303,8 +339,18 @@ proptest! {
                 prop_assert!(granted, "{:?} in {}", one, short(teams));
             }
             let conflict = teams.limited.as_ref().and_then(|limited| limited.conflict.as_ref());
-            let conflicting = list.wishes.iter().any(|one| one.state == WishState::Conflicting);
-            prop_assert!(!conflicting || conflict.is_some(), "{:?} in {}", list.wishes, short(teams));
+            let is_settled = |one: &StandingWish| match one.state {
+                WishState::Conflicting => conflict.is_some(),
+                // A division follows at once where that is all it waits for.
+                WishState::Waiting => {
+                    teams.teams.is_empty() || one.reason.as_deref() != Some("the next division")
+                }
+                _ => true,
+            };
+            prop_assert!(
+                list.wishes.iter().all(is_settled),
+                "{:?} in {}", list.wishes, short(teams)
+            );
         }
     }
 }

@@ -31,6 +31,8 @@ pub(crate) struct Limits {
     announced: Vec<ClustererSettings>,
     /// The wishes that it has published last.
     wishes: Vec<StandingWish>,
+    /// Whether a division may be made for wishes alone: there are some, or there were until lately.
+    has_wishes: bool,
     /// Whether the last division of the process had no conflict; none if it has published none.
     had_no_conflict: Option<bool>,
     /// Whether an event must come before the next division.
@@ -66,6 +68,11 @@ impl Limits {
     pub(crate) fn wished(&mut self, publisher: Publisher, list: &WishList) {
         self.follow(publisher);
         self.wishes.clone_from(&list.wishes);
+        self.has_wishes |= self.has_current_wishes();
+    }
+
+    fn has_current_wishes(&self) -> bool {
+        self.wishes.iter().any(|one| one.state != WishState::Expired)
     }
 
     /// A pin or a ban that was granted and is not.
@@ -113,8 +120,12 @@ impl Limits {
         {
             return breach(WISHES, format!("division {revision:?} does not grant {one:?}"));
         }
+        if teams.limited.is_none() {
+            self.has_wishes = self.has_current_wishes();
+        }
+        let has_wishes = self.has_wishes;
         let Some(newest) = self.announced.last().cloned() else { return Ok(()) };
-        match self.announced.iter().rposition(|settings| obeys(teams, settings)) {
+        match self.announced.iter().rposition(|settings| obeys(teams, settings, has_wishes)) {
             Some(place) => {
                 self.announced.drain(..place);
                 Ok(())
@@ -135,17 +146,17 @@ impl Limits {
 }
 
 /// Whether a division obeys limits, as far as it says that it does.
-fn obeys(teams: &Teams, settings: &ClustererSettings) -> bool {
-    // Wishes alone are rules as well.
+fn obeys(teams: &Teams, settings: &ClustererSettings, has_wishes: bool) -> bool {
     let Some(limited) = &teams.limited else { return !has_limits(settings) };
-    teams.teams.iter().all(|team| {
-        let own = settings.team_size.get(&team.id);
-        let least = own.and_then(|own| own.min).or(settings.size.min).unwrap_or(0);
-        let most = own.and_then(|own| own.max).or(settings.size.max);
-        let robots = team.members.len();
-        let few = robots < least as usize && limited.conflict.is_none();
-        !few && most.is_none_or(|most| robots <= most as usize)
-    })
+    (has_wishes || has_limits(settings))
+        && teams.teams.iter().all(|team| {
+            let own = settings.team_size.get(&team.id);
+            let least = own.and_then(|own| own.min).or(settings.size.min).unwrap_or(0);
+            let most = own.and_then(|own| own.max).or(settings.size.max);
+            let robots = team.members.len();
+            let few = robots < least as usize && limited.conflict.is_none();
+            !few && most.is_none_or(|most| robots <= most as usize)
+        })
 }
 
 fn has_limits(settings: &ClustererSettings) -> bool {
