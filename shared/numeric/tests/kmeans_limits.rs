@@ -207,10 +207,10 @@ fn what_does_not_fit_is_named() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
+    #![proptest_config(ProptestConfig::with_cases(1000))]
 
     #[test]
-    fn near_the_optimum_of_tiny_instances(
+    fn the_optimum_of_tiny_instances(
         n in 3_usize..8,
         teams in 1_usize..4,
         classes in 0_usize..2,
@@ -236,7 +236,7 @@ proptest! {
                 let own = inertia(&x, &labels, teams, 0.3);
                 prop_assert!((found.inertia - own).abs() < 1e-9);
                 prop_assert!(own >= best - 1e-9);
-                prop_assert!(own <= best * 1.0 + 1e-9, "{} above {}", own, best);
+                prop_assert!(own <= best + 1e-9, "{} above {}", own, best);
             }
             (Err(LimitedKMeansError::Assignment(_)), None) => {}
             (found, best) => prop_assert!(false, "{:?} {:?}", found, best),

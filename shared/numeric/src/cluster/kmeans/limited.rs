@@ -6,6 +6,7 @@
 //! and swap two points of two teams where they do not. Clusters are teams with limits of their own, so that they keep
 //! the numbers that the rules give them.
 
+mod exact;
 mod exchange;
 mod places;
 mod seeding;
@@ -108,7 +109,7 @@ impl ValidKMeansOptions<'_> {
     /// Divides the rows of `x`, N × D, into the teams of `limits` so that the sum of squared distances to the means of
     /// the teams is small.
     ///
-    /// Takes the best of all restarts. A previous division is refined, and kept unless a restart is better by more than
+    /// Takes the best of all restarts, and of up to ten points the best division of all where a bounded search ends. A previous division is refined, and kept unless a restart is better by more than
     /// the hysteresis, as by [`ValidKMeansOptions::divide`]; its columns keep their numbers. Of several optimal
     /// assignments the result is one; it depends on the input alone.
     ///
@@ -140,6 +141,7 @@ impl ValidKMeansOptions<'_> {
                 }
             }
         }
+        best = task.searched(best);
         let mut warm = false;
         if let Some(kept) = task.refined()? {
             let noise = INERTIA_TIE * spread(x);

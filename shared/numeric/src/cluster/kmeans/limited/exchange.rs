@@ -64,7 +64,7 @@ impl Task<'_> {
     }
 
     /// What a point adds to the inertia when it comes.
-    fn arrival(&self, point: usize, column: usize, centroids: &DenseMatrix, size: usize) -> f64 {
+    pub(super) fn arrival(&self, point: usize, column: usize, centroids: &DenseMatrix, size: usize) -> f64 {
         let cost = self.cost(point, column, centroids);
         let size = size as f64;
         if column < self.teams() { cost * size / (size + 1.0) } else { cost }

@@ -21,6 +21,15 @@ pub(super) struct Places<'a> {
 impl<'a> Places<'a> {
     /// Counts of `labels`.
     pub(super) fn new(rules: &'a ValidRules, labels: &[u32]) -> Self {
+        let mut places = Self::empty(rules, labels.len());
+        for (point, label) in labels.iter().enumerate() {
+            places.add(point, *label as usize);
+        }
+        places
+    }
+
+    /// Counts of nothing yet, for this many points.
+    pub(super) fn empty(rules: &'a ValidRules, points: usize) -> Self {
         let all = rules.get();
         let columns = all.columns();
         let bounds: Vec<Bounds> = all.teams.iter().copied().chain(all.reserve).collect();
@@ -40,19 +49,15 @@ impl<'a> Places<'a> {
             place.map_or(PLAIN, |place| place as u32)
         };
         let classes = if numbers.is_empty() {
-            vec![PLAIN; labels.len()]
+            vec![PLAIN; points]
         } else {
             let mut classes: Vec<u32> = all.classes.iter().map(number).collect();
-            classes.resize(labels.len(), PLAIN);
+            classes.resize(points, PLAIN);
             classes
         };
         let class_sizes = vec![0; class_bounds.len()];
         let sizes = vec![0; columns];
-        let mut places = Self { rules, columns, bounds, sizes, classes, class_bounds, class_sizes };
-        for (point, label) in labels.iter().enumerate() {
-            places.add(point, *label as usize);
-        }
-        places
+        Self { rules, columns, bounds, sizes, classes, class_bounds, class_sizes }
     }
 
     /// Entry of the class of a point in a column.
@@ -61,20 +66,38 @@ impl<'a> Places<'a> {
         (class != PLAIN).then(|| class as usize * self.columns + column)
     }
 
-    fn add(&mut self, point: usize, column: usize) {
+    /// Counts a point in a column.
+    pub(super) fn add(&mut self, point: usize, column: usize) {
         self.sizes[column] += 1;
         if let Some(cell) = self.cell(point, column) {
             self.class_sizes[cell] += 1;
         }
     }
 
-    /// Counts a point elsewhere.
-    pub(super) fn transfer(&mut self, point: usize, from: usize, to: usize) {
-        self.sizes[from] -= 1;
-        if let Some(cell) = self.cell(point, from) {
+    /// Counts a point no more.
+    pub(super) fn remove(&mut self, point: usize, column: usize) {
+        self.sizes[column] -= 1;
+        if let Some(cell) = self.cell(point, column) {
             self.class_sizes[cell] -= 1;
         }
+    }
+
+    /// Counts a point elsewhere.
+    pub(super) fn transfer(&mut self, point: usize, from: usize, to: usize) {
+        self.remove(point, from);
         self.add(point, to);
+    }
+
+    /// How many points the columns lack of their least numbers.
+    pub(super) fn missing(&self) -> usize {
+        let lacks = |(bounds, size): (&Bounds, &usize)| bounds.lower.saturating_sub(*size);
+        self.bounds.iter().zip(&self.sizes).map(lacks).sum()
+    }
+
+    /// True if no column lacks points, of any class.
+    pub(super) fn hold(&self) -> bool {
+        let mut classes = self.class_bounds.iter().zip(&self.class_sizes);
+        self.missing() == 0 && classes.all(|(bounds, size)| *size >= bounds.lower)
     }
 
     /// True if the pairs let the point be there.
