@@ -271,7 +271,7 @@ fn message() -> impl Strategy<Value = Message> {
         1 => (name(), any::<bool>())
             .prop_map(|(robot, alive)| Message::RobotToken { robot, alive }),
         1 => (0..4_usize, 0..4_u64, any::<bool>()).prop_map(|(service, term, claims)| {
-            let (service, instance) = (ServiceName::ALL[service], InstanceId::new("other-1").unwrap());
+            let (service, instance) = (ServiceName::PIPELINE[service], InstanceId::new("other-1").unwrap());
             if !claims {
                 return Message::ServiceToken { service, instance, alive: term > 0 };
             }
@@ -457,7 +457,7 @@ proptest! {
         let Ended { nodes, recordings } = world.end();
         for (at, recording) in recordings {
             let compared = nodes[at].replay(&recording);
-            prop_assert_eq!(&compared.difference, &None, "{:?}", ServiceName::ALL[at]);
+            prop_assert_eq!(&compared.difference, &None, "{:?}", ServiceName::PIPELINE[at]);
             prop_assert_eq!(compared.ending, Ending::Stated("restart".to_owned()));
             if let Some((input, tampered)) = tamper(&recording) {
                 let found = nodes[at].replay(&tampered).difference.map(|found| found.step.number);
@@ -485,7 +485,7 @@ fn a_plain_life_brings_every_core_to_work() {
     for (at, recording) in recordings {
         let compared = nodes[at].replay(&recording);
         assert_eq!(compared.difference, None);
-        let service = ServiceName::ALL[at];
+        let service = ServiceName::PIPELINE[at];
         assert!(compared.commands > 20, "{service}: {compared:?}");
         assert!(compared.jobs > 5 || service == ServiceName::Ingest, "{service}: {compared:?}");
     }

@@ -24,19 +24,20 @@ fn dependencies(package: &str, flags: &[&str]) -> BTreeSet<String> {
     text.lines().filter_map(|line| line.split(' ').next()).map(str::to_owned).collect()
 }
 
-const SERVICES: [&str; 4] =
-    ["muster-ingest", "muster-embedder", "muster-clusterer", "muster-auditor"];
+const SERVICES: [&str; 5] =
+    ["muster-ingest", "muster-embedder", "muster-clusterer", "muster-auditor", "muster-historian"];
 
 #[test]
 fn the_cores_are_built_without_bus_and_runtime() {
     for service in SERVICES {
         let all = dependencies(service, &["--no-default-features"]);
-        for forbidden in ["zenoh", "tokio", "clap", "muster-runtime"] {
+        for forbidden in ["zenoh", "tokio", "clap", "muster-runtime", "rusqlite"] {
             assert!(!all.contains(forbidden), "the core of {service} depends on {forbidden}");
         }
         // The same look finds them where they belong, so that it would see them.
         let all = dependencies(service, &[]);
         assert!(all.contains("zenoh") && all.contains("tokio"), "{service}");
+        assert_eq!(all.contains("rusqlite"), service == "muster-historian", "{service}");
     }
 }
 
@@ -111,7 +112,7 @@ fn a_robot_takes_the_bus_and_nothing_of_our_programs() {
         let ours: BTreeSet<_> =
             all.iter().filter(|name| name.starts_with("muster-")).map(String::as_str).collect();
         assert_eq!(ours, BTreeSet::from_iter(allowed.iter().copied()), "{package}");
-        for forbidden in ["clap", "tempfile", "faer"] {
+        for forbidden in ["clap", "tempfile", "faer", "rusqlite"] {
             assert!(!all.contains(forbidden), "{package} depends on {forbidden}");
         }
         assert!(all.contains("zenoh"), "{package}");
@@ -168,9 +169,12 @@ fn sources(of: &Path, outside: &str) -> Vec<(String, String)> {
 #[test]
 fn each_foreign_crate_is_spoken_to_in_one_place() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
-    for (what, place) in
-        [("zenoh::", "shared/bus"), ("bincode::", "shared/wire"), ("faer::", "shared/numeric")]
-    {
+    for (what, place) in [
+        ("zenoh::", "shared/bus"),
+        ("bincode::", "shared/wire"),
+        ("faer::", "shared/numeric"),
+        ("rusqlite::", "services/historian"),
+    ] {
         for folder in ["services", "shared"] {
             for (name, text) in sources(&root.join(folder), place) {
                 assert!(!text.contains(what), "{name} uses {what}");
@@ -180,7 +184,7 @@ fn each_foreign_crate_is_spoken_to_in_one_place() {
 }
 
 /// Crates that run live, in the simulation and from a recording: `clippy.toml` says what they must not do.
-const PURE: [&str; 11] = [
+const PURE: [&str; 12] = [
     "shared/service",
     "shared/method",
     "shared/model",
@@ -191,6 +195,7 @@ const PURE: [&str; 11] = [
     "services/auditor",
     "services/clusterer",
     "services/embedder",
+    "services/historian",
     "services/ingest",
 ];
 

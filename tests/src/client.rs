@@ -354,6 +354,13 @@ impl Watch {
         kept.iter().map(|arrived| (arrived.key.clone(), arrived.value.clone())).collect()
     }
 
+    /// Everything that has arrived, in order, with the moments of arrival in seconds since 1970.
+    #[must_use]
+    pub fn timed(&self) -> Vec<(f64, Value)> {
+        let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.iter().map(|arrived| (arrived.at, arrived.value.clone())).collect()
+    }
+
     /// Hands over everything that has arrived, in order, with the moments of arrival in seconds since
     /// 1970, and forgets it.
     #[must_use]

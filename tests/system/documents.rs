@@ -4,11 +4,12 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use muster_model::id::Modality;
+use muster_model::id::{Modality, ServiceName};
 use muster_model::settings::{
-    AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, default_weight,
+    AuditorSettings, ClustererSettings, EmbedderSettings, HistorianSettings, IngestSettings,
+    default_weight,
 };
-use muster_tests::cluster::{SERVICES, free_endpoint};
+use muster_tests::cluster::free_endpoint;
 use muster_tests::hosts::fault::FAULTS;
 use muster_tests::hosts::run_plan::Measured;
 use muster_tests::process::run;
@@ -144,10 +145,12 @@ fn the_operators_manual_names_every_setting() {
         serde_json::to_value(EmbedderSettings::default()),
         serde_json::to_value(ClustererSettings::default()),
         serde_json::to_value(AuditorSettings::default()),
+        serde_json::to_value(HistorianSettings::default()),
     ];
     let rows = rows(OPERATORS_MANUAL, "| service | settings |");
-    assert_eq!(rows.len(), SERVICES.len());
-    for ((row, service), default) in rows.iter().zip(SERVICES).zip(defaults) {
+    assert_eq!(rows.len(), ServiceName::ALL.len());
+    let services = ServiceName::ALL.map(ServiceName::as_str);
+    for ((row, service), default) in rows.iter().zip(services).zip(defaults) {
         assert_eq!(row[0], service);
         let named: BTreeSet<String> = quoted(&row[1]).into_iter().collect();
         let default = default.unwrap();

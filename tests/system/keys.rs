@@ -26,6 +26,8 @@ fn every_key() -> Vec<Key> {
         Key::JsonAudit,
         Key::JsonEvent,
         Key::Schema,
+        Key::History(InstanceId::new("host-1").unwrap()),
+        Key::HistoryState(InstanceId::new("host-1").unwrap()),
     ];
     for service in ServiceName::ALL {
         keys.push(Key::Settings(service));
@@ -57,6 +59,8 @@ fn every_key_and_pattern_is_canonical() {
         Pattern::RobotTeams,
         Pattern::Graphs,
         Pattern::ServiceTokens,
+        Pattern::Histories,
+        Pattern::HistoryStates,
         Pattern::InstanceTokens(ServiceName::Ingest),
         Pattern::Statuses,
         Pattern::Everything,

@@ -7,6 +7,7 @@
     reason = "a test fails by panicking"
 )]
 
+mod alerts;
 mod busy;
 mod cli;
 mod client;
@@ -15,10 +16,12 @@ mod demo;
 mod deploy;
 mod doctor;
 mod documents;
+mod history;
 mod hostile;
 mod keys;
 mod languages;
 mod latency;
+mod limits;
 mod lost_team;
 mod notify;
 mod observe;
@@ -35,3 +38,4 @@ mod settings;
 mod soak;
 mod standby;
 mod terms;
+mod wishes;

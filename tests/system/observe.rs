@@ -298,6 +298,14 @@ fn the_metrics_are_those_that_are_promised() {
         assert!((-1.0..=1.0).contains(&mean), "{space}: {mean}");
     }
     assert_eq!(of("muster_team_returns_per_robot_minute", "auditor"), 0.0);
+    let alerts = |kind| value(&first, "muster_alerts_open", &[("kind", kind)]);
+    for kind in ["cut_off", "poor", "modality_doubted", "history_degraded"] {
+        assert!((0.0..9.0).contains(&alerts(kind).unwrap()), "{kind}");
+    }
+    for modality in ["spatial", "connectivity", "hierarchy"] {
+        let trust = value(&first, "muster_modality_trust", &[("modality", modality)]);
+        assert!((0.0..=1.0).contains(&trust.unwrap()), "{modality}: {trust:?}");
+    }
     let embedder = |name: &str| of(&format!("muster_{name}"), "embedder");
     assert!((0.0..1e-6).contains(&embedder("katz_residual")));
     assert!((0.0..1e-3).contains(&embedder("embedding_residual")));

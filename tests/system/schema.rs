@@ -79,7 +79,7 @@ async fn every_service_serves_the_schema_that_the_command_prints() {
     validated(&printed, &alone, &[]);
     let (code, _, err) = run("muster", &["schema", "poses"], Duration::from_secs(20)).unwrap();
     assert_eq!(code, Some(2));
-    assert!(err.contains("there are audit"), "{err}");
+    assert!(err.contains("there are alert"), "{err}");
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn the_messages_of_the_document_are_valid() {
     }
     let names: BTreeSet<&str> = cases.iter().map(|(name, _)| name.as_str()).collect();
     let mut wanted = BTreeSet::from(["audit", "event", "links", "pose", "rank", "relation"]);
-    wanted.extend(["refused", "robot_team", "teams"]);
+    wanted.extend(["alerts", "refused", "robot_team", "teams", "wishes"]);
     assert_eq!(names, wanted);
     for (problem, case) in validated(&offline(), &[], &cases).iter().zip(&cases) {
         assert_eq!(*problem, None, "{case:?}");

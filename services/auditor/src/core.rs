@@ -1,39 +1,52 @@
 //! What is scored when, and what is published of it.
 
+mod watching;
+
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_model::alert::Alerts;
 use muster_model::audit::{Audit, Quality};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
-use muster_model::event::{EventKind, Severity};
+use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::roster::Roster;
 use muster_model::settings::AuditorSettings;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
+use muster_service::following::{self, Follower};
 use muster_service::{
     Connectivity, Core, Delivery, Get, JobEnd, MemoryUse, ServedKey, SingleFlight, Stopwatch,
     Subscription, TooManyNames, Wiring, answer_teams,
 };
 use muster_wire::{Key, Message, Pattern, Request};
 
-use crate::alert::{Alert, FlappingAlert};
+use crate::alerts::AlertBook;
+use crate::alerts::fleet::{Alert, FlappingAlert};
 use crate::flapping::FlappingWindow;
 use crate::history::{Acceptance, History};
-use crate::score::{AuditInput, Job, ScoreError, Scores, quality, score};
+use crate::score::{AuditInput, Job, ScoreError, Scores, quality, same_graphs, score};
 
 type Context<'a> = muster_service::Context<'a, Auditor>;
 type View<'a> = muster_service::View<'a, Auditor>;
 
-/// Names the one fetch of the service: a division and the embedding that it names.
+/// The fetches of the service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct MissingInputs;
+pub enum AuditorFetch {
+    /// A division and the embedding that it names.
+    Inputs,
+    /// Roster and graphs that are missing.
+    Frame,
+}
 
 /// Most packets of one key that wait: the slot of the newest alone would lose the embedding that a
 /// division names when two come at once.
 const QUEUE_PACKETS: usize = 4;
+
+/// Most packets of one graph, or of rosters between them, that wait: some seconds of deltas.
+const FRAME_QUEUE_PACKETS: usize = 64;
 
 /// How often an unchanged audit is republished, so that a reader notices when messages are lost.
 const HEARTBEAT: Duration = Duration::from_secs(1);
@@ -44,6 +57,10 @@ const EMBEDDING_GRACE: Duration = Duration::from_millis(250);
 
 /// Time between two fetches of a missing embedding.
 const FETCH_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Least time between two scores of the same teams by other graphs: links and places of a fleet that moves
+/// change in every frame, and no operator reads faster.
+const TEAMS_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A division, and when it was received.
 #[derive(Debug, Clone)]
@@ -80,15 +97,27 @@ pub struct Auditor {
     newest: Option<Received>,
     embeddings: History<Embedding>,
     rosters: History<Roster>,
+    follow: Follower,
     flight: SingleFlight<Task>,
     scored: Option<Scored>,
     /// The last good answer; of the leader before until this one has its own.
     audit: Option<Arc<Audit>>,
+    book: AlertBook,
+    /// The list of open alerts that was last published, by this leader or the one before.
+    alerts: Option<Arc<Alerts>>,
+    /// When this leader last published it.
+    alerts_published: Option<Tick>,
     alert: Alert,
     flapping: FlappingWindow,
     flapping_alert: FlappingAlert,
     /// When to fetch the embedding that the newest division names.
     fetch_at: Option<Tick>,
+    /// When the teams were last scored by graphs.
+    teams_scored: Option<Tick>,
+    /// When to score them again, because graphs or places have changed since.
+    teams_at: Option<Tick>,
+    /// Whether the last job has left what is said of the teams as it was.
+    teams_outdated: bool,
 }
 
 impl Auditor {
@@ -97,6 +126,14 @@ impl Auditor {
             Message::Teams { teams, .. } => self.accept_teams(context, teams),
             Message::Embedding(embedding) => self.embeddings.keep(embedding, wanted),
             Message::Roster(roster) => self.accept_roster(roster),
+            Message::Graph(delta) => {
+                self.accept_graph(context, &delta);
+                Acceptance::Kept
+            }
+            Message::Alerts(alerts) => {
+                self.accept_alerts(context, alerts);
+                Acceptance::Kept
+            }
             _ => Acceptance::Kept,
         };
         match acceptance {
@@ -124,7 +161,55 @@ impl Auditor {
     fn accept_roster(&mut self, roster: Checked<Roster>) -> Acceptance {
         let embedding = self.wanted().and_then(|named| self.embeddings.find(named));
         let wanted = embedding.map(|embedding| embedding.roster);
+        self.follow.accept_roster(roster.clone());
         self.rosters.keep(roster, wanted)
+    }
+
+    /// Accepts a delta or snapshot of a graph. Only who leads follows graphs: they are large, and a standby that
+    /// takes over fetches them.
+    fn accept_graph(
+        &mut self,
+        context: &mut Context<'_>,
+        delta: &Arc<GraphDelta>,
+    ) -> Option<following::Acceptance> {
+        if !context.has_term() {
+            return None;
+        }
+        match self.follow.accept_graph(delta) {
+            Ok(acceptance) => {
+                if acceptance == following::Acceptance::Gap {
+                    context.count("gaps");
+                }
+                Some(acceptance)
+            }
+            Err(error) => {
+                context.refuse(&Key::Graph(delta.modality.clone()), error.to_string());
+                None
+            }
+        }
+    }
+
+    /// Accepts roster and graphs that were fetched.
+    fn accept_frame(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
+        let mut old = Vec::new();
+        for message in answers {
+            match message {
+                Message::Graph(delta) => {
+                    let became = self.accept_graph(context, &delta);
+                    old.extend((became == Some(following::Acceptance::Old)).then_some(delta));
+                }
+                Message::Roster(roster) => {
+                    self.accept_roster(roster);
+                }
+                _ => {}
+            }
+        }
+        for delta in old {
+            if self.follow.roll_back(context.now(), &delta) {
+                context.count("graphs_taken_back");
+            }
+        }
+        self.follow.fetch_ended();
     }
 
     /// The embedding that the newest division names.
@@ -137,8 +222,14 @@ impl Auditor {
         let newest = self.newest.as_ref()?;
         let embedding = self.embeddings.find(newest.teams.embedding)?;
         let roster = self.rosters.find(embedding.roster).or_else(|| self.rosters.newest());
-        let (teams, embedding) = (newest.teams.clone(), embedding.clone());
-        let input = AuditInput::new(teams, embedding, roster.map(AsRef::as_ref));
+        let frame = self.follow.frame();
+        let input = AuditInput {
+            teams: newest.teams.clone(),
+            embedding: embedding.clone(),
+            roster: roster.cloned(),
+            graphs: frame.map(|frame| frame.graphs.clone()).unwrap_or_default(),
+            graphs_of: frame.map(|frame| frame.roster.header.revision),
+        };
         Some((input, newest.clone()))
     }
 
@@ -150,8 +241,22 @@ impl Auditor {
             return;
         };
         self.fetch_at = None;
+        let now = context.now();
         let task = Task { input, source };
-        if !self.flight.should_start(context.now(), &task) {
+        let last = self.flight.completed().filter(|_| self.flight.failure().is_none());
+        let scored = last.map(|last| &last.input).zip(self.scored.as_ref());
+        let known = scored.map(|(last, scored)| {
+            let points = last.has_same_points(&task.input).then_some(&scored.scores);
+            let teams = last.has_same_teams(&task.input).then_some(&scored.scores.teams);
+            (points, teams)
+        });
+        let (points, teams) = known.unwrap_or_default();
+        let teams_due = self.teams_scored.map(|at| at.after(TEAMS_INTERVAL)).filter(|at| *at > now);
+        let waits = points.is_some() && teams.is_some() && teams_due.is_some();
+        let overdue = self.teams_outdated && teams.is_some() && teams_due.is_none();
+        let should_start = self.flight.should_start(now, &task) || overdue;
+        self.teams_at = teams_due.filter(|_| should_start || self.teams_outdated);
+        if !should_start || waits {
             if self.flight.failure().is_none()
                 && let Some(scored) = &mut self.scored
             {
@@ -159,7 +264,16 @@ impl Auditor {
             }
             return;
         }
-        let job = Job { input: task.input.clone() };
+        let job = Job {
+            input: task.input.clone(),
+            silhouettes: points
+                .map(|scores| [scores.in_embedding.clone(), scores.in_physical.clone()]),
+            teams: teams.filter(|_| teams_due.is_some()).cloned(),
+        };
+        self.teams_outdated = job.teams.is_some();
+        if !self.teams_outdated {
+            (self.teams_scored, self.teams_at) = (Some(now), None);
+        }
         self.flight.started(task);
         context.count("jobs_started");
         context.start_job(slot, job);
@@ -174,6 +288,7 @@ impl Auditor {
         self.consider(context);
         self.publish(context);
         self.watch(context);
+        self.watch_teams(context);
     }
 
     /// When a job that has panicked is to be tried again. One whose embedding is missing now waits
@@ -181,6 +296,23 @@ impl Auditor {
     fn retry_at(&self, view: &View<'_>) -> Option<Tick> {
         let is_possible = self.fetch_at.is_none() && view.is_leading() && !view.is_job_running();
         self.flight.retry_at().filter(|_| is_possible)
+    }
+
+    /// When the teams are to be scored by newer graphs.
+    fn teams_at(&self, view: &View<'_>) -> Option<Tick> {
+        self.teams_at.filter(|_| view.is_leading() && !view.is_job_running())
+    }
+
+    /// Whether the graphs of the newest frame are others than those of the last job.
+    fn has_new_graphs(&self) -> bool {
+        let scored = self.flight.completed().map_or(&[][..], |task| &task.input.graphs);
+        let newest = self.follow.frame().map_or(&[][..], |frame| &frame.graphs);
+        !same_graphs(scored, newest)
+    }
+
+    /// Whether graphs are followed. Without a roster there is nothing to follow: `ingest` publishes it with every frame.
+    fn follows(&self, view: &View<'_>) -> bool {
+        view.is_leading() && self.follow.has_roster()
     }
 
     /// When the alert is to be raised.
@@ -209,41 +341,12 @@ impl Auditor {
             in_physical: scored.scores.in_physical.clone(),
             quality: quality(scored.scores.in_embedding.mean, context.settings()),
             flapping: self.flapping.flapping(context.now()),
+            graphs: scored.scores.teams.graphs,
+            per_team: scored.scores.teams.teams.clone(),
+            losses: scored.scores.teams.losses.clone(),
         });
         self.audit = Some(Arc::clone(&audit));
         context.publish(Message::Audit(audit));
-    }
-
-    /// Raises or ends the alert, once that is published: the output of a suspect would be lost.
-    fn watch(&mut self, context: &mut Context<'_>) {
-        let Some(scored) = self.scored.as_ref().filter(|_| context.is_leading()) else { return };
-        let mean = scored.scores.in_embedding.mean;
-        let alert = self.alert.observe(context.now(), mean, context.settings());
-        let Some(kind) = alert else { return };
-        let severity = if matches!(kind, EventKind::QualityLow { .. }) {
-            context.count("alerts");
-            Severity::Warning
-        } else {
-            Severity::Info
-        };
-        context.publish_event(severity, kind);
-    }
-
-    /// Raises or ends the alert of robots that change teams to and fro. A suspect does not: its output
-    /// would be lost.
-    fn watch_flapping(&mut self, context: &mut Context<'_>) {
-        if !context.is_leading() {
-            return;
-        }
-        let flapping = self.flapping.flapping(context.now());
-        let Some(kind) = self.flapping_alert.observe(flapping, context.settings()) else { return };
-        let severity = if matches!(kind, EventKind::Flapping { .. }) {
-            context.count("alerts");
-            Severity::Warning
-        } else {
-            Severity::Info
-        };
-        context.publish_event(severity, kind);
     }
 
     /// Takes over the newest audit of an earlier leader.
@@ -292,6 +395,11 @@ impl Auditor {
         {
             messages.push(Message::Audit(Arc::clone(audit)));
         }
+        if let Some(alerts) = &self.alerts
+            && (selects(&Key::Alerts) || selects(&Key::JsonAlerts))
+        {
+            messages.push(Message::Alerts(Arc::clone(alerts)));
+        }
         if let Some(Received { teams, .. }) = &self.newest {
             messages.extend(answer_teams(space, request, teams)?);
         }
@@ -311,21 +419,26 @@ impl Auditor {
 
 impl Core for Auditor {
     type Settings = AuditorSettings;
-    type Fetch = MissingInputs;
+    type Fetch = AuditorFetch;
     type Job = Job;
     type Done = Result<Scores, ScoreError>;
     const SERVICE: ServiceName = ServiceName::Auditor;
 
     fn wiring() -> Wiring {
         let subscription = |key, delivery| Subscription { pattern: Pattern::One(key), delivery };
-        let own = [Key::Audit, Key::JsonAudit].map(Pattern::One);
+        let frames = Delivery::Queue(FRAME_QUEUE_PACKETS);
+        let graphs = Subscription { pattern: Pattern::Graphs, delivery: frames };
+        let own = [Key::Audit, Key::JsonAudit, Key::Alerts, Key::JsonAlerts].map(Pattern::One);
         let cached = [Key::Teams, Key::JsonTeams, Key::Embedding, Key::Roster].map(Pattern::One);
         let cached = cached.into_iter().chain([Pattern::RobotTeams]);
         Wiring {
             subscriptions: vec![
                 subscription(Key::Teams, Delivery::Latest),
                 subscription(Key::Embedding, Delivery::Queue(QUEUE_PACKETS)),
-                subscription(Key::Roster, Delivery::Queue(QUEUE_PACKETS)),
+                subscription(Key::Roster, frames),
+                // As a standby.
+                subscription(Key::Alerts, Delivery::Latest),
+                graphs,
             ],
             tokens: vec![],
             served: own
@@ -337,7 +450,8 @@ impl Core for Auditor {
     }
 
     fn initial() -> Vec<Pattern> {
-        [Key::Audit, Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One).to_vec()
+        let keys = [Key::Audit, Key::Alerts, Key::Teams, Key::Embedding, Key::Roster];
+        keys.map(Pattern::One).to_vec()
     }
 
     fn output() -> Key {
@@ -345,7 +459,7 @@ impl Core for Auditor {
     }
 
     fn is_output(message: &Message) -> bool {
-        matches!(message, Message::Audit(_))
+        matches!(message, Message::Audit(_) | Message::Alerts(_))
     }
 
     fn new(_now: Tick, _settings: &AuditorSettings) -> Self {
@@ -354,9 +468,13 @@ impl Core for Auditor {
 
     fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
         self.inherit(&answers);
+        for message in &answers {
+            self.keep_alerts(message);
+        }
         // The leader before has reported what it saw. A standby may have missed some of it, and an alert
         // twice for the same robots helps nobody: the window of a leader begins with its term.
         self.flapping = FlappingWindow::default();
+        self.inherit_alerts(context);
         self.accept_all(context, answers);
     }
 
@@ -373,6 +491,7 @@ impl Core for Auditor {
             self.inherit(&found);
         }
         self.publish(context);
+        self.publish_alerts(context);
     }
 
     fn on_message(&mut self, context: &mut Context<'_>, message: Message) {
@@ -380,11 +499,24 @@ impl Core for Auditor {
         self.accept(context, message, wanted);
     }
 
-    fn on_answers(&mut self, context: &mut Context<'_>, _: MissingInputs, answers: Vec<Message>) {
-        self.accept_all(context, answers);
+    fn on_answers(
+        &mut self,
+        context: &mut Context<'_>,
+        fetch: AuditorFetch,
+        answers: Vec<Message>,
+    ) {
+        match fetch {
+            AuditorFetch::Inputs => self.accept_all(context, answers),
+            AuditorFetch::Frame => self.accept_frame(context, answers),
+        }
     }
 
     fn on_get(&mut self, context: &mut Context<'_>, get: Get) {
+        if let Some(payload) = get.request.payload.clone()
+            && get.request.exact_key(context.space()) == Some(Key::Alerts)
+        {
+            return self.acknowledge(context, get, &payload);
+        }
         match self.select(context, &get.request) {
             Ok(answer) => context.reply(get, answer),
             Err(problem) => context.reply_error(get, problem.to_string()),
@@ -396,15 +528,19 @@ impl Core for Auditor {
         self.publish(context);
         self.watch(context);
         self.watch_flapping(context);
+        self.watch_teams(context);
     }
 
     fn on_connectivity(&mut self, context: &mut Context<'_>, connectivity: Connectivity) {
         if connectivity == Connectivity::Online {
             let patterns = [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One);
-            context.fetch(MissingInputs, patterns.to_vec());
+            context.fetch(AuditorFetch::Inputs, patterns.to_vec());
+            self.follow.refresh();
             self.publish(context);
             self.watch(context);
             self.watch_flapping(context);
+            self.watch_teams(context);
+            self.publish_alerts(context);
             self.consider(context);
         }
     }
@@ -415,12 +551,13 @@ impl Core for Auditor {
         if is_due(self.fetch_at) {
             self.fetch_at = Some(now.after(FETCH_INTERVAL));
             let patterns = [Key::Embedding, Key::Teams].map(Pattern::One);
-            context.fetch(MissingInputs, patterns.to_vec());
+            context.fetch(AuditorFetch::Inputs, patterns.to_vec());
         }
         if is_due(self.scored.as_ref().map(|scored| scored.published.after(HEARTBEAT))) {
             self.publish(context);
             // The rate also falls while the window grows to its whole length.
             self.watch_flapping(context);
+            self.watch_teams(context);
         }
         if is_due(self.flapping_at(&context.view())) {
             self.watch_flapping(context);
@@ -428,8 +565,31 @@ impl Core for Auditor {
         if is_due(self.alert_at(&context.view())) {
             self.watch(context);
         }
-        if is_due(self.retry_at(&context.view())) {
+        if is_due(self.alerts_at(&context.view())) {
+            self.advance_alerts(context);
+        }
+        if is_due(self.alerts_published.map(|at| at.after(HEARTBEAT))) {
+            self.publish_alerts(context);
+        }
+        if is_due(self.retry_at(&context.view())) || is_due(self.teams_at(&context.view())) {
             self.consider(context);
+        }
+    }
+
+    /// Makes frames of what has been received, and fetches what is missing.
+    fn after_input(&mut self, context: &mut Context<'_>) {
+        let now = context.now();
+        if self.follow.make_frame(now) {
+            context.count("frames_consistent");
+            if self.has_new_graphs() {
+                self.consider(context);
+            }
+        }
+        if self.follows(&context.view())
+            && let Some((patterns, within)) = self.follow.fetch(now)
+        {
+            context.count("fetches");
+            context.fetch_within(AuditorFetch::Frame, patterns, within);
         }
     }
 
@@ -447,8 +607,11 @@ impl Core for Auditor {
     fn deadline(&self, view: &View<'_>) -> Option<Tick> {
         let heartbeat = self.scored.as_ref().map(|scored| scored.published.after(HEARTBEAT));
         let alerts = [self.alert_at(view), self.flapping_at(view)];
-        let due = [self.fetch_at, heartbeat, self.retry_at(view)].into_iter().chain(alerts);
-        due.flatten().min()
+        let follow = self.follow.fetch_due().filter(|_| self.follows(view));
+        let list = self.alerts_published.map(|at| at.after(HEARTBEAT));
+        let list = [list.filter(|_| view.is_leading()), self.alerts_at(view)];
+        let due = [self.fetch_at, heartbeat, self.retry_at(view), self.teams_at(view), follow];
+        due.into_iter().chain(list).chain(alerts).flatten().min()
     }
 
     fn state(&self, view: &View<'_>) -> String {
@@ -481,15 +644,21 @@ impl Core for Auditor {
             self.flapping.has_division(),
         ];
         let single = single.into_iter().filter(|held| *held).count();
+        let followed = self.follow.memory_use();
         MemoryUse {
+            edges: followed.edges,
             robots: self.rosters.iter().map(|roster| roster.robots.len()).sum::<usize>()
-                + self.flapping.robots(),
-            messages: self.embeddings.iter().len() + self.rosters.iter().len() + single,
+                + self.flapping.robots()
+                + followed.robots,
+            messages: followed.messages
+                + self.embeddings.iter().len()
+                + self.rosters.iter().len()
+                + single,
             ..MemoryUse::default()
         }
     }
 
     fn run(job: Job, _: &mut Stopwatch) -> Self::Done {
-        score(&job.input)
+        score(job)
     }
 }

@@ -31,6 +31,10 @@ const MAX_LEFT_TEAMS: usize = 8;
 /// that tells something. Of more, the first is forgotten, so that the rate stays at this.
 const MAX_RETURNS: usize = 32;
 
+/// Most divisions whose changes are remembered: those of a minute at ten per second, all of which would have to
+/// change something.
+const MAX_CHANGES: usize = 600;
+
 const SECONDS_PER_MINUTE: f64 = 60.0;
 
 /// A team that a robot was in.
@@ -87,6 +91,15 @@ pub(crate) struct FlappingWindow {
     last: Option<Checked<Teams>>,
     /// The robots of the newest division that have changed their team within the window.
     tracks: BTreeMap<RobotId, Track>,
+    /// How many robots changed teams, and when.
+    changes: VecDeque<Changes>,
+}
+
+/// Robots that changed teams at once.
+#[derive(Debug)]
+struct Changes {
+    at: Tick,
+    robots: u32,
 }
 
 impl FlappingWindow {
@@ -98,13 +111,18 @@ impl FlappingWindow {
         if last.assignments().eq(teams.assignments()) && last.unassigned == teams.unassigned {
             return;
         }
+        let mut changed = 0;
         let mut before: BTreeMap<&RobotId, Option<&TeamId>> = robots(&last).collect();
         for (robot, team) in robots(&teams) {
             // A robot that has joined comes from no team.
             let Some(was) = before.remove(robot) else { continue };
             if was != team {
+                changed += u32::from(was.is_some() && team.is_some());
                 self.tracks.entry(robot.clone()).or_default().change(now, was, team);
             }
+        }
+        if changed > 0 {
+            push(&mut self.changes, Changes { at: now, robots: changed }, MAX_CHANGES);
         }
         // Those that remain have left the fleet. One that joins again begins anew.
         for robot in before.into_keys() {
@@ -137,6 +155,17 @@ impl FlappingWindow {
         }
     }
 
+    /// How often robots changed from one team to another within the window that ends at a moment, per robot and
+    /// minute. The window is always whole: a fleet that has just been divided has not churned yet.
+    pub(crate) fn changes(&mut self, now: Tick) -> f64 {
+        self.forget(now);
+        let Some(last) = &self.last else { return 0.0 };
+        let robots = last.assignments().count() + last.unassigned.len();
+        let robots = u32::try_from(robots.max(1)).unwrap_or(u32::MAX);
+        let changes: f64 = self.changes.iter().map(|changes| f64::from(changes.robots)).sum();
+        changes / f64::from(robots) / (FLAPPING_WINDOW.as_secs_f64() / SECONDS_PER_MINUTE)
+    }
+
     /// When the next return leaves the window, so that the rate falls without another division.
     pub(crate) fn falls_at(&self) -> Option<Tick> {
         let first = self.tracks.values().filter_map(|track| track.returns.front()).min();
@@ -156,6 +185,7 @@ impl FlappingWindow {
     /// Drops what lies outside of the window.
     fn forget(&mut self, now: Tick) {
         let first = now.before(FLAPPING_WINDOW);
+        self.changes.retain(|changes| changes.at > first);
         self.tracks.retain(|_, track| {
             track.forget_before(first);
             !track.left.is_empty() || !track.returns.is_empty()
@@ -220,6 +250,7 @@ mod tests {
             inertia: 0.0,
             changes: vec![],
             next_team: 9,
+            limited: None,
         })
         .unwrap()
     }

@@ -18,11 +18,13 @@
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
-mod alert;
+mod alerts;
 mod core;
 mod flapping;
 mod history;
 mod score;
+mod teams;
 
-pub use crate::core::{Auditor, MissingInputs};
+pub use crate::core::{Auditor, AuditorFetch};
 pub use crate::score::{Job, ScoreError, Scores};
+pub use crate::teams::TeamScores;

@@ -1,24 +1,33 @@
-//! The job: silhouettes of a division among the vectors and among the positions.
+//! The job: silhouettes of a division among the vectors and among the positions, and what is said of its teams.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use muster_method::silhouettes::{SilhouetteParams, silhouettes};
 use muster_model::audit::{Quality, SilhouetteReport, Space};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
+use muster_model::header::Revision;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::limits::MAX_COORDINATE_M;
-use muster_model::roster::Roster;
+use muster_model::roster::{Roster, RosterEntry};
 use muster_model::settings::AuditorSettings;
 use muster_model::teams::Teams;
 use muster_numeric::matrix::{DenseMatrix, MatrixError};
 use muster_numeric::silhouette::SilhouetteError;
 
-/// One division to score.
+use crate::teams::{Graph, TeamScores, refresh_silhouettes, score_teams};
+
+/// The positions of robots, all in one frame.
+pub(crate) type Positions = BTreeMap<RobotId, [f64; 3]>;
+
+/// One division to score, and which of its scores are known.
 #[derive(Debug, Clone)]
 pub struct Job {
     pub(crate) input: AuditInput,
+    /// The silhouettes, if those before were of the same points.
+    pub(crate) silhouettes: Option<[SilhouetteReport; 2]>,
+    /// What is said of the teams, if that is fresh enough.
+    pub(crate) teams: Option<TeamScores>,
 }
 
 /// Why a division is not scored.
@@ -32,13 +41,15 @@ pub enum ScoreError {
     Silhouettes(#[from] SilhouetteError),
 }
 
-/// Silhouettes of one division.
+/// The scores of one division.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scores {
-    /// Among the vectors.
+    /// Silhouettes among the vectors.
     pub in_embedding: SilhouetteReport,
-    /// Among the positions.
+    /// Silhouettes among the positions.
     pub in_physical: SilhouetteReport,
+    /// What is said of the teams.
+    pub teams: TeamScores,
 }
 
 /// A division, and what it is scored by.
@@ -46,25 +57,64 @@ pub struct Scores {
 pub(crate) struct AuditInput {
     pub(crate) teams: Checked<Teams>,
     pub(crate) embedding: Checked<Embedding>,
-    pub(crate) positions: Arc<BTreeMap<RobotId, [f64; 3]>>,
+    /// The roster of the embedding, or else the newest one.
+    pub(crate) roster: Option<Checked<Roster>>,
+    /// The graphs of the newest frame, with the revision of its roster.
+    pub(crate) graphs: Vec<Graph>,
+    pub(crate) graphs_of: Option<Revision>,
 }
 
 impl AuditInput {
-    /// A division with its embedding, and the positions of its robots by a roster.
-    pub(crate) fn new(
-        teams: Checked<Teams>,
-        embedding: Checked<Embedding>,
-        roster: Option<&Roster>,
-    ) -> Self {
-        let positions = roster.map(|roster| positions(&teams, roster)).unwrap_or_default();
-        Self { teams, embedding, positions: Arc::new(positions) }
+    /// Whether another division would get the same silhouettes.
+    pub(crate) fn has_same_points(&self, other: &Self) -> bool {
+        self.teams.assignments().eq(other.teams.assignments())
+            && same_vectors(&self.embedding, &other.embedding)
+            && same_entries(self.roster.as_ref(), other.roster.as_ref(), |entry| {
+                (entry.position, entry.frame.as_deref())
+            })
+    }
+
+    /// Whether the same robots are in the same teams, led and commanded by the same ones, and are stale.
+    pub(crate) fn has_same_teams(&self, other: &Self) -> bool {
+        self.teams.same_division(&other.teams)
+            && same_entries(self.roster.as_ref(), other.roster.as_ref(), |entry| {
+                entry.superior.as_ref()
+            })
+    }
+
+    /// Whether the graphs are the same.
+    pub(crate) fn has_same_graphs(&self, other: &Self) -> bool {
+        same_graphs(&self.graphs, &other.graphs)
     }
 
     /// Whether another division would get the same scores.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
-        self.teams.assignments().eq(other.teams.assignments())
-            && same_vectors(&self.embedding, &other.embedding)
-            && self.positions == other.positions
+        self.has_same_graphs(other) && self.has_same_points(other) && self.has_same_teams(other)
+    }
+}
+
+/// Whether two frames have the same graphs.
+pub(crate) fn same_graphs(left: &[Graph], right: &[Graph]) -> bool {
+    let revisions = |of: &Graph| (of.0.clone(), of.1.revision());
+    left.iter().map(revisions).eq(right.iter().map(revisions))
+}
+
+/// Whether two rosters have the same robots with the same facts.
+fn same_entries<'a, T: PartialEq>(
+    left: Option<&'a Checked<Roster>>,
+    right: Option<&'a Checked<Roster>>,
+    facts: impl Fn(&'a RosterEntry) -> T,
+) -> bool {
+    match (left, right) {
+        (None, None) => true,
+        (Some(left), Some(right)) => {
+            left.ptr_eq(right)
+                || left.robots.len() == right.robots.len()
+                    && left.robots.iter().zip(&right.robots).all(|(left, right)| {
+                        left.robot == right.robot && facts(left) == facts(right)
+                    })
+        }
+        _ => false,
     }
 }
 
@@ -77,8 +127,8 @@ fn same_vectors(left: &Embedding, right: &Embedding) -> bool {
 
 /// The positions of the robots that have a team, in the frame that most of them use: distances
 /// between frames mean nothing. Among equally many, the first frame by name.
-fn positions(teams: &Teams, roster: &Roster) -> BTreeMap<RobotId, [f64; 3]> {
-    let mut frames: BTreeMap<Option<&str>, BTreeMap<RobotId, [f64; 3]>> = BTreeMap::new();
+fn positions(teams: &Teams, roster: &Roster) -> Positions {
+    let mut frames: BTreeMap<Option<&str>, Positions> = BTreeMap::new();
     let entries: BTreeMap<&RobotId, _> =
         roster.robots.iter().map(|entry| (&entry.robot, entry)).collect();
     for (robot, _) in teams.assignments() {
@@ -92,8 +142,35 @@ fn positions(teams: &Teams, roster: &Roster) -> BTreeMap<RobotId, [f64; 3]> {
     frames.into_values().rev().max_by_key(BTreeMap::len).unwrap_or_default()
 }
 
-/// Scores a division in both spaces.
-pub(crate) fn score(input: &AuditInput) -> Result<Scores, ScoreError> {
+/// Scores a division in both spaces, and its teams.
+pub(crate) fn score(job: Job) -> Result<Scores, ScoreError> {
+    let Job { input, silhouettes, teams: known } = job;
+    let roster = input.roster.as_deref();
+    let positions = || roster.map(|roster| positions(&input.teams, roster)).unwrap_or_default();
+    let is_known = silhouettes.is_some() && known.is_some();
+    let positions = if is_known { Positions::default() } else { positions() };
+    let [in_embedding, in_physical] = match silhouettes {
+        Some(silhouettes) => silhouettes,
+        None => silhouettes_of(&input, &positions)?,
+    };
+    let teams = match known {
+        Some(mut known) => {
+            refresh_silhouettes(&mut known.teams, &input.teams, &in_embedding);
+            known
+        }
+        None => TeamScores {
+            graphs: input.graphs_of,
+            ..score_teams(&input.teams, roster, &positions, &input.graphs, &in_embedding)
+        },
+    };
+    Ok(Scores { in_embedding, in_physical, teams })
+}
+
+/// Silhouettes among the vectors and among the positions.
+fn silhouettes_of(
+    input: &AuditInput,
+    positions: &Positions,
+) -> Result<[SilhouetteReport; 2], ScoreError> {
     let embedding = &*input.embedding;
     let dimension = embedding.dimension as usize;
     let in_embedding = report(Space::Embedding, &input.teams, dimension, |robot| {
@@ -101,9 +178,9 @@ pub(crate) fn score(input: &AuditInput) -> Result<Scores, ScoreError> {
         embedding.values.get(row * dimension..(row + 1) * dimension)
     })?;
     let in_physical = report(Space::Physical, &input.teams, 3, |robot| {
-        input.positions.get(robot).map(|position| &position[..])
+        positions.get(robot).map(|position| &position[..])
     })?;
-    Ok(Scores { in_embedding, in_physical })
+    Ok([in_embedding, in_physical])
 }
 
 /// Silhouettes over the robots that have a team and a place.

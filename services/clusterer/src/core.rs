@@ -2,19 +2,22 @@
 
 mod awaiting;
 mod input;
+mod numbers;
 mod output;
+mod wishing;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
-use muster_model::id::ServiceName;
+use muster_model::id::{ServiceName, TeamId};
 use muster_model::orders::NewOrders;
 use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
-use muster_model::settings::ClustererSettings;
+use muster_model::settings::{ClustererSettings, SettingsError};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_service::{
@@ -28,9 +31,13 @@ use crate::dwell::{CountDwell, MoveDwell};
 use crate::identity::{Memory, is_believable};
 use crate::keeping::Keeping;
 use crate::publishing::{Rotation, plural};
-use crate::seats::{Arrivals, Seats, Vacancies};
+use crate::rules::TeamRules;
+use crate::seats::{Arrivals, Vacancies};
+use crate::wishes::WishBook;
 
 use awaiting::Reunion;
+use numbers::Number;
+use wishing::{Confirmation, NO_LONGER_LEADS};
 
 type Context<'a> = muster_service::Context<'a, Clusterer>;
 type View<'a> = muster_service::View<'a, Clusterer>;
@@ -52,6 +59,10 @@ struct Task {
     source: Received,
     /// The settings without those that change no division.
     settings: ClustererSettings,
+    /// What it is to respect.
+    rules: Option<TeamRules>,
+    /// The teams that wishes name and that are there: a team that lives again is divided with its wishes.
+    wished: BTreeSet<TeamId>,
     /// How many teams.
     teams: u32,
 }
@@ -59,9 +70,19 @@ struct Task {
 impl PartialEq for Task {
     fn eq(&self, other: &Self) -> bool {
         self.settings == other.settings
+            && self.rules == other.rules
+            && self.wished == other.wished
             && self.teams == other.teams
             && same_data(&self.source.embedding, &other.source.embedding)
     }
+}
+
+/// A division of which some changes are held back.
+#[derive(Debug)]
+struct Undecided {
+    teams: Teams,
+    /// What it was made to respect.
+    rules: Option<TeamRules>,
 }
 
 /// What this leader has published.
@@ -82,6 +103,8 @@ pub struct Clusterer {
     roster: Option<Checked<Roster>>,
     /// What the auditor last published, in case it is gone.
     audit: Option<Arc<Audit>>,
+    /// The open alerts, as the auditor last published them.
+    alerts: Option<Arc<Alerts>>,
     flight: SingleFlight<Task>,
     /// The last good answer; of the leader before until this one has its own.
     division: Option<Checked<Teams>>,
@@ -110,10 +133,18 @@ pub struct Clusterer {
     /// The robots that have another superior than before.
     orders: NewOrders,
     /// The newest division as it was found, if robots are kept in their team.
-    undecided: Option<Box<Teams>>,
+    undecided: Option<Box<Undecided>>,
     rotation: Rotation,
     /// How many teams were asked for and formed when that was last reported to be too few.
     fewer: Option<(u32, u32)>,
+    /// Since when nothing satisfies the rules.
+    infeasible_since: Option<Tick>,
+    /// The wishes of operators.
+    wishes: WishBook,
+    /// When they were last published.
+    wishes_published: Option<Tick>,
+    /// Operators who wait until their wish is on disk.
+    confirmations: VecDeque<Confirmation>,
 }
 
 impl Clusterer {
@@ -130,19 +161,18 @@ impl Clusterer {
         if self.memory.is_overdue(now) {
             Arc::make_mut(&mut self.memory).forget(now);
         }
-        let last = self.division.as_deref().filter(|division| !division.teams.is_empty());
-        let vacant = self.vacancies.count(now, last);
-        let seats = Seats::of(self.division.as_deref(), &self.memory, vacant, &newest.embedding);
-        let current = seats.current(last.map(|division| division.requested));
-        let wanted = seats.wanted(now, settings.teams, current, &mut self.arrivals);
-        let shown = newest.embedding.quality.teams_shown;
-        let teams = self.count.decide(now, wanted, shown, current);
-        let task = Task { source: newest.clone(), settings, teams };
+        let newest = newest.clone();
+        let rules = self.rules(&settings);
+        let Number { teams, is_same } =
+            self.decide_number(now, &settings, rules.as_ref(), &newest.embedding);
+        let wished = rules.as_ref().map(|rules| rules.wished(self.division.as_deref()));
+        let wished = wished.unwrap_or_default();
+        let task = Task { source: newest.clone(), settings, rules: rules.clone(), wished, teams };
         if !self.flight.should_start(now, &task) {
             if self.flight.failure().is_none()
                 && let Some(published) = &mut self.published
             {
-                published.source = newest.clone();
+                published.source = newest;
             }
             return;
         }
@@ -152,11 +182,15 @@ impl Clusterer {
             return self.keep(context);
         }
         let job = Job {
-            embedding: newest.embedding.clone(),
+            embedding: newest.embedding,
             teams,
             requested: teams.max(*task.settings.teams.range().start()),
-            same_number: current == Some(teams),
+            same_number: is_same,
             settings: task.settings.clone(),
+            rules: rules.map(|rules| {
+                let previous = self.division.as_deref();
+                Arc::new(rules.resolved(previous, &self.memory, &task.source.embedding))
+            }),
             previous: self.division.clone(),
             memory: Arc::clone(&self.memory),
         };
@@ -178,6 +212,10 @@ impl Clusterer {
 
     fn accept_division(&mut self, context: &mut Context<'_>, teams: Teams) {
         let Some(task) = self.flight.completed() else { return };
+        if task.rules != self.rules(context.settings()) {
+            // It may break rules that hold since; another job follows.
+            return;
+        }
         // An embedding with the same data may have come while the job ran.
         let is_same = |newest: &&Received| same_data(&newest.embedding, &task.source.embedding);
         let source = self.newest.as_ref().filter(is_same).unwrap_or(&task.source).clone();
@@ -206,6 +244,7 @@ impl Clusterer {
             });
             messages.extend(newest.into_iter().chain(named).cloned().map(Message::Embedding));
         }
+        messages.extend(self.select_wishes(context, request));
         if let Some(roster) = &self.roster
             && selects(&Key::Roster)
         {
@@ -215,6 +254,12 @@ impl Clusterer {
             && (selects(&Key::Audit) || selects(&Key::JsonAudit))
         {
             messages.push(Message::Audit(Arc::clone(audit)));
+        }
+        // An acknowledgement is for the auditor alone.
+        if let Some(alerts) = self.alerts.as_ref().filter(|_| request.payload.is_none())
+            && (selects(&Key::Alerts) || selects(&Key::JsonAlerts))
+        {
+            messages.push(Message::Alerts(Arc::clone(alerts)));
         }
         Ok(messages)
     }
@@ -231,21 +276,36 @@ impl Core for Clusterer {
     fn wiring() -> Wiring {
         let subscription =
             |key| Subscription { pattern: Pattern::One(key), delivery: Delivery::Latest };
-        let cached = [Key::Embedding, Key::Roster, Key::Audit, Key::JsonAudit].map(Pattern::One);
-        let own = [Pattern::One(Key::Teams), Pattern::One(Key::JsonTeams), Pattern::RobotTeams];
+        let outputs = [Key::Audit, Key::JsonAudit, Key::Alerts, Key::JsonAlerts];
+        let cached = [Key::Embedding, Key::Roster].into_iter().chain(outputs).map(Pattern::One);
+        let own = [
+            Pattern::One(Key::Teams),
+            Pattern::One(Key::JsonTeams),
+            Pattern::RobotTeams,
+            Pattern::One(Key::Wishes),
+            Pattern::One(Key::JsonWishes),
+            Pattern::EachWish,
+        ];
         let served = own.map(ServedKey::own).into_iter().chain(cached.map(ServedKey::cached));
         Wiring {
-            // A standby keeps the division of the leader.
-            subscriptions: [Key::Embedding, Key::Roster, Key::Audit, Key::Teams]
-                .map(subscription)
-                .to_vec(),
+            // A standby keeps the division and the wishes that the leader has.
+            subscriptions: [
+                Key::Embedding,
+                Key::Roster,
+                Key::Audit,
+                Key::Teams,
+                Key::Alerts,
+                Key::Wishes,
+            ]
+            .map(subscription)
+            .to_vec(),
             tokens: vec![],
             served: served.collect(),
         }
     }
 
     fn initial() -> Vec<Pattern> {
-        [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One).to_vec()
+        [Key::Teams, Key::Embedding, Key::Roster, Key::Wishes].map(Pattern::One).to_vec()
     }
 
     fn output() -> Key {
@@ -253,7 +313,7 @@ impl Core for Clusterer {
     }
 
     fn is_output(message: &Message) -> bool {
-        matches!(message, Message::Teams { .. })
+        matches!(message, Message::Teams { .. } | Message::Wishes(_))
     }
 
     fn new(_now: Tick, _settings: &ClustererSettings) -> Self {
@@ -261,7 +321,8 @@ impl Core for Clusterer {
     }
 
     fn on_lead(&mut self, context: &mut Context<'_>, answers: Vec<Message>) {
-        self.inherit(&answers);
+        self.inherit(context.now(), &answers);
+        self.publish_wishes(context, &[]);
         self.accept_all(context, answers);
         self.consider(context);
     }
@@ -270,7 +331,10 @@ impl Core for Clusterer {
         self.accept_all(context, answers);
     }
 
-    fn on_stand_down(&mut self, _context: &mut Context<'_>) {
+    fn on_stand_down(&mut self, context: &mut Context<'_>) {
+        for waiting in std::mem::take(&mut self.confirmations) {
+            context.reply_error(waiting.get, NO_LONGER_LEADS);
+        }
         let mut keeping = std::mem::take(&mut self.keeping);
         keeping.next_team = keeping.next_team.max(self.memory.next_team);
         *self = Self { keeping, ..Self::default() };
@@ -295,8 +359,9 @@ impl Core for Clusterer {
         if self.published.is_some() {
             self.republish(context);
         } else {
-            self.inherit(&found);
+            self.inherit(context.now(), &found);
         }
+        self.publish_wishes(context, &[]);
     }
 
     fn on_message(&mut self, context: &mut Context<'_>, message: Message) {
@@ -313,6 +378,7 @@ impl Core for Clusterer {
 
     fn on_kept(&mut self, context: &mut Context<'_>, is_on_disk: bool) {
         self.keeping.ended(context.now(), is_on_disk);
+        self.confirm_wishes(context, is_on_disk);
         self.consider(context);
     }
 
@@ -321,10 +387,22 @@ impl Core for Clusterer {
     }
 
     fn on_get(&mut self, context: &mut Context<'_>, get: Get) {
+        let key = get.request.exact_key(context.space());
+        if get.request.payload.is_some() && matches!(key, Some(Key::Wish(..))) {
+            return self.change_wish(context, get);
+        }
         match self.select(context, &get.request) {
             Ok(answer) => context.reply(get, answer),
             Err(problem) => context.reply_error(get, problem.to_string()),
         }
+    }
+
+    fn check_settings(
+        &self,
+        view: &View<'_>,
+        settings: &ClustererSettings,
+    ) -> Result<(), SettingsError> {
+        self.check_limits(view.now(), view.settings(), settings)
     }
 
     fn on_settings(&mut self, context: &mut Context<'_>) {
@@ -336,6 +414,8 @@ impl Core for Clusterer {
             let patterns = [Key::Embedding, Key::Roster].map(Pattern::One);
             context.fetch(MissedInputs, patterns.to_vec());
             self.rotation.make_due();
+            // What was put while the output was suppressed has reached nobody.
+            self.publish_wishes(context, &[]);
             self.republish(context);
             self.consider(context);
         }
@@ -343,6 +423,7 @@ impl Core for Clusterer {
 
     fn on_timer(&mut self, context: &mut Context<'_>) {
         let now = context.now();
+        self.expire_wishes(context);
         if self.heartbeat_at(&context.view()).is_some_and(|due| now >= due) {
             self.republish(context);
         }
@@ -385,7 +466,9 @@ impl Core for Clusterer {
         ];
         let waiting = waiting.into_iter().flatten();
         let waiting = waiting.min().filter(|_| view.is_leading() && !view.is_job_running());
-        let due = [self.heartbeat_at(view), self.rotation_at(view), self.keeping.due(), waiting];
+        let expiry = self.wishes.due().filter(|_| view.has_term());
+        let due =
+            [self.heartbeat_at(view), self.rotation_at(view), self.keeping.due(), waiting, expiry];
         due.into_iter().flatten().min()
     }
 
@@ -410,6 +493,7 @@ impl Core for Clusterer {
             self.newest.is_some(),
             self.roster.is_some(),
             self.audit.is_some(),
+            self.alerts.is_some(),
             self.division.is_some(),
             self.received_by_others.is_some(),
             self.divided.is_some(),

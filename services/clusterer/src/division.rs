@@ -4,18 +4,22 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use muster_method::division::{Division, divide as divide_robots};
+use muster_method::limited::LimitedError;
 use muster_method::params::{DivisionParams, ParamsError};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
+use muster_numeric::assignment::{CostError, RulesError, WishesError};
 use muster_numeric::kmeans::KMeansError;
 use muster_numeric::margins::MarginError;
 use muster_numeric::matching::MatchError;
 use muster_numeric::matrix::{DenseMatrix, MatrixError};
 
-use crate::identity::{self, Memory};
+use crate::identity::{self, Memory, Named};
+use crate::limited;
+use crate::rules::TeamRules;
 use crate::seats::last_teams;
 
 /// One embedding to divide.
@@ -23,6 +27,8 @@ use crate::seats::last_teams;
 pub struct Job {
     pub(crate) embedding: Checked<Embedding>,
     pub(crate) settings: ClustererSettings,
+    /// What divisions have to respect; none if nothing is asked of them.
+    pub(crate) rules: Option<Arc<TeamRules>>,
     /// How many teams the robots of the embedding are divided into.
     pub(crate) teams: u32,
     /// How many teams were asked for, with those that are absent.
@@ -51,6 +57,18 @@ pub enum DivisionError {
     /// The clusters cannot be matched with the teams before.
     #[error(transparent)]
     Matching(#[from] MatchError),
+    /// The rules do not fit the robots.
+    #[error(transparent)]
+    Rules(#[from] RulesError),
+    /// k-means under limits refuses the vectors.
+    #[error(transparent)]
+    Limited(#[from] LimitedError),
+    /// The wishes do not fit the robots.
+    #[error(transparent)]
+    Wishes(#[from] WishesError),
+    /// The costs of robots in teams cannot be computed.
+    #[error(transparent)]
+    Costs(#[from] CostError),
 }
 
 /// Whether two embeddings hold the same robots with the same vectors, and the same evidence for a number of
@@ -65,22 +83,38 @@ pub(crate) fn same_data(left: &Embedding, right: &Embedding) -> bool {
 }
 
 /// Robots of one cluster, as rows of the embedding, and its centroid.
-struct Cluster {
-    rows: Vec<usize>,
+pub(crate) struct Cluster {
+    pub(crate) rows: Vec<usize>,
     centroid: Vec<f64>,
 }
 
 /// Divides the robots that have a non-zero embedding. The core fills in header, leaders and stale robots.
 pub(crate) fn divide(job: &Job) -> Result<Teams, DivisionError> {
+    if let Some(rules) = &job.rules {
+        return limited::divide(job, rules);
+    }
     let embedding = &*job.embedding;
     let (robots, dimension) = (embedding.robots.len(), embedding.dimension as usize);
     let x = DenseMatrix::new(robots, dimension, embedding.values.clone())?;
     let found = cluster(&x, job)?;
-    let margin_of = found.margins(&x)?;
+    assemble(job, &x, &found, |_, members, unassigned| {
+        Ok(identity::name(members, unassigned, job.previous.as_deref(), &job.memory)?)
+    })
+}
+
+/// The teams of a division, with the names that its clusters get. The clusters are ordered by their first rows.
+pub(crate) fn assemble(
+    job: &Job,
+    x: &DenseMatrix,
+    found: &Division,
+    name: impl FnOnce(&[Cluster], &[Vec<&RobotId>], &[RobotId]) -> Result<Named, DivisionError>,
+) -> Result<Teams, DivisionError> {
+    let embedding = &*job.embedding;
+    let margin_of = found.margins(x)?;
     let inertia = found.inertia;
-    let clusters = gather(&found);
+    let clusters = gather(found);
     let unassigned: Vec<RobotId> = (0..embedding.robots.len())
-        .filter(|&i| embedding.without_embedding[i])
+        .filter(|&i| found.labels[i].is_none())
         .map(|i| embedding.robots[i].clone())
         .collect();
 
@@ -88,7 +122,7 @@ pub(crate) fn divide(job: &Job) -> Result<Teams, DivisionError> {
         .iter()
         .map(|cluster| cluster.rows.iter().map(|&i| &embedding.robots[i]).collect())
         .collect();
-    let named = identity::name(&members, &unassigned, job.previous.as_deref(), &job.memory)?;
+    let named = name(&clusters, &members, &unassigned)?;
     let mut teams: Vec<Team> = clusters
         .iter()
         .zip(named.ids)
@@ -112,6 +146,7 @@ pub(crate) fn divide(job: &Job) -> Result<Teams, DivisionError> {
         inertia,
         changes: named.changes,
         next_team: named.next_team,
+        limited: None,
     })
 }
 
@@ -126,10 +161,11 @@ fn considered(settings: &ClustererSettings, embedding: &Embedding) -> Vec<TeamCo
 }
 
 /// The same division with some robots in the teams of which `held` has the ids; centroids, margins and inertia
-/// are those of the robots that are then together. Every team keeps a robot.
+/// are those of the robots that are then together. Every team keeps a robot, and `rules` hold.
 pub(crate) fn with_held(
     new: &Teams,
     held: &BTreeMap<RobotId, TeamId>,
+    rules: Option<&TeamRules>,
     embedding: &Embedding,
 ) -> Result<Teams, DivisionError> {
     let (robots, dimension) = (&embedding.robots, embedding.dimension as usize);
@@ -143,11 +179,7 @@ pub(crate) fn with_held(
     }
     let x = DenseMatrix::new(robots.len(), dimension, embedding.values.clone())?;
     let centroids = means(&x, &labels, new.teams.len())?;
-    let inertia = x.iter_rows().zip(&labels).filter_map(|(row, label)| {
-        let centre = centroids.row((*label)?);
-        Some(row.iter().zip(centre).map(|(x, mean)| (x - mean).powi(2)).sum::<f64>())
-    });
-    let inertia = inertia.sum();
+    let inertia = inertia(&x, &labels, &centroids);
     let found = Division { labels, centroids, inertia, iterations: 0, converged: true };
     let margin_of = found.margins(&x)?;
     let mut teams = new.clone();
@@ -161,12 +193,24 @@ pub(crate) fn with_held(
         }
     }
     teams.inertia = inertia;
+    if let Some(rules) = rules {
+        teams.limited = Some(limited::judge(rules, &teams, embedding)?);
+    }
     Ok(teams)
+}
+
+/// The sum of squared distances of the rows to the centroids of their labels.
+pub(crate) fn inertia(x: &DenseMatrix, labels: &[Option<usize>], centroids: &DenseMatrix) -> f64 {
+    let squares = x.iter_rows().zip(labels).filter_map(|(row, label)| {
+        let centre = centroids.row((*label)?);
+        Some(row.iter().zip(centre).map(|(x, mean)| (x - mean).powi(2)).sum::<f64>())
+    });
+    squares.sum()
 }
 
 /// The mean row of each label.
 #[expect(clippy::cast_precision_loss, reason = "there are fewer than 2⁵³ robots")]
-fn means(
+pub(crate) fn means(
     x: &DenseMatrix,
     labels: &[Option<usize>],
     count: usize,

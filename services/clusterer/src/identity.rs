@@ -97,10 +97,7 @@ pub(crate) fn name(
     }
     let matched = match_by_overlap(&votes)?;
 
-    let highest = teams.iter().filter_map(|team| number(&team.id)).max().unwrap_or(0);
-    let used = number_of.keys().copied().chain(memory.ended.keys()).collect();
-    let next = previous.map_or(1, |previous| previous.next_team).max(memory.next_team);
-    let mut numbers = Numbers::new(next.max(highest.saturating_add(1)).max(1), used);
+    let mut numbers = Numbers::after(previous, memory);
     let ids: Vec<TeamId> = matched
         .iter()
         .map(|heir| match heir {
@@ -120,18 +117,57 @@ pub(crate) fn name(
     Ok(Named { ids, changes, next_team: numbers.next })
 }
 
+/// The changes from one division to the next, whose clusters have their ids already, and the number that the next new
+/// team will get.
+pub(crate) fn named(
+    clusters: &[Vec<&RobotId>],
+    ids: Vec<TeamId>,
+    unassigned: &[RobotId],
+    previous: Option<&Teams>,
+    memory: &Memory,
+) -> Named {
+    let teams = previous.map_or(&[][..], |previous| &previous.teams);
+    let number_of: BTreeMap<&TeamId, usize> =
+        teams.iter().enumerate().map(|(number, team)| (&team.id, number)).collect();
+    let old_of: BTreeMap<&RobotId, usize> = teams
+        .iter()
+        .enumerate()
+        .flat_map(|(number, team)| team.members.iter().map(move |m| (&m.robot, number)))
+        .collect();
+    let mut overlap = vec![vec![0_u64; teams.len()]; clusters.len()];
+    for (row, robots) in overlap.iter_mut().zip(clusters) {
+        for old in robots.iter().filter_map(|robot| old_of.get(robot)) {
+            row[*old] += 1;
+        }
+    }
+    let heirs: Vec<Option<usize>> = ids.iter().map(|id| number_of.get(id).copied()).collect();
+    let mut changes = team_changes(clusters, unassigned, &overlap, &heirs, &ids, teams);
+    if let Some(previous) = previous {
+        changes.extend(moves(clusters, unassigned, &ids, previous));
+    }
+    let highest = ids.iter().filter_map(number).max().unwrap_or(0);
+    let next_team = Numbers::after(previous, memory).next.max(highest.saturating_add(1));
+    Named { ids, changes, next_team }
+}
+
 /// Gives numbers that no team has or had.
-struct Numbers<'a> {
+pub(crate) struct Numbers<'a> {
     next: u64,
     used: BTreeSet<&'a TeamId>,
 }
 
 impl<'a> Numbers<'a> {
-    fn new(next: u64, used: BTreeSet<&'a TeamId>) -> Self {
-        Self { next, used }
+    /// Those that are left after a division.
+    pub(crate) fn after(previous: Option<&'a Teams>, memory: &'a Memory) -> Self {
+        let teams = previous.map_or(&[][..], |previous| &previous.teams);
+        let highest = teams.iter().filter_map(|team| number(&team.id)).max().unwrap_or(0);
+        let next = previous.map_or(1, |previous| previous.next_team).max(memory.next_team);
+        let used = teams.iter().map(|team| &team.id).chain(memory.ended.keys()).collect();
+        Self { next: next.max(highest.saturating_add(1)).max(1), used }
     }
 
-    fn next(&mut self) -> TeamId {
+    /// The next one.
+    pub(crate) fn next(&mut self) -> TeamId {
         loop {
             let id = TeamId::numbered(self.next);
             // Wraps only if a message has named a number near the end of the range.
@@ -276,6 +312,7 @@ mod tests {
             inertia: 0.0,
             changes: vec![],
             next_team,
+            limited: None,
         }
     }
 

@@ -10,6 +10,7 @@ use std::time::Duration;
 use muster_model::content::Checked;
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
+use muster_model::wish::WishList;
 use muster_wire::kept::KeptTeams;
 
 use crate::identity::{MAX_KEPT_NUMBER, is_believable};
@@ -43,6 +44,13 @@ pub(crate) struct Keeping {
     failed_at: Option<Tick>,
     /// The end of the numbers that each write that is under way reserves.
     under_way: VecDeque<u64>,
+    /// All wishes, as they were published last.
+    wishes: Option<Checked<WishList>>,
+    /// The wishes of the last write.
+    written_wishes: Option<Checked<WishList>>,
+    /// How many writes were begun, and how many have ended.
+    begun: u64,
+    ended: u64,
     /// All numbers below this one are reserved on disk, or were not in time.
     reserved: u64,
     /// The same, once all writes have ended.
@@ -68,7 +76,45 @@ impl Keeping {
         (self.reserved, self.requested) = (kept.reserved, kept.reserved);
         self.written.clone_from(&kept.teams);
         self.newest = kept.teams;
+        self.written_wishes.clone_from(&kept.wishes);
+        self.wishes = kept.wishes;
         Ok(())
+    }
+
+    /// The wishes to be kept.
+    pub(crate) fn wishes(&self) -> Option<&Checked<WishList>> {
+        self.wishes.as_ref()
+    }
+
+    /// Wishes were published, by this instance or another one.
+    pub(crate) fn note_wishes(&mut self, wishes: Checked<WishList>) {
+        let revision = |list: &Checked<WishList>| list.header.revision;
+        if self.wishes.as_ref().is_none_or(|last| revision(last) <= revision(&wishes)) {
+            self.wishes = Some(wishes);
+        }
+    }
+
+    /// This instance has published wishes.
+    pub(crate) fn keep_wishes(&mut self, wishes: Checked<WishList>) {
+        self.wishes = Some(wishes);
+    }
+
+    /// How many writes were begun; what was noted before the last of them is on disk once as many have ended.
+    pub(crate) fn writes_begun(&self) -> u64 {
+        self.begun
+    }
+
+    /// How many writes have ended.
+    pub(crate) fn writes_ended(&self) -> u64 {
+        self.ended
+    }
+
+    /// Whether operators wait for wishes to be written.
+    fn has_new_wishes(&self) -> bool {
+        match (&self.wishes, &self.written_wishes) {
+            (Some(wishes), Some(written)) => !same_wishes(wishes, written),
+            (wishes, _) => wishes.as_ref().is_some_and(|list| !list.wishes.is_empty()),
+        }
     }
 
     /// The division to be kept.
@@ -120,6 +166,9 @@ impl Keeping {
     /// When something is to be written: at once if numbers are to be reserved.
     pub(crate) fn due(&self) -> Option<Tick> {
         let begun = self.under_way.iter().max().copied().unwrap_or(self.reserved);
+        if self.has_new_wishes() {
+            return Some(Tick(0));
+        }
         if let Some(failed_at) = self.failed_at {
             return Some(failed_at.after(RETRY_TIME));
         }
@@ -148,9 +197,18 @@ impl Keeping {
             self.written_at = Some(now);
         }
         self.written.clone_from(&self.newest);
+        self.written_wishes.clone_from(&self.wishes);
         self.failed_at = None;
-        let kept = KeptTeams { reserved: self.requested, teams: self.newest.clone() };
+        let kept = KeptTeams {
+            reserved: self.requested,
+            teams: self.newest.clone(),
+            wishes: self.wishes.clone(),
+        };
         let bytes = kept.encode().ok();
+        self.begun += 1;
+        if bytes.is_none() {
+            self.ended += 1;
+        }
         if bytes.is_some() {
             self.under_way.push_back(self.requested);
         } else {
@@ -161,6 +219,7 @@ impl Keeping {
 
     /// A write has ended. One that failed reserves numbers until the end of the process: the fleet goes on.
     pub(crate) fn ended(&mut self, now: Tick, is_on_disk: bool) {
+        self.ended += 1;
         if let Some(reserved) = self.under_way.pop_front() {
             self.reserved = self.reserved.max(reserved);
             self.failed_at = if is_on_disk { self.failed_at } else { Some(now) };
@@ -172,8 +231,17 @@ impl Keeping {
 
     /// How many whole messages it holds.
     pub(crate) fn message_count(&self) -> usize {
-        usize::from(self.newest.is_some()) + usize::from(self.written.is_some())
+        let held = [self.newest.is_some(), self.written.is_some(), self.wishes.is_some()];
+        held.into_iter().filter(|held| *held).count()
     }
+}
+
+/// Whether two lists have the same wishes, whatever has become of them.
+fn same_wishes(left: &WishList, right: &WishList) -> bool {
+    left.wishes.len() == right.wishes.len()
+        && left.wishes.iter().zip(&right.wishes).all(|(left, right)| {
+            (&left.operator, &left.id, &left.wish) == (&right.operator, &right.id, &right.wish)
+        })
 }
 
 /// Whether two divisions have the same teams with the same members and leaders.
@@ -232,7 +300,8 @@ mod tests {
     fn what_cannot_be_read_is_refused() {
         let mut keeping = Keeping::default();
         assert!(keeping.restore(b"{}").unwrap_err().contains("no kept division"));
-        let used_up = |reserved| KeptTeams { reserved, teams: None }.encode().unwrap();
+        let used_up =
+            |reserved| KeptTeams { reserved, teams: None, wishes: None }.encode().unwrap();
         for reserved in [MAX_KEPT_NUMBER + 1, u64::MAX] {
             let problem = keeping.restore(&used_up(reserved)).unwrap_err();
             assert!(problem.contains("numbers of teams"), "{problem}");

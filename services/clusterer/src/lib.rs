@@ -2,6 +2,7 @@
 //!
 //! Read in the order of the data's path: [`Clusterer`] receives embeddings and decides what is published
 //! when; `division` is the job, k-means on the rows of an embedding, started from the teams before;
+//! `wishes` are those of operators, `rules` is what they and the limits ask of divisions, `limited` the job under them, `words` why they cannot be obeyed;
 //! `identity` gives each cluster a team id that lives on, and names what changed, with the help of
 //! `memory`, which robot was in which team lately; `seats` keeps the places of teams that are absent; `dwell` says how long a change must last before it
 //! counts; `leader` finds the commander of each team; `keeping` has what is on disk; `publishing` says which robots are informed.
@@ -13,6 +14,8 @@
 //!   everything, as long as a disk or any service holds the last division.
 //! - A robot changes from one living team to another only after every division has said so for `dwell_s`,
 //!   unless its orders or the number of teams have changed.
+//! - A division obeys the limits of the settings and the wishes of operators. While nothing does, robots stay in the team that they have, no team
+//!   has more robots than it may have, robots without a place have no team, and the division and an event say why.
 //! - The same embedding under the same settings is divided once, and once more where another number of teams
 //!   has lasted. What is republished is the same division
 //!   with a new revision, and its data grows older.
@@ -30,9 +33,13 @@ mod dwell;
 mod identity;
 mod keeping;
 mod leader;
+mod limited;
 mod memory;
 mod publishing;
+mod rules;
 mod seats;
+mod wishes;
+mod words;
 
 pub use crate::core::{Clusterer, MissedInputs};
 pub use crate::division::{DivisionError, Job};

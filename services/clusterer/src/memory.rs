@@ -93,11 +93,15 @@ impl Memory {
         self.last.get(robot).map(|(team, _)| team)
     }
 
-    /// Teams that ended as their robots left: most of them are in no team since.
-    pub(crate) fn lost_teams(&self) -> impl Iterator<Item = &TeamId> {
-        let is_lost = |(id, ended): &(&TeamId, &Ended)| {
+    /// Teams that ended as their robots left: most of them are in no team since, and not all of those `reserved`.
+    pub(crate) fn lost_teams<'a>(
+        &'a self,
+        reserved: &'a BTreeSet<&'a RobotId>,
+    ) -> impl Iterator<Item = &'a TeamId> {
+        let is_lost = move |(id, ended): &(&'a TeamId, &'a Ended)| {
             let left = ended.members.iter().filter(|robot| self.last_team(robot) == Some(*id));
-            left.count() * 2 > ended.members.len()
+            left.clone().count() * 2 > ended.members.len()
+                && left.into_iter().any(|robot| !reserved.contains(robot))
         };
         self.ended.iter().filter(is_lost).map(|(id, _)| id)
     }

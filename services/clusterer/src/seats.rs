@@ -38,26 +38,33 @@ pub(crate) struct Seats {
 
 impl Seats {
     /// The seats of the last division and of the teams that are remembered, and `vacant` ones of which no more
-    /// is known.
+    /// is known. Robots that are in no team on purpose have no seat, and neither has a team of which all robots are.
     pub(crate) fn of(
         division: Option<&Teams>,
         memory: &Memory,
         vacant: u32,
+        reserved: &BTreeSet<&RobotId>,
         embedding: &Embedding,
     ) -> Self {
         let Some(division) = division else { return Self::default() };
-        let last_of = last_teams(division, memory, embedding);
+        let robots = embedding.robots.iter().zip(&embedding.without_embedding);
+        let robots = robots.filter(|(_, without)| !**without).map(|(robot, _)| robot);
+        let last_of: Vec<Option<&TeamId>> = robots
+            .zip(last_teams(division, memory, embedding))
+            .filter(|(robot, _)| !reserved.contains(robot))
+            .map(|(_, last)| last)
+            .collect();
         let newcomers = last_of.contains(&None);
         let mut seats = Self { newcomers, absent: vacant, ..Self::default() };
         let occupied: BTreeSet<&TeamId> = last_of.into_iter().flatten().collect();
         for team in &division.teams {
             if occupied.contains(&team.id) {
                 seats.present.insert(team.id.clone());
-            } else {
+            } else if team.members.iter().any(|member| !reserved.contains(&member.robot)) {
                 seats.absent = seats.absent.saturating_add(1);
             }
         }
-        for id in memory.lost_teams() {
+        for id in memory.lost_teams(reserved) {
             if occupied.contains(id) {
                 seats.present.insert(id.clone());
                 seats.returning += 1;
@@ -118,7 +125,7 @@ impl Seats {
 
 /// Seats that were kept for absent teams when the division was written that was found on disk. Which robots
 /// they are kept for is not known any more: whoever returns is a newcomer.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Vacancies {
     seats: u32,
     since: Option<Tick>,
@@ -149,7 +156,7 @@ impl Vacancies {
 }
 
 /// Who came lately.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Arrivals {
     /// When robots were last there that no team knew.
     newcomers: Option<Tick>,
@@ -173,6 +180,20 @@ pub(crate) fn last_teams<'a>(
     let known = |robot: &RobotId| team_of.get(robot).copied().or_else(|| memory.last_team(robot));
     let robots = embedding.robots.iter().zip(&embedding.without_embedding);
     robots.filter(|(_, without)| !**without).map(|(robot, _)| known(robot)).collect()
+}
+
+/// The last team of the robots of some rows of an embedding, all of which have one that is not zero.
+pub(crate) fn last_of<'a>(
+    division: Option<&'a Teams>,
+    memory: &'a Memory,
+    embedding: &Embedding,
+    rows: &[usize],
+) -> Vec<Option<&'a TeamId>> {
+    let Some(division) = division else { return vec![None; rows.len()] };
+    let placed = (0..embedding.robots.len()).filter(|row| !embedding.without_embedding[*row]);
+    let all: BTreeMap<usize, Option<&TeamId>> =
+        placed.zip(last_teams(division, memory, embedding)).collect();
+    rows.iter().map(|row| all.get(row).copied().flatten()).collect()
 }
 
 /// A division as it would be with the seats of the next one: without the teams that have lost all their

@@ -18,8 +18,7 @@ use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::{EmbedderSettings, TeamCount};
 use muster_service::Stopwatch;
-
-use crate::follow::Frame;
+use muster_service::following::Frame;
 
 /// What an embedding rests on. As long as it stays the same, so does the embedding.
 #[derive(Debug, Clone, PartialEq)]

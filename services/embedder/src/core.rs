@@ -16,6 +16,7 @@ use muster_model::orders::NewOrders;
 use muster_model::role::ReplicaState;
 use muster_model::settings::{Alpha, Dimension, EmbedderSettings, SettingsError};
 use muster_model::time::Tick;
+use muster_service::following::{Acceptance, Follower, Frame};
 use muster_service::{
     Connectivity, Core, Delivery, FreeJobSlot, Get, JobEnd, MemoryUse, ServedKey, SingleFlight,
     Stopwatch, Subscription, Wiring,
@@ -24,7 +25,6 @@ use muster_wire::{Key, Message, Pattern, Request};
 
 use crate::compute::{Basis, Done, Job, Memory, Outcome, Task, run};
 use crate::doubt::Doubts;
-use crate::follow::{Acceptance, Follower, Frame};
 use crate::pairs::Questions;
 use crate::teams::TeamsWanted;
 
@@ -275,8 +275,12 @@ impl Core for Embedder {
         }
         // A standby holds the graphs as well: it answers for an ingest that is gone.
         if follows(&context.view())
-            && let Some((patterns, within)) = self.follow.fetch(now)
+            && let Some((mut patterns, within)) = self.follow.fetch(now)
         {
+            if patterns.contains(&Pattern::Graphs) {
+                // Whoever has missed graphs has missed settings as well.
+                patterns.push(Pattern::One(Key::Settings(ServiceName::Clusterer)));
+            }
             context.count("fetches");
             context.fetch_within(EmbedderFetch::Frame, patterns, within);
         }

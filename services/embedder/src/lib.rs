@@ -1,9 +1,8 @@
 //! Graphs in, one vector per robot out.
 //!
-//! `embedder` follows the graphs of all modalities into frames that belong together (module
-//! `follow`; deltas that come before what they start from wait, module `waiting`), embeds each frame by
-//! `muster-method`, beginning with what is kept of the last one (module `compute`), and publishes the
-//! vectors as [`muster_model::embedding::Embedding`]. Module `pairs`
+//! `embedder` follows the graphs of all modalities into frames that belong together
+//! ([`muster_service::following`]), embeds each frame by `muster-method`, beginning with what is kept of the
+//! last one (module `compute`), and publishes the vectors as [`muster_model::embedding::Embedding`]. Module `pairs`
 //! answers gets of the similarity of two robots, module `teams` follows how many teams are wanted, on
 //! which the dimension and the published evidence depend, module `doubt` reports modalities that are in doubt.
 //! Module `core` decides when.
@@ -20,10 +19,8 @@
 mod compute;
 mod core;
 mod doubt;
-mod follow;
 mod pairs;
 mod teams;
-mod waiting;
 
 pub use crate::compute::{Done, Job};
 pub use crate::core::{Embedder, EmbedderFetch};

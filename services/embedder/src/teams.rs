@@ -5,9 +5,8 @@ use std::time::Duration;
 use muster_model::header::Revision;
 use muster_model::settings::{ClustererSettings, Settings, SettingsError, TeamCount, from_value};
 use muster_model::time::Tick;
+use muster_service::following::Acceptance;
 use muster_wire::envelope::AnnouncedSettings;
-
-use crate::follow::Acceptance;
 
 /// How often the settings are asked for. `clusterer` announces them repeatedly, but a forged announcement
 /// of a later revision would shut those out, and only answers can contradict it. Seldom is enough: the

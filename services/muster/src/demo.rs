@@ -132,7 +132,7 @@ pub(crate) async fn run(
     let robots = SimulatedRobots::join(&speaking, fleet, all).await.map_err(exit_error)?;
     let mut marching = tokio::spawn(robots.run(RATE_HZ, 0.0, seconds, stop.clone()));
     eprintln!(
-        "{} robots and 4 services on a router at {}; Ctrl-C ends it",
+        "{} robots and 5 services on a router at {}; Ctrl-C ends it",
         args.robots,
         endpoints.join(", ")
     );

@@ -1,19 +1,22 @@
 //! `muster`: the operator's command.
 //!
-//! It starts processes ([`demo`], [`up`], [`router`], [`robot`]), shows a live fleet ([`show`], [`doctor`]),
-//! changes its settings ([`set`]), prepares hosts ([`deploy`]), tells container managers whether a process is
+//! It starts processes ([`demo`], [`up`], [`router`], [`robot`]), shows a live fleet ([`show`], [`doctor`]) and what
+//! one was ([`past`]), changes its settings ([`set`]) and wishes ([`wish`]), prepares hosts ([`deploy`]), tells
+//! container managers whether a process is
 //! alive ([`probe`]), prints the form of messages ([`schema`]),
 //! runs the method once on a file ([`solve`]), searches for better settings ([`tune`]), replays the recording of a service ([`replay`]), and
 //! describes itself to shells and manuals ([`describe`]). It is the one program that knows all services:
 //! it composes them and adds nothing to them. It talks to a fleet through `muster-client` ([`console`]);
 //! only what runs services or a router, and the doctor's probe of a router, know the bus.
 
+mod alerts;
 mod console;
 mod demo;
 mod deploy;
 mod describe;
 mod doctor;
 mod fleet;
+mod past;
 mod probe;
 mod replay;
 mod robot;
@@ -23,6 +26,7 @@ mod set;
 mod show;
 mod tune;
 mod up;
+mod wish;
 
 use std::process::ExitCode;
 
@@ -64,16 +68,26 @@ enum Command {
     Teams(show::ShowArgs),
     /// Show the silhouettes of the live division
     Audit(show::ShowArgs),
+    /// Show open alerts, or say that they have been seen
+    Alerts(alerts::AlertsArgs),
     /// Show the graphs of the live fleet
     Graph(show::graph::GraphArgs),
     /// Show services and robots of the live fleet
     Status(show::ShowArgs),
+    /// Show what a fleet was: its teams at a moment, or how they changed
+    History(past::HistoryArgs),
+    /// Show what happened in a fleet
+    Events(past::EventsArgs),
+    /// Show which robots joined a fleet and left it, when and why
+    Robots(past::RobotsArgs),
     /// Find what is wrong with a fleet, and say what to do
     Doctor(doctor::DoctorArgs),
     /// Ask the process at --http whether it is alive, as a container's health check does
     Probe(probe::ProbeArgs),
     /// Show or change the settings of a running service
     Set(set::SetArgs),
+    /// Put, withdraw or list wishes about robots and teams
+    Wish(wish::WishArgs),
     /// Print the JSON Schema of the messages
     Schema(schema::SchemaArgs),
     /// Print configurations, make certificates and the rules of routers
@@ -145,16 +159,23 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Audit(args) => {
             console(&config, async |config| show::audit::run(args, &config).await)
         }
+        Command::Alerts(args) => console(&config, async |config| alerts::run(args, &config).await),
         Command::Graph(args) => {
             console(&config, async |config| show::graph::run(args, &config).await)
         }
         Command::Status(args) => {
             console(&config, async |config| show::status::run(args, &config).await)
         }
+        Command::History(args) => {
+            console(&config, async |config| past::history(args, &config).await)
+        }
+        Command::Events(args) => console(&config, async |config| past::events(args, &config).await),
+        Command::Robots(args) => console(&config, async |config| past::robots(args, &config).await),
         Command::Doctor(args) => console(&config, async |config| doctor::run(args, &config).await),
         Command::Set(args) => console(&config, async |config| set::run(args, &config).await),
         Command::Tune(args) if args.has_file() => tune::of_file(args),
         Command::Tune(args) => console(&config, async |config| tune::of_fleet(args, &config).await),
+        Command::Wish(args) => console(&config, async |config| wish::run(args, &config).await),
         Command::Probe(args) => probe::run(args, &config),
         Command::ReplayCore(args) => replay::run(args),
         Command::Schema(args) => schema::run(args),

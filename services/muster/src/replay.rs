@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
+use muster_historian::Historian;
 use muster_ingest::Ingest;
 use muster_model::id::ServiceName;
 use muster_model::time::Tick;
@@ -128,6 +129,7 @@ fn by_service(
         ServiceName::Embedder => compare::<Embedder>(head, next, until, see),
         ServiceName::Clusterer => compare::<Clusterer>(head, next, until, see),
         ServiceName::Auditor => compare::<Auditor>(head, next, until, see),
+        ServiceName::Historian => compare::<Historian>(head, next, until, see),
     }
 }
 
@@ -268,8 +270,14 @@ impl Show {
             Input::Restored(content) => format!("{} bytes were kept", content.len()),
             Input::Kept { error: None } => "what is to be kept is written".to_owned(),
             Input::Kept { error: Some(error) } => format!("nothing is kept: {error}"),
-            Input::Found { lookup, records } => {
-                format!("lookup {lookup} has found {} records", records.len())
+            Input::Recorded(report) => {
+                format!("records up to {} are written", report.coverage.sequence)
+            }
+            Input::Found { lookup, page: Ok(page) } => {
+                format!("lookup {lookup} has found {:?}", page.rows)
+            }
+            Input::Found { lookup, page: Err(problem) } => {
+                format!("lookup {lookup} has found nothing: {problem}")
             }
             Input::ProcessCounters(counters) => format!("counters of the process: {counters:?}"),
             Input::StateLost { reason } => format!("stored state is lost: {}", quoted(reason)),
@@ -320,8 +328,11 @@ impl Show {
             Command::WithdrawToken(key) => {
                 format!("withdraw the token {}", self.space.format(key))
             }
-            Command::Append(record) => format!("append a record of {} bytes", record.content.len()),
-            Command::LookUp { lookup, range } => format!("lookup {lookup}: {range:?}"),
+            Command::Append(entry) => format!("append a record: {:?}", entry.record),
+            Command::LookUp { lookup, query } => format!("lookup {lookup}: {query:?}"),
+            Command::Retain(retention) => {
+                format!("forget records before {}", retention.before.as_seconds())
+            }
             Command::Unencodable(problem) => format!("publish nothing: {problem}"),
         }
     }

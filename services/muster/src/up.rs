@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
+use muster_historian::Historian;
 use muster_ingest::Ingest;
 use muster_model::id::ServiceName;
 use muster_runtime::bus::{Bus, ConnectTimeout};
@@ -26,7 +27,7 @@ muster up embedder clusterer        two of them; the others run on other hosts\n
 muster up --router --set clusterer.teams=3"
 )]
 pub(crate) struct UpArgs {
-    /// Services to run: ingest, embedder, clusterer, auditor; all if none is named
+    /// Services to run: ingest, embedder, clusterer, auditor, historian; all if none is named
     #[arg(value_name = "SERVICE")]
     services: Vec<ServiceName>,
     /// Run a router in this process as well, at --listen
@@ -81,6 +82,10 @@ pub(crate) fn start(
                 tasks.spawn(service::run::<Clusterer>(config, stop, observer))
             }
             ServiceName::Auditor => tasks.spawn(service::run::<Auditor>(config, stop, observer)),
+            ServiceName::Historian => {
+                let open = muster_historian::open;
+                tasks.spawn(service::run_recording::<Historian>(config, stop, observer, open))
+            }
         };
     }
     tasks

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use muster_bus::{Bus, Session};
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::id::RobotId;
 use muster_model::observation::Stream;
@@ -113,6 +114,18 @@ impl Client {
         self.follow(Key::Audit, |space, packet| match Message::decode(space, packet)? {
             Message::Audit(audit) => Ok(Arc::unwrap_or_clone(audit)),
             _ => Err(Rejection::new(space, &packet.key, "this is no audit")),
+        })
+        .await
+    }
+
+    /// Follows the list of open alerts.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn alerts(&self) -> Result<Watch<Alerts>, Error> {
+        self.follow(Key::Alerts, |space, packet| match Message::decode(space, packet)? {
+            Message::Alerts(alerts) => Ok(Arc::unwrap_or_clone(alerts)),
+            _ => Err(Rejection::new(space, &packet.key, "this is no list of alerts")),
         })
         .await
     }

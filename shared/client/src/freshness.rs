@@ -7,6 +7,7 @@ use std::ops::Deref;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::header::{Header, Revision};
 use muster_model::roster::{Roster, RosterEntry};
@@ -102,6 +103,18 @@ impl Publication for Audit {
             && self.in_embedding == other.in_embedding
             && self.in_physical == other.in_physical
             && self.flapping == other.flapping
+            && self.per_team == other.per_team
+            && self.losses == other.losses
+    }
+}
+
+impl Publication for Alerts {
+    fn header(&self) -> &Header {
+        &self.header
+    }
+
+    fn same_content(&self, other: &Self) -> bool {
+        self.open == other.open
     }
 }
 

@@ -5,16 +5,18 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_bus::{Answer, Ask, Target};
+use muster_model::alert::{AcknowledgeAlert, Alert, Alerts};
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
-use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
+use muster_model::id::{FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, WishId};
 use muster_model::katz::PairSimilarity;
 use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
+use muster_model::wish::{StandingWish, Wish};
 use muster_wire::message::{plain_reason, quoted};
 use muster_wire::{Key, Message, Packet, Pattern};
 use serde_json::Value;
@@ -25,7 +27,7 @@ use crate::reporter::wall_clock;
 
 /// How long replies to a get are waited for: a service that runs answers within milliseconds, and one
 /// on a slow link within seconds.
-const REPLY_TIMEOUT: Duration = Duration::from_secs(3);
+pub(crate) const REPLY_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// The same for the similarity of a pair: the first one computes that of all pairs of the fleet.
 const SIMILARITY_TIMEOUT: Duration = Duration::from_secs(30);
@@ -51,7 +53,7 @@ pub struct FleetPresence {
 }
 
 /// The reason in the error reply of a service.
-fn reason(error: &str) -> String {
+pub(crate) fn reason(error: &str) -> String {
     let text = serde_json::from_str::<Value>(error).ok();
     let text = text.as_ref().and_then(|value| value.get("error")?.as_str());
     plain_reason(text.unwrap_or(error))
@@ -84,6 +86,51 @@ impl Client {
             _ => None,
         })
         .await
+    }
+
+    /// The newest list of open alerts that anybody knows.
+    ///
+    /// # Errors
+    /// [`Error::Unanswered`] without a reply, [`Error::Bus`] if the bus fails.
+    pub async fn get_alerts(&self) -> Result<Arc<Alerts>, Error> {
+        self.newest(Key::Alerts, |message| match message {
+            Message::Alerts(alerts) => Some(alerts),
+            _ => None,
+        })
+        .await
+    }
+
+    /// Says that an operator has seen an alert, and returns the list of open alerts.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] if no such alert is open, [`Error::Unanswered`] if `auditor` does not run,
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn acknowledge_alert(
+        &self,
+        operator: &OperatorId,
+        alert: u64,
+    ) -> Result<Arc<Alerts>, Error> {
+        let request = AcknowledgeAlert { operator: operator.clone(), alert };
+        let payload = serde_json::to_vec(&request).map_err(Error::bus)?;
+        let ask = Ask { payload: Some(&payload), ..ask_for("format=bincode", Target::Complete) };
+        let mut refused = None;
+        for answer in self.get(&Pattern::One(Key::Alerts), ask).await? {
+            match answer {
+                Answer::Packet(packet) => match Message::decode(self.bus().space(), &packet) {
+                    // Without the auditor others may answer, who cannot acknowledge anything.
+                    Ok(Message::Alerts(alerts)) if is_acknowledged(&alerts, &request) => {
+                        return Ok(alerts);
+                    }
+                    Ok(_) => {}
+                    Err(rejection) => return Err(Error::bus(rejection.reason)),
+                },
+                Answer::Error(error) => {
+                    let service = ServiceName::Auditor;
+                    refused = Some(Error::Refused { service, reason: reason(&error) });
+                }
+            }
+        }
+        Err(refused.unwrap_or_else(|| self.unanswered(Key::Alerts)))
     }
 
     /// The newest roster that anybody knows.
@@ -218,6 +265,69 @@ impl Client {
         self.settings_reply(service, Some(patch.to_string().as_bytes())).await
     }
 
+    /// All wishes of operators.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails. Empty if nobody has put one, or the clusterer does not run.
+    pub async fn get_wishes(&self) -> Result<Vec<StandingWish>, Error> {
+        let all = self.messages(&Pattern::One(Key::Wishes)).await?;
+        let newest = all.into_iter().max_by_key(revision);
+        Ok(match newest {
+            Some(Message::Wishes(list)) => list.wishes.clone(),
+            _ => Vec::new(),
+        })
+    }
+
+    /// Puts a wish of an operator, in place of the one with this id, and returns it with what has become of it. It is on
+    /// the disk of the clusterer then.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] if a field is wrong, or the wish contradicts limits or other wishes; the reason says how.
+    /// [`Error::Unanswered`] if the clusterer does not run, [`Error::Denied`] if the rules of the router drop the get,
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn put_wish(
+        &self,
+        operator: &OperatorId,
+        id: &WishId,
+        wish: &Wish,
+    ) -> Result<StandingWish, Error> {
+        let payload = serde_json::to_vec(wish).map_err(Error::bus)?;
+        self.wish_reply(Key::Wish(operator.clone(), id.clone()), &payload).await
+    }
+
+    /// Withdraws a wish of an operator, and returns it as it was.
+    ///
+    /// # Errors
+    /// As [`Client::put_wish`]; [`Error::Refused`] if it is not there.
+    pub async fn withdraw_wish(
+        &self,
+        operator: &OperatorId,
+        id: &WishId,
+    ) -> Result<StandingWish, Error> {
+        self.wish_reply(Key::Wish(operator.clone(), id.clone()), b"null").await
+    }
+
+    async fn wish_reply(&self, key: Key, payload: &[u8]) -> Result<StandingWish, Error> {
+        let service = ServiceName::Clusterer;
+        let ask = Ask { payload: Some(payload), ..ask_for("format=json", Target::Complete) };
+        let mut refused = None;
+        for answer in self.get(&Pattern::One(key.clone()), ask).await? {
+            match answer {
+                Answer::Packet(Packet { payload: Ok(payload), .. }) => {
+                    return serde_json::from_slice(&payload).map_err(Error::bus);
+                }
+                Answer::Packet(_) => {}
+                Answer::Error(error) => {
+                    refused = Some(Error::Refused { service, reason: reason(&error) });
+                }
+            }
+        }
+        match refused {
+            Some(refused) => Err(refused),
+            None => Err(self.leader_unanswered(service, key).await),
+        }
+    }
+
     /// The running instances of services, by their liveliness tokens.
     ///
     /// # Errors
@@ -280,14 +390,13 @@ impl Client {
         }
         match refused {
             Some(refused) => Err(refused),
-            None => Err(self.settings_unanswered(service).await),
+            None => Err(self.leader_unanswered(service, Key::Settings(service)).await),
         }
     }
 
-    /// Why the settings of a service are not answered. A router drops what its rules deny without a word; a
-    /// leader that answers for its status runs, and would answer for its settings.
-    async fn settings_unanswered(&self, service: ServiceName) -> Error {
-        let key = Key::Settings(service);
+    /// Why a leader does not answer. A router drops what its rules deny without a word; a leader that answers for its
+    /// status runs, and would answer for its other keys.
+    async fn leader_unanswered(&self, service: ServiceName, key: Key) -> Error {
         let statuses = self.get_statuses(Some(service)).await.unwrap_or_default();
         if statuses.iter().any(|status| status.standing == ReplicaState::Leading) {
             let fleet = self.bus().space().fleet().clone();
@@ -319,13 +428,19 @@ impl Client {
         Ok(messages)
     }
 
-    async fn get(&self, pattern: &Pattern, ask: Ask<'_>) -> Result<Vec<Answer>, Error> {
+    pub(crate) async fn get(&self, pattern: &Pattern, ask: Ask<'_>) -> Result<Vec<Answer>, Error> {
         self.bus().get(pattern, ask).await.map_err(Error::bus)
     }
 
-    fn unanswered(&self, key: impl ToString) -> Error {
+    pub(crate) fn unanswered(&self, key: impl ToString) -> Error {
         Error::Unanswered { key: key.to_string(), fleet: self.bus().space().fleet().clone() }
     }
+}
+
+fn is_acknowledged(alerts: &Alerts, request: &AcknowledgeAlert) -> bool {
+    let by = |alert: &Alert| alert.acknowledged.as_ref().map(|by| by.operator.clone());
+    let mut open = alerts.open.iter();
+    open.any(|alert| alert.id == request.alert && by(alert).as_ref() == Some(&request.operator))
 }
 
 fn ask_for(parameters: &str, target: Target) -> Ask<'_> {

@@ -53,7 +53,9 @@
 //! [`Client`] is a session without a robot. It follows the division, the audit and the roster
 //! ([`Client::teams`] and so on, each a [`Watch`]), delivers events, asks once ([`Client::get_statuses`],
 //! [`Client::get_graphs`], [`Client::get_similarity`] and others), and changes settings
-//! ([`Client::change_settings`]). Each watch is a stream too, and [`Client::changes`] is all in one.
+//! ([`Client::change_settings`]) and wishes ([`Client::put_wish`], [`Client::withdraw_wish`],
+//! [`Client::get_wishes`]). [`Client::alerts`] is the list of open alerts, and [`Client::acknowledge_alert`] says that an
+//! operator has seen one. Each watch is a stream too, and [`Client::changes`] is all in one.
 //! This one prints the division; like all of this crate it runs on tokio's multi-threaded runtime, and
 //! refuses others:
 //!
@@ -96,7 +98,7 @@
 //! `reporter` checks, numbers and remembers the reports of a robot, `send_queue` is the bounded queue to
 //! the bus, `freshness` decides which message is the newest and when it is stale: none of them knows the
 //! bus, and each is tested without one. [`Watch`] and [`Robot`] connect them to a session; `get` has what a
-//! console asks for once.
+//! console asks for once, `history` what it asks recordings.
 
 mod changes;
 mod client;
@@ -105,6 +107,7 @@ mod error;
 mod feed;
 mod freshness;
 mod get;
+mod history;
 mod reporter;
 mod robot;
 mod send_queue;

@@ -13,6 +13,7 @@
 //! | how many of them are kept: K | `cut` |
 //! | rows of X = \[U, V\], scaled | [`embedding`] |
 //! | k-means over the rows | [`division`] |
+//! | the same within limits of the teams | [`limited`] |
 //! | silhouettes of a division | [`silhouettes`] |
 //! | S_ij of two robots, by modality | [`pairs`] |
 //! | why a robot is in its team, by modality | [`reasons`] |
@@ -36,6 +37,7 @@ pub mod embedding;
 mod error;
 mod fusion;
 mod graph;
+pub mod limited;
 mod orders;
 pub mod pairs;
 pub mod params;

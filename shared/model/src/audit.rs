@@ -7,6 +7,7 @@ use crate::content::{Content, ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{RobotId, TeamId};
 use crate::limits::MAX_FLAPPING_ROBOTS;
+use crate::team_audit::{Loss, TeamAudit, check_losses};
 
 /// In which space distances were taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -148,11 +149,20 @@ pub struct Audit {
     pub quality: Quality,
     /// How often robots change their team and change back.
     pub flapping: Flapping,
+    /// The roster with whose graphs the teams were scored; none if there is no conductance and no radio, because
+    /// the graphs are not known yet.
+    pub graphs: Option<Revision>,
+    /// Each team, in the order of the division.
+    pub per_team: Vec<TeamAudit>,
+    /// The robots whose loss would hurt a team most, the worst first.
+    pub losses: Vec<Loss>,
 }
 
 impl Content for Audit {
-    /// [`Flapping`] satisfies its rules.
+    /// [`Flapping`], teams and losses satisfy their rules.
     fn check(&self) -> Result<(), ContentError> {
-        self.flapping.check()
+        self.flapping.check()?;
+        self.per_team.iter().try_for_each(Content::check)?;
+        check_losses(&self.losses)
     }
 }

@@ -3,10 +3,14 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::alert::AlertKind;
 use crate::header::Header;
-use crate::id::{Modality, RobotId, ServiceName};
-use crate::limits::{MAX_DOUBTED_ROBOTS, MAX_FLAPPING_ROBOTS, MAX_ROBOTS_OF_EVENT};
+use crate::id::{Modality, OperatorId, RobotId, ServiceName, TeamId, WishId};
+use crate::limits::{
+    MAX_ALERT_ROBOTS, MAX_DOUBTED_ROBOTS, MAX_FLAPPING_ROBOTS, MAX_ROBOTS_OF_EVENT,
+};
 use crate::teams::TeamChange;
+use crate::wish::WishState;
 
 /// How much an event matters to an operator.
 #[derive(
@@ -163,6 +167,88 @@ pub enum EventKind {
     StateLost {
         /// What is wrong, and the remedy.
         reason: String,
+    },
+    /// The history cannot be written as it should be. Records wait, and the oldest go when too many do.
+    HistoryDegraded {
+        /// What is wrong, and the remedy.
+        reason: String,
+    },
+    /// The history is written again.
+    HistoryRecovered {
+        /// How many records were lost meanwhile.
+        lost: u64,
+    },
+    /// A file of the history is damaged. It was put aside, and a new one begins.
+    HistoryDamaged {
+        /// Which file, and what is wrong with it.
+        reason: String,
+    },
+    /// An alert is open from now on. The list of all that are open is on a key of its own.
+    AlertRaised {
+        /// Its number.
+        alert: u64,
+        /// What it is about.
+        kind: AlertKind,
+        /// The team that it concerns, if it concerns one.
+        team: Option<TeamId>,
+        /// The modality that it concerns, if it concerns one.
+        modality: Option<Modality>,
+        /// What was measured.
+        value: f64,
+        /// The threshold that was passed.
+        threshold: f64,
+        /// What is wrong, in words.
+        reason: String,
+        /// The robots that it is about, those that matter most first.
+        #[schemars(length(max = MAX_ALERT_ROBOTS))]
+        robots: Vec<RobotId>,
+    },
+    /// An alert has ended.
+    AlertCleared {
+        /// Its number.
+        alert: u64,
+        /// What it was about.
+        kind: AlertKind,
+        /// The team that it concerned, if it concerned one.
+        team: Option<TeamId>,
+        /// The modality that it concerned, if it concerned one.
+        modality: Option<Modality>,
+        /// How many seconds it was open.
+        #[schemars(range(min = 0))]
+        open_s: f64,
+    },
+    /// An operator has seen an alert.
+    AlertAcknowledged {
+        /// Its number.
+        alert: u64,
+        /// Who has seen it.
+        operator: OperatorId,
+    },
+    /// Events of alerts were not published, because there were too many within a minute. The list of open
+    /// alerts is whole.
+    AlertsFolded {
+        /// How many.
+        count: u32,
+    },
+    /// Nothing satisfies the limits any more, as robots came or left: the last division stands, and robots that have no
+    /// place in it have no team.
+    Infeasible {
+        /// The limits that contradict each other, with their arithmetic.
+        reason: String,
+    },
+    /// The limits hold again.
+    FeasibleAgain {
+        /// Seconds for which they did not.
+        after_s: f64,
+    },
+    /// An operator has put or withdrawn a wish, or it has come to another state.
+    WishChanged {
+        /// Whose wish it is.
+        operator: OperatorId,
+        /// Its name.
+        id: WishId,
+        /// What has become of it.
+        state: WishState,
     },
 }
 

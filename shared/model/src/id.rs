@@ -134,6 +134,10 @@ id!(
     FleetId
 );
 id!(
+    "A wish, among those of its operator."
+    WishId
+);
+id!(
     "A team. It keeps its id for as long as it can be matched with itself."
     TeamId
 );
@@ -144,6 +148,10 @@ id!(
 id!(
     "One running process of a service."
     InstanceId
+);
+id!(
+    "A person, or a program in its place, who commands a fleet."
+    OperatorId
 );
 
 impl Modality {
@@ -197,10 +205,10 @@ impl InstanceId {
 
 /// The text names no service.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no service is called {0:?}; there are ingest, embedder, clusterer, auditor")]
+#[error("no service is called {0:?}; there are ingest, embedder, clusterer, auditor, historian")]
 pub struct ServiceNameError(pub String);
 
-/// The four services that turn observations into audited teams.
+/// The services of a fleet: four that turn observations into audited teams, and one that records them.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
 )]
@@ -214,11 +222,17 @@ pub enum ServiceName {
     Clusterer,
     /// Teams to silhouettes.
     Auditor,
+    /// All of it to a history.
+    Historian,
 }
 
 impl ServiceName {
     /// All services in the order of the data's path.
-    pub const ALL: [Self; 4] = [Self::Ingest, Self::Embedder, Self::Clusterer, Self::Auditor];
+    pub const ALL: [Self; 5] =
+        [Self::Ingest, Self::Embedder, Self::Clusterer, Self::Auditor, Self::Historian];
+
+    /// The services that turn observations into audited teams: those that every fleet needs.
+    pub const PIPELINE: [Self; 4] = [Self::Ingest, Self::Embedder, Self::Clusterer, Self::Auditor];
 
     /// The name as it stands in keys and on the command line.
     #[must_use]
@@ -228,6 +242,7 @@ impl ServiceName {
             Self::Embedder => "embedder",
             Self::Clusterer => "clusterer",
             Self::Auditor => "auditor",
+            Self::Historian => "historian",
         }
     }
 }

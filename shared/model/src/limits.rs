@@ -77,6 +77,53 @@ pub const MAX_DOUBTED_ROBOTS: usize = 8;
 /// a twelfth of what an event may hold, and a log line of usual names stays readable.
 pub const MAX_ROBOTS_OF_EVENT: usize = 64;
 
+/// Most rows of one answer of a history: what a console shows, many times over. Further rows are asked for
+/// behind them.
+pub const MAX_HISTORY_ROWS: u32 = 10_000;
+
 /// Most robots that a status lists as having left, the last ones: with the longest names they and their times
 /// are less than half of what a status may hold.
 pub const MAX_DEPARTED_ROBOTS: usize = 256;
+
+/// Most robots of a team that an audit lists because the team falls apart without them: those that matter most.
+pub const MAX_CUT_ROBOTS: usize = 16;
+
+/// Most losses that an audit lists: as many as an operator reads, and prepares for.
+pub const MAX_LOSSES: usize = 10;
+
+/// Most parts of a team whose sizes an audit lists for a loss. Without the centre of a star there are as many as
+/// robots.
+pub const MAX_LOSS_PARTS: usize = 8;
+
+/// Most alerts that are open at once: more than one of each kind for hundreds of teams. Beyond them none is raised
+/// until others end, which is counted.
+pub const MAX_OPEN_ALERTS: usize = 4096;
+
+/// Most robots that an alert lists: as many as fit a line.
+pub const MAX_ALERT_ROBOTS: usize = 16;
+
+/// Most events of alerts that an auditor publishes within any minute: what an operator can follow. The list of open alerts
+/// is whole whatever happens.
+pub const MAX_ALERT_EVENTS_PER_MINUTE: usize = 20;
+
+/// Most teams whose size is set one by one: a table that people write and read.
+pub const MAX_TEAM_SIZES: usize = 256;
+
+/// Largest limit on the robots of a team: as many as a fleet may have.
+pub const MAX_TEAM_SIZE: u32 = 100_000;
+
+/// Longest text that says why limits contradict each other, in characters: some names and numbers. It stands in every
+/// division for as long as that is so.
+pub const MAX_CONFLICT_LENGTH: usize = 512;
+
+/// Most wishes of a fleet: each is a decision of a person.
+pub const MAX_WISHES: usize = 256;
+
+/// Most wishes that robots be together or apart: the search may have to look at every combination.
+pub const MAX_GROUP_WISHES: usize = 64;
+
+/// Most robots that one wish names: a list that a person writes.
+pub const MAX_WISH_ROBOTS: usize = 64;
+
+/// Longest note of a wish in characters: a sentence or two.
+pub const MAX_NOTE_LENGTH: usize = 256;

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::content::{Content, ContentError, refuse};
 use crate::header::{Header, Revision};
 use crate::id::{RobotId, TeamId};
-use crate::limits::MAX_MEMBERS_PUBLISHED;
+use crate::limits::{MAX_CONFLICT_LENGTH, MAX_MEMBERS_PUBLISHED};
 
 /// One robot within its team.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -80,6 +80,18 @@ pub struct TeamCountScore {
     pub score: f64,
 }
 
+/// How a division stands to the limits that operators have set.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Limited {
+    /// Whether no assignment of the robots to these teams that respects the limits has a lesser sum of squared distances
+    /// to the teams' centroids.
+    pub optimal: bool,
+    /// By which share that sum could be lower at most, from 0 to 1.
+    pub gap: f64,
+    /// Why nothing satisfies the limits, so that the last division stands; none where this one does.
+    pub conflict: Option<String>,
+}
+
 /// The division of the fleet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Teams {
@@ -94,7 +106,7 @@ pub struct Teams {
     pub considered: Vec<TeamCountScore>,
     /// The teams, ordered by id as people count: t2 before t10.
     pub teams: Vec<Team>,
-    /// Robots that belong to no team, ordered by name: nothing relates them to the others.
+    /// Robots that belong to no team, ordered by name: nothing relates them to the others, or limits leave no place.
     pub unassigned: Vec<RobotId>,
     /// Stale robots, with or without a team, ordered by name.
     pub stale: Vec<RobotId>,
@@ -104,6 +116,8 @@ pub struct Teams {
     pub changes: Vec<TeamChange>,
     /// The number that the next new team will get; numbers are never given twice.
     pub next_team: u64,
+    /// How it stands to the limits; none without any.
+    pub limited: Option<Limited>,
 }
 
 impl Teams {
@@ -115,11 +129,14 @@ impl Teams {
     }
 
     /// Whether another division has the same teams with the same members and leaders, and the same
-    /// robots without a team or stale.
+    /// robots without a team or stale, and stands to the limits alike.
     #[must_use]
     pub fn same_division(&self, other: &Self) -> bool {
+        let conflict =
+            |teams: &Self| teams.limited.as_ref().map(|limited| limited.conflict.clone());
         self.unassigned == other.unassigned
             && self.stale == other.stale
+            && conflict(self) == conflict(other)
             && self.teams.len() == other.teams.len()
             && self.teams.iter().zip(&other.teams).all(|(left, right)| {
                 left.id == right.id
@@ -187,6 +204,15 @@ impl Content for Teams {
             let mut numbers = team.members.iter().map(|member| member.margin);
             if !numbers.all(f64::is_finite) || !team.centroid.iter().all(|x| x.is_finite()) {
                 return refuse("teams", "a margin or centroid is not finite");
+            }
+        }
+        if let Some(limited) = &self.limited {
+            if !(0.0..=1.0).contains(&limited.gap) {
+                return refuse("gap", "must be a number from 0 to 1");
+            }
+            let fits = |text: &String| text.chars().count() <= MAX_CONFLICT_LENGTH;
+            if !limited.conflict.iter().all(fits) {
+                return refuse("conflict", "is longer than it may be");
             }
         }
         if !self.considered.iter().all(|number| number.score.is_finite()) {

@@ -1,6 +1,8 @@
-//! Graph algorithms on an adjacency matrix.
+//! Graph algorithms on an adjacency matrix or a list of edges.
 
 pub(crate) mod components;
+pub mod conductance;
+pub mod cuts;
 pub mod modularity;
 pub(crate) mod ordering;
 pub(crate) mod subgraph;

@@ -18,6 +18,7 @@
 //! | score the division | [`silhouette`] |
 //! | compare two divisions | [`agreement`] |
 //! | score divisions into several numbers of groups | [`modularity`] |
+//! | score each group, and find what holds it together | [`conductance`], [`cuts`] |
 //! | divide under limits, wishes and needs at the least cost | [`assignment`] |
 //!
 //! The folders are fields of mathematics, and imports between them lead downwards only: `svd`
@@ -49,7 +50,7 @@ mod radius;
 pub mod svd;
 
 pub use cluster::{agreement, kmeans, margins, matching, silhouette};
-pub use graph::modularity;
+pub use graph::{conductance, cuts, modularity};
 pub use katz::{alpha_band, cached as cached_katz, column as katz_column};
 pub use linalg::matrix;
 pub use norm::band as norm_band;

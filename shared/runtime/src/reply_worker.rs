@@ -1,17 +1,16 @@
-//! A thread of its own that keeps state and records and answers gets, in order. All of it may wait, for
-//! a disk or for a busy link.
+//! A thread of its own that keeps state and answers gets, in order. All of it may wait, for a disk or for a busy
+//! link.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::Context;
-use muster_service::{Input, Record, RecordRange, Stored};
+use muster_service::{Input, Stored};
 use muster_wire::Packet;
 use tokio::sync::{mpsc, oneshot};
 
 use crate::bus::Query;
 use crate::kept::KeptStore;
-use crate::records::RecordStore;
 use crate::store::Store;
 
 /// Most tasks that wait.
@@ -21,7 +20,7 @@ const MAX_WAITING_TASKS: usize = 256;
 /// messages.
 const MAX_WAITING_BYTES: usize = 256 * 1024 * 1024;
 
-/// What one input may need of the queue: an answer, states and records that are kept before.
+/// What one input may need of the queue: an answer, and states that are kept before.
 const ROOM_TASKS: usize = 8;
 
 enum Task {
@@ -33,11 +32,6 @@ enum Task {
         query: Query,
         answer: Result<Vec<Packet>, String>,
         bytes: usize,
-    },
-    Append(Record),
-    LookUp {
-        lookup: u64,
-        range: RecordRange,
     },
 }
 
@@ -71,7 +65,6 @@ fn take<T>(place: &Mutex<Unwritten<T>>) -> Unwritten<T> {
 pub(crate) struct Files {
     pub(crate) store: Store,
     pub(crate) kept: KeptStore,
-    pub(crate) records: RecordStore,
 }
 
 /// Hands tasks to the thread, which ends when all handles are gone.
@@ -91,7 +84,7 @@ impl ReplyWorker {
     ) -> anyhow::Result<(Self, oneshot::Receiver<()>)> {
         let (sender, mut tasks) = mpsc::channel::<Task>(MAX_WAITING_TASKS);
         let (done, ended) = oneshot::channel();
-        let Files { store, kept, mut records } = files;
+        let Files { store, kept } = files;
         let (unstored, unkept) = (Place::default(), Place::default());
         let (to_store, to_keep) = (Arc::clone(&unstored), Arc::clone(&unkept));
         let waiting_bytes = Arc::new(AtomicUsize::new(0));
@@ -109,18 +102,6 @@ impl ReplyWorker {
                         Task::Reply { query, answer, bytes } => {
                             sent_bytes.fetch_sub(bytes, Ordering::Relaxed);
                             reply(&query, answer);
-                        }
-                        Task::Append(record) => {
-                            if let Err(error) = records.append(&record) {
-                                tracing::error!("a record is lost: {error:#}");
-                            }
-                        }
-                        Task::LookUp { lookup, range } => {
-                            let records = records.look_up(&range).unwrap_or_else(|error| {
-                                tracing::error!("records cannot be read: {error:#}");
-                                Vec::new()
-                            });
-                            send(Input::Found { lookup, records });
                         }
                     }
                     // Answers wait for the state, and not for this.
@@ -163,18 +144,6 @@ impl ReplyWorker {
             // Dropping a get ends it for its sender, which may wait for a busy link.
             tokio::task::spawn_blocking(move || drop(dropped));
         }
-    }
-
-    /// Appends a record. One that finds the queue full is lost, with a line in the log.
-    pub(crate) fn append(&self, record: Record) {
-        if self.tasks.try_send(Task::Append(record)).is_err() {
-            tracing::error!("a record is lost: too many wait to be written");
-        }
-    }
-
-    /// Looks records up; [`Input::Found`] follows. False if too many tasks wait.
-    pub(crate) fn look_up(&self, lookup: u64, range: RecordRange) -> bool {
-        self.tasks.try_send(Task::LookUp { lookup, range }).is_ok()
     }
 }
 

@@ -17,7 +17,7 @@ use crate::kept::KeptStore;
 use crate::notify;
 use crate::observe::{Observatory, Observer};
 use crate::recording::RecordTo;
-use crate::records::RecordStore;
+use crate::records::{OpenRecords, RecordOptions, RecordPlace};
 use crate::shell::{self, ServiceOptions};
 use crate::stop::{self, Stop};
 use crate::store::Store;
@@ -46,6 +46,16 @@ struct ServiceArgs {
 /// Runs the service of a core as a process. `about` is the first line of `--help`.
 #[must_use]
 pub fn main<C: Core>(about: &'static str) -> ExitCode {
+    main_of::<C>(about, None)
+}
+
+/// The same for a service that keeps records. `open` opens their store.
+#[must_use]
+pub fn main_recording<C: Core>(about: &'static str, open: OpenRecords) -> ExitCode {
+    main_of::<C>(about, Some(open))
+}
+
+fn main_of<C: Core>(about: &'static str, open: Option<OpenRecords>) -> ExitCode {
     let name = C::SERVICE;
     let examples = format!(
         "Examples:\n  muster-{name}\n  muster-{name} --fleet alpha --connect tcp/192.168.1.10:7447\n  \
@@ -61,10 +71,10 @@ pub fn main<C: Core>(about: &'static str) -> ExitCode {
             Ok(args) => args,
             Err(error) => error.exit(),
         };
-    exit::finish(start::<C>(&args))
+    exit::finish(start::<C>(&args, open))
 }
 
-fn start<C: Core>(args: &ServiceArgs) -> anyhow::Result<()> {
+fn start<C: Core>(args: &ServiceArgs, open: Option<OpenRecords>) -> anyhow::Result<()> {
     let mut config = ProcessConfig::resolve(&args.process, Mode::Client, &process_environment)?;
     config.set(C::SERVICE, &args.set)?;
     config.record = args.record.clone().map(|path| RecordTo { path, several: false });
@@ -73,7 +83,7 @@ fn start<C: Core>(args: &ServiceArgs) -> anyhow::Result<()> {
     }
     block_on(&config, async |config, stop| {
         let observatory = Observatory::open(&config, &[C::SERVICE])?;
-        run::<C>(config, stop, observatory.observer(C::SERVICE)).await
+        run_of::<C>(config, stop, observatory.observer(C::SERVICE), open).await
     })
 }
 
@@ -125,12 +135,35 @@ pub async fn run<C: Core>(
     stop: Stop,
     observer: Observer,
 ) -> anyhow::Result<()> {
+    run_of::<C>(config, stop, observer, None).await
+}
+
+/// The same for a service that keeps records. `open_records` opens their store.
+///
+/// # Errors
+/// If the bus does not open, or refuses what the service declares.
+pub async fn run_recording<C: Core>(
+    config: ProcessConfig,
+    stop: Stop,
+    observer: Observer,
+    open_records: OpenRecords,
+) -> anyhow::Result<()> {
+    run_of::<C>(config, stop, observer, Some(open_records)).await
+}
+
+async fn run_of<C: Core>(
+    config: ProcessConfig,
+    stop: Stop,
+    observer: Observer,
+    open_records: Option<OpenRecords>,
+) -> anyhow::Result<()> {
     let instance = instance_name();
     // An error's level: the span must not vanish with the filter that lets only errors through.
     let span = tracing::error_span!(
         "service", service = %C::SERVICE, %instance, fleet = %config.fleet.value
     );
-    run_instance::<C>(config, stop, observer, instance).instrument(span).await
+    let running = run_instance::<C>(config, stop, observer, instance, open_records);
+    running.instrument(span).await
 }
 
 async fn run_instance<C: Core>(
@@ -138,17 +171,21 @@ async fn run_instance<C: Core>(
     mut stop: Stop,
     observer: Observer,
     instance: InstanceId,
+    open_records: Option<OpenRecords>,
 ) -> anyhow::Result<()> {
     // Made before the bus opens, so that a wrong name is an error at once.
     let record = config.record.as_ref().map(|to| to.create(C::SERVICE, &instance)).transpose()?;
     let directory = config.state_directory.value.as_deref();
+    let fleet = config.fleet.value.clone();
+    let folder = directory.map(|directory| directory.join(fleet.as_str()));
+    let place = RecordPlace { folder, fleet, instance: instance.clone() };
     let options = ServiceOptions {
         instance,
         record,
         settings: config.settings(C::SERVICE)?,
         store: Store::new(directory, &config.fleet.value, C::SERVICE),
         kept: KeptStore::new(directory, &config.fleet.value, C::SERVICE),
-        records: RecordStore::new(directory, &config.fleet.value, C::SERVICE),
+        records: open_records.map(|open| RecordOptions { place, open }),
         observer,
     };
     let mut watched = notify::watch();

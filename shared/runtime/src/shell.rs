@@ -4,7 +4,8 @@
 //! The loop never waits for the bus, a disk or a computation. Packets wait in the [`SharedInbox`], what
 //! is published in the [`SendQueue`]; jobs run on blocking threads, questions to the bus in tasks,
 //! replies and stored state on a [`ReplyWorker`], and what they lead to comes back as inputs. A panic in
-//! a job is an input, too; one in the core ends the process.
+//! a job is an input, too; one in the core ends the process. Records, where a service keeps some, are written by
+//! a thread of their own.
 
 use std::collections::{BTreeMap, HashMap};
 use std::panic::AssertUnwindSafe;
@@ -30,7 +31,7 @@ use crate::kept::KeptStore;
 use crate::notify;
 use crate::observe::{Observer, Queues};
 use crate::recording::{RecordFile, Recording, host_facts};
-use crate::records::RecordStore;
+use crate::records::{RecordOptions, RecordWriter};
 use crate::reply_worker::{Files, ReplyWorker};
 use crate::send_queue::SendQueue;
 use crate::stop::Stop;
@@ -63,8 +64,8 @@ pub struct ServiceOptions<S> {
     pub store: Store,
     /// Where its core keeps what is its own over a restart.
     pub kept: KeptStore,
-    /// Where it keeps its records.
-    pub records: RecordStore,
+    /// How it keeps records; none if it keeps none.
+    pub records: Option<RecordOptions>,
     /// Sees what passes, for metrics and health.
     pub observer: Observer,
     /// Where its life is recorded, if it is.
@@ -111,12 +112,18 @@ pub async fn run<C: Core>(
     let host = Host::<C>::new(start);
     start_sending(&bus, &send_queue)?;
     let worker_ended = ended_sender.clone();
-    let files =
-        Files { store: options.store, kept: options.kept.clone(), records: options.records };
+    let files = Files { store: options.store, kept: options.kept.clone() };
     let (replies, replies_done) = ReplyWorker::start(files, move |input| {
         // Sending fails only after the loop has ended.
         let _ = worker_ended.blocking_send(Ended { input, done: None });
     })?;
+    let records_ended = ended_sender.clone();
+    let start_records = |records| {
+        RecordWriter::start(records, move |input| {
+            let _ = records_ended.blocking_send(Ended { input, done: None });
+        })
+    };
+    let (records, records_done) = options.records.map(start_records).transpose()?.unzip();
     let observer = options.observer;
     let leads = watchdog.during(declare::<C>(&bus, &inbox, gets, &observer)).await?;
     let token = bus.declare_token(&Key::ServiceToken(C::SERVICE, options.instance)).await?;
@@ -129,6 +136,7 @@ pub async fn run<C: Core>(
         inbox: Arc::clone(&inbox),
         send_queue: send_queue.clone(),
         replies,
+        records,
         ended: ended_sender,
         leads,
         tokens: declare_tokens(bus.clone()),
@@ -187,7 +195,13 @@ pub async fn run<C: Core>(
     // What waits for a place must not keep the worker from its end.
     drop(ended);
     // What is stored last must reach the disk; everything else may be lost.
-    let _ = tokio::time::timeout(REPLIES_TIMEOUT, replies_done).await;
+    let written = async {
+        let _ = replies_done.await;
+        if let Some(records_done) = records_done {
+            let _ = records_done.await;
+        }
+    };
+    let _ = tokio::time::timeout(REPLIES_TIMEOUT, written).await;
     let _ = token.withdraw().await;
     let _ = tokio::task::spawn_blocking(move || {
         send_queue.close();
@@ -217,6 +231,7 @@ struct Shell<C: Core> {
     inbox: Arc<SharedInbox>,
     send_queue: SendQueue,
     replies: ReplyWorker,
+    records: Option<RecordWriter>,
     ended: mpsc::Sender<Ended<C::Done>>,
     /// For whether this instance leads.
     leads: watch::Sender<bool>,
@@ -269,13 +284,23 @@ impl<C: Core> Shell<C> {
             Command::ReplicaState(state) => self.show_replica_state(state),
             Command::DeclareToken(key) => self.change_token(TokenChange::Declare(key)),
             Command::WithdrawToken(key) => self.change_token(TokenChange::Withdraw(key)),
-            Command::Append(record) => self.replies.append(record),
-            Command::LookUp { lookup, range } => {
-                if !self.replies.look_up(lookup, range) {
-                    self.send_later(Input::Found { lookup, records: Vec::new() });
+            Command::Append(entry) => match &self.records {
+                Some(records) => records.append(entry),
+                None => tracing::error!("a record is lost: {} keeps none", C::SERVICE),
+            },
+            Command::LookUp { lookup, query } => {
+                let records = self.records.as_ref();
+                if !records.is_some_and(|records| records.look_up(lookup, query)) {
+                    let page = Err("too many lookups wait; ask again later".to_owned());
+                    self.send_later(Input::Found { lookup, page });
                 }
             }
             Command::Unencodable(problem) => tracing::error!("{problem}"),
+            Command::Retain(retention) => {
+                if let Some(records) = &self.records {
+                    records.retain(retention);
+                }
+            }
         }
     }
 

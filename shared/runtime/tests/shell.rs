@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use common::{config, connected, passive_core, router};
 use muster_model::event::{EventKind, Severity};
+use muster_model::history::{Page, Query, Record, RecordingReport, Rows, Subject};
 use muster_model::id::ServiceName;
 use muster_model::observation::Stream;
 use muster_model::settings::ClustererSettings;
@@ -23,8 +24,7 @@ use muster_runtime::store::Store;
 use muster_service::recording::Head;
 use muster_service::replay::{ReplayError, Step, compare};
 use muster_service::{
-    Context, Core, Delivery, Get, Input, JobEnd, Record, RecordRange, Stopwatch, Subscription,
-    View, Wiring,
+    Context, Core, Delivery, Get, Input, JobEnd, Stopwatch, Subscription, View, Wiring,
 };
 use muster_wire::recording::Reader;
 use muster_wire::{
@@ -71,8 +71,7 @@ impl Core for Probe {
 
     fn on_lead(&mut self, context: &mut Context<'_, Self>, _: Vec<Message>) {
         context.declare_token(Key::RobotToken("probed".parse().unwrap()));
-        context.append(b"a record".to_vec());
-        context.look_up(7, RecordRange { from: 0, until: u64::MAX, limit: 10 });
+        context.append(Record::Joined("recorded".parse().unwrap()));
     }
 
     fn on_message(&mut self, context: &mut Context<'_, Self>, message: Message) {
@@ -82,8 +81,20 @@ impl Core for Probe {
         }
     }
 
-    fn on_records(&mut self, context: &mut Context<'_, Self>, lookup: u64, records: Vec<Record>) {
-        assert_eq!((lookup, records[0].content.as_slice()), (7, &b"a record"[..]));
+    fn on_recorded(&mut self, context: &mut Context<'_, Self>, report: RecordingReport) {
+        if report.coverage.sequence == 1 {
+            context.look_up(7, Query::of(Subject::Robots(None)));
+        }
+    }
+
+    fn on_records(
+        &mut self,
+        context: &mut Context<'_, Self>,
+        lookup: u64,
+        page: Result<Page, String>,
+    ) {
+        let Ok(Page { rows: Rows::Robots(rows), before: None }) = page else { panic!("{page:?}") };
+        assert_eq!((lookup, rows[0].robot.as_str()), (7, "recorded"));
         context.count("lookups");
     }
 

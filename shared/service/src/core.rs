@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::{Revision, StageTime};
-use muster_model::id::{FleetId, ServiceName};
+use muster_model::history::{Entry, Page, Query, Record, RecordingReport, Retention};
+use muster_model::id::{FleetId, InstanceId, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_model::settings::{Settings, SettingsError};
 use muster_model::status::Departure;
@@ -14,7 +15,7 @@ use muster_wire::{Attachment, ForeignKey, Key, KeySpace, Message, Packet, Patter
 use crate::facilities::{Facilities, JobSlot, ReplyKind};
 use crate::fetches::{AnswerTime, Purpose};
 use crate::gets::Get;
-use crate::io::{Command, Publication, Record, RecordRange};
+use crate::io::{Command, Publication};
 use crate::stopwatch::Stopwatch;
 use crate::wiring::{Delivery, Replication, ServedKey, Subscription, Wiring};
 
@@ -151,14 +152,17 @@ pub trait Core: Send + Sized + 'static {
     /// What was given to [`Context::keep`] is on disk; or is not, and operators have been told why.
     fn on_kept(&mut self, _context: &mut Context<'_, Self>, _is_on_disk: bool) {}
 
-    /// A lookup of records has ended; oldest first.
+    /// A lookup of records has ended, or nothing can be looked up, and why.
     fn on_records(
         &mut self,
         _context: &mut Context<'_, Self>,
         _lookup: u64,
-        _records: Vec<Record>,
+        _page: Result<Page, String>,
     ) {
     }
+
+    /// Records have been written, or could not be.
+    fn on_recorded(&mut self, _context: &mut Context<'_, Self>, _report: RecordingReport) {}
 
     /// Whether changed settings work with what the core knows of the fleet. The settings by themselves are
     /// valid; a refused change leaves those in force.
@@ -241,6 +245,12 @@ pub struct FreeJobSlot(());
 pub struct View<'a, C: Core>(pub(crate) &'a CoreFacilities<C>);
 
 impl<C: Core> View<'_, C> {
+    /// The moment of the last input.
+    #[must_use]
+    pub fn now(&self) -> Tick {
+        self.0.now
+    }
+
     /// The settings in force.
     #[must_use]
     pub fn settings(&self) -> &C::Settings {
@@ -372,6 +382,17 @@ impl<C: Core> Context<'_, C> {
         self.0.replica.add(counter, count);
     }
 
+    /// Sets a counter of the status that says how things are; zero takes it away.
+    pub fn set(&mut self, counter: &'static str, value: u64) {
+        self.0.replica.set(counter, value);
+    }
+
+    /// This instance.
+    #[must_use]
+    pub fn instance(&self) -> &InstanceId {
+        self.0.replica.election.instance()
+    }
+
     /// Refuses the content of a message: it is counted, and reported by an event at a bounded rate.
     pub fn refuse(&mut self, key: &Key, reason: impl AsRef<str>) {
         let space = &self.0.replica.space;
@@ -455,13 +476,20 @@ impl<C: Core> Context<'_, C> {
         self.0.commands.push(Command::Keep(content));
     }
 
-    /// Appends a record to the service's own, with the moment of the input.
-    pub fn append(&mut self, content: Vec<u8>) {
-        self.0.commands.push(Command::Append(Record { at: self.0.now.0, content }));
+    /// Appends a record to the history that this instance keeps, with the moment of the input.
+    /// [`Core::on_recorded`] follows.
+    pub fn append(&mut self, record: Record) {
+        let entry = Entry { at: self.0.now, record };
+        self.0.commands.push(Command::Append(Box::new(entry)));
     }
 
     /// Looks records up. They come by [`Core::on_records`] with the number.
-    pub fn look_up(&mut self, lookup: u64, range: RecordRange) {
-        self.0.commands.push(Command::LookUp { lookup, range });
+    pub fn look_up(&mut self, lookup: u64, query: Query) {
+        self.0.commands.push(Command::LookUp { lookup, query });
+    }
+
+    /// Forgets records that are too old or too many.
+    pub fn retain(&mut self, retention: Retention) {
+        self.0.commands.push(Command::Retain(retention));
     }
 }

@@ -116,10 +116,11 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         time: AnswerTime,
     ) {
         let service = self.replica.service;
-        let of_host = [Key::Lease(service), Key::Settings(service)].map(Pattern::One);
+        let of_leader = [Key::Lease(service), Key::Settings(service), Key::Wishes];
+        let of_leader = of_leader.map(Pattern::One);
         // After a failure of the router, those who know the last output may need a moment to reconnect. A
-        // leader answers at once, or there is none.
-        let retries = |pattern: &Pattern| purpose == Purpose::Start && !of_host.contains(pattern);
+        // leader answers at once, or there is none; wishes are on disk as well, and mostly there are none.
+        let retries = |pattern: &Pattern| purpose == Purpose::Start && !of_leader.contains(pattern);
         let mut asks = Vec::new();
         let ended = self.fetches.begin(self.now, purpose, patterns, time, retries, &mut asks);
         self.fetched.extend(ended);

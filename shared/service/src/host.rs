@@ -209,9 +209,13 @@ impl<C: Core> Host<C> {
                 self.confirm_leadership();
                 self.core.on_kept(&mut Context(&mut self.facilities), error.is_none());
             }
-            Input::Found { lookup, records } => {
+            Input::Found { lookup, page } => {
                 self.confirm_leadership();
-                self.core.on_records(&mut Context(&mut self.facilities), lookup, records);
+                self.core.on_records(&mut Context(&mut self.facilities), lookup, page);
+            }
+            Input::Recorded(report) => {
+                self.confirm_leadership();
+                self.core.on_recorded(&mut Context(&mut self.facilities), *report);
             }
             Input::ProcessCounters(counters) => self.process_counters = counters,
             Input::StateLost { reason } => self.facilities.state_lost(&reason),

@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use muster_model::history::{Entry, Page, Query, RecordingReport, Retention};
 use muster_model::role::ReplicaState;
 use muster_wire::{Key, KeySpace, Message, Packet, Pattern, Rejection};
 use serde::{Deserialize, Serialize};
@@ -116,6 +117,10 @@ impl Arrival {
 
 /// Everything that can happen to a service. The set is closed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "an input is handed on once; most are arrivals, the largest variant"
+)]
 pub enum Input {
     /// The service begins; its subscriptions are declared.
     Started {
@@ -163,8 +168,8 @@ pub enum Input {
     Found {
         /// The number that the core gave it.
         lookup: u64,
-        /// The records, oldest first.
-        records: Vec<Record>,
+        /// What was found, or why nothing can be.
+        page: Result<Page, String>,
     },
     /// Counters of the process, for the next status. They are data like any other, so that a replay
     /// answers the same.
@@ -174,6 +179,8 @@ pub enum Input {
         /// What is wrong with it, and where it is.
         reason: String,
     },
+    /// Records have been written, or could not be.
+    Recorded(Box<RecordingReport>),
 }
 
 /// A get as the bus brings it.
@@ -190,26 +197,6 @@ pub struct IncomingGet {
     pub parameters: String,
     /// What the get carries, such as a patch of settings.
     pub payload: Option<Vec<u8>>,
-}
-
-/// A record of a service's own, kept in the order of time.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Record {
-    /// When it was made, in microseconds since 1970.
-    pub at: u64,
-    /// What it holds.
-    pub content: Vec<u8>,
-}
-
-/// Which records are wanted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct RecordRange {
-    /// The first moment, in microseconds since 1970.
-    pub from: u64,
-    /// The moment before which the range ends.
-    pub until: u64,
-    /// Most records: the newest of the range.
-    pub limit: usize,
 }
 
 /// Something that goes on the bus. Two are equal if their packets are.
@@ -287,17 +274,20 @@ pub enum Command {
     DeclareToken(Key),
     /// Withdraw a liveliness token.
     WithdrawToken(Key),
-    /// Append a record to the service's own.
-    Append(Record),
+    /// Append a record to the history that this instance keeps. [`Input::Recorded`] comes back for all that were
+    /// written together.
+    Append(Box<Entry>),
     /// Look records up; [`Input::Found`] comes back.
     LookUp {
         /// The number that the core gave it.
         lookup: u64,
-        /// Which records.
-        range: RecordRange,
+        /// What is asked for.
+        query: Query,
     },
     /// A message of the core has no form on the bus. It is a fault of the program.
     Unencodable(String),
+    /// Forget records that are too old or too many.
+    Retain(Retention),
 }
 
 impl Input {
@@ -321,6 +311,7 @@ impl Input {
             Self::Kept { .. } => "kept",
             Self::Found { .. } => "found",
             Self::ProcessCounters(_) => "process_counters",
+            Self::Recorded(_) => "recorded",
         }
     }
 }

@@ -106,6 +106,7 @@ mod tests {
             inertia: 0.0,
             changes: vec![],
             next_team: 2,
+            limited: None,
         })
     }
 

@@ -8,14 +8,16 @@ use std::time::Duration;
 
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
+use muster_model::history::{
+    Coverage, Entry, Page, Query, Record, RecordingReport, Retention, Rows, Subject,
+};
 use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_model::settings::ClustererSettings;
+use muster_model::time::Tick;
 use muster_service::inbox::{Inbox, Parcel};
 use muster_service::testkit::Bench;
-use muster_service::{
-    Command, Delivery, GetId, IncomingGet, Input, Record, RecordRange, Start, Stored, Wiring,
-};
+use muster_service::{Command, Delivery, GetId, IncomingGet, Input, Start, Stored, Wiring};
 use muster_wire::{Attachment, ForeignPattern, Key, Message, Packet, Pattern, Source};
 use small::{
     CHANGED, Driven, EVERY_INSTANCE, ONE_LEADS, Small, header, order, output, pose, renewal,
@@ -340,22 +342,27 @@ fn where_one_instance_leads_the_host_adds_the_keys_of_the_election() {
 #[test]
 fn records_and_tokens_are_commands() {
     let mut driven = leading();
-    for name in ["declare", "append", "lookup", "withdraw"] {
+    for name in ["declare", "append", "lookup", "retain", "withdraw"] {
         driven.receive(order(name));
     }
     let key = Key::RobotToken(RobotId::new("other").unwrap());
-    let range = RecordRange { from: 1, until: 9, limit: 3 };
     let expected = [
         Command::DeclareToken(key.clone()),
-        Command::Append(Record { at: small::START.0, content: vec![1, 2] }),
-        Command::LookUp { lookup: 5, range },
+        Command::Append(Box::new(Entry { at: small::START, record: Record::Present(Vec::new()) })),
+        Command::LookUp { lookup: 5, query: Query::of(Subject::Divisions) },
+        Command::Retain(Retention { before: Tick(1), max_bytes: 2 }),
         Command::WithdrawToken(key),
     ];
     assert_eq!(driven.others, expected);
     let logged = driven.logged();
-    let records = vec![Record { at: 2, content: vec![3] }, Record { at: 4, content: Vec::new() }];
-    driven.input(Input::Found { lookup: 5, records });
-    assert_eq!(driven.log_after(logged), ["lookup 5 has 2 records"]);
+    let rows = Rows::Divisions(Vec::new());
+    driven.input(Input::Found { lookup: 5, page: Ok(Page { rows, before: None }) });
+    driven.input(Input::Found { lookup: 6, page: Err("gone".to_owned()) });
+    let coverage = Coverage { sequence: 3, ..Coverage::default() };
+    let report = RecordingReport { coverage, ..RecordingReport::default() };
+    driven.input(Input::Recorded(Box::new(report)));
+    let expected = ["lookup 5 finds Divisions([])", "lookup 6 finds gone", "recorded 3 records"];
+    assert_eq!(driven.log_after(logged), expected);
 }
 
 #[test]

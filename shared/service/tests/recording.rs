@@ -15,15 +15,21 @@ use std::fmt::Write as _;
 use std::ops::ControlFlow;
 use std::time::Duration;
 
-use muster_model::id::{InstanceId, ServiceName};
+use muster_model::event::Severity;
+use muster_model::header::Revision;
+use muster_model::history::{
+    self, DivisionRow, EventRow, LeaveReason, Page, Query, Record, RecordingReport, Retention,
+    Rows, SnapshotCause, Subject,
+};
+use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
 use muster_service::recording::{Entry, Head, commands_frame, input_frame};
 use muster_service::replay::{Comparison, Ending, Replay, ReplayError, compare, panic_text};
 use muster_service::{
-    Arrival, Ask, AskId, Command, Core, GetId, Host, IncomingGet, Input, Publication, Record,
-    RecordRange, Reply, Start, Stopwatch, Stored,
+    Arrival, Ask, AskId, Command, Core, GetId, Host, IncomingGet, Input, Publication, Reply, Start,
+    Stopwatch, Stored,
 };
 use muster_wire::recording::{Reader, begin, frame};
 use muster_wire::{Key, Message, Packet, Pattern, Source};
@@ -166,15 +172,16 @@ fn life() -> Recorder {
     life.step(Input::ProcessCounters(BTreeMap::from([("threads".to_owned(), 2)])));
     life.get(3, Key::Status(ServiceName::Clusterer), "format=json", None);
     life.get(4, Key::Teams, "", None);
-    for name in ["output", "fetch", "declare", "append", "lookup", "withdraw"] {
+    for name in ["output", "fetch", "declare", "append", "lookup", "retain", "withdraw"] {
         life.step(arrived(&order(name)));
     }
-    life.step(Input::Found { lookup: 5, records: vec![Record { at: 3, content: vec![1] }] });
+    life.step(Input::Found { lookup: 5, page: Err("gone".to_owned()) });
+    life.step(Input::Recorded(Box::default()));
     life
 }
 
 /// How many inputs [`life`] has.
-const INPUTS: u64 = 31;
+const INPUTS: u64 = 33;
 
 fn read(bytes: &[u8]) -> (Head, Vec<Entry>) {
     let (mut reader, head) = Reader::open(bytes).unwrap();
@@ -219,6 +226,7 @@ fn a_whole_life_comes_out_the_same() {
         "Stored { error: None }",
         "Stored { error: Some",
         "Found {",
+        "Recorded(RecordingReport {",
         "ProcessCounters(",
         "Publish(Publication { packets: [Packet",
         "is_lease_renewal: true",
@@ -233,7 +241,8 @@ fn a_whole_life_comes_out_the_same() {
         "ReplicaState(Leading)",
         "DeclareToken(",
         "WithdrawToken(",
-        "Append(Record {",
+        "Append(Entry {",
+        "Retain(Retention {",
         "LookUp {",
     ] {
         assert!(text.contains(kind), "no {kind} in {text}");
@@ -283,7 +292,8 @@ fn every_command_that_is_changed_is_found_where_it_is() {
                 Command::Keep(content) => content.push(1),
                 Command::ReplicaState(state) => *state = ReplicaState::Starting,
                 Command::DeclareToken(key) | Command::WithdrawToken(key) => *key = Key::Teams,
-                Command::Append(record) => record.at += 1,
+                Command::Append(entry) => entry.at.0 += 1,
+                Command::Retain(retention) => retention.max_bytes += 1,
                 Command::LookUp { lookup, .. } => *lookup += 1,
             }
             changed += 1;
@@ -396,7 +406,37 @@ fn the_bytes_of_entries_are_frozen() {
             payload,
         })
     };
-    let record = || Record { at: 70_000, content: vec![1, 2] };
+    let robot = || RobotId::new("r1").unwrap();
+    let entry = history::Entry {
+        at: Tick(70_000),
+        record: Record::Left {
+            robot: robot(),
+            last_seen: Tick(60_000),
+            reason: LeaveReason::Silent,
+        },
+    };
+    let division = DivisionRow {
+        sequence: 7,
+        at: Tick(70_000),
+        revision: Revision { term: 3, epoch: 4 },
+        requested: 2,
+        teams: 1,
+        robots: 9,
+        changed: 1,
+        snapshot: Some(SnapshotCause::Gap),
+    };
+    let page = Page { rows: Rows::Divisions(vec![division]), before: Some(7) };
+    let event = EventRow {
+        sequence: 8,
+        at: Tick(80_000),
+        source: ServiceName::Ingest,
+        revision: Revision { term: 3, epoch: 5 },
+        severity: Severity::Info,
+        event: "robot_left".to_owned(),
+        detail: "{}".to_owned(),
+    };
+    let events = Page { rows: Rows::Events(vec![event]), before: None };
+    let report = RecordingReport { lost: 5, ..RecordingReport::default() };
     let inputs = [
         Input::Started { linked: false },
         Input::Arrived(Arrival::encoded(put())),
@@ -417,8 +457,11 @@ fn the_bytes_of_entries_are_frozen() {
         Input::Restored(vec![1, 2, 3]),
         Input::Kept { error: None },
         Input::Kept { error: Some("full".to_owned()) },
-        Input::Found { lookup: 6, records: vec![record()] },
+        Input::Found { lookup: 6, page: Ok(page) },
+        Input::Found { lookup: 7, page: Ok(events) },
+        Input::Found { lookup: 8, page: Err("gone".to_owned()) },
         Input::ProcessCounters(BTreeMap::from([("threads".to_owned(), 2)])),
+        Input::Recorded(Box::new(report)),
     ];
     let publication = |is_lease_renewal| {
         let packets = vec![put(), put()];
@@ -451,9 +494,10 @@ fn the_bytes_of_entries_are_frozen() {
         Command::ReplicaState(ReplicaState::Leading),
         Command::DeclareToken(Key::Teams),
         Command::WithdrawToken(Key::Teams),
-        Command::Append(record()),
-        Command::LookUp { lookup: 6, range: RecordRange { from: 1, until: 9, limit: 3 } },
+        Command::Append(Box::new(entry)),
+        Command::LookUp { lookup: 6, query: Query::of(Subject::Robot(robot())) },
         Command::Unencodable("too large".to_owned()),
+        Command::Retain(Retention { before: Tick(1), max_bytes: 2 }),
     ];
     let tick = Tick(1_795_208_990_000_000);
     let mut entries: Vec<_> = inputs.map(|input| Entry::Input { tick, input }).into();

@@ -6,6 +6,7 @@
 
 use bincode::config::{Configuration, Limit};
 use bincode::error::DecodeError;
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
@@ -15,6 +16,7 @@ use muster_model::id::ServiceName;
 use muster_model::role::LeaseRenewal;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
+use muster_model::wish::WishList;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -119,6 +121,8 @@ kinds! {
     11 Event, "Event", MAX_SMALL_PAYLOAD;
     12 AnnouncedSettings, "Settings", MAX_SMALL_PAYLOAD;
     13 LeaseRenewal, "Claim", MAX_SMALL_PAYLOAD;
+    14 WishList, "Wishes", MAX_SERVICE_PAYLOAD;
+    16 Alerts, "Alerts", MAX_SERVICE_PAYLOAD;
 }
 
 /// Writes a message.

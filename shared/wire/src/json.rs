@@ -7,18 +7,24 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
+use muster_model::alert::{Alert, AlertKind, Alerts};
 use muster_model::audit::{Audit, Flapping, Quality, SilhouetteMethod, SilhouetteReport, Space};
 use muster_model::embedding::{Embedding, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::GraphDelta;
-use muster_model::header::Header;
-use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
+use muster_model::header::{Header, Revision};
+use muster_model::id::{FleetId, Modality, OperatorId, RobotId, ServiceName, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
-use muster_model::limits::MAX_MEMBERS_PUBLISHED;
+use muster_model::limits::{
+    MAX_ALERT_ROBOTS, MAX_CONFLICT_LENGTH, MAX_LOSSES, MAX_MEMBERS_PUBLISHED, MAX_OPEN_ALERTS,
+    MAX_WISHES,
+};
 use muster_model::refused::Refused;
 use muster_model::roster::{Presence, Roster};
+use muster_model::team_audit::{Loss, TeamAudit};
 use muster_model::teams::{RobotTeam, TeamCountScore, Teams};
 use muster_model::time::Tick;
+use muster_model::wish::{StandingWish, WishList, WishReport};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
@@ -107,10 +113,20 @@ pub(crate) struct TeamsForm<'a> {
     considered: &'a [TeamCountScore],
     /// The teams, ordered by id as people count: t2 before t10.
     teams: Vec<TeamForm<'a>>,
-    /// Robots that belong to no team, ordered by name: nothing relates them to the others.
+    /// Robots that belong to no team, ordered by name: nothing relates them to the others, or limits leave no place.
     unassigned: &'a [RobotId],
     /// Stale robots, with or without a team, ordered by name.
     stale: &'a [RobotId],
+    /// Whether no assignment of the robots to these teams that respects the limits has a lesser sum of squared
+    /// distances to the teams' centroids; null without limits.
+    optimal: Option<bool>,
+    /// By which share that sum could be lower at most; null where nothing satisfies the limits, and without limits.
+    #[schemars(range(min = 0, max = 1))]
+    gap: Option<f64>,
+    /// Why nothing satisfies the limits, so that the last division stands; null where this one does, and without
+    /// limits.
+    #[schemars(length(max = MAX_CONFLICT_LENGTH))]
+    conflict: Option<&'a str>,
 }
 
 /// One team.
@@ -133,6 +149,7 @@ impl EdgeJson for Teams {
             members: team.members.iter().map(|member| &member.robot).collect(),
             leader: &team.leader,
         });
+        let limited = self.limited.as_ref();
         serde_json::to_vec(&TeamsForm {
             head: head(&self.header, now),
             requested: self.requested,
@@ -140,6 +157,9 @@ impl EdgeJson for Teams {
             teams: teams.collect(),
             unassigned: &self.unassigned,
             stale: &self.stale,
+            optimal: limited.map(|limited| limited.optimal),
+            gap: limited.filter(|limited| limited.conflict.is_none()).map(|limited| limited.gap),
+            conflict: limited.and_then(|limited| limited.conflict.as_deref()),
         })
     }
 }
@@ -265,10 +285,28 @@ pub(crate) struct AuditForm<'a> {
     verdict: Quality,
     /// How often robots change their team and change back, over the last minute.
     flapping: &'a Flapping,
+    /// The roster with whose graphs the teams were scored; null while the graphs are not known.
+    graphs: Option<Revision>,
+    /// Each team, in the order of the division.
+    teams: &'a [TeamAudit],
+    /// The robots whose loss would hurt a team most, the worst first.
+    #[schemars(length(max = MAX_LOSSES))]
+    losses: Vec<LossForm<'a>>,
+}
+
+/// What the loss of one robot would do to its team.
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "LossEffect")]
+struct LossForm<'a> {
+    #[serde(flatten)]
+    loss: &'a Loss,
+    /// What happens, in words.
+    effect: String,
 }
 
 impl EdgeJson for Audit {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        let losses = self.losses.iter().map(|loss| LossForm { loss, effect: loss.describe() });
         serde_json::to_vec(&AuditForm {
             head: head(&self.header, now),
             space: self.in_embedding.space,
@@ -276,6 +314,9 @@ impl EdgeJson for Audit {
             physical: silhouette_form(&self.in_physical),
             verdict: self.quality,
             flapping: &self.flapping,
+            graphs: self.graphs,
+            teams: &self.per_team,
+            losses: losses.collect(),
         })
     }
 }
@@ -384,6 +425,11 @@ impl EdgeJson for Event {
     }
 }
 
+/// The fields that say what happened, as `json/event` has them.
+pub(crate) fn event_fields(kind: &EventKind) -> Map<String, Value> {
+    named_variant("event", serde_json::to_value(kind).unwrap_or_default())
+}
+
 /// Turns `{"variant": {fields}}`, nested ones too, into `{name: "variant", fields}`: the form that a
 /// reader in any language expects.
 fn named_variant(name: &str, value: Value) -> Map<String, Value> {
@@ -400,6 +446,86 @@ fn named_variant(name: &str, value: Value) -> Map<String, Value> {
     // The term of `service_started` is that of the head.
     named.retain(|name, _| !HEAD_FIELDS.contains(&name.as_str()));
     named
+}
+
+/// All open alerts. Each kind and subject has at most one.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct AlertsForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// The number that the next alert will get.
+    next_id: u64,
+    /// How many events of alerts were not published in this term, because there were too many in a minute.
+    folded: u64,
+    /// The open alerts, ordered by number.
+    #[schemars(length(max = MAX_OPEN_ALERTS))]
+    open: Vec<AlertForm<'a>>,
+}
+
+/// One open alert.
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "Alert")]
+struct AlertForm<'a> {
+    /// Its number.
+    id: u64,
+    /// What it is about.
+    kind: AlertKind,
+    /// How much it matters.
+    severity: Severity,
+    /// The team that it concerns; null if it concerns none.
+    team: Option<&'a TeamId>,
+    /// The modality that it concerns; null if it concerns none.
+    modality: Option<&'a Modality>,
+    /// When it was raised, in seconds since the Unix epoch.
+    raised: f64,
+    /// What was measured when it was raised.
+    value: f64,
+    /// The threshold that was passed.
+    threshold: f64,
+    /// What is wrong, in words.
+    reason: &'a str,
+    /// The robots that it is about, those that matter most first.
+    #[schemars(length(max = MAX_ALERT_ROBOTS))]
+    robots: &'a [RobotId],
+    /// Who has seen it; null if nobody has said so.
+    acknowledged: Option<AcknowledgementForm<'a>>,
+}
+
+/// Who has seen an alert, and when.
+#[derive(Serialize, JsonSchema)]
+#[schemars(rename = "Acknowledgement")]
+struct AcknowledgementForm<'a> {
+    /// The operator.
+    operator: &'a OperatorId,
+    /// Seconds since the Unix epoch.
+    at: f64,
+}
+
+impl EdgeJson for Alerts {
+    fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        let open = self.open.iter().map(|alert: &Alert| AlertForm {
+            id: alert.id,
+            kind: alert.kind,
+            severity: alert.kind.severity(),
+            team: alert.subject.team(),
+            modality: alert.subject.modality(),
+            raised: alert.raised.as_seconds(),
+            value: alert.value,
+            threshold: alert.threshold,
+            reason: &alert.reason,
+            robots: &alert.robots,
+            acknowledged: alert
+                .acknowledged
+                .as_ref()
+                .map(|by| AcknowledgementForm { operator: &by.operator, at: by.at.as_seconds() }),
+        });
+        serde_json::to_vec(&AlertsForm {
+            head: head(&self.header, now),
+            next_id: self.next_id,
+            folded: self.folded,
+            open: open.collect(),
+        })
+    }
 }
 
 /// One relation of all robots, whole.
@@ -569,6 +695,38 @@ impl EdgeJson for PairSimilarity {
             method: self.method,
             residual: self.residual,
         })
+    }
+}
+
+/// All wishes of operators, published with every change.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct WishesForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// The wishes, ordered by operator and id.
+    #[schemars(length(max = MAX_WISHES))]
+    wishes: &'a [StandingWish],
+}
+
+impl EdgeJson for WishList {
+    fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec(&WishesForm { head: head(&self.header, now), wishes: &self.wishes })
+    }
+}
+
+/// A wish, as a get of its key is answered.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct WishReportForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    /// The wish.
+    #[serde(flatten)]
+    wish: &'a StandingWish,
+}
+
+impl EdgeJson for WishReport {
+    fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec(&WishReportForm { head: head(&self.header, now), wish: &self.wish })
     }
 }
 

@@ -1,11 +1,12 @@
 //! What a service keeps over a restart in addition to its settings, as bytes of a file.
 //!
 //! A file is [`MAGIC`], the [`VERSION`] of the content, and one frame: length, checksum, and the content. That
-//! is the end of the reserved numbers in eight bytes with the lowest first, and the division as it is on the bus,
-//! if there was one. A file that breaks off or was damaged is recognised, and is not used.
+//! is the end of the reserved numbers in eight bytes with the lowest first, the length of the wishes in four, the wishes and
+//! the division as they are on the bus, if there were any. A file that breaks off or was damaged is recognised, and is not used.
 
 use muster_model::content::Checked;
 use muster_model::teams::Teams;
+use muster_model::wish::WishList;
 
 use crate::envelope::{self, EnvelopeError, MAX_SERVICE_PAYLOAD};
 use crate::recording::{framed, unframed};
@@ -14,7 +15,7 @@ use crate::recording::{framed, unframed};
 pub const MAGIC: [u8; 8] = *b"\xB7mustkpt";
 
 /// Version of the content. Any change of its types is a new version.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 
 /// Magic bytes and version.
 const HEAD: usize = MAGIC.len() + 1;
@@ -43,6 +44,8 @@ pub struct KeptTeams {
     pub reserved: u64,
     /// The last division, if there was one.
     pub teams: Option<Checked<Teams>>,
+    /// The wishes of operators, if there were any.
+    pub wishes: Option<Checked<WishList>>,
 }
 
 impl KeptTeams {
@@ -52,6 +55,13 @@ impl KeptTeams {
     /// [`EnvelopeError`] if the division is larger than [`MAX_KEPT`] bytes.
     pub fn encode(&self) -> Result<Vec<u8>, EnvelopeError> {
         let mut content = self.reserved.to_le_bytes().to_vec();
+        let wishes =
+            self.wishes.as_ref().map_or(Ok(Vec::new()), |list| envelope::encode(&**list))?;
+        let size = wishes.len();
+        let length = u32::try_from(size);
+        let length = length.map_err(|_| EnvelopeError::TooLarge { size, limit: MAX_KEPT })?;
+        content.extend(length.to_le_bytes());
+        content.extend(wishes);
         if let Some(teams) = &self.teams {
             content.extend(envelope::encode(&**teams)?);
         }
@@ -77,25 +87,35 @@ impl KeptTeams {
             return Err(KeptError::Version(head[MAGIC.len()]));
         }
         let content = unframed(rest, MAX_KEPT).map_err(damaged)?;
-        let Some((reserved, division)) = content.split_first_chunk() else {
-            return Err(damaged("it breaks off".to_owned()));
-        };
+        let broken = || damaged("it breaks off".to_owned());
+        let (reserved, rest) = content.split_first_chunk().ok_or_else(broken)?;
+        let (length, rest) = rest.split_first_chunk().ok_or_else(broken)?;
         let reserved = u64::from_le_bytes(*reserved);
+        let length = u32::from_le_bytes(*length) as usize;
+        let (wishes, division) = rest.split_at_checked(length).ok_or_else(broken)?;
+        let wishes = if wishes.is_empty() {
+            None
+        } else {
+            let list: WishList =
+                envelope::decode(wishes).map_err(|error| damaged(error.to_string()))?;
+            Some(Checked::new(list).map_err(|error| damaged(error.to_string()))?)
+        };
         if division.is_empty() {
-            return Ok(Self { reserved, teams: None });
+            return Ok(Self { reserved, teams: None, wishes });
         }
         let teams: Teams =
             envelope::decode(division).map_err(|error| damaged(error.to_string()))?;
         let teams = Checked::new(teams).map_err(|error| damaged(error.to_string()))?;
-        Ok(Self { reserved, teams: Some(teams) })
+        Ok(Self { reserved, teams: Some(teams), wishes })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use muster_model::header::{Header, Revision};
-    use muster_model::id::{FleetId, RobotId, TeamId};
+    use muster_model::id::{FleetId, OperatorId, RobotId, TeamId, WishId};
     use muster_model::teams::{Member, Team};
+    use muster_model::wish::{StandingWish, Wish, WishKind, WishState};
 
     use super::*;
 
@@ -126,22 +146,43 @@ mod tests {
             inertia: 0.0,
             changes: vec![],
             next_team: 8,
+            limited: None,
         };
-        KeptTeams { reserved: 108, teams: Some(Checked::new(teams).unwrap()) }
+        let wish = Wish {
+            kind: WishKind::Reserve,
+            robots: vec![RobotId::new("r1").unwrap()],
+            team: None,
+            expires: Some(2e9),
+            note: None,
+        };
+        let wish = StandingWish {
+            operator: OperatorId::new("alice").unwrap(),
+            id: WishId::new("w1").unwrap(),
+            wish,
+            state: WishState::Active,
+            reason: None,
+        };
+        let wishes = WishList { header: teams.header.clone(), wishes: vec![wish] };
+        KeptTeams {
+            reserved: 108,
+            teams: Some(Checked::new(teams).unwrap()),
+            wishes: Some(Checked::new(wishes).unwrap()),
+        }
     }
 
     #[test]
     fn what_is_kept_is_read_back() {
-        for kept in [kept(), KeptTeams { reserved: 5, teams: None }] {
+        let alone = KeptTeams { teams: None, ..kept() };
+        for kept in [kept(), alone, KeptTeams { reserved: 5, teams: None, wishes: None }] {
             assert_eq!(KeptTeams::decode(&kept.encode().unwrap()), Ok(kept));
         }
     }
 
     #[test]
     fn the_bytes_are_those_of_the_version() {
-        let bytes = KeptTeams { reserved: 300, teams: None }.encode().unwrap();
+        let bytes = KeptTeams { reserved: 300, teams: None, wishes: None }.encode().unwrap();
         let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        assert_eq!(hex, "b76d7573746b70740108000000e4fc1d242c01000000000000");
+        assert_eq!(hex, "b76d7573746b7074020c00000076061c5d2c0100000000000000000000");
     }
 
     #[test]

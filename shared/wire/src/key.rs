@@ -6,7 +6,7 @@
 
 use std::fmt;
 
-use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
+use muster_model::id::{FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, WishId};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Stream;
 use serde::{Deserialize, Serialize};
@@ -63,6 +63,20 @@ pub enum Key {
     // Recordings hold keys and patterns by their number: new ones come last.
     /// `robot/{robot}/refused`: why messages of the robot are refused.
     RobotRefused(RobotId),
+    /// `history/{instance}`: a get answers with what an instance of `historian` has recorded.
+    History(InstanceId),
+    /// `history/{instance}/state`: how far the recording of an instance of `historian` goes.
+    HistoryState(InstanceId),
+    /// `alerts`: all open alerts; a get with a payload acknowledges one.
+    Alerts,
+    /// `json/alerts`: all open alerts as JSON.
+    JsonAlerts,
+    /// `wish/{operator}/{id}`: a get answers with the wish, one with a payload puts or withdraws it.
+    Wish(OperatorId, WishId),
+    /// `wishes`: all wishes.
+    Wishes,
+    /// `json/wishes`: all wishes as JSON.
+    JsonWishes,
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -94,6 +108,12 @@ pub enum Pattern {
     UnknownStreams,
     /// `robot/*/refused`
     RobotRefusals,
+    /// `history/*`: the recordings of all instances.
+    Histories,
+    /// `history/*/state`: how far those go.
+    HistoryStates,
+    /// `wish/*/*`
+    EachWish,
 }
 
 /// Why a text is not a key of the fleet.
@@ -167,12 +187,15 @@ impl KeySpace {
             Pattern::Relations => "robot/*/relation/*",
             Pattern::RobotTeams => "robot/*/team",
             Pattern::RobotRefusals => "robot/*/refused",
+            Pattern::Histories => "history/*",
+            Pattern::HistoryStates => "history/*/state",
             Pattern::Graphs => "graph/*",
             Pattern::ServiceTokens => "service/*/*",
             Pattern::InstanceTokens(service) => {
                 return format!("{}service/{service}/*", self.prefix);
             }
             Pattern::Statuses => "service/*/status",
+            Pattern::EachWish => "wish/*/*",
             Pattern::Everything => "**",
             Pattern::One(key) => return self.format(key),
             Pattern::Foreign(pattern) => return pattern.to_string(),
@@ -218,10 +241,17 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("teams"), None, ..] => Key::Teams,
         [Some("audit"), None, ..] => Key::Audit,
         [Some("event"), None, ..] => Key::Event,
+        [Some("alerts"), None, ..] => Key::Alerts,
         [Some("schema"), None, ..] => Key::Schema,
         [Some("json"), Some("teams"), None, ..] => Key::JsonTeams,
         [Some("json"), Some("audit"), None, ..] => Key::JsonAudit,
         [Some("json"), Some("event"), None, ..] => Key::JsonEvent,
+        [Some("json"), Some("alerts"), None, ..] => Key::JsonAlerts,
+        [Some("json"), Some("wishes"), None, ..] => Key::JsonWishes,
+        [Some("wishes"), None, ..] => Key::Wishes,
+        [Some("wish"), Some(operator), Some(id), None, _] => {
+            Key::Wish(operator.parse().ok()?, id.parse().ok()?)
+        }
         [Some("graph"), Some(modality), None, ..] => Key::Graph(modality.parse().ok()?),
         [Some("robot"), Some(robot), None, ..] => Key::RobotToken(robot.parse().ok()?),
         [Some("robot"), Some(robot), Some(stream), None, _] => {
@@ -234,6 +264,10 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         }
         [Some("robot"), Some(robot), Some("relation"), Some(modality), None] => {
             Key::Stream(robot.parse().ok()?, Stream::Relation(modality.parse().ok()?))
+        }
+        [Some("history"), Some(instance), None, ..] => Key::History(instance.parse().ok()?),
+        [Some("history"), Some(instance), Some("state"), None, _] => {
+            Key::HistoryState(instance.parse().ok()?)
         }
         [Some("service"), Some(service), Some(last), None, _] => {
             let service = service.parse().ok()?;
@@ -272,9 +306,15 @@ impl Pattern {
     pub const fn payload_limit(&self) -> usize {
         match self {
             Self::Stream(_) | Self::UnknownStreams | Self::Relations => MAX_ROBOT_PAYLOAD,
-            Self::RobotTeams | Self::RobotRefusals | Self::Statuses => MAX_SMALL_PAYLOAD,
+            Self::RobotTeams
+            | Self::RobotRefusals
+            | Self::Statuses
+            | Self::HistoryStates
+            | Self::EachWish => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
-            Self::Graphs | Self::Everything | Self::Foreign(_) => MAX_SERVICE_PAYLOAD,
+            Self::Graphs | Self::Everything | Self::Foreign(_) | Self::Histories => {
+                MAX_SERVICE_PAYLOAD
+            }
             Self::One(key) => key.payload_limit(),
         }
     }
@@ -292,7 +332,9 @@ impl Key {
             | Self::JsonEvent
             | Self::Settings(_)
             | Self::Status(_)
-            | Self::Lease(_) => MAX_SMALL_PAYLOAD,
+            | Self::Lease(_)
+            | Self::HistoryState(_)
+            | Self::Wish(..) => MAX_SMALL_PAYLOAD,
             Self::RobotToken(_) | Self::ServiceToken(..) => 0,
             _ => MAX_SERVICE_PAYLOAD,
         }
@@ -328,6 +370,8 @@ impl fmt::Display for Key {
             Self::JsonTeams => formatter.write_str("json/teams"),
             Self::JsonAudit => formatter.write_str("json/audit"),
             Self::JsonEvent => formatter.write_str("json/event"),
+            Self::Alerts => formatter.write_str("alerts"),
+            Self::JsonAlerts => formatter.write_str("json/alerts"),
             Self::Schema => formatter.write_str("schema"),
             Self::Settings(service) => write!(formatter, "service/{service}/settings"),
             Self::Status(service) => write!(formatter, "service/{service}/status"),
@@ -335,6 +379,11 @@ impl fmt::Display for Key {
             Self::ServiceToken(service, instance) => {
                 write!(formatter, "service/{service}/{instance}")
             }
+            Self::History(instance) => write!(formatter, "history/{instance}"),
+            Self::HistoryState(instance) => write!(formatter, "history/{instance}/state"),
+            Self::Wish(operator, id) => write!(formatter, "wish/{operator}/{id}"),
+            Self::Wishes => formatter.write_str("wishes"),
+            Self::JsonWishes => formatter.write_str("json/wishes"),
             Self::Foreign(key) => key.fmt(formatter),
         }
     }
@@ -367,6 +416,13 @@ mod tests {
             Key::JsonAudit,
             Key::JsonEvent,
             Key::Schema,
+            Key::History(InstanceId::new("host-1").unwrap()),
+            Key::HistoryState(InstanceId::new("host-1").unwrap()),
+            Key::Alerts,
+            Key::JsonAlerts,
+            Key::Wish(OperatorId::new("alice").unwrap(), WishId::new("p1").unwrap()),
+            Key::Wishes,
+            Key::JsonWishes,
         ];
         let robot = RobotId::new("r2").unwrap();
         keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));
@@ -439,6 +495,9 @@ mod tests {
             "json/embedding",
             "graph",
             "graph/a/b",
+            "wish/alice",
+            "wish/alice/p1/x",
+            "wish/A/p1",
             "robot/r1/relation/a/",
         ] {
             assert_eq!(

@@ -5,16 +5,18 @@
 //! [`key`] has every key, typed; [`packet`] is what crosses the bus before it is decoded; [`message`] ties a
 //! key to a content and its two forms: [`envelope`] (binary) and [`json`]. [`report`] reads and writes the
 //! reports of robots, [`robot_team`] the team that a robot reads, [`katz`] the similarity of a pair that a
-//! console reads, [`request`] gets; [`decode`] has the reasons for refusals. [`foreign`] has the keys of other
+//! console reads, [`history`] what is asked of a history, [`request`] gets; [`decode`] has the reasons for refusals. [`foreign`] has the keys of other
 //! programs, [`recording`] the files of recordings, [`kept`] what is kept over a restart, [`schema`] the JSON Schema. Nothing outside of this crate
 //! handles bytes, and nothing in it knows the bus.
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
+pub mod alerts;
 mod bytes;
 pub mod decode;
 pub mod envelope;
 pub mod foreign;
+pub mod history;
 pub mod json;
 pub mod katz;
 pub mod kept;
@@ -27,6 +29,7 @@ pub mod report;
 pub mod request;
 pub mod robot_team;
 pub mod schema;
+pub mod wish;
 
 pub use decode::DecodeError;
 pub use foreign::{Attachment, ForeignKey, ForeignPattern};

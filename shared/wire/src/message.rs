@@ -3,12 +3,14 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::{Checked, Content};
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Header;
+use muster_model::history::{HistoryAnswer, RecordingState};
 use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::katz::PairSimilarity;
 use muster_model::observation::CheckedReport;
@@ -18,6 +20,7 @@ use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
+use muster_model::wish::{WishList, WishReport};
 
 use crate::decode::{DecodeError, check_header, format, payload};
 use crate::envelope::{self, AnnouncedSettings, BinaryMessage, EnvelopeError};
@@ -79,6 +82,16 @@ pub enum Message {
     Settings(Box<AnnouncedSettings>),
     /// The status of a service.
     Status(Box<ServiceStatus>),
+    /// What a history answers.
+    History(Box<HistoryAnswer>),
+    /// How far a recording goes.
+    HistoryState(Box<RecordingState>),
+    /// All open alerts.
+    Alerts(Arc<Alerts>),
+    /// All wishes.
+    Wishes(Checked<WishList>),
+    /// One wish: what a get of its key is answered with.
+    Wish(Box<WishReport>),
 }
 
 fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
@@ -158,6 +171,11 @@ impl Message {
                 Self::Audit(Arc::new(audit))
             }
             Key::Event => Self::Event(binary(format, bytes)?),
+            Key::Alerts => {
+                let alerts: Alerts = binary(format, bytes)?;
+                alerts.check()?;
+                Self::Alerts(Arc::new(alerts))
+            }
             Key::Settings(service) => {
                 let announced: AnnouncedSettings = binary(format, bytes)?;
                 agree(&service, &announced.service, "services")?;
@@ -168,12 +186,18 @@ impl Message {
                 agree(&service, &claim.service, "services")?;
                 Self::LeaseRenewal(Box::new(claim))
             }
+            Key::Wishes => Self::Wishes(Checked::new(binary(format, bytes)?)?),
             Key::RobotToken(_) | Key::ServiceToken(..) => return Err(DecodeError::OnlyTokens),
-            Key::JsonTeams
+            Key::JsonWishes
+            | Key::Wish(..)
+            | Key::JsonTeams
             | Key::JsonAudit
             | Key::JsonEvent
+            | Key::JsonAlerts
             | Key::Status(_)
             | Key::RobotRefused(_)
+            | Key::History(_)
+            | Key::HistoryState(_)
             | Key::Schema
             | Key::Stream(..)
             | Key::Foreign(_) => return Err(DecodeError::NotRead),
@@ -195,6 +219,9 @@ impl Message {
             Self::Event(event) => Some(&event.header),
             Self::Settings(announced) => Some(&announced.header),
             Self::LeaseRenewal(claim) => Some(&claim.header),
+            Self::Alerts(alerts) => Some(&alerts.header),
+            Self::Wishes(list) => Some(&list.header),
+            Self::Wish(report) => Some(&report.header),
             _ => None,
         }
     }
@@ -219,19 +246,26 @@ impl Message {
             Self::Settings(announced) => (Key::Settings(announced.service), None),
             Self::LeaseRenewal(claim) => (Key::Lease(claim.service), None),
             Self::Status(status) => (Key::Status(status.service), None),
+            Self::History(answer) => (Key::History(answer.instance.clone()), None),
+            Self::HistoryState(state) => (Key::HistoryState(state.instance.clone()), None),
+            Self::Alerts(_) => (Key::Alerts, Some(Key::JsonAlerts)),
+            Self::Wishes(_) => (Key::Wishes, Some(Key::JsonWishes)),
+            Self::Wish(report) => {
+                (Key::Wish(report.wish.operator.clone(), report.wish.id.clone()), None)
+            }
         }
     }
 
     /// What a service puts on the bus for this message: the message, and its JSON mirror.
     ///
-    /// What robots read is written in JSON, everything between services in binary form.
+    /// What robots and consoles read is written in JSON, everything between services in binary form.
     ///
     /// # Errors
     /// [`EnvelopeError`] if the content is larger than its kind may be.
     pub fn publish(&self, now: Tick) -> Result<Vec<Outbound>, EnvelopeError> {
         let (key, mirror) = self.keys();
-        let is_for_robots = matches!(self, Self::RobotTeam(_) | Self::Refused(_));
-        let form = if is_for_robots { Format::Json } else { Format::Binary };
+        let is_json = matches!(self, Self::RobotTeam(_) | Self::Refused(_) | Self::HistoryState(_));
+        let form = if is_json { Format::Json } else { Format::Binary };
         let mut all = vec![self.encode(key, form, now)?];
         let mirrored = !matches!(self, Self::Teams { mirror: false, .. });
         if let Some(mirror) = mirror.filter(|_| mirrored) {
@@ -256,6 +290,9 @@ impl Message {
             | Self::Refused(_)
             | Self::Settings(_)
             | Self::Status(_)
+            | Self::History(_)
+            | Self::HistoryState(_)
+            | Self::Wish(_)
             | Self::Katz(_) => Format::Json,
             _ => Format::Binary,
         };
@@ -322,6 +359,11 @@ impl Message {
             Self::Settings(announced) => Ok(announced.settings.clone().into_bytes()),
             Self::LeaseRenewal(claim) => serde_json::to_vec(claim),
             Self::Status(status) => serde_json::to_vec(status),
+            Self::History(answer) => serde_json::to_vec(answer),
+            Self::HistoryState(state) => serde_json::to_vec(state),
+            Self::Alerts(alerts) => alerts.to_json(now),
+            Self::Wishes(list) => list.to_json(now),
+            Self::Wish(report) => report.to_json(now),
         }
     }
 
@@ -340,10 +382,15 @@ impl Message {
             Self::Event(event) => named(event),
             Self::Settings(announced) => named(announced.as_ref()),
             Self::LeaseRenewal(claim) => named(claim.as_ref()),
+            Self::Alerts(alerts) => named(alerts.as_ref()),
+            Self::Wishes(list) => named(&**list),
             Self::RobotToken { .. }
             | Self::ServiceToken { .. }
             | Self::Refused(_)
             | Self::Status(_)
+            | Self::History(_)
+            | Self::HistoryState(_)
+            | Self::Wish(_)
             | Self::Katz(_) => Err(EnvelopeError::Encode(
                 "this message has no binary form; ask with format=json".to_owned(),
             )),

@@ -34,6 +34,8 @@ pub struct Request {
     pub format: Option<Format>,
     /// The two robots whose Katz similarity `?katz=` asks for instead of the embedding: from, to.
     pub katz: Option<[RobotId; 2]>,
+    /// What follows the `?`, for keys that have parameters of their own.
+    pub parameters: String,
     /// What the get carries, such as a patch of settings.
     pub payload: Option<Vec<u8>>,
 }
@@ -66,7 +68,8 @@ impl Request {
         }
         let selector = selector.into();
         let exact = !selector.contains('*');
-        Ok(Self { selector, exact, format, katz, payload })
+        let parameters = parameters.to_owned();
+        Ok(Self { selector, exact, format, katz, parameters, payload })
     }
 
     /// The part of the get that one server of several is to answer: a wild get reaches each server

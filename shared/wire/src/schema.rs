@@ -8,14 +8,18 @@
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
+use muster_model::alert::AcknowledgeAlert;
+use muster_model::history::{HistoryAnswer, RecordingState};
 use muster_model::id::{Modality, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Stream;
 use muster_model::role::LeaseRenewal;
 use muster_model::settings::{
-    AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, Settings,
+    AuditorSettings, ClustererSettings, EmbedderSettings, HistorianSettings, IngestSettings,
+    Settings,
 };
 use muster_model::status::ServiceStatus;
+use muster_model::wish::Wish;
 use schemars::generate::SchemaSettings;
 use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -23,8 +27,8 @@ use serde_json::{Map, Value, json};
 
 use crate::envelope::MAX_SMALL_PAYLOAD;
 use crate::json::{
-    AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm, RobotTeamForm,
-    RosterForm, TeamsForm,
+    AlertsForm, AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm,
+    RobotTeamForm, RosterForm, TeamsForm, WishReportForm, WishesForm,
 };
 use crate::report;
 
@@ -125,6 +129,12 @@ impl Schemas {
         all.written::<TeamsForm<'_>>("teams", &["json/teams", "teams?format=json"]);
         all.written::<AuditForm<'_>>("audit", &["json/audit", "audit?format=json"]);
         all.written::<EventForm<'_>>("event", &["json/event"]);
+        all.written::<AlertsForm<'_>>("alerts", &["json/alerts", "alerts?format=json"]);
+        all.read::<AcknowledgeAlert>(
+            "alert_acknowledgement",
+            &["alerts (payload of a get)"],
+            "alerts that are not open",
+        );
         all.written::<GraphForm<'_>>("graph", &["graph/{modality}?format=json"]);
         all.written::<RosterForm<'_>>("roster", &["roster?format=json"]);
         all.written::<EmbeddingForm<'_>>("embedding", &["embedding?format=json"]);
@@ -141,8 +151,24 @@ impl Schemas {
             ServiceName::Embedder,
             "weights that do not sum to 1 (none at all means equal ones)",
         );
-        all.settings::<ClustererSettings>(ServiceName::Clusterer, "");
+        all.settings::<ClustererSettings>(
+            ServiceName::Clusterer,
+            "a size or team_size whose max is below its min, and limits that nothing satisfies for the \
+             robots of the fleet",
+        );
         all.settings::<AuditorSettings>(ServiceName::Auditor, "good that is less than poor");
+        all.settings::<HistorianSettings>(ServiceName::Historian, "");
+        all.written::<HistoryAnswer>("history", &["history/{instance}"]);
+        all.written::<RecordingState>("history_state", &["history/{instance}/state"]);
+        all.written::<WishesForm<'_>>("wishes", &["json/wishes", "wishes?format=json"]);
+        all.written::<WishReportForm<'_>>("wish_report", &["wish/{operator}/{id}"]);
+        all.read::<Wish>(
+            "wish",
+            &["wish/{operator}/{id} (payload of a get)"],
+            "robots or a team that the kind does not take, fewer than two robots of together and apart, a robot \
+             that is named twice, a wish that contradicts the limits and the other wishes for the robots of the \
+             fleet, more than 256 wishes, and a key with wildcards. null withdraws the wish.",
+        );
         all.written::<Problem<'_>>("error", &[]);
         all
     }

@@ -35,7 +35,15 @@ fn hex(bytes: &[u8]) -> String {
 fn the_binary_form_of_every_message_is_frozen_and_read_back() {
     let space = KeySpace::new(samples::fleet());
     for (name, message) in samples::all() {
-        if matches!(message, Message::Status(_) | Message::Katz(_) | Message::Refused(_)) {
+        if matches!(
+            message,
+            Message::Status(_)
+                | Message::Katz(_)
+                | Message::Refused(_)
+                | Message::History(_)
+                | Message::HistoryState(_)
+                | Message::Wish(_)
+        ) {
             continue;
         }
         let outbound = message.encode(message.keys().0, Format::Binary, samples::NOW).unwrap();
@@ -54,6 +62,21 @@ fn the_json_form_of_every_message_is_frozen() {
             &format!("{name}.json"),
             &format!("{}\n", serde_json::to_string_pretty(&value).unwrap()),
         );
+    }
+}
+
+/// What `muster history`, `events` and `robots` print with `--json`, and a get of a history is answered with.
+#[test]
+fn the_json_form_of_every_answer_of_a_history_is_frozen_and_read_back() {
+    let space = KeySpace::new(samples::fleet());
+    for (name, rows) in samples::history_rows() {
+        let message = samples::history_of(rows);
+        let outbound = message.encode(message.keys().0, Format::Json, samples::NOW).unwrap();
+        let value: serde_json::Value = serde_json::from_slice(&outbound.payload).unwrap();
+        let text = format!("{}\n", serde_json::to_string_pretty(&value).unwrap());
+        check(&format!("history_{name}.json"), &text);
+        let read = muster_wire::history::answer(&space, &outbound.into_packet(&space)).unwrap();
+        assert_eq!(Message::History(Box::new(read)), message, "{name}");
     }
 }
 

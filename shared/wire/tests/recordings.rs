@@ -28,7 +28,15 @@ fn again(message: &Message) -> Result<Message, String> {
 #[test]
 fn every_message_that_is_received_comes_back_from_a_recording() {
     for (name, message) in samples::all() {
-        if matches!(message, Message::Status(_) | Message::Katz(_) | Message::Refused(_)) {
+        if matches!(
+            message,
+            Message::Status(_)
+                | Message::Katz(_)
+                | Message::Refused(_)
+                | Message::History(_)
+                | Message::HistoryState(_)
+                | Message::Wish(_)
+        ) {
             assert!(
                 again(&message).is_err(),
                 "no service receives what robots read or gets are answered with"

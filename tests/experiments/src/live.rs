@@ -138,9 +138,9 @@ async fn play_on_bus(
 
 /// All services, each as a task with a session of its own.
 fn services(config: &ProcessConfig, stop: &Stop) -> anyhow::Result<JoinSet<anyhow::Result<()>>> {
-    let observatory = Observatory::open(config, &ServiceName::ALL)?;
+    let observatory = Observatory::open(config, &ServiceName::PIPELINE)?;
     let mut tasks = JoinSet::new();
-    for name in ServiceName::ALL {
+    for name in ServiceName::PIPELINE {
         let (config, stop, observer) = (config.clone(), stop.clone(), observatory.observer(name));
         match name {
             ServiceName::Ingest => tasks.spawn(service::run::<Ingest>(config, stop, observer)),
@@ -149,6 +149,8 @@ fn services(config: &ProcessConfig, stop: &Stop) -> anyhow::Result<JoinSet<anyho
                 tasks.spawn(service::run::<Clusterer>(config, stop, observer))
             }
             ServiceName::Auditor => tasks.spawn(service::run::<Auditor>(config, stop, observer)),
+            // It is no part of the pipeline.
+            ServiceName::Historian => continue,
         };
     }
     Ok(tasks)

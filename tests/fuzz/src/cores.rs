@@ -445,7 +445,9 @@ impl<C: Core> World<C> {
                     text::check(reason, MAX_REASON);
                     text::check(key, MAX_REASON);
                 }
-                EventKind::JobFailed { reason } | EventKind::FewerTeams { reason, .. } => {
+                EventKind::JobFailed { reason }
+                | EventKind::FewerTeams { reason, .. }
+                | EventKind::Infeasible { reason } => {
                     text::check(reason, MAX_REASON);
                 }
                 EventKind::QualityLow { mean } | EventKind::QualityRecovered { mean } => {

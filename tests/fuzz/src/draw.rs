@@ -12,7 +12,7 @@ use muster_model::header::{Header, Revision};
 use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
 use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report};
 use muster_model::roster::{Presence, Roster, RosterEntry};
-use muster_model::teams::{Member, Team, TeamCountScore, Teams};
+use muster_model::teams::{Limited, Member, Team, TeamCountScore, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
@@ -355,6 +355,11 @@ impl Author {
             inertia: draw.number(),
             changes: Vec::new(),
             next_team: draw.number64(),
+            limited: draw.maybe(|draw| Limited {
+                optimal: draw.byte() % 2 == 0,
+                gap: draw.number(),
+                conflict: None,
+            }),
         }
     }
 
@@ -376,6 +381,9 @@ impl Author {
             in_physical: report(Space::Physical, draw),
             quality: Quality::Fair,
             flapping: Flapping::default(),
+            graphs: None,
+            per_team: Vec::new(),
+            losses: Vec::new(),
         }
     }
 

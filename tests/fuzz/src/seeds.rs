@@ -8,18 +8,20 @@ use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
 use muster_ingest::Ingest;
+use muster_model::history::{self, Page, Query, Record, Retention, Rows, Subject};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{CheckedReport, Report};
 use muster_model::role::ReplicaState;
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings,
 };
+use muster_model::time::Tick;
 use muster_scenario::{Fleet, FleetOptions, ScenarioKind};
 use muster_service::recording::{Entry, Head};
 use muster_service::testkit::Bench;
 use muster_service::{
-    Arrival, Ask, AskId, Command, Core, GetId, IncomingGet, Input, Publication, Record,
-    RecordRange, Reply, Start, Stored,
+    Arrival, Ask, AskId, Command, Core, GetId, IncomingGet, Input, Publication, Reply, Start,
+    Stored,
 };
 use muster_wire::recording::{begin, frame};
 use muster_wire::{Format, Key, Message, Packet, Pattern};
@@ -141,8 +143,9 @@ fn recordings() -> Vec<Seed> {
         parameters: "format=json".to_owned(),
         payload: Some(b"{}".to_vec()),
     };
-    let record = Record { at: NOW.0, content: vec![4] };
-    let range = RecordRange { from: 1, until: 2, limit: 3 };
+    let gap = Record::Gap { from: Tick(1), until: Tick(2), records: 3 };
+    let record = Box::new(history::Entry { at: NOW, record: gap });
+    let page = Page { rows: Rows::Divisions(Vec::new()), before: Some(3) };
     let inputs = [
         Input::Started { linked: true },
         Input::Arrived(Arrival::encoded(packet.clone())),
@@ -157,7 +160,8 @@ fn recordings() -> Vec<Seed> {
         Input::Stored { error: Some("no".to_owned()) },
         Input::Restored(vec![1, 2]),
         Input::Kept { error: Some("no".to_owned()) },
-        Input::Found { lookup: 1, records: vec![record.clone()] },
+        Input::Found { lookup: 1, page: Ok(page) },
+        Input::Recorded(Box::default()),
         Input::ProcessCounters([("inbox_dropped".to_owned(), 3)].into()),
     ];
     let packets = vec![packet];
@@ -186,7 +190,8 @@ fn recordings() -> Vec<Seed> {
         Command::DeclareToken(Key::Roster),
         Command::WithdrawToken(Key::Settings(ServiceName::Auditor)),
         Command::Append(record),
-        Command::LookUp { lookup: 1, range },
+        Command::LookUp { lookup: 1, query: Query::of(Subject::Divisions) },
+        Command::Retain(Retention { before: Tick(1), max_bytes: 2 }),
         Command::Unencodable("no".to_owned()),
     ];
     let mut entries: Vec<_> =

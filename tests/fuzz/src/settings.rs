@@ -10,6 +10,7 @@ use muster_model::settings::{
 };
 use muster_service::testkit::Bench;
 use muster_service::{Core, Start, Stored};
+use muster_wire::wish::WishChange;
 use muster_wire::{Key, Message};
 use serde_json::{Value, json};
 
@@ -22,9 +23,19 @@ const MAX_FIELD: usize = 120;
 /// Longest error about it, in characters: some list all fields.
 const MAX_PROBLEM: usize = 400;
 
-/// A service in one byte, and patches in JSON, one after the other, a line each.
+/// A service in one byte, and patches in JSON, one after the other, a line each; each is read as a wish as well.
 pub(crate) fn settings(data: &[u8]) -> Outcome {
     let Some((service, patches)) = data.split_first() else { return Outcome::Refused };
+    for wish in patches.split(|byte| *byte == b'\n') {
+        match muster_wire::wish::decode(wish) {
+            Ok(WishChange::Put(wish)) => assert_eq!(wish.clone().checked(), Ok(wish)),
+            Ok(WishChange::Withdraw) => {}
+            Err(error) => {
+                text::check(&error.field, MAX_FIELD);
+                text::check(&error.problem, MAX_PROBLEM);
+            }
+        }
+    }
     let run = match service % 4 {
         0 => patched::<IngestSettings>,
         1 => patched::<EmbedderSettings>,

@@ -145,6 +145,13 @@ impl World {
                 }
             }
             Fault::Set { service, patch } => self.operator.wants(service, patch),
+            Fault::Wish { id, robot, wish } => {
+                if let Some(robot) = self.robots.all.get(robot) {
+                    let wish = wish.replace("ROBOT", robot.name.as_str());
+                    let change = format!("wish/alice/{id} {wish}");
+                    self.operator.wants(ServiceName::Clusterer, change);
+                }
+            }
             Fault::BadAlpha { lasts } => {
                 self.operator.wants(ServiceName::Embedder, r#"{"alpha":1e9}"#.to_owned());
                 let patch = r#"{"alpha":{"fraction":0.5}}"#.to_owned();

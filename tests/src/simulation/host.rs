@@ -9,6 +9,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
+use muster_historian::Historian;
 use muster_ingest::Ingest;
 use muster_model::id::{FleetId, InstanceId, ServiceName};
 use muster_model::role::ReplicaState;
@@ -60,6 +61,7 @@ impl ServiceKind {
             ServiceName::Embedder => Self::of_core::<Embedder>(),
             ServiceName::Clusterer => Self::of_core::<Clusterer>(),
             ServiceName::Auditor => Self::of_core::<Auditor>(),
+            ServiceName::Historian => Self::of_core::<Historian>(),
         }
     }
 

@@ -53,11 +53,13 @@ pub enum Mutant {
     Forgetful,
     /// The embedder receives nothing that is published any more once the hosts were busy.
     StarvedEmbedder,
+    /// The clusterer puts all robots into the first team, whatever the limits are, once settings were changed.
+    Overfull,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -75,6 +77,7 @@ impl Mutant {
         Self::UnbelievedTerm,
         Self::Forgetful,
         Self::StarvedEmbedder,
+        Self::Overfull,
     ];
 
     /// The kinds of faults after which it shows.
@@ -90,7 +93,7 @@ impl Mutant {
             Self::WrongSilhouette => &["storm"],
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
             Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
-            Self::Restless | Self::Fickle => &["settings"],
+            Self::Restless | Self::Fickle | Self::Overfull => &["settings"],
             Self::TermsFromOne | Self::DeafRobots => &["blackout without disks"],
             Self::UnbelievedTerm => &["forged term"],
             Self::Forgetful => &["power cut"],
@@ -273,6 +276,15 @@ impl Mutator {
                     }
                 }
                 Message::RobotTeam(report)
+            }
+            (Mutant::Overfull, Message::Teams { teams, mirror }) if teams.limited.is_some() => {
+                let mut teams = Teams::clone(&teams);
+                let others = teams.teams.split_off(teams.teams.len().min(1));
+                if let Some(first) = teams.teams.first_mut() {
+                    first.members.extend(others.into_iter().flat_map(|team| team.members));
+                    first.members.sort_by(|left, right| left.robot.cmp(&right.robot));
+                }
+                Message::Teams { teams: Checked::new_unchecked(teams), mirror }
             }
             (Mutant::RevisionTwice, Message::Roster(mut roster)) => {
                 let header = &mut roster.make_mut_unchecked().header;

@@ -152,7 +152,7 @@ impl World {
             Reception::News => self.log.line(self.now, format_args!("{name} receives its team")),
             Reception::Known => {}
             Reception::Refused { since } => {
-                let is_alone = self.nodes.len() == ServiceName::ALL.len();
+                let is_alone = self.nodes.len() == ServiceName::PIPELINE.len();
                 let applies = is_alone && self.clocks_agree && !self.oracle.had_forged_terms();
                 if applies && self.now > since + BELIEVED_WITHIN {
                     let promise = "robots believe services that have lost their state within 5 s";
@@ -367,8 +367,16 @@ impl World {
     }
 
     fn set(&mut self, service: ServiceName, patch: String) {
-        let selector = self.space.format(&Key::Settings(service));
-        let asked = BusGet { selector, parameters: "", payload: Some(patch.into_bytes()) };
+        let settings = self.space.format(&Key::Settings(service));
+        // A wish stands behind its key.
+        let (selector, payload) = match patch.split_once(' ').filter(|_| patch.starts_with("wish/"))
+        {
+            Some((key, wish)) => {
+                (settings.replace(&Key::Settings(service).to_string(), key), wish.to_owned())
+            }
+            None => (settings, patch),
+        };
+        let asked = BusGet { selector, parameters: "", payload: Some(payload.into_bytes()) };
         self.get(self.operator.link, asked, CONSOLE_TIMEOUT, Asker::Operator(service));
     }
 }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
+use muster_model::wish::Wish;
 use muster_service::inbox::{Inbox, Parcel};
 use muster_service::{Delivery, GetId, IncomingGet, Input, Stored};
 use muster_wire::{KeySpace, Packet, Pattern};
@@ -39,6 +40,9 @@ pub(crate) struct Process {
     pub(crate) stores_begun: u64,
     /// How many of those have ended, as the host knows. Replies wait for them.
     pub(crate) stores_ended: u64,
+    /// The same of what its core keeps: an answer that confirms a wish waits for that.
+    pub(crate) keeps_begun: u64,
+    pub(crate) keeps_ended: u64,
     /// When its disk has written everything.
     pub(crate) disk_free_at: Micros,
     /// Where the instance stands, as the host has announced it.
@@ -46,6 +50,8 @@ pub(crate) struct Process {
     /// The settings that it has published last, and how many times those differed from the ones before.
     pub(crate) settings: String,
     pub(crate) settings_changes: u32,
+    /// The wishes that it has published last: their changes count as changes of settings.
+    pub(crate) wishes: Vec<(String, Wish)>,
     /// The same count as its last job began …
     pub(crate) changes_before_job: u32,
     /// … and as the job began whose result it goes by.
@@ -63,6 +69,8 @@ pub(crate) struct UnansweredGet {
     pub(crate) bus_get: BusGetId,
     /// How many stores had started when the host took the get; none if it has not.
     pub(crate) stores_before: Option<u64>,
+    /// How many times its core had handed out what it keeps.
+    pub(crate) keeps_before: u64,
 }
 
 /// A subscription as the bus knows it.
@@ -171,10 +179,13 @@ impl Node {
             visible_tokens: BTreeSet::new(),
             stores_begun: 0,
             stores_ended: 0,
+            keeps_begun: 0,
+            keeps_ended: 0,
             disk_free_at: 0,
             announced_state: ReplicaState::Starting,
             settings: String::new(),
             settings_changes: 0,
+            wishes: Vec::new(),
             changes_before_job: 0,
             changes_before_result: 0,
             idle_timers: 0,
@@ -253,7 +264,9 @@ impl Node {
             let get = GetId(process.next_get);
             process.next_get += 1;
             let stores_before = None;
-            process.unanswered.insert(get, UnansweredGet { bus_get, stores_before });
+            process
+                .unanswered
+                .insert(get, UnansweredGet { bus_get, stores_before, keeps_before: 0 });
             process.waiting_gets.push_back(IncomingGet {
                 get,
                 selector: asked.selector.clone(),
@@ -312,6 +325,9 @@ impl Process {
     pub(crate) fn overdue_answers(&self) -> usize {
         let is_stored = |before: u64| before <= self.stores_ended;
         let gets = self.unanswered.values();
-        gets.filter(|get| get.stores_before.is_some_and(is_stored)).count()
+        gets.filter(|get| {
+            get.stores_before.is_some_and(is_stored) && get.keeps_before <= self.keeps_ended
+        })
+        .count()
     }
 }

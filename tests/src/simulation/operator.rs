@@ -30,7 +30,7 @@ impl Operator {
         Self { link, wanted: BTreeMap::new(), teams, refused: 0, confirmed: 0 }
     }
 
-    /// It wants to change settings.
+    /// It wants to change settings by a patch, or a wish by its key and its content.
     pub(crate) fn wants(&mut self, service: ServiceName, patch: String) {
         self.wanted.entry(service).or_default().push_back(patch);
     }

@@ -150,6 +150,8 @@ pub(crate) enum Fault {
     Ghosts { count: usize },
     /// An operator changes settings.
     Set { service: ServiceName, patch: String },
+    /// An operator puts or withdraws a wish about a robot.
+    Wish { id: &'static str, robot: usize, wish: &'static str },
     /// An operator sets what stops every job of the embedder, and mends it after a while.
     BadAlpha { lasts: Micros },
 }
@@ -200,7 +202,8 @@ impl Fault {
             | Self::Jump { .. }
             | Self::Burst { .. }
             | Self::Rubbish { .. }
-            | Self::Ghosts { .. } => true,
+            | Self::Ghosts { .. }
+            | Self::Wish { .. } => true,
             _ => false,
         }
     }
@@ -233,6 +236,7 @@ impl Fault {
             Self::Rubbish { .. } => "rubbish",
             Self::Ghosts { .. } => "ghosts",
             Self::Set { .. } => "settings",
+            Self::Wish { .. } => "wish",
             Self::BadAlpha { .. } => "bad alpha",
         }
     }
@@ -281,6 +285,7 @@ impl fmt::Display for Injection {
             }
             Fault::Ghosts { count } => write!(formatter, "{count}"),
             Fault::Set { service, patch } => write!(formatter, "{service} {patch}"),
+            Fault::Wish { id, robot, wish } => write!(formatter, "{id} of robot {robot}: {wish}"),
         }
     }
 }
@@ -363,6 +368,40 @@ const PATCHES: [(ServiceName, &[&str]); 4] = [
     ),
 ];
 
+/// Of a hundred seeds, those in which limits are set.
+const LIMITS_PERCENT: u64 = 30;
+
+/// Most changes of limits in one seed.
+const MAX_LIMITS: u64 = 4;
+
+/// Limits on the robots of teams. Some cannot be satisfied, and are refused; others cannot once robots come or leave.
+const LIMITS: [&str; 8] = [
+    r#"{"size":{"max":4}}"#,
+    r#"{"size":{"max":6}}"#,
+    r#"{"size":{"min":2}}"#,
+    r#"{"size":{"min":2,"max":5}}"#,
+    r#"{"size":{"min":3},"teams":2}"#,
+    r#"{"team_size":{"t1":{"max":3},"t2":{"min":2}}}"#,
+    r#"{"size":null}"#,
+    r#"{"size":null,"team_size":null}"#,
+];
+
+/// Of a hundred seeds, those in which an operator has wishes.
+const WISHES_PERCENT: u64 = 30;
+
+/// Most changes of wishes in one seed.
+const MAX_WISHES: u64 = 8;
+
+/// Wishes about a robot. Some wait for a team that is not there, some contradict others or limits and are refused.
+const WISHES: [&str; 6] = [
+    r#"{"kind":"pin","robots":["ROBOT"],"team":"t1"}"#,
+    r#"{"kind":"pin","robots":["ROBOT"],"team":"t2"}"#,
+    r#"{"kind":"ban","robots":["ROBOT"],"team":"t1"}"#,
+    r#"{"kind":"reserve","robots":["ROBOT"]}"#,
+    r#"{"kind":"lock","team":"t1"}"#,
+    "null",
+];
+
 /// The plan of a seed, in order of time. Nothing that heals by itself outlasts the storm.
 pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection> {
     let mut chance = Chance::new(seed, Purpose::Plan, 0);
@@ -387,6 +426,9 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
         let fault = Fault::PowerCut { lasts: power.between(50 * MS, 3 * SECOND) };
         injections.push(Injection { number: 0, at: begin, fault });
     }
+    injections.extend(limits(&mut Chance::new(seed, Purpose::Plan, 3), begin, end));
+    let chance = &mut Chance::new(seed, Purpose::Plan, 4);
+    injections.extend(wishes(chance, scale.robots, begin, end));
     let mut busy = Chance::new(seed, Purpose::Plan, 2);
     if busy.percent(BUSY_PERCENT) && end > begin {
         injections.retain(|injection| {
@@ -401,6 +443,38 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
         injection.number = number;
     }
     injections
+}
+
+/// Limits on the robots of teams that an operator sets, in some seeds, from a chance of their own.
+fn limits(chance: &mut Chance, begin: Micros, end: Micros) -> Vec<Injection> {
+    if !chance.percent(LIMITS_PERCENT) || end <= begin {
+        return Vec::new();
+    }
+    let count = chance.between(1, MAX_LIMITS);
+    let mut all = Vec::new();
+    for _ in 0..count {
+        let at = chance.between(begin, end.saturating_sub(MS).max(begin));
+        let patch = chance.pick(&LIMITS).copied().unwrap_or("{}").to_owned();
+        let fault = Fault::Set { service: ServiceName::Clusterer, patch };
+        all.push(Injection { number: 0, at, fault });
+    }
+    all
+}
+
+/// Wishes that an operator puts and withdraws, in some seeds, from a chance of their own.
+fn wishes(chance: &mut Chance, robots: usize, begin: Micros, end: Micros) -> Vec<Injection> {
+    if !chance.percent(WISHES_PERCENT) || end <= begin {
+        return Vec::new();
+    }
+    let mut all = Vec::new();
+    for _ in 0..chance.between(1, MAX_WISHES) {
+        let at = chance.between(begin, end.saturating_sub(MS).max(begin));
+        let id = chance.pick(&["w1", "w2", "w3"]).copied().unwrap_or("w1");
+        let wish = chance.pick(&WISHES).copied().unwrap_or("null");
+        let fault = Fault::Wish { id, robot: chance.below(robots), wish };
+        all.push(Injection { number: 0, at, fault });
+    }
+    all
 }
 
 fn draw(chance: &mut Chance, scale: &Scale, places: &[Place], room: Micros) -> Fault {

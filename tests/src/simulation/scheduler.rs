@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use muster_model::id::{ServiceName, TeamId};
 use muster_model::time::Tick;
+use muster_model::wish::{StandingWish, WishState};
 use muster_service::{Command, GetId, Input, Publication, Reply, Stored};
 use muster_wire::{Message, Packet};
 
@@ -66,6 +67,9 @@ impl World {
             Input::Stored { .. } => {
                 process.stores_ended += 1;
             }
+            Input::Kept { .. } => {
+                process.keeps_ended += 1;
+            }
             _ => {}
         }
         let handled = process.host.handle(now, input);
@@ -105,6 +109,7 @@ impl World {
         let taken = taken_get.and_then(|get| process.unanswered.get_mut(&get));
         if let Some(taken) = taken {
             taken.stores_before = Some(process.stores_begun);
+            taken.keeps_before = process.keeps_begun;
         }
         // Answers wait for the disk, and for nothing else that is asked for here.
         if process.overdue_answers() > 0 {
@@ -142,7 +147,8 @@ impl World {
             other @ (Command::DeclareToken(_)
             | Command::WithdrawToken(_)
             | Command::Append(_)
-            | Command::LookUp { .. }) => {
+            | Command::LookUp { .. }
+            | Command::Retain(_)) => {
                 // None of the four services has tokens or records of its own.
                 let seen = format!("{} wants {other:?}", self.nodes[index].name());
                 self.require(breach(CONTRACT, seen));
@@ -192,6 +198,7 @@ impl World {
         let node = &mut self.nodes[index];
         let Some(process) = &mut node.process else { return };
         let time = node.chance.between(WRITE_TIME.0, WRITE_TIME.1);
+        process.keeps_begun += 1;
         process.disk_free_at = process.disk_free_at.max(self.now) + time;
         let (at, life) = (process.disk_free_at, node.life);
         self.schedule(at, Event::Kept { node: index, life, content });
@@ -259,6 +266,16 @@ impl World {
             (Message::Settings(new), Some(process)) if new.settings != process.settings => {
                 process.settings.clone_from(&new.settings);
                 process.settings_changes += 1;
+            }
+            (Message::Wishes(list), Some(process)) => {
+                let counts = list.wishes.iter().filter(|one| one.state != WishState::Expired);
+                let named =
+                    |one: &StandingWish| (format!("{}/{}", one.operator, one.id), one.wish.clone());
+                let wishes: Vec<_> = counts.map(named).collect();
+                if wishes != process.wishes {
+                    process.wishes = wishes;
+                    process.settings_changes += 1;
+                }
             }
             _ => {}
         }
@@ -364,8 +381,9 @@ fn describe(space: &muster_wire::KeySpace, input: &Input) -> String {
         Input::Stored { .. } => "that its state is on the disk".to_owned(),
         Input::Restored(_) => "what it has kept".to_owned(),
         Input::Kept { .. } => "that what it keeps is on the disk".to_owned(),
-        Input::Found { .. } | Input::ProcessCounters(_) | Input::StateLost { .. } => {
-            input.kind().to_owned()
-        }
+        Input::Found { .. }
+        | Input::Recorded(_)
+        | Input::ProcessCounters(_)
+        | Input::StateLost { .. } => input.kind().to_owned(),
     }
 }

@@ -165,7 +165,7 @@ pub(super) struct World {
 
 /// All links: services first, then robots, an operator and an attacker.
 pub(super) fn places(scale: &Scale) -> Vec<Place> {
-    let services = ServiceName::ALL.into_iter().flat_map(|service| {
+    let services = ServiceName::PIPELINE.into_iter().flat_map(|service| {
         (0..scale.instances).map(move |instance| Place::Service(service, instance))
     });
     services.chain((0..scale.robots).map(Place::Robot)).collect()
@@ -557,7 +557,7 @@ impl World {
 
 /// Of the instances of a service, one leads and all others are standbys.
 fn one_leads_each_service(nodes: &[Node]) -> Result<(), String> {
-    for service in ServiceName::ALL {
+    for service in ServiceName::PIPELINE {
         let states: Vec<ReplicaState> = nodes
             .iter()
             .filter(|node| node.service == service)

@@ -344,7 +344,7 @@ impl State {
             Message::Audit(audit) => {
                 if let Some(awaited) = &mut self.awaited
                     && awaited.audit.is_none()
-                    && is_since(&audit.header, &ServiceName::ALL, awaited.since)
+                    && is_since(&audit.header, &ServiceName::PIPELINE, awaited.since)
                 {
                     awaited.audit = Some(now());
                 }
@@ -453,6 +453,7 @@ mod tests {
             inertia: 0.0,
             changes: Vec::new(),
             next_team,
+            limited: None,
         }
     }
 

@@ -6,16 +6,19 @@
     reason = "this is a test, and so are its helpers"
 )]
 
+mod alerts;
 mod flapping;
 mod properties;
 mod scoring;
 mod service;
+mod teams;
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 use std::time::Duration;
 
 use muster_auditor::Auditor;
+use muster_model::alert::Alerts;
 use muster_model::audit::{Audit, Flapping, Quality, RobotReturns, SilhouetteReport, Space};
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
@@ -35,7 +38,11 @@ const START: Tick = Tick(1_000_000_000);
 struct Bench {
     kit: testkit::Bench<Auditor>,
     audits: Vec<Arc<Audit>>,
+    /// The newest list of alerts.
+    alerts: Option<Arc<Alerts>>,
     events: Vec<EventKind>,
+    /// The events of the list of alerts.
+    alert_events: Vec<EventKind>,
 }
 
 impl Deref for Bench {
@@ -61,7 +68,7 @@ impl Bench {
             settings: AuditorSettings::default(),
             stored: Stored::default(),
         });
-        Self { kit, audits: Vec::new(), events: Vec::new() }
+        Self { kit, audits: Vec::new(), alerts: None, events: Vec::new(), alert_events: Vec::new() }
     }
 
     /// One that leads and found messages on the bus.
@@ -77,7 +84,14 @@ impl Bench {
         for message in std::mem::take(&mut self.kit.published) {
             match message {
                 Message::Audit(audit) => self.audits.push(audit),
-                Message::Event(event) => self.events.push(event.kind),
+                Message::Alerts(alerts) => self.alerts = Some(alerts),
+                Message::Event(event) => match event.kind {
+                    kind @ (EventKind::AlertRaised { .. }
+                    | EventKind::AlertCleared { .. }
+                    | EventKind::AlertAcknowledged { .. }
+                    | EventKind::AlertsFolded { .. }) => self.alert_events.push(kind),
+                    kind => self.events.push(kind),
+                },
                 Message::Settings(..) | Message::LeaseRenewal(..) => {}
                 other => panic!("{other:?}"),
             }
@@ -199,6 +213,7 @@ fn teams(epoch: u64, of: u64, teams: &[(&str, &str)], unassigned: &str) -> Messa
         inertia: 0.0,
         changes: vec![],
         next_team: 9,
+        limited: None,
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

@@ -2,17 +2,20 @@
 
 use std::sync::Arc;
 
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::roster::Roster;
 use muster_model::teams::Teams;
+use muster_model::time::Tick;
 use muster_wire::Message;
 
 use super::awaiting::Reunion;
 use super::{Clusterer, Context, Received};
 use crate::identity::is_believable;
 use crate::seats::Vacancies;
+use crate::wishes::WishBook;
 
 impl Clusterer {
     pub(super) fn accept_message(&mut self, context: &mut Context<'_>, message: Message) {
@@ -20,7 +23,9 @@ impl Clusterer {
             Message::Embedding(embedding) => self.accept_embedding(context, embedding),
             Message::Roster(roster) => self.accept_roster(context, roster),
             Message::Audit(audit) => self.accept_audit(audit),
+            Message::Alerts(alerts) => self.accept_alerts(alerts),
             Message::Teams { teams, .. } => self.accept_teams(context, &teams),
+            Message::Wishes(wishes) if !context.has_term() => self.keeping.note_wishes(wishes),
             _ => {}
         }
     }
@@ -47,6 +52,13 @@ impl Clusterer {
         let last = self.audit.as_ref().map(|audit| audit.header.revision);
         if last.is_none_or(|last| audit.header.revision > last) {
             self.audit = Some(audit);
+        }
+    }
+
+    fn accept_alerts(&mut self, alerts: Arc<Alerts>) {
+        let last = self.alerts.as_ref().map(|alerts| alerts.header.revision);
+        if last.is_none_or(|last| alerts.header.revision > last) {
+            self.alerts = Some(alerts);
         }
     }
 
@@ -91,7 +103,7 @@ impl Clusterer {
 
     /// Takes over the newest division of an earlier leader among messages, and the embedding that it
     /// names.
-    pub(super) fn inherit(&mut self, messages: &[Message]) {
+    pub(super) fn inherit(&mut self, now: Tick, messages: &[Message]) {
         for message in messages {
             let Message::Teams { teams, .. } = message else { continue };
             if !is_believable(teams) {
@@ -104,6 +116,14 @@ impl Clusterer {
                 self.division = Some(teams.clone());
             }
         }
+        for message in messages {
+            if let Message::Wishes(wishes) = message {
+                self.keeping.note_wishes(wishes.clone());
+            }
+        }
+        if let Some(wishes) = self.keeping.wishes() {
+            self.wishes = WishBook::of(&wishes.wishes);
+        }
         self.inherit_kept();
         Arc::make_mut(&mut self.memory).next_team = self.keeping.next_team;
         let named = self.division.as_ref().map(|division| division.embedding);
@@ -113,6 +133,11 @@ impl Clusterer {
             {
                 self.divided = Some(embedding.clone());
             }
+        }
+        let limited = self.division.as_ref().and_then(|division| division.limited.as_ref());
+        if limited.is_some_and(|limited| limited.conflict.is_some()) {
+            // Its event has been published.
+            self.infeasible_since = Some(now);
         }
         self.received_by_others = self.division.clone();
     }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use std::time::Duration;
 
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
@@ -12,10 +13,11 @@ use muster_model::teams::Teams;
 use muster_model::time::{Tick, seconds};
 use muster_wire::Message;
 
-use super::{Clusterer, Context, Published, Received, View};
+use super::{Clusterer, Context, Published, Received, Undecided, View};
 use crate::division::{changes, with_held};
 use crate::leader::leaders;
 use crate::publishing::{robots_to_inform, shortage};
+use crate::rules::TeamRules;
 use crate::seats::{Seats, reseated};
 
 /// Most changes of one division that are published as events; the others are only counted. When a whole fleet
@@ -32,10 +34,23 @@ impl Clusterer {
         let renewed = self.orders.renewed(now, self.roster.as_deref());
         let seated = before.as_deref().and_then(|before| reseated(before, &new));
         let seated = seated.as_ref().or(before.as_deref());
-        let held = self.moves.hold(now, dwell, &new, seated, &renewed);
+        let asked = self.rules(context.settings());
+        let rules = asked
+            .clone()
+            .map(|rules| rules.resolved(before.as_deref(), &self.memory, &source.embedding));
+        let stands = new.limited.as_ref().is_some_and(|limited| limited.conflict.is_some());
+        // A division that stands because nothing satisfies the rules has no noise to wait out.
+        let dwell = if stands { Duration::ZERO } else { dwell };
+        let mut held = self.moves.hold(now, dwell, &new, seated, &renewed);
+        if let Some(rules) = &rules
+            && !held.is_empty()
+        {
+            held = rules.keep(&new, held);
+            self.moves.keep(&held);
+        }
         let mut teams = new.clone();
         if !held.is_empty() {
-            match with_held(&new, &held, &source.embedding) {
+            match with_held(&new, &held, rules.as_ref(), &source.embedding) {
                 Ok(kept) => {
                     context.add("moves_held", held.len() as u64);
                     teams = kept;
@@ -46,7 +61,9 @@ impl Clusterer {
         }
         teams.changes = changes(&teams, before.as_deref());
         // What happened to the teams is published with this one.
-        self.undecided = (!held.is_empty()).then(|| Box::new(Teams { changes: vec![], ..new }));
+        let teams_found = Teams { changes: vec![], ..new };
+        let undecided = Undecided { teams: teams_found, rules: asked };
+        self.undecided = (!held.is_empty()).then(|| Box::new(undecided));
         Arc::make_mut(&mut self.memory).follow(now, before.as_deref(), &teams);
         self.publish(context, teams, source);
     }
@@ -60,10 +77,12 @@ impl Clusterer {
     /// Looks again at the robots that were kept in their team.
     pub(super) fn settle_again(&mut self, context: &mut Context<'_>) {
         if let Some(published) = &self.published
-            && let Some(new) = self.undecided.take()
+            && let Some(undecided) = self.undecided.take()
+            // What was to follow may break rules that hold since; another division comes then.
+            && undecided.rules == self.rules(context.settings())
         {
             let source = published.source.clone();
-            self.settle(context, *new, source);
+            self.settle(context, undecided.teams, source);
         }
     }
 
@@ -101,7 +120,10 @@ impl Clusterer {
         let changed: BTreeSet<&RobotId> = changed.into_iter().collect();
         let mirrored = if mirror { now } else { mirrored.unwrap_or(now) };
         let vacant = self.vacancies.count(now, Some(&teams));
-        let absent = Seats::of(Some(&teams), &self.memory, vacant, &source.embedding).absent;
+        let rules = self.rules(context.settings());
+        let reserved = rules.as_ref().map(TeamRules::reserved).unwrap_or_default();
+        let embedding = &source.embedding;
+        let absent = Seats::of(Some(&teams), &self.memory, vacant, &reserved, embedding).absent;
         self.divided = Some(source.embedding.clone());
         self.published = Some(Published { source, at: now, mirrored });
         self.division = Some(teams.clone());
@@ -109,6 +131,7 @@ impl Clusterer {
         if context.is_leading() {
             self.keeping.note(&teams);
             self.report_changes(context, &teams, absent);
+            self.assess_wishes(context, &teams);
             self.received_by_others = Some(teams);
         }
     }
@@ -162,6 +185,26 @@ impl Clusterer {
             }
             Some(_) => {}
             None => self.fewer = None,
+        }
+        self.report_feasibility(context, teams);
+    }
+
+    /// Publishes that nothing satisfies the rules any more, and that something does again.
+    fn report_feasibility(&mut self, context: &mut Context<'_>, teams: &Teams) {
+        let now = context.now();
+        match teams.limited.as_ref().and_then(|limited| limited.conflict.clone()) {
+            Some(reason) => {
+                if self.infeasible_since.is_none() {
+                    self.infeasible_since = Some(now);
+                    context.publish_event(Severity::Warning, EventKind::Infeasible { reason });
+                }
+            }
+            None => {
+                if let Some(since) = self.infeasible_since.take() {
+                    let after_s = now.since(since).as_secs_f64();
+                    context.publish_event(Severity::Info, EventKind::FeasibleAgain { after_s });
+                }
+            }
         }
     }
 

@@ -79,7 +79,7 @@ impl Bench {
                 Message::RobotTeam(team) => published.robots.push(team),
                 Message::Event(event) => published.events.push(event.kind),
                 Message::Settings(..) => published.settings += 1,
-                Message::LeaseRenewal(..) => {}
+                Message::LeaseRenewal(..) | Message::Wishes(_) => {}
                 other => panic!("{other:?}"),
             }
         }

@@ -6,8 +6,9 @@ use super::*;
 fn the_wiring_is_that_of_the_service() {
     let wiring = Clusterer::wiring();
     let patterns: Vec<_> = wiring.subscriptions.iter().map(|s| s.pattern.clone()).collect();
-    assert_eq!(patterns, [Key::Embedding, Key::Roster, Key::Audit, Key::Teams].map(Pattern::One));
-    for key in [Key::Audit, Key::JsonAudit] {
+    let keys = [Key::Embedding, Key::Roster, Key::Audit, Key::Teams, Key::Alerts, Key::Wishes];
+    assert_eq!(patterns, keys.map(Pattern::One));
+    for key in [Key::Audit, Key::JsonAudit, Key::Alerts, Key::JsonAlerts] {
         assert!(wiring.served.contains(&ServedKey::cached(Pattern::One(key))));
     }
     assert!(wiring.served.contains(&ServedKey::own(Pattern::RobotTeams)));
@@ -34,7 +35,7 @@ fn nothing_is_published_before_the_term_has_begun() {
     bench.input(Input::Started { linked: true });
     // The question for the leader is answered: there is none.
     let inquiry = std::mem::take(&mut bench.asks);
-    assert_eq!(inquiry.len(), 4);
+    assert_eq!(inquiry.len(), 5);
     bench.receive_embedding(&embedding(1, &[("a b", WEST), ("c d", EAST)]));
     bench.receive_roster(roster(1, "a b c d"));
     bench.wait(100.0);

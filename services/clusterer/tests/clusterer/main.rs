@@ -15,9 +15,11 @@ mod dwell;
 mod gets;
 mod identity;
 mod kept;
+mod limits;
 mod properties;
 mod publishing;
 mod recovery;
+mod wishes;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

@@ -130,12 +130,30 @@ fn the_last_audit_is_answered_for_the_auditor() {
             in_physical: SilhouetteReport::undefined(Space::Physical),
             quality: Quality::Undefined,
             flapping: Flapping::default(),
+            graphs: None,
+            per_team: vec![],
+            losses: vec![],
         })));
     }
     for selector in ["audit", "json/audit"] {
         let answer = bench.get(selector, None).unwrap();
         assert_eq!(answer[0].header().unwrap().revision, Revision { term: 7, epoch: 2 });
     }
+}
+
+#[test]
+fn the_last_list_of_alerts_is_answered_for_the_auditor_and_acknowledges_nothing() {
+    use muster_model::alert::Alerts;
+    let mut bench = Bench::leading(teams(2));
+    for epoch in [2, 1] {
+        let alerts = Alerts { header: header(7, epoch), next_id: epoch, folded: 0, open: vec![] };
+        bench.receive(Message::Alerts(Arc::new(alerts)));
+    }
+    for selector in ["alerts", "json/alerts"] {
+        let answer = bench.get(selector, None).unwrap();
+        assert_eq!(answer[0].header().unwrap().revision, Revision { term: 7, epoch: 2 });
+    }
+    assert!(bench.get("alerts", Some(r#"{"operator": "kim", "alert": 1}"#)).unwrap().is_empty());
 }
 
 #[test]

@@ -1,10 +1,10 @@
 //! What becomes of messages and of the answers of fetches.
 
 use muster_model::id::ServiceName;
+use muster_service::following::Acceptance;
 use muster_wire::{Key, Message};
 
 use super::{Context, Embedder};
-use crate::follow::Acceptance;
 
 impl Embedder {
     /// Accepts a message; what became of it, if it is one that the service reads and not refused.

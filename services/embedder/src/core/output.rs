@@ -6,12 +6,12 @@ use std::time::Duration;
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode};
 use muster_model::settings::EmbedderSettings;
+use muster_service::following::Frame;
 use muster_wire::Message;
 
 use super::{Context, Embedder};
 use crate::compute::{Basis, Computed};
 use crate::doubt::ModalityTrust;
-use crate::follow::Frame;
 
 /// How often an embedding is republished while rosters arrive and its basis does not change, so that its
 /// readers see that the data behind it is fresh.

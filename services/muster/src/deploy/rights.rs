@@ -7,6 +7,7 @@
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
 use muster_embedder::Embedder;
+use muster_historian::Historian;
 use muster_ingest::Ingest;
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::observation::Stream;
@@ -46,7 +47,8 @@ impl Rights {
                 let named = |robot: &&RobotId| robot.as_str() == identity.name;
                 fleet.robots.iter().find(named).map(|robot| of_robot(fleet, &space, robot))
             }
-            Kind::Operator | Kind::Viewer => Some(of_reader(&space, identity.kind)),
+            Kind::Operator => Some(of_operator(&space, &identity.name)),
+            Kind::Viewer => Some(of_viewer(&space)),
         }
     }
 }
@@ -58,6 +60,7 @@ fn wiring(service: ServiceName) -> Wiring {
         ServiceName::Embedder => Wiring::of::<Embedder>(),
         ServiceName::Clusterer => Wiring::of::<Clusterer>(),
         ServiceName::Auditor => Wiring::of::<Auditor>(),
+        ServiceName::Historian => Wiring::of::<Historian>(),
     }
 }
 
@@ -129,28 +132,54 @@ fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
     rights
 }
 
-/// A get of settings may carry a change, which a router cannot distinguish: a viewer may not get them.
-fn of_reader(space: &KeySpace, kind: Kind) -> Rights {
+/// An operator gets everything but the wishes of others: a get of a wish may carry a change, which a router cannot
+/// distinguish. All wishes are read on `wishes`.
+fn of_operator(space: &KeySpace, name: &str) -> Rights {
+    let all = |tail: &str| format!("muster/v1/{}/{tail}", space.fleet());
+    let keys = [
+        Key::Roster,
+        Key::Embedding,
+        Key::Teams,
+        Key::Audit,
+        Key::Schema,
+        Key::Wishes,
+        Key::Alerts,
+        Key::Event,
+    ];
+    let keys = keys.iter().map(|key| space.format(key));
+    let wildcards = ["robot/**", "graph/*", "service/**", "json/*", "history/**"].map(all);
+    let own = all(&format!("wish/{name}/*"));
+    Rights { get: keys.chain(wildcards).chain([own]).collect(), ..of_reader(space) }
+}
+
+/// A get of settings may carry a change, and one of alerts an acknowledgement, which a router cannot distinguish: a
+/// viewer may not get them.
+fn of_viewer(space: &KeySpace) -> Rights {
+    let keys = [
+        Pattern::RobotTeams,
+        Pattern::Graphs,
+        Pattern::Statuses,
+        Pattern::One(Key::Roster),
+        Pattern::One(Key::Embedding),
+        Pattern::One(Key::Teams),
+        Pattern::One(Key::Audit),
+        Pattern::One(Key::JsonTeams),
+        Pattern::One(Key::JsonAudit),
+        Pattern::One(Key::Wishes),
+        Pattern::One(Key::JsonWishes),
+        Pattern::Histories,
+        Pattern::HistoryStates,
+        Pattern::One(Key::JsonAlerts),
+    ];
+    let keys = keys.iter().map(|pattern| space.pattern(pattern));
+    Rights { get: keys.chain([schema(space)]).collect(), ..of_reader(space) }
+}
+
+/// What all who read everything may do.
+fn of_reader(space: &KeySpace) -> Rights {
     let everything = space.pattern(&Pattern::Everything);
-    let get = if kind == Kind::Operator {
-        vec![everything.clone()]
-    } else {
-        let keys = [
-            Pattern::RobotTeams,
-            Pattern::Graphs,
-            Pattern::Statuses,
-            Pattern::One(Key::Roster),
-            Pattern::One(Key::Embedding),
-            Pattern::One(Key::Teams),
-            Pattern::One(Key::Audit),
-            Pattern::One(Key::JsonTeams),
-            Pattern::One(Key::JsonAudit),
-        ];
-        keys.iter().map(|pattern| space.pattern(pattern)).chain([schema(space)]).collect()
-    };
     Rights {
         subscribe: vec![everything.clone()],
-        get,
         watch_token: vec![everything],
         ..Rights::default()
     }
@@ -204,6 +233,7 @@ mod tests {
         check_start::<Embedder>();
         check_start::<Clusterer>();
         check_start::<Auditor>();
+        check_start::<Historian>();
     }
 
     #[test]
@@ -219,6 +249,7 @@ mod tests {
             ("robot/*/refused", "ingest"),
             ("audit", "auditor"),
             ("json/audit", "auditor"),
+            ("history/*/state", "historian"),
         ] {
             for service in ServiceName::ALL {
                 let may = rights(&format!("service.{service}"));
@@ -238,13 +269,15 @@ mod tests {
             ] {
                 assert!(!list.iter().any(|key| key.contains("**")), "{list:?}");
             }
-            // Instances of a service elect their leader on this key.
+            // Instances of a service elect their leader on this key; those of historian have none.
+            let elects = service != ServiceName::Historian;
             let lease = of(&format!("service/{service}/holder"));
             for list in [&may.put, &may.subscribe, &may.get, &may.reply] {
-                assert!(list.contains(&lease), "{list:?}");
+                assert_eq!(list.contains(&lease), elects, "{list:?}");
             }
             let tokens = of(&format!("service/{service}/*"));
-            assert!(may.declare_token == [tokens.clone()] && may.watch_token.contains(&tokens));
+            assert_eq!(may.declare_token, std::slice::from_ref(&tokens));
+            assert_eq!(may.watch_token.contains(&tokens), elects);
             for other in ServiceName::ALL.iter().filter(|other| **other != service) {
                 let foreign = of(&format!("service/{other}/"));
                 assert!(
@@ -280,9 +313,17 @@ mod tests {
 
     #[test]
     fn only_operators_may_get_settings_which_may_change_them() {
-        assert_eq!(rights("operator.operator").get, ["muster/v1/default/**"]);
+        let operator = rights("operator.operator").get;
+        for key in ["service/**", "wish/operator/*", "wishes"] {
+            assert!(operator.contains(&format!("muster/v1/default/{key}")), "{operator:?}");
+        }
+        // The wishes of another operator are its own.
+        let of_wish = |key: &&String| key.contains("/wish/") || key.ends_with("default/**");
+        assert_eq!(operator.iter().filter(of_wish).count(), 1, "{operator:?}");
         let may = rights("viewer.dashboard");
         assert!(may.put.is_empty() && may.declare_token.is_empty() && may.reply.is_empty());
-        assert!(!may.get.iter().any(|key| key.contains("**") || key.contains("settings")));
+        assert!(!may.get.iter().any(|key| {
+            key.contains("**") || key.contains("settings") || key.contains("/wish/")
+        }));
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use muster_client::{Client, Error, Events, Feed, FleetPresence, ReceivedPose, ServiceInstance};
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::event::{Event, EventKind};
@@ -79,6 +80,7 @@ pub(super) struct Look {
     pub(super) embedding: Option<Arc<Embedding>>,
     pub(super) teams: Option<Arc<Teams>>,
     pub(super) audit: Option<Arc<Audit>>,
+    pub(super) alerts: Option<Arc<Alerts>>,
     /// The settings that services answer with.
     pub(super) ingest: Option<IngestSettings>,
     pub(super) clusterer: Option<ClustererSettings>,
@@ -140,12 +142,13 @@ pub(super) async fn look(
     let until = tokio::time::Instant::now() + listen_for;
     let (events, robot_clocks) = tokio::join!(problems(events, until), clocks(poses, until));
     // What may have changed while we listened is asked for at the end.
-    let ((after, _), roster, embedding, teams, audit, ingest, clusterer, auditor) = tokio::try_join!(
+    let ((after, _), roster, embedding, teams, audit, alerts, ingest, clusterer, auditor) = tokio::try_join!(
         statuses(client, &clock),
         async { reply(client.get_roster().await) },
         async { reply(client.get_embedding().await) },
         async { reply(client.get_teams().await) },
         async { reply(client.get_audit().await) },
+        async { reply(client.get_alerts().await) },
         settings(client, ServiceName::Ingest),
         settings(client, ServiceName::Clusterer),
         settings(client, ServiceName::Auditor),
@@ -163,6 +166,7 @@ pub(super) async fn look(
         embedding,
         teams,
         audit,
+        alerts,
         ingest,
         clusterer,
         auditor,
@@ -180,9 +184,10 @@ async fn statuses(
 ) -> Result<(Vec<ServiceStatus>, Vec<Instance>), Error> {
     let (mut statuses, mut instances) = (Vec::new(), Vec::new());
     let all = ServiceName::ALL.map(|service| status(client, clock, service));
-    let [first, second, third, fourth] = all;
-    let answers = tokio::try_join!(first, second, third, fourth)?;
-    for (status, clock_offset_s) in [answers.0, answers.1, answers.2, answers.3].concat() {
+    let [first, second, third, fourth, fifth] = all;
+    let answers = tokio::try_join!(first, second, third, fourth, fifth)?;
+    let answers = [answers.0, answers.1, answers.2, answers.3, answers.4];
+    for (status, clock_offset_s) in answers.concat() {
         instances.push(Instance {
             service: status.service,
             instance: status.instance.clone(),

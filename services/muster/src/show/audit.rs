@@ -2,6 +2,7 @@
 
 use muster_model::audit::{Audit, Flapping, SilhouetteMethod, SilhouetteReport};
 use muster_model::id::TeamId;
+use muster_model::team_audit::{Conductance, LeastFitting, Radio, Spread, TeamAudit};
 use muster_model::time::Tick;
 use muster_runtime::config::ProcessConfig;
 use muster_wire::json::EdgeJson;
@@ -49,14 +50,7 @@ impl Shown for Audit {
             ),
             flapping(&self.flapping),
         ];
-        let of = |report: &SilhouetteReport, team: &TeamId| {
-            report.per_team.iter().find(|(id, _)| id == team).map(|(_, value)| *value)
-        };
-        let rows = self.in_embedding.per_team.iter().map(|(team, value)| {
-            vec![team.to_string(), score(Some(*value)), score(of(&self.in_physical, team))]
-        });
-        let columns = ["team", "embedding", "physical"].map(Column::kept);
-        lines.extend(page.table(&columns, rows));
+        lines.extend(teams(self, page));
         if self.in_embedding.detail_method == SilhouetteMethod::SquaredExact {
             lines.push("those of teams and robots are of squared distances".to_owned());
         }
@@ -65,6 +59,10 @@ impl Shown for Audit {
         lowest.truncate(LOWEST_ROBOTS);
         let lowest = lowest.iter().map(|(robot, value)| format!("{robot} {value:+.3}"));
         lines.push(format!("lowest: {}", names(lowest)));
+        if !self.losses.is_empty() {
+            lines.push("the worst losses:".to_owned());
+        }
+        lines.extend(self.losses.iter().map(|loss| format!("  {}", loss.describe())));
         lines
     }
 
@@ -76,6 +74,73 @@ impl Shown for Audit {
         self.in_embedding == other.in_embedding
             && self.in_physical == other.in_physical
             && self.flapping == other.flapping
+            && self.per_team == other.per_team
+            && self.losses == other.losses
+    }
+}
+
+/// One line for each team.
+fn teams(audit: &Audit, page: &Page) -> Vec<String> {
+    let columns = [
+        Column::kept("team"),
+        Column::kept("robots"),
+        Column::dropped("stale", 4),
+        Column::kept("embedding"),
+        Column::dropped("physical", 5),
+        Column::dropped("least", 6),
+        Column::dropped("conductance", 7),
+        Column::dropped("radio", 1),
+        Column::dropped("falls apart without", 2),
+        Column::dropped("heads", 8),
+        Column::dropped("spread", 3),
+    ];
+    let physical = |team: &TeamId| {
+        let all = &audit.in_physical.per_team;
+        all.iter().find(|(id, _)| id == team).map(|(_, value)| *value)
+    };
+    let row = |of: &TeamAudit| {
+        let least = |least: &LeastFitting| format!("{} {:+.3}", least.robot, least.silhouette);
+        let conductance =
+            |of: &Conductance| format!("{} {:.2}", of.modality.as_str(), of.conductance);
+        let spread = |of: Spread| format!("{:.1} m, at most {:.1} m", of.rms_m, of.largest_m);
+        let head = of.only_head.as_ref().map(|head| format!(": {head}")).unwrap_or_default();
+        vec![
+            of.team.to_string(),
+            of.robots.to_string(),
+            of.stale.to_string(),
+            score(of.silhouette),
+            score(physical(&of.team)),
+            of.least.as_ref().map(least).unwrap_or_default(),
+            of.conductance.iter().map(conductance).collect::<Vec<_>>().join(", "),
+            of.radio.as_ref().map_or("no links".to_owned(), |radio| heard(radio, of)),
+            of.radio.as_ref().map(cut_robots).unwrap_or_default(),
+            format!("{}{head}", of.heads),
+            of.spread.map(spread).unwrap_or_default(),
+        ]
+    };
+    page.table(&columns, audit.per_team.iter().map(row))
+}
+
+/// In how many parts a team is, and how many robots its leader reaches if that is not all.
+fn heard(radio: &Radio, team: &TeamAudit) -> String {
+    let parts = match radio.parts {
+        1 => "1 part".to_owned(),
+        parts => format!("{parts} PARTS"),
+    };
+    let there = team.robots.saturating_sub(team.stale);
+    if radio.reached_by_leader >= there {
+        return parts;
+    }
+    format!("{parts}, leader reaches {} of {there}", radio.reached_by_leader)
+}
+
+/// The robots without which a team falls apart.
+fn cut_robots(radio: &Radio) -> String {
+    let unnamed = (radio.cut_robot_count as usize).saturating_sub(radio.cut_robots.len());
+    match (radio.cut_robots.is_empty(), unnamed) {
+        (true, _) => String::new(),
+        (false, 0) => names(radio.cut_robots.iter()),
+        (false, more) => format!("{} and {more} more", names(radio.cut_robots.iter())),
     }
 }
 

@@ -102,7 +102,7 @@ impl FleetStatus {
     fn absent(&self) -> Vec<ServiceName> {
         let absent =
             |name: &ServiceName| !self.services.iter().any(|status| status.service == *name);
-        ServiceName::ALL.into_iter().filter(absent).collect()
+        ServiceName::PIPELINE.into_iter().filter(absent).collect()
     }
 
     fn silent(&self) -> Vec<String> {

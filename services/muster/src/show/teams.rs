@@ -58,6 +58,10 @@ impl Shown for Teams {
         if !self.stale.is_empty() {
             lines.push(format!("stale: {}", names(self.stale.iter())));
         }
+        if let Some(conflict) = self.limited.as_ref().and_then(|limited| limited.conflict.as_ref())
+        {
+            lines.push(format!("limits do not hold: {conflict}"));
+        }
         lines.extend(self.changes.iter().map(|change| format!("  {}", describe(change))));
         lines
     }
@@ -120,6 +124,7 @@ mod tests {
             requested: 2,
             considered: vec![],
             next_team: 3,
+            limited: None,
             inertia: 0.0,
             unassigned: vec![robot("loose".to_owned())],
             stale: vec![],

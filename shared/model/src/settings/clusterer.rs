@@ -1,9 +1,13 @@
 //! Settings of `clusterer`.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Settings, SettingsError, TeamCount, check_range};
+use super::{Settings, SettingsError, TeamCount, TeamSize, check_range};
+use crate::id::TeamId;
+use crate::limits::MAX_TEAM_SIZES;
 
 /// How the centroids of a start of k-means are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -51,6 +55,26 @@ pub struct ClustererSettings {
     /// An unchanged division is republished after this many seconds.
     #[schemars(range(min = 0.1, max = MAX_HEARTBEAT_S))]
     pub heartbeat_s: f64,
+    /// How many robots each team has.
+    pub size: TeamSize,
+    /// How many robots single teams have, by their ids: what is named here replaces `size` for the team. A team that
+    /// is not there keeps its limits until it is.
+    #[schemars(length(max = MAX_TEAM_SIZES))]
+    pub team_size: BTreeMap<TeamId, TeamSize>,
+}
+
+impl ClustererSettings {
+    /// How many robots a team has: its own limits, and those of `size` where it has none.
+    #[must_use]
+    pub fn size_of(&self, team: &TeamId) -> TeamSize {
+        self.team_size.get(team).map_or(self.size, |own| own.or(self.size))
+    }
+
+    /// Whether any team has a limit.
+    #[must_use]
+    pub fn has_limits(&self) -> bool {
+        !self.size.is_open() || self.team_size.values().any(|size| !size.is_open())
+    }
 }
 
 impl Default for ClustererSettings {
@@ -64,6 +88,8 @@ impl Default for ClustererSettings {
             hysteresis: 0.05,
             dwell_s: 0.5,
             heartbeat_s: 1.0,
+            size: TeamSize::default(),
+            team_size: BTreeMap::new(),
         }
     }
 }
@@ -75,6 +101,18 @@ impl Settings for ClustererSettings {
         check_range("max_iterations", f64::from(self.max_iterations), 1.0..=100_000.0)?;
         check_range("hysteresis", self.hysteresis, 0.0..=0.99)?;
         check_range("dwell_s", self.dwell_s, 0.0..=MAX_DWELL_S)?;
-        check_range("heartbeat_s", self.heartbeat_s, 0.1..=MAX_HEARTBEAT_S)
+        check_range("heartbeat_s", self.heartbeat_s, 0.1..=MAX_HEARTBEAT_S)?;
+        self.size.check("size", TeamSize::default())?;
+        if self.team_size.len() > MAX_TEAM_SIZES {
+            let problem = format!(
+                "may name at most {MAX_TEAM_SIZES} teams, not {}: use `size` for the others",
+                self.team_size.len()
+            );
+            return Err(SettingsError::new("team_size", problem));
+        }
+        for (team, own) in &self.team_size {
+            own.check(&format!("team_size.{team}"), self.size)?;
+        }
+        Ok(())
     }
 }

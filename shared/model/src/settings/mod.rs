@@ -7,8 +7,10 @@
 mod auditor;
 mod clusterer;
 mod embedder;
+mod historian;
 mod ingest;
 mod team_count;
+mod team_size;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -21,11 +23,13 @@ pub use embedder::{
     SingularValueScaling, Trusted, WEIGHT_SUM_TOLERANCE, WHOLE_FROM, check_reciprocity,
     check_weights, coverage, default_weight,
 };
+pub use historian::HistorianSettings;
 pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialScale,
     SpatialSettings,
 };
 pub use team_count::TeamCount;
+pub use team_size::TeamSize;
 
 /// Longest field in an error, in characters: the path of any setting, and of a mistaken one its
 /// beginning.
@@ -166,9 +170,13 @@ pub(crate) fn check_range(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use serde_json::json;
 
     use super::*;
+    use crate::id::TeamId;
+    use crate::limits::MAX_TEAM_SIZES;
 
     #[test]
     fn the_defaults_hold_together() {
@@ -176,6 +184,7 @@ mod tests {
         assert_eq!(EmbedderSettings::default().check(), Ok(()));
         assert_eq!(ClustererSettings::default().check(), Ok(()));
         assert_eq!(AuditorSettings::default().check(), Ok(()));
+        assert_eq!(HistorianSettings::default().check(), Ok(()));
     }
 
     #[test]
@@ -230,6 +239,36 @@ mod tests {
             [TeamCount::Auto, range, 3.into()].map(|t| t.to_string()),
             ["auto", "2..4", "3"]
         );
+    }
+
+    #[test]
+    fn limits_of_teams_are_checked_together() {
+        let patched = |patch: Value| ClustererSettings::default().patched(&patch);
+        let t3 = TeamId::numbered(3);
+        let some = patched(json!({"size": {"min": 2}, "team_size": {"t3": {"max": 4}}})).unwrap();
+        assert_eq!(some.size_of(&t3), TeamSize { min: Some(2), max: Some(4) });
+        assert_eq!(some.size_of(&TeamId::numbered(1)), TeamSize { min: Some(2), max: None });
+        assert!(some.has_limits() && !ClustererSettings::default().has_limits());
+        let more = some.patched(&json!({"size": {"max": 9}})).unwrap();
+        assert_eq!(more.size, TeamSize { min: Some(2), max: Some(9) });
+        let none = more.patched(&json!({"size": null, "team_size": null})).unwrap();
+        assert_eq!(none, ClustererSettings::default());
+        for (wrong, field) in [
+            (json!({"size": 4}), "size"),
+            (json!({"size": {"most": 4}}), "size.most"),
+            (json!({"size": {"max": 0}}), "size.max"),
+            (json!({"size": {"min": 5, "max": 4}}), "size.max"),
+            (json!({"size": {"min": 200_000}}), "size.min"),
+            (json!({"team_size": {"t3": {"max": 0}}}), "team_size.t3.max"),
+            (json!({"size": {"min": 3}, "team_size": {"t3": {"max": 2}}}), "team_size.t3.max"),
+        ] {
+            let error = patched(wrong.clone()).unwrap_err();
+            assert_eq!(error.field, field, "{wrong}: {error}");
+        }
+        let many: BTreeMap<String, Value> =
+            (0..=MAX_TEAM_SIZES).map(|at| (format!("t{at}"), json!({"max": 4}))).collect();
+        let error = patched(json!({ "team_size": many })).unwrap_err();
+        assert!(error.field == "team_size" && error.problem.contains("256"), "{error}");
     }
 
     #[test]

@@ -10,7 +10,7 @@ use super::conflict::{Conflict, Imbalance, Rule};
 use super::filter::irreducible;
 use super::max_flow::MaxFlow;
 use super::restrictions::Restrictions;
-use super::rules::{Bounds, Column, Pair, Rules};
+use super::rules::{Bounds, Column, Pair, Rules, ValidRules};
 
 /// Capacity of arcs that nothing bounds: far above any number of robots, and sums of it fit.
 const UNBOUNDED: i64 = 1 << 40;
@@ -95,6 +95,16 @@ pub(super) fn find_conflict(rules: &Rules) -> Conflict {
         |cut| cut.imbalance(&fleet, &rules),
     );
     Conflict { rules, imbalance }
+}
+
+impl ValidRules {
+    /// An irreducible conflict of the rules; `None` if something satisfies them. A flow over robots that the rules treat
+    /// alike finds it, which takes no more time for many robots.
+    #[must_use]
+    pub fn conflict(&self) -> Option<Conflict> {
+        let rules = self.get();
+        Fleet::new(rules).cut(&all_rules(rules)).map(|_| find_conflict(rules))
+    }
 }
 
 impl<'a> Fleet<'a> {

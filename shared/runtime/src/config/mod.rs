@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 
 use muster_model::id::{FleetId, ServiceName};
 use muster_model::settings::{
-    AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, Settings, SettingsError,
+    AuditorSettings, ClustererSettings, EmbedderSettings, HistorianSettings, IngestSettings,
+    Settings, SettingsError,
 };
 use serde_json::Value;
 
@@ -166,6 +167,7 @@ impl ProcessConfig {
             (ServiceName::Embedder, file.embedder),
             (ServiceName::Clusterer, file.clusterer),
             (ServiceName::Auditor, file.auditor),
+            (ServiceName::Historian, file.historian),
         ];
         let patches = patches(tables, path.as_deref(), environment)?;
         let config = Self {
@@ -194,6 +196,7 @@ impl ProcessConfig {
         self.settings::<EmbedderSettings>(ServiceName::Embedder)?;
         self.settings::<ClustererSettings>(ServiceName::Clusterer)?;
         self.settings::<AuditorSettings>(ServiceName::Auditor)?;
+        self.settings::<HistorianSettings>(ServiceName::Historian)?;
         Ok(())
     }
 
@@ -251,7 +254,7 @@ impl ProcessConfig {
 
 /// The patches of the services' settings, of the file and of the environment.
 fn patches(
-    tables: [(ServiceName, Option<toml::Table>); 4],
+    tables: [(ServiceName, Option<toml::Table>); 5],
     path: Option<&Path>,
     environment: Environment<'_>,
 ) -> Result<Vec<(ServiceName, Origin, Value)>, ExitError> {

@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use muster_model::id::ServiceName;
 use muster_model::settings::{
-    AuditorSettings, ClustererSettings, EmbedderSettings, IngestSettings, Settings,
+    AuditorSettings, ClustererSettings, EmbedderSettings, HistorianSettings, IngestSettings,
+    Settings,
 };
 use serde_json::{Map, Value};
 
@@ -46,6 +47,7 @@ impl ProcessConfig {
                 ServiceName::Embedder => to_value(&self.settings::<EmbedderSettings>(*service)?),
                 ServiceName::Clusterer => to_value(&self.settings::<ClustererSettings>(*service)?),
                 ServiceName::Auditor => to_value(&self.settings::<AuditorSettings>(*service)?),
+                ServiceName::Historian => to_value(&self.settings::<HistorianSettings>(*service)?),
             };
             let _ = write!(text, "\n[{service}]\n");
             self.print_table(&mut text, *service, &settings, "");

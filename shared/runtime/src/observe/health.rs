@@ -79,8 +79,8 @@ pub(super) fn reasons(service: ServiceName, look: &Look) -> Vec<String> {
     {
         reasons.push(format!("every job has failed for {}: {reason}", seconds(Some(*lasting))));
     }
-    if service == ServiceName::Ingest {
-        // A fleet without robots is no fault of the service that waits for them.
+    if matches!(service, ServiceName::Ingest | ServiceName::Historian) {
+        // A fleet without robots, or of which nothing is heard, is no fault of the service that waits for it.
         return reasons;
     }
     let silent = |since: Option<Duration>, limit: Duration, begun: Duration| {

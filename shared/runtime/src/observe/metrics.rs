@@ -93,6 +93,8 @@ pub(super) struct Results {
     pub(super) unassigned: Family<Of, Gauge>,
     pub(super) silhouette: Family<OfWith, Number>,
     pub(super) returns: Family<Of, Number>,
+    pub(super) alerts: Family<OfWith, Gauge>,
+    pub(super) trust: Family<OfNamed, Number>,
     pub(super) katz_residual: Family<Of, Number>,
     pub(super) residual: Family<Of, Number>,
     pub(super) spectral_radius: Family<Of, Number>,
@@ -143,6 +145,12 @@ impl Results {
                 to,
                 "team_returns_per_robot_minute",
                 "Changes of robots into a team that they had left within the last minute",
+            ),
+            alerts: metric(to, "alerts_open", "Open alerts, by kind"),
+            trust: metric(
+                to,
+                "modality_trust",
+                "By how much the weight of each modality is multiplied, from 0 to 1",
             ),
             katz_residual: metric(to, "katz_residual", "Relative residual of the Katz similarity"),
             residual: metric(

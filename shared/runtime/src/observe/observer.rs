@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use muster_model::alert::AlertKind;
 use muster_model::event::{Event as FleetEvent, Severity};
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
@@ -312,6 +313,13 @@ impl Observer {
                 results.residual.get_or_create(&of).set(quality.residual);
                 results.spectral_radius.get_or_create(&of).set(quality.spectral_radius.1);
                 results.alpha.get_or_create(&of).set(quality.alpha);
+                // A modality that is no longer declared has no trust.
+                results.trust.clear();
+                for graph in &embedding.graphs {
+                    let service = (own.labels.0, own.labels.1.to_owned());
+                    let labels = [service, ("modality", graph.modality.to_string())];
+                    results.trust.get_or_create(&labels).set(graph.trust);
+                }
                 let mode = match quality.mode {
                     muster_model::embedding::EmbeddingMode::Dense => "dense",
                     muster_model::embedding::EmbeddingMode::Updated => "updated",
@@ -348,6 +356,14 @@ impl Observer {
                         }
                     }
                 }
+            }
+            Message::Alerts(alerts) => {
+                for kind in AlertKind::ALL {
+                    let open = alerts.open.iter().filter(|alert| alert.kind == kind).count();
+                    let labels = [own.labels, ("kind", kind.as_str())];
+                    results.alerts.get_or_create(&labels).set(count(open));
+                }
+                return;
             }
             Message::Event(event) => return log_event(event),
             _ => return,

@@ -7,10 +7,11 @@ use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{Mode, ProcessArgs, ProcessConfig};
 use muster_runtime::kept::KeptStore;
 use muster_runtime::observe::{Observatory, Observer};
-use muster_runtime::records::RecordStore;
+use muster_runtime::records::{RecordOptions, RecordPlace};
 use muster_runtime::shell::ServiceOptions;
 use muster_runtime::store::Store;
 use muster_service::Core;
+use muster_service::records::{MemoryRecords, Records};
 
 /// The items of a core that fetches nothing, publishes nothing by itself, and answers gets with nothing.
 macro_rules! passive_core {
@@ -70,10 +71,15 @@ pub(crate) fn observer<C: Core>() -> Observer {
 /// Options of a service that keeps nothing.
 pub(crate) fn options<C: Core>(settings: C::Settings) -> ServiceOptions<C::Settings> {
     let fleet = FleetId::new("default").unwrap();
+    let instance = InstanceId::of_process("test", 1, 1);
+    let place = RecordPlace { folder: None, fleet: fleet.clone(), instance: instance.clone() };
+    let open = |_: &RecordPlace| -> Result<Box<dyn Records>, String> {
+        Ok(Box::<MemoryRecords>::default())
+    };
     ServiceOptions {
-        instance: InstanceId::of_process("test", 1, 1),
+        instance,
         settings,
-        records: RecordStore::new(None, &fleet, C::SERVICE),
+        records: Some(RecordOptions { place, open }),
         store: Store::new(None, &fleet, C::SERVICE),
         kept: KeptStore::new(None, &fleet, C::SERVICE),
         record: None,

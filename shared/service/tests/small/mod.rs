@@ -9,6 +9,7 @@ use std::time::Duration;
 use muster_model::content::Checked;
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::{Header, Revision};
+use muster_model::history::{Page, Query, Record, RecordingReport, Retention, Subject};
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::observation::{CheckedReport, Pose, Report};
 use muster_model::role::{LeaseRenewal, ReplicaState};
@@ -17,8 +18,8 @@ use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_service::testkit::Bench;
 use muster_service::{
-    Ask, Connectivity, Context, Core, Get, GetId, IncomingGet, Input, JobEnd, Record, RecordRange,
-    Replication, Start, Stopwatch, Stored, View, Wiring,
+    Ask, Connectivity, Context, Core, Get, GetId, IncomingGet, Input, JobEnd, Replication, Start,
+    Stopwatch, Stored, View, Wiring,
 };
 use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{ForeignKey, Key, KeySpace, Message, Packet, Pattern};
@@ -59,8 +60,9 @@ impl<const KIND: u8> Small<KIND> {
         let key = || Key::RobotToken(RobotId::new("other").unwrap());
         match order {
             "fetch" => context.fetch(7, vec![Pattern::One(Key::Roster), Pattern::Graphs]),
-            "append" => context.append(vec![1, 2]),
-            "lookup" => context.look_up(5, RecordRange { from: 1, until: 9, limit: 3 }),
+            "append" => context.append(Record::Present(Vec::new())),
+            "lookup" => context.look_up(5, Query::of(Subject::Divisions)),
+            "retain" => context.retain(Retention { before: Tick(1), max_bytes: 2 }),
             "declare" => context.declare_token(key()),
             "withdraw" => context.withdraw_token(key()),
             "abandon" => context.abandon_job(),
@@ -184,8 +186,18 @@ impl<const KIND: u8> Core for Small<KIND> {
         self.start(context);
     }
 
-    fn on_records(&mut self, context: &mut Context<'_, Self>, lookup: u64, records: Vec<Record>) {
-        self.report(context, format!("lookup {lookup} has {} records", records.len()));
+    fn on_records(
+        &mut self,
+        context: &mut Context<'_, Self>,
+        lookup: u64,
+        page: Result<Page, String>,
+    ) {
+        let found = page.map_or_else(|error| error, |page| format!("{:?}", page.rows));
+        self.report(context, format!("lookup {lookup} finds {found}"));
+    }
+
+    fn on_recorded(&mut self, context: &mut Context<'_, Self>, report: RecordingReport) {
+        self.report(context, format!("recorded {} records", report.coverage.sequence));
     }
 
     fn on_settings(&mut self, context: &mut Context<'_, Self>) {
@@ -241,6 +253,7 @@ pub(crate) fn output(header: Header) -> Message {
         inertia: 0.0,
         changes: Vec::new(),
         next_team: 1,
+        limited: None,
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

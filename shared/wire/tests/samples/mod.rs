@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use muster_model::alert::{Acknowledgement, Alert, AlertKind, AlertSubject, Alerts};
 use muster_model::audit::{
     Audit, Flapping, Quality, RobotReturns, SilhouetteMethod, SilhouetteReport, Space,
 };
@@ -13,15 +14,24 @@ use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode, Embeddin
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision, StageTime};
-use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName, TeamId};
+use muster_model::history::{
+    Coverage, DivisionRow, EventCoverage, EventRow, HistoryAnswer, LeaveReason, PastAudit,
+    PastDivision, PastTeam, PlaceRow, RecordingState, Rows, SnapshotCause, StayRow, TeamMean,
+    TeamRow,
+};
+use muster_model::id::{
+    FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, TeamId, WishId,
+};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
 use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::status::{Departure, ServiceStatus};
-use muster_model::teams::{Member, Team, TeamChange, TeamCountScore, Teams};
+use muster_model::team_audit::{Conductance, LeastFitting, Loss, Radio, Spread, TeamAudit};
+use muster_model::teams::{Limited, Member, Team, TeamChange, TeamCountScore, Teams};
 use muster_model::time::Tick;
+use muster_model::wish::{StandingWish, Wish, WishKind, WishList, WishReport, WishState};
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
 
@@ -177,6 +187,11 @@ pub fn all() -> Vec<(&'static str, Message)> {
             TeamChange::Moved { robot: robot("r2"), from: Some(team("t1")), to: None },
         ],
         next_team: 3,
+        limited: Some(Limited {
+            optimal: false,
+            gap: 0.125,
+            conflict: Some("8 robots may only be in t1, which holds 6".to_owned()),
+        }),
     };
     let robot_team = teams.robot_team(&robot("r1")).unwrap();
     let report = |space, mean| SilhouetteReport {
@@ -199,6 +214,36 @@ pub fn all() -> Vec<(&'static str, Message)> {
             returns_per_robot_minute: 1.5,
             robots: vec![RobotReturns { robot: robot("r1"), returns: 3 }],
         },
+        graphs: Some(revision(42)),
+        per_team: vec![TeamAudit {
+            team: team("t1"),
+            robots: 3,
+            stale: 1,
+            leader_stale: true,
+            silhouette: Some(0.5),
+            least: Some(LeastFitting { robot: robot("r1"), silhouette: -0.25 }),
+            conductance: vec![Conductance { modality: Modality::hierarchy(), conductance: 0.125 }],
+            radio: Some(Radio {
+                parts: 2,
+                reached_by_leader: 0,
+                cut_robot_count: 1,
+                cut_robots: vec![robot("r1")],
+                bridges: 2,
+                worst_cut: 0.5,
+            }),
+            heads: 1,
+            only_head: Some(robot("r1")),
+            spread: Some(Spread { rms_m: 2.5, largest_m: 4.0 }),
+        }],
+        losses: vec![Loss {
+            robot: robot("r1"),
+            team: team("t1"),
+            part_count: 2,
+            parts: vec![5, 4],
+            cut_off: 4,
+            is_leader: true,
+            is_only_head: false,
+        }],
     };
     let event = |kind| {
         Message::Event(Event {
@@ -233,6 +278,19 @@ pub fn all() -> Vec<(&'static str, Message)> {
         state: "2 robots, 1 stale".to_owned(),
         counters: BTreeMap::from([("poses_accepted".to_owned(), 600)]),
         departed: vec![Departure { robot: robot("r7"), left: Tick(NOW.0 - 30_000_000) }],
+    };
+    let wish = StandingWish {
+        operator: OperatorId::new("alice").unwrap(),
+        id: WishId::new("p1").unwrap(),
+        wish: Wish {
+            kind: WishKind::Pin,
+            robots: vec![robot("r1")],
+            team: Some(team("t2")),
+            expires: Some(1_795_209_990.5),
+            note: Some("carries the relay".to_owned()),
+        },
+        state: WishState::Waiting,
+        reason: Some("team t2 is not there".to_owned()),
     };
     vec![
         ("pose", from_robot("r1", pose)),
@@ -272,7 +330,160 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ),
         ("status", Message::Status(Box::new(status))),
         ("katz", Message::Katz(Box::new(pair))),
+        ("history", Message::History(Box::new(history()))),
+        ("history_state", Message::HistoryState(Box::new(history_state()))),
+        ("alerts", Message::Alerts(Arc::new(alerts()))),
+        (
+            "wishes",
+            Message::Wishes(Checked::new_unchecked(WishList {
+                header: header(48),
+                wishes: vec![wish.clone()],
+            })),
+        ),
+        ("wish_report", Message::Wish(Box::new(WishReport { header: header(48), wish }))),
     ]
+}
+
+fn history() -> HistoryAnswer {
+    let audit = PastAudit {
+        sequence: 41,
+        at: Tick(NOW.0 - 20_000_000),
+        division: revision(42),
+        mean: Some(0.5),
+        physical_mean: None,
+        verdict: Quality::Good,
+        per_team: vec![TeamMean { team: team("t1"), mean: 0.5 }],
+    };
+    let division = PastDivision {
+        sequence: 40,
+        at: Tick(NOW.0 - 30_000_000),
+        revision: revision(42),
+        requested: 2,
+        teams: vec![PastTeam {
+            id: team("t1"),
+            members: vec![robot("r1"), robot("r2")],
+            leader: Some(robot("r1")),
+        }],
+        unassigned: vec![robot("r3")],
+        stale: vec![robot("r2")],
+        audit: Some(audit),
+    };
+    HistoryAnswer {
+        fleet: fleet(),
+        instance: InstanceId::new("host-1").unwrap(),
+        recorded_from: Some(Tick(NOW.0 - 60_000_000)),
+        recorded_through: Some(NOW),
+        before: None,
+        rows: Rows::AsOf(Some(Box::new(division))),
+    }
+}
+
+/// One of every kind of rows that a history answers, by name, but the division at a moment.
+pub fn history_rows() -> Vec<(&'static str, Rows)> {
+    let at = Tick(NOW.0 - 30_000_000);
+    let division = DivisionRow {
+        sequence: 40,
+        at,
+        revision: revision(42),
+        requested: 2,
+        teams: 2,
+        robots: 3,
+        changed: 1,
+        snapshot: Some(SnapshotCause::Gap),
+    };
+    let place = PlaceRow {
+        sequence: 40,
+        at,
+        team: Some(team("t1")),
+        was: None,
+        present: true,
+        stale: false,
+        snapshot: None,
+    };
+    let of_team = TeamRow {
+        sequence: 40,
+        at,
+        leader: Some(robot("r1")),
+        members: 2,
+        came: vec![robot("r2")],
+        went: vec![robot("r3")],
+    };
+    let event = EventRow {
+        sequence: 41,
+        at,
+        source: ServiceName::Ingest,
+        revision: revision(7),
+        severity: Severity::Warning,
+        event: "robot_left".to_owned(),
+        detail: r#"{"robot":"r3"}"#.to_owned(),
+    };
+    let stay = StayRow {
+        sequence: 3,
+        robot: robot("r3"),
+        joined: Some(Tick(NOW.0 - 60_000_000)),
+        recorded: Tick(NOW.0 - 60_000_000),
+        left: Some(at),
+        last_seen: Some(Tick(at.0 - 10_000_000)),
+        reason: Some(LeaveReason::Disconnected),
+    };
+    vec![
+        ("divisions", Rows::Divisions(vec![division])),
+        ("robot", Rows::Robot(vec![place])),
+        ("team", Rows::Team(vec![of_team])),
+        ("events", Rows::Events(vec![event])),
+        ("robots", Rows::Robots(vec![stay])),
+    ]
+}
+
+/// An answer of a history with these rows, and more behind them.
+pub fn history_of(rows: Rows) -> Message {
+    Message::History(Box::new(HistoryAnswer { rows, before: Some(40), ..history() }))
+}
+
+fn history_state() -> RecordingState {
+    let coverage = Coverage {
+        recorded_from: Some(Tick(NOW.0 - 60_000_000)),
+        recorded_through: Some(NOW),
+        sequence: 42,
+        division: Some(revision(42)),
+        audit: Some(revision(17)),
+        events: vec![EventCoverage { source: ServiceName::Ingest, revision: revision(5) }],
+        bytes: 4096,
+    };
+    RecordingState {
+        fleet: fleet(),
+        instance: InstanceId::new("host-1").unwrap(),
+        coverage,
+        lost: 3,
+        degraded: Some("the disk is full".to_owned()),
+    }
+}
+
+fn alerts() -> Alerts {
+    let cut_off = Alert {
+        id: 7,
+        kind: AlertKind::CutOff,
+        subject: AlertSubject::Team(team("t1")),
+        raised: Tick(NOW.0 - 5_000_000),
+        value: 2.0,
+        threshold: 2.0,
+        reason: "no link joins the 2 parts of t1; its leader reaches 1 of 3 robots".to_owned(),
+        robots: vec![robot("r1")],
+        acknowledged: Some(Acknowledgement {
+            operator: OperatorId::new("kim").unwrap(),
+            at: Tick(NOW.0 - 1_000_000),
+        }),
+    };
+    let doubted = Alert {
+        id: 8,
+        kind: AlertKind::ModalityDoubted,
+        subject: AlertSubject::Modality(Modality::spatial()),
+        value: 0.25,
+        threshold: 0.5,
+        acknowledged: None,
+        ..cut_off.clone()
+    };
+    Alerts { header: header(48), next_id: 9, folded: 3, open: vec![cut_off, doubted] }
 }
 
 /// One of every kind of event; the changes of a division with every kind of change.
@@ -318,6 +529,35 @@ pub fn event_kinds() -> Vec<EventKind> {
         EventKind::RobotsRecovered { count: 2, robots: vec![r1(), robot("r2")] },
         EventKind::RobotsLeft { count: 2, robots: vec![r1(), robot("r2")] },
         EventKind::StateLost { reason: "term.json: cannot be read".to_owned() },
+        EventKind::HistoryDegraded { reason: "the disk is full".to_owned() },
+        EventKind::HistoryRecovered { lost: 3 },
+        EventKind::HistoryDamaged { reason: "history.sqlite: malformed".to_owned() },
+        EventKind::AlertRaised {
+            alert: 7,
+            kind: AlertKind::CutOff,
+            team: Some(team("t1")),
+            modality: None,
+            value: 2.0,
+            threshold: 2.0,
+            reason: "no link joins the 2 parts of t1".to_owned(),
+            robots: vec![r1()],
+        },
+        EventKind::AlertCleared {
+            alert: 7,
+            kind: AlertKind::CutOff,
+            team: Some(team("t1")),
+            modality: None,
+            open_s: 12.5,
+        },
+        EventKind::AlertAcknowledged { alert: 7, operator: OperatorId::new("kim").unwrap() },
+        EventKind::AlertsFolded { count: 3 },
+        EventKind::Infeasible { reason: "8 robots may only be in t1, which holds 6".to_owned() },
+        EventKind::FeasibleAgain { after_s: 2.5 },
+        EventKind::WishChanged {
+            operator: OperatorId::new("alice").unwrap(),
+            id: WishId::new("p1").unwrap(),
+            state: WishState::Active,
+        },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));
     kinds

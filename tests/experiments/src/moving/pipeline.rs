@@ -133,6 +133,7 @@ impl<C: Core> Stage<C> {
                     | Command::KeptIsUnusable(_)
                     | Command::Append(_)
                     | Command::LookUp { .. }
+                    | Command::Retain(_)
                     | Command::Unencodable(_) => {}
                 }
             }

@@ -84,7 +84,7 @@ pub(crate) fn check_division(
     check_teams(teams)
 }
 
-/// The teams of a division are whole. Pins and limits of size will be checked here once there are any.
+/// The teams of a division are whole.
 pub(super) fn check_teams(teams: &Teams) -> Verified {
     let revision = teams.header.revision;
     let ids: BTreeSet<_> = teams.teams.iter().map(|team| &team.id).collect();

@@ -30,6 +30,11 @@ pub(crate) fn check(message: &Message) -> Verified {
         Message::LeaseRenewal(claim) => claim.serialize(Walker),
         Message::Settings(announced) => announced.serialize(Walker),
         Message::Status(status) => status.serialize(Walker),
+        Message::History(answer) => answer.serialize(Walker),
+        Message::HistoryState(state) => state.serialize(Walker),
+        Message::Alerts(alerts) => alerts.serialize(Walker),
+        Message::Wishes(list) => list.serialize(Walker),
+        Message::Wish(report) => report.wish.serialize(Walker),
     };
     match walked {
         Ok(()) => Ok(()),

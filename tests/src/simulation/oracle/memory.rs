@@ -57,15 +57,24 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
             // limit of a fleet, whatever happens. And the robots that are kept in their team for now.
             robots: bounds.names.min(MAX_ROBOTS) + bounds.names.pow(2).min(MAX_ROBOTS) + robots,
             edges: 0,
-            // The division as it was found is the eighth, and two are on disk or on their way.
-            messages: 10,
+            // The division as it was found is the ninth, two are on disk or on their way, and one has all wishes.
+            messages: 12,
             offenders: OFFENDERS,
         },
         ServiceName::Auditor => MemoryUse {
-            // The rosters, and the robots that have changed their team.
-            robots: (MAX_AUDITOR_MESSAGES + 1) * robots,
+            // The rosters, the robots that have changed their team, and the rosters that graphs are followed by.
+            robots: (MAX_AUDITOR_MESSAGES + 3) * robots,
+            // As in the embedder.
+            edges: (2 + MAX_WAITING_DELTAS) * graphs * robots * robots,
+            messages: 2 * MAX_AUDITOR_MESSAGES + 6,
+            offenders: OFFENDERS,
+        },
+        ServiceName::Historian => MemoryUse {
+            // The newest roster and division, and the tokens.
+            robots: 3 * robots,
             edges: 0,
-            messages: 2 * MAX_AUDITOR_MESSAGES + 4,
+            // The settings of the services, and gets that wait.
+            messages: 4 + 64,
             offenders: OFFENDERS,
         },
     }
@@ -94,7 +103,7 @@ mod tests {
     #[test]
     fn one_too_many_of_anything_is_seen() {
         let bounds = Bounds { max_robots: 5, names: 9 };
-        for service in ServiceName::ALL {
+        for service in ServiceName::PIPELINE {
             let full = most(service, bounds);
             assert_eq!(check_memory_use(service, full, bounds), Ok(()));
             for more in [

@@ -5,9 +5,11 @@
 //! slowly, and share no code with what they check but the types of the messages.
 
 mod agreement;
+mod alerts;
 mod division;
 mod finite;
 mod ids;
+mod limits;
 mod memory;
 mod order;
 mod received;
@@ -138,6 +140,9 @@ pub(crate) struct Oracle {
     /// The ids of teams, where one instance of the clusterer gives them all. Of two, the one that is cut off
     /// may give some that nobody hears of.
     ids: Option<Ids>,
+    alerts: alerts::AlertLog,
+    /// Whether limits of teams hold.
+    limits: limits::Limits,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
     had_forged_terms: bool,
@@ -262,10 +267,16 @@ impl Oracle {
                 if let Some(before) = self.divided.replace(divided) {
                     self.check_same_again(before)?;
                 }
+                self.limits.check(publisher, teams)?;
                 self.divisions.add(teams.header.revision, teams);
             }
             Message::Graph(delta) => self.graph = Some(Arc::clone(delta)),
+            Message::Wishes(list) => self.limits.wished(publisher, list),
+            Message::Event(event) if service == ServiceName::Clusterer => {
+                self.limits.reported(publisher, &event.kind);
+            }
             Message::Settings(announced) if service == ServiceName::Clusterer => {
+                self.limits.announced(publisher, announced);
                 self.settings = Some(announced.clone());
             }
             Message::RobotTeam(team) => division::check_robot_team(team, &self.divisions)?,
@@ -273,6 +284,8 @@ impl Oracle {
                 silhouettes::check(audit, self)?;
                 self.audits.add(audit.header.revision, audit);
             }
+            Message::Alerts(alerts) => self.alerts.check_list(publisher, alerts)?,
+            Message::Event(event) => self.alerts.check_event(publisher, event)?,
             _ => {}
         }
         Ok(())

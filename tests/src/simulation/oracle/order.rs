@@ -46,7 +46,7 @@ impl Order {
     /// Until a moment, an instance of a service, or of any if none is named, may not receive the lease
     /// renewals of another one, or receives forged messages.
     pub(crate) fn disturbed(&mut self, service: Option<ServiceName>, until: Micros) {
-        for other in ServiceName::ALL {
+        for other in ServiceName::PIPELINE {
             if service.is_none_or(|service| service == other) {
                 let before = self.disturbed_until.entry(other).or_default();
                 *before = until.max(*before);
@@ -80,8 +80,9 @@ impl Order {
         let counts = !repeats;
         let Publisher { service, instance, .. } = publisher;
         // A process that is killed before its term is on the disk begins it again. Readers answer with
-        // what it gave, except events and refusals, which no reader keeps.
-        let of_process = matches!(message, Message::Event(_) | Message::Refused(_));
+        // what it gave, except events, refusals and wishes, which no reader keeps.
+        let of_process =
+            matches!(message, Message::Event(_) | Message::Refused(_) | Message::Wishes(_));
         let key = if of_process { format!("{key} of process {}", publisher.process) } else { key };
         let place = (service, instance, key);
         if matches!(message, Message::Settings(_)) && revision == Revision::default() {

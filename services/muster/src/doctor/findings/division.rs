@@ -3,11 +3,14 @@
 
 use std::collections::BTreeMap;
 
+use muster_model::alert::{AlertKind, Alerts};
 use muster_model::audit::Flapping;
 use muster_model::embedding::EmbeddingGraph;
-use muster_model::event::{Event, EventKind};
+use muster_model::event::{Event, EventKind, Severity};
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::AuditorSettings;
+
+use muster_wire::message::plain_reason;
 
 use super::{Finding, warning};
 use crate::doctor::look::Look;
@@ -19,7 +22,8 @@ pub(super) fn division(look: &Look) -> Vec<Finding> {
         .as_ref()
         .and_then(|audit| flapping(&audit.flapping, &look.auditor.clone().unwrap_or_default()));
     let graphs = look.embedding.as_ref().map_or(&[][..], |embedding| &embedding.graphs);
-    flapping.into_iter().chain(doubted(graphs, &look.events)).collect()
+    let open = look.alerts.as_deref().and_then(alerts);
+    flapping.into_iter().chain(doubted(graphs, &look.events)).chain(open).collect()
 }
 
 /// Robots that change their team and change back.
@@ -37,6 +41,27 @@ fn flapping(flapping: &Flapping, settings: &AuditorSettings) -> Option<Finding> 
                   set clusterer teams=auto`. If it fits, let robots stay longer: raise dwell_s or \
                   hysteresis of clusterer. `flapping` of auditor is the rate from which on this is reported";
     Some(warning("teams_flapping", seen, remedy).about(robots))
+}
+
+/// Alerts that are open, and that no operator has seen. What has a finding of its own is left to that.
+fn alerts(alerts: &Alerts) -> Option<Finding> {
+    let has_finding = |kind| matches!(kind, AlertKind::Flapping | AlertKind::ModalityDoubted);
+    let unseen = alerts.open.iter().filter(|alert| {
+        alert.acknowledged.is_none()
+            && alert.kind.severity() > Severity::Info
+            && !has_finding(alert.kind)
+    });
+    let unseen: Vec<_> = unseen.collect();
+    let first = unseen.first()?;
+    let named = unseen.iter().map(|alert| format!("{} of {}", alert.kind, alert.subject));
+    let seen = format!("alerts are open: {}; {}", names(named), plain_reason(&first.reason));
+    let remedy = format!(
+        "`muster alerts` shows them, and `muster alerts ack {} --operator NAME` says that one has been seen; \
+         the thresholds are settings of auditor",
+        first.id
+    );
+    let subjects = unseen.iter().map(|alert| &alert.subject);
+    Some(warning("alerts_open", seen, remedy).about(subjects))
 }
 
 /// Modalities that contradict the others.
@@ -76,10 +101,11 @@ fn doubted(graphs: &[EmbeddingGraph], events: &[Event]) -> Vec<Finding> {
 
 #[cfg(test)]
 mod tests {
+    use muster_model::alert::{Acknowledgement, Alert, AlertSubject};
     use muster_model::audit::RobotReturns;
-    use muster_model::event::Severity;
     use muster_model::header::{Header, Revision};
-    use muster_model::id::{FleetId, ServiceName};
+    use muster_model::id::{FleetId, OperatorId, ServiceName, TeamId};
+    use muster_model::time::Tick;
 
     use super::*;
 
@@ -100,6 +126,47 @@ mod tests {
         assert_eq!((found.id, &found.subjects[..]), ("teams_flapping", &["r1".to_owned()][..]));
         assert!(found.seen.contains("0.90") && found.remedy.contains("teams=auto"), "{found:?}");
         assert!(flapping(&of(0.9, 2), &AuditorSettings { flapping: 1.0, ..settings }).is_none());
+    }
+
+    #[test]
+    fn open_alerts_that_nobody_has_seen_are_found() {
+        let alert = |id, kind, acknowledged| Alert {
+            id,
+            kind,
+            subject: AlertSubject::Team(TeamId::numbered(id)),
+            raised: Tick(1),
+            value: 2.0,
+            threshold: 2.0,
+            reason: "no link joins its parts".to_owned(),
+            robots: vec![],
+            acknowledged,
+        };
+        let by = Acknowledgement { operator: OperatorId::new("kim").unwrap(), at: Tick(2) };
+        let list = |open| Alerts {
+            header: Header {
+                fleet: FleetId::new("f").unwrap(),
+                revision: Revision::default(),
+                oldest: None,
+                newest: None,
+                stages: vec![],
+            },
+            next_id: 9,
+            folded: 0,
+            open,
+        };
+        let quiet = vec![
+            alert(1, AlertKind::CutOff, Some(by)),
+            alert(2, AlertKind::Fragile, None),
+            alert(3, AlertKind::Flapping, None),
+        ];
+        assert!(alerts(&list(quiet.clone())).is_none());
+        let open = [quiet, vec![alert(4, AlertKind::CutOff, None)]].concat();
+        let found = alerts(&list(open)).unwrap();
+        assert_eq!((found.id, &found.subjects[..]), ("alerts_open", &["t4".to_owned()][..]));
+        assert!(
+            found.seen.contains("cut_off of t4") && found.remedy.contains("ack 4"),
+            "{found:?}"
+        );
     }
 
     #[test]

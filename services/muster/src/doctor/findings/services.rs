@@ -18,7 +18,7 @@ const CLOCK_OFF_S: f64 = 0.5;
 
 pub(super) fn services(look: &Look) -> Vec<Finding> {
     let mut found = Vec::new();
-    for service in ServiceName::ALL {
+    for service in ServiceName::PIPELINE {
         let answered = look.instances.iter().any(|instance| instance.service == service);
         let running = look.tokens.iter().any(|token| token.service == service);
         if !answered && !running {
@@ -189,6 +189,18 @@ pub(super) fn state(look: &Look) -> Vec<Finding> {
                  its log names the file. The finding ends with the next start of the service",
             )
             .about(&lost),
+        );
+    }
+    let degraded = with("history_degraded");
+    if !degraded.is_empty() {
+        found.push(
+            warning(
+                "history_degraded",
+                format!("keeps less of the past than it should: {}", degraded.join(", ")),
+                "free space on the disk of its state directory, or lower max_mb of historian; its state in \
+                 `muster status` says what is wrong. It recovers without a restart",
+            )
+            .about(&degraded),
         );
     }
     let unwritable = with("state_unwritable");

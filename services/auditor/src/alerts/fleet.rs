@@ -37,16 +37,17 @@ impl Alert {
         Some(EventKind::QualityLow { mean })
     }
 
+    /// An earlier leader has raised the alert, or has not.
+    pub(crate) fn inherit(&mut self, raised: bool) {
+        self.raised = raised;
+    }
+
     /// When the alert will be raised if the quality stays as it is.
     pub(crate) fn due(&self, settings: &AuditorSettings) -> Option<Tick> {
         let since = self.low_since.filter(|_| !self.raised)?;
         Some(since.after(seconds(settings.alert_after_s)))
     }
 }
-
-/// Share of the threshold at which the alert of flapping ends: a rate near the threshold raises only one
-/// alert.
-const FLAPPING_END: f64 = 0.5;
 
 /// Watches how often robots change teams to and fro. The window of the rate makes it slow enough that no
 /// delay is needed.
@@ -64,7 +65,7 @@ impl FlappingAlert {
     ) -> Option<EventKind> {
         let Flapping { returns_per_robot_minute, .. } = flapping;
         if self.raised {
-            if returns_per_robot_minute > settings.flapping * FLAPPING_END {
+            if returns_per_robot_minute > settings.flapping * settings.alert_release {
                 return None;
             }
             self.raised = false;
@@ -76,6 +77,11 @@ impl FlappingAlert {
         self.raised = true;
         let robots = flapping.robots.into_iter().map(|entry| entry.robot).collect();
         Some(EventKind::Flapping { returns_per_robot_minute, robots })
+    }
+
+    /// An earlier leader has raised the alert, or has not.
+    pub(crate) fn inherit(&mut self, raised: bool) {
+        self.raised = raised;
     }
 
     /// Whether the alert stands, so that its end is to be watched for.
@@ -98,6 +104,7 @@ mod tests {
             alert_after_s: 3.0,
             alert_clearance: 0.05,
             flapping: 0.05,
+            ..AuditorSettings::default()
         }
     }
 

@@ -6,6 +6,8 @@
 //! Revisions go forward only, with one exception: a graph that stays ahead of the rosters is rolled back to
 //! what they list (see [`Follower::roll_back`]).
 
+mod waiting;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,14 +15,15 @@ use std::time::Duration;
 use muster_model::content::Checked;
 use muster_model::graph::{GraphDelta, GraphError, GraphReplica};
 use muster_model::header::Revision;
-use muster_model::id::{Modality, RobotId, ServiceName};
+use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_GRAPHS;
 use muster_model::roster::Roster;
 use muster_model::time::Tick;
-use muster_service::MemoryUse;
 use muster_wire::{Key, KeySpace, Message, Pattern, Request};
 
-use crate::waiting::WaitingDeltas;
+use waiting::WaitingDeltas;
+
+use crate::MemoryUse;
 
 /// Least time between the starts of two fetches.
 const FETCH_INTERVAL: Duration = Duration::from_millis(500);
@@ -47,21 +50,21 @@ const ROSTER_FETCH_INTERVAL: Duration = Duration::from_secs(2);
 
 /// One consistent state of the fleet.
 #[derive(Debug)]
-pub(crate) struct Frame {
+pub struct Frame {
     /// The robots of the fleet.
-    pub(crate) roster: Checked<Roster>,
+    pub roster: Checked<Roster>,
     /// When the last part arrived.
-    pub(crate) received: Tick,
+    pub received: Tick,
     /// The robots of the roster, ordered by name. The same allocation as in the frame before while
     /// no robot comes or goes.
-    pub(crate) robots: Arc<[RobotId]>,
+    pub robots: Arc<[RobotId]>,
     /// The graphs that the roster lists, in its order and at its revisions.
-    pub(crate) graphs: Vec<(Modality, Arc<GraphReplica>)>,
+    pub graphs: Vec<(Modality, Arc<GraphReplica>)>,
 }
 
 /// What became of a message that is not refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Acceptance {
+pub enum Acceptance {
     /// It was applied.
     Applied,
     /// It is what is known already.
@@ -107,7 +110,7 @@ enum Distance {
 
 /// Rosters and graphs as far as they are known.
 #[derive(Debug, Default)]
-pub(crate) struct Follower {
+pub struct Follower {
     graphs: BTreeMap<Modality, Followed>,
     roster: Option<Checked<Roster>>,
     frame: Option<Arc<Frame>>,
@@ -126,12 +129,12 @@ pub(crate) struct Follower {
 
 impl Follower {
     /// Whether a roster is known, complete or not.
-    pub(crate) fn has_roster(&self) -> bool {
+    pub fn has_roster(&self) -> bool {
         self.roster.is_some()
     }
 
     /// What is held of rosters and graphs, with those of the newest frame.
-    pub(crate) fn memory_use(&self) -> MemoryUse {
+    pub fn memory_use(&self) -> MemoryUse {
         let frame = self.frame.as_deref();
         let framed = frame.into_iter().flat_map(|frame| &frame.graphs).map(|(_, graph)| graph);
         let graphs = self.graphs.values().map(|followed| &followed.graph).chain(framed);
@@ -147,13 +150,13 @@ impl Follower {
     }
 
     /// The newest consistent state.
-    pub(crate) fn frame(&self) -> Option<&Arc<Frame>> {
+    pub fn frame(&self) -> Option<&Arc<Frame>> {
         self.frame.as_ref()
     }
 
     /// What a get is answered with: the newest roster, and the newest state of each graph that it
     /// lists. Either says by its own revision how new it is.
-    pub(crate) fn answer(&self, space: &KeySpace, request: &Request) -> Vec<Message> {
+    pub fn answer(&self, space: &KeySpace, request: &Request) -> Vec<Message> {
         let Some(roster) = &self.roster else { return Vec::new() };
         let mut messages = Vec::new();
         if request.selects(space, &Key::Roster) {
@@ -176,10 +179,7 @@ impl Follower {
     ///
     /// # Errors
     /// Why the delta is refused; the graph stays as it was.
-    pub(crate) fn accept_graph(
-        &mut self,
-        delta: &Arc<GraphDelta>,
-    ) -> Result<Acceptance, GraphError> {
+    pub fn accept_graph(&mut self, delta: &Arc<GraphDelta>) -> Result<Acceptance, GraphError> {
         if delta.base.is_none() {
             self.awaited.remove(&delta.modality);
         }
@@ -215,7 +215,7 @@ impl Follower {
     /// That needs a roster that lists exactly the snapshot's revision, and graphs that have differed from
     /// the rosters for longer than a roster is under way. Then no leader has published the later
     /// revision: it was forged, or published in a term that was lost.
-    pub(crate) fn roll_back(&mut self, now: Tick, snapshot: &GraphDelta) -> bool {
+    pub fn roll_back(&mut self, now: Tick, snapshot: &GraphDelta) -> bool {
         let at = (&snapshot.modality, snapshot.header.revision);
         let listed = |roster: &Checked<Roster>| {
             roster.graphs.iter().any(|(name, revision)| (name, *revision) == at)
@@ -251,7 +251,7 @@ impl Follower {
     }
 
     /// Accepts a roster.
-    pub(crate) fn accept_roster(&mut self, roster: Checked<Roster>) -> Acceptance {
+    pub fn accept_roster(&mut self, roster: Checked<Roster>) -> Acceptance {
         if let Some(have) = &self.roster {
             match roster.header.revision.cmp(&have.header.revision) {
                 std::cmp::Ordering::Less => return Acceptance::Old,
@@ -264,7 +264,7 @@ impl Follower {
     }
 
     /// Makes a frame if roster and graphs belong together now; whether there is a new one.
-    pub(crate) fn make_frame(&mut self, now: Tick) -> bool {
+    pub fn make_frame(&mut self, now: Tick) -> bool {
         let Some(roster) = &self.roster else { return false };
         let is_at = |(name, revision): &(Modality, _)| {
             self.graphs.get(name).is_some_and(|followed| followed.graph.revision() == *revision)
@@ -294,7 +294,7 @@ impl Follower {
     }
 
     /// A fetch begins: one of [`Follower::fetch`], or the inquiry of the service.
-    pub(crate) fn fetch_begun(&mut self, now: Tick) {
+    pub fn fetch_begun(&mut self, now: Tick) {
         self.is_fetching = true;
         self.fetched = now;
         self.awaited.clear();
@@ -302,7 +302,7 @@ impl Follower {
 
     /// The fetch has ended and its answers have been accepted. What it did not repair shows by the
     /// revisions that the roster lists.
-    pub(crate) fn fetch_ended(&mut self) {
+    pub fn fetch_ended(&mut self) {
         if std::mem::take(&mut self.is_fetching) {
             if !self.awaited.is_empty() {
                 self.fetches_in_vain = self.fetches_in_vain.saturating_add(1);
@@ -312,13 +312,13 @@ impl Follower {
     }
 
     /// Fetches everything again: messages of the meantime were not received.
-    pub(crate) fn refresh(&mut self) {
+    pub fn refresh(&mut self) {
         self.refresh = true;
         self.is_fetching = false;
     }
 
     /// When a fetch is wanted; none while all is well or one is under way.
-    pub(crate) fn fetch_due(&self) -> Option<Tick> {
+    pub fn fetch_due(&self) -> Option<Tick> {
         if self.is_fetching {
             return None;
         }
@@ -347,7 +347,7 @@ impl Follower {
     }
 
     /// What the fetch asks for that is due, and how long it waits for answers; it counts as begun.
-    pub(crate) fn fetch(&mut self, now: Tick) -> Option<(Vec<Pattern>, Duration)> {
+    pub fn fetch(&mut self, now: Tick) -> Option<(Vec<Pattern>, Duration)> {
         if self.fetch_due()? > now {
             return None;
         }
@@ -364,7 +364,6 @@ impl Follower {
                 let listed = roster.iter().flat_map(|roster| &roster.graphs);
                 awaited.extend(listed.map(|(name, _)| name.clone()));
                 patterns.push(Pattern::Graphs);
-                patterns.push(Pattern::One(Key::Settings(ServiceName::Clusterer)));
             }
         }
         self.refresh = false;

@@ -1,0 +1,268 @@
+//! The job where operators have set rules: from the rows of an embedding to teams that obey them.
+
+use std::collections::BTreeMap;
+
+use muster_method::division::Division;
+use muster_method::limited::{LimitedError, Limits, divide_within, optimality, rows_of};
+use muster_method::params::DivisionParams;
+use muster_model::embedding::Embedding;
+use muster_model::id::{RobotId, TeamId};
+use muster_model::limits::MAX_CONFLICT_LENGTH;
+use muster_model::teams::{Limited, Teams};
+use muster_numeric::assignment::{
+    Assigner, Bounds, Column, CostMatrix, Pair, Rules, ValidRules, ValidWishes, Wishes,
+};
+use muster_numeric::kmeans::LimitedKMeansError;
+use muster_numeric::matrix::DenseMatrix;
+
+use crate::division::{DivisionError, Job, assemble};
+use crate::identity;
+use crate::rules::TeamRules;
+use crate::seats::last_of;
+
+/// A division that no rule is asked of yet.
+const NOTHING_TO_OBEY: Limited = Limited { optimal: true, gap: 0.0, conflict: None };
+
+/// Divides the robots that have a non-zero embedding. While nothing satisfies the rules the last division stands.
+pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
+    let embedding = &*job.embedding;
+    let rows = rules.rows(embedding);
+    let problem = Problem::new(job, rules, &rows)?;
+    let solved = if rows.is_empty() { Solved::default() } else { problem.solve(job)? };
+    let Solved { columns, labels, conflict } = solved;
+    let mut ids: Vec<TeamId> = Vec::new();
+    let mut all = vec![None; embedding.robots.len()];
+    for (id, column) in columns.iter().zip(0..) {
+        let members = labels.iter().zip(&rows).filter(|(label, _)| **label == Some(column));
+        let mut members = members.map(|(_, row)| *row).peekable();
+        if members.peek().is_some() {
+            for row in members {
+                all[row] = Some(ids.len());
+            }
+            ids.push(id.clone());
+        }
+    }
+    revive(job, rules, &all, conflict.is_some(), &mut ids);
+    let dimension = embedding.dimension as usize;
+    let x = DenseMatrix::new(all.len(), dimension, embedding.values.clone())?;
+    let centroids = crate::division::means(&x, &all, ids.len())?;
+    let inertia = crate::division::inertia(&x, &all, &centroids);
+    let found = Division { labels: all, centroids, inertia, iterations: 0, converged: true };
+    let mut teams = assemble(job, &x, &found, |clusters, members, unassigned| {
+        let id_of = |row: usize| found.labels[row].and_then(|label| ids.get(label)).cloned();
+        let ids = clusters.iter().filter_map(|cluster| id_of(*cluster.rows.first()?)).collect();
+        Ok(identity::named(members, ids, unassigned, job.previous.as_deref(), &job.memory))
+    })?;
+    teams.limited = Some(match conflict {
+        Some(conflict) => Limited { optimal: false, gap: 1.0, conflict: Some(conflict) },
+        None => judge(rules, &teams, embedding)?,
+    });
+    Ok(teams)
+}
+
+/// Gives new teams the ids of those that ended, where most of their robots are back in one, and the limits of the old team
+/// allow it; `stands` if no rules hold for now. Wishes that name such a team count from the next division on, which follows
+/// at once.
+fn revive(
+    job: &Job,
+    rules: &TeamRules,
+    labels: &[Option<usize>],
+    stands: bool,
+    ids: &mut [TeamId],
+) {
+    let robots = &job.embedding.robots;
+    let mut clusters: Vec<Vec<&RobotId>> = vec![Vec::new(); ids.len()];
+    let mut unassigned = Vec::new();
+    for (robot, label) in robots.iter().zip(labels) {
+        match label {
+            Some(label) => clusters[*label].push(robot),
+            None => unassigned.push(robot.clone()),
+        }
+    }
+    let living = job.previous.as_deref().map_or(&[][..], |previous| &previous.teams);
+    let lives = |id: &TeamId| living.iter().any(|team| team.id == *id);
+    for (id, cluster, _) in job.memory.revivable(&clusters, &unassigned) {
+        // Also while no rules hold no team has more robots than it may have.
+        let robots = clusters[cluster].len();
+        let has_room = || rules.has_room(id, robots) || stands && robots <= rules.bounds(id).upper;
+        if !lives(id) && !lives(&ids[cluster]) && has_room() {
+            ids[cluster] = id.clone();
+        }
+    }
+}
+
+/// How a division that obeys the rules stands to the best assignment to its teams.
+pub(crate) fn judge(
+    rules: &TeamRules,
+    teams: &Teams,
+    embedding: &Embedding,
+) -> Result<Limited, DivisionError> {
+    let place = |robot: &RobotId| embedding.robots.binary_search(robot).ok();
+    let (mut rows, mut labels) = (Vec::new(), Vec::new());
+    for (label, team) in teams.teams.iter().enumerate() {
+        for row in team.members.iter().filter_map(|member| place(&member.robot)) {
+            rows.push(row);
+            labels.push(label);
+        }
+    }
+    if rows.is_empty() {
+        return Ok(NOTHING_TO_OBEY);
+    }
+    let columns: Vec<TeamId> = teams.teams.iter().map(|team| team.id.clone()).collect();
+    let dimension = embedding.dimension as usize;
+    let x = rows_of(&embedding.values, dimension, &rows)?;
+    let centroids = teams.teams.iter().flat_map(|team| team.centroid.iter().copied()).collect();
+    let centroids = DenseMatrix::new(columns.len(), dimension, centroids)?;
+    let robots: Vec<&RobotId> = rows.iter().map(|row| &embedding.robots[*row]).collect();
+    let valid = rules.assignment(&columns, &robots)?;
+    let groups = rules.groups(&valid, &robots)?.valid;
+    let found = optimality(&x, &labels, &centroids, &valid, &groups)?;
+    Ok(Limited { optimal: found.optimal, gap: found.gap, conflict: None })
+}
+
+/// A division as the assignment gives it.
+#[derive(Default)]
+struct Solved {
+    /// The team that each column is.
+    columns: Vec<TeamId>,
+    /// The column of each robot; none for one in the reserve.
+    labels: Vec<Option<usize>>,
+    /// Why nothing satisfies the rules, where nothing does.
+    conflict: Option<String>,
+}
+
+/// Robots, teams and rules as the assignment sees them.
+struct Problem<'a> {
+    rules: &'a TeamRules,
+    robots: Vec<&'a RobotId>,
+    x: DenseMatrix,
+    /// The teams that there may be.
+    columns: Vec<TeamId>,
+    /// The place of the last team of each robot among them.
+    previous: Vec<Option<Column>>,
+}
+
+impl<'a> Problem<'a> {
+    fn new(job: &'a Job, rules: &'a TeamRules, rows: &[usize]) -> Result<Self, DivisionError> {
+        let embedding = &*job.embedding;
+        let last = last_of(job.previous.as_deref(), &job.memory, embedding, rows);
+        let teams = (job.teams as usize).min(rows.len());
+        let columns = rules.columns(teams, &last, job.previous.as_deref(), &job.memory);
+        let place_of: BTreeMap<&TeamId, usize> = columns
+            .iter()
+            .zip(0..)
+            .filter_map(|(column, at)| Some((column.last.as_ref()?, at)))
+            .collect();
+        let place = |id: &Option<&TeamId>| Some(Column::Team(*place_of.get((*id)?)?));
+        let previous = last.iter().map(place).collect();
+        let columns = columns.into_iter().map(|column| column.team).collect();
+        let x = rows_of(&embedding.values, embedding.dimension as usize, rows)?;
+        let robots = rows.iter().map(|row| &embedding.robots[*row]).collect();
+        Ok(Self { rules, robots, x, columns, previous })
+    }
+
+    fn solve(self, job: &Job) -> Result<Solved, DivisionError> {
+        let params = DivisionParams::new(&job.settings, self.columns.len()).check()?;
+        let divided = |rules: &ValidRules, groups: &ValidWishes| {
+            let limits = Limits { rules, groups, previous: &self.previous };
+            divide_within(&self.x, &params, &limits).map(|found| found.labels)
+        };
+        let conflict = match self.rules.conflict(&self.columns, &self.robots) {
+            Some(conflict) => conflict,
+            None => {
+                let rules = self.rules.assignment(&self.columns, &self.robots)?;
+                let groups = self.rules.groups(&rules, &self.robots)?;
+                match divided(&rules, &groups.valid) {
+                    Ok(labels) => {
+                        let columns = self.named(&labels);
+                        return Ok(Solved { columns, labels, conflict: None });
+                    }
+                    // The search ended before it found anything.
+                    Err(LimitedError::Groups(error)) => {
+                        error.to_string().chars().take(MAX_CONFLICT_LENGTH).collect()
+                    }
+                    Err(error) => return Err(error.into()),
+                }
+            }
+        };
+        let relaxed = |stay: &[Option<Column>]| -> Result<_, DivisionError> {
+            let rules = self.rules.relaxed(&self.columns, &self.robots, stay)?;
+            let nobody = Wishes::default().check(&rules)?;
+            Ok(divided(&rules, &nobody))
+        };
+        let labels = match relaxed(&self.previous)? {
+            // The last division had more robots in a team than it may have.
+            Err(LimitedError::KMeans(LimitedKMeansError::Assignment(_))) => {
+                relaxed(&vec![None; self.robots.len()])??
+            }
+            labels => labels?,
+        };
+        Ok(Solved { columns: self.columns, labels, conflict: Some(conflict) })
+    }
+
+    /// The team that each column becomes: of those whose rules it obeys, such that most robots stay in their team.
+    fn named(&self, labels: &[Option<usize>]) -> Vec<TeamId> {
+        let count = self.columns.len();
+        let mut clusters: Vec<Vec<&RobotId>> = vec![Vec::new(); count];
+        let mut shared = vec![vec![0_i64; count]; count];
+        for ((robot, label), previous) in self.robots.iter().zip(labels).zip(&self.previous) {
+            let Some(label) = *label else { continue };
+            clusters[label].push(robot);
+            if let Some(Column::Team(team)) = *previous {
+                shared[label][team] += 1;
+            }
+        }
+        let is_most = |(at, row): (usize, &Vec<i64>)| row.iter().all(|shared| *shared <= row[at]);
+        let mut order: Vec<usize> = (0..count).collect();
+        if !shared.iter().enumerate().all(is_most) {
+            order = self.matched(&clusters, &shared).unwrap_or(order);
+        }
+        self.sort_new(&clusters, &mut order);
+        order.into_iter().map(|column| self.columns[column].clone()).collect()
+    }
+
+    /// Gives teams that nobody was in to clusters in the order of their first robots, where the rules allow it: the order
+    /// of centroids is one of chance.
+    fn sort_new(&self, clusters: &[Vec<&RobotId>], order: &mut [usize]) {
+        let is_new = |column: usize| !self.previous.contains(&Some(Column::Team(column)));
+        let mut news: Vec<usize> =
+            (0..clusters.len()).filter(|cluster| is_new(order[*cluster])).collect();
+        let mut columns: Vec<usize> = news.iter().map(|cluster| order[*cluster]).collect();
+        columns.sort_unstable();
+        // An empty cluster is no team, and has no first robot.
+        news.sort_by_key(|cluster| (clusters[*cluster].is_empty(), clusters[*cluster].first()));
+        let sorted: Vec<(usize, usize)> = news.into_iter().zip(columns).collect();
+        if sorted.iter().all(|(at, column)| {
+            self.rules.admits(&self.columns[*column], &clusters[*at], &self.columns)
+        }) {
+            for (cluster, column) in sorted {
+                order[cluster] = column;
+            }
+        }
+    }
+
+    /// The column whose team each cluster becomes; none if there is no such order.
+    fn matched(&self, clusters: &[Vec<&RobotId>], shared: &[Vec<i64>]) -> Option<Vec<usize>> {
+        let count = clusters.len();
+        let most = i64::try_from(self.robots.len()).ok()?;
+        let (mut pairs, mut costs) = (Vec::new(), Vec::new());
+        for (cluster, (robots, shared)) in clusters.iter().zip(shared).enumerate() {
+            for (column, shared) in shared.iter().enumerate() {
+                if !self.rules.admits(&self.columns[column], robots, &self.columns) {
+                    pairs.push(Pair::Forbidden { robot: cluster, column: Column::Team(column) });
+                }
+                // Of equal ones the column itself.
+                costs.push(2 * (most - shared) + i64::from(cluster != column));
+            }
+        }
+        let teams = vec![Bounds::new(1, 1); count];
+        let rules = Rules { robots: count, teams, pairs, ..Rules::default() }.check().ok()?;
+        let costs = CostMatrix::new(count, count, costs).ok()?;
+        let found = Assigner::new().solve(&rules, &costs).ok()?;
+        let place = |column: &Column| match column {
+            Column::Team(at) => Some(*at),
+            Column::Reserve => None,
+        };
+        found.columns.iter().map(place).collect()
+    }
+}

@@ -1,0 +1,452 @@
+//! What operators ask of divisions: how many robots each team has, and which robots are to be in which, together,
+//! apart, or in none.
+//!
+//! A team is a column of the assignment, under the id that it has or will have, so that its limits are its own before
+//! the robots are divided.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+
+use muster_model::embedding::Embedding;
+use muster_model::id::{RobotId, TeamId};
+use muster_model::limits::MAX_CONFLICT_LENGTH;
+use muster_model::settings::{ClustererSettings, TeamSize};
+use muster_model::teams::Teams;
+use muster_model::wish::{Wish, WishKind};
+use muster_numeric::assignment::{
+    self as numeric, Assigner, Bounds, Column, CostMatrix, Pair, Relation, Rule, Rules, RulesError,
+    ValidRules, ValidWishes, WishesError, assign_with_wishes,
+};
+
+use crate::identity::{self, Memory, Numbers};
+use crate::seats::last_teams;
+
+/// Most flows to find out whether the wishes of groups can be granted: a number and no time, so that a replay is the
+/// same.
+const GROUP_NODES: usize = 64;
+
+/// A team of the next division.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct TeamColumn {
+    /// Its id.
+    pub(crate) team: TeamId,
+    /// The team that its robots were in last; none if it is new.
+    pub(crate) last: Option<TeamId>,
+}
+
+/// A wish that counts, under the name that operators know it by.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Asked {
+    /// The operator and the id.
+    pub(crate) name: String,
+    pub(crate) wish: Wish,
+}
+
+/// A pair of a robot and a team, and the place of the wish that asks for it.
+struct Tie {
+    pair: Pair,
+    wish: usize,
+}
+
+/// Groups of robots, and the place of the wish that asks for each.
+pub(crate) struct Groups {
+    pub(crate) valid: ValidWishes,
+    wishes: Vec<usize>,
+}
+
+/// What divisions have to respect.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct TeamRules {
+    size: TeamSize,
+    of_team: BTreeMap<TeamId, TeamSize>,
+    wishes: Vec<Asked>,
+    /// The teams that robots of locked teams stay in, once it is known who they are.
+    locked: BTreeMap<RobotId, TeamId>,
+}
+
+impl TeamRules {
+    /// The rules of some settings and of the wishes that count; none if these ask for nothing.
+    pub(crate) fn of(settings: &ClustererSettings, wishes: Vec<Asked>) -> Option<Self> {
+        if !settings.has_limits() && wishes.is_empty() {
+            return None;
+        }
+        let of_team = settings.team_size.keys().map(|id| (id.clone(), settings.size_of(id)));
+        let locked = BTreeMap::new();
+        Some(Self { size: settings.size, of_team: of_team.collect(), wishes, locked })
+    }
+
+    /// The rules with the robots that locked teams have, by the last team of each robot.
+    pub(crate) fn resolved(
+        mut self,
+        previous: Option<&Teams>,
+        memory: &Memory,
+        embedding: &Embedding,
+    ) -> Self {
+        let locks: BTreeSet<TeamId> = self
+            .wishes
+            .iter()
+            .filter(|asked| asked.wish.kind == WishKind::Lock)
+            .filter_map(|asked| asked.wish.team.clone())
+            .collect();
+        let Some(previous) = previous.filter(|_| !locks.is_empty()) else { return self };
+        let robots = embedding.robots.iter().zip(&embedding.without_embedding);
+        let robots = robots.filter(|(_, without)| !**without).map(|(robot, _)| robot);
+        let last = last_teams(previous, memory, embedding);
+        let is_locked = |(robot, team): (&RobotId, Option<&TeamId>)| {
+            Some((robot.clone(), team.filter(|team| locks.contains(*team))?.clone()))
+        };
+        self.locked = robots.zip(last).filter_map(is_locked).collect();
+        self
+    }
+
+    /// The rows of the robots that may be in a team: those with an embedding that are not kept in reserve.
+    pub(crate) fn rows(&self, embedding: &Embedding) -> Vec<usize> {
+        let reserved = self.reserved();
+        let is_placed = |row: &usize| {
+            !embedding.without_embedding[*row] && !reserved.contains(&embedding.robots[*row])
+        };
+        (0..embedding.robots.len()).filter(is_placed).collect()
+    }
+
+    /// The robots that are in no team on purpose.
+    pub(crate) fn reserved(&self) -> BTreeSet<&RobotId> {
+        let reserves = self.wishes.iter().filter(|asked| asked.wish.kind == WishKind::Reserve);
+        reserves.flat_map(|asked| &asked.wish.robots).collect()
+    }
+
+    /// Whether a limit or a wish names a team.
+    fn names(&self, team: &TeamId) -> bool {
+        self.of_team.contains_key(team) || self.is_wished(team)
+    }
+
+    /// The teams of a division that wishes name.
+    pub(crate) fn wished(&self, division: Option<&Teams>) -> BTreeSet<TeamId> {
+        let teams = division.into_iter().flat_map(|division| &division.teams);
+        teams.map(|team| &team.id).filter(|id| self.is_wished(id)).cloned().collect()
+    }
+
+    /// Whether a team may have so many robots.
+    pub(crate) fn has_room(&self, team: &TeamId, robots: usize) -> bool {
+        let bounds = self.bounds(team);
+        (bounds.lower..=bounds.upper).contains(&robots)
+    }
+
+    /// Whether a wish names a team.
+    pub(crate) fn is_wished(&self, team: &TeamId) -> bool {
+        self.wishes.iter().any(|asked| asked.wish.team.as_ref() == Some(team))
+    }
+
+    /// Pairs of robots and teams that wishes ask for. Those for robots or teams that are not there wait.
+    fn ties(&self, columns: &[TeamId], robots: &[&RobotId]) -> Vec<Tie> {
+        if self.wishes.is_empty() {
+            return Vec::new();
+        }
+        let row_of: BTreeMap<&RobotId, usize> = robots.iter().copied().zip(0..).collect();
+        let mut ties = Vec::new();
+        for (wish, asked) in self.wishes.iter().enumerate() {
+            let Some(team) = &asked.wish.team else { continue };
+            let Some(place) = columns.iter().position(|column| column == team) else { continue };
+            let column = Column::Team(place);
+            let named = asked.wish.robots.iter().filter_map(|robot| row_of.get(robot).copied());
+            match asked.wish.kind {
+                WishKind::Pin => {
+                    ties.extend(
+                        named.map(|robot| Tie { pair: Pair::Forced { robot, column }, wish }),
+                    );
+                }
+                WishKind::Ban => {
+                    let tie = |robot| Tie { pair: Pair::Forbidden { robot, column }, wish };
+                    ties.extend(named.map(tie));
+                }
+                WishKind::Lock => {
+                    let stays = |(_, locked): &(&RobotId, &TeamId)| *locked == team;
+                    let members = self.locked.iter().filter(stays);
+                    let members = members.filter_map(|(robot, _)| row_of.get(robot).copied());
+                    ties.extend(
+                        members.map(|robot| Tie { pair: Pair::Forced { robot, column }, wish }),
+                    );
+                }
+                WishKind::Together | WishKind::Apart | WishKind::Reserve => {}
+            }
+        }
+        ties
+    }
+
+    /// The groups of robots that are to be together or apart. One of which fewer than two robots are there waits.
+    pub(crate) fn groups(
+        &self,
+        rules: &ValidRules,
+        robots: &[&RobotId],
+    ) -> Result<Groups, WishesError> {
+        let (mut all, mut places) = (Vec::new(), Vec::new());
+        if self.wishes.iter().any(|asked| asked.wish.kind.is_of_group()) {
+            let row_of: BTreeMap<&RobotId, usize> = robots.iter().copied().zip(0..).collect();
+            for (place, asked) in self.wishes.iter().enumerate() {
+                let relation = match asked.wish.kind {
+                    WishKind::Together => Relation::Together,
+                    WishKind::Apart => Relation::Apart,
+                    _ => continue,
+                };
+                let named = asked.wish.robots.iter();
+                let robots: Vec<usize> =
+                    named.filter_map(|robot| row_of.get(robot).copied()).collect();
+                if robots.len() > 1 {
+                    all.push(numeric::Wish { relation, robots, price: None });
+                    places.push(place);
+                }
+            }
+        }
+        let valid = numeric::Wishes { wishes: all, needs: Vec::new() }.check(rules)?;
+        Ok(Groups { valid, wishes: places })
+    }
+
+    /// How many robots a team may have.
+    pub(crate) fn bounds(&self, team: &TeamId) -> Bounds {
+        let size = self.of_team.get(team).copied().unwrap_or(self.size);
+        let upper = size.max.map_or(usize::MAX, |max| max as usize);
+        Bounds::new(size.least() as usize, upper)
+    }
+
+    /// The teams of the next division, ordered by id. Of those that robots were in so many stay as there are to be: teams
+    /// that rules name before others, then those with most robots. New ones get the next numbers, and so do teams that
+    /// ended, as long as it is not known whether most of their robots are in them again.
+    pub(crate) fn columns(
+        &self,
+        teams: usize,
+        last: &[Option<&TeamId>],
+        previous: Option<&Teams>,
+        memory: &Memory,
+    ) -> Vec<TeamColumn> {
+        let living: BTreeSet<&TeamId> =
+            previous.into_iter().flat_map(|last| &last.teams).map(|team| &team.id).collect();
+        let mut robots: BTreeMap<&TeamId, usize> = BTreeMap::new();
+        for id in last.iter().flatten() {
+            *robots.entry(id).or_default() += 1;
+        }
+        let mut known: Vec<(&TeamId, usize)> = robots.into_iter().collect();
+        known.sort_by_key(|&(id, count)| (!self.names(id), Reverse(count), identity::order(id)));
+        let mut numbers = Numbers::after(previous, memory);
+        let column = |(id, _): (&TeamId, usize)| {
+            let team = if living.contains(id) { id.clone() } else { numbers.next() };
+            TeamColumn { team, last: Some(id.clone()) }
+        };
+        let mut columns: Vec<TeamColumn> = known.into_iter().take(teams).map(column).collect();
+        while columns.len() < teams {
+            columns.push(TeamColumn { team: numbers.next(), last: None });
+        }
+        columns
+            .sort_by(|left, right| identity::order(&left.team).cmp(&identity::order(&right.team)));
+        columns
+    }
+
+    /// The rules of the assignment of robots.
+    pub(crate) fn assignment(
+        &self,
+        columns: &[TeamId],
+        robots: &[&RobotId],
+    ) -> Result<ValidRules, RulesError> {
+        let teams = columns.iter().map(|id| self.bounds(id)).collect();
+        let pairs = self.ties(columns, robots).into_iter().map(|tie| tie.pair).collect();
+        Rules { robots: robots.len(), teams, pairs, ..Rules::default() }.check()
+    }
+
+    /// The rules while nothing satisfies all of them: no team has more robots than it may have or a robot that must not be
+    /// there, robots stay in their last team, and those that have no place have no team.
+    pub(crate) fn relaxed(
+        &self,
+        columns: &[TeamId],
+        robots: &[&RobotId],
+        stay: &[Option<Column>],
+    ) -> Result<ValidRules, RulesError> {
+        let upper = |id: &TeamId| Bounds::at_most(self.bounds(id).upper);
+        let forced = |(robot, column): (usize, &Option<Column>)| {
+            Some(Pair::Forced { robot, column: (*column)? })
+        };
+        let bans = self.ties(columns, robots).into_iter().map(|tie| tie.pair);
+        let bans = bans.filter(|pair| matches!(pair, Pair::Forbidden { .. }));
+        Rules {
+            robots: robots.len(),
+            teams: columns.iter().map(upper).collect(),
+            reserve: Some(Bounds::ANY),
+            pairs: stay.iter().enumerate().filter_map(forced).chain(bans).collect(),
+            ..Rules::default()
+        }
+        .check()
+    }
+
+    /// Whether something satisfies the rules for these robots in these teams.
+    pub(crate) fn is_possible(&self, columns: &[TeamId], robots: &[&RobotId]) -> bool {
+        let bounds = columns.iter().map(|id| self.bounds(id));
+        let (least, most) = bounds.fold((0_usize, 0_usize), |(least, most), bounds| {
+            (least.saturating_add(bounds.lower), most.saturating_add(bounds.upper))
+        });
+        (least..=most).contains(&robots.len())
+            && (self.wishes.is_empty() || self.conflict(columns, robots).is_none())
+    }
+
+    /// Why nothing satisfies the rules for these robots; none if something does.
+    pub(crate) fn conflict(&self, columns: &[TeamId], robots: &[&RobotId]) -> Option<String> {
+        self.conflict_of_reserve()
+            .or_else(|| match self.assignment(columns, robots) {
+                Ok(rules) => self.conflict_within(&rules, columns, robots),
+                Err(error) => Some(error.to_string()),
+            })
+            .map(|text| text.chars().take(MAX_CONFLICT_LENGTH).collect())
+    }
+
+    /// A robot that is to be in no team and in one.
+    fn conflict_of_reserve(&self) -> Option<String> {
+        let reserved = self.reserved();
+        for asked in &self.wishes {
+            if !matches!(asked.wish.kind, WishKind::Pin | WishKind::Together) {
+                continue;
+            }
+            let Some(robot) = asked.wish.robots.iter().find(|robot| reserved.contains(robot))
+            else {
+                continue;
+            };
+            let reserves = |other: &&Asked| {
+                other.wish.kind == WishKind::Reserve && other.wish.robots.contains(robot)
+            };
+            let other = self.wishes.iter().find(reserves)?;
+            return Some(format!(
+                "{robot} cannot be in a team (wish {}) and in none (wish {})",
+                asked.name, other.name
+            ));
+        }
+        None
+    }
+
+    fn conflict_within(
+        &self,
+        rules: &ValidRules,
+        columns: &[TeamId],
+        robots: &[&RobotId],
+    ) -> Option<String> {
+        if let Some(conflict) = rules.conflict() {
+            let text = crate::words::conflict(&conflict, columns, robots);
+            let has = |tie: &Tie| conflict.rules.contains(&Rule::Pair(tie.pair));
+            let mut wishes: Vec<usize> = self
+                .ties(columns, robots)
+                .iter()
+                .filter(|tie| has(tie))
+                .map(|tie| tie.wish)
+                .collect();
+            wishes.sort_unstable();
+            wishes.dedup();
+            return Some(if wishes.is_empty() {
+                text
+            } else {
+                format!("{text} ({})", self.list(&wishes))
+            });
+        }
+        let groups = match self.groups(rules, robots) {
+            Ok(groups) if groups.wishes.is_empty() => return None,
+            Ok(groups) => groups,
+            Err(error) => return Some(error.to_string()),
+        };
+        let (count, places) = (robots.len(), columns.len());
+        let costs = CostMatrix::new(count, places, vec![0; count * places]).ok()?;
+        let mut assigner = Assigner::new();
+        match assign_with_wishes(&mut assigner, rules, &groups.valid, &costs, GROUP_NODES) {
+            Ok(_) => None,
+            Err(numeric::DivisionError::Infeasible { wishes, .. }) => {
+                let wishes: Vec<usize> = wishes.iter().map(|at| groups.wishes[*at]).collect();
+                let wishes = self.list(&wishes);
+                Some(format!("{wishes} cannot be granted within the limits and the other wishes"))
+            }
+            Err(error) => Some(error.to_string()),
+        }
+    }
+
+    /// The names of wishes as a list.
+    fn list(&self, wishes: &[usize]) -> String {
+        let names: Vec<String> = wishes.iter().map(|at| self.wishes[*at].name.clone()).collect();
+        let noun = if names.len() == 1 { "wish" } else { "wishes" };
+        format!("{noun} {}", crate::words::list(&names))
+    }
+
+    /// Whether these robots may be a team of these.
+    pub(crate) fn admits(&self, team: &TeamId, robots: &[&RobotId], columns: &[TeamId]) -> bool {
+        let is_here = |column: Column| matches!(column, Column::Team(at) if columns[at] == *team);
+        self.has_room(team, robots.len())
+            && self.ties(columns, robots).iter().all(|tie| match tie.pair {
+                Pair::Forced { column, .. } => is_here(column),
+                Pair::Forbidden { column, .. } => !is_here(column),
+            })
+    }
+
+    /// Of the robots that are to be kept in their last team, as many as the rules let stay there. The others are where
+    /// the new division has them, which obeys the rules. Every team keeps a robot.
+    pub(crate) fn keep(
+        &self,
+        new: &Teams,
+        mut held: BTreeMap<RobotId, TeamId>,
+    ) -> BTreeMap<RobotId, TeamId> {
+        let columns: Vec<TeamId> = new.teams.iter().map(|team| team.id.clone()).collect();
+        let robots: Vec<(&RobotId, &TeamId)> = new.assignments().collect();
+        let is_kept = self.assigned_with(&columns, &robots, &held).unwrap_or_default();
+        let mut is_kept = is_kept.into_iter();
+        for (robot, _) in &robots {
+            if !is_kept.next().unwrap_or(false) {
+                held.remove(*robot);
+            }
+        }
+        let place = |(robot, team): &(&RobotId, &TeamId)| {
+            ((*robot).clone(), held.get(*robot).unwrap_or(team).clone())
+        };
+        let placed: BTreeMap<RobotId, TeamId> = robots.iter().map(place).collect();
+        if self.wishes.iter().all(|asked| grants_group(&asked.wish, &placed)) {
+            held
+        } else {
+            BTreeMap::new()
+        }
+    }
+
+    /// For each robot of a division, whether it is to stay in its last team and may.
+    fn assigned_with(
+        &self,
+        columns: &[TeamId],
+        robots: &[(&RobotId, &TeamId)],
+        held: &BTreeMap<RobotId, TeamId>,
+    ) -> Option<Vec<bool>> {
+        let bounds = columns.iter().map(|id| {
+            let Bounds { lower, upper } = self.bounds(id);
+            Bounds::new(lower.max(1), upper)
+        });
+        let names: Vec<&RobotId> = robots.iter().map(|(robot, _)| *robot).collect();
+        let pairs = self.ties(columns, &names).into_iter().map(|tie| tie.pair).collect();
+        let rules =
+            Rules { robots: robots.len(), teams: bounds.collect(), pairs, ..Rules::default() }
+                .check();
+        let place_of: BTreeMap<&TeamId, usize> = columns.iter().zip(0..).collect();
+        // More than all robots together can cost.
+        let elsewhere = i64::try_from(robots.len()).ok()?.saturating_add(1);
+        let mut costs = vec![elsewhere; robots.len() * columns.len()];
+        for ((robot, to), row) in robots.iter().zip(costs.chunks_mut(columns.len().max(1))) {
+            let from = held.get(*robot).and_then(|from| place_of.get(from));
+            row[*place_of.get(to)?] = i64::from(from.is_some());
+            if let Some(from) = from {
+                row[*from] = 0;
+            }
+        }
+        let costs = CostMatrix::new(robots.len(), columns.len(), costs).ok()?;
+        let found = Assigner::new().solve(&rules.ok()?, &costs).ok()?;
+        let stays = robots.iter().zip(found.columns).map(|((robot, _), column)| {
+            let Column::Team(at) = column else { return false };
+            held.get(*robot) == columns.get(at)
+        });
+        Some(stays.collect())
+    }
+}
+
+/// Whether the robots of a group that have a team are together or apart as they are to be; true for other wishes.
+pub(crate) fn grants_group(wish: &Wish, placed: &BTreeMap<RobotId, TeamId>) -> bool {
+    let teams: Vec<&TeamId> = wish.robots.iter().filter_map(|robot| placed.get(robot)).collect();
+    let distinct: BTreeSet<&TeamId> = teams.iter().copied().collect();
+    match wish.kind {
+        WishKind::Together => distinct.len() <= 1,
+        WishKind::Apart => distinct.len() == teams.len(),
+        _ => true,
+    }
+}

@@ -1,0 +1,264 @@
+//! Limits on the robots of teams: they hold, or the division and an event say why not.
+
+use muster_model::settings::TeamSize;
+
+use super::*;
+
+/// So many teams, each with `min` to `max` robots.
+fn limited(count: u32, min: Option<u32>, max: Option<u32>) -> ClustererSettings {
+    ClustererSettings { size: TeamSize { min, max }, heartbeat_s: 4.0, ..teams(count) }
+}
+
+fn set(bench: &mut Bench, patch: &str) -> Result<(), String> {
+    bench.get("service/clusterer/settings", Some(patch)).map(|_| ())
+}
+
+fn conflict(teams: &Teams) -> Option<&str> {
+    teams.limited.as_ref().expect("limits hold").conflict.as_deref()
+}
+
+#[test]
+fn a_division_without_limits_says_nothing_of_them() {
+    let (_, first) = divided(teams(2), &embedding(1, &[("a b c d", WEST), ("x y", EAST)]));
+    assert_eq!(first.limited, None);
+}
+
+#[test]
+fn teams_have_no_more_robots_than_they_may_have() {
+    let first = embedding(1, &[("a b c d", WEST), ("x y", EAST)]);
+    let (mut bench, free) = divided(teams(2), &first);
+    assert_eq!(short(&free), "t1: a b c d | t2: x y");
+    set(&mut bench, r#"{"size":{"max":3}}"#).unwrap();
+    let division = bench.division();
+    // Who is nearest to the other team goes there.
+    assert_eq!(short(&division), "t1: a b c | t2: d x y");
+    let limited = division.limited.clone().unwrap();
+    assert_eq!((limited.optimal, limited.gap, limited.conflict), (true, 0.0, None));
+    set(&mut bench, r#"{"size":null}"#).unwrap();
+    let division = bench.division();
+    assert_eq!((short(&division), division.limited.clone()), (short(&free), None));
+}
+
+#[test]
+fn teams_have_at_least_as_many_robots_as_they_must() {
+    let first = embedding(1, &[("a b c d", WEST), ("x", EAST)]);
+    let (_, division) = divided(limited(2, Some(2), None), &first);
+    assert_eq!(short(&division), "t1: a b c | t2: d x");
+}
+
+#[test]
+fn a_limit_is_that_of_the_team_that_keeps_the_id() {
+    let first = embedding(1, &[("a b", WEST), ("x y z", EAST)]);
+    let (mut bench, before) = divided(teams(2), &first);
+    assert_eq!(short(&before), "t1: a b | t2: x y z");
+    set(&mut bench, r#"{"team_size":{"t2":{"max":3},"t9":{"max":1}}}"#).unwrap();
+    bench.take();
+    // More robots come to the place of t2, and the places are exchanged.
+    bench.receive_embedding(&embedding(2, &[("a b", EAST), ("x y z u v w", WEST)]));
+    let division = bench.division();
+    let t2 = &division.teams[1];
+    assert_eq!((t2.id.as_str(), t2.members.len()), ("t2", 3));
+    assert_eq!(conflict(&division), None);
+    for name in ["x", "y", "z"] {
+        assert!(t2.members.iter().any(|m| m.robot.as_str() == name), "{}", short(&division));
+    }
+}
+
+#[test]
+fn robots_that_are_kept_for_a_while_break_no_limit() {
+    let settings = ClustererSettings { dwell_s: 0.5, ..limited(2, None, Some(4)) };
+    let (mut bench, _) = divided(settings, &embedding(1, &[("a b c", WEST), ("x y z", EAST)]));
+    // c goes east, where a place is free: it waits.
+    bench.receive_embedding(&embedding(2, &[("a b", WEST), ("c x y z", EAST)]));
+    assert_eq!(short(&bench.division()), "t1: a b c | t2: x y z");
+    bench.wait(1.0);
+    assert_eq!(short(&bench.division()), "t1: a b | t2: c x y z");
+    // Two robots join in the west, and two that were there go: four places are there, so that they cannot wait.
+    bench.receive_embedding(&embedding(3, &[("g h i c", WEST), ("a b", EAST), ("x y z", EAST)]));
+    let division = bench.division();
+    assert!(division.teams.iter().all(|team| team.members.len() <= 4), "{}", short(&division));
+    assert_eq!(conflict(&division), Some("9 robots may only be in t1 and t2, which hold 8"));
+}
+
+#[test]
+fn as_many_robots_are_kept_as_the_limits_let_stay() {
+    let settings = ClustererSettings { dwell_s: 0.5, ..limited(2, None, Some(4)) };
+    let first = embedding(1, &[("a b c", WEST), ("w x y z", EAST)]);
+    let (mut bench, _) = divided(settings, &first);
+    // z goes west and a goes east, and e joins in the east: it takes the place of z, which cannot wait. a can.
+    let rows = [("a", EAST), ("b", WEST), ("c", WEST), ("e", EAST), ("w", EAST), ("x", EAST)];
+    let rows = rows.into_iter().chain([("y", EAST), ("z", WEST)]);
+    let rows = rows.map(|(name, place)| (robot(name), place.to_vec(), false)).collect();
+    bench.receive_embedding(&from_rows(1, 2, rows));
+    let division = bench.division();
+    assert_eq!(conflict(&division), None);
+    assert!(division.teams.iter().all(|team| team.members.len() <= 4), "{}", short(&division));
+}
+
+#[test]
+fn what_nothing_satisfies_is_refused_with_its_arithmetic() {
+    let first = embedding(1, &[("a b c d e", WEST), ("x y z", EAST)]);
+    let (mut bench, _) = divided(teams(2), &first);
+    let error = set(&mut bench, r#"{"size":{"max":3}}"#).unwrap_err();
+    assert!(error.contains("8 robots may only be in t1 and t2, which hold 6"), "{error}");
+    assert!(error.contains(r#""field":"size""#), "{error}");
+    let error = set(&mut bench, r#"{"size":{"min":5}}"#).unwrap_err();
+    assert!(error.contains("t1 and t2 need 10 robots, and 8 may be there"), "{error}");
+    let patch = r#"{"team_size":{"t1":{"max":2},"t2":{"max":2}}}"#;
+    let error = set(&mut bench, patch).unwrap_err();
+    assert!(error.contains("which hold 4") && error.contains(r#""field":"team_size""#), "{error}");
+    // The number of teams decides as well.
+    set(&mut bench, r#"{"size":{"max":4}}"#).unwrap();
+    let error = set(&mut bench, r#"{"teams":1}"#).unwrap_err();
+    assert!(error.contains("8 robots may only be in t1, which holds 4"), "{error}");
+    assert!(error.contains(r#""field":"teams""#), "{error}");
+    assert!(set(&mut bench, r#"{"hysteresis":0.1}"#).is_ok(), "what has no bearing on limits");
+}
+
+#[test]
+fn without_robots_any_limit_is_accepted() {
+    let mut bench = Bench::leading(teams(2));
+    set(&mut bench, r#"{"size":{"min":4}}"#).unwrap();
+    bench.receive_embedding(&embedding(1, &[]));
+    set(&mut bench, r#"{"size":{"min":5}}"#).unwrap();
+    assert!(bench.take().events.iter().all(|kind| !matches!(kind, EventKind::Infeasible { .. })));
+}
+
+#[test]
+fn while_nothing_satisfies_the_limits_the_division_stands_and_an_event_says_why() {
+    let settings = limited(2, None, Some(3));
+    let (mut bench, _) = divided(settings, &embedding(1, &[("a b c", WEST), ("x y z", EAST)]));
+    bench.receive_embedding(&embedding(2, &[("a b c j", WEST), ("k x y z", EAST)]));
+    let sent = bench.take();
+    let division = sent.division();
+    assert_eq!(short(&division), "t1: a b c | t2: x y z | - j k");
+    let reason = "8 robots may only be in t1 and t2, which hold 6";
+    assert_eq!(conflict(&division), Some(reason));
+    let infeasible = EventKind::Infeasible { reason: reason.to_owned() };
+    assert!(sent.events.contains(&infeasible), "{:?}", sent.events);
+    // One robot leaves: its place is taken, and the event is not repeated.
+    bench.wait(1.0);
+    bench.receive_embedding(&embedding(3, &[("b c j", WEST), ("k x y z", EAST)]));
+    let sent = bench.take();
+    assert_eq!(short(&sent.division()), "t1: b c j | t2: x y z | - k");
+    assert!(!sent.events.iter().any(|kind| matches!(kind, EventKind::Infeasible { .. })));
+    bench.wait(1.0);
+    bench.receive_embedding(&embedding(4, &[("b c j", WEST), ("k x z", EAST)]));
+    let sent = bench.take();
+    assert_eq!(short(&sent.division()), "t1: b c j | t2: k x z");
+    let again =
+        |kind: &EventKind| matches!(kind, EventKind::FeasibleAgain { after_s } if *after_s >= 2.0);
+    assert!(sent.events.iter().any(again), "{:?}", sent.events);
+}
+
+#[test]
+fn too_few_robots_leave_a_team_as_it_is() {
+    let settings = limited(2, Some(3), None);
+    let (mut bench, _) = divided(settings, &embedding(1, &[("a b c", WEST), ("x y z", EAST)]));
+    bench.receive_embedding(&embedding(2, &[("a b c", WEST), ("x y", EAST)]));
+    let division = bench.division();
+    assert_eq!(short(&division), "t1: a b c | t2: x y");
+    assert_eq!(conflict(&division), Some("t1 and t2 need 6 robots, and 5 may be there"));
+}
+
+#[test]
+fn the_number_of_teams_is_one_that_the_limits_allow() {
+    let automatic =
+        |size| ClustererSettings { teams: TeamCount::Auto, size, heartbeat_s: 4.0, ..teams(1) };
+    let scored = |scores: &[f64]| {
+        let groups = [("a b c", WEST), ("m n", NORTH), ("x y z", EAST)];
+        let mut embedding = Embedding::clone(&embedding(1, &groups));
+        embedding.quality.teams_shown = Some(3);
+        embedding.quality.team_scores = scores.to_vec();
+        Checked::new_unchecked(embedding)
+    };
+    let scores = [0.1, 0.5, 0.9, 0.4];
+    let (_, free) = divided(automatic(TeamSize::default()), &scored(&scores));
+    assert_eq!((free.requested, free.teams.len()), (3, 3));
+    let (_, three) = divided(automatic(TeamSize { min: Some(2), max: None }), &scored(&scores));
+    assert_eq!((three.requested, conflict(&three)), (3, None));
+    let (_, two) = divided(automatic(TeamSize { min: Some(3), max: None }), &scored(&scores));
+    assert_eq!((two.requested, two.teams.len(), conflict(&two)), (2, 2, None));
+    let (_, four) = divided(automatic(TeamSize { min: None, max: Some(2) }), &scored(&scores));
+    assert_eq!((four.requested, four.teams.len(), conflict(&four)), (4, 4, None));
+}
+
+#[test]
+fn a_division_that_was_made_before_the_limits_is_not_published_after_them() {
+    let mut bench = Bench::leading(teams(2));
+    bench.hold_jobs = true;
+    bench.receive_embedding(&embedding(1, &[("a b c d", WEST), ("x y", EAST)]));
+    set(&mut bench, r#"{"size":{"max":3}}"#).unwrap();
+    bench.hold_jobs = false;
+    bench.run_job();
+    assert_eq!(short(&bench.division()), "t1: a b c | t2: d x y");
+}
+
+#[test]
+fn a_standby_takes_over_with_the_division_and_its_conflict() {
+    let settings = limited(2, None, Some(3));
+    let (mut bench, _) =
+        divided(settings.clone(), &embedding(1, &[("a b c", WEST), ("x y z", EAST)]));
+    let more = embedding(2, &[("a b c j", WEST), ("x y z", EAST)]);
+    bench.receive_embedding(&more);
+    let stood = bench.division();
+    let mut next = Bench::restored(settings, vec![mirrored(&stood), Message::Embedding(more)]);
+    let sent = next.take();
+    assert_eq!(short(&sent.division()), short(&stood));
+    assert!(!sent.events.iter().any(|kind| matches!(kind, EventKind::Infeasible { .. })));
+    next.receive_embedding(&embedding(3, &[("a b c", WEST), ("x y z", EAST)]));
+    let again = |kind: &EventKind| matches!(kind, EventKind::FeasibleAgain { .. });
+    assert!(next.take().events.iter().any(again));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 150, ..ProptestConfig::default() })]
+
+    /// Robots on a grid come, move and go under any limits.
+    #[test]
+    fn limits_hold_or_the_division_says_why_not(
+        count in 1_u32..5,
+        min in prop::option::of(0_u32..5),
+        room in prop::option::of(0_u32..6),
+        own in prop::option::of((1_u64..4, 1_u32..6)),
+        dwell_s in prop::sample::select(vec![0.0, 0.5]),
+        frames in prop::collection::vec(
+            prop::collection::vec(prop::option::weighted(0.8, (-2_i8..3, -2_i8..3)), 12),
+            1..12,
+        ),
+    ) {
+        let max = room.map(|room| (min.unwrap_or(0) + room).max(1));
+        let mut settings =
+            ClustererSettings { dwell_s, restarts: 3, ..limited(count, min, max) };
+        if let Some((team, most)) = own {
+            let size = TeamSize { min: Some(0), max: Some(most) };
+            settings.team_size.insert(TeamId::numbered(team), size);
+        }
+        let has_limits = settings.has_limits();
+        let mut bench = Bench::leading(settings.clone());
+        for (epoch, places) in (1..).zip(frames) {
+            let rows = places.into_iter().enumerate().filter_map(|(i, place)| {
+                let (x, y) = place?;
+                Some((robot(&format!("r{i:02}")), vec![f64::from(x), f64::from(y)], false))
+            });
+            bench.receive_embedding(&from_rows(1, epoch, rows.collect()));
+            bench.wait(0.3);
+            for (division, _) in bench.take().teams {
+                prop_assert_eq!(division.limited.is_some(), has_limits);
+                let Some(limited) = &division.limited else { continue };
+                for team in &division.teams {
+                    let size = settings.size_of(&team.id);
+                    let robots = u32::try_from(team.members.len()).unwrap();
+                    prop_assert!(size.max.is_none_or(|max| robots <= max), "{}", short(&division));
+                    if limited.conflict.is_none() {
+                        prop_assert!(robots >= size.least(), "{}", short(&division));
+                    }
+                }
+                if limited.conflict.is_none() {
+                    prop_assert!(division.unassigned.is_empty(), "{}", short(&division));
+                    prop_assert!((0.0..1.0).contains(&limited.gap));
+                }
+            }
+        }
+    }
+}

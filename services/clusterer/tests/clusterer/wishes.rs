@@ -1,0 +1,356 @@
+//! Wishes of operators: they are granted, or say why not; they outlive the process and the leader.
+
+use muster_model::settings::TeamSize;
+use muster_model::wish::{StandingWish, WishState};
+use serde_json::{Value, json};
+
+use super::*;
+
+fn put(bench: &mut Bench, name: &str, wish: &Value) -> Result<StandingWish, String> {
+    let answer = bench.get(&format!("wish/{name}"), Some(&wish.to_string()))?;
+    let [Message::Wish(report)] = &answer[..] else { panic!("{answer:?}") };
+    assert_eq!(format!("{}/{}", report.wish.operator, report.wish.id), name);
+    Ok(report.wish.clone())
+}
+
+fn pin(robots: &[&str], team: &str) -> Value {
+    json!({"kind": "pin", "robots": robots, "team": team})
+}
+
+fn group(kind: &str, robots: &[&str]) -> Value {
+    json!({"kind": kind, "robots": robots})
+}
+
+/// The wishes that the leader answers with, as `alice/p1 active`.
+fn states(bench: &mut Bench) -> Vec<String> {
+    let answer = bench.get("wishes", None).unwrap();
+    let Some(Message::Wishes(list)) = answer.first() else { return Vec::new() };
+    let state = |one: &StandingWish| format!("{}/{} {:?}", one.operator, one.id, one.state);
+    list.wishes.iter().map(state).collect()
+}
+
+fn six(epoch: u64) -> Checked<Embedding> {
+    embedding(epoch, &[("a b c", WEST), ("x y z", EAST)])
+}
+
+fn fixed() -> ClustererSettings {
+    ClustererSettings { heartbeat_s: 4.0, dwell_s: 0.5, ..teams(2) }
+}
+
+const FREE: &str = "t1: a b c | t2: x y z";
+
+#[test]
+fn a_pin_is_granted_at_once_and_gone_when_it_is_withdrawn() {
+    let (mut bench, before) = divided(fixed(), &six(1));
+    assert_eq!(short(&before), FREE);
+    let answer = put(&mut bench, "alice/p1", &pin(&["a"], "t2")).unwrap();
+    assert_eq!(answer.state, WishState::Waiting);
+    let sent = bench.take();
+    assert_eq!(short(&sent.division()), "t1: b c | t2: a x y z", "without the dwell of robots");
+    assert!(sent.division().limited.as_ref().unwrap().conflict.is_none());
+    let named = |state| EventKind::WishChanged {
+        operator: "alice".parse().unwrap(),
+        id: "p1".parse().unwrap(),
+        state,
+    };
+    assert!(sent.events.contains(&named(WishState::Active)), "{:?}", sent.events);
+    assert_eq!(states(&mut bench), ["alice/p1 Active"]);
+    // It holds in every division, and the robot that it names does not even wait.
+    bench.receive_embedding(&embedding(2, &[("a b c", EAST), ("x y z", WEST)]));
+    let division = bench.division();
+    let place = |name: &str| division.robot_team(&robot(name)).unwrap().team.unwrap();
+    assert_eq!(place("a"), TeamId::numbered(2), "{}", short(&division));
+    let gone = put(&mut bench, "alice/p1", &Value::Null).unwrap();
+    assert_eq!(gone.state, WishState::Withdrawn);
+    assert!(states(&mut bench).is_empty());
+    let error = put(&mut bench, "alice/p1", &Value::Null).unwrap_err();
+    assert!(error.contains("alice/p1 is not there"), "{error}");
+}
+
+#[test]
+fn every_kind_is_granted() {
+    let (mut bench, _) = divided(fixed(), &six(1));
+    for (wish, wanted) in [
+        (json!({"kind": "ban", "robots": ["a"], "team": "t1"}), "t1: b c | t2: a x y z"),
+        (json!({"kind": "reserve", "robots": ["a"]}), "t1: b c | t2: x y z | - a"),
+        (group("together", &["a", "x"]), ""),
+        (group("apart", &["a", "b"]), ""),
+    ] {
+        put(&mut bench, "alice/w", &wish).unwrap();
+        let division = bench.division();
+        let place = |name: &str| division.robot_team(&robot(name)).unwrap().team;
+        match wish["kind"].as_str().unwrap() {
+            "together" => assert_eq!(place("a"), place("x"), "{}", short(&division)),
+            "apart" => assert_ne!(place("a"), place("b"), "{}", short(&division)),
+            _ => assert_eq!(short(&division), wanted),
+        }
+        assert_eq!(states(&mut bench), ["alice/w Active"], "{wish}");
+        put(&mut bench, "alice/w", &Value::Null).unwrap();
+        bench.wait(1.0);
+        bench.take();
+        // Back to where they were.
+        bench.receive_embedding(&six(bench.now.0));
+        bench.wait(1.0);
+        bench.take();
+    }
+}
+
+#[test]
+fn the_robots_of_a_locked_team_stay() {
+    let settings = ClustererSettings { dwell_s: 0.0, ..fixed() };
+    let (mut bench, _) = divided(settings, &six(1));
+    put(&mut bench, "alice/l", &json!({"kind": "lock", "team": "t1"})).unwrap();
+    bench.take();
+    bench.receive_embedding(&embedding(2, &[("a", WEST), ("b c x y z", EAST)]));
+    assert_eq!(short(&bench.division()), FREE);
+    put(&mut bench, "alice/l", &Value::Null).unwrap();
+    assert_eq!(short(&bench.division()), "t1: a | t2: b c x y z");
+}
+
+#[test]
+fn a_team_whose_robots_are_all_in_reserve_has_no_seat() {
+    let settings = ClustererSettings { teams: TeamCount::Fixed(3), ..fixed() };
+    let first = embedding(1, &[("a b c d", WEST), ("m", NORTH), ("x y z", EAST)]);
+    let (mut bench, before) = divided(settings, &first);
+    assert_eq!(short(&before), "t1: a b c d | t2: m | t3: x y z");
+    put(&mut bench, "alice/r", &json!({"kind": "reserve", "robots": ["m"]})).unwrap();
+    let sent = bench.take();
+    assert_eq!(sent.teams.len(), 1, "the same robots are divided once: {sent:?}");
+    let division = sent.division();
+    assert_eq!((division.requested, division.teams.len()), (3, 3), "{}", short(&division));
+    assert_eq!(division.unassigned, [robot("m")]);
+    // Nothing changes after that, also once the team is forgotten.
+    bench.wait(70.0);
+    bench.receive_embedding(&again(&first, 1, 2));
+    for (teams, _) in bench.take().teams {
+        assert_eq!(short(&teams), short(&division));
+    }
+}
+
+#[test]
+fn a_wish_for_who_is_not_there_waits() {
+    let (mut bench, _) = divided(fixed(), &six(1));
+    let waits = put(&mut bench, "alice/p1", &pin(&["r9"], "t2")).unwrap();
+    assert_eq!(waits.state, WishState::Waiting);
+    put(&mut bench, "alice/p2", &pin(&["a"], "t7")).unwrap();
+    put(&mut bench, "bob/t", &group("together", &["a", "q"])).unwrap();
+    assert_eq!(states(&mut bench), ["alice/p1 Waiting", "alice/p2 Waiting", "bob/t Waiting"]);
+    let answer = bench.get("wish/alice/p1", None).unwrap();
+    let [Message::Wish(report)] = &answer[..] else { panic!("{answer:?}") };
+    assert_eq!(report.wish.reason.as_deref(), Some("r9 is not there"));
+    bench.take();
+    bench.receive_embedding(&embedding(2, &[("a b c r9", WEST), ("x y z", EAST)]));
+    assert_eq!(short(&bench.division()), "t1: a b c | t2: r9 x y z");
+    assert_eq!(states(&mut bench)[0], "alice/p1 Active");
+}
+
+#[test]
+fn a_wish_for_a_team_that_comes_back_is_granted_once_it_is_there() {
+    let (mut bench, _) = divided(fixed(), &six(1));
+    bench.receive_embedding(&embedding(2, &[("a b c", WEST)]));
+    assert_eq!(short(&bench.division()), "t1: a b c");
+    put(&mut bench, "alice/p", &pin(&["a"], "t2")).unwrap();
+    assert_eq!(states(&mut bench), ["alice/p Waiting"]);
+    bench.wait(1.0);
+    bench.take();
+    bench.receive_embedding(&six(3));
+    bench.wait(0.1);
+    let last = bench.take().teams.last().unwrap().0.clone();
+    assert_eq!(short(&last), "t1: b c | t2: a x y z");
+    assert_eq!(states(&mut bench), ["alice/p Active"]);
+}
+
+#[test]
+fn a_wish_that_contradicts_others_is_refused_with_them() {
+    let settings = ClustererSettings { size: TeamSize { min: None, max: Some(4) }, ..fixed() };
+    let (mut bench, _) = divided(settings, &six(1));
+    put(&mut bench, "alice/p1", &pin(&["a"], "t2")).unwrap();
+    let error = put(&mut bench, "bob/p", &pin(&["a"], "t1")).unwrap_err();
+    assert!(error.contains("alice/p1") && error.contains("bob/p"), "{error}");
+    let error = put(&mut bench, "bob/p", &pin(&["b", "x", "y", "z"], "t2")).unwrap_err();
+    assert!(error.contains("5 robots may only be in t2, which holds 4"), "{error}");
+    assert!(error.contains("(wishes alice/p1 and bob/p)"), "{error}");
+    let error = put(&mut bench, "bob/r", &json!({"kind": "reserve", "robots": ["a"]})).unwrap_err();
+    assert!(error.contains("alice/p1") && error.contains("bob/r"), "{error}");
+    let error = put(&mut bench, "bob/t", &group("apart", &["a", "b", "c"])).unwrap_err();
+    assert!(error.contains("bob/t"), "{error}");
+    assert_eq!(states(&mut bench), ["alice/p1 Active"]);
+    for (name, payload, named) in [
+        ("alice/p2", json!({"kind": "pin", "robots": ["a"]}), "team"),
+        ("alice/p2", json!({"kind": "reserve", "robots": ["a"], "expires": 5.0}), "expires"),
+        ("alice/p2", json!([1]), "(wish)"),
+    ] {
+        let error = put(&mut bench, name, &payload).unwrap_err();
+        assert!(error.contains(named), "{payload}: {error}");
+    }
+    let limit = r#"{"size":{"max":3}}"#;
+    bench.get("service/clusterer/settings", Some(limit)).unwrap();
+    let error = bench.get("service/clusterer/settings", Some(r#"{"teams":1}"#)).unwrap_err();
+    assert!(error.contains("which holds 3"), "{error}");
+}
+
+#[test]
+fn wishes_of_which_robots_come_and_make_them_contradict_say_so() {
+    let settings = ClustererSettings { size: TeamSize { min: None, max: Some(4) }, ..fixed() };
+    let (mut bench, _) = divided(settings, &six(1));
+    put(&mut bench, "alice/p", &pin(&["p", "q", "r", "s", "u"], "t2")).unwrap();
+    bench.take();
+    bench.receive_embedding(&embedding(2, &[("a b c", WEST), ("x y z p q", EAST)]));
+    assert_eq!(states(&mut bench), ["alice/p Active"]);
+    bench.receive_embedding(&embedding(3, &[("a", WEST), ("p q r s u", EAST)]));
+    let sent = bench.take();
+    let last = sent.teams.last().unwrap().0.clone();
+    let conflict = last.limited.as_ref().unwrap().conflict.clone().unwrap();
+    assert!(
+        conflict.contains("5 robots may only be in t2, which holds 4 (wish alice/p)"),
+        "{conflict}"
+    );
+    assert_eq!(states(&mut bench), ["alice/p Conflicting"]);
+    assert!(last.teams.iter().all(|team| team.members.len() <= 4), "{}", short(&last));
+    put(&mut bench, "alice/p", &Value::Null).unwrap();
+    assert!(bench.take().events.iter().any(|kind| matches!(kind, EventKind::FeasibleAgain { .. })));
+}
+
+#[test]
+fn a_wish_expires() {
+    let (mut bench, _) = divided(fixed(), &six(1));
+    let at = bench.now.as_seconds() + 10.0;
+    let wish = json!({"kind": "pin", "robots": ["a"], "team": "t2", "expires": at});
+    put(&mut bench, "alice/p", &wish).unwrap();
+    bench.wait(9.0);
+    assert_eq!(states(&mut bench), ["alice/p Active"]);
+    bench.take();
+    bench.wait(2.0);
+    assert_eq!(states(&mut bench), ["alice/p Expired"]);
+    let last = bench.take().teams.last().unwrap().0.clone();
+    assert_eq!(last.limited, None, "nothing is asked any more");
+    bench.wait(3700.0);
+    assert!(states(&mut bench).is_empty());
+}
+
+#[test]
+fn a_wish_is_on_disk_before_it_is_confirmed_and_there_after_a_restart() {
+    let (mut bench, _) = divided(fixed(), &six(1));
+    bench.hold_stores = true;
+    let replies = bench.replies.len();
+    let get = muster_service::IncomingGet {
+        get: muster_service::GetId(999),
+        selector: "muster/v1/f/wish/alice/p".to_owned(),
+        narrowed: None,
+        parameters: String::new(),
+        payload: Some(pin(&["a"], "t2").to_string().into_bytes()),
+    };
+    bench.input(Input::Get(get));
+    assert_eq!(bench.replies.len(), replies, "it is not on disk yet");
+    bench.hold_stores = false;
+    bench.input(Input::Kept { error: None });
+    assert_eq!(bench.replies.len(), replies + 1);
+    put(&mut bench, "alice/q", &pin(&["b"], "t2")).unwrap();
+    let kept = bench.kept.clone().unwrap();
+    let division = bench.take().teams.last().unwrap().0.clone();
+    let mut next = Bench::new(fixed());
+    next.now = bench.now;
+    next.input(Input::Restored(kept));
+    next.start(vec![mirrored(&division), Message::Embedding(six(1))]);
+    assert_eq!(states(&mut next), ["alice/p Active", "alice/q Active"]);
+    assert_eq!(short(&next.take().teams.last().unwrap().0), short(&division));
+}
+
+#[test]
+fn a_standby_knows_the_wishes_and_takes_them_over() {
+    let (mut leader, _) = divided(fixed(), &six(1));
+    put(&mut leader, "alice/p", &pin(&["a"], "t2")).unwrap();
+    let list = leader.get("wishes", None).unwrap();
+    let division = leader.take().teams.last().unwrap().0.clone();
+    let found = vec![mirrored(&division), list[0].clone(), Message::Embedding(six(1))];
+    let mut next = Bench::restored(fixed(), found);
+    assert_eq!(states(&mut next), ["alice/p Active"]);
+    assert_eq!(short(&next.take().teams.last().unwrap().0), "t1: b c | t2: a x y z");
+}
+
+/// A wish of a property test: its kind, up to three robots and a team.
+fn drawn() -> impl Strategy<Value = Value> {
+    let robots = prop::collection::btree_set(0_u8..10, 2..4);
+    (0_usize..6, robots, 1_u8..4).prop_map(|(kind, robots, team)| {
+        let robots: Vec<String> = robots.into_iter().map(|robot| format!("r{robot}")).collect();
+        let team = format!("t{team}");
+        match kind {
+            0 => json!({"kind": "pin", "robots": robots[..1], "team": team}),
+            1 => json!({"kind": "ban", "robots": robots, "team": team}),
+            2 => json!({"kind": "together", "robots": robots}),
+            3 => json!({"kind": "apart", "robots": robots}),
+            4 => json!({"kind": "lock", "team": team}),
+            _ => json!({"kind": "reserve", "robots": robots[..1]}),
+        }
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
+
+    /// Whatever is wished and wherever robots go: an active wish is granted by the division.
+    #[test]
+    fn an_active_wish_is_granted(
+        wishes in prop::collection::vec(drawn(), 1..6),
+        max in prop::option::of(3_u32..8),
+        frames in prop::collection::vec(
+            prop::collection::vec(prop::option::weighted(0.85, (-2_i8..3, -2_i8..3)), 10),
+            1..8,
+        ),
+    ) {
+        let settings = ClustererSettings {
+            size: TeamSize { min: None, max },
+            restarts: 3,
+            ..ClustererSettings { dwell_s: 0.5, ..teams(3) }
+        };
+        let mut bench = Bench::leading(settings);
+        let mut wishes = wishes.into_iter();
+        for (epoch, places) in (1..).zip(frames) {
+            let rows = places.into_iter().enumerate().filter_map(|(i, place)| {
+                let (x, y) = place?;
+                Some((robot(&format!("r{i}")), vec![f64::from(x), f64::from(y)], false))
+            });
+            bench.receive_embedding(&from_rows(1, epoch, rows.collect()));
+            bench.wait(1.0);
+            if let Some(wish) = wishes.next() {
+                // It may be refused.
+                let _ = put(&mut bench, &format!("alice/w{epoch}"), &wish);
+            }
+            bench.wait(0.3);
+            bench.take();
+            let answer = bench.get("teams", None).unwrap();
+            let Some(Message::Teams { teams, .. }) = answer.first() else { continue };
+            let answer = bench.get("wishes", None).unwrap();
+            let Some(Message::Wishes(list)) = answer.first() else { continue };
+            let place = |robot: &RobotId| teams.robot_team(robot).map(|team| team.team);
+            for one in list.wishes.iter().filter(|one| one.state == WishState::Active) {
+                let placed: Vec<_> = one.wish.robots.iter().filter_map(place).collect();
+                let in_teams: Vec<_> = placed.iter().flatten().collect();
+                let distinct: BTreeSet<_> = in_teams.iter().collect();
+                let team = one.wish.team.as_ref();
+                let granted = match one.wish.kind.name() {
+                    "pin" => in_teams.iter().all(|place| Some(*place) == team),
+                    "ban" => in_teams.iter().all(|place| Some(*place) != team),
+                    "together" => distinct.len() <= 1,
+                    "apart" => distinct.len() == in_teams.len(),
+                    "reserve" => in_teams.is_empty(),
+                    _ => true,
+                };
+                prop_assert!(granted, "{:?} in {}", one, short(teams));
+            }
+            let conflict = teams.limited.as_ref().and_then(|limited| limited.conflict.as_ref());
+            let is_settled = |one: &StandingWish| match one.state {
+                WishState::Conflicting => conflict.is_some(),
+                // A division follows at once where that is all it waits for.
+                WishState::Waiting => {
+                    teams.teams.is_empty() || one.reason.as_deref() != Some("the next division")
+                }
+                _ => true,
+            };
+            prop_assert!(
+                list.wishes.iter().all(is_settled),
+                "{:?} in {}", list.wishes, short(teams)
+            );
+        }
+    }
+}

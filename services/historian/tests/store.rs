@@ -1,0 +1,435 @@
+//! The file: it answers as the store in memory does, survives what befalls it, and stays within its limits.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![cfg(feature = "store")]
+
+use std::path::Path;
+
+use muster_historian::FileRecords;
+use muster_model::audit::Quality;
+use muster_model::event::Severity;
+use muster_model::header::Revision;
+use muster_model::history::{
+    AuditRecord, DivisionRecord, Entry, EventRecord, LeaveReason, PastDivision, Place, Query,
+    Record, Retention, Rows, SnapshotCause, Subject, TeamLine,
+};
+use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName, TeamId};
+use muster_model::time::Tick;
+use muster_service::records::{MemoryRecords, Records, WriteError};
+use proptest::prelude::*;
+use proptest::sample::Index;
+
+const START: u64 = 1_795_208_980_000_000;
+const MINUTE_US: u64 = 60_000_000;
+
+fn open(folder: &Path) -> FileRecords {
+    let fleet = FleetId::new("f").unwrap();
+    FileRecords::open(Some(folder), &fleet, &InstanceId::new("i-1").unwrap()).unwrap()
+}
+
+fn robot(number: usize) -> RobotId {
+    RobotId::new(format!("r{number}")).unwrap()
+}
+
+fn team(number: usize) -> TeamId {
+    TeamId::new(format!("t{number}")).unwrap()
+}
+
+fn event(number: u64, length: usize) -> Record {
+    Record::Event(EventRecord {
+        source: ServiceName::Ingest,
+        revision: Revision { term: 1, epoch: number },
+        severity: Severity::Info,
+        kind: if number.is_multiple_of(3) { "robot_left" } else { "robot_joined" }.to_owned(),
+        detail: format!("{{\"x\":\"{}\"}}", "x".repeat(length)),
+    })
+}
+
+/// A small fleet: the team of each robot, none if the division does not contain it.
+type Teams = [Option<usize>; 6];
+
+fn lines(teams: &Teams) -> Vec<TeamLine> {
+    let members = |number| (0..teams.len()).filter(move |at| teams[*at] == Some(number));
+    (0..3)
+        .map(|number| TeamLine {
+            team: team(number),
+            leader: members(number).next().map(robot),
+            members: members(number).count() as u32,
+        })
+        .collect()
+}
+
+fn division(before: &Teams, after: &Teams, epoch: u64, snapshot: Option<SnapshotCause>) -> Record {
+    let changed = |at: &usize| snapshot.is_some() || before[*at] != after[*at];
+    let places = (0..after.len()).filter(changed).filter(|at| {
+        // A whole division lists who is in it.
+        snapshot.is_none() || after[*at].is_some()
+    });
+    let place = |at: usize| Place {
+        robot: robot(at),
+        present: after[at].is_some(),
+        team: after[at].map(team),
+        stale: epoch.is_multiple_of(3),
+        was: before[at].filter(|_| snapshot.is_none()).map(team),
+    };
+    let teams = lines(after).iter().filter(|line| line.members > 0).count() as u32;
+    Record::Division(DivisionRecord {
+        revision: Revision { term: 1, epoch },
+        requested: 3,
+        teams,
+        robots: after.iter().flatten().count() as u32,
+        snapshot,
+        places: places.map(place).collect(),
+        lines: lines(after)
+            .into_iter()
+            .filter(|line| snapshot.is_none() || line.members > 0)
+            .collect(),
+    })
+}
+
+/// What happens next in a random history.
+#[derive(Debug, Clone)]
+enum Happening {
+    Move(Index, Option<usize>),
+    Whole(bool),
+    Audit(f64),
+    Event(usize),
+    Join(Index),
+    Leave(Index),
+    Present(u8),
+    Reopen,
+    Forget(u64),
+}
+
+fn happening() -> impl Strategy<Value = (Happening, i64)> {
+    let next = prop_oneof![
+        8 => (any::<Index>(), prop::option::of(0_usize..3)).prop_map(|(at, to)| Happening::Move(at, to)),
+        2 => any::<bool>().prop_map(Happening::Whole),
+        2 => (-1.0..1.0).prop_map(Happening::Audit),
+        3 => (0_usize..40).prop_map(Happening::Event),
+        2 => any::<Index>().prop_map(Happening::Join),
+        2 => any::<Index>().prop_map(Happening::Leave),
+        1 => any::<u8>().prop_map(Happening::Present),
+        1 => Just(Happening::Reopen),
+        1 => (0_u64..90).prop_map(Happening::Forget),
+    ];
+    // Now and then the clock goes back, by up to an hour.
+    let step = prop_oneof![9 => 0_i64..400_000_000, 1 => -3_600_000_000_i64..0];
+    (next, step)
+}
+
+/// All places at a moment, by going through the list.
+fn naive(history: &[(Tick, Teams)], moment: Tick) -> Option<Teams> {
+    history.iter().rev().find(|(at, _)| *at <= moment).map(|(_, teams)| *teams)
+}
+
+fn teams_of(division: &PastDivision) -> Teams {
+    let mut teams = Teams::default();
+    for past in &division.teams {
+        for member in &past.members {
+            let at = (0..teams.len()).find(|at| robot(*at) == *member).unwrap();
+            teams[at] = (0..3).find(|number| team(*number) == past.id);
+        }
+    }
+    teams
+}
+
+fn ask(store: &mut dyn Records, query: &Query) -> Rows {
+    store.answer(query).unwrap().rows
+}
+
+/// All rows of a question, a few at a time.
+fn all_pages(store: &mut dyn Records, subject: &Subject, limit: u32) -> Vec<Rows> {
+    let (mut pages, mut before) = (Vec::new(), None);
+    loop {
+        let page = store.answer(&Query { before, limit, ..Query::of(subject.clone()) }).unwrap();
+        pages.push(page.rows);
+        match page.before {
+            Some(next) => before = Some(next),
+            None => return pages,
+        }
+    }
+}
+
+proptest! {
+    // Each record waits for the disk.
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Over random histories, the division as of any moment is the last that was recorded until then, in the file as
+    /// in memory, and both answer every question the same.
+    #[test]
+    fn the_file_and_the_memory_answer_the_same(
+        happenings in prop::collection::vec(happening(), 1..80),
+        moments in prop::collection::vec(any::<Index>(), 12),
+        limit in 1_u32..6,
+    ) {
+        let folder = tempfile::tempdir().unwrap();
+        let mut file = open(folder.path());
+        let mut memory = MemoryRecords::default();
+        let (mut now, mut teams, mut epoch) = (START, Teams::default(), 0);
+        let mut history: Vec<(Tick, Teams)> = Vec::new();
+        let mut forgot = false;
+        let write = |file: &mut FileRecords, memory: &mut MemoryRecords, at, record| {
+            let entries = [Entry { at: Tick(at), record }];
+            file.write(&entries).unwrap();
+            memory.write(&entries).unwrap();
+        };
+        write(&mut file, &mut memory, now, division(&teams, &teams, 0, Some(SnapshotCause::Start)));
+        history.push((Tick(now), teams));
+        for (happening, step) in &happenings {
+            now = now.saturating_add_signed(*step);
+            epoch += 1;
+            let record = match happening {
+                Happening::Move(at, to) => {
+                    let before = teams;
+                    teams[at.index(6)] = *to;
+                    if before == teams { continue; }
+                    history.push((Tick(now), teams));
+                    division(&before, &teams, epoch, None)
+                }
+                Happening::Whole(periodic) => {
+                    let cause = if *periodic { SnapshotCause::Periodic } else { SnapshotCause::Gap };
+                    history.push((Tick(now), teams));
+                    division(&teams, &teams, epoch, Some(cause))
+                }
+                Happening::Audit(mean) => Record::Audit(AuditRecord {
+                    revision: Revision { term: 1, epoch },
+                    division: Revision { term: 1, epoch },
+                    mean: Some(*mean),
+                    physical_mean: None,
+                    verdict: Quality::Fair,
+                    per_team: vec![(team(0), *mean), (team(1), -*mean)],
+                }),
+                Happening::Event(length) => event(epoch, *length),
+                Happening::Join(at) => Record::Joined(robot(at.index(6))),
+                Happening::Leave(at) => Record::Left {
+                    robot: robot(at.index(6)),
+                    last_seen: Tick(now - 5),
+                    reason: LeaveReason::Silent,
+                },
+                Happening::Present(bits) => {
+                    Record::Present((0..6).filter(|at| bits & (1 << at) != 0).map(robot).collect())
+                }
+                Happening::Reopen => {
+                    drop(std::mem::replace(&mut file, FileRecords::open(
+                        None, &FleetId::new("f").unwrap(), &InstanceId::new("i-1").unwrap(),
+                    ).unwrap()));
+                    file = open(folder.path());
+                    continue;
+                }
+                Happening::Forget(minutes) => {
+                    let before = Tick(now.saturating_sub(minutes * MINUTE_US));
+                    let retention = Retention { before, max_bytes: u64::MAX };
+                    while file.retain(&retention).unwrap() {}
+                    memory.retain(&retention).unwrap();
+                    forgot = true;
+                    continue;
+                }
+            };
+            write(&mut file, &mut memory, now, record);
+        }
+        // A store that was opened again knows what it still holds.
+        let (of_file, of_memory) = (file.coverage(), memory.coverage());
+        prop_assert_eq!(of_file.sequence, of_memory.sequence);
+        prop_assert_eq!(of_file.recorded_through, of_memory.recorded_through);
+        prop_assert_eq!(of_file.recorded_from, of_memory.recorded_from);
+        if !forgot {
+            prop_assert_eq!(of_file.division, of_memory.division);
+            prop_assert_eq!(of_file.audit, of_memory.audit);
+            prop_assert_eq!(of_file.events, of_memory.events);
+        }
+        for index in moments {
+            let (at, _) = history[index.index(history.len())];
+            for moment in [at.0 - 1, at.0, at.0 + 1, at.0 + 100_000_000].map(Tick) {
+                let query = Query::of(Subject::AsOf(moment));
+                let found = ask(&mut file, &query);
+                prop_assert_eq!(&found, &ask(&mut memory, &query));
+                let Rows::AsOf(found) = found else { panic!("{found:?}") };
+                let found = found.as_deref().map(teams_of);
+                if !forgot {
+                    prop_assert_eq!(found, naive(&history, moment));
+                } else if let Some(found) = found {
+                    prop_assert!(history.iter().any(|(at, teams)| *at <= moment && *teams == found));
+                }
+            }
+        }
+        let subjects = [
+            Subject::Divisions,
+            Subject::Robot(robot(1)),
+            Subject::Team(team(1)),
+            Subject::Events(None),
+            Subject::Events(Some("robot_left".to_owned())),
+            Subject::Robots(None),
+            Subject::Robots(Some(robot(2))),
+        ];
+        for subject in subjects {
+            let pages = all_pages(&mut file, &subject, limit);
+            prop_assert_eq!(&pages, &all_pages(&mut memory, &subject, limit), "{:?}", subject);
+            let bounded = Query {
+                since: Some(Tick(now - 600_000_000)),
+                until: Some(Tick(now - 60_000_000)),
+                ..Query::of(subject)
+            };
+            prop_assert_eq!(ask(&mut file, &bounded), ask(&mut memory, &bounded));
+        }
+    }
+}
+
+fn events_of(store: &mut dyn Records) -> usize {
+    match ask(store, &Query::of(Subject::Events(None))) {
+        Rows::Events(events) => events.len(),
+        rows => panic!("{rows:?}"),
+    }
+}
+
+#[test]
+fn after_the_clock_went_back_rows_keep_their_order_and_a_moment_has_its_last_division() {
+    let folder = tempfile::tempdir().unwrap();
+    let hour = 60 * MINUTE_US;
+    let first: Teams = [Some(0), Some(0), Some(1), Some(1), None, None];
+    let second: Teams = [Some(0), Some(1), Some(1), Some(1), None, None];
+    let mut store = open(folder.path());
+    let whole = |teams: &Teams, epoch| division(teams, teams, epoch, Some(SnapshotCause::Start));
+    store.write(&[Entry { at: Tick(START), record: whole(&first, 1) }]).unwrap();
+    store.write(&[Entry { at: Tick(START + 1), record: event(1, 1) }]).unwrap();
+    drop(store);
+    // The host starts again, and its clock is an hour behind.
+    let mut store = open(folder.path());
+    store.write(&[Entry { at: Tick(START - hour), record: whole(&second, 2) }]).unwrap();
+    store.write(&[Entry { at: Tick(START - hour + 1), record: event(2, 1) }]).unwrap();
+    let as_of =
+        |store: &mut FileRecords, moment| match ask(store, &Query::of(Subject::AsOf(Tick(moment))))
+        {
+            Rows::AsOf(found) => found.as_deref().map(teams_of),
+            rows => panic!("{rows:?}"),
+        };
+    assert_eq!(as_of(&mut store, START), Some(second), "it was recorded later");
+    assert_eq!(as_of(&mut store, START - hour), Some(second));
+    assert_eq!(as_of(&mut store, START - hour - 1), None);
+    let Rows::Events(events) = ask(&mut store, &Query::of(Subject::Events(None))) else { panic!() };
+    let order: Vec<_> = events.iter().map(|event| (event.sequence, event.revision.epoch)).collect();
+    assert_eq!(order, [(4, 2), (2, 1)]);
+}
+
+#[test]
+fn two_instances_of_a_host_have_files_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = open(folder.path());
+    let second = open(folder.path());
+    assert!(first.path().unwrap().ends_with("history.sqlite"));
+    assert!(second.path().unwrap().ends_with("history-2.sqlite"));
+    drop(first);
+    assert!(open(folder.path()).path().unwrap().ends_with("history.sqlite"));
+}
+
+#[test]
+fn a_damaged_file_is_put_aside_and_a_new_one_begins() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("history.sqlite");
+    for damage in ["no database at all", ""] {
+        let mut store = open(folder.path());
+        store.write(&[Entry { at: Tick(START), record: event(1, 10) }]).unwrap();
+        drop(store);
+        let mut bytes = std::fs::read(&path).unwrap();
+        if damage.is_empty() {
+            let half = bytes.len() / 2;
+            bytes[4096..half].fill(0x55);
+        } else {
+            bytes = damage.repeat(500).into_bytes();
+        }
+        std::fs::write(&path, &bytes).unwrap();
+        let mut store = open(folder.path());
+        let told = store.take_damage().unwrap();
+        assert!(told.contains("history.sqlite.bad") && store.take_damage().is_none(), "{told}");
+        assert!(folder.path().join("history.sqlite.bad").exists());
+        assert_eq!(events_of(&mut store), 0);
+        store.write(&[Entry { at: Tick(START), record: event(2, 10) }]).unwrap();
+        drop(store);
+        std::fs::remove_file(&path).unwrap();
+    }
+}
+
+#[test]
+fn damage_that_shows_while_it_is_written_leads_to_a_new_file_with_higher_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path());
+    let many: Vec<_> =
+        (0..3000).map(|n| Entry { at: Tick(START + n), record: event(n, 200) }).collect();
+    store.write(&many).unwrap();
+    // Another program empties the file behind our back: its pages are none of a database.
+    let path = store.path().unwrap().to_owned();
+    let other = rusqlite::Connection::open(&path).unwrap();
+    other.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(())).unwrap();
+    drop(other);
+    let length = std::fs::metadata(&path).unwrap().len() as usize;
+    std::fs::write(&path, vec![0x5a; length]).unwrap();
+    let mut damaged = None;
+    for number in 0..5000 {
+        match store.write(&[Entry { at: Tick(START + number), record: event(number, 200) }]) {
+            Ok(()) => {}
+            Err(WriteError::Damaged(told)) => {
+                damaged = Some(told);
+                break;
+            }
+            Err(other) => panic!("{other}"),
+        }
+    }
+    assert!(damaged.unwrap().contains("history.sqlite.bad"));
+    store.write(&[Entry { at: Tick(START), record: event(1, 1) }]).unwrap();
+    assert!(store.coverage().sequence > 3000 && events_of(&mut store) == 1);
+}
+
+#[test]
+fn a_file_of_another_fleet_version_or_program_is_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    drop(open(folder.path()));
+    let instance = InstanceId::new("i-1").unwrap();
+    let refused = |fleet: &str| {
+        let fleet = FleetId::new(fleet).unwrap();
+        FileRecords::open(Some(folder.path()), &fleet, &instance).unwrap_err()
+    };
+    assert!(refused("other").contains("fleet f; move it away"));
+    let path = folder.path().join("history.sqlite");
+    let pragma = |text: &str| {
+        rusqlite::Connection::open(&path).unwrap().execute_batch(text).unwrap();
+    };
+    pragma("PRAGMA user_version = 99");
+    assert!(refused("f").contains("version 99"));
+    pragma("PRAGMA user_version = 1; PRAGMA application_id = 7");
+    assert!(refused("f").contains("no history"));
+    assert!(!folder.path().join("history.sqlite.bad").exists());
+}
+
+#[test]
+fn above_its_size_the_oldest_minutes_go_and_the_disk_gets_their_room_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path());
+    let limit = 2 * 1024 * 1024;
+    let mut largest = 0;
+    for minute in 0..60 {
+        let at = |n: u64| Tick(START + minute * MINUTE_US + n);
+        let entries: Vec<_> =
+            (0..200).map(|n| Entry { at: at(n), record: event(n, 1000) }).collect();
+        store.write(&entries).unwrap();
+        let retention = Retention { before: Tick(0), max_bytes: limit };
+        while store.retain(&retention).unwrap() {}
+        largest = largest.max(store.coverage().bytes);
+    }
+    assert!(largest < 2 * limit, "{largest}");
+    let from = store.coverage().recorded_from.unwrap();
+    assert!(from > Tick(START) && from < Tick(START + 60 * MINUTE_US));
+    assert!(events_of(&mut store) > 200);
+    // By age, nothing but the last minute stays.
+    let before = Tick(START + 59 * MINUTE_US);
+    while store.retain(&Retention { before, max_bytes: limit }).unwrap() {}
+    assert_eq!(events_of(&mut store), 200);
+}
+
+#[test]
+fn in_memory_there_is_no_file() {
+    let fleet = FleetId::new("f").unwrap();
+    let mut store = FileRecords::open(None, &fleet, &InstanceId::new("i-1").unwrap()).unwrap();
+    store.write(&[Entry { at: Tick(START), record: event(1, 1) }]).unwrap();
+    assert_eq!((events_of(&mut store), store.shortage()), (1, None));
+    assert_eq!(store.path(), None);
+}

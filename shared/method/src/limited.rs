@@ -1,0 +1,321 @@
+//! From vectors to teams that have limits: k-means over the robots with an embedding, whose assignments are exact.
+
+use muster_numeric::assignment::{
+    Assigner, Column, CostError, CostMatrix, DivisionError, ValidRules, ValidWishes,
+    assign_with_wishes,
+};
+use muster_numeric::kmeans::{KMeansError, KMeansLimits, KMeansOptions, LimitedKMeansError};
+use muster_numeric::matrix::{DenseMatrix, MatrixError};
+
+use crate::division::Division;
+use crate::params::ValidDivisionParams;
+
+/// Share of the sum of squared distances below which a difference is rounding: costs are integers, of which the largest
+/// is 2³².
+const ROUNDING_SHARE: f64 = 1e-6;
+
+/// What a robot without a place costs, in multiples of the largest squared distance that two robots can have: more than
+/// any other robot could save by taking the place.
+const RESERVE_FACTOR: f64 = 4.0;
+
+/// Most flows of one assignment that is to grant wishes of groups: a number and no time, so that a replay is the same.
+/// Those of 500 robots and 8 teams take some tens of milliseconds.
+const NODE_BUDGET: usize = 64;
+
+/// Most assignments of one start that is to grant wishes of groups.
+const MAX_GROUP_ITERATIONS: usize = 20;
+
+/// Why robots could not be divided.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LimitedError {
+    /// k-means refuses the vectors or the limits.
+    #[error(transparent)]
+    KMeans(#[from] LimitedKMeansError),
+    /// The wishes of groups cannot be granted.
+    #[error(transparent)]
+    Groups(#[from] DivisionError),
+    /// Distances are no numbers.
+    #[error(transparent)]
+    Costs(#[from] CostError),
+    /// Vectors are no matrix.
+    #[error(transparent)]
+    Vectors(#[from] MatrixError),
+}
+
+/// What a division has to respect.
+#[derive(Debug, Clone, Copy)]
+pub struct Limits<'a> {
+    /// Limits of the teams, for as many robots as there are rows.
+    pub rules: &'a ValidRules,
+    /// Robots that are to be together or apart.
+    pub groups: &'a ValidWishes,
+    /// Column of every robot in the previous division; `None` for a new robot.
+    pub previous: &'a [Option<Column>],
+}
+
+/// How far a division is from the best assignment of its robots.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Optimality {
+    /// Whether no assignment to these teams under the limits has a lesser sum of squared distances to the centroids.
+    pub optimal: bool,
+    /// By which share the sum could be lower at most, from 0 to 1.
+    pub gap: f64,
+}
+
+/// Divides robots, each a row of `x`, N × D, into the teams of `limits`. Labels are the numbers of the teams; a robot in
+/// the reserve has none.
+///
+/// # Errors
+/// [`LimitedError`]; with a conflict where nothing satisfies the limits.
+pub fn divide_within(
+    x: &DenseMatrix,
+    params: &ValidDivisionParams,
+    limits: &Limits<'_>,
+) -> Result<Division, LimitedError> {
+    let options = KMeansOptions {
+        clusters: limits.rules.get().teams.len(),
+        init: params.init,
+        restarts: params.restarts,
+        max_iterations: params.max_iterations,
+        seed: params.seed,
+        warm_labels: None,
+        hysteresis: params.hysteresis,
+        threads: params.threads,
+    };
+    let options =
+        options.check().map_err(|error| LimitedKMeansError::from(KMeansError::from(error)))?;
+    let reserve_cost = RESERVE_FACTOR * largest_distance(x);
+    let previous = Some(limits.previous);
+    let found =
+        options.divide_within(x, &KMeansLimits { rules: limits.rules, reserve_cost, previous })?;
+    let label = |column: &Column| match column {
+        Column::Team(team) => Some(*team),
+        Column::Reserve => None,
+    };
+    let found = Division {
+        labels: found.columns.iter().map(label).collect(),
+        centroids: found.centroids,
+        inertia: found.inertia,
+        iterations: found.iterations,
+        converged: found.converged,
+    };
+    if limits.groups.get().wishes.is_empty() {
+        return Ok(found);
+    }
+    // The same for groups: from the centroids that were found, and from those before, which are kept unless the others
+    // are better by more than the hysteresis.
+    let cold = grouped(x, limits, found.centroids.clone(), 1.0)?;
+    let label = |column: &Option<Column>| column.as_ref().and_then(label);
+    let labels: Vec<Option<usize>> = limits.previous.iter().map(label).collect();
+    if labels.iter().all(Option::is_none) {
+        return Ok(cold);
+    }
+    let before = means(x, &labels, &found.centroids)?;
+    let warm = grouped(x, limits, before, 1.0 - params.hysteresis)?;
+    let keeps = warm.inertia <= (1.0 + params.hysteresis) * cold.inertia;
+    Ok(if keeps { warm } else { cold })
+}
+
+/// Assignments that grant the wishes of groups, each followed by the means of the teams, until they stay. The column
+/// before costs the share `keep` only.
+fn grouped(
+    x: &DenseMatrix,
+    limits: &Limits<'_>,
+    mut centroids: DenseMatrix,
+    keep: f64,
+) -> Result<Division, LimitedError> {
+    let mut assigner = Assigner::new();
+    assigner.set_previous(limits.rules, limits.previous);
+    let mut labels: Vec<Option<usize>> = Vec::new();
+    let (mut iterations, mut converged) = (0, false);
+    while iterations < MAX_GROUP_ITERATIONS && !converged {
+        iterations += 1;
+        let costs = costs(x, &centroids, |robot, column| {
+            let stays = limits.previous.get(robot) == Some(&Some(Column::Team(column)));
+            if stays { keep } else { 1.0 }
+        })?;
+        let rules = limits.rules;
+        let found = assign_with_wishes(&mut assigner, rules, limits.groups, &costs, NODE_BUDGET)?;
+        let team = |column: &Column| match column {
+            Column::Team(team) => Some(*team),
+            Column::Reserve => None,
+        };
+        let next: Vec<Option<usize>> = found.columns.iter().map(team).collect();
+        converged = next == labels;
+        labels = next;
+        centroids = means(x, &labels, &centroids)?;
+    }
+    let far = |(row, label): (&[f64], &Option<usize>)| Some(square(row, centroids.row((*label)?)));
+    let inertia = x.iter_rows().zip(&labels).filter_map(far).sum();
+    Ok(Division { labels, centroids, inertia, iterations, converged })
+}
+
+/// The mean row of each label; of a label without rows the one that it had.
+#[expect(clippy::cast_precision_loss, reason = "there are fewer than 2⁵³ robots")]
+fn means(
+    x: &DenseMatrix,
+    labels: &[Option<usize>],
+    before: &DenseMatrix,
+) -> Result<DenseMatrix, MatrixError> {
+    let mut sums = vec![0.0; before.rows() * x.cols()];
+    let mut sizes = vec![0_usize; before.rows()];
+    for (row, label) in x.iter_rows().zip(labels) {
+        let Some(label) = label.filter(|label| *label < sizes.len()) else { continue };
+        sizes[label] += 1;
+        for (sum, value) in sums[label * x.cols()..].iter_mut().zip(row) {
+            *sum += value;
+        }
+    }
+    for (label, size) in sizes.into_iter().enumerate() {
+        let sums = &mut sums[label * x.cols()..(label + 1) * x.cols()];
+        if size == 0 {
+            sums.copy_from_slice(before.row(label));
+        }
+        sums.iter_mut().for_each(|sum| *sum /= size.max(1) as f64);
+    }
+    DenseMatrix::new(before.rows(), x.cols(), sums)
+}
+
+fn square(row: &[f64], centroid: &[f64]) -> f64 {
+    row.iter().zip(centroid).map(|(x, c)| (x - c).powi(2)).sum()
+}
+
+/// A bound of the squared distance of two rows that is above zero.
+fn largest_distance(x: &DenseMatrix) -> f64 {
+    let square = |row: &[f64]| row.iter().map(|value| value * value).sum::<f64>();
+    let most = x.iter_rows().map(square).fold(0.0, f64::max);
+    if most > 0.0 { 4.0 * most } else { 1.0 }
+}
+
+/// How far the robots of a division, each a row of `x`, are from the best assignment to its centroids under `rules`,
+/// which have no reserve, with the wishes of `groups`.
+///
+/// # Errors
+/// [`CostError`] if distances are no numbers.
+#[expect(clippy::cast_precision_loss, reason = "the share needs no more than 53 bits")]
+pub fn optimality(
+    x: &DenseMatrix,
+    labels: &[usize],
+    centroids: &DenseMatrix,
+    rules: &ValidRules,
+    groups: &ValidWishes,
+) -> Result<Optimality, CostError> {
+    let costs = costs(x, centroids, |_, _| 1.0)?;
+    let own = |(robot, team): (usize, &usize)| i128::from(costs.row(robot)[*team]);
+    let cost: i128 = labels.iter().enumerate().map(own).sum();
+    let mut assigner = Assigner::new();
+    let best = if groups.get().wishes.is_empty() {
+        assigner.solve(rules, &costs).ok().map(|best| best.cost)
+    } else {
+        let found = assign_with_wishes(&mut assigner, rules, groups, &costs, NODE_BUDGET);
+        found.ok().map(|best| best.bound)
+    };
+    // Where nothing is found, the labels do not satisfy the rules either.
+    let Some(best) = best else { return Ok(Optimality { optimal: false, gap: 1.0 }) };
+    let gap = if cost > 0 { ((cost - best) as f64 / cost as f64).clamp(0.0, 1.0) } else { 0.0 };
+    if gap <= ROUNDING_SHARE {
+        return Ok(Optimality { optimal: true, gap: 0.0 });
+    }
+    Ok(Optimality { optimal: false, gap })
+}
+
+/// Squared distances of rows to centroids, each times its share, as integers.
+fn costs(
+    x: &DenseMatrix,
+    centroids: &DenseMatrix,
+    share: impl Fn(usize, usize) -> f64,
+) -> Result<CostMatrix, CostError> {
+    let mut values = Vec::with_capacity(x.rows() * centroids.rows());
+    for (robot, row) in x.iter_rows().enumerate() {
+        let far = |(column, c)| share(robot, column) * square(row, c);
+        values.extend(centroids.iter_rows().enumerate().map(far));
+    }
+    let unit = CostMatrix::unit_for(values.iter().fold(0.0, |most: f64, value| most.max(*value)));
+    CostMatrix::from_floats(x.rows(), centroids.rows(), &values, unit)
+}
+
+/// The rows of some robots.
+///
+/// # Errors
+/// [`MatrixError`] if a value is none.
+pub fn rows_of(
+    values: &[f64],
+    dimension: usize,
+    rows: &[usize],
+) -> Result<DenseMatrix, MatrixError> {
+    let row = |row: &usize| &values[row * dimension..(row + 1) * dimension];
+    DenseMatrix::new(rows.len(), dimension, rows.iter().flat_map(row).copied().collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use muster_numeric::assignment::{Bounds, Relation, Rules, Wish, Wishes};
+
+    use super::*;
+    use crate::params::DivisionParams;
+
+    fn line(points: &[f64]) -> DenseMatrix {
+        DenseMatrix::new(points.len(), 1, points.to_vec()).unwrap()
+    }
+
+    fn rules(robots: usize, teams: &[Bounds], reserve: Option<Bounds>) -> ValidRules {
+        let rules = Rules { robots, teams: teams.to_vec(), reserve, ..Rules::default() };
+        rules.check().unwrap()
+    }
+
+    fn no_groups(rules: &ValidRules) -> ValidWishes {
+        Wishes::default().check(rules).unwrap()
+    }
+
+    #[test]
+    fn groups_are_together_or_apart() {
+        let x = line(&[0.0, 0.1, 0.2, 5.0, 5.1, 5.2]);
+        let rules = rules(6, &[Bounds::ANY, Bounds::ANY], None);
+        let params = DivisionParams { teams: 2, ..DivisionParams::default() }.check().unwrap();
+        let wish =
+            |relation, robots: &[usize]| Wish { relation, robots: robots.to_vec(), price: None };
+        let wishes = vec![wish(Relation::Together, &[2, 3]), wish(Relation::Apart, &[0, 1])];
+        let groups = Wishes { wishes, ..Wishes::default() }.check(&rules).unwrap();
+        let limits = Limits { rules: &rules, groups: &groups, previous: &[None; 6] };
+        let found = divide_within(&x, &params, &limits).unwrap();
+        let of = |robot: usize| found.labels[robot].unwrap();
+        assert!(of(2) == of(3) && of(0) != of(1), "{:?}", found.labels);
+        let labels: Vec<usize> = (0..6).map(of).collect();
+        let judged = optimality(&x, &labels, &found.centroids, &rules, &groups).unwrap();
+        assert!(judged.optimal, "{judged:?}");
+        let column = |label: &Option<usize>| label.map(Column::Team);
+        let previous: Vec<Option<Column>> = found.labels.iter().map(column).collect();
+        let again = Limits { previous: &previous, ..limits };
+        assert_eq!(divide_within(&x, &params, &again).unwrap().labels, found.labels);
+    }
+
+    #[test]
+    fn limits_hold_and_the_assignment_is_the_best() {
+        let x = line(&[0.0, 0.1, 0.2, 0.3, 5.0]);
+        let rules = rules(5, &[Bounds::new(2, 3), Bounds::new(2, 3)], None);
+        let params = DivisionParams { teams: 2, ..DivisionParams::default() }.check().unwrap();
+        let groups = no_groups(&rules);
+        let limits = Limits { rules: &rules, groups: &groups, previous: &[None; 5] };
+        let found = divide_within(&x, &params, &limits).unwrap();
+        let far = found.labels[4];
+        assert_eq!(found.labels.iter().filter(|label| **label == far).count(), 2);
+        assert_eq!(found.labels[3], far, "the nearest of the others");
+        let labels: Vec<usize> = found.labels.iter().flatten().copied().collect();
+        let judged = optimality(&x, &labels, &found.centroids, &rules, &groups).unwrap();
+        assert_eq!(judged, Optimality { optimal: true, gap: 0.0 });
+        let worse: Vec<usize> = vec![labels[0], labels[0], labels[3], labels[0], labels[3]];
+        let judged = optimality(&x, &worse, &found.centroids, &rules, &groups).unwrap();
+        assert!(!judged.optimal && judged.gap > 0.0 && judged.gap < 1.0, "{judged:?}");
+    }
+
+    #[test]
+    fn who_has_no_place_is_in_the_reserve() {
+        let x = line(&[0.0, 0.1, 9.0]);
+        let rules = rules(3, &[Bounds::at_most(2)], Some(Bounds::ANY));
+        let params = DivisionParams { teams: 1, ..DivisionParams::default() }.check().unwrap();
+        let groups = no_groups(&rules);
+        let limits = Limits { rules: &rules, groups: &groups, previous: &[None; 3] };
+        let found = divide_within(&x, &params, &limits).unwrap();
+        assert_eq!(found.labels, [Some(0), Some(0), None]);
+    }
+}

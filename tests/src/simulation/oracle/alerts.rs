@@ -1,0 +1,73 @@
+//! Alerts: one for each kind and subject, numbers that stand for one alert, and no end without a beginning.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use muster_model::alert::{AlertKind, AlertSubject, Alerts};
+use muster_model::event::{Event, EventKind};
+
+use super::{Publisher, Verified, breach};
+
+/// What one leader has published in one term.
+#[derive(Debug, Default)]
+struct Term {
+    /// What each number stands for.
+    given: BTreeMap<u64, (AlertKind, AlertSubject)>,
+    /// The numbers of the last list.
+    open: BTreeSet<u64>,
+    /// The numbers that were on a list, and are no more.
+    ended: BTreeSet<u64>,
+    raised: BTreeSet<u64>,
+    cleared: BTreeSet<u64>,
+}
+
+/// What was published of alerts.
+#[derive(Debug, Default)]
+pub(crate) struct AlertLog(BTreeMap<(Publisher, u64), Term>);
+
+impl AlertLog {
+    /// Checks a list.
+    pub(crate) fn check_list(&mut self, publisher: Publisher, alerts: &Alerts) -> Verified {
+        let term = self.0.entry((publisher, alerts.header.revision.term)).or_default();
+        let mut subjects = BTreeSet::new();
+        let mut open = BTreeSet::new();
+        for alert in &alerts.open {
+            let what = (alert.kind, alert.subject.clone());
+            if !subjects.insert(what.clone()) {
+                return breach(
+                    "one open alert for each kind and subject",
+                    format!("{} of {} is open twice", alert.kind, alert.subject),
+                );
+            }
+            let known = term.given.entry(alert.id).or_insert_with(|| what.clone());
+            let is_other = *known != what || term.ended.contains(&alert.id);
+            if is_other || !open.insert(alert.id) || alert.id >= alerts.next_id {
+                return breach(
+                    "the number of an alert is used once in a term",
+                    format!("{} was {known:?}, and is {what:?}", alert.id),
+                );
+            }
+        }
+        term.ended.extend(term.open.difference(&open));
+        term.open = open;
+        Ok(())
+    }
+
+    /// Checks an event.
+    pub(crate) fn check_event(&mut self, publisher: Publisher, event: &Event) -> Verified {
+        let (EventKind::AlertRaised { alert, .. } | EventKind::AlertCleared { alert, .. }) =
+            event.kind
+        else {
+            return Ok(());
+        };
+        let term = self.0.entry((publisher, event.header.revision.term)).or_default();
+        let is_raised = matches!(event.kind, EventKind::AlertRaised { .. });
+        let all = if is_raised { &mut term.raised } else { &mut term.cleared };
+        if !all.insert(alert) || (is_raised && term.cleared.contains(&alert)) {
+            return breach(
+                "an alert is raised once and ends once",
+                format!("{:?} comes again for {alert}", event.kind),
+            );
+        }
+        Ok(())
+    }
+}
