@@ -202,6 +202,7 @@ fn every_mutant_is_found_and_its_run_made_short() {
             Mutant::Overfull,
             vec!["limits on the robots of teams hold, or the division says why not"],
         ),
+        (Mutant::Repetitive, vec!["a command is carried out once"]),
     ] {
         let options = Options { robots: Some(6), ..Options::default() };
         let outcomes = (0..200).map(|seed| simulate(seed, &options, Some(mutant), false));

@@ -2,7 +2,7 @@
 
 use std::io::Write as _;
 
-use muster_model::id::ServiceName;
+use muster_model::id::{OperatorId, ServiceName};
 use muster_runtime::config::{ProcessConfig, parse_assignments};
 use muster_runtime::exit::ExitError;
 
@@ -23,6 +23,9 @@ pub(crate) struct SetArgs {
     /// What to change, such as teams=3; dots lead into tables
     #[arg(value_name = "FIELD=VALUE")]
     assignments: Vec<String>,
+    /// Who changes them; where access is controlled, the name of the certificate
+    #[arg(long, default_value = "operator")]
+    operator: OperatorId,
     /// Print one line of JSON
     #[arg(long)]
     json: bool,
@@ -37,7 +40,7 @@ pub(crate) async fn run(args: &SetArgs, config: &ProcessConfig) -> anyhow::Resul
     let patch = patch.transpose().map_err(ExitError::usage)?;
     let client = console::open(config).await?;
     let settings = match &patch {
-        Some(patch) => client.change_settings(args.service, patch).await,
+        Some(patch) => client.change_settings(&args.operator, args.service, patch).await,
         None => client.get_settings(args.service).await,
     };
     client.close().await;

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use muster_client::Client;
-use muster_model::id::ServiceName;
+use muster_model::id::{OperatorId, ServiceName};
 use muster_model::time::Tick;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
@@ -38,6 +38,9 @@ pub(crate) struct TuneArgs {
     /// Apply what is proposed to the live fleet
     #[arg(long, conflicts_with = "file")]
     apply: bool,
+    /// Who applies it; where access is controlled, the name of the certificate
+    #[arg(long, default_value = "operator")]
+    operator: OperatorId,
     #[command(flatten)]
     options: TuneOptions,
 }
@@ -87,7 +90,7 @@ pub(crate) async fn of_fleet(args: &TuneArgs, config: &ProcessConfig) -> anyhow:
         && let Some(proposed) = tuning.proposed()
     {
         let patch = Tuning::patch(proposed);
-        let changed = client.change_settings(ServiceName::Embedder, &patch).await;
+        let changed = client.change_settings(&args.operator, ServiceName::Embedder, &patch).await;
         changed.map_err(console::exit_error)?;
         eprintln!("applied");
     }

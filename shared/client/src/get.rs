@@ -10,13 +10,13 @@ use muster_model::audit::Audit;
 use muster_model::embedding::Embedding;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
-use muster_model::id::{FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, WishId};
+use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
 use muster_model::katz::PairSimilarity;
 use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
-use muster_model::wish::{StandingWish, Wish};
+use muster_model::wish::StandingWish;
 use muster_wire::message::{plain_reason, quoted};
 use muster_wire::{Key, Message, Packet, Pattern};
 use serde_json::Value;
@@ -98,39 +98,6 @@ impl Client {
             _ => None,
         })
         .await
-    }
-
-    /// Says that an operator has seen an alert, and returns the list of open alerts.
-    ///
-    /// # Errors
-    /// [`Error::Refused`] if no such alert is open, [`Error::Unanswered`] if `auditor` does not run,
-    /// [`Error::Bus`] if the bus fails.
-    pub async fn acknowledge_alert(
-        &self,
-        operator: &OperatorId,
-        alert: u64,
-    ) -> Result<Arc<Alerts>, Error> {
-        let request = AcknowledgeAlert { operator: operator.clone(), alert };
-        let payload = serde_json::to_vec(&request).map_err(Error::bus)?;
-        let ask = Ask { payload: Some(&payload), ..ask_for("format=bincode", Target::Complete) };
-        let mut refused = None;
-        for answer in self.get(&Pattern::One(Key::Alerts), ask).await? {
-            match answer {
-                Answer::Packet(packet) => match Message::decode(self.bus().space(), &packet) {
-                    // Without the auditor others may answer, who cannot acknowledge anything.
-                    Ok(Message::Alerts(alerts)) if is_acknowledged(&alerts, &request) => {
-                        return Ok(alerts);
-                    }
-                    Ok(_) => {}
-                    Err(rejection) => return Err(Error::bus(rejection.reason)),
-                },
-                Answer::Error(error) => {
-                    let service = ServiceName::Auditor;
-                    refused = Some(Error::Refused { service, reason: reason(&error) });
-                }
-            }
-        }
-        Err(refused.unwrap_or_else(|| self.unanswered(Key::Alerts)))
     }
 
     /// The newest roster that anybody knows.
@@ -247,22 +214,7 @@ impl Client {
     /// [`Error::Unanswered`] if the service does not run, [`Error::Denied`] if it runs and the rules of the
     /// router drop the get, [`Error::Bus`] if the bus fails or the reply is no JSON.
     pub async fn get_settings(&self, service: ServiceName) -> Result<Value, Error> {
-        self.settings_reply(service, None).await
-    }
-
-    /// Changes settings of a service, and returns all of them. The patch is a JSON object with the fields
-    /// to change; it is checked as a whole, applied at once and kept over a restart of the service. `null`
-    /// resets a field to its default.
-    ///
-    /// # Errors
-    /// [`Error::Refused`] if a field is unknown or a value is wrong; the reason names it.
-    /// [`Error::Unanswered`] if the service does not run, [`Error::Bus`] if the bus fails.
-    pub async fn change_settings(
-        &self,
-        service: ServiceName,
-        patch: &Value,
-    ) -> Result<Value, Error> {
-        self.settings_reply(service, Some(patch.to_string().as_bytes())).await
+        self.settings_reply(service).await
     }
 
     /// All wishes of operators.
@@ -276,56 +228,6 @@ impl Client {
             Some(Message::Wishes(list)) => list.wishes.clone(),
             _ => Vec::new(),
         })
-    }
-
-    /// Puts a wish of an operator, in place of the one with this id, and returns it with what has become of it. It is on
-    /// the disk of the clusterer then.
-    ///
-    /// # Errors
-    /// [`Error::Refused`] if a field is wrong, or the wish contradicts limits or other wishes; the reason says how.
-    /// [`Error::Unanswered`] if the clusterer does not run, [`Error::Denied`] if the rules of the router drop the get,
-    /// [`Error::Bus`] if the bus fails.
-    pub async fn put_wish(
-        &self,
-        operator: &OperatorId,
-        id: &WishId,
-        wish: &Wish,
-    ) -> Result<StandingWish, Error> {
-        let payload = serde_json::to_vec(wish).map_err(Error::bus)?;
-        self.wish_reply(Key::Wish(operator.clone(), id.clone()), &payload).await
-    }
-
-    /// Withdraws a wish of an operator, and returns it as it was.
-    ///
-    /// # Errors
-    /// As [`Client::put_wish`]; [`Error::Refused`] if it is not there.
-    pub async fn withdraw_wish(
-        &self,
-        operator: &OperatorId,
-        id: &WishId,
-    ) -> Result<StandingWish, Error> {
-        self.wish_reply(Key::Wish(operator.clone(), id.clone()), b"null").await
-    }
-
-    async fn wish_reply(&self, key: Key, payload: &[u8]) -> Result<StandingWish, Error> {
-        let service = ServiceName::Clusterer;
-        let ask = Ask { payload: Some(payload), ..ask_for("format=json", Target::Complete) };
-        let mut refused = None;
-        for answer in self.get(&Pattern::One(key.clone()), ask).await? {
-            match answer {
-                Answer::Packet(Packet { payload: Ok(payload), .. }) => {
-                    return serde_json::from_slice(&payload).map_err(Error::bus);
-                }
-                Answer::Packet(_) => {}
-                Answer::Error(error) => {
-                    refused = Some(Error::Refused { service, reason: reason(&error) });
-                }
-            }
-        }
-        match refused {
-            Some(refused) => Err(refused),
-            None => Err(self.leader_unanswered(service, key).await),
-        }
     }
 
     /// The running instances of services, by their liveliness tokens.
@@ -370,12 +272,8 @@ impl Client {
         Ok(fleets.into_values().collect())
     }
 
-    async fn settings_reply(
-        &self,
-        service: ServiceName,
-        patch: Option<&[u8]>,
-    ) -> Result<Value, Error> {
-        let ask = Ask { payload: patch, ..ask_for("format=json", Target::Complete) };
+    async fn settings_reply(&self, service: ServiceName) -> Result<Value, Error> {
+        let ask = ask_for("format=json", Target::Complete);
         let mut refused = None;
         for answer in self.get(&Pattern::One(Key::Settings(service)), ask).await? {
             match answer {
@@ -396,7 +294,7 @@ impl Client {
 
     /// Why a leader does not answer. A router drops what its rules deny without a word; a leader that answers for its
     /// status runs, and would answer for its other keys.
-    async fn leader_unanswered(&self, service: ServiceName, key: Key) -> Error {
+    pub(crate) async fn leader_unanswered(&self, service: ServiceName, key: Key) -> Error {
         let statuses = self.get_statuses(Some(service)).await.unwrap_or_default();
         if statuses.iter().any(|status| status.standing == ReplicaState::Leading) {
             let fleet = self.bus().space().fleet().clone();
@@ -437,13 +335,13 @@ impl Client {
     }
 }
 
-fn is_acknowledged(alerts: &Alerts, request: &AcknowledgeAlert) -> bool {
+pub(crate) fn is_acknowledged(alerts: &Alerts, request: &AcknowledgeAlert) -> bool {
     let by = |alert: &Alert| alert.acknowledged.as_ref().map(|by| by.operator.clone());
     let mut open = alerts.open.iter();
     open.any(|alert| alert.id == request.alert && by(alert).as_ref() == Some(&request.operator))
 }
 
-fn ask_for(parameters: &str, target: Target) -> Ask<'_> {
+pub(crate) fn ask_for(parameters: &str, target: Target) -> Ask<'_> {
     Ask { parameters, payload: None, within: REPLY_TIMEOUT, further_within: None, target }
 }
 

@@ -102,6 +102,7 @@
 
 mod changes;
 mod client;
+mod command;
 mod config;
 mod error;
 mod feed;

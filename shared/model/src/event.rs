@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::alert::AlertKind;
 use crate::header::Header;
-use crate::id::{Modality, OperatorId, RobotId, ServiceName, TeamId, WishId};
+use crate::id::{CommandId, Modality, OperatorId, RobotId, ServiceName, TeamId, WishId};
 use crate::limits::{
     MAX_ALERT_ROBOTS, MAX_DOUBTED_ROBOTS, MAX_FLAPPING_ROBOTS, MAX_ROBOTS_OF_EVENT,
 };
@@ -249,6 +249,17 @@ pub enum EventKind {
         id: WishId,
         /// What has become of it.
         state: WishState,
+    },
+    /// An operator has commanded the service.
+    Commanded {
+        /// Who.
+        operator: OperatorId,
+        /// The id of the command.
+        command: CommandId,
+        /// What was commanded, as JSON; its name alone if it is long.
+        action: String,
+        /// Why it was refused; none if it was carried out.
+        refused: Option<String>,
     },
 }
 

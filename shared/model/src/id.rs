@@ -153,6 +153,10 @@ id!(
     "A person, or a program in its place, who commands a fleet."
     OperatorId
 );
+id!(
+    "A command, among those of its operator."
+    CommandId
+);
 
 impl Modality {
     /// The modalities that every fleet has.

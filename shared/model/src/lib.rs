@@ -13,6 +13,7 @@
 
 pub mod alert;
 pub mod audit;
+pub mod command;
 pub mod content;
 pub mod embedding;
 pub mod event;

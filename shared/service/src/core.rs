@@ -225,10 +225,14 @@ impl Wiring {
                 let pattern = Pattern::One(key);
                 wiring.subscriptions.push(Subscription { pattern, delivery: Delivery::Latest });
             }
+            let pattern = Pattern::Commands(service);
+            let delivery = Delivery::Latest;
+            wiring.subscriptions.push(Subscription { pattern, delivery });
             wiring.tokens.push(Pattern::InstanceTokens(service));
             served.push(Key::Lease(service));
         }
         wiring.served.extend(served.into_iter().map(|key| ServedKey::own(Pattern::One(key))));
+        wiring.served.push(ServedKey::own(Pattern::Commands(service)));
         wiring
     }
 }

@@ -7,11 +7,13 @@ use muster_model::settings::Settings;
 use muster_model::time::Tick;
 use muster_wire::{Key, Message, Pattern, Rejection};
 
+use crate::commands::Commands;
 use crate::failures::{Failures, JobOutcomes};
 use crate::fetches::{AnswerTime, Fetched, Fetches, Purpose};
 use crate::gets::{Gets, encode_answer};
 use crate::io::{Command, GetId, Publication, Reply};
 use crate::replica::Replica;
+use crate::start::Stored;
 
 /// The one job of a service.
 pub(crate) enum JobSlot<Job> {
@@ -33,6 +35,8 @@ pub(crate) struct Facilities<S, F, J> {
     /// Fetches that have ended within the current input.
     pub(crate) fetched: VecDeque<Fetched<F>>,
     pub(crate) gets: Gets,
+    /// What operators have commanded.
+    pub(crate) operator_commands: Commands,
     pub(crate) job: JobSlot<J>,
     pub(crate) failures: Failures,
     /// Whether the last jobs have all failed.
@@ -117,7 +121,8 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
     ) {
         let service = self.replica.service;
         let of_leader = [Key::Lease(service), Key::Settings(service), Key::Wishes];
-        let of_leader = of_leader.map(Pattern::One);
+        let of_leader = of_leader.map(Pattern::One).into_iter().chain([Pattern::Commands(service)]);
+        let of_leader: Vec<Pattern> = of_leader.collect();
         // After a failure of the router, those who know the last output may need a moment to reconnect. A
         // leader answers at once, or there is none; wishes are on disk as well, and mostly there are none.
         let retries = |pattern: &Pattern| purpose == Purpose::Start && !of_leader.contains(pattern);
@@ -141,7 +146,9 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
     pub(crate) fn store(&mut self) {
         self.store_again_at = None;
         self.gets.store_started();
-        self.commands.push(Command::Store(self.replica.stored()));
+        let commands = self.operator_commands.outcomes().map(|outcome| (**outcome).clone());
+        let stored = Stored { commands: commands.collect(), ..self.replica.stored() };
+        self.commands.push(Command::Store(stored));
     }
 
     pub(crate) fn reply(
@@ -157,6 +164,10 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
                 (packets, messages)
             }
             Err(error) => (Err(error), Vec::new()),
+        };
+        let answer = match self.operator_commands.end(get) {
+            Some(command) => self.end_command(command, answer),
+            None => answer,
         };
         let reply = Reply { get, answer, messages };
         let reply = self.gets.pass(reply, kind == ReplyKind::ConfirmsStore);

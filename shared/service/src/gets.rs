@@ -55,6 +55,11 @@ impl Gets {
         Ok(Get { id, request })
     }
 
+    /// A get goes on as another request, and is answered in its form.
+    pub(crate) fn exchange(&mut self, id: GetId, request: Request) {
+        self.open.insert(id, request);
+    }
+
     /// The request of a get that waits; it does not wait any more.
     pub(crate) fn close(&mut self, id: GetId) -> Option<Request> {
         self.open.remove(&id)

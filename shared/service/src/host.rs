@@ -7,6 +7,7 @@
 //! order that is tested.
 
 mod answering;
+mod commanding;
 mod leadership;
 mod state_loss;
 
@@ -20,6 +21,7 @@ use muster_wire::message::quoted;
 use muster_wire::{KeySpace, Message};
 
 use self::leadership::Occasion;
+use crate::commands::Commands;
 use crate::core::{Connectivity, Context, Core, CoreFacilities, JobEnd, MemoryUse, View};
 use crate::facilities::{Facilities, JobSlot};
 use crate::failures::{Failures, JobOutcomes, JobsFailing};
@@ -53,6 +55,7 @@ impl<C: Core> Host<C> {
     #[must_use]
     pub fn new(start: Start<C::Settings>) -> Self {
         let now = start.now;
+        let operator_commands = Commands::new(&start.stored.commands);
         let replica = Replica::new(C::SERVICE, C::REPLICATION, start);
         let core = C::new(now, replica.settings.current());
         let facilities = Facilities {
@@ -61,6 +64,7 @@ impl<C: Core> Host<C> {
             fetches: Fetches::default(),
             fetched: VecDeque::new(),
             gets: Gets::default(),
+            operator_commands,
             job: JobSlot::Free,
             failures: Failures::default(),
             jobs: JobOutcomes::default(),
@@ -268,6 +272,10 @@ impl<C: Core> Host<C> {
                 self.replace_leader_without_state(&announced);
                 self.confirm_leadership();
             }
+            Message::Outcome(outcome) if outcome.service == C::SERVICE => {
+                self.learn_outcome(outcome);
+                self.confirm_leadership();
+            }
             message => {
                 self.confirm_leadership();
                 self.core.on_message(&mut Context(&mut self.facilities), message);
@@ -281,7 +289,7 @@ impl<C: Core> Host<C> {
             Message::LeaseRenewal(renewal) => {
                 renewal.instance == *self.facilities.replica.election.instance()
             }
-            Message::ServiceToken { .. } | Message::Settings(_) => true,
+            Message::ServiceToken { .. } | Message::Settings(_) | Message::Outcome(_) => true,
             message => C::is_output(message),
         }
     }

@@ -10,6 +10,7 @@
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
+mod commands;
 mod core;
 mod facilities;
 mod failures;

@@ -1,12 +1,13 @@
 //! What an instance begins with, and what it keeps over a restart.
 
+use muster_model::command::CommandOutcome;
 use muster_model::id::{FleetId, InstanceId};
 use muster_model::time::Tick;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 /// What a service keeps over a restart.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stored {
     /// The last term that it began on this host.
@@ -14,6 +15,9 @@ pub struct Stored {
     /// The fields of the settings that operators have changed.
     #[serde(with = "patch_form")]
     pub patch: Map<String, Value>,
+    /// What came of the last commands, the oldest first: none is carried out again.
+    #[serde(default)]
+    pub commands: Vec<CommandOutcome>,
 }
 
 /// A patch is written as it is where the form describes itself, as JSON does, and as JSON text where it

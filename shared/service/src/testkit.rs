@@ -7,6 +7,7 @@ use muster_model::id::{FleetId, InstanceId};
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
 use muster_wire::{Key, KeySpace, Message, Packet, Pattern, Rejection};
+use serde_json::{Value, json};
 
 use crate::core::Core;
 use crate::host::Host;
@@ -259,7 +260,8 @@ impl<C: Core> Bench<C> {
         self.now = until;
     }
 
-    /// Gets a key of the fleet, which is written without the prefix that all keys have.
+    /// Gets a key of the fleet, which is written without the prefix that all keys have. A payload for settings, a wish or
+    /// the alerts goes in a command of its own, and what is returned is what its key answers.
     ///
     /// # Errors
     /// The error text that the get is answered with.
@@ -269,6 +271,12 @@ impl<C: Core> Bench<C> {
     pub fn get(&mut self, selector: &str, payload: Option<&str>) -> Result<Vec<Message>, String> {
         let (selector, parameters) = selector.split_once('?').unwrap_or((selector, ""));
         self.next_get += 1;
+        let id = format!("c{}", self.next_get);
+        let command = payload.and_then(|payload| command_of(self.now, selector, &id, payload));
+        let (selector, payload) = match &command {
+            Some((key, command)) => (key.as_str(), Some(command.as_str())),
+            None => (selector, payload),
+        };
         let get = GetId(self.next_get);
         let before = self.replies.len();
         self.input(Input::Get(IncomingGet {
@@ -302,4 +310,39 @@ impl<C: Core> Bench<C> {
     pub fn space(&self) -> &KeySpace {
         &self.space
     }
+}
+
+/// How long the commands of tests are valid, in seconds.
+const COMMAND_VALID_S: f64 = 60.0;
+
+/// The key and the payload of the command that does what a payload on another key is about; none if nothing does, or the
+/// payload is none that a command could carry.
+#[must_use]
+pub fn command_of(now: Tick, selector: &str, id: &str, payload: &str) -> Option<(String, String)> {
+    let value: Value = serde_json::from_str(payload).ok()?;
+    let chunks: Vec<&str> = selector.split('/').collect();
+    let (service, operator, action) = match chunks[..] {
+        ["service", service, "settings"] => (service, "tester", json!({ "set": value })),
+        ["wish", operator, id] if value.is_null() => {
+            ("clusterer", operator, json!({"withdraw": {"id": id}}))
+        }
+        ["wish", operator, id] => {
+            ("clusterer", operator, json!({"wish": {"id": id, "wish": value}}))
+        }
+        ["alerts"] => {
+            let operator = value.get("operator")?.as_str()?;
+            return Some((
+                format!("command/auditor/{operator}/{id}"),
+                sent(now, &json!({"acknowledge": {"alert": value.get("alert")?}})),
+            ));
+        }
+        _ => return None,
+    };
+    Some((format!("command/{service}/{operator}/{id}"), sent(now, &action)))
+}
+
+/// A command that is sent now.
+fn sent(now: Tick, action: &Value) -> String {
+    let now = now.as_seconds();
+    json!({"sent": now, "expires": now + COMMAND_VALID_S, "action": action}).to_string()
 }

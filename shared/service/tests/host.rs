@@ -122,10 +122,12 @@ fn a_get_that_makes_no_sense_is_answered_with_an_error() {
     };
     driven.input(get(1, "muster/v1/alpha/teams", "format=carrier-pigeon", None));
     driven.input(get(2, "muster/v1/alpha/service/*/settings", "", Some(r#"{"teams":7}"#)));
-    driven.input(get(3, "muster/v1/alpha/service/clusterer/settings", "", Some("{")));
-    driven.input(get(4, "muster/v1/alpha/service/clusterer/settings", "", Some(r#"{"teams":0}"#)));
-    assert_eq!(ids(&driven), [1, 2, 3, 4]);
-    for (reply, text) in driven.replies.iter().zip(["parameters", "wildcards", "JSON", "teams"]) {
+    driven.input(get(3, "muster/v1/alpha/command/clusterer/kim/c1", "", Some("{")));
+    driven.input(get(4, "muster/v1/alpha/service/clusterer/settings", "", Some(r#"{"teams":7}"#)));
+    driven.input(small::get(5, &Key::Settings(SERVICE), Some(r#"{"teams":0}"#)));
+    assert_eq!(ids(&driven), [1, 2, 3, 4, 5]);
+    let texts = ["parameters", "wildcards", "JSON", "commands", "teams"];
+    for (reply, text) in driven.replies.iter().zip(texts) {
         let error = reply.answer.as_ref().unwrap_err();
         assert!(error.contains(text), "{error}");
     }
@@ -239,7 +241,8 @@ fn the_output_of_a_standby_is_suppressed() {
 fn an_inquiry_repeats_unanswered_questions_for_two_seconds() {
     let mut driven = Driven::<ONE_LEADS>::new();
     driven.input(Input::Started { linked: true });
-    let of_host = [Key::Lease(SERVICE), Key::Settings(SERVICE)].map(Pattern::One);
+    let [lease, settings] = [Key::Lease(SERVICE), Key::Settings(SERVICE)].map(Pattern::One);
+    let of_host = [lease, settings, Pattern::Commands(SERVICE)];
     let of_core = [Pattern::One(Key::Teams), Pattern::Graphs];
     assert_eq!(driven.asked(), [&of_core[..], &of_host[..]].concat());
     // A service that knows the answer soon is not asked again.
@@ -268,7 +271,7 @@ fn a_standby_that_takes_over_does_not_wait() {
     assert_eq!(driven.host.replica_state(), ReplicaState::Standby);
     driven.receive(token("a", false));
     driven.wait(0.5);
-    assert_eq!(driven.asks.len(), 4);
+    assert_eq!(driven.asks.len(), 5);
     driven.answer_all(Vec::new());
     assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
     assert_eq!(driven.host.status(driven.now).revision.term, 8);
@@ -283,7 +286,7 @@ fn an_instance_without_a_link_asks_again_once_it_has_one() {
     driven.answer_all(Vec::new());
     assert_eq!(driven.host.replica_state(), ReplicaState::Starting);
     driven.input(Input::LinkRestored);
-    assert_eq!(driven.asks.len(), 4);
+    assert_eq!(driven.asks.len(), 5);
     driven.now = driven.now.after(Duration::from_secs(2));
     driven.answer_all(Vec::new());
     assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
@@ -324,19 +327,21 @@ fn where_every_instance_works_for_itself_it_leads_at_once_without_an_election() 
     let wiring = Wiring::of::<Small<EVERY_INSTANCE>>();
     assert!(wiring.tokens.is_empty() && wiring.subscriptions.is_empty());
     let served: Vec<_> = wiring.served.into_iter().map(|served| served.pattern).collect();
-    let own = [Key::Settings(SERVICE), Key::Status(SERVICE), Key::Schema];
-    assert_eq!(served, own.map(Pattern::One));
+    let own = [Key::Settings(SERVICE), Key::Status(SERVICE), Key::Schema].map(Pattern::One);
+    assert_eq!(served, [&own[..], &[Pattern::Commands(SERVICE)]].concat());
 }
 
 #[test]
 fn where_one_instance_leads_the_host_adds_the_keys_of_the_election() {
     let wiring = Wiring::of::<Small<CHANGED>>();
     let subscribed: Vec<_> = wiring.subscriptions.into_iter().map(|one| one.pattern).collect();
-    assert_eq!(subscribed, [Key::Lease(SERVICE), Key::Settings(SERVICE)].map(Pattern::One));
+    let [lease, settings] = [Key::Lease(SERVICE), Key::Settings(SERVICE)].map(Pattern::One);
+    assert_eq!(subscribed, [lease, settings, Pattern::Commands(SERVICE)]);
     assert_eq!(wiring.tokens, [Pattern::InstanceTokens(SERVICE)]);
     let served: Vec<_> = wiring.served.into_iter().map(|served| served.pattern).collect();
     let own = [Key::Settings(SERVICE), Key::Status(SERVICE), Key::Schema, Key::Lease(SERVICE)];
-    assert_eq!(served, own.map(Pattern::One));
+    let own = own.map(Pattern::One);
+    assert_eq!(served, [&own[..], &[Pattern::Commands(SERVICE)]].concat());
 }
 
 #[test]

@@ -27,6 +27,7 @@ use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
 use muster_service::recording::{Entry, Head, commands_frame, input_frame};
 use muster_service::replay::{Comparison, Ending, Replay, ReplayError, compare, panic_text};
+use muster_service::testkit::command_of;
 use muster_service::{
     Arrival, Ask, AskId, Command, Core, GetId, Host, IncomingGet, Input, Publication, Reply, Start,
     Stopwatch, Stored,
@@ -107,7 +108,10 @@ impl Recorder {
 
     fn answer_all(&mut self) {
         while let Some(ask) = self.asks.pop_front() {
-            let of_host = matches!(ask.pattern, Pattern::One(Key::Lease(_) | Key::Settings(_)));
+            let of_host = matches!(
+                ask.pattern,
+                Pattern::One(Key::Lease(_) | Key::Settings(_)) | Pattern::Commands(_)
+            );
             let answers = if of_host { Vec::new() } else { vec![arrival(&pose("r1", -0.1))] };
             self.step(Input::Answered { ask: ask.ask, answers });
         }
@@ -137,13 +141,25 @@ impl Recorder {
         self.step(Input::JobEnded { laps: stopwatch.laps().to_vec(), panic });
     }
 
-    fn get(&mut self, id: u64, key: Key, parameters: &str, payload: Option<&str>) {
+    fn get(&mut self, id: u64, key: Key, parameters: &str) {
         self.step(Input::Get(IncomingGet {
             get: GetId(id),
             selector: space().format(&key),
             narrowed: None,
             parameters: parameters.to_owned(),
-            payload: payload.map(|text| text.as_bytes().to_vec()),
+            payload: None,
+        }));
+    }
+
+    fn set(&mut self, id: u64, patch: &str) {
+        let key = Key::Settings(ServiceName::Clusterer).to_string();
+        let (key, command) = command_of(self.now, &key, "c1", patch).unwrap();
+        self.step(Input::Get(IncomingGet {
+            get: GetId(id),
+            selector: format!("muster/v1/{}/{key}", space().fleet()),
+            narrowed: None,
+            parameters: String::new(),
+            payload: Some(command.into_bytes()),
         }));
     }
 }
@@ -166,12 +182,12 @@ fn life() -> Recorder {
     life.now.0 += 1_000_000;
     life.answer_all();
     life.step(Input::Timer);
-    life.get(1, Key::Settings(ServiceName::Clusterer), "", Some("{\"teams\":4}"));
-    life.get(2, Key::Settings(ServiceName::Clusterer), "format=bincode", None);
+    life.set(1, "{\"teams\":4}");
+    life.get(2, Key::Settings(ServiceName::Clusterer), "format=bincode");
     life.store(Some("no space left"));
     life.step(Input::ProcessCounters(BTreeMap::from([("threads".to_owned(), 2)])));
-    life.get(3, Key::Status(ServiceName::Clusterer), "format=json", None);
-    life.get(4, Key::Teams, "", None);
+    life.get(3, Key::Status(ServiceName::Clusterer), "format=json");
+    life.get(4, Key::Teams, "");
     for name in ["output", "fetch", "declare", "append", "lookup", "retain", "withdraw"] {
         life.step(arrived(&order(name)));
     }
@@ -181,7 +197,7 @@ fn life() -> Recorder {
 }
 
 /// How many inputs [`life`] has.
-const INPUTS: u64 = 33;
+const INPUTS: u64 = 34;
 
 fn read(bytes: &[u8]) -> (Head, Vec<Entry>) {
     let (mut reader, head) = Reader::open(bytes).unwrap();
@@ -261,7 +277,7 @@ fn the_first_input_at_which_a_core_differs_is_found() {
     let life = life();
     let compared = replay::<Small<CHANGED>>(&life.bytes, u64::MAX).unwrap();
     let difference = compared.difference.unwrap();
-    assert_eq!(difference.step.number, 8, "the job's end is where it shows");
+    assert_eq!(difference.step.number, 9, "the job's end is where it shows");
     assert!(matches!(difference.step.input, Input::JobEnded { .. }));
     assert_ne!(difference.now.unwrap(), difference.step.commands.unwrap());
 }

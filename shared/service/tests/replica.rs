@@ -281,7 +281,11 @@ fn a_term_is_raised_only_when_readers_have_seen_the_same_higher_revision_twice()
 fn a_leader_without_state_is_replaced_by_an_instance_that_has_it() {
     let with_state = |stored: u64| {
         let patch = serde_json::json!({"teams": 5}).as_object().unwrap().clone();
-        let mut bench = small::Driven::<ONE_LEADS>::with_stored(Stored { term: stored, patch });
+        let mut bench = small::Driven::<ONE_LEADS>::with_stored(Stored {
+            term: stored,
+            patch,
+            ..Stored::default()
+        });
         bench.now = small::START.before(Duration::from_secs(2));
         bench.input(Input::Started { linked: true });
         bench.now = small::START;

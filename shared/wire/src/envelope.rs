@@ -8,6 +8,7 @@ use bincode::config::{Configuration, Limit};
 use bincode::error::DecodeError;
 use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
+use muster_model::command::CommandOutcome;
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
@@ -123,6 +124,7 @@ kinds! {
     13 LeaseRenewal, "Claim", MAX_SMALL_PAYLOAD;
     14 WishList, "Wishes", MAX_SERVICE_PAYLOAD;
     16 Alerts, "Alerts", MAX_SERVICE_PAYLOAD;
+    17 CommandOutcome, "CommandOutcome", MAX_SMALL_PAYLOAD;
 }
 
 /// Writes a message.

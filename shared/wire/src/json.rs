@@ -34,7 +34,7 @@ use crate::packet::MAX_REASON;
 
 /// The head of every JSON message.
 #[derive(Debug, Serialize, JsonSchema)]
-struct Head<'a> {
+pub(crate) struct Head<'a> {
     /// The fleet.
     fleet: &'a FleetId,
     /// Which leader of the service published it; a later one has a higher term.
@@ -64,7 +64,7 @@ struct Stage {
     published: f64,
 }
 
-fn head(header: &Header, now: Tick) -> Head<'_> {
+pub(crate) fn head(header: &Header, now: Tick) -> Head<'_> {
     let stages = header.stages.iter().map(|time| Stage {
         stage: time.stage,
         received: time.received.as_seconds(),

@@ -6,7 +6,9 @@
 
 use std::fmt;
 
-use muster_model::id::{FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, WishId};
+use muster_model::id::{
+    CommandId, FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, WishId,
+};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Stream;
 use serde::{Deserialize, Serialize};
@@ -77,6 +79,8 @@ pub enum Key {
     Wishes,
     /// `json/wishes`: all wishes as JSON.
     JsonWishes,
+    /// `command/{service}/{operator}/{id}`: a get with a payload commands a service, one without answers what came of it.
+    Command(ServiceName, OperatorId, CommandId),
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -114,6 +118,8 @@ pub enum Pattern {
     HistoryStates,
     /// `wish/*/*`
     EachWish,
+    /// `command/{service}/*/*`: all commands of a service.
+    Commands(ServiceName),
 }
 
 /// Why a text is not a key of the fleet.
@@ -196,6 +202,9 @@ impl KeySpace {
             }
             Pattern::Statuses => "service/*/status",
             Pattern::EachWish => "wish/*/*",
+            Pattern::Commands(service) => {
+                return format!("{}command/{service}/*/*", self.prefix);
+            }
             Pattern::Everything => "**",
             Pattern::One(key) => return self.format(key),
             Pattern::Foreign(pattern) => return pattern.to_string(),
@@ -251,6 +260,9 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("wishes"), None, ..] => Key::Wishes,
         [Some("wish"), Some(operator), Some(id), None, _] => {
             Key::Wish(operator.parse().ok()?, id.parse().ok()?)
+        }
+        [Some("command"), Some(service), Some(operator), Some(id), None] => {
+            Key::Command(service.parse().ok()?, operator.parse().ok()?, id.parse().ok()?)
         }
         [Some("graph"), Some(modality), None, ..] => Key::Graph(modality.parse().ok()?),
         [Some("robot"), Some(robot), None, ..] => Key::RobotToken(robot.parse().ok()?),
@@ -310,7 +322,8 @@ impl Pattern {
             | Self::RobotRefusals
             | Self::Statuses
             | Self::HistoryStates
-            | Self::EachWish => MAX_SMALL_PAYLOAD,
+            | Self::EachWish
+            | Self::Commands(_) => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
             Self::Graphs | Self::Everything | Self::Foreign(_) | Self::Histories => {
                 MAX_SERVICE_PAYLOAD
@@ -334,7 +347,8 @@ impl Key {
             | Self::Status(_)
             | Self::Lease(_)
             | Self::HistoryState(_)
-            | Self::Wish(..) => MAX_SMALL_PAYLOAD,
+            | Self::Wish(..)
+            | Self::Command(..) => MAX_SMALL_PAYLOAD,
             Self::RobotToken(_) | Self::ServiceToken(..) => 0,
             _ => MAX_SERVICE_PAYLOAD,
         }
@@ -382,6 +396,9 @@ impl fmt::Display for Key {
             Self::History(instance) => write!(formatter, "history/{instance}"),
             Self::HistoryState(instance) => write!(formatter, "history/{instance}/state"),
             Self::Wish(operator, id) => write!(formatter, "wish/{operator}/{id}"),
+            Self::Command(service, operator, id) => {
+                write!(formatter, "command/{service}/{operator}/{id}")
+            }
             Self::Wishes => formatter.write_str("wishes"),
             Self::JsonWishes => formatter.write_str("json/wishes"),
             Self::Foreign(key) => key.fmt(formatter),

@@ -13,6 +13,7 @@
 
 pub mod alerts;
 mod bytes;
+pub mod command;
 pub mod decode;
 pub mod envelope;
 pub mod foreign;

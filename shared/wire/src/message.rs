@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
+use muster_model::command::CommandOutcome;
 use muster_model::content::{Checked, Content};
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
@@ -92,6 +93,8 @@ pub enum Message {
     Wishes(Checked<WishList>),
     /// One wish: what a get of its key is answered with.
     Wish(Box<WishReport>),
+    /// What came of a command.
+    Outcome(Arc<CommandOutcome>),
 }
 
 fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
@@ -187,6 +190,14 @@ impl Message {
                 Self::LeaseRenewal(Box::new(claim))
             }
             Key::Wishes => Self::Wishes(Checked::new(binary(format, bytes)?)?),
+            Key::Command(service, operator, id) => {
+                let outcome: CommandOutcome = binary(format, bytes)?;
+                agree(&service, &outcome.service, "services")?;
+                agree(&operator, &outcome.operator, "operators")?;
+                agree(&id, &outcome.id, "ids")?;
+                outcome.check()?;
+                Self::Outcome(Arc::new(outcome))
+            }
             Key::RobotToken(_) | Key::ServiceToken(..) => return Err(DecodeError::OnlyTokens),
             Key::JsonWishes
             | Key::Wish(..)
@@ -222,6 +233,7 @@ impl Message {
             Self::Alerts(alerts) => Some(&alerts.header),
             Self::Wishes(list) => Some(&list.header),
             Self::Wish(report) => Some(&report.header),
+            Self::Outcome(outcome) => Some(&outcome.header),
             _ => None,
         }
     }
@@ -252,6 +264,10 @@ impl Message {
             Self::Wishes(_) => (Key::Wishes, Some(Key::JsonWishes)),
             Self::Wish(report) => {
                 (Key::Wish(report.wish.operator.clone(), report.wish.id.clone()), None)
+            }
+            Self::Outcome(outcome) => {
+                let (operator, id) = (outcome.operator.clone(), outcome.id.clone());
+                (Key::Command(outcome.service, operator, id), None)
             }
         }
     }
@@ -293,6 +309,7 @@ impl Message {
             | Self::History(_)
             | Self::HistoryState(_)
             | Self::Wish(_)
+            | Self::Outcome(_)
             | Self::Katz(_) => Format::Json,
             _ => Format::Binary,
         };
@@ -364,6 +381,7 @@ impl Message {
             Self::Alerts(alerts) => alerts.to_json(now),
             Self::Wishes(list) => list.to_json(now),
             Self::Wish(report) => report.to_json(now),
+            Self::Outcome(outcome) => outcome.to_json(now),
         }
     }
 
@@ -384,6 +402,7 @@ impl Message {
             Self::LeaseRenewal(claim) => named(claim.as_ref()),
             Self::Alerts(alerts) => named(alerts.as_ref()),
             Self::Wishes(list) => named(&**list),
+            Self::Outcome(outcome) => named(outcome.as_ref()),
             Self::RobotToken { .. }
             | Self::ServiceToken { .. }
             | Self::Refused(_)

@@ -19,7 +19,7 @@ use crate::packet::quoted;
 pub const MAGIC: [u8; 8] = *b"\xB7mustrec";
 
 /// Version of the entries. Any change of their types is a new version.
-pub const VERSION: u8 = 4;
+pub const VERSION: u8 = 5;
 
 /// Length and checksum of a frame.
 const FRAME_HEAD: usize = 8;

@@ -8,7 +8,7 @@
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
-use muster_model::alert::AcknowledgeAlert;
+use muster_model::command::OperatorCommand;
 use muster_model::history::{HistoryAnswer, RecordingState};
 use muster_model::id::{Modality, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
@@ -25,7 +25,7 @@ use schemars::transform::{Transform, transform_subschemas};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 
-use crate::envelope::MAX_SMALL_PAYLOAD;
+use crate::command::{MAX_COMMAND_BYTES, OutcomeForm};
 use crate::json::{
     AlertsForm, AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm,
     RobotTeamForm, RosterForm, TeamsForm, WishReportForm, WishesForm,
@@ -130,11 +130,6 @@ impl Schemas {
         all.written::<AuditForm<'_>>("audit", &["json/audit", "audit?format=json"]);
         all.written::<EventForm<'_>>("event", &["json/event"]);
         all.written::<AlertsForm<'_>>("alerts", &["json/alerts", "alerts?format=json"]);
-        all.read::<AcknowledgeAlert>(
-            "alert_acknowledgement",
-            &["alerts (payload of a get)"],
-            "alerts that are not open",
-        );
         all.written::<GraphForm<'_>>("graph", &["graph/{modality}?format=json"]);
         all.written::<RosterForm<'_>>("roster", &["roster?format=json"]);
         all.written::<EmbeddingForm<'_>>("embedding", &["embedding?format=json"]);
@@ -164,10 +159,18 @@ impl Schemas {
         all.written::<WishReportForm<'_>>("wish_report", &["wish/{operator}/{id}"]);
         all.read::<Wish>(
             "wish",
-            &["wish/{operator}/{id} (payload of a get)"],
+            &["command/clusterer/{operator}/{id} (the wish of a command)"],
             "robots or a team that the kind does not take, fewer than two robots of together and apart, a robot \
              that is named twice, a wish that contradicts the limits and the other wishes for the robots of the \
-             fleet, more than 256 wishes, and a key with wildcards. null withdraws the wish.",
+             fleet, and more than 256 wishes.",
+        );
+        all.written::<OutcomeForm<'_>>("command_outcome", &["command/{service}/{operator}/{id}"]);
+        all.read::<OperatorCommand>(
+            "command",
+            &["command/{service}/{operator}/{id} (payload of a get)"],
+            "a clock that is more than 30 s off, an expiry more than 600 s after sent or before now, a division of a later \
+             term, actions of another service, more than 256 commands within ten minutes, and whatever the action itself \
+             may not be",
         );
         all.written::<Problem<'_>>("error", &[]);
         all
@@ -226,16 +229,17 @@ impl Schemas {
             transform.transform(&mut patch);
         }
         let about = format!(
-            "The settings of {service} to change: the payload of a get on their key. Fields that are \
+            "The settings of {service} to change: what a command sets. Fields that are \
              left out stay, null puts a field back to its default, and a table may hold some of its \
              fields. It holds as a whole or not at all."
         );
         patch.insert("description".to_owned(), json!(about));
-        let size = format!("more than {MAX_SMALL_PAYLOAD} bytes, and a key with wildcards.");
+        let size = format!("more than {MAX_COMMAND_BYTES} bytes.");
         let beyond = [beyond, &size];
         let beyond = beyond.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>();
         let name = format!("{service}_settings_patch");
-        describe(&mut patch, &name, &[&format!("{key} (payload of a get)")], &beyond.join(", "));
+        let set = format!("command/{service}/{{operator}}/{{id}} (the set of a command)");
+        describe(&mut patch, &name, &[&set], &beyond.join(", "));
         self.messages.insert(name, patch.to_value());
     }
 

@@ -15,7 +15,7 @@ use muster_model::header::Revision;
 use muster_model::id::{FleetId, InstanceId, Modality};
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
-use muster_service::testkit::START_RETRY_TIME;
+use muster_service::testkit::{START_RETRY_TIME, command_of};
 use muster_service::{
     Arrival, Ask, Command, Core, GetId, Host, IncomingGet, Input, Publication, Reply, Start,
     Stopwatch, Stored,
@@ -71,7 +71,7 @@ pub(crate) const KEYS: [&str; 16] = [
 ];
 
 /// What gets select.
-const SELECTORS: [&str; 16] = [
+const SELECTORS: [&str; 20] = [
     "~/**",
     "~/service/ingest/settings",
     "~/service/embedder/settings",
@@ -88,6 +88,10 @@ const SELECTORS: [&str; 16] = [
     "~/robot/r1/team",
     "**/team",
     "~/nothing",
+    "~/wishes",
+    "~/wish/kim/w1",
+    "~/alerts",
+    "~/command/*/kim/c1",
 ];
 
 /// What gets ask for.
@@ -315,12 +319,22 @@ impl<C: Core> World<C> {
     }
 
     fn get(&mut self, draw: &mut Draw<'_>) {
-        let selector = SELECTORS[usize::from(draw.below(16))].replace('~', "muster/v1/alpha");
+        let tail = SELECTORS[usize::from(draw.below(20))];
         let choice = draw.byte();
         let parameters = PARAMETERS[usize::from(choice & 3 | (choice & 8) >> 1)].to_owned();
         let payload = (choice & 4 != 0).then(|| draw.block().to_vec());
         self.gets += 1;
         let get = GetId(self.gets);
+        // What a service changes by commands alone goes in one, unless it is none that could.
+        let text = payload.as_deref().and_then(|payload| std::str::from_utf8(payload).ok());
+        let command = text.and_then(|text| {
+            command_of(self.now, tail.trim_start_matches("~/"), &format!("c{choice}"), text)
+        });
+        let (tail, payload) = match command {
+            Some((key, command)) => (format!("~/{key}"), Some(command.into_bytes())),
+            None => (tail.to_owned(), payload),
+        };
+        let selector = tail.replace('~', "muster/v1/alpha");
         let is_binary = parameters.contains("format=bincode");
         self.open.insert(get, OpenGet { is_of_pair: choice & 8 != 0, is_binary });
         self.handle(Input::Get(IncomingGet { get, selector, narrowed: None, parameters, payload }));

@@ -185,6 +185,7 @@ fn recordings() -> Vec<Seed> {
         Command::Store(Stored {
             term: 3,
             patch: [("teams".to_owned(), 3.into())].into_iter().collect(),
+            commands: Vec::new(),
         }),
         Command::ReplicaState(ReplicaState::Standby),
         Command::DeclareToken(Key::Roster),

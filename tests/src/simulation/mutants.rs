@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use muster_model::content::Checked;
 use muster_model::header::Revision;
-use muster_model::id::{RobotId, ServiceName, TeamId};
+use muster_model::id::{CommandId, RobotId, ServiceName, TeamId};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use serde_json::Value;
@@ -55,11 +55,13 @@ pub enum Mutant {
     StarvedEmbedder,
     /// The clusterer puts all robots into the first team, whatever the limits are, once settings were changed.
     Overfull,
+    /// A service carries its first command out again in place of the next ones, once settings were changed.
+    Repetitive,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -78,6 +80,7 @@ impl Mutant {
         Self::Forgetful,
         Self::StarvedEmbedder,
         Self::Overfull,
+        Self::Repetitive,
     ];
 
     /// The kinds of faults after which it shows.
@@ -93,7 +96,7 @@ impl Mutant {
             Self::WrongSilhouette => &["storm"],
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
             Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
-            Self::Restless | Self::Fickle | Self::Overfull => &["settings"],
+            Self::Restless | Self::Fickle | Self::Overfull | Self::Repetitive => &["settings"],
             Self::TermsFromOne | Self::DeafRobots => &["blackout without disks"],
             Self::UnbelievedTerm => &["forged term"],
             Self::Forgetful => &["power cut"],
@@ -150,6 +153,8 @@ pub(crate) struct Mutator {
     old: Option<Revision>,
     /// The terms that new leaders keep, by key.
     kept: BTreeMap<String, KeptTerm>,
+    /// The first command that each service has carried out.
+    first_commands: BTreeMap<ServiceName, CommandId>,
 }
 
 /// The term of a leader that those after it keep.
@@ -174,6 +179,7 @@ impl Mutator {
             inertia: None,
             old: None,
             kept: BTreeMap::new(),
+            first_commands: BTreeMap::new(),
         }
     }
 
@@ -285,6 +291,12 @@ impl Mutator {
                     first.members.sort_by(|left, right| left.robot.cmp(&right.robot));
                 }
                 Message::Teams { teams: Checked::new_unchecked(teams), mirror }
+            }
+            (Mutant::Repetitive, Message::Outcome(mut outcome)) => {
+                let own = outcome.id.clone();
+                let first = self.first_commands.entry(outcome.service).or_insert(own);
+                Arc::make_mut(&mut outcome).id.clone_from(first);
+                Message::Outcome(outcome)
             }
             (Mutant::RevisionTwice, Message::Roster(mut roster)) => {
                 let header = &mut roster.make_mut_unchecked().header;

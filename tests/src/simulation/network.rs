@@ -5,12 +5,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_model::id::ServiceName;
+use muster_model::role::ReplicaState;
+use muster_service::testkit::command_of;
 use muster_service::{Arrival, Ask, Input};
 use muster_wire::{Key, Message, Packet};
 
 use super::clock::{MS, Micros, SECOND};
 use super::link::{State, Way};
 use super::log::digest;
+use super::node::Process;
 use super::oracle::breach;
 use super::plan::{OutputKind, Place, Span};
 use super::robots::Reception;
@@ -360,22 +363,28 @@ impl World {
 
     /// The operator asks for what it wants.
     pub(super) fn operate(&mut self) {
-        for (service, patch) in self.operator.next() {
-            self.set(service, patch);
+        for (service, number, patch) in self.operator.next() {
+            self.set(service, number, &patch);
         }
         self.schedule(self.now + OPERATOR_INTERVAL, Event::Operate);
     }
 
-    fn set(&mut self, service: ServiceName, patch: String) {
-        let settings = self.space.format(&Key::Settings(service));
+    /// Commands a service by the clock of its leader, or of any instance that runs.
+    fn set(&mut self, service: ServiceName, number: u64, patch: &str) {
+        let of_service = self.nodes.iter().filter(|node| node.service == service);
+        let running = of_service.filter_map(|node| node.process.as_ref());
+        let leads = |process: &&Process| process.host.replica_state() == ReplicaState::Leading;
+        let Some(process) = running.clone().find(leads).or(running.clone().next()) else { return };
+        let now = process.clock.tick(self.now);
         // A wish stands behind its key.
-        let (selector, payload) = match patch.split_once(' ').filter(|_| patch.starts_with("wish/"))
-        {
-            Some((key, wish)) => {
-                (settings.replace(&Key::Settings(service).to_string(), key), wish.to_owned())
-            }
-            None => (settings, patch),
+        let (key, payload) = match patch.split_once(' ').filter(|_| patch.starts_with("wish/")) {
+            Some((key, wish)) => (key.to_owned(), wish),
+            None => (Key::Settings(service).to_string(), patch),
         };
+        let Some((key, payload)) = command_of(now, &key, &format!("c{number}"), payload) else {
+            return;
+        };
+        let selector = format!("muster/v1/{}/{key}", self.space.fleet());
         let asked = BusGet { selector, parameters: "", payload: Some(payload.into_bytes()) };
         self.get(self.operator.link, asked, CONSOLE_TIMEOUT, Asker::Operator(service));
     }

@@ -321,8 +321,11 @@ impl Node {
 
 impl Process {
     /// How many gets the host has taken and not answered although all that was to be stored before is on
-    /// the disk.
+    /// the disk, and nothing is being stored: what came of a command is stored once the core has kept what it changed.
     pub(crate) fn overdue_answers(&self) -> usize {
+        if self.stores_begun > self.stores_ended {
+            return 0;
+        }
         let is_stored = |before: u64| before <= self.stores_ended;
         let gets = self.unanswered.values();
         gets.filter(|get| {

@@ -12,11 +12,17 @@ use super::oracle::{GroundTruth, RobotTruth};
 use super::robots::Robots;
 use super::router::{Answer, LinkId};
 
+/// The fields of refusals after which a command is given again.
+const TRIED_AGAIN: [&str; 2] = [r#""field":"(command)""#, r#""field":"sent""#];
+
 /// What an operator wants and knows.
 #[derive(Debug)]
 pub(crate) struct Operator {
     pub(crate) link: LinkId,
-    wanted: BTreeMap<ServiceName, VecDeque<String>>,
+    /// What it commands next, each with the number of the command.
+    wanted: BTreeMap<ServiceName, VecDeque<(u64, String)>>,
+    /// How many commands it has had.
+    count: u64,
     /// How many teams the clusterer has confirmed, or has in its file.
     teams: Option<u32>,
     /// How often a service has refused, confirmed, or not answered.
@@ -27,12 +33,13 @@ pub(crate) struct Operator {
 impl Operator {
     pub(crate) fn new(link: LinkId, teams: Option<u64>) -> Self {
         let teams = teams.and_then(|teams| u32::try_from(teams).ok());
-        Self { link, wanted: BTreeMap::new(), teams, refused: 0, confirmed: 0 }
+        Self { link, wanted: BTreeMap::new(), count: 0, teams, refused: 0, confirmed: 0 }
     }
 
     /// It wants to change settings by a patch, or a wish by its key and its content.
     pub(crate) fn wants(&mut self, service: ServiceName, patch: String) {
-        self.wanted.entry(service).or_default().push_back(patch);
+        self.count += 1;
+        self.wanted.entry(service).or_default().push_back((self.count, patch));
     }
 
     /// A service has lost its disk, and with it what was confirmed.
@@ -42,10 +49,11 @@ impl Operator {
         }
     }
 
-    /// The next patch for each service.
-    pub(crate) fn next(&self) -> Vec<(ServiceName, String)> {
-        let first = |(service, wanted): (&ServiceName, &VecDeque<String>)| {
-            Some((*service, wanted.front()?.clone()))
+    /// The next command for each service: its number, and the patch. Until it is answered, it is the same one.
+    pub(crate) fn next(&self) -> Vec<(ServiceName, u64, String)> {
+        let first = |(service, wanted): (&ServiceName, &VecDeque<(u64, String)>)| {
+            let (number, patch) = wanted.front()?;
+            Some((*service, *number, patch.clone()))
         };
         self.wanted.iter().filter_map(first).collect()
     }
@@ -57,7 +65,12 @@ impl Operator {
 
     /// A service has answered.
     pub(crate) fn answered(&mut self, service: ServiceName, answer: &Answer) {
-        let Some(patch) = self.wanted.get_mut(&service).and_then(VecDeque::pop_front) else {
+        // A service that starts, or whose clock was set meanwhile, is asked again.
+        if matches!(answer, Answer::Error(error) if TRIED_AGAIN.iter().any(|field| error.contains(field)))
+        {
+            return;
+        }
+        let Some((_, patch)) = self.wanted.get_mut(&service).and_then(VecDeque::pop_front) else {
             return;
         };
         if matches!(answer, Answer::Error(_)) {

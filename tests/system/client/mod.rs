@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use futures_util::StreamExt as _;
 use muster_client::model::audit::Quality;
 use muster_client::model::event::EventKind;
-use muster_client::model::id::{RobotId, ServiceName};
+use muster_client::model::id::{OperatorId, RobotId, ServiceName};
 use muster_client::model::teams::RobotTeam;
 use muster_client::{Change, Client, Config, Error, Events, Latest, Pose, Robot, Staleness, Watch};
 use muster_tests::client::division;
@@ -394,9 +394,10 @@ async fn a_client_on_the_callers_session_leaves_it_open() {
     let stranger = RobotId::new("stranger").unwrap();
     let refused = client.get_similarity(&one, &stranger).await.unwrap_err();
     assert!(matches!(refused, Error::Refused { service: ServiceName::Embedder, .. }), "{refused}");
-    let settings = client.change_settings(ServiceName::Clusterer, &json!({"teams": 1})).await;
+    let kim = OperatorId::new("kim").unwrap();
+    let settings = client.change_settings(&kim, ServiceName::Clusterer, &json!({"teams": 1})).await;
     assert_eq!(settings.unwrap()["teams"], 1);
-    let refused = client.change_settings(ServiceName::Clusterer, &json!({"teams": 0})).await;
+    let refused = client.change_settings(&kim, ServiceName::Clusterer, &json!({"teams": 0})).await;
     assert!(matches!(refused, Err(Error::Refused { .. })), "{refused:?}");
 
     // The session of the caller outlives the client.

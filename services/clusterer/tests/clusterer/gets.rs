@@ -46,7 +46,7 @@ fn nothing_is_published_before_the_term_has_begun() {
     assert_eq!(sent.settings, 1);
     assert_eq!(sent.events[0], EventKind::ServiceStarted { term: 1 });
     assert_eq!(short(&sent.division()), "t1: a b | t2: c d");
-    assert_eq!(bench.stored, Stored { term: 1, patch: serde_json::Map::new() });
+    assert_eq!(bench.stored, Stored { term: 1, ..Stored::default() });
 }
 
 #[test]

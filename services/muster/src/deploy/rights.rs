@@ -132,9 +132,16 @@ fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
     rights
 }
 
-/// An operator gets everything but the wishes of others: a get of a wish may carry a change, which a router cannot
-/// distinguish. All wishes are read on `wishes`.
+/// An operator commands under its own name, and reads everything.
 fn of_operator(space: &KeySpace, name: &str) -> Rights {
+    let mut rights = of_viewer(space);
+    rights.get.push(format!("muster/v1/{}/command/*/{name}/*", space.fleet()));
+    rights
+}
+
+/// A viewer reads everything but the answers to commands: a get of one may carry it, which a router cannot distinguish.
+/// Their outcomes are events.
+fn of_viewer(space: &KeySpace) -> Rights {
     let all = |tail: &str| format!("muster/v1/{}/{tail}", space.fleet());
     let keys = [
         Key::Roster,
@@ -147,32 +154,8 @@ fn of_operator(space: &KeySpace, name: &str) -> Rights {
         Key::Event,
     ];
     let keys = keys.iter().map(|key| space.format(key));
-    let wildcards = ["robot/**", "graph/*", "service/**", "json/*", "history/**"].map(all);
-    let own = all(&format!("wish/{name}/*"));
-    Rights { get: keys.chain(wildcards).chain([own]).collect(), ..of_reader(space) }
-}
-
-/// A get of settings may carry a change, and one of alerts an acknowledgement, which a router cannot distinguish: a
-/// viewer may not get them.
-fn of_viewer(space: &KeySpace) -> Rights {
-    let keys = [
-        Pattern::RobotTeams,
-        Pattern::Graphs,
-        Pattern::Statuses,
-        Pattern::One(Key::Roster),
-        Pattern::One(Key::Embedding),
-        Pattern::One(Key::Teams),
-        Pattern::One(Key::Audit),
-        Pattern::One(Key::JsonTeams),
-        Pattern::One(Key::JsonAudit),
-        Pattern::One(Key::Wishes),
-        Pattern::One(Key::JsonWishes),
-        Pattern::Histories,
-        Pattern::HistoryStates,
-        Pattern::One(Key::JsonAlerts),
-    ];
-    let keys = keys.iter().map(|pattern| space.pattern(pattern));
-    Rights { get: keys.chain([schema(space)]).collect(), ..of_reader(space) }
+    let wildcards = ["robot/**", "graph/*", "service/**", "json/*", "history/**", "wish/*/*"];
+    Rights { get: keys.chain(wildcards.map(all)).collect(), ..of_reader(space) }
 }
 
 /// What all who read everything may do.
@@ -312,18 +295,21 @@ mod tests {
     }
 
     #[test]
-    fn only_operators_may_get_settings_which_may_change_them() {
-        let operator = rights("operator.operator").get;
-        for key in ["service/**", "wish/operator/*", "wishes"] {
-            assert!(operator.contains(&format!("muster/v1/default/{key}")), "{operator:?}");
+    fn operators_command_under_their_own_names_and_viewers_do_not() {
+        let operator = rights("operator.operator");
+        let viewer = rights("viewer.dashboard");
+        for may in [&operator, &viewer] {
+            assert!(may.put.is_empty() && may.declare_token.is_empty() && may.reply.is_empty());
+            for key in ["service/**", "wish/*/*", "wishes", "alerts"] {
+                assert!(may.get.contains(&format!("muster/v1/default/{key}")), "{may:?}");
+            }
         }
-        // The wishes of another operator are its own.
-        let of_wish = |key: &&String| key.contains("/wish/") || key.ends_with("default/**");
-        assert_eq!(operator.iter().filter(of_wish).count(), 1, "{operator:?}");
-        let may = rights("viewer.dashboard");
-        assert!(may.put.is_empty() && may.declare_token.is_empty() && may.reply.is_empty());
-        assert!(!may.get.iter().any(|key| {
-            key.contains("**") || key.contains("settings") || key.contains("/wish/")
-        }));
+        let commands = |may: &Rights| -> Vec<String> {
+            let of_commands =
+                |key: &&String| key.contains("/command/") || key.ends_with("default/**");
+            may.get.iter().filter(of_commands).cloned().collect()
+        };
+        assert_eq!(commands(&operator), ["muster/v1/default/command/*/operator/*"]);
+        assert!(commands(&viewer).is_empty());
     }
 }

@@ -31,7 +31,7 @@ impl<C: Core> Host<C> {
             return self.answer_unopened(get, Ok(vec![schema]));
         }
         match self.facilities.gets.open(get, request) {
-            Ok(get) => self.answer(get),
+            Ok(get) => self.answer_opened(get),
             Err(problem) => self.answer_unopened(get, Err(problem)),
         }
     }
@@ -42,7 +42,17 @@ impl<C: Core> Host<C> {
         self.facilities.commands.push(Command::Reply(reply));
     }
 
-    fn answer(&mut self, get: Get) {
+    fn answer_opened(&mut self, get: Get) {
+        let key = get.request.exact_key(self.space());
+        if Self::changes_without_command(&get.request, key.as_ref()) {
+            return self.refuse_change(get);
+        }
+        if let Some(get) = self.answer_commands(get) {
+            self.answer(get);
+        }
+    }
+
+    pub(super) fn answer(&mut self, get: Get) {
         let facilities = &mut self.facilities;
         let space = facilities.replica.space.clone();
         let selects = |key: &Key| get.request.selects(&space, key);
@@ -70,7 +80,8 @@ impl<C: Core> Host<C> {
         }
     }
 
-    /// Answers a get of the settings; one with a payload changes them, as a whole or not at all.
+    /// Answers a get of the settings; one that carries a command out has a payload, which changes them, as a whole or not
+    /// at all.
     fn answer_settings(&mut self, get: Get) {
         let facilities = &mut self.facilities;
         if facilities.replica.election.state() == ReplicaState::Standby {
@@ -95,7 +106,7 @@ impl<C: Core> Host<C> {
             Ok(settings) => facilities.replica.settings.change(settings),
             Err(problem) => return Context::<C>(facilities).reply_error(get, problem),
         }
-        facilities.store();
+        // What came of a command is stored together with what it has changed.
         let settings = facilities.replica.settings_message(facilities.now);
         facilities.reply(get.id, Ok(vec![settings]), ReplyKind::ConfirmsStore);
         facilities.replica.add("settings_changed", 1);

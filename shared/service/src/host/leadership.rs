@@ -33,6 +33,7 @@ impl<C: Core> Host<C> {
         if C::REPLICATION == Replication::OneLeads {
             let of_leader = [Key::Lease(C::SERVICE), Key::Settings(C::SERVICE)];
             patterns.extend(of_leader.map(Pattern::One));
+            patterns.push(Pattern::Commands(C::SERVICE));
         }
         self.core.on_inquiry(&mut Context(&mut self.facilities));
         self.facilities.fetch(purpose, patterns);
@@ -165,6 +166,9 @@ impl<C: Core> Host<C> {
                 // A suspect answers as well, with what it could not announce.
                 Message::Settings(announced) if announced.service == C::SERVICE => {
                     self.adopt(&announced);
+                }
+                Message::Outcome(outcome) if outcome.service == C::SERVICE => {
+                    self.learn_outcome(outcome);
                 }
                 answer => wanted.push(answer),
             }

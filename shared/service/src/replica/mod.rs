@@ -110,9 +110,13 @@ impl<S: Settings> Replica<S> {
         self.election.lead(now);
     }
 
-    /// What is kept over a restart.
+    /// What is kept over a restart, without the commands.
     pub(crate) fn stored(&self) -> Stored {
-        Stored { term: self.stored_term, patch: self.settings.patch().clone() }
+        Stored {
+            term: self.stored_term,
+            patch: self.settings.patch().clone(),
+            commands: Vec::new(),
+        }
     }
 
     /// The lease renewal that a leader publishes.
@@ -160,7 +164,7 @@ impl<S: Settings> Replica<S> {
     }
 
     /// The header of what the service publishes of itself, with no robot's data behind it.
-    fn own_header(&self, now: Tick, revision: Revision) -> Header {
+    pub(crate) fn own_header(&self, now: Tick, revision: Revision) -> Header {
         Header {
             fleet: self.fleet().clone(),
             revision,

@@ -16,7 +16,7 @@ use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::settings::{ClustererSettings, TeamCount};
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
-use muster_service::testkit::Bench;
+use muster_service::testkit::{Bench, command_of};
 use muster_service::{
     Ask, Connectivity, Context, Core, Get, GetId, IncomingGet, Input, JobEnd, Replication, Start,
     Stopwatch, Stored, View, Wiring,
@@ -292,12 +292,18 @@ pub(crate) fn settings(term: u64, epoch: u64, teams: u32) -> Message {
 }
 
 pub(crate) fn get(id: u64, key: &Key, payload: Option<&str>) -> Input {
+    let command =
+        payload.and_then(|payload| command_of(START, &key.to_string(), &format!("c{id}"), payload));
+    let (key, payload) = match command {
+        Some((key, command)) => (key, Some(command)),
+        None => (key.to_string(), payload.map(str::to_owned)),
+    };
     Input::Get(IncomingGet {
         get: GetId(id),
-        selector: space().format(key),
+        selector: format!("muster/v1/{}/{key}", space().fleet()),
         narrowed: None,
         parameters: String::new(),
-        payload: payload.map(|text| text.as_bytes().to_vec()),
+        payload: payload.map(String::into_bytes),
     })
 }
 

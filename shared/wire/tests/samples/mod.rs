@@ -9,6 +9,7 @@ use muster_model::alert::{Acknowledgement, Alert, AlertKind, AlertSubject, Alert
 use muster_model::audit::{
     Audit, Flapping, Quality, RobotReturns, SilhouetteMethod, SilhouetteReport, Space,
 };
+use muster_model::command::CommandOutcome;
 use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
@@ -20,7 +21,7 @@ use muster_model::history::{
     TeamRow,
 };
 use muster_model::id::{
-    FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, TeamId, WishId,
+    CommandId, FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, TeamId, WishId,
 };
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
@@ -341,7 +342,22 @@ pub fn all() -> Vec<(&'static str, Message)> {
             })),
         ),
         ("wish_report", Message::Wish(Box::new(WishReport { header: header(48), wish }))),
+        ("command_outcome", Message::Outcome(Arc::new(outcome()))),
     ]
+}
+
+fn outcome() -> CommandOutcome {
+    CommandOutcome {
+        header: header(49),
+        service: ServiceName::Clusterer,
+        operator: OperatorId::new("kim").unwrap(),
+        id: CommandId::new("c1").unwrap(),
+        expires: 1_800_000_000.5,
+        based_on: Some(Revision { term: 3, epoch: 48 }),
+        action: "{\"set\":{\"teams\":3}}".to_owned(),
+        refused: None,
+        answer: Some("{\"teams\":3}".to_owned()),
+    }
 }
 
 fn history() -> HistoryAnswer {
@@ -557,6 +573,14 @@ pub fn event_kinds() -> Vec<EventKind> {
             operator: OperatorId::new("alice").unwrap(),
             id: WishId::new("p1").unwrap(),
             state: WishState::Active,
+        },
+        EventKind::Commanded {
+            operator: OperatorId::new("kim").unwrap(),
+            command: CommandId::new("c1").unwrap(),
+            action: "{\"set\":{\"teams\":0}}".to_owned(),
+            refused: Some(
+                "{\"error\":\"teams: must be 1 or more\",\"field\":\"teams\"}".to_owned(),
+            ),
         },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));

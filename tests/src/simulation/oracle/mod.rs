@@ -19,11 +19,12 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use muster_model::audit::Audit;
+use muster_model::command::CommandOutcome;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
-use muster_model::id::{RobotId, ServiceName};
+use muster_model::id::{CommandId, OperatorId, RobotId, ServiceName};
 use muster_model::roster::Roster;
 use muster_model::teams::Teams;
 use muster_wire::Message;
@@ -141,6 +142,8 @@ pub(crate) struct Oracle {
     /// may give some that nobody hears of.
     ids: Option<Ids>,
     alerts: alerts::AlertLog,
+    /// The commands that each process has carried out.
+    carried_out: BTreeSet<(Publisher, OperatorId, CommandId)>,
     /// Whether limits of teams hold.
     limits: limits::Limits,
     graph: Option<Arc<GraphDelta>>,
@@ -232,6 +235,18 @@ impl Oracle {
         Ok(())
     }
 
+    /// A process carries a command out once, however often it arrives.
+    fn check_outcome(&mut self, publisher: Publisher, outcome: &CommandOutcome) -> Verified {
+        let name = (publisher, outcome.operator.clone(), outcome.id.clone());
+        if self.carried_out.insert(name) {
+            return Ok(());
+        }
+        breach(
+            "a command is carried out once",
+            format!("{publisher:?} has carried out {}/{} twice", outcome.operator, outcome.id),
+        )
+    }
+
     /// Judges what a service publishes. `settings` counts the changes of its settings that the
     /// process had announced before it began what it publishes.
     pub(crate) fn published(
@@ -280,6 +295,7 @@ impl Oracle {
             }
             Message::Graph(delta) => self.graph = Some(Arc::clone(delta)),
             Message::Wishes(list) => self.limits.wished(publisher, list),
+            Message::Outcome(outcome) => self.check_outcome(publisher, outcome)?,
             Message::Event(event) if service == ServiceName::Clusterer => {
                 self.limits.reported(publisher, &event.kind);
             }

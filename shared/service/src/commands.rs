@@ -1,0 +1,111 @@
+//! Commands of operators: those that are being carried out, and what came of the last ones.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS, OperatorCommand};
+use muster_model::id::{CommandId, OperatorId};
+use muster_model::time::Tick;
+use muster_wire::Request;
+
+use crate::io::GetId;
+
+/// Names a command.
+pub(crate) type CommandName = (OperatorId, CommandId);
+
+/// A command that is being carried out.
+#[derive(Debug)]
+pub(crate) struct Pending {
+    pub(crate) name: CommandName,
+    pub(crate) command: OperatorCommand,
+    /// The get that brought it.
+    pub(crate) request: Request,
+}
+
+/// Whether a command may be carried out.
+#[derive(Debug)]
+pub(crate) enum Admission {
+    /// It is new.
+    New,
+    /// It was carried out or refused before.
+    Known(Arc<CommandOutcome>),
+    /// It is being carried out.
+    Pending,
+    /// Too many are remembered.
+    Full,
+}
+
+/// The commands of one service.
+#[derive(Debug, Default)]
+pub(crate) struct Commands {
+    pending: BTreeMap<GetId, Pending>,
+    outcomes: BTreeMap<CommandName, Arc<CommandOutcome>>,
+    /// Their names, the oldest first.
+    order: VecDeque<CommandName>,
+}
+
+impl Commands {
+    /// With what is remembered from the last run.
+    pub(crate) fn new(outcomes: &[CommandOutcome]) -> Self {
+        let mut commands = Self::default();
+        for outcome in outcomes {
+            commands.remember(Arc::new(outcome.clone()));
+        }
+        commands
+    }
+
+    /// Whether a command may be carried out now. Those that have expired give way: they would be refused by their time.
+    pub(crate) fn admit(&mut self, now: Tick, name: &CommandName) -> Admission {
+        if let Some(outcome) = self.outcomes.get(name) {
+            return Admission::Known(Arc::clone(outcome));
+        }
+        if self.pending.values().any(|pending| pending.name == *name) {
+            return Admission::Pending;
+        }
+        let now = now.as_seconds();
+        while self.order.len() + self.pending.len() >= MAX_REMEMBERED_COMMANDS {
+            let outcomes = &self.outcomes;
+            let has_expired = |name: &CommandName| {
+                outcomes.get(name).is_none_or(|outcome| outcome.expires <= now)
+            };
+            let Some(place) = self.order.iter().position(has_expired) else {
+                return Admission::Full;
+            };
+            if let Some(name) = self.order.remove(place) {
+                self.outcomes.remove(&name);
+            }
+        }
+        Admission::New
+    }
+
+    /// A command is being carried out, by a get of this id.
+    pub(crate) fn begin(&mut self, get: GetId, pending: Pending) {
+        self.pending.insert(get, pending);
+    }
+
+    /// The command that a get carried out; none if it carried out none.
+    pub(crate) fn end(&mut self, get: GetId) -> Option<Pending> {
+        self.pending.remove(&get)
+    }
+
+    /// Remembers an outcome. Returns whether it was not known.
+    pub(crate) fn remember(&mut self, outcome: Arc<CommandOutcome>) -> bool {
+        let name = (outcome.operator.clone(), outcome.id.clone());
+        if self.outcomes.contains_key(&name) {
+            return false;
+        }
+        if self.order.len() >= MAX_REMEMBERED_COMMANDS
+            && let Some(oldest) = self.order.pop_front()
+        {
+            self.outcomes.remove(&oldest);
+        }
+        self.order.push_back(name.clone());
+        self.outcomes.insert(name, outcome);
+        true
+    }
+
+    /// What is remembered, the oldest first.
+    pub(crate) fn outcomes(&self) -> impl Iterator<Item = &Arc<CommandOutcome>> {
+        self.order.iter().filter_map(|name| self.outcomes.get(name))
+    }
+}

@@ -1,0 +1,217 @@
+//! How a host carries out commands: each once, by the get that does the same.
+
+use std::sync::Arc;
+
+use muster_model::command::{CommandOutcome, OperatorCommand};
+use muster_model::event::{EventKind, Severity};
+use muster_model::id::ServiceName;
+use muster_model::role::ReplicaState;
+use muster_model::settings::Settings;
+use muster_wire::command::{carried_out_by, decode, remembered};
+use muster_wire::{Key, Message, Packet, Request};
+
+use super::Host;
+use crate::commands::{Admission, CommandName, Pending};
+use crate::core::{Context, Core};
+use crate::facilities::{Facilities, ReplyKind};
+use crate::gets::{Get, encode_answer};
+use crate::replica::settings::problem_json;
+
+/// What is answered to a change that is no command.
+const NO_COMMAND: &str =
+    "is changed by commands: get command/{service}/{operator}/{id} with the command as payload";
+
+impl<C: Core> Host<C> {
+    /// Answers a get of commands; one with a payload is a command. Returns the get if it is none of them.
+    pub(super) fn answer_commands(&mut self, get: Get) -> Option<Get> {
+        let space = self.facilities.replica.space.clone();
+        let key = get.request.exact_key(&space);
+        if get.request.payload.is_some() {
+            return match key {
+                Some(Key::Command(service, operator, id)) if service == C::SERVICE => {
+                    self.command(get, (operator, id));
+                    None
+                }
+                _ => Some(get),
+            };
+        }
+        let commands = &self.facilities.operator_commands;
+        let selected: Vec<Message> = commands
+            .outcomes()
+            .map(|outcome| Message::Outcome(Arc::clone(outcome)))
+            .filter(|message| get.request.selects(&space, &message.keys().0))
+            .collect();
+        let is_of_commands = matches!(key, Some(Key::Command(..))) || !selected.is_empty();
+        if !is_of_commands {
+            return Some(get);
+        }
+        // The leader answers for all instances.
+        let is_standby = self.facilities.replica.election.state() == ReplicaState::Standby;
+        let answer = if is_standby { Vec::new() } else { selected };
+        Context::<C>(&mut self.facilities).reply(get, answer);
+        None
+    }
+
+    /// Whether a get changes something without being a command.
+    pub(super) fn changes_without_command(request: &Request, key: Option<&Key>) -> bool {
+        let is_changed = match key {
+            Some(Key::Settings(service)) => *service == C::SERVICE,
+            Some(Key::Wish(..)) => C::SERVICE == ServiceName::Clusterer,
+            Some(Key::Alerts) => C::SERVICE == ServiceName::Auditor,
+            _ => false,
+        };
+        is_changed && request.payload.is_some()
+    }
+
+    /// Refuses such a get.
+    pub(super) fn refuse_change(&mut self, get: Get) {
+        Context::<C>(&mut self.facilities).reply_error(get, problem_json("(key)", NO_COMMAND));
+    }
+
+    /// Remembers what the leader has answered to a command, so that it is not carried out again once this instance leads.
+    pub(super) fn learn_outcome(&mut self, outcome: Arc<CommandOutcome>) {
+        let leads = self.facilities.replica.election.has_term();
+        if !leads && self.facilities.operator_commands.remember(outcome) {
+            self.facilities.store();
+        }
+    }
+
+    fn command(&mut self, get: Get, name: CommandName) {
+        if self.facilities.replica.election.state() == ReplicaState::Standby {
+            // The leader answers.
+            return Context::<C>(&mut self.facilities).reply(get, Vec::new());
+        }
+        match self.begin_command(&get, name) {
+            // The get goes on as the one that does the same.
+            Ok(request) => self.answer(Get { id: get.id, request }),
+            Err(NotBegun::Refused(problem)) => {
+                Context::<C>(&mut self.facilities).reply_error(get, problem);
+            }
+            Err(NotBegun::Known(outcome)) => self.facilities.reply_again(get, &outcome),
+        }
+    }
+
+    /// Checks a command and begins it. Returns the request that carries it out.
+    fn begin_command(&mut self, get: &Get, name: CommandName) -> Result<Request, NotBegun> {
+        let facilities = &mut self.facilities;
+        let refused =
+            |field: &str, problem: &str| Err(NotBegun::Refused(problem_json(field, problem)));
+        if !get.request.is_exact() {
+            return refused("(key)", "must name one command, without wildcards");
+        }
+        if !facilities.replica.election.has_term() {
+            return refused("(command)", "the service is starting; ask again in a moment");
+        }
+        match facilities.operator_commands.admit(facilities.now, &name) {
+            Admission::New => {}
+            Admission::Known(outcome) => return Err(NotBegun::Known(outcome)),
+            Admission::Pending => {
+                return refused("(command)", "is being carried out; ask again in a moment");
+            }
+            Admission::Full => {
+                return refused("(command)", "too many commands within ten minutes; wait a while");
+            }
+        }
+        let payload = get.request.payload.clone().unwrap_or_default();
+        let command = match decode(&payload) {
+            Ok(command) => command,
+            Err(error) => return refused(&error.field, &error.problem),
+        };
+        let term = facilities.replica.revision().term;
+        if let Err(wrong) = command.check(C::SERVICE, facilities.now, term) {
+            let problem = problem_json(wrong.field, &wrong.problem);
+            facilities.report_command(&name, &command, Some(&problem));
+            return Err(NotBegun::Refused(problem));
+        }
+        let (key, payload) = carried_out_by(C::SERVICE, &name.0, &command.action);
+        let text = facilities.replica.space.format(&key);
+        let Ok(request) = Request::new(text, "format=json", Some(payload)) else {
+            return refused("(command)", "has no form on the bus");
+        };
+        facilities.gets.exchange(get.id, request.clone());
+        facilities.replica.add("commands", 1);
+        let pending = Pending { name, command, request: get.request.clone() };
+        facilities.operator_commands.begin(get.id, pending);
+        Ok(request)
+    }
+}
+
+/// Why a command does not begin.
+enum NotBegun {
+    /// It is refused.
+    Refused(String),
+    /// It was given before.
+    Known(Arc<CommandOutcome>),
+}
+
+impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
+    /// The event of a command.
+    fn report_command(
+        &mut self,
+        name: &CommandName,
+        command: &OperatorCommand,
+        refused: Option<&str>,
+    ) {
+        let kind = EventKind::Commanded {
+            operator: name.0.clone(),
+            command: name.1.clone(),
+            action: action_text(command),
+            refused: refused.map(str::to_owned),
+        };
+        let severity = if refused.is_some() { Severity::Warning } else { Severity::Info };
+        self.publish_event(severity, kind);
+    }
+
+    /// Answers a command that was given before as it was answered then.
+    fn reply_again(&mut self, get: Get, outcome: &Arc<CommandOutcome>) {
+        let answer = match &outcome.refused {
+            Some(problem) => Err(problem.clone()),
+            None => Ok(vec![Message::Outcome(Arc::clone(outcome))]),
+        };
+        self.replica.add("commands_again", 1);
+        self.reply(get.id, answer, ReplyKind::Plain);
+    }
+
+    /// Remembers what came of a command, tells standbys and operators, and returns what is answered.
+    pub(crate) fn end_command(
+        &mut self,
+        pending: Pending,
+        answer: Result<Vec<Packet>, String>,
+    ) -> Result<Vec<Packet>, String> {
+        let Pending { name, command, request } = pending;
+        if !self.replica.election.has_term() {
+            // Another instance leads by now, and knows nothing of it.
+            return answer;
+        }
+        let packet = answer.as_ref().ok().and_then(|packets| packets.first());
+        let text = packet.and_then(|packet| packet.payload.as_ref().ok());
+        let text = text.and_then(|bytes| std::str::from_utf8(bytes).ok());
+        let outcome = Arc::new(CommandOutcome {
+            header: self.replica.own_header(self.now, self.replica.revision()),
+            service: self.replica.service,
+            operator: name.0.clone(),
+            id: name.1.clone(),
+            expires: command.expires,
+            based_on: command.based_on,
+            action: action_text(&command),
+            refused: answer.as_ref().err().map(|problem| {
+                remembered(problem).unwrap_or_else(|| problem_json("(command)", "is refused"))
+            }),
+            answer: text.and_then(remembered),
+        });
+        self.operator_commands.remember(Arc::clone(&outcome));
+        self.store();
+        self.publish_as_leader(Message::Outcome(Arc::clone(&outcome)));
+        self.report_command(&name, &command, outcome.refused.as_deref());
+        answer?;
+        let space = &self.replica.space;
+        encode_answer(space, &request, &[Message::Outcome(outcome)], self.now)
+    }
+}
+
+/// What was commanded, as JSON; its name alone if it is long.
+fn action_text(command: &OperatorCommand) -> String {
+    let text = serde_json::to_string(&command.action).ok();
+    let text = text.as_deref().and_then(remembered);
+    text.unwrap_or_else(|| format!("\"{}\"", command.action.name()))
+}

@@ -1,0 +1,188 @@
+//! What operators command is done once, by whom they say they are, and remembered.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod small;
+
+use std::sync::Arc;
+
+use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS};
+use muster_model::event::EventKind;
+use muster_model::id::ServiceName;
+use muster_model::role::ReplicaState;
+use muster_service::{Command, GetId, IncomingGet, Input, Stored};
+use muster_wire::Message;
+use serde_json::{Value, json};
+use small::{Driven, ONE_LEADS, renewal, token};
+
+/// Sends a command and returns its answer.
+fn command(driven: &mut Driven, key: &str, content: &Value) -> Result<Value, String> {
+    let before = driven.replies.len();
+    let get = GetId(1000 + before as u64);
+    driven.input(Input::Get(IncomingGet {
+        get,
+        selector: format!("muster/v1/alpha/command/clusterer/{key}"),
+        narrowed: None,
+        parameters: String::new(),
+        payload: (!content.is_null()).then(|| content.to_string().into_bytes()),
+    }));
+    assert_eq!(driven.replies.len(), before + 1, "one answer");
+    let answer = driven.replies[before].answer.clone()?;
+    let Some(packet) = answer.first() else { return Ok(Value::Null) };
+    assert_eq!(packet.key, format!("muster/v1/alpha/command/clusterer/{key}"));
+    Ok(serde_json::from_slice(packet.payload.as_ref().unwrap()).unwrap())
+}
+
+fn set(driven: &mut Driven, key: &str, patch: &Value) -> Result<Value, String> {
+    let now = driven.now.as_seconds();
+    let content = json!({"sent": now, "expires": now + 60.0, "action": {"set": patch}});
+    command(driven, key, &content)
+}
+
+fn outcomes(driven: &Driven) -> Vec<Arc<CommandOutcome>> {
+    let outcome = |message: &Message| match message {
+        Message::Outcome(outcome) => Some(Arc::clone(outcome)),
+        _ => None,
+    };
+    driven.published.iter().filter_map(outcome).collect()
+}
+
+#[test]
+fn a_command_is_carried_out_once_and_its_first_answer_is_given_again() {
+    let mut driven = Driven::leading();
+    let first = set(&mut driven, "kim/c1", &json!({"teams": 7})).unwrap();
+    assert_eq!(
+        (&first["operator"], &first["id"], &first["service"], &first["refused"]),
+        (&json!("kim"), &json!("c1"), &json!("clusterer"), &Value::Null)
+    );
+    assert_eq!(first["action"], json!({"set": {"teams": 7}}));
+    assert_eq!(first["answer"]["teams"], 7);
+    set(&mut driven, "lee/c1", &json!({"teams": 8})).unwrap();
+    // It arrives again, late; what others have commanded since stays.
+    let again = set(&mut driven, "kim/c1", &json!({"teams": 7})).unwrap();
+    assert_eq!((again["answer"]["teams"].as_u64(), driven.teams()), (Some(7), 8));
+    assert_eq!(driven.counter("commands"), 2);
+    let asked = command(&mut driven, "kim/c1", &Value::Null).unwrap();
+    assert_eq!((&asked["id"], &asked["answer"]), (&again["id"], &again["answer"]));
+    assert_eq!(command(&mut driven, "kim/c2", &Value::Null).unwrap(), Value::Null);
+    let names: Vec<String> = outcomes(&driven).iter().map(|o| o.operator.to_string()).collect();
+    assert_eq!(names, ["kim", "lee"]);
+}
+
+#[test]
+fn a_command_that_is_refused_by_what_it_asks_is_remembered_as_well() {
+    let mut driven = Driven::leading();
+    let error = set(&mut driven, "kim/c1", &json!({"teams": 0})).unwrap_err();
+    assert!(error.contains("teams"), "{error}");
+    assert_eq!(set(&mut driven, "kim/c1", &json!({"teams": 4})).unwrap_err(), error);
+    assert_eq!(driven.teams(), small::AUTO);
+    let refused = outcomes(&driven)[0].refused.clone();
+    assert_eq!(refused, Some(error));
+}
+
+#[test]
+fn what_is_too_late_from_another_clock_or_of_a_later_term_is_refused_with_the_reason() {
+    let mut driven = Driven::leading();
+    let now = driven.now.as_seconds();
+    let term = driven.status().revision.term;
+    let content = |change: Value| {
+        let mut content =
+            json!({"sent": now, "expires": now + 60.0, "action": {"set": {"teams": 7}}});
+        content.as_object_mut().unwrap().extend(change.as_object().unwrap().clone());
+        content
+    };
+    for (change, field) in [
+        (json!({"sent": now - 60.0, "expires": now + 1.0}), "sent"),
+        (json!({"sent": now + 60.0, "expires": now + 70.0}), "sent"),
+        (json!({"sent": now - 20.0, "expires": now - 1.0}), "expires"),
+        (json!({"expires": now + 6000.0}), "expires"),
+        (json!({"based_on": {"term": term + 1, "epoch": 1}}), "based_on"),
+        (json!({"action": {"acknowledge": {"alert": 3}}}), "action"),
+        (json!({"action": {"sett": {}}}), "action"),
+        (json!({"who": "kim"}), "who"),
+    ] {
+        let error = command(&mut driven, "kim/c1", &content(change)).unwrap_err();
+        assert!(error.contains(field), "{field}: {error}");
+    }
+    assert_eq!(driven.teams(), small::AUTO);
+    assert!(outcomes(&driven).is_empty());
+    // What was refused by its time may come again, right.
+    let based = json!({"based_on": {"term": term, "epoch": 9}});
+    command(&mut driven, "kim/c1", &content(based)).unwrap();
+    assert_eq!(driven.teams(), 7);
+    let events = driven.published.iter().filter(|message| {
+        matches!(message, Message::Event(event) if matches!(event.kind, EventKind::Commanded { .. }))
+    });
+    assert_eq!(events.count(), 7, "six of a form that is right, and the last");
+}
+
+#[test]
+fn commands_are_remembered_over_a_restart_and_by_a_standby_that_takes_over() {
+    let mut driven = Driven::leading();
+    driven.hold_stores = true;
+    let now = driven.now.as_seconds();
+    let content = json!({"sent": now, "expires": now + 60.0, "action": {"set": {"teams": 7}}});
+    driven.input(Input::Get(IncomingGet {
+        get: GetId(1),
+        selector: "muster/v1/alpha/command/clusterer/kim/c1".to_owned(),
+        narrowed: None,
+        parameters: String::new(),
+        payload: Some(content.to_string().into_bytes()),
+    }));
+    assert!(driven.replies.is_empty(), "it is answered once it is on the disk");
+    let stored = driven.others.iter().rev().find_map(|command| match command {
+        Command::Store(stored) => Some(stored.clone()),
+        _ => None,
+    });
+    let stored = stored.unwrap();
+    let text = serde_json::to_string(&stored).unwrap();
+    assert_eq!(serde_json::from_str::<Stored>(&text).unwrap(), stored);
+    let outcome = outcomes(&driven)[0].clone();
+
+    let mut again = Driven::<ONE_LEADS>::with_stored(stored);
+    again.input(Input::Started { linked: true });
+    again.now = again.now.after(std::time::Duration::from_secs(2));
+    again.answer_all(Vec::new());
+    assert_eq!(again.host.replica_state(), ReplicaState::Leading);
+    set(&mut again, "lee/c2", &json!({"teams": 9})).unwrap();
+    set(&mut again, "kim/c1", &json!({"teams": 7})).unwrap();
+    assert_eq!(again.teams(), 9);
+
+    let mut standby = Driven::<ONE_LEADS>::answered(vec![renewal("a", 7, 5)]);
+    standby.receive(token("a", true));
+    assert_eq!(set(&mut standby, "kim/c3", &json!({"teams": 3})), Ok(Value::Null));
+    standby.receive(Message::Outcome(outcome));
+    standby.receive(token("a", false));
+    standby.wait(0.5);
+    standby.answer_all(Vec::new());
+    assert_eq!(standby.host.replica_state(), ReplicaState::Leading);
+    let before = standby.teams();
+    set(&mut standby, "kim/c1", &json!({"teams": 7})).unwrap();
+    assert_eq!(standby.teams(), before);
+}
+
+#[test]
+fn an_instance_that_starts_carries_nothing_out() {
+    let mut driven = Driven::<ONE_LEADS>::new();
+    driven.input(Input::Started { linked: true });
+    let error = set(&mut driven, "kim/c1", &json!({"teams": 7})).unwrap_err();
+    assert!(error.contains("starting"), "{error}");
+}
+
+#[test]
+fn ids_are_remembered_until_they_expire_and_no_more_than_that() {
+    let mut driven = Driven::leading();
+    for number in 0..MAX_REMEMBERED_COMMANDS {
+        set(&mut driven, &format!("kim/c{number}"), &json!({"teams": 7})).unwrap();
+    }
+    let error = set(&mut driven, "kim/one-more", &json!({"teams": 8})).unwrap_err();
+    assert!(error.contains("too many commands"), "{error}");
+    driven.now = driven.now.after(std::time::Duration::from_secs(61));
+    set(&mut driven, "kim/one-more", &json!({"teams": 8})).unwrap();
+    assert_eq!(driven.teams(), 8);
+    let now = driven.now.as_seconds();
+    let old = json!({"sent": now - 25.0, "expires": now - 1.0, "action": {"set": {"teams": 7}}});
+    let error = command(&mut driven, "kim/c0", &old).unwrap_err();
+    assert!(error.contains("expires"), "{error}");
+    assert_eq!(ServiceName::Clusterer, outcomes(&driven)[0].service);
+}
