@@ -125,6 +125,7 @@ mod tests {
             considered: vec![],
             next_team: 3,
             limited: None,
+            needs: vec![],
             inertia: 0.0,
             unassigned: vec![robot("loose".to_owned())],
             stale: vec![],
