@@ -62,6 +62,10 @@ impl Shown for Teams {
         {
             lines.push(format!("limits do not hold: {conflict}"));
         }
+        let lacking = self.needs.iter().filter(|need| need.lacks() > 0);
+        lines.extend(lacking.map(|need| {
+            format!("{} has {} of {} with {}", need.team, need.have, need.min, need.skill)
+        }));
         lines.extend(self.changes.iter().map(|change| format!("  {}", describe(change))));
         lines
     }
