@@ -202,6 +202,10 @@ fn every_mutant_is_found_and_its_run_made_short() {
             Mutant::Overfull,
             vec!["limits on the robots of teams hold, or the division says why not"],
         ),
+        (
+            Mutant::Boastful,
+            vec!["what a division says of needs is so by a roster that was published"],
+        ),
     ] {
         let options = Options { robots: Some(6), ..Options::default() };
         let outcomes = (0..200).map(|seed| simulate(seed, &options, Some(mutant), false));

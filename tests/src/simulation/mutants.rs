@@ -55,11 +55,13 @@ pub enum Mutant {
     StarvedEmbedder,
     /// The clusterer puts all robots into the first team, whatever the limits are, once settings were changed.
     Overfull,
+    /// The clusterer says of every team that it has one robot more with a needed skill, once settings were changed.
+    Boastful,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -78,6 +80,7 @@ impl Mutant {
         Self::Forgetful,
         Self::StarvedEmbedder,
         Self::Overfull,
+        Self::Boastful,
     ];
 
     /// The kinds of faults after which it shows.
@@ -93,7 +96,7 @@ impl Mutant {
             Self::WrongSilhouette => &["storm"],
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
             Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
-            Self::Restless | Self::Fickle | Self::Overfull => &["settings"],
+            Self::Restless | Self::Fickle | Self::Overfull | Self::Boastful => &["settings"],
             Self::TermsFromOne | Self::DeafRobots => &["blackout without disks"],
             Self::UnbelievedTerm => &["forged term"],
             Self::Forgetful => &["power cut"],
@@ -284,6 +287,11 @@ impl Mutator {
                     first.members.extend(others.into_iter().flat_map(|team| team.members));
                     first.members.sort_by(|left, right| left.robot.cmp(&right.robot));
                 }
+                Message::Teams { teams: Checked::new_unchecked(teams), mirror }
+            }
+            (Mutant::Boastful, Message::Teams { teams, mirror }) => {
+                let mut teams = Teams::clone(&teams);
+                teams.needs.iter_mut().for_each(|need| need.have += 1);
                 Message::Teams { teams: Checked::new_unchecked(teams), mirror }
             }
             (Mutant::RevisionTwice, Message::Roster(mut roster)) => {

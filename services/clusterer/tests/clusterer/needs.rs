@@ -261,3 +261,82 @@ fn needs_wait_for_the_roster() {
     let known: Vec<&str> = ALL.split_whitespace().collect();
     assert!(division.assignments().all(|(robot, _)| known.contains(&robot.as_str())));
 }
+
+/// Whether something divides robots with these skills into so many teams that each has what it needs.
+fn is_possible(robots: &[(bool, bool)], teams: usize, needs: &[(u32, Option<u32>); 2]) -> bool {
+    let count = u32::try_from(robots.len()).unwrap();
+    (0..teams.pow(count)).any(|mut code| {
+        let labels: Vec<usize> = robots
+            .iter()
+            .map(|_| {
+                let label = code % teams;
+                code /= teams;
+                label
+            })
+            .collect();
+        (0..teams).all(|team| {
+            let have = |is_able: &dyn Fn(&(bool, bool)) -> bool| {
+                let there = robots.iter().zip(&labels).filter(|(_, label)| **label == team);
+                u32::try_from(there.filter(|(robot, _)| is_able(robot)).count()).unwrap()
+            };
+            let fits = |have: u32, (min, max): (u32, Option<u32>)| {
+                have >= min && max.is_none_or(|max| have <= max)
+            };
+            fits(have(&|robot| robot.0), needs[0]) && fits(have(&|robot| robot.1), needs[1])
+        })
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn needs_are_filled_exactly_where_something_fills_them(
+        robots in prop::collection::vec((-2_i8..3, -2_i8..3, prop::bool::ANY, prop::bool::ANY), 3..8),
+        count in 1_u32..4,
+        apart: bool,
+        mins in (0_u32..3, 0_u32..2),
+        maxes in (prop::option::of(0_u32..3), prop::option::of(0_u32..3)),
+    ) {
+        // Where skills are apart, the flow alone finds it; else the search.
+        let skills: Vec<(bool, bool)> =
+            robots.iter().map(|(.., medic, relay)| (*medic, *relay && !(apart && *medic))).collect();
+        let maxes = (maxes.0.map(|room| mins.0 + room), maxes.1.map(|room| mins.1 + room));
+        let needs = [(mins.0, maxes.0), (mins.1, maxes.1)];
+        let settings =
+            needing(count, &[need("medic", mins.0, maxes.0), need("relay", mins.1, maxes.1)]);
+        let name = |at: usize| robot(&format!("r{at}"));
+        let rows = robots.iter().enumerate().map(|(at, (x, y, ..))| {
+            let apart = f64::from(u32::try_from(at).unwrap()) * 1e-3;
+            (name(at), vec![f64::from(*x) + apart, f64::from(*y) - apart * apart], false)
+        });
+        let rows = from_rows(1, 1, rows.collect());
+        let text: Vec<String> = skills.iter().enumerate().map(|(at, (medic, relay))| {
+            let medic = if *medic { "medic" } else { "" };
+            let relay = if *relay { "relay" } else { "" };
+            format!("r{at}:{medic},{relay}")
+        }).collect();
+        let mut bench = bench(settings, &rows, &text.join(" "));
+        let division = bench.division();
+        let teams = (count as usize).min(robots.len());
+        let possible = is_possible(&skills, teams, &needs);
+        let wrong = |need: &&TeamNeed| {
+            need.lacks() > 0 || need.max.is_some_and(|max| need.have > max)
+        };
+        let wrong = division.needs.iter().find(wrong);
+        if needs.iter().all(|(min, max)| *min == 0 && max.is_none()) {
+            prop_assert!(division.needs.is_empty());
+        }
+        prop_assert_eq!(conflict(&division).is_none(), possible, "{:?}", division);
+        prop_assert!(!possible || wrong.is_none(), "{:?}", division);
+        for need in &division.needs {
+            let team = division.teams.iter().find(|team| team.id == need.team).unwrap();
+            let is_able = |member: &&muster_model::teams::Member| {
+                let (medic, relay) = skills[member.robot.as_str()[1..].parse::<usize>().unwrap()];
+                if need.skill.as_str() == "medic" { medic } else { relay }
+            };
+            let have = team.members.iter().filter(is_able).count();
+            prop_assert_eq!(need.have as usize, have);
+        }
+    }
+}
