@@ -563,7 +563,7 @@ fn draw(chance: &mut Chance, scale: &Scale, places: &[Place], room: Micros) -> F
         95..96 => Fault::BadAlpha { lasts: long },
         _ => {
             let (service, patches) = PATCHES[chance.below(PATCHES.len())];
-            let patch = chance.pick(patches.patches).copied().unwrap_or("{}").to_owned();
+            let patch = chance.pick(patches).copied().unwrap_or("{}").to_owned();
             Fault::Set { service, patch }
         }
     }
