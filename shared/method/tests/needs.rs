@@ -39,7 +39,8 @@ fn divided(robots: usize, teams: usize, skills: usize, min: usize, seed: u64) ->
             }
         }
     }
-    let x = DenseMatrix::from_fn(robots, 3, |_, _| draw.coordinate());
+    let values = (0..3 * robots).map(|_| draw.coordinate()).collect();
+    let x = DenseMatrix::new(robots, 3, values).unwrap();
     let rules = Rules { teams: vec![Bounds::at_least(1); teams], ..Rules::new(robots, teams) };
     let rules = rules.check().unwrap();
     let need = |team, has: &Vec<bool>| Need {

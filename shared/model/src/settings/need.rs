@@ -10,6 +10,8 @@ use crate::limits::{MAX_NEEDED_SKILLS, MAX_NEEDS, MAX_TEAM_SIZE};
 /// How many robots with a skill a team has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+// A part of its own would be described as it is written alone: with every field.
+#[schemars(inline)]
 pub struct SkillCount {
     /// Least number of robots. Stale ones do not count.
     #[schemars(range(min = 0, max = MAX_TEAM_SIZE))]
@@ -23,6 +25,7 @@ pub struct SkillCount {
 /// A skill that teams need.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(inline)]
 pub struct Need {
     /// The skill, as robots name it in their rank.
     pub skill: SkillId,
