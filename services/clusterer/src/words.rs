@@ -121,7 +121,7 @@ fn common_class(rules: &[Rule]) -> Option<Option<usize>> {
         Rule::Least { class, .. } | Rule::Most { class, .. } => class,
         Rule::Pair(_) => None,
     };
-    let first = rules.first().map_or(None, class);
+    let first = rules.first().and_then(class);
     rules.iter().all(|rule| class(rule) == first).then_some(first)
 }
 
