@@ -203,6 +203,10 @@ fn every_mutant_is_found_and_its_run_made_short() {
             vec!["limits on the robots of teams hold, or the division says why not"],
         ),
         (Mutant::Repetitive, vec!["a command is carried out once"]),
+        (
+            Mutant::Boastful,
+            vec!["what a division says of needs is so by a roster that was published"],
+        ),
     ] {
         let options = Options { robots: Some(6), ..Options::default() };
         let outcomes = (0..200).map(|seed| simulate(seed, &options, Some(mutant), false));

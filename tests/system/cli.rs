@@ -99,6 +99,7 @@ pub(crate) fn division(term: u64, epoch: u64, team: u64) -> Outbound {
         changes: vec![],
         next_team: 99,
         limited: None,
+        needs: vec![],
     };
     let message = Message::Teams { teams: Checked::new_unchecked(teams), mirror: false };
     message.publish(Tick(0)).unwrap().swap_remove(0)

@@ -23,6 +23,7 @@ mod languages;
 mod latency;
 mod limits;
 mod lost_team;
+mod needs;
 mod notify;
 mod observe;
 mod partition;

@@ -251,6 +251,7 @@ mod tests {
             changes: vec![],
             next_team: 9,
             limited: None,
+            needs: vec![],
         })
         .unwrap()
     }

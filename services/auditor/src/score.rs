@@ -74,11 +74,11 @@ impl AuditInput {
             })
     }
 
-    /// Whether the same robots are in the same teams, led and commanded by the same ones, and are stale.
+    /// Whether the same robots are in the same teams with the same skills, led and commanded by the same ones, and are stale.
     pub(crate) fn has_same_teams(&self, other: &Self) -> bool {
         self.teams.same_division(&other.teams)
             && same_entries(self.roster.as_ref(), other.roster.as_ref(), |entry| {
-                entry.superior.as_ref()
+                (entry.superior.as_ref(), &entry.skills)
             })
     }
 

@@ -8,10 +8,12 @@ use std::collections::BTreeMap;
 use muster_model::audit::SilhouetteReport;
 use muster_model::graph::GraphReplica;
 use muster_model::header::Revision;
-use muster_model::id::{Modality, RobotId};
-use muster_model::limits::{MAX_CUT_ROBOTS, MAX_LOSS_PARTS, MAX_LOSSES};
+use muster_model::id::{Modality, RobotId, SkillId};
+use muster_model::limits::{MAX_AUDITED_SKILLS, MAX_CUT_ROBOTS, MAX_LOSS_PARTS, MAX_LOSSES};
 use muster_model::roster::Roster;
-use muster_model::team_audit::{Conductance, LeastFitting, Loss, Radio, Spread, TeamAudit};
+use muster_model::team_audit::{
+    Conductance, LeastFitting, Loss, Radio, SkillCover, Spread, TeamAudit,
+};
 use muster_model::teams::{Team, Teams};
 use muster_numeric::conductance::conductances;
 use muster_numeric::cuts::{Cuts, cuts};
@@ -150,7 +152,44 @@ fn plain(
         heads: count(heads.len()),
         only_head,
         spread: spread(robots().filter_map(|robot| positions.get(robot))),
+        skills: skills(teams, team, roster),
     }
+}
+
+/// How many robots of a team have each skill, as far as they are there; what the division counts for a need comes first.
+fn skills(teams: &Teams, team: &Team, roster: Option<&Roster>) -> Vec<SkillCover> {
+    let needs = teams.needs.iter().filter(|need| need.team == team.id);
+    let mut covers: Vec<SkillCover> = needs
+        .map(|need| SkillCover {
+            skill: need.skill.clone(),
+            robots: need.have,
+            needed: need.min,
+            spare: need.have.saturating_sub(need.min),
+            lacking: need.lacks(),
+        })
+        .collect();
+    let mut others: BTreeMap<&SkillId, u32> = BTreeMap::new();
+    let entries = roster.map_or(&[][..], |roster| &roster.robots);
+    for member in &team.members {
+        let robot = &member.robot;
+        if teams.stale.binary_search(robot).is_ok() {
+            continue;
+        }
+        let at = entries.binary_search_by(|entry| entry.robot.cmp(robot)).ok();
+        for skill in at.map_or(&[][..], |at| &entries[at].skills) {
+            *others.entry(skill).or_default() += 1;
+        }
+    }
+    others.retain(|skill, _| !covers.iter().any(|cover| cover.skill == **skill));
+    covers.extend(others.into_iter().map(|(skill, robots)| SkillCover {
+        skill: skill.clone(),
+        robots,
+        needed: 0,
+        spare: robots,
+        lacking: 0,
+    }));
+    covers.truncate(MAX_AUDITED_SKILLS);
+    covers
 }
 
 /// The distances of places to their mean.

@@ -31,7 +31,7 @@ use crate::dwell::{CountDwell, MoveDwell};
 use crate::identity::{Memory, is_believable};
 use crate::keeping::Keeping;
 use crate::publishing::{Rotation, plural};
-use crate::rules::TeamRules;
+use crate::rules::{TeamRules, asks_alike};
 use crate::seats::{Arrivals, Vacancies};
 use crate::wishes::WishBook;
 
@@ -212,7 +212,8 @@ impl Clusterer {
 
     fn accept_division(&mut self, context: &mut Context<'_>, teams: Teams) {
         let Some(task) = self.flight.completed() else { return };
-        if task.rules != self.rules(context.settings()) {
+        let rules = self.rules(context.settings());
+        if !asks_alike(task.rules.as_ref(), rules.as_ref()) {
             // It may break rules that hold since; another job follows.
             return;
         }

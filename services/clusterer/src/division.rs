@@ -147,6 +147,7 @@ pub(crate) fn assemble(
         changes: named.changes,
         next_team: named.next_team,
         limited: None,
+        needs: vec![],
     })
 }
 
@@ -193,7 +194,9 @@ pub(crate) fn with_held(
         }
     }
     teams.inertia = inertia;
-    if let Some(rules) = rules {
+    // A division that lacks what it needs says why, whoever stays.
+    let lacks = new.limited.as_ref().is_some_and(|limited| limited.conflict.is_some());
+    if let Some(rules) = rules.filter(|_| !lacks) {
         teams.limited = Some(limited::judge(rules, &teams, embedding)?);
     }
     Ok(teams)

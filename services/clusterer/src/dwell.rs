@@ -210,6 +210,7 @@ mod tests {
             changes: vec![],
             next_team: 9,
             limited: None,
+            needs: vec![],
         }
     }
 

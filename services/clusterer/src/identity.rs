@@ -313,6 +313,7 @@ mod tests {
             changes: vec![],
             next_team,
             limited: None,
+            needs: vec![],
         }
     }
 

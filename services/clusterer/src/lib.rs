@@ -16,6 +16,7 @@
 //!   unless its orders or the number of teams have changed.
 //! - A division obeys the limits of the settings and the wishes of operators. While nothing does, robots stay in the team that they have, no team
 //!   has more robots than it may have, robots without a place have no team, and the division and an event say why.
+//! - A robot that is stale fills no need. While needs cannot all be filled, as many are as can be, and all else goes on.
 //! - The same embedding under the same settings is divided once, and once more where another number of teams
 //!   has lasted. What is republished is the same division
 //!   with a new revision, and its data grows older.
@@ -35,7 +36,9 @@ mod keeping;
 mod leader;
 mod limited;
 mod memory;
+mod needs;
 mod publishing;
+mod replacement;
 mod rules;
 mod seats;
 mod wishes;

@@ -29,7 +29,8 @@ pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionErro
     let rows = rules.rows(embedding);
     let problem = Problem::new(job, rules, &rows)?;
     let solved = if rows.is_empty() { Solved::default() } else { problem.solve(job)? };
-    let Solved { columns, labels, conflict } = solved;
+    let Solved { columns, labels, limited } = solved;
+    let stands = limited.as_ref().is_some_and(Limited::stands);
     let mut ids: Vec<TeamId> = Vec::new();
     let mut all = vec![None; embedding.robots.len()];
     for (id, column) in columns.iter().zip(0..) {
@@ -42,7 +43,7 @@ pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionErro
             ids.push(id.clone());
         }
     }
-    revive(job, rules, &all, conflict.is_some(), &mut ids);
+    revive(job, rules, &all, stands, &mut ids);
     let dimension = embedding.dimension as usize;
     let x = DenseMatrix::new(all.len(), dimension, embedding.values.clone())?;
     let centroids = crate::division::means(&x, &all, ids.len())?;
@@ -53,8 +54,8 @@ pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionErro
         let ids = clusters.iter().filter_map(|cluster| id_of(*cluster.rows.first()?)).collect();
         Ok(identity::named(members, ids, unassigned, job.previous.as_deref(), &job.memory))
     })?;
-    teams.limited = Some(match conflict {
-        Some(conflict) => Limited { optimal: false, gap: 1.0, conflict: Some(conflict) },
+    teams.limited = Some(match limited {
+        Some(limited) => limited,
         None => judge(rules, &teams, embedding)?,
     });
     Ok(teams)
@@ -84,7 +85,8 @@ fn revive(
     for (id, cluster, _) in job.memory.revivable(&clusters, &unassigned) {
         // Also while no rules hold no team has more robots than it may have.
         let robots = clusters[cluster].len();
-        let has_room = || rules.has_room(id, robots) || stands && robots <= rules.bounds(id).upper;
+        let is_sound = || rules.has_room(id, robots) && rules.fill_needs(id, &clusters[cluster]);
+        let has_room = || is_sound() || stands && robots <= rules.bounds(id).upper;
         if !lives(id) && !lives(&ids[cluster]) && has_room() {
             ids[cluster] = id.clone();
         }
@@ -115,7 +117,7 @@ pub(crate) fn judge(
     let centroids = DenseMatrix::new(columns.len(), dimension, centroids)?;
     let robots: Vec<&RobotId> = rows.iter().map(|row| &embedding.robots[*row]).collect();
     let valid = rules.assignment(&columns, &robots)?;
-    let groups = rules.groups(&valid, &robots)?.valid;
+    let groups = rules.groups(&valid, &columns, &robots)?.valid;
     let found = optimality(&x, &labels, &centroids, &valid, &groups)?;
     Ok(Limited { optimal: found.optimal, gap: found.gap, conflict: None })
 }
@@ -127,8 +129,8 @@ struct Solved {
     columns: Vec<TeamId>,
     /// The column of each robot; none for one in the reserve.
     labels: Vec<Option<usize>>,
-    /// Why nothing satisfies the rules, where nothing does.
-    conflict: Option<String>,
+    /// How it stands to the rules, where nothing satisfies all of them.
+    limited: Option<Limited>,
 }
 
 /// Robots, teams and rules as the assignment sees them.
@@ -167,24 +169,33 @@ impl<'a> Problem<'a> {
             let limits = Limits { rules, groups, previous: &self.previous };
             divide_within(&self.x, &params, &limits).map(|found| found.labels)
         };
-        let conflict = match self.rules.conflict(&self.columns, &self.robots) {
-            Some(conflict) => conflict,
-            None => {
-                let rules = self.rules.assignment(&self.columns, &self.robots)?;
-                let groups = self.rules.groups(&rules, &self.robots)?;
-                match divided(&rules, &groups.valid) {
-                    Ok(labels) => {
-                        let columns = self.named(&labels);
-                        return Ok(Solved { columns, labels, conflict: None });
+        // Where needs cannot all be filled, as many are as can be, and all else holds.
+        let mut first_conflict = None;
+        let lenient = self.rules.needs.lenient();
+        let lenient = lenient.into_iter().map(|needs| self.rules.with_needs(needs));
+        for rules in std::iter::once(self.rules.clone()).chain(lenient) {
+            let conflict = match rules.conflict(&self.columns, &self.robots) {
+                Some(conflict) => conflict,
+                None => {
+                    let valid = rules.assignment(&self.columns, &self.robots)?;
+                    let groups = rules.groups(&valid, &self.columns, &self.robots)?;
+                    match divided(&valid, &groups.valid) {
+                        Ok(labels) => {
+                            let columns = self.named(&labels);
+                            let limited = first_conflict.map(Limited::lacking);
+                            return Ok(Solved { columns, labels, limited });
+                        }
+                        // The search ended before it found anything.
+                        Err(LimitedError::Groups(error)) => {
+                            error.to_string().chars().take(MAX_CONFLICT_LENGTH).collect()
+                        }
+                        Err(error) => return Err(error.into()),
                     }
-                    // The search ended before it found anything.
-                    Err(LimitedError::Groups(error)) => {
-                        error.to_string().chars().take(MAX_CONFLICT_LENGTH).collect()
-                    }
-                    Err(error) => return Err(error.into()),
                 }
-            }
-        };
+            };
+            first_conflict.get_or_insert(conflict);
+        }
+        let conflict = first_conflict.unwrap_or_default();
         let relaxed = |stay: &[Option<Column>]| -> Result<_, DivisionError> {
             let rules = self.rules.relaxed(&self.columns, &self.robots, stay)?;
             let nobody = Wishes::default().check(&rules)?;
@@ -197,7 +208,7 @@ impl<'a> Problem<'a> {
             }
             labels => labels?,
         };
-        Ok(Solved { columns: self.columns, labels, conflict: Some(conflict) })
+        Ok(Solved { columns: self.columns, labels, limited: Some(Limited::standing(conflict)) })
     }
 
     /// The team that each column becomes: of those whose rules it obeys, such that most robots stay in their team.

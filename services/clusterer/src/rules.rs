@@ -1,24 +1,27 @@
-//! What operators ask of divisions: how many robots each team has, and which robots are to be in which, together,
-//! apart, or in none.
+//! What operators ask of divisions: how many robots each team has, which skills it needs, and which robots are to be in
+//! which, together, apart, or in none.
 //!
 //! A team is a column of the assignment, under the id that it has or will have, so that its limits are its own before
 //! the robots are divided.
+
+mod holding;
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 use muster_model::embedding::Embedding;
-use muster_model::id::{RobotId, TeamId};
+use muster_model::id::{RobotId, SkillId, TeamId};
 use muster_model::limits::MAX_CONFLICT_LENGTH;
 use muster_model::settings::{ClustererSettings, TeamSize};
 use muster_model::teams::Teams;
 use muster_model::wish::{Wish, WishKind};
 use muster_numeric::assignment::{
     self as numeric, Assigner, Bounds, Column, CostMatrix, Pair, Relation, Rule, Rules, RulesError,
-    ValidRules, ValidWishes, WishesError, assign_with_wishes,
+    ValidRules, ValidWishes, WishesError, assign_with_wishes, is_grantable,
 };
 
 use crate::identity::{self, Memory, Numbers};
+use crate::needs::{NeedLimits, Needs};
 use crate::seats::last_teams;
 
 /// Most flows to find out whether the wishes of groups can be granted: a number and no time, so that a replay is the
@@ -48,10 +51,20 @@ struct Tie {
     wish: usize,
 }
 
-/// Groups of robots, and the place of the wish that asks for each.
+/// Groups of robots, and needs that are no limits of classes.
 pub(crate) struct Groups {
     pub(crate) valid: ValidWishes,
+    /// The place of the wish that asks for each group.
     wishes: Vec<usize>,
+    /// The skill and the team of each need.
+    needs: Vec<(SkillId, TeamId)>,
+}
+
+impl Groups {
+    /// Whether nothing needs a search.
+    fn is_empty(&self) -> bool {
+        self.wishes.is_empty() && self.needs.is_empty()
+    }
 }
 
 /// What divisions have to respect.
@@ -60,19 +73,34 @@ pub(crate) struct TeamRules {
     size: TeamSize,
     of_team: BTreeMap<TeamId, TeamSize>,
     wishes: Vec<Asked>,
+    pub(crate) needs: Needs,
     /// The teams that robots of locked teams stay in, once it is known who they are.
     locked: BTreeMap<RobotId, TeamId>,
 }
 
 impl TeamRules {
-    /// The rules of some settings and of the wishes that count; none if these ask for nothing.
-    pub(crate) fn of(settings: &ClustererSettings, wishes: Vec<Asked>) -> Option<Self> {
-        if !settings.has_limits() && wishes.is_empty() {
+    /// The rules of some settings, of the wishes that count and of the needs; none if these ask for nothing.
+    pub(crate) fn of(
+        settings: &ClustererSettings,
+        wishes: Vec<Asked>,
+        needs: Needs,
+    ) -> Option<Self> {
+        if !settings.has_limits() && wishes.is_empty() && needs.is_empty() {
             return None;
         }
         let of_team = settings.team_size.keys().map(|id| (id.clone(), settings.size_of(id)));
         let locked = BTreeMap::new();
-        Some(Self { size: settings.size, of_team: of_team.collect(), wishes, locked })
+        Some(Self { size: settings.size, of_team: of_team.collect(), wishes, needs, locked })
+    }
+
+    /// The rules with other needs.
+    pub(crate) fn with_needs(&self, needs: Needs) -> Self {
+        Self { needs, ..self.clone() }
+    }
+
+    /// Whether other rules ask for the same, whichever robots can fill needs.
+    pub(crate) fn asks_as(&self, other: &Self) -> bool {
+        self.needs.asks_as(&other.needs) && *self == other.with_needs(self.needs.clone())
     }
 
     /// The rules with the robots that locked teams have, by the last team of each robot.
@@ -114,15 +142,16 @@ impl TeamRules {
         reserves.flat_map(|asked| &asked.wish.robots).collect()
     }
 
-    /// Whether a limit or a wish names a team.
+    /// Whether a limit, a need or a wish names a team.
     fn names(&self, team: &TeamId) -> bool {
-        self.of_team.contains_key(team) || self.is_wished(team)
+        self.of_team.contains_key(team) || self.needs.name(team) || self.is_wished(team)
     }
 
-    /// The teams of a division that wishes name.
+    /// The teams of a division that wishes or needs name.
     pub(crate) fn wished(&self, division: Option<&Teams>) -> BTreeSet<TeamId> {
         let teams = division.into_iter().flat_map(|division| &division.teams);
-        teams.map(|team| &team.id).filter(|id| self.is_wished(id)).cloned().collect()
+        let is_named = |id: &&TeamId| self.is_wished(id) || self.needs.name(id);
+        teams.map(|team| &team.id).filter(is_named).cloned().collect()
     }
 
     /// Whether a team may have so many robots.
@@ -172,10 +201,12 @@ impl TeamRules {
         ties
     }
 
-    /// The groups of robots that are to be together or apart. One of which fewer than two robots are there waits.
+    /// The groups of robots that are to be together or apart, and needs that are no limits of classes. A group of which
+    /// fewer than two robots are there waits.
     pub(crate) fn groups(
         &self,
         rules: &ValidRules,
+        columns: &[TeamId],
         robots: &[&RobotId],
     ) -> Result<Groups, WishesError> {
         let (mut all, mut places) = (Vec::new(), Vec::new());
@@ -196,8 +227,9 @@ impl TeamRules {
                 }
             }
         }
-        let valid = numeric::Wishes { wishes: all, needs: Vec::new() }.check(rules)?;
-        Ok(Groups { valid, wishes: places })
+        let NeedLimits { needs, names, .. } = self.needs.limits(columns, robots);
+        let valid = numeric::Wishes { wishes: all, needs }.check(rules)?;
+        Ok(Groups { valid, wishes: places, needs: names })
     }
 
     /// How many robots a team may have.
@@ -247,7 +279,9 @@ impl TeamRules {
     ) -> Result<ValidRules, RulesError> {
         let teams = columns.iter().map(|id| self.bounds(id)).collect();
         let pairs = self.ties(columns, robots).into_iter().map(|tie| tie.pair).collect();
-        Rules { robots: robots.len(), teams, pairs, ..Rules::default() }.check()
+        let NeedLimits { classes, class_limits, .. } = self.needs.limits(columns, robots);
+        Rules { robots: robots.len(), teams, pairs, classes, class_limits, ..Rules::default() }
+            .check()
     }
 
     /// The rules while nothing satisfies all of them: no team has more robots than it may have or a robot that must not be
@@ -281,12 +315,29 @@ impl TeamRules {
             (least.saturating_add(bounds.lower), most.saturating_add(bounds.upper))
         });
         (least..=most).contains(&robots.len())
-            && (self.wishes.is_empty() || self.conflict(columns, robots).is_none())
+            && (self.wishes.is_empty() && self.needs.is_empty()
+                || self.is_satisfiable(columns, robots))
+    }
+
+    /// Whether something satisfies all rules, as far as a bounded search tells.
+    fn is_satisfiable(&self, columns: &[TeamId], robots: &[&RobotId]) -> bool {
+        if self.conflict_of_reserve().is_some() || self.needs.shortage(columns, robots).is_some() {
+            return false;
+        }
+        let Ok(rules) = self.assignment(columns, robots) else { return false };
+        if rules.conflict().is_some() {
+            return false;
+        }
+        let Ok(groups) = self.groups(&rules, columns, robots) else { return false };
+        groups.is_empty()
+            || is_grantable(&mut Assigner::new(), &rules, &groups.valid, GROUP_NODES)
+                .is_ok_and(|is_granted| is_granted == Some(true))
     }
 
     /// Why nothing satisfies the rules for these robots; none if something does.
     pub(crate) fn conflict(&self, columns: &[TeamId], robots: &[&RobotId]) -> Option<String> {
         self.conflict_of_reserve()
+            .or_else(|| self.needs.shortage(columns, robots))
             .or_else(|| match self.assignment(columns, robots) {
                 Ok(rules) => self.conflict_within(&rules, columns, robots),
                 Err(error) => Some(error.to_string()),
@@ -324,7 +375,8 @@ impl TeamRules {
         robots: &[&RobotId],
     ) -> Option<String> {
         if let Some(conflict) = rules.conflict() {
-            let text = crate::words::conflict(&conflict, columns, robots);
+            let skills = self.needs.class_names();
+            let text = crate::words::conflict(&conflict, columns, robots, &skills);
             let has = |tie: &Tie| conflict.rules.contains(&Rule::Pair(tie.pair));
             let mut wishes: Vec<usize> = self
                 .ties(columns, robots)
@@ -340,8 +392,8 @@ impl TeamRules {
                 format!("{text} ({})", self.list(&wishes))
             });
         }
-        let groups = match self.groups(rules, robots) {
-            Ok(groups) if groups.wishes.is_empty() => return None,
+        let groups = match self.groups(rules, columns, robots) {
+            Ok(groups) if groups.is_empty() => return None,
             Ok(groups) => groups,
             Err(error) => return Some(error.to_string()),
         };
@@ -350,10 +402,21 @@ impl TeamRules {
         let mut assigner = Assigner::new();
         match assign_with_wishes(&mut assigner, rules, &groups.valid, &costs, GROUP_NODES) {
             Ok(_) => None,
-            Err(numeric::DivisionError::Infeasible { wishes, .. }) => {
+            Err(numeric::DivisionError::Infeasible { wishes, needs, .. }) => {
                 let wishes: Vec<usize> = wishes.iter().map(|at| groups.wishes[*at]).collect();
-                let wishes = self.list(&wishes);
-                Some(format!("{wishes} cannot be granted within the limits and the other wishes"))
+                if needs.is_empty() {
+                    let wishes = self.list(&wishes);
+                    return Some(format!(
+                        "{wishes} cannot be granted within the limits and the other wishes"
+                    ));
+                }
+                let asked = self.needs.describe(&needs, &groups.needs, robots);
+                let beside = if wishes.is_empty() {
+                    String::new()
+                } else {
+                    format!(" beside {}", self.list(&wishes))
+                };
+                Some(format!("{asked} are not enough to fill them together{beside}"))
             }
             Err(error) => Some(error.to_string()),
         }
@@ -366,77 +429,29 @@ impl TeamRules {
         format!("{noun} {}", crate::words::list(&names))
     }
 
+    /// Whether robots may be a team that lives again, by its needs.
+    pub(crate) fn fill_needs(&self, team: &TeamId, robots: &[&RobotId]) -> bool {
+        self.needs.are_filled_by(team, robots)
+    }
+
     /// Whether these robots may be a team of these.
     pub(crate) fn admits(&self, team: &TeamId, robots: &[&RobotId], columns: &[TeamId]) -> bool {
         let is_here = |column: Column| matches!(column, Column::Team(at) if columns[at] == *team);
         self.has_room(team, robots.len())
+            && self.needs.are_filled_by(team, robots)
             && self.ties(columns, robots).iter().all(|tie| match tie.pair {
                 Pair::Forced { column, .. } => is_here(column),
                 Pair::Forbidden { column, .. } => !is_here(column),
             })
     }
+}
 
-    /// Of the robots that are to be kept in their last team, as many as the rules let stay there. The others are where
-    /// the new division has them, which obeys the rules. Every team keeps a robot.
-    pub(crate) fn keep(
-        &self,
-        new: &Teams,
-        mut held: BTreeMap<RobotId, TeamId>,
-    ) -> BTreeMap<RobotId, TeamId> {
-        let columns: Vec<TeamId> = new.teams.iter().map(|team| team.id.clone()).collect();
-        let robots: Vec<(&RobotId, &TeamId)> = new.assignments().collect();
-        let is_kept = self.assigned_with(&columns, &robots, &held).unwrap_or_default();
-        let mut is_kept = is_kept.into_iter();
-        for (robot, _) in &robots {
-            if !is_kept.next().unwrap_or(false) {
-                held.remove(*robot);
-            }
-        }
-        let place = |(robot, team): &(&RobotId, &TeamId)| {
-            ((*robot).clone(), held.get(*robot).unwrap_or(team).clone())
-        };
-        let placed: BTreeMap<RobotId, TeamId> = robots.iter().map(place).collect();
-        if self.wishes.iter().all(|asked| grants_group(&asked.wish, &placed)) {
-            held
-        } else {
-            BTreeMap::new()
-        }
-    }
-
-    /// For each robot of a division, whether it is to stay in its last team and may.
-    fn assigned_with(
-        &self,
-        columns: &[TeamId],
-        robots: &[(&RobotId, &TeamId)],
-        held: &BTreeMap<RobotId, TeamId>,
-    ) -> Option<Vec<bool>> {
-        let bounds = columns.iter().map(|id| {
-            let Bounds { lower, upper } = self.bounds(id);
-            Bounds::new(lower.max(1), upper)
-        });
-        let names: Vec<&RobotId> = robots.iter().map(|(robot, _)| *robot).collect();
-        let pairs = self.ties(columns, &names).into_iter().map(|tie| tie.pair).collect();
-        let rules =
-            Rules { robots: robots.len(), teams: bounds.collect(), pairs, ..Rules::default() }
-                .check();
-        let place_of: BTreeMap<&TeamId, usize> = columns.iter().zip(0..).collect();
-        // More than all robots together can cost.
-        let elsewhere = i64::try_from(robots.len()).ok()?.saturating_add(1);
-        let mut costs = vec![elsewhere; robots.len() * columns.len()];
-        for ((robot, to), row) in robots.iter().zip(costs.chunks_mut(columns.len().max(1))) {
-            let from = held.get(*robot).and_then(|from| place_of.get(from));
-            row[*place_of.get(to)?] = i64::from(from.is_some());
-            if let Some(from) = from {
-                row[*from] = 0;
-            }
-        }
-        let costs = CostMatrix::new(robots.len(), columns.len(), costs).ok()?;
-        let found = Assigner::new().solve(&rules.ok()?, &costs).ok()?;
-        let stays = robots.iter().zip(found.columns).map(|((robot, _), column)| {
-            let Column::Team(at) = column else { return false };
-            held.get(*robot) == columns.get(at)
-        });
-        Some(stays.collect())
+/// Whether two rules ask for the same, whichever robots can fill needs: who can changes with every robot that falls
+/// silent, and a division for those of a moment ago is better than none.
+pub(crate) fn asks_alike(left: Option<&TeamRules>, right: Option<&TeamRules>) -> bool {
+    match (left, right) {
+        (Some(left), Some(right)) => left.asks_as(right),
+        (left, right) => left.is_none() && right.is_none(),
     }
 }
 

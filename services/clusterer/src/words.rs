@@ -1,15 +1,20 @@
 //! Conflicts of rules in the words of operators: with the names of robots and teams, and the numbers that do not fit.
 
-use muster_model::id::{RobotId, TeamId};
+use muster_model::id::{RobotId, SkillId, TeamId};
 use muster_model::limits::MAX_CONFLICT_LENGTH;
 use muster_numeric::assignment::{Column, Conflict, Imbalance, Pair, Rule};
 
 /// Most names in one list of a text: more are counted.
 const MAX_NAMES: usize = 8;
 
-/// Why rules contradict each other. `columns` and `robots` are those of the rules.
-pub(crate) fn conflict(conflict: &Conflict, columns: &[TeamId], robots: &[&RobotId]) -> String {
-    let names = Names { columns, robots };
+/// Why rules contradict each other. `columns`, `robots` and the `skills` of the classes are those of the rules.
+pub(crate) fn conflict(
+    conflict: &Conflict,
+    columns: &[TeamId],
+    robots: &[&RobotId],
+    skills: &[&SkillId],
+) -> String {
+    let names = Names { columns, robots, skills };
     let text = names.imbalance(&conflict.imbalance);
     text.chars().take(MAX_CONFLICT_LENGTH).collect()
 }
@@ -18,6 +23,7 @@ pub(crate) fn conflict(conflict: &Conflict, columns: &[TeamId], robots: &[&Robot
 struct Names<'a> {
     columns: &'a [TeamId],
     robots: &'a [&'a RobotId],
+    skills: &'a [&'a SkillId],
 }
 
 impl Names<'_> {
@@ -43,11 +49,11 @@ impl Names<'_> {
 
     fn rule(&self, rule: &Rule) -> String {
         match *rule {
-            Rule::Least { column, count, .. } => {
-                format!("at least {} in {}", robots_text(count), self.column(column))
+            Rule::Least { column, class, count } => {
+                format!("at least {} in {}", self.robots(count, class), self.column(column))
             }
-            Rule::Most { column, count, .. } => {
-                format!("at most {} in {}", robots_text(count), self.column(column))
+            Rule::Most { column, class, count } => {
+                format!("at most {} in {}", self.robots(count, class), self.column(column))
             }
             Rule::Pair(Pair::Forced { robot, column }) => {
                 format!("{} in {}", self.robot(robot), self.column(column))
@@ -61,17 +67,21 @@ impl Names<'_> {
     fn imbalance(&self, imbalance: &Imbalance) -> String {
         let (demand, supply) = (imbalance.demand(), imbalance.supply());
         match imbalance {
-            Imbalance::Crowded { robots, least, most } if least.is_empty() => {
-                let who = robots_text(robots.len());
+            Imbalance::Crowded { robots, least, most }
+                if least.is_empty() && common_class(most).is_some() =>
+            {
+                let who = self.robots(robots.len(), common_class(most).flatten());
                 if most.is_empty() {
                     return format!("{who} may be in no team");
                 }
                 let verb = if most.len() == 1 { "holds" } else { "hold" };
                 format!("{who} may only be in {}, which {verb} {supply}", self.columns(most))
             }
-            Imbalance::Lacking { least, most, .. } if most.is_empty() => {
+            Imbalance::Lacking { least, most, .. }
+                if most.is_empty() && common_class(least).is_some() =>
+            {
                 let verb = if least.len() == 1 { "needs" } else { "need" };
-                let who = robots_text(demand);
+                let who = self.robots(demand, common_class(least).flatten());
                 format!("{} {verb} {who}, and {supply} may be there", self.columns(least))
             }
             Imbalance::Crowded { robots, least, most } => {
@@ -91,11 +101,28 @@ impl Names<'_> {
         }
     }
 
+    /// "9 robots", "1 robot with medic".
+    fn robots(&self, count: usize, class: Option<usize>) -> String {
+        let skill = class.and_then(|class| self.skills.get(class));
+        let who = robots_text(count);
+        skill.map_or(who.clone(), |skill| format!("{who} with {skill}"))
+    }
+
     /// So many robots and some rules, as a list.
     fn sum(&self, robots: usize, rules: &[Rule]) -> String {
         let own = (robots > 0).then(|| robots_text(robots));
         list(&own.into_iter().chain(rules.iter().map(|rule| self.rule(rule))).collect::<Vec<_>>())
     }
+}
+
+/// The class that all rules name alike, none for all robots; none if they differ.
+fn common_class(rules: &[Rule]) -> Option<Option<usize>> {
+    let class = |rule: &Rule| match *rule {
+        Rule::Least { class, .. } | Rule::Most { class, .. } => class,
+        Rule::Pair(_) => None,
+    };
+    let first = rules.first().and_then(class);
+    rules.iter().all(|rule| class(rule) == first).then_some(first)
 }
 
 /// "9 robots", "1 robot".
@@ -132,7 +159,7 @@ mod tests {
         let Err(AssignmentError::Infeasible(found)) = Assigner::new().solve(&rules, &costs) else {
             panic!("something satisfies the rules");
         };
-        conflict(&found, &columns, &names.iter().collect::<Vec<_>>())
+        conflict(&found, &columns, &names.iter().collect::<Vec<_>>(), &[])
     }
 
     #[test]

@@ -64,6 +64,7 @@ fn division(epoch: u64, teams: &[&[usize]]) -> Message {
         changes: Vec::new(),
         next_team: 9,
         limited: None,
+        needs: vec![],
     };
     Message::Teams { teams: Checked::new(teams).unwrap(), mirror: false }
 }
@@ -95,6 +96,7 @@ fn roster(epoch: u64, robots: impl Iterator<Item = usize>) -> Message {
         frame: None,
         superior: None,
         role: None,
+        skills: vec![],
         last_seen: Tick(NOW.0 - 7),
     };
     let robots = robots.map(entry).collect();

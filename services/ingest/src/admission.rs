@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use muster_model::id::{Modality, RobotId};
+use muster_model::id::{Modality, RobotId, SkillId};
 use muster_model::limits::MAX_GRAPH_EDGES;
 use muster_model::observation::{
     Link, Links, ObservationError, Pose, Provenance, Rank, Relation, Report, Stream,
@@ -108,7 +108,7 @@ impl Content {
     }
 }
 
-/// The superior of a robot, and its role.
+/// The superior of a robot, its role and its skills.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Tie {
     /// The superior; none at the top.
@@ -117,11 +117,13 @@ pub(crate) struct Tie {
     pub(crate) weight: f64,
     /// What it is within its unit.
     pub(crate) role: Option<String>,
+    /// What it can do, ordered by name.
+    pub(crate) skills: Vec<SkillId>,
 }
 
 impl Default for Tie {
     fn default() -> Self {
-        Self { superior: None, weight: DEFAULT_TIE, role: None }
+        Self { superior: None, weight: DEFAULT_TIE, role: None, skills: Vec::new() }
     }
 }
 
@@ -243,7 +245,9 @@ fn links(settings: &IngestSettings, links: Links) -> Result<Content, Refusal> {
 /// The content of a rank.
 pub(crate) fn rank(rank: Rank) -> Content {
     let weight = rank.weight.unwrap_or(DEFAULT_TIE);
-    Content::Rank(Tie { superior: rank.superior, weight, role: rank.role })
+    let mut skills = rank.skills.unwrap_or_default();
+    skills.sort_unstable();
+    Content::Rank(Tie { superior: rank.superior, weight, role: rank.role, skills })
 }
 
 fn relation(

@@ -202,6 +202,7 @@ fn rank_of(entry: &RosterEntry, ties: Option<&Ties<'_>>) -> Option<Content> {
         superior: superior.cloned(),
         weight: superior.zip(ties).map(|(superior, ties)| ties.strength(superior, &entry.robot)),
         role: entry.role.clone(),
+        skills: Some(entry.skills.clone()).filter(|skills| !skills.is_empty()),
         stamp: None,
         boot: None,
         seq: None,

@@ -268,7 +268,8 @@ impl Robot {
                 let same_superior = self.tie.superior == tie.superior;
                 let weighs = tie.superior.is_some() && self.tie.weight != tie.weight;
                 change.graph = !same_superior || weighs;
-                change.roster = !same_superior || self.tie.role != tie.role;
+                change.roster =
+                    !same_superior || self.tie.role != tie.role || self.tie.skills != tie.skills;
                 self.tie = tie;
             }
             Content::Edges(edges) => {
@@ -296,6 +297,7 @@ impl Robot {
             frame: pose.map(|pose| pose.frame.clone()),
             superior: self.tie.superior.clone(),
             role: self.tie.role.clone(),
+            skills: self.tie.skills.clone(),
             last_seen: self.last_seen,
         }
     }

@@ -11,6 +11,7 @@ use bench::{
 };
 use muster_model::content::Checked;
 use muster_model::graph::GraphDelta;
+use muster_model::id::SkillId;
 use muster_model::observation::{Pose, Rank};
 use muster_model::roster::Presence::{Active, Stale};
 use muster_model::roster::Roster;
@@ -42,7 +43,9 @@ fn before() -> Bench {
     bench.receive(links("r1", &[("r2", 0.75), ("r3", 0.25), ("unknown", 1.0)]));
     bench.receive(links("r4", &[("r1", 0.5)]));
     let (weight, role) = (Some(2.0), Some("scout".to_owned()));
-    bench.receive(report("r2", Rank { weight, role, ..Rank::under(Some(robot("r1"))) }));
+    let skills = ["relay", "medic"].map(|name| SkillId::new(name).unwrap());
+    let skills = Some(skills.to_vec());
+    bench.receive(report("r2", Rank { weight, role, skills, ..Rank::under(Some(robot("r1"))) }));
     bench.receive(rank("r3", Some("r2"), Some(0.0)));
     bench.receive(rank("r4", Some("unknown"), Some(3.0)));
     bench.receive(relation("r3", "thermal", &[("r1", 5.0), ("r4", 6.0)]));
@@ -70,6 +73,9 @@ fn a_restart_leads_to_the_same_fleet_in_a_higher_term() {
         renumbered.node = old.node;
         assert_eq!(renumbered, *old);
     }
+    let r2 = &new_roster.robots[1];
+    let skills: Vec<_> = r2.skills.iter().map(SkillId::as_str).collect();
+    assert_eq!((r2.robot.as_str(), skills), ("r2", vec!["medic", "relay"]));
     let nodes: Vec<_> = new_roster.robots.iter().map(|entry| entry.node).collect();
     assert_eq!(nodes, [0, 1, 2, 3], "nodes are numbered again");
     assert_eq!(new_roster.header.oldest, old_roster.header.oldest, "ages stay what they are");

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use muster_client::{Client, Error, Report, RobotPublisher};
+use muster_model::id::SkillId;
 use muster_model::observation::{Links, Pose, Rank};
 use muster_runtime::stop::Stop;
 use muster_scenario::Fleet;
@@ -19,6 +20,8 @@ pub(crate) struct SimulatedRobots {
     fleet: Fleet,
     /// Each with its index in the fleet.
     publishers: Vec<(usize, RobotPublisher)>,
+    /// The skills that all of them have.
+    skills: Vec<SkillId>,
 }
 
 impl SimulatedRobots {
@@ -36,7 +39,12 @@ impl SimulatedRobots {
             let robot = fleet.robots()[index].clone();
             publishers.push((index, client.join_as_publisher(robot).await?));
         }
-        Ok(Self { fleet, publishers })
+        Ok(Self { fleet, publishers, skills: Vec::new() })
+    }
+
+    /// The same robots with some skills.
+    pub(crate) fn with_skills(self, skills: Vec<SkillId>) -> Self {
+        Self { skills, ..self }
     }
 
     /// Reports until it is time to stop, or for some seconds; then leaves. The story of the scenario
@@ -74,7 +82,10 @@ impl SimulatedRobots {
             }
             if t >= ranks_at {
                 ranks_at = t + RANK_PERIOD_S;
-                let ranks: Vec<Rank> = self.fleet.ranks(t);
+                let skills = Some(self.skills.clone()).filter(|skills| !skills.is_empty());
+                let ranks = self.fleet.ranks(t).into_iter();
+                let ranks: Vec<Rank> =
+                    ranks.map(|rank| Rank { skills: skills.clone(), ..rank }).collect();
                 self.report(&ranks, Report::Rank)?;
             }
         }

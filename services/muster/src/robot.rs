@@ -1,10 +1,12 @@
 //! `muster robot`: one or many simulated robots as a process.
 
+use std::collections::BTreeSet;
 use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 
 use muster_client::{Client, Config, Format};
-use muster_model::id::RobotId;
+use muster_model::id::{RobotId, SkillId};
+use muster_model::limits::MAX_SKILLS;
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
@@ -50,6 +52,9 @@ pub(crate) struct RobotArgs {
     /// Only these robots of the scenario, by name, with commas
     #[arg(long, value_delimiter = ',', value_name = "ROBOT")]
     only: Vec<RobotId>,
+    /// What these robots can do, by name, with commas
+    #[arg(long, value_delimiter = ',', value_name = "SKILL")]
+    skills: Vec<SkillId>,
     /// Print the robots of the scenario, each with its group, and end
     #[arg(long)]
     list: bool,
@@ -135,6 +140,7 @@ pub(crate) async fn run(
         return Ok(());
     }
     let chosen = chosen(&fleet, &args.only)?;
+    let skills = skills(&args.skills)?;
     let _port = Observatory::open(config, &[])?;
     let format = if args.bincode { Format::Binary } else { Format::Json };
     let client_config = Config { format, ..client_config(config)? };
@@ -146,7 +152,7 @@ pub(crate) async fn run(
     let robots = SimulatedRobots::join(&client, fleet, chosen).await.map_err(exit_error)?;
     // All processes of a scenario play the same moment of its story, whenever they were started.
     let from = Clock::start().now().as_seconds();
-    let result = robots.run(args.rate, from, seconds, stop).await;
+    let result = robots.with_skills(skills).run(args.rate, from, seconds, stop).await;
     client.close().await;
     Ok(result.map_err(exit_error)?)
 }
@@ -166,9 +172,30 @@ fn chosen(fleet: &Fleet, only: &[RobotId]) -> anyhow::Result<Vec<usize>> {
         .collect()
 }
 
+/// Skills of a user, each once.
+fn skills(given: &[SkillId]) -> anyhow::Result<Vec<SkillId>> {
+    let skills: BTreeSet<&SkillId> = given.iter().collect();
+    if skills.len() > MAX_SKILLS {
+        let problem = format!("--skills: a robot has at most {MAX_SKILLS}, not {}", skills.len());
+        return Err(ExitError::usage(problem).into());
+    }
+    Ok(skills.into_iter().cloned().collect())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn skills_stand_once_and_are_few() {
+        let skill = |name: &str| SkillId::new(name).unwrap();
+        assert_eq!(
+            skills(&[skill("b"), skill("a"), skill("b")]).unwrap(),
+            [skill("a"), skill("b")]
+        );
+        let many: Vec<SkillId> = (0..17).map(|at| skill(&format!("s{at}"))).collect();
+        assert!(skills(&many).unwrap_err().to_string().contains("at most 16"));
+    }
 
     #[test]
     fn a_refused_duration_names_both_bounds() {

@@ -1,7 +1,7 @@
 //! From vectors to teams that have limits: k-means over the robots with an embedding, whose assignments are exact.
 
 use muster_numeric::assignment::{
-    Assigner, Column, CostError, CostMatrix, DivisionError, ValidRules, ValidWishes,
+    Assigner, Column, CostError, CostMatrix, DivisionError, Need, ValidRules, ValidWishes, Wanted,
     assign_with_wishes,
 };
 use muster_numeric::kmeans::{KMeansError, KMeansLimits, KMeansOptions, LimitedKMeansError};
@@ -47,7 +47,7 @@ pub enum LimitedError {
 pub struct Limits<'a> {
     /// Limits of the teams, for as many robots as there are rows.
     pub rules: &'a ValidRules,
-    /// Robots that are to be together or apart.
+    /// Robots that are to be together or apart, and needs that are no limits of classes.
     pub groups: &'a ValidWishes,
     /// Column of every robot in the previous division; `None` for a new robot.
     pub previous: &'a [Option<Column>],
@@ -99,7 +99,7 @@ pub fn divide_within(
         iterations: found.iterations,
         converged: found.converged,
     };
-    if limits.groups.get().wishes.is_empty() {
+    if is_empty(limits.groups) {
         return Ok(found);
     }
     // The same for groups: from the centroids that were found, and from those before, which are kept unless the others
@@ -112,8 +112,16 @@ pub fn divide_within(
     }
     let before = means(x, &labels, &found.centroids)?;
     let warm = grouped(x, limits, before, 1.0 - params.hysteresis)?;
-    let keeps = warm.inertia <= (1.0 + params.hysteresis) * cold.inertia;
+    let [of_warm, of_cold] =
+        [&warm, &cold].map(|found| shortfall(limits.rules, limits.groups, &found.labels));
+    let keeps = of_warm < of_cold
+        || of_warm == of_cold && warm.inertia <= (1.0 + params.hysteresis) * cold.inertia;
     Ok(if keeps { warm } else { cold })
+}
+
+/// Whether nothing is asked that needs a search.
+fn is_empty(groups: &ValidWishes) -> bool {
+    groups.get().wishes.is_empty() && groups.get().needs.is_empty()
 }
 
 /// Assignments that grant the wishes of groups, each followed by the means of the teams, until they stay. The column
@@ -148,6 +156,26 @@ fn grouped(
     let far = |(row, label): (&[f64], &Option<usize>)| Some(square(row, centroids.row((*label)?)));
     let inertia = x.iter_rows().zip(&labels).filter_map(far).sum();
     Ok(Division { labels, centroids, inertia, iterations, converged })
+}
+
+/// The prices of the robots that soft minima and soft needs lack.
+fn shortfall(rules: &ValidRules, groups: &ValidWishes, labels: &[Option<usize>]) -> i128 {
+    let all = rules.get();
+    let price = |column: Column, count: usize, price: i64, has: &dyn Fn(usize) -> bool| {
+        let Column::Team(team) = column else { return 0 };
+        let there = (0..labels.len()).filter(|robot| labels[*robot] == Some(team) && has(*robot));
+        i128::from(price) * count.saturating_sub(there.count()) as i128
+    };
+    let of_classes = all.class_limits.iter().filter_map(|limit| {
+        let Wanted { count, price: each } = limit.wanted?;
+        let has = |robot: usize| all.classes.get(robot) == Some(&Some(limit.class));
+        Some(price(limit.column, count, each, &has))
+    });
+    let of_needs = groups.get().needs.iter().filter_map(|need: &Need| {
+        let has = |robot: usize| need.robots.binary_search(&robot).is_ok();
+        Some(price(need.column, need.at_least, need.price?, &has))
+    });
+    of_classes.chain(of_needs).sum()
 }
 
 /// The mean row of each label; of a label without rows the one that it had.
@@ -202,9 +230,11 @@ pub fn optimality(
 ) -> Result<Optimality, CostError> {
     let costs = costs(x, centroids, |_, _| 1.0)?;
     let own = |(robot, team): (usize, &usize)| i128::from(costs.row(robot)[*team]);
-    let cost: i128 = labels.iter().enumerate().map(own).sum();
+    let near: i128 = labels.iter().enumerate().map(own).sum();
+    let places: Vec<Option<usize>> = labels.iter().copied().map(Some).collect();
+    let cost = near + shortfall(rules, groups, &places);
     let mut assigner = Assigner::new();
-    let best = if groups.get().wishes.is_empty() {
+    let best = if is_empty(groups) {
         assigner.solve(rules, &costs).ok().map(|best| best.cost)
     } else {
         let found = assign_with_wishes(&mut assigner, rules, groups, &costs, NODE_BUDGET);
@@ -212,7 +242,8 @@ pub fn optimality(
     };
     // Where nothing is found, the labels do not satisfy the rules either.
     let Some(best) = best else { return Ok(Optimality { optimal: false, gap: 1.0 }) };
-    let gap = if cost > 0 { ((cost - best) as f64 / cost as f64).clamp(0.0, 1.0) } else { 0.0 };
+    // What is missing is no distance: the gap is a share of the distances alone.
+    let gap = if cost > best { ((cost - best) as f64 / near.max(1) as f64).min(1.0) } else { 0.0 };
     if gap <= ROUNDING_SHARE {
         return Ok(Optimality { optimal: true, gap: 0.0 });
     }
@@ -287,6 +318,40 @@ mod tests {
         let previous: Vec<Option<Column>> = found.labels.iter().map(column).collect();
         let again = Limits { previous: &previous, ..limits };
         assert_eq!(divide_within(&x, &params, &again).unwrap().labels, found.labels);
+    }
+
+    #[test]
+    fn needs_of_overlapping_skills_are_filled() {
+        // Two teams far apart, and all who have a skill in one of them.
+        let x = line(&[0.0, 0.1, 0.2, 0.3, 5.0, 5.1, 5.2, 5.3]);
+        let rules = rules(8, &[Bounds::ANY, Bounds::ANY], None);
+        let params = DivisionParams { teams: 2, ..DivisionParams::default() }.check().unwrap();
+        let need = |robots: &[usize], team, price| Need {
+            robots: robots.to_vec(),
+            column: Column::Team(team),
+            at_least: 1,
+            at_most: usize::MAX,
+            price,
+        };
+        let of = |robots: &[usize], price| [0, 1].map(|team| need(robots, team, price));
+        let needs = [of(&[0, 1], None), of(&[1, 2], None)].concat();
+        let groups = Wishes { needs, ..Wishes::default() }.check(&rules).unwrap();
+        let limits = Limits { rules: &rules, groups: &groups, previous: &[None; 8] };
+        let found = divide_within(&x, &params, &limits).unwrap();
+        let of_robot = |robot: usize| found.labels[robot].unwrap();
+        for skilled in [[0, 1], [1, 2]] {
+            assert_ne!(of_robot(skilled[0]), of_robot(skilled[1]), "{:?}", found.labels);
+        }
+        assert!(of_robot(3) != of_robot(4) && of_robot(4) == of_robot(7));
+        // Three teams' worth of a soft need for two robots: as many as there can be.
+        let needs = [of(&[0], Some(1 << 36)), of(&[0, 3], Some(1 << 36))].concat();
+        let soft = Wishes { needs, ..Wishes::default() }.check(&rules).unwrap();
+        let limits = Limits { groups: &soft, ..limits };
+        let found = divide_within(&x, &params, &limits).unwrap();
+        assert_ne!(found.labels[0], found.labels[3], "{:?}", found.labels);
+        let labels: Vec<usize> = found.labels.iter().flatten().copied().collect();
+        let judged = optimality(&x, &labels, &found.centroids, &rules, &soft).unwrap();
+        assert!(judged.optimal, "{judged:?}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::alert::AlertKind;
 use crate::header::Header;
-use crate::id::{CommandId, Modality, OperatorId, RobotId, ServiceName, TeamId, WishId};
+use crate::id::{CommandId, Modality, OperatorId, RobotId, ServiceName, SkillId, TeamId, WishId};
 use crate::limits::{
     MAX_ALERT_ROBOTS, MAX_DOUBTED_ROBOTS, MAX_FLAPPING_ROBOTS, MAX_ROBOTS_OF_EVENT,
 };
@@ -231,7 +231,7 @@ pub enum EventKind {
         count: u32,
     },
     /// Nothing satisfies the limits any more, as robots came or left: the last division stands, and robots that have no
-    /// place in it have no team.
+    /// place in it have no team. Where only needs cannot be filled, the division goes on and fills as many as there can be.
     Infeasible {
         /// The limits that contradict each other, with their arithmetic.
         reason: String,
@@ -260,6 +260,18 @@ pub enum EventKind {
         action: String,
         /// Why it was refused; none if it was carried out.
         refused: Option<String>,
+    },
+    /// Robots have come to a team because it needs their skill.
+    NeedFilled {
+        /// The team.
+        team: TeamId,
+        /// The skill.
+        skill: SkillId,
+        /// The robots that have come, ordered by name.
+        #[schemars(length(max = MAX_ROBOTS_OF_EVENT))]
+        robots: Vec<RobotId>,
+        /// What has become of the robots that had filled the need.
+        reason: String,
     },
 }
 

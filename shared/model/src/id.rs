@@ -150,6 +150,10 @@ id!(
     InstanceId
 );
 id!(
+    "What a robot can do that not every robot can, such as `medic`."
+    SkillId
+);
+id!(
     "A person, or a program in its place, who commands a fleet."
     OperatorId
 );

@@ -127,3 +127,15 @@ pub const MAX_WISH_ROBOTS: usize = 64;
 
 /// Longest note of a wish in characters: a sentence or two.
 pub const MAX_NOTE_LENGTH: usize = 256;
+
+/// Most skills of one robot: people name them, and they are repeated in every roster.
+pub const MAX_SKILLS: usize = 16;
+
+/// Most needs of a fleet: a list that people write and read.
+pub const MAX_NEEDS: usize = 64;
+
+/// Most different skills that teams need: each is a class of robots in the flow that divides them.
+pub const MAX_NEEDED_SKILLS: usize = 16;
+
+/// Most skills of a team that an audit lists, those that it needs before others: as many as fit a line or two.
+pub const MAX_AUDITED_SKILLS: usize = 32;

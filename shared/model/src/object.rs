@@ -32,6 +32,19 @@ impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
     }
 }
 
+/// Reads a structure: in text it must be an object, in binary form its fields stand by position.
+pub(crate) fn one<'de, T, D>(deserializer: D) -> Result<T, D::Error>
+where
+    T: Deserialize<'de>,
+    D: Deserializer<'de>,
+{
+    if deserializer.is_human_readable() {
+        Object::deserialize(deserializer).map(|object| object.0)
+    } else {
+        T::deserialize(deserializer)
+    }
+}
+
 /// Reads a list of structures: in text each must be an object, in binary form its fields stand by position.
 pub(crate) fn list<'de, T, D>(deserializer: D) -> Result<Vec<T>, D::Error>
 where

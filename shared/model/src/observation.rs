@@ -11,8 +11,10 @@ use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::id::{Modality, RobotId};
-use crate::limits::{MAX_COORDINATE_M, MAX_LINKS, MAX_RELATION_EDGES, MAX_TEXT_LENGTH, MAX_WEIGHT};
+use crate::id::{Modality, RobotId, SkillId};
+use crate::limits::{
+    MAX_COORDINATE_M, MAX_LINKS, MAX_RELATION_EDGES, MAX_SKILLS, MAX_TEXT_LENGTH, MAX_WEIGHT,
+};
 use crate::schema::{RelationEdge, Text};
 
 /// Why an observation is refused: the field, and what it should have been.
@@ -384,13 +386,26 @@ pub struct Rank {
     /// Grows with each report within one boot.
     #[schemars(range(max = u64::MAX))]
     pub seq: Option<u64>,
+    /// What the robot can do that not every robot can, each once; nothing if left out.
+    // The last field, and absent where there is none: the binary form of a rank without skills is that of every version.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(length(max = MAX_SKILLS))]
+    pub skills: Option<Vec<SkillId>>,
 }
 
 impl Rank {
     /// A tie to a superior, none at the top; everything else is left out.
     #[must_use]
     pub const fn under(superior: Option<RobotId>) -> Self {
-        Self { superior, weight: None, role: None, stamp: None, boot: None, seq: None }
+        Self {
+            superior,
+            weight: None,
+            role: None,
+            stamp: None,
+            boot: None,
+            seq: None,
+            skills: None,
+        }
     }
 }
 
@@ -509,6 +524,14 @@ impl Observation for Rank {
     fn check(&self) -> Result<(), ObservationError> {
         check_weight("weight", self.weight.unwrap_or(1.0))?;
         check_text("role", self.role.as_ref())?;
+        let skills = self.skills.as_deref().unwrap_or_default();
+        if skills.len() > MAX_SKILLS {
+            return refuse("skills", format!("may hold at most {MAX_SKILLS} skills"));
+        }
+        let named_before = |at: &usize| skills[..*at].contains(&skills[*at]);
+        if let Some(twice) = (0..skills.len()).find(named_before) {
+            return refuse("skills", format!("{} is named twice", skills[twice]));
+        }
         check_provenance(&self.provenance())
     }
 

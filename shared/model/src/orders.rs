@@ -117,6 +117,7 @@ mod tests {
                 frame: None,
                 superior,
                 role: None,
+                skills: vec![],
                 last_seen: Tick::default(),
             }
         });

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use crate::content::{Content, ContentError, refuse};
 use crate::graph::Node;
 use crate::header::{Header, Revision};
-use crate::id::{Modality, RobotId};
-use crate::limits::{MAX_GRAPHS, MAX_ROBOTS};
+use crate::id::{Modality, RobotId, SkillId};
+use crate::limits::{MAX_GRAPHS, MAX_ROBOTS, MAX_SKILLS};
 use crate::time::Tick;
 
 /// Whether a robot is still there.
@@ -39,8 +39,18 @@ pub struct RosterEntry {
     pub superior: Option<RobotId>,
     /// What it is within its unit.
     pub role: Option<String>,
+    /// What it can do that not every robot can, ordered by name.
+    pub skills: Vec<SkillId>,
     /// When anything was last received from it.
     pub last_seen: Tick,
+}
+
+impl RosterEntry {
+    /// Whether the robot is there and has a skill. A stale robot can do nothing for its team.
+    #[must_use]
+    pub fn offers(&self, skill: &SkillId) -> bool {
+        self.presence == Presence::Active && self.skills.binary_search(skill).is_ok()
+    }
 }
 
 /// All robots of a frame, published after the graphs of the frame: a reader that has applied the graphs
@@ -73,6 +83,16 @@ impl Content for Roster {
             .flat_map(|entry| entry.position.iter().flatten().chain(entry.heading.iter()).copied());
         if !numbers.into_iter().all(f64::is_finite) {
             return refuse("robots.position", "must be finite");
+        }
+        let skills = |entry: &RosterEntry| {
+            entry.skills.len() <= MAX_SKILLS
+                && entry.skills.is_sorted_by(|left, right| left < right)
+        };
+        if !self.robots.iter().all(skills) {
+            return refuse(
+                "robots.skills",
+                "must be ordered without repetition, and no more than allowed",
+            );
         }
         if !self.graphs.is_sorted_by(|left, right| left.0 < right.0) {
             return refuse("graphs", "must be ordered by name without repetition");

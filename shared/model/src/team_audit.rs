@@ -6,8 +6,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::content::{Content, ContentError, refuse};
-use crate::id::{Modality, RobotId, TeamId};
-use crate::limits::{MAX_CUT_ROBOTS, MAX_LOSS_PARTS, MAX_LOSSES};
+use crate::id::{Modality, RobotId, SkillId, TeamId};
+use crate::limits::{MAX_AUDITED_SKILLS, MAX_CUT_ROBOTS, MAX_LOSS_PARTS, MAX_LOSSES};
 
 /// How much of the weight of a graph's edges lies between a team and the others.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -63,6 +63,21 @@ pub struct Spread {
     pub largest_m: f64,
 }
 
+/// How many robots of a team have a skill.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct SkillCover {
+    /// The skill.
+    pub skill: SkillId,
+    /// How many robots of the team have it and are not stale.
+    pub robots: u32,
+    /// How many the team needs; 0 for a skill that it does not need.
+    pub needed: u32,
+    /// How many it has beyond those.
+    pub spare: u32,
+    /// How many it lacks.
+    pub lacking: u32,
+}
+
 /// What an audit says of one team.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TeamAudit {
@@ -89,6 +104,9 @@ pub struct TeamAudit {
     pub only_head: Option<RobotId>,
     /// How far apart its robots are; none if none of them has a position.
     pub spread: Option<Spread>,
+    /// The skills of its robots, those that it needs first, then by name.
+    #[schemars(length(max = MAX_AUDITED_SKILLS))]
+    pub skills: Vec<SkillCover>,
 }
 
 /// What the loss of one robot would do to its team.
@@ -162,6 +180,9 @@ impl Content for TeamAudit {
             if radio.cut_robots.len() > MAX_CUT_ROBOTS {
                 return refuse("teams.radio.cut_robots", "are more than may be listed");
             }
+        }
+        if self.skills.len() > MAX_AUDITED_SKILLS {
+            return refuse("teams.skills", "are more than may be listed");
         }
         let is_length = |metres: f64| metres.is_finite() && metres >= 0.0;
         if !self.spread.is_none_or(|of| is_length(of.rms_m) && is_length(of.largest_m)) {

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::content::{Content, ContentError, refuse};
 use crate::header::{Header, Revision};
-use crate::id::{RobotId, TeamId};
-use crate::limits::{MAX_CONFLICT_LENGTH, MAX_MEMBERS_PUBLISHED};
+use crate::id::{RobotId, SkillId, TeamId};
+use crate::limits::{MAX_CONFLICT_LENGTH, MAX_MEMBERS_PUBLISHED, MAX_NEEDED_SKILLS, MAX_TEAMS};
 
 /// One robot within its team.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -92,6 +92,51 @@ pub struct Limited {
     pub conflict: Option<String>,
 }
 
+impl Limited {
+    /// That of a division which stands because nothing satisfies the limits.
+    #[must_use]
+    pub fn standing(conflict: String) -> Self {
+        Self { optimal: false, gap: 1.0, conflict: Some(conflict) }
+    }
+
+    /// That of a division which goes on although needs cannot all be filled.
+    #[must_use]
+    pub fn lacking(conflict: String) -> Self {
+        Self { optimal: false, gap: 0.0, conflict: Some(conflict) }
+    }
+
+    /// Whether the last division stands, as against one that goes on and lacks what it needs.
+    #[must_use]
+    pub fn stands(&self) -> bool {
+        self.conflict.is_some() && self.gap >= 1.0
+    }
+}
+
+/// What a team needs of a skill, and what it has.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct TeamNeed {
+    /// The team.
+    pub team: TeamId,
+    /// The skill.
+    pub skill: SkillId,
+    /// Least number of robots with the skill.
+    pub min: u32,
+    /// Most of them; null for no limit.
+    pub max: Option<u32>,
+    /// Whether it may have fewer than `min` where there is no other way.
+    pub soft: bool,
+    /// How many of its robots have the skill and are not stale.
+    pub have: u32,
+}
+
+impl TeamNeed {
+    /// How many robots it lacks.
+    #[must_use]
+    pub const fn lacks(&self) -> u32 {
+        self.min.saturating_sub(self.have)
+    }
+}
+
 /// The division of the fleet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Teams {
@@ -118,6 +163,9 @@ pub struct Teams {
     pub next_team: u64,
     /// How it stands to the limits; none without any.
     pub limited: Option<Limited>,
+    /// What the teams need and have, ordered as the teams, then by skill. A team whose robots are all stale needs nothing
+    /// until one of them is back.
+    pub needs: Vec<TeamNeed>,
 }
 
 impl Teams {
@@ -129,7 +177,7 @@ impl Teams {
     }
 
     /// Whether another division has the same teams with the same members and leaders, and the same
-    /// robots without a team or stale, and stands to the limits alike.
+    /// robots without a team or stale, and stands to limits and needs alike.
     #[must_use]
     pub fn same_division(&self, other: &Self) -> bool {
         let conflict =
@@ -137,6 +185,7 @@ impl Teams {
         self.unassigned == other.unassigned
             && self.stale == other.stale
             && conflict(self) == conflict(other)
+            && self.needs == other.needs
             && self.teams.len() == other.teams.len()
             && self.teams.iter().zip(&other.teams).all(|(left, right)| {
                 left.id == right.id
@@ -214,6 +263,14 @@ impl Content for Teams {
             if !limited.conflict.iter().all(fits) {
                 return refuse("conflict", "is longer than it may be");
             }
+        }
+        if self.needs.len() > MAX_TEAMS as usize * MAX_NEEDED_SKILLS {
+            return refuse("needs", "are more than teams may have");
+        }
+        let mut needs: Vec<_> = self.needs.iter().map(|need| (&need.team, &need.skill)).collect();
+        needs.sort_unstable();
+        if !needs.is_sorted_by(|left, right| left < right) {
+            return refuse("needs", "a skill of a team stands twice");
         }
         if !self.considered.iter().all(|number| number.score.is_finite()) {
             return refuse("considered", "a score is not finite");

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use muster_model::id::{Modality, RobotId};
+use muster_model::id::{Modality, RobotId, SkillId};
 use muster_model::observation::{
     CheckedReport, Link, Links, Observation, Pose, Provenance, Rank, ReadObservation, Relation,
     Report, Stream,
@@ -99,4 +99,26 @@ fn a_peer_named_twice_is_refused() {
         serde_json::from_str(r#"{"links":[{"peer":"a","quality":1},{"peer":"a","quality":0.5}]}"#)
             .unwrap();
     assert_eq!(links.check().unwrap_err().field, "links.peer");
+}
+
+#[test]
+fn skills_are_few_and_each_stands_once() {
+    let check = |skills: Vec<&str>| {
+        let skills = skills.into_iter().map(|name| SkillId::new(name).unwrap()).collect();
+        Rank { skills: Some(skills), ..Rank::under(None) }.check()
+    };
+    assert_eq!(check(vec!["relay", "medic"]), Ok(()));
+    assert_eq!(check(vec![]), Ok(()));
+    let twice = check(vec!["medic", "relay", "medic"]).unwrap_err();
+    assert!(twice.field == "skills" && twice.problem.contains("medic"), "{twice}");
+    let names: Vec<String> = (0..17).map(|at| format!("s{at}")).collect();
+    let all = names.iter().map(String::as_str);
+    assert_eq!(check(all.clone().take(16).collect()), Ok(()));
+    let many = check(all.collect()).unwrap_err();
+    assert!(many.field == "skills" && many.problem.contains("16"), "{many}");
+    let text = r#"{"superior":null,"skills":["medic",7]}"#;
+    assert!(serde_json::from_str::<Rank>(text).is_err());
+    assert!(serde_json::from_str::<Rank>(r#"{"superior":null,"skills":["Medic"]}"#).is_err());
+    let none = serde_json::from_str::<Rank>(r#"{"superior":null}"#).unwrap();
+    assert_eq!(none.skills, None);
 }

@@ -96,7 +96,8 @@ fn solve(robots: usize, input: &mut Input<'_>) -> Result<String, Failure> {
     for _ in 0..input.count()? {
         let (column, at_least) = (column(input.count()?), input.count()?);
         let price = input.optional()?;
-        wishes.needs.push(Need { column, at_least, price, robots: input.robots()? });
+        let at_most = usize::MAX;
+        wishes.needs.push(Need { column, at_least, at_most, price, robots: input.robots()? });
     }
     let budget = input.count()?;
     let columns = rules.columns();

@@ -38,7 +38,7 @@ mod search_node;
 mod wishes;
 
 pub use assigner::{Assigner, Assignment, AssignmentError};
-pub use branch::{Division, DivisionError, assign_with_wishes};
+pub use branch::{Division, DivisionError, assign_with_wishes, is_grantable};
 pub use certificate::Certificate;
 pub use conflict::{Conflict, Imbalance, Rule};
 pub use costs::{CostError, CostMatrix, MAX_COST};

@@ -37,8 +37,11 @@ fn random_wishes(rules: &Rules, largest: i64, seed: u64) -> Wishes {
         for _ in 0..rng.random_range(1..3) {
             let column = column_at(rules, rng.random_range(0..rules.columns()));
             let at_least = rng.random_range(0..3);
+            let room = rng.random_range(0..3);
+            let at_most = if rng.random_bool(0.4) { at_least + room } else { usize::MAX };
             let robots = robots.clone();
-            wishes.needs.push(Need { robots, column, at_least, price: price(&mut rng) });
+            let price = price(&mut rng);
+            wishes.needs.push(Need { robots, column, at_least, at_most, price });
         }
     }
     wishes
@@ -64,6 +67,9 @@ fn extra(rules: &Rules, wishes: &Wishes, labels: &[usize]) -> Option<i128> {
     for need in &wishes.needs {
         let column = rules.index_of(need.column).unwrap();
         let there = need.robots.iter().filter(|robot| labels[**robot] == column).count();
+        if there > need.at_most {
+            return None;
+        }
         if there < need.at_least {
             cost += i128::from(need.price?) * (need.at_least - there) as i128;
         }
@@ -172,6 +178,7 @@ fn disjoint_needs_and_apart_groups_take_one_node() {
         robots: robots.to_vec(),
         column: Column::Team(team),
         at_least: 1,
+        at_most: usize::MAX,
         price: None,
     };
     let needs = vec![need(&[2, 3], 0), need(&[2, 3], 1), need(&[4, 5, 6], 1)];
@@ -216,6 +223,7 @@ fn overlapping_skills_of_a_fleet_come_with_a_gap() {
             robots: robots.clone(),
             column: Column::Team(team),
             at_least: 3,
+            at_most: usize::MAX,
             price: None,
         }));
     }
@@ -244,7 +252,13 @@ fn what_makes_no_sense_is_named() {
     };
     let need = |robot, column| Wishes {
         wishes: Vec::new(),
-        needs: vec![Need { robots: vec![robot], column, at_least: 1, price: None }],
+        needs: vec![Need {
+            robots: vec![robot],
+            column,
+            at_least: 1,
+            at_most: usize::MAX,
+            price: None,
+        }],
     };
     let refused = |wishes: Wishes| wishes.check(&valid).unwrap_err();
     assert_eq!(refused(wish(&[1, 1], None)), WishesError::Group { wish: 0 });

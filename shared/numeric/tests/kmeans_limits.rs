@@ -192,11 +192,6 @@ fn what_does_not_fit_is_named() {
     let conflict = refused(tight, 2);
     assert!(matches!(conflict, LimitedKMeansError::Assignment(AssignmentError::Infeasible(_))));
     assert_eq!(conflict.to_string(), "8 robots may only be in t0 and t1, which hold 6");
-    let column = Column::Team(0);
-    let wanted = Some(Wanted { count: 1, price: 1 });
-    let limit = ClassLimit { column, class: 0, bounds: Bounds::ANY, wanted };
-    let soft = Rules { class_limits: vec![limit], ..Rules::new(8, 2) };
-    assert_eq!(refused(soft, 2), LimitedKMeansError::Wanted { column, class: 0 });
     let rules = Rules::new(8, 2).check().unwrap();
     let limits = KMeansLimits { rules: &rules, reserve_cost: f64::NAN, previous: None };
     let found = within(&x, &limits, &KMeansOptions::new(2));
@@ -204,6 +199,43 @@ fn what_does_not_fit_is_named() {
     let limits = KMeansLimits { reserve_cost: 0.0, previous: Some(&[None]), ..limits };
     let found = within(&x, &limits, &KMeansOptions::new(2));
     assert_eq!(found, Err(LimitedKMeansError::Previous { columns: 1, points: 8 }));
+}
+
+/// How many robots soft minima lack.
+fn missing(rules: &Rules, labels: &[usize]) -> usize {
+    let lacks = |limit: &ClassLimit| {
+        let column = rules.index_of(limit.column).unwrap();
+        let there = labels.iter().zip(&rules.classes);
+        let there =
+            there.filter(|(label, class)| **label == column && **class == Some(limit.class));
+        limit.wanted.map_or(0, |wanted| wanted.count.saturating_sub(there.count()))
+    };
+    rules.class_limits.iter().map(lacks).sum()
+}
+
+/// More than all distances of a few points together.
+const SOFT_PRICE: i64 = 1 << 36;
+
+#[test]
+fn soft_minima_are_filled_as_far_as_can_be() {
+    let x = blobs(&CORNERS, 10, 0.5, 3);
+    let limit = |team| ClassLimit {
+        column: Column::Team(team),
+        class: 0,
+        bounds: Bounds::ANY,
+        wanted: Some(Wanted { count: 1, price: SOFT_PRICE }),
+    };
+    let class_limits: Vec<ClassLimit> = (0..4).map(limit).collect();
+    // Three robots of one corner have the class, and four teams want one each.
+    let classes = (0..40).map(|robot| (robot < 3).then_some(0)).collect();
+    let rules = Rules { classes, class_limits, ..Rules::new(40, 4) };
+    let found = divide(&x, &rules.clone().check().unwrap(), &KMeansOptions::new(4)).unwrap();
+    let labels = places(&rules, &found);
+    assert!(labels[0] != labels[1] && labels[1] != labels[2] && labels[0] != labels[2]);
+    // The others are where they would be anyway.
+    assert!((1..4).all(|corner| {
+        labels[10 * corner + 1..10 * corner + 10].iter().all(|label| *label == labels[10 * corner])
+    }));
 }
 
 proptest! {
@@ -220,18 +252,21 @@ proptest! {
         let x = blobs(&[&[0.0, 0.0]], n, 1.0, seed);
         let shape = Shape { robots: n, teams, classes, largest: 0, room: 1 };
         let mut rules = random_rules(shape, seed);
-        rules.class_limits.iter_mut().for_each(|limit| limit.wanted = None);
+        let wanted = rules.class_limits.iter_mut().filter_map(|limit| limit.wanted.as_mut());
+        wanted.for_each(|wanted| wanted.price = SOFT_PRICE);
+        let lacks = |labels: &[usize]| missing(&rules, labels);
         let all = single_rules(&rules);
         let best = labellings(&rules)
             .filter(|labels| all.iter().all(|rule| holds(&rules, rule, labels)))
-            .map(|labels| inertia(&x, &labels, teams, 0.3))
-            .min_by(f64::total_cmp);
+            .map(|labels| (lacks(&labels), inertia(&x, &labels, teams, 0.3)))
+            .min_by(|left, right| left.0.cmp(&right.0).then(left.1.total_cmp(&right.1)));
         let valid = rules.clone().check().unwrap();
         let limits = KMeansLimits { rules: &valid, reserve_cost: 0.3, previous: None };
         let options = KMeansOptions { seed, ..KMeansOptions::new(teams) };
         match (within(&x, &limits, &options), best) {
-            (Ok(found), Some(best)) => {
+            (Ok(found), Some((least, best))) => {
                 let labels = places(&rules, &found);
+                prop_assert_eq!(lacks(&labels), least);
                 prop_assert!(all.iter().all(|rule| holds(&rules, rule, &labels)));
                 let own = inertia(&x, &labels, teams, 0.3);
                 prop_assert!((found.inertia - own).abs() < 1e-9);

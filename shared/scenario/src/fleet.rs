@@ -126,6 +126,7 @@ impl Fleet {
                 superior: command.superior.and_then(|superior| self.robots.get(superior).cloned()),
                 weight: Some(1.0),
                 role: Some(member.role.clone().into_owned()),
+                skills: None,
                 stamp: None,
                 boot: None,
                 seq: None,

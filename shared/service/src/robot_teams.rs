@@ -107,6 +107,7 @@ mod tests {
             changes: vec![],
             next_team: 2,
             limited: None,
+            needs: vec![],
         })
     }
 

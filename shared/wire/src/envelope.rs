@@ -79,7 +79,7 @@ pub enum EnvelopeError {
 /// A kind of binary message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Kind {
-    /// Its number; never given twice. Robots' reports have 1 to 4.
+    /// Its number; never given twice. Robots' reports have 1 to 4, and 17.
     pub number: u8,
     /// Its name in the schema of the encoding.
     pub name: &'static str,
@@ -124,7 +124,7 @@ kinds! {
     13 LeaseRenewal, "Claim", MAX_SMALL_PAYLOAD;
     14 WishList, "Wishes", MAX_SERVICE_PAYLOAD;
     16 Alerts, "Alerts", MAX_SERVICE_PAYLOAD;
-    17 CommandOutcome, "CommandOutcome", MAX_SMALL_PAYLOAD;
+    18 CommandOutcome, "CommandOutcome", MAX_SMALL_PAYLOAD;
 }
 
 /// Writes a message.
@@ -171,6 +171,11 @@ pub(crate) fn unpack<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, EnvelopeErr
         0 => Ok(content),
         trailing => Err(EnvelopeError::Trailing(trailing)),
     }
+}
+
+/// The number of the kind that a binary message says it has; none where it is too short.
+pub(crate) fn kind_number(bytes: &[u8]) -> Option<u8> {
+    bytes.get(HEAD - 1).copied()
 }
 
 /// Reads a message of a known kind.

@@ -13,7 +13,7 @@ use muster_model::embedding::{Embedding, EmbeddingQuality};
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::graph::GraphDelta;
 use muster_model::header::{Header, Revision};
-use muster_model::id::{FleetId, Modality, OperatorId, RobotId, ServiceName, TeamId};
+use muster_model::id::{FleetId, Modality, OperatorId, RobotId, ServiceName, SkillId, TeamId};
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::limits::{
     MAX_ALERT_ROBOTS, MAX_CONFLICT_LENGTH, MAX_LOSSES, MAX_MEMBERS_PUBLISHED, MAX_OPEN_ALERTS,
@@ -22,7 +22,7 @@ use muster_model::limits::{
 use muster_model::refused::Refused;
 use muster_model::roster::{Presence, Roster};
 use muster_model::team_audit::{Loss, TeamAudit};
-use muster_model::teams::{RobotTeam, TeamCountScore, Teams};
+use muster_model::teams::{RobotTeam, TeamCountScore, TeamNeed, Teams};
 use muster_model::time::Tick;
 use muster_model::wish::{StandingWish, WishList, WishReport};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -123,10 +123,12 @@ pub(crate) struct TeamsForm<'a> {
     /// By which share that sum could be lower at most; null where nothing satisfies the limits, and without limits.
     #[schemars(range(min = 0, max = 1))]
     gap: Option<f64>,
-    /// Why nothing satisfies the limits, so that the last division stands; null where this one does, and without
-    /// limits.
+    /// Why nothing satisfies the limits, so that the last division stands, or why needs cannot all be filled; null where
+    /// this one does, and without limits.
     #[schemars(length(max = MAX_CONFLICT_LENGTH))]
     conflict: Option<&'a str>,
+    /// What the teams need and have, ordered as the teams, then by skill; empty without needs.
+    needs: &'a [TeamNeed],
 }
 
 /// One team.
@@ -160,6 +162,7 @@ impl EdgeJson for Teams {
             optimal: limited.map(|limited| limited.optimal),
             gap: limited.filter(|limited| limited.conflict.is_none()).map(|limited| limited.gap),
             conflict: limited.and_then(|limited| limited.conflict.as_deref()),
+            needs: &self.needs,
         })
     }
 }
@@ -586,6 +589,8 @@ struct RosterEntryForm<'a> {
     superior: Option<&'a RobotId>,
     /// What it is within its unit.
     role: Option<&'a str>,
+    /// What it can do that not every robot can, ordered by name.
+    skills: &'a [SkillId],
     /// Seconds since anything was received from it.
     #[schemars(range(min = 0))]
     silent_s: f64,
@@ -601,6 +606,7 @@ impl EdgeJson for Roster {
             frame: entry.frame.as_deref(),
             superior: entry.superior.as_ref(),
             role: entry.role.as_deref(),
+            skills: &entry.skills,
             silent_s: now.since(entry.last_seen).as_secs_f64(),
         });
         serde_json::to_vec(&RosterForm { head: head(&self.header, now), robots: robots.collect() })

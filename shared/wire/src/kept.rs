@@ -15,7 +15,7 @@ use crate::recording::{framed, unframed};
 pub const MAGIC: [u8; 8] = *b"\xB7mustkpt";
 
 /// Version of the content. Any change of its types is a new version.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 
 /// Magic bytes and version.
 const HEAD: usize = MAGIC.len() + 1;
@@ -147,6 +147,7 @@ mod tests {
             changes: vec![],
             next_team: 8,
             limited: None,
+            needs: vec![],
         };
         let wish = Wish {
             kind: WishKind::Reserve,
@@ -182,7 +183,7 @@ mod tests {
     fn the_bytes_are_those_of_the_version() {
         let bytes = KeptTeams { reserved: 300, teams: None, wishes: None }.encode().unwrap();
         let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-        assert_eq!(hex, "b76d7573746b7074020c00000076061c5d2c0100000000000000000000");
+        assert_eq!(hex, "b76d7573746b7074030c00000076061c5d2c0100000000000000000000");
     }
 
     #[test]

@@ -35,6 +35,36 @@ const fn kind(stream: &Stream) -> Kind {
     Kind { number, name, limit_bytes: MAX_ROBOT_PAYLOAD }
 }
 
+/// The kind of ranks with skills. Those without have the kind and the bytes that they had before there were skills, so
+/// that robots and services of all versions understand each other about them.
+const SKILLED_RANK: Kind = Kind { number: 17, name: "SkilledRank", limit_bytes: MAX_ROBOT_PAYLOAD };
+
+/// A rank without skills, as its binary form holds it.
+#[derive(Deserialize)]
+struct PlainRank {
+    superior: Option<RobotId>,
+    weight: Option<f64>,
+    role: Option<String>,
+    stamp: Option<f64>,
+    boot: Option<String>,
+    seq: Option<u64>,
+}
+
+impl From<PlainRank> for Rank {
+    fn from(plain: PlainRank) -> Self {
+        let PlainRank { superior, weight, role, stamp, boot, seq } = plain;
+        Self { superior, weight, role, stamp, boot, seq, skills: None }
+    }
+}
+
+/// The binary kind of a report.
+fn kind_of(report: &Report) -> Kind {
+    match report {
+        Report::Rank(Rank { skills: Some(_), .. }) => SKILLED_RANK,
+        _ => kind(&report.stream()),
+    }
+}
+
 /// The JSON Schema of a stream's reports.
 pub(crate) fn json_schema(stream: &Stream, generator: &mut SchemaGenerator) -> Schema {
     match stream {
@@ -53,7 +83,7 @@ pub(crate) const fn beyond_schema(stream: &Stream) -> &'static str {
             "a peer that is named twice or is the robot itself, a quality outside of the unit that the \
              settings of ingest name (0 to 1 by default)"
         }
-        Stream::Rank => "a superior that is the robot itself",
+        Stream::Rank => "a superior that is the robot itself, a skill that is named twice",
         Stream::Relation(_) => {
             "edges from another robot, to the robot itself, or named twice, a modality that the \
              settings of ingest do not declare"
@@ -73,6 +103,20 @@ struct Payload<'a> {
 impl<'a> Payload<'a> {
     const fn new(stream: &Stream, format: Format, bytes: &'a [u8]) -> Self {
         Self { kind: kind(stream), format, bytes, robot: None }
+    }
+
+    /// Reads the report of a stream.
+    fn report(&mut self, stream: &Stream) -> Result<Report, DecodeError> {
+        if *stream == Stream::Rank && self.format == Format::Binary {
+            if envelope::kind_number(self.bytes) != Some(SKILLED_RANK.number) {
+                let FromRobot { robot, body } =
+                    envelope::decode_as::<FromRobot<_, PlainRank>>(self.kind, self.bytes)?;
+                self.robot = Some(robot);
+                return Ok(Report::Rank(body.into()));
+            }
+            self.kind = SKILLED_RANK;
+        }
+        stream.read(self)
     }
 }
 
@@ -99,7 +143,7 @@ pub(crate) fn decode(
     bytes: &[u8],
 ) -> Result<CheckedReport, DecodeError> {
     let mut payload = Payload::new(stream, format, bytes);
-    let report = stream.read(&mut payload)?;
+    let report = payload.report(stream)?;
     if let Some(message) = payload.robot.filter(|inside| *inside != robot) {
         return Err(DecodeError::ReportRobot { key: robot, message });
     }
@@ -111,7 +155,7 @@ pub(crate) fn encode(
     robot: &RobotId,
     report: &Report,
 ) -> Result<(&'static str, Vec<u8>), EnvelopeError> {
-    let kind = kind(&report.stream());
+    let kind = kind_of(report);
     Ok((kind.name, envelope::encode_as(kind, &FromRobot { robot, body: report })?))
 }
 
@@ -131,6 +175,6 @@ pub fn encode_unchecked(robot: &RobotId, report: &Report) -> Result<Outbound, En
 /// [`DecodeError`] if the bytes are no report of the stream.
 pub fn decode_unchecked(stream: &Stream, bytes: &[u8]) -> Result<(RobotId, Report), DecodeError> {
     let mut payload = Payload::new(stream, Format::Binary, bytes);
-    let report = stream.read(&mut payload)?;
+    let report = payload.report(stream)?;
     Ok((payload.robot.ok_or(DecodeError::NotBinary)?, report))
 }

@@ -148,8 +148,9 @@ impl Schemas {
         );
         all.settings::<ClustererSettings>(
             ServiceName::Clusterer,
-            "a size or team_size whose max is below its min, and limits that nothing satisfies for the \
-             robots of the fleet",
+            "a size, team_size or need whose max is below its min, a need that stands twice for a skill and a \
+             team, more than 16 different skills, and limits and needs that nothing satisfies for the robots of \
+             the fleet",
         );
         all.settings::<AuditorSettings>(ServiceName::Auditor, "good that is less than poor");
         all.settings::<HistorianSettings>(ServiceName::Historian, "");

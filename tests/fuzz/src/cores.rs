@@ -461,7 +461,8 @@ impl<C: Core> World<C> {
                 }
                 EventKind::JobFailed { reason }
                 | EventKind::FewerTeams { reason, .. }
-                | EventKind::Infeasible { reason } => {
+                | EventKind::Infeasible { reason }
+                | EventKind::NeedFilled { reason, .. } => {
                     text::check(reason, MAX_REASON);
                 }
                 EventKind::QualityLow { mean } | EventKind::QualityRecovered { mean } => {

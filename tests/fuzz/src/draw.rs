@@ -1,7 +1,7 @@
 //! Draws messages out of bytes: few robots, small revisions and awkward numbers, so that what is
 //! drawn often fits together and never must.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use muster_model::audit::{Audit, Flapping, Quality, SilhouetteMethod, SilhouetteReport, Space};
@@ -9,10 +9,10 @@ use muster_model::content::Checked;
 use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingMode, EmbeddingQuality};
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
-use muster_model::id::{FleetId, Modality, RobotId, ServiceName, TeamId};
+use muster_model::id::{FleetId, Modality, RobotId, ServiceName, SkillId, TeamId};
 use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report};
 use muster_model::roster::{Presence, Roster, RosterEntry};
-use muster_model::teams::{Limited, Member, Team, TeamCountScore, Teams};
+use muster_model::teams::{Limited, Member, Team, TeamCountScore, TeamNeed, Teams};
 use muster_model::time::Tick;
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
@@ -122,6 +122,16 @@ impl<'a> Draw<'a> {
 
     fn modality(&mut self) -> Modality {
         Modality::new(MODALITIES[usize::from(self.below(4))]).unwrap()
+    }
+
+    /// One of a few skills, so that needs and robots often have the same.
+    fn skill(&mut self) -> SkillId {
+        let name = ["medic", "relay", "scout", "tow"][usize::from(self.below(4))];
+        SkillId::new(name).unwrap()
+    }
+
+    fn skills(&mut self) -> Vec<SkillId> {
+        self.some(3, Self::skill)
     }
 
     fn text(&mut self) -> String {
@@ -264,6 +274,7 @@ impl Author {
             frame: draw.maybe(Draw::text),
             superior: draw.maybe(Draw::robot),
             role: draw.maybe(Draw::text),
+            skills: draw.skills().into_iter().collect::<BTreeSet<_>>().into_iter().collect(),
             last_seen: Tick(now.0 - u64::from(draw.byte()) * 10_000),
         });
         let robots = robots.collect();
@@ -360,6 +371,14 @@ impl Author {
                 gap: draw.number(),
                 conflict: None,
             }),
+            needs: draw.some(2, |draw| TeamNeed {
+                team: TeamId::numbered(draw.number64()),
+                skill: draw.skill(),
+                min: u32::from(draw.byte()),
+                max: None,
+                soft: draw.byte() % 2 == 0,
+                have: u32::from(draw.byte()),
+            }),
         }
     }
 
@@ -436,6 +455,7 @@ fn rank(draw: &mut Draw<'_>) -> Rank {
         superior: draw.maybe(Draw::robot),
         weight: draw.maybe(Draw::weight),
         role: draw.maybe(Draw::text),
+        skills: draw.maybe(Draw::skills),
         stamp,
         boot,
         seq,

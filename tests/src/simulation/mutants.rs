@@ -57,11 +57,13 @@ pub enum Mutant {
     Overfull,
     /// A service carries its first command out again in place of the next ones, once settings were changed.
     Repetitive,
+    /// The clusterer says of every team that it has one robot more with a needed skill, once settings were changed.
+    Boastful,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 20] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -81,6 +83,7 @@ impl Mutant {
         Self::StarvedEmbedder,
         Self::Overfull,
         Self::Repetitive,
+        Self::Boastful,
     ];
 
     /// The kinds of faults after which it shows.
@@ -96,7 +99,9 @@ impl Mutant {
             Self::WrongSilhouette => &["storm"],
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
             Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
-            Self::Restless | Self::Fickle | Self::Overfull | Self::Repetitive => &["settings"],
+            Self::Restless | Self::Fickle | Self::Overfull | Self::Repetitive | Self::Boastful => {
+                &["settings"]
+            }
             Self::TermsFromOne | Self::DeafRobots => &["blackout without disks"],
             Self::UnbelievedTerm => &["forged term"],
             Self::Forgetful => &["power cut"],
@@ -297,6 +302,11 @@ impl Mutator {
                 let first = self.first_commands.entry(outcome.service).or_insert(own);
                 Arc::make_mut(&mut outcome).id.clone_from(first);
                 Message::Outcome(outcome)
+            }
+            (Mutant::Boastful, Message::Teams { teams, mirror }) => {
+                let mut teams = Teams::clone(&teams);
+                teams.needs.iter_mut().for_each(|need| need.have += 1);
+                Message::Teams { teams: Checked::new_unchecked(teams), mirror }
             }
             (Mutant::RevisionTwice, Message::Roster(mut roster)) => {
                 let header = &mut roster.make_mut_unchecked().header;

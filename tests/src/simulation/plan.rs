@@ -368,23 +368,45 @@ const PATCHES: [(ServiceName, &[&str]); 4] = [
     ),
 ];
 
-/// Of a hundred seeds, those in which limits are set.
-const LIMITS_PERCENT: u64 = 30;
-
-/// Most changes of limits in one seed.
-const MAX_LIMITS: u64 = 4;
+/// Settings of the clusterer that an operator sets in some seeds.
+struct Patches {
+    /// Of a hundred seeds, those in which they are set.
+    percent: u64,
+    /// Most changes in one seed.
+    most: u64,
+    patches: &'static [&'static str],
+}
 
 /// Limits on the robots of teams. Some cannot be satisfied, and are refused; others cannot once robots come or leave.
-const LIMITS: [&str; 8] = [
-    r#"{"size":{"max":4}}"#,
-    r#"{"size":{"max":6}}"#,
-    r#"{"size":{"min":2}}"#,
-    r#"{"size":{"min":2,"max":5}}"#,
-    r#"{"size":{"min":3},"teams":2}"#,
-    r#"{"team_size":{"t1":{"max":3},"t2":{"min":2}}}"#,
-    r#"{"size":null}"#,
-    r#"{"size":null,"team_size":null}"#,
-];
+const LIMITS: Patches = Patches {
+    percent: 30,
+    most: 4,
+    patches: &[
+        r#"{"size":{"max":4}}"#,
+        r#"{"size":{"max":6}}"#,
+        r#"{"size":{"min":2}}"#,
+        r#"{"size":{"min":2,"max":5}}"#,
+        r#"{"size":{"min":3},"teams":2}"#,
+        r#"{"team_size":{"t1":{"max":3},"t2":{"min":2}}}"#,
+        r#"{"size":null}"#,
+        r#"{"size":null,"team_size":null}"#,
+    ],
+};
+
+/// Needs of teams. Some can never be filled, and are refused; others cannot once robots are stale or leave.
+const NEEDS: Patches = Patches {
+    percent: 30,
+    most: 4,
+    patches: &[
+        r#"{"needs":[{"skill":"medic","per_team":{"min":1}}]}"#,
+        r#"{"needs":[{"skill":"medic","per_team":{"min":1,"max":2}}],"teams":2}"#,
+        r#"{"needs":[{"skill":"medic","per_team":{"min":1}},{"skill":"relay","per_team":{"min":1}}]}"#,
+        r#"{"needs":[{"skill":"relay","per_team":{"min":1},"soft":true}],"teams":3}"#,
+        r#"{"needs":[{"skill":"medic","team":"t2","per_team":{"min":2}}]}"#,
+        r#"{"needs":[{"skill":"relay","per_team":{"min":2}}]}"#,
+        r#"{"needs":null}"#,
+    ],
+};
 
 /// Of a hundred seeds, those in which an operator has wishes.
 const WISHES_PERCENT: u64 = 30;
@@ -426,9 +448,12 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
         let fault = Fault::PowerCut { lasts: power.between(50 * MS, 3 * SECOND) };
         injections.push(Injection { number: 0, at: begin, fault });
     }
-    injections.extend(limits(&mut Chance::new(seed, Purpose::Plan, 3), begin, end));
+    let chance = &mut Chance::new(seed, Purpose::Plan, 3);
+    injections.extend(settings(chance, &LIMITS, begin, end));
     let chance = &mut Chance::new(seed, Purpose::Plan, 4);
     injections.extend(wishes(chance, scale.robots, begin, end));
+    let chance = &mut Chance::new(seed, Purpose::Plan, 5);
+    injections.extend(settings(chance, &NEEDS, begin, end));
     let mut busy = Chance::new(seed, Purpose::Plan, 2);
     if busy.percent(BUSY_PERCENT) && end > begin {
         injections.retain(|injection| {
@@ -445,16 +470,16 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
     injections
 }
 
-/// Limits on the robots of teams that an operator sets, in some seeds, from a chance of their own.
-fn limits(chance: &mut Chance, begin: Micros, end: Micros) -> Vec<Injection> {
-    if !chance.percent(LIMITS_PERCENT) || end <= begin {
+/// Settings of the clusterer that an operator sets in some seeds, from a chance of their own.
+fn settings(chance: &mut Chance, patches: &Patches, begin: Micros, end: Micros) -> Vec<Injection> {
+    if !chance.percent(patches.percent) || end <= begin {
         return Vec::new();
     }
-    let count = chance.between(1, MAX_LIMITS);
+    let count = chance.between(1, patches.most);
     let mut all = Vec::new();
     for _ in 0..count {
         let at = chance.between(begin, end.saturating_sub(MS).max(begin));
-        let patch = chance.pick(&LIMITS).copied().unwrap_or("{}").to_owned();
+        let patch = chance.pick(patches.patches).copied().unwrap_or("{}").to_owned();
         let fault = Fault::Set { service: ServiceName::Clusterer, patch };
         all.push(Injection { number: 0, at, fault });
     }

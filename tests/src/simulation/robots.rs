@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 
 use muster_model::header::Revision;
-use muster_model::id::{Modality, RobotId};
+use muster_model::id::{Modality, RobotId, SkillId};
 use muster_model::observation::{CheckedReport, Links, Pose, Rank, Relation, Report};
 use muster_scenario::{Fleet, FleetOptions, RobotObservation, ScenarioKind};
 use muster_wire::{Format, Key, KeySpace, Message, Packet};
@@ -97,6 +97,17 @@ pub(crate) struct Robots {
     observed: Vec<RobotObservation>,
 }
 
+/// What a robot can do, by its number: of six robots two are medics and two are relays, one of them both.
+fn skills(robot: usize) -> Option<Vec<SkillId>> {
+    let names: &[&str] = match robot % 6 {
+        0 => &["medic"],
+        3 => &["relay", "medic"],
+        4 => &["relay"],
+        _ => return None,
+    };
+    Some(names.iter().filter_map(|name| SkillId::new(name).ok()).collect())
+}
+
 impl Robots {
     /// The fleet of a seed. The first robot's link has the number `first_link`.
     pub(crate) fn new(seed: u64, robots: usize, first_link: LinkId) -> Self {
@@ -180,7 +191,7 @@ impl Robots {
             }
             RobotStream::Rank => {
                 let rank = observed.rank.clone();
-                Rank { superior, stamp, boot, seq, ..rank }.into()
+                Rank { superior, stamp, boot, seq, skills: skills(robot), ..rank }.into()
             }
             RobotStream::Relation => {
                 let edges = if own.relates && peer != name {

@@ -454,6 +454,7 @@ mod tests {
             changes: Vec::new(),
             next_team,
             limited: None,
+            needs: vec![],
         }
     }
 

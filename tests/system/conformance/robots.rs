@@ -149,6 +149,9 @@ fn reports() -> Vec<(&'static str, String, Wanted)> {
             r#"{"superior":"r1","weight":0,"role":"scout"}"#,
             r#"{"superior":"r1","weight":1e6,"role":""}"#,
             r#"{"superior":"r1","weight":null,"role":null,"stamp":1,"boot":"b","seq":1}"#,
+            r#"{"skills":null}"#,
+            r#"{"skills":[]}"#,
+            r#"{"superior":"r1","skills":["medic","relay"]}"#,
         ],
     );
     add(
@@ -167,8 +170,13 @@ fn reports() -> Vec<(&'static str, String, Wanted)> {
             r#"{"superior":"r1","role":1}"#,
             r#"{"superior":"r1","role":"a\tb"}"#,
             r#"{"superior":"r1","rank":1}"#,
+            r#"{"skills":"medic"}"#,
+            r#"{"skills":["Medic"]}"#,
+            r#"{"skills":[1]}"#,
+            r#"{"skills":["a","b","c","d","e","f","g","h","i","j","k","l","m","n","o","p","q"]}"#,
         ],
     );
+    add("rank", OnlyByService("a skill that is named twice"), &[r#"{"skills":["a","a"]}"#]);
     add("rank", OnlyByService("a superior that is the robot itself"), &[r#"{"superior":"ME"}"#]);
     add(
         "relation/thermal",

@@ -188,6 +188,9 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
             r#"{"teams":1024}"#,
             r#"{"teams":{"from":1,"to":128}}"#,
             r#"{"teams":{"from":3,"to":3}}"#,
+            r#"{"needs":[{"skill":"medic","per_team":{"min":1}}]}"#,
+            r#"{"needs":[{"skill":"medic","per_team":{"min":1,"max":null}},{"skill":"medic","team":"t2","per_team":{"min":0,"max":2},"soft":true}]}"#,
+            r#"{"needs":null}"#,
         ],
     );
     add(
@@ -208,9 +211,23 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
             r#"{"seed":-1}"#,
             r#"{"team":3}"#,
             r#"{"teams":3,"restarts":0}"#,
+            r#"{"needs":{"skill":"medic","per_team":{"min":1}}}"#,
+            r#"{"needs":[["medic",null,{"min":1},false]]}"#,
+            r#"{"needs":[{"skill":"Medic","per_team":{"min":1}}]}"#,
+            r#"{"needs":[{"skill":"medic","per_team":[1,2]}]}"#,
+            r#"{"needs":[{"skill":"medic","per_team":{"max":1}}]}"#,
+            r#"{"needs":[{"skill":"medic","per_team":{"min":100001}}]}"#,
+            r#"{"needs":[{"skill":"medic","per_team":{"min":1},"hard":true}]}"#,
         ],
     );
     add("clusterer", OnlyByService("at least `from`"), &[r#"{"teams":{"from":3,"to":2}}"#]);
+    add(
+        "clusterer",
+        OnlyByService("a need that stands twice"),
+        &[r#"{"needs":[{"skill":"a","per_team":{"min":1}},{"skill":"a","per_team":{"min":2}}]}"#],
+    );
+    let contrary = r#"{"needs":[{"skill":"a","per_team":{"min":2,"max":1}}]}"#;
+    add("clusterer", OnlyByService("need whose max is below its min"), &[contrary]);
     add("clusterer", OnlyByService("17, not 17.0"), &[r#"{"teams":3.0}"#]);
     add("auditor", Accepted, &[r#"{"good":0.9,"poor":0.1}"#, r#"{"good":null}"#]);
     add("auditor", Refused, &[r#"{"good":"high"}"#, r#"{"goods":0.5}"#]);

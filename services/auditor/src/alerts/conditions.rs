@@ -36,6 +36,7 @@ pub(crate) fn of_teams(
             Some(singleton(audit, team, audits.len(), settings))
         }),
         observed(AlertKind::Stale, &|audit, team| Some(stale(audit, team, teams, settings))),
+        observed(AlertKind::Lacking, &|audit, _| Some(lacking(audit, teams))),
     ];
     if audits.iter().any(|audit| audit.radio.is_some()) {
         found.push(observed(AlertKind::CutOff, &|audit, _| cut_off(audit, settings)));
@@ -137,6 +138,24 @@ fn fragile(audit: &TeamAudit, settings: &AuditorSettings) -> Option<Condition> {
         ),
         robots: radio.cut_robots.clone(),
     })
+}
+
+/// Robots that a team lacks of the skills that it needs, by what the division says of itself.
+fn lacking(audit: &TeamAudit, teams: &Teams) -> Condition {
+    let needs = teams.needs.iter().filter(|need| need.team == audit.team && need.lacks() > 0);
+    let (mut missing, mut words) = (0, Vec::new());
+    for need in needs {
+        missing += need.lacks();
+        words.push(format!("{} of {} with {}", need.have, need.min, need.skill));
+    }
+    Condition {
+        subject: subject(audit),
+        wanted: Wanted::of(missing > 0),
+        value: f64::from(missing),
+        threshold: 1.0,
+        reason: format!("{} has {}", audit.team, words.join(", ")),
+        robots: Vec::new(),
+    }
 }
 
 fn members(team: &Team) -> Vec<RobotId> {

@@ -1,6 +1,8 @@
 //! The list of open alerts: what raises them, how it is published, acknowledged and taken over.
 
 use muster_model::alert::{AlertKind, AlertSubject};
+use muster_model::id::SkillId;
+use muster_model::teams::TeamNeed;
 
 use super::teams::{PATH, SIX, TWO, frame_roster, graph, with_graphs, with_stale};
 use super::*;
@@ -228,4 +230,37 @@ fn a_suspect_raises_nothing_before_it_leads_again() {
     assert!(events(&mut bench).is_empty());
     bench.input(Input::LinkRestored);
     assert_eq!(events(&mut bench), ["+1 cut_off"]);
+}
+
+/// A division whose teams need medics: so many of each team, and so many it has.
+fn with_needs(teams: Message, needs: &[(&str, u32, u32)]) -> Message {
+    let Message::Teams { mut teams, mirror } = teams else { panic!() };
+    let need = |(team, min, have): &(&str, u32, u32)| TeamNeed {
+        team: TeamId::new(team).unwrap(),
+        skill: SkillId::new("medic").unwrap(),
+        min: *min,
+        max: None,
+        soft: false,
+        have: *have,
+    };
+    teams.make_mut_unchecked().needs = needs.iter().map(need).collect();
+    Message::Teams { teams, mirror }
+}
+
+#[test]
+fn a_team_that_lacks_what_it_needs_raises_an_alert_that_ends() {
+    let mut bench = with_graphs();
+    bench.get("service/auditor/settings", Some(r#"{"fragile": 1.0}"#)).unwrap();
+    bench.receive(with_needs(teams(2, 1, TWO, ""), &[("t1", 1, 2), ("t2", 2, 0)]));
+    bench.wait(2.9);
+    assert!(open(&mut bench).is_empty());
+    bench.wait(0.1);
+    assert_eq!(open(&mut bench), ["1 lacking t2"]);
+    let alert = bench.alerts.as_ref().unwrap().open[0].clone();
+    assert_eq!((alert.reason.as_str(), alert.value), ("t2 has 0 of 2 with medic", 2.0));
+    // A replacement comes, and the alert ends after a while.
+    bench.receive(with_needs(teams(3, 1, TWO, ""), &[("t1", 1, 1), ("t2", 2, 2)]));
+    bench.wait(2.0);
+    assert!(open(&mut bench).is_empty());
+    assert_eq!(events(&mut bench), ["+1 lacking", "-1 lacking"]);
 }

@@ -182,6 +182,7 @@ fn roster(epoch: u64, robots: &[(&str, &str, Option<[f64; 3]>)]) -> Message {
         frame: Some((*frame).to_owned()),
         superior: None,
         role: None,
+        skills: vec![],
         last_seen: START,
     };
     let robots = robots.iter().map(entry).collect();
@@ -214,6 +215,7 @@ fn teams(epoch: u64, of: u64, teams: &[(&str, &str)], unassigned: &str) -> Messa
         changes: vec![],
         next_team: 9,
         limited: None,
+        needs: vec![],
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

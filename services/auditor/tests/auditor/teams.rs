@@ -1,8 +1,9 @@
 //! What the audit says of each team, by graphs that are followed.
 
 use muster_model::graph::{GraphDelta, GraphRow};
-use muster_model::id::Modality;
-use muster_model::team_audit::{Conductance, Spread};
+use muster_model::id::{Modality, SkillId};
+use muster_model::team_audit::{Conductance, SkillCover, Spread};
+use muster_model::teams::TeamNeed;
 
 use super::*;
 
@@ -216,4 +217,43 @@ fn a_contradictory_graph_is_refused_and_changes_nothing() {
     bench.receive(Message::Graph(delta));
     assert!(matches!(bench.events()[0], EventKind::Quarantined { .. }));
     assert_eq!(bench.audits().last().unwrap().graphs, Some(revision(101)));
+}
+
+#[test]
+fn skills_of_a_team_are_listed_with_spare_ones() {
+    let mut bench = Bench::leading(vec![]);
+    let Message::Roster(mut roster) = frame_roster(1, &[], &[]) else { panic!() };
+    for entry in &mut roster.make_mut_unchecked().robots {
+        let skills: &[&str] = match entry.robot.as_str() {
+            "a" | "b" => &["medic", "relay"],
+            "c" => &["medic"],
+            _ => &[],
+        };
+        entry.skills = skills.iter().map(|name| SkillId::new(name).unwrap()).collect();
+    }
+    bench.receive(Message::Roster(roster));
+    bench.receive(embedding(1, SIX));
+    let Message::Teams { teams: mut division, mirror } = teams(1, 1, TWO, "") else { panic!() };
+    let content = division.make_mut_unchecked();
+    content.stale = vec![robot("b")];
+    let need = |team, min, have| TeamNeed {
+        team: TeamId::new(team).unwrap(),
+        skill: SkillId::new("medic").unwrap(),
+        min,
+        max: None,
+        soft: false,
+        have,
+    };
+    content.needs = vec![need("t1", 1, 2), need("t2", 1, 0)];
+    bench.receive(Message::Teams { teams: division, mirror });
+    let audit = bench.audit();
+    let text = |team: usize| -> Vec<String> {
+        let of = &audit.per_team[team].skills;
+        let one = |of: &SkillCover| {
+            format!("{} {}/{} +{} -{}", of.skill, of.robots, of.needed, of.spare, of.lacking)
+        };
+        of.iter().map(one).collect()
+    };
+    assert_eq!(text(0), ["medic 2/1 +1 -0", "relay 1/0 +1 -0"], "b is stale");
+    assert_eq!(text(1), ["medic 0/1 +0 -1"]);
 }

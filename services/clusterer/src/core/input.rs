@@ -99,6 +99,10 @@ impl Clusterer {
                 self.republish_from(context, source);
             }
         }
+        if !context.settings().needs.is_empty() {
+            // Others may be able to fill needs than before.
+            self.consider(context);
+        }
     }
 
     /// Takes over the newest division of an earlier leader among messages, and the embedding that it

@@ -11,11 +11,12 @@ use muster_model::time::Tick;
 use super::Clusterer;
 use crate::dwell::{best_number, possible_number};
 use crate::identity::Memory;
+use crate::needs::Needs;
 use crate::rules::{TeamColumn, TeamRules};
 use crate::seats::{Seats, last_of};
 
 /// What to do about limits that nothing satisfies.
-const REMEDY: &str = "change a limit or the number of teams";
+const REMEDY: &str = "change a limit, a need or the number of teams";
 
 /// How many teams are wanted of the robots that are there.
 #[derive(Debug, Clone, Copy)]
@@ -99,16 +100,37 @@ impl Clusterer {
             "size"
         } else if settings.team_size != before.team_size {
             "team_size"
+        } else if settings.needs != before.needs {
+            "needs"
         } else if settings.teams != before.teams {
             "teams"
         } else {
             return Ok(());
         };
         let Some(rules) = self.rules(settings) else { return Ok(()) };
-        match self.conflict(now, settings, &rules) {
+        let last = self.rules(before);
+        match self.new_conflict(now, settings, &rules, before, last.as_ref()) {
             Some(conflict) => Err(SettingsError::new(field, format!("{conflict}; {REMEDY}"))),
             None => Ok(()),
         }
+    }
+
+    /// As [`Self::conflict`], but for a conflict of needs alone that there was `before`: what operators change meanwhile
+    /// is no reason to refuse it.
+    pub(super) fn new_conflict(
+        &self,
+        now: Tick,
+        settings: &ClustererSettings,
+        rules: &TeamRules,
+        before: &ClustererSettings,
+        last: Option<&TeamRules>,
+    ) -> Option<String> {
+        let conflict = self.conflict(now, settings, rules)?;
+        let last = last.filter(|last| last.needs.asks_as(&rules.needs) && !last.needs.is_empty());
+        if last.is_some_and(|last| self.conflict(now, before, last).is_some()) {
+            return self.conflict(now, settings, &rules.with_needs(Needs::default()));
+        }
+        Some(conflict)
     }
 
     /// Why nothing satisfies rules for the robots that are there, with any number of teams that is wanted; none if
@@ -143,7 +165,12 @@ impl Clusterer {
 
     /// What divisions have to respect, by settings and wishes; none if nothing is asked of them.
     pub(super) fn rules(&self, settings: &ClustererSettings) -> Option<TeamRules> {
-        TeamRules::of(settings, self.wishes.asked())
+        TeamRules::of(settings, self.wishes.asked(), self.needs(settings))
+    }
+
+    /// What teams need, with those who can fill it now.
+    pub(super) fn needs(&self, settings: &ClustererSettings) -> Needs {
+        Needs::of(settings, self.roster.as_deref(), self.division.as_deref())
     }
 }
 

@@ -9,7 +9,7 @@ use muster_model::embedding::Embedding;
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::RobotId;
 use muster_model::roster::Presence;
-use muster_model::teams::Teams;
+use muster_model::teams::{Limited, Teams};
 use muster_model::time::{Tick, seconds};
 use muster_wire::Message;
 
@@ -17,7 +17,8 @@ use super::{Clusterer, Context, Published, Received, Undecided, View};
 use crate::division::{changes, with_held};
 use crate::leader::leaders;
 use crate::publishing::{robots_to_inform, shortage};
-use crate::rules::TeamRules;
+use crate::replacement::filled;
+use crate::rules::{TeamRules, asks_alike};
 use crate::seats::{Seats, reseated};
 
 /// Most changes of one division that are published as events; the others are only counted. When a whole fleet
@@ -38,7 +39,7 @@ impl Clusterer {
         let rules = asked
             .clone()
             .map(|rules| rules.resolved(before.as_deref(), &self.memory, &source.embedding));
-        let stands = new.limited.as_ref().is_some_and(|limited| limited.conflict.is_some());
+        let stands = new.limited.as_ref().is_some_and(Limited::stands);
         // A division that stands because nothing satisfies the rules has no noise to wait out.
         let dwell = if stands { Duration::ZERO } else { dwell };
         let mut held = self.moves.hold(now, dwell, &new, seated, &renewed);
@@ -79,7 +80,7 @@ impl Clusterer {
         if let Some(published) = &self.published
             && let Some(undecided) = self.undecided.take()
             // What was to follow may break rules that hold since; another division comes then.
-            && undecided.rules == self.rules(context.settings())
+            && asks_alike(undecided.rules.as_ref(), self.rules(context.settings()).as_ref())
         {
             let source = published.source.clone();
             self.settle(context, undecided.teams, source);
@@ -97,6 +98,8 @@ impl Clusterer {
         }
         let revision = context.next_revision();
         let stage = context.stage(source.at);
+        let needs = self.needs(context.settings());
+        teams.needs = needs.published(&teams);
         teams.embedding = source.embedding.header.revision;
         // After a restart only the division says which numbers were given.
         teams.next_team = teams.next_team.max(self.memory.next_team);
@@ -131,6 +134,11 @@ impl Clusterer {
         if context.is_leading() {
             self.keeping.note(&teams);
             self.report_changes(context, &teams, absent);
+            let before = self.received_by_others.as_deref();
+            let filled = filled(before, &teams, &needs, self.roster.as_deref());
+            for kind in filled.into_iter().take(MAX_CHANGE_EVENTS) {
+                context.publish_event(Severity::Info, kind);
+            }
             self.assess_wishes(context, &teams);
             self.received_by_others = Some(teams);
         }

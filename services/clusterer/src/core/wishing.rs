@@ -103,8 +103,12 @@ impl Clusterer {
         }
         book.put(name.clone(), wish).map_err(wrong)?;
         let settings = context.settings();
-        let asked = crate::rules::TeamRules::of(settings, book.asked());
-        let conflict = asked.and_then(|rules| self.conflict(context.now(), settings, &rules));
+        let needs = self.needs(settings);
+        let asked = crate::rules::TeamRules::of(settings, book.asked(), needs);
+        let before = self.rules(settings);
+        let conflict = asked.and_then(|rules| {
+            self.new_conflict(context.now(), settings, &rules, settings, before.as_ref())
+        });
         if let Some(conflict) = conflict {
             let remedy = "withdraw a wish, or change a limit";
             return refusal("(wish)", format!("{conflict}; {remedy}"));

@@ -8,7 +8,7 @@ use muster_model::content::{Checked, Content};
 use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
 use muster_model::event::EventKind;
 use muster_model::header::{Header, Revision, StageTime};
-use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
+use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName, SkillId};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::settings::ClustererSettings;
 use muster_model::teams::{RobotTeam, TeamChange, Teams};
@@ -188,7 +188,7 @@ pub fn again(embedding: &Embedding, term: u64, epoch: u64) -> Checked<Embedding>
     Checked::new_unchecked(Embedding { header: header(term, epoch), ..embedding.clone() })
 }
 
-/// A roster: `"a<b"` answers to b, `"a?"` is stale.
+/// A roster: `"a<b"` answers to b, `"a:medic,relay"` has two skills, `"a?"` is stale.
 pub fn roster(epoch: u64, robots: &str) -> Roster {
     let mut entries: Vec<RosterEntry> = robots
         .split_whitespace()
@@ -196,6 +196,10 @@ pub fn roster(epoch: u64, robots: &str) -> Roster {
         .map(|(node, text)| {
             let stale = text.ends_with('?');
             let text = text.trim_end_matches('?');
+            let (text, skills) = text.split_once(':').unwrap_or((text, ""));
+            let skills = skills.split(',').filter(|name| !name.is_empty());
+            let mut skills: Vec<_> = skills.map(|name| SkillId::new(name).unwrap()).collect();
+            skills.sort_unstable();
             let (name, superior) = match text.split_once('<') {
                 Some((name, superior)) => (name, Some(robot(superior))),
                 None => (text, None),
@@ -209,6 +213,7 @@ pub fn roster(epoch: u64, robots: &str) -> Roster {
                 frame: None,
                 superior,
                 role: None,
+                skills,
                 last_seen: START,
             }
         })

@@ -203,6 +203,7 @@ impl Ingest {
             frame: None,
             superior: None,
             role: None,
+            skills: vec![],
             last_seen: now,
         };
         let roster = Checked::new_unchecked(Roster {

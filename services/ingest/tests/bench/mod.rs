@@ -113,6 +113,7 @@ pub(crate) fn entry_of(name: &str, presence: Presence, last_seen: Tick) -> Roste
         frame: None,
         superior: None,
         role: None,
+        skills: vec![],
         last_seen,
     }
 }

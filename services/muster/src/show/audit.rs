@@ -2,7 +2,7 @@
 
 use muster_model::audit::{Audit, Flapping, SilhouetteMethod, SilhouetteReport};
 use muster_model::id::TeamId;
-use muster_model::team_audit::{Conductance, LeastFitting, Radio, Spread, TeamAudit};
+use muster_model::team_audit::{Conductance, LeastFitting, Radio, SkillCover, Spread, TeamAudit};
 use muster_model::time::Tick;
 use muster_runtime::config::ProcessConfig;
 use muster_wire::json::EdgeJson;
@@ -93,6 +93,7 @@ fn teams(audit: &Audit, page: &Page) -> Vec<String> {
         Column::dropped("falls apart without", 2),
         Column::dropped("heads", 8),
         Column::dropped("spread", 3),
+        Column::dropped("skills", 9),
     ];
     let physical = |team: &TeamId| {
         let all = &audit.in_physical.per_team;
@@ -116,9 +117,20 @@ fn teams(audit: &Audit, page: &Page) -> Vec<String> {
             of.radio.as_ref().map(cut_robots).unwrap_or_default(),
             format!("{}{head}", of.heads),
             of.spread.map(spread).unwrap_or_default(),
+            of.skills.iter().map(skill).collect::<Vec<_>>().join(", "),
         ]
     };
     page.table(&columns, audit.per_team.iter().map(row))
+}
+
+/// How many robots of a team have a skill, and how many of them it could spare or lacks.
+fn skill(of: &SkillCover) -> String {
+    let SkillCover { skill, robots, needed, spare, lacking } = of;
+    match (*needed, *lacking) {
+        (0, _) => format!("{skill} {robots}"),
+        (_, 0) => format!("{skill} {robots} ({spare} spare)"),
+        (_, lacking) => format!("{skill} {robots} ({lacking} LACKING)"),
+    }
 }
 
 /// In how many parts a team is, and how many robots its leader reaches if that is not all.

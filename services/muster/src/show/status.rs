@@ -218,6 +218,7 @@ impl Shown for FleetStatus {
             json!({
                 "robot": entry.robot, "presence": entry.presence, "position": entry.position,
                 "frame": entry.frame, "superior": entry.superior, "role": entry.role,
+                "skills": entry.skills,
                 "silent_s": now.since(entry.last_seen).as_secs_f64(),
             })
         });

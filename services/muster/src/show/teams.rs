@@ -62,6 +62,10 @@ impl Shown for Teams {
         {
             lines.push(format!("limits do not hold: {conflict}"));
         }
+        let lacking = self.needs.iter().filter(|need| need.lacks() > 0);
+        lines.extend(lacking.map(|need| {
+            format!("{} has {} of {} with {}", need.team, need.have, need.min, need.skill)
+        }));
         lines.extend(self.changes.iter().map(|change| format!("  {}", describe(change))));
         lines
     }
@@ -125,6 +129,7 @@ mod tests {
             considered: vec![],
             next_team: 3,
             limited: None,
+            needs: vec![],
             inertia: 0.0,
             unassigned: vec![robot("loose".to_owned())],
             stale: vec![],

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Settings, SettingsError, TeamCount, TeamSize, check_range};
-use crate::id::TeamId;
-use crate::limits::MAX_TEAM_SIZES;
+use super::{Need, Settings, SettingsError, TeamCount, TeamSize, check_range, need};
+use crate::id::{SkillId, TeamId};
+use crate::limits::{MAX_NEEDS, MAX_TEAM_SIZES};
 
 /// How the centroids of a start of k-means are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -61,6 +61,10 @@ pub struct ClustererSettings {
     /// is not there keeps its limits until it is.
     #[schemars(length(max = MAX_TEAM_SIZES))]
     pub team_size: BTreeMap<TeamId, TeamSize>,
+    /// Which robots every team, or one team, needs. Of several needs for one skill that of the team holds.
+    #[serde(deserialize_with = "crate::object::list")]
+    #[schemars(with = "Vec<Need>", length(max = MAX_NEEDS))]
+    pub needs: Vec<Need>,
 }
 
 impl ClustererSettings {
@@ -68,6 +72,14 @@ impl ClustererSettings {
     #[must_use]
     pub fn size_of(&self, team: &TeamId) -> TeamSize {
         self.team_size.get(team).map_or(self.size, |own| own.or(self.size))
+    }
+
+    /// What a team needs of a skill: the need that names the team, or else that of all teams.
+    #[must_use]
+    pub fn need_of(&self, skill: &SkillId, team: &TeamId) -> Option<&Need> {
+        let of_skill = || self.needs.iter().filter(|need| need.skill == *skill);
+        let own = of_skill().find(|need| need.team.as_ref() == Some(team));
+        own.or_else(|| of_skill().find(|need| need.team.is_none()))
     }
 
     /// Whether any team has a limit.
@@ -90,6 +102,7 @@ impl Default for ClustererSettings {
             heartbeat_s: 1.0,
             size: TeamSize::default(),
             team_size: BTreeMap::new(),
+            needs: Vec::new(),
         }
     }
 }
@@ -113,6 +126,6 @@ impl Settings for ClustererSettings {
         for (team, own) in &self.team_size {
             own.check(&format!("team_size.{team}"), self.size)?;
         }
-        Ok(())
+        need::check(&self.needs)
     }
 }

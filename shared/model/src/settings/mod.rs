@@ -9,6 +9,7 @@ mod clusterer;
 mod embedder;
 mod historian;
 mod ingest;
+mod need;
 mod team_count;
 mod team_size;
 
@@ -28,6 +29,7 @@ pub use ingest::{
     ConnectivitySettings, IngestSettings, LinkUnit, MAX_TICK_HZ, SpatialKernel, SpatialScale,
     SpatialSettings,
 };
+pub use need::{Need, SkillCount};
 pub use team_count::TeamCount;
 pub use team_size::TeamSize;
 
@@ -269,6 +271,60 @@ mod tests {
             (0..=MAX_TEAM_SIZES).map(|at| (format!("t{at}"), json!({"max": 4}))).collect();
         let error = patched(json!({ "team_size": many })).unwrap_err();
         assert!(error.field == "team_size" && error.problem.contains("256"), "{error}");
+    }
+
+    #[test]
+    fn needs_are_checked_together() {
+        let patched =
+            |needs: Value| ClustererSettings::default().patched(&json!({ "needs": needs }));
+        let medic = json!({"skill": "medic", "per_team": {"min": 1}});
+        let of_t2 = json!({"skill": "medic", "team": "t2", "per_team": {"min": 2, "max": 3}});
+        let some = patched(json!([medic, of_t2])).unwrap();
+        let [all, own] = &some.needs[..] else { panic!("{some:?}") };
+        assert_eq!(all.per_team, SkillCount { min: 1, max: None });
+        assert!(all.team.is_none() && !all.soft && own.team == Some(TeamId::numbered(2)));
+        assert_eq!(some.need_of(&all.skill, &TeamId::numbered(2)), Some(own));
+        assert_eq!(some.need_of(&all.skill, &TeamId::numbered(1)), Some(all));
+        let text = serde_json::to_value(&some).unwrap();
+        assert_eq!(from_value::<ClustererSettings>(text), Ok(some.clone()));
+        assert_eq!(some.patched(&json!({"needs": null})), Ok(ClustererSettings::default()));
+        for (wrong, field) in [
+            (json!("medic"), "needs"),
+            (json!(["medic"]), "needs[0]"),
+            (json!([["medic", null, [1, null], false]]), "needs[0]"),
+            (json!([{"skill": "Medic", "per_team": {"min": 1}}]), "needs[0].skill"),
+            (json!([{"skill": "medic"}]), "needs[0]"),
+            (json!([{"skill": "medic", "per_team": {}}]), "needs[0].per_team"),
+            (json!([{"skill": "medic", "per_team": 1}]), "needs[0].per_team"),
+            (json!([{"skill": "medic", "per_team": [1, null]}]), "needs[0].per_team"),
+            (json!([{"skill": "medic", "per_team": {"min": -1}}]), "needs[0].per_team.min"),
+            (json!([{"skill": "medic", "per_team": {"min": 200_000}}]), "needs[0].per_team.min"),
+            (
+                json!([{"skill": "medic", "per_team": {"min": 2, "max": 1}}]),
+                "needs[0].per_team.max",
+            ),
+            (
+                json!([{"skill": "medic", "per_team": {"most": 1, "min": 0}}]),
+                "needs[0].per_team.most",
+            ),
+            (json!([{"skill": "medic", "per_team": {"min": 1}, "soft": 1}]), "needs[0].soft"),
+            (json!([{"skill": "medic", "per_team": {"min": 1}, "hard": true}]), "needs[0].hard"),
+            (json!([medic, of_t2, medic]), "needs[2].skill"),
+        ] {
+            let error = patched(wrong.clone()).unwrap_err();
+            assert_eq!(error.field, field, "{wrong}: {error}");
+        }
+        let many = |count: usize, skill: &dyn Fn(usize) -> String| {
+            let need =
+                |at| json!({"skill": skill(at), "team": format!("t{at}"), "per_team": {"min": 1}});
+            patched((0..count).map(need).collect::<Value>())
+        };
+        assert!(many(64, &|_| "medic".to_owned()).is_ok());
+        let error = many(65, &|_| "medic".to_owned()).unwrap_err();
+        assert!(error.field == "needs" && error.problem.contains("64"), "{error}");
+        assert!(many(16, &|at| format!("s{at}")).is_ok());
+        let error = many(17, &|at| format!("s{at}")).unwrap_err();
+        assert!(error.field == "needs" && error.problem.contains("16"), "{error}");
     }
 
     #[test]

@@ -7,7 +7,7 @@ use super::costs::CostMatrix;
 use super::exact_wishes::split;
 use super::rules::{Column, RulesError, ValidRules};
 use super::search_node::{Choice, Problem};
-use super::wishes::ValidWishes;
+use super::wishes::{Need, ValidWishes};
 
 /// Most nodes that are spent on multipliers before the search; a quarter of the budget if that is less.
 const MULTIPLIER_NODES: usize = 60;
@@ -97,6 +97,32 @@ pub fn assign_with_wishes(
     }
 }
 
+/// Whether anything satisfies `rules` and all that is hard of `wishes`, as far as `node_budget` nodes tell; none where
+/// they do not.
+///
+/// # Errors
+/// [`DivisionError::Assignment`] and [`DivisionError::Rules`] if wishes, rules and costs do not fit each other.
+pub fn is_grantable(
+    assigner: &mut Assigner,
+    rules: &ValidRules,
+    wishes: &ValidWishes,
+    node_budget: usize,
+) -> Result<Option<bool>, DivisionError> {
+    let (robots, columns) = (rules.get().robots, rules.get().columns());
+    let Ok(costs) = CostMatrix::new(robots, columns, vec![0; robots * columns]) else {
+        return Ok(None);
+    };
+    let hard_wishes = wishes.get().wishes.iter().map(|wish| wish.price.is_none());
+    let needs = wishes.get().needs.len();
+    let chosen = [hard_wishes.collect(), vec![true; needs]];
+    let ended = search(assigner, rules, wishes, &chosen, &costs, node_budget, Goal::Any)?;
+    Ok(match ended {
+        Ended::Found { .. } => Some(true),
+        Ended::Infeasible => Some(false),
+        Ended::Undecided { .. } => None,
+    })
+}
+
 /// The deletion filter over hard wishes and needs.
 fn conflicting_wishes(
     assigner: &mut Assigner,
@@ -106,7 +132,8 @@ fn conflicting_wishes(
     node_budget: usize,
 ) -> Result<DivisionError, DivisionError> {
     let hard_wishes = wishes.get().wishes.iter().map(|wish| wish.price.is_none());
-    let hard_needs = wishes.get().needs.iter().map(|need| need.price.is_none());
+    let is_hard = |need: &Need| need.price.is_none() || need.at_most < usize::MAX;
+    let hard_needs = wishes.get().needs.iter().map(is_hard);
     let mut chosen: [Vec<bool>; 2] = [hard_wishes.collect(), hard_needs.collect()];
     let mut irreducible = true;
     for kind in 0..2 {

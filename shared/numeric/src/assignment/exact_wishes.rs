@@ -58,7 +58,7 @@ pub(super) fn split<'a>(
     Ok(Split { rules: current, wishes: left, needs: left_needs })
 }
 
-/// Limits that stand for needs of one skill; `None` if two soft needs are for one column.
+/// Limits that stand for needs of one skill; `None` if two soft needs are for one column, or two contradict each other.
 fn class_limits(needs: &[&Need]) -> Option<Vec<ClassLimit>> {
     let mut limits: Vec<ClassLimit> = Vec::new();
     for need in needs {
@@ -69,13 +69,14 @@ fn class_limits(needs: &[&Need]) -> Option<Vec<ClassLimit>> {
             limits.len() - 1
         });
         let limit = &mut limits[at];
+        limit.bounds.upper = limit.bounds.upper.min(need.at_most);
         match need.price {
             None => limit.bounds.lower = limit.bounds.lower.max(need.at_least),
             Some(_) if limit.wanted.is_some() => return None,
             Some(price) => limit.wanted = Some(Wanted { count: need.at_least, price }),
         }
     }
-    Some(limits)
+    limits.iter().all(|limit| limit.bounds.lower <= limit.bounds.upper).then_some(limits)
 }
 
 /// The rules with `robots` as a further class; `None` if one of them has a class, or limits become too many.

@@ -160,6 +160,9 @@ impl<'a> Problem<'a> {
         }
         let mut cost = plain + self.price_of(refused);
         for (need, missing) in self.needs.iter().zip(missing) {
+            if excess(need, *missing) > 0 {
+                return None;
+            }
             cost += match need.price {
                 _ if *missing <= 0 => 0,
                 Some(price) => i128::from(price) * i128::from(*missing),
@@ -227,7 +230,39 @@ impl<'a> Problem<'a> {
             }
             return children;
         }
-        self.branch_on_need(restrictions, labels, missing, multipliers)
+        let crowded = self.branch_on_crowd(restrictions, labels, missing);
+        if crowded.is_empty() {
+            return self.branch_on_need(restrictions, labels, missing, multipliers);
+        }
+        crowded
+    }
+
+    /// Branches on a robot of a column that holds more with a skill than it may: the one that costs least elsewhere.
+    fn branch_on_crowd(
+        &self,
+        restrictions: &Restrictions,
+        labels: &[u32],
+        missing: &[i64],
+    ) -> Vec<Vec<Choice>> {
+        let crowded = (0..self.needs.len())
+            .filter(|number| excess(self.needs[*number], missing[*number]) > 0)
+            .max_by_key(|number| {
+                (excess(self.needs[*number], missing[*number]), std::cmp::Reverse(*number))
+            });
+        let Some(number) = crowded else { return Vec::new() };
+        let column = self.places[number];
+        let open = self.needs[number].robots.iter().copied().filter(|robot| {
+            labels[*robot] == column as u32 && restrictions.only(*robot) != Some(column)
+        });
+        let detour = |robot: &usize| {
+            let row = self.costs.row(*robot);
+            let others = (0..row.len())
+                .filter(|place| *place != column && restrictions.allows(*robot, *place));
+            let next = others.map(|place| row[place]).min().unwrap_or(i64::MAX);
+            (next.saturating_sub(row[column]), *robot)
+        };
+        let Some(robot) = open.min_by_key(detour) else { return Vec::new() };
+        vec![vec![Choice::In { robot, column }], vec![Choice::Out { robot, column }]]
     }
 
     /// Branches on a robot of the need that is furthest from its bound.
@@ -334,6 +369,26 @@ impl<'a> Problem<'a> {
                 }
             }
         }
+        for (number, need) in self.needs.iter().enumerate() {
+            let [fixed, possible] = self.range(number, restrictions);
+            if fixed > need.at_most {
+                return None;
+            }
+            if fixed == need.at_most && possible > fixed {
+                let place = self.places[number];
+                for &robot in &need.robots {
+                    if restrictions.only(robot) != Some(place) {
+                        changed |= restrictions.forbid(robot, place);
+                    }
+                }
+            }
+        }
         Some(changed)
     }
+}
+
+/// Robots beyond those that a need allows, where so many are missing.
+fn excess(need: &Need, missing: i64) -> i64 {
+    let there = need.at_least as i64 - missing;
+    there - i64::try_from(need.at_most).unwrap_or(i64::MAX)
 }

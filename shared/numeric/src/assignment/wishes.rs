@@ -31,7 +31,7 @@ pub struct Wish {
     pub price: Option<i64>,
 }
 
-/// A number of robots with some skill that a column needs.
+/// How many robots with some skill a column needs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Need {
     /// All robots with the skill. Needs of the same skill list the same robots.
@@ -40,6 +40,8 @@ pub struct Need {
     pub column: Column,
     /// How many are needed.
     pub at_least: usize,
+    /// How many there may be; `usize::MAX` for no limit. It holds whatever the price is.
+    pub at_most: usize,
     /// Cost of each that is missing, from 0 to [`MAX_COST`]; `None` if none may be missing.
     pub price: Option<i64>,
 }
@@ -98,6 +100,18 @@ pub enum WishesError {
         /// What is wrong with the column.
         error: RulesError,
     },
+    /// A need asks for more robots than it allows.
+    #[error(
+        "need {need} is at least {at_least} and at most {at_most}: lower the first or raise the second"
+    )]
+    Bounds {
+        /// The need.
+        need: usize,
+        /// Least number.
+        at_least: usize,
+        /// Largest number.
+        at_most: usize,
+    },
     /// A price is negative or too large.
     #[error("a price of {price} is not from 0 to {MAX_COST}")]
     Price {
@@ -138,6 +152,10 @@ impl Wishes {
             need.robots.dedup();
             if let Some(&robot) = need.robots.last().filter(|robot| **robot >= robots) {
                 return Err(WishesError::NeedRobot { need: number, robot, robots });
+            }
+            let Need { at_least, at_most, .. } = *need;
+            if at_least > at_most {
+                return Err(WishesError::Bounds { need: number, at_least, at_most });
             }
             if let Err(error) = rules.get().index_of(need.column) {
                 return Err(WishesError::Column { need: number, error });

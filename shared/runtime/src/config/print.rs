@@ -101,5 +101,36 @@ fn toml_value(value: &Value) -> Option<String> {
     if value.is_null() {
         return None;
     }
-    toml::Value::try_from(value).ok().map(|value| value.to_string())
+    toml::Value::try_from(without_nulls(value)).ok().map(|value| value.to_string())
+}
+
+/// The same value; what is null within it is left out.
+fn without_nulls(value: &Value) -> Value {
+    match value {
+        Value::Object(fields) => {
+            let set = fields.iter().filter(|(_, value)| !value.is_null());
+            set.map(|(name, value)| (name.clone(), without_nulls(value))).collect()
+        }
+        Value::Array(values) => values.iter().map(without_nulls).collect(),
+        other => other.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn what_is_null_within_a_value_is_left_out() {
+        let needs = json!([{"skill": "medic", "team": null, "per_team": {"min": 1, "max": null}}]);
+        let text = toml_value(&needs).unwrap();
+        let read: toml::Table = format!("needs = {text}").parse().unwrap();
+        assert_eq!(
+            serde_json::to_value(read).unwrap(),
+            json!({"needs": [{"skill": "medic", "per_team": {"min": 1}}]})
+        );
+        assert_eq!(toml_value(&Value::Null), None);
+    }
 }

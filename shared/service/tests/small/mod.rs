@@ -254,6 +254,7 @@ pub(crate) fn output(header: Header) -> Message {
         changes: Vec::new(),
         next_team: 1,
         limited: None,
+        needs: vec![],
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

@@ -21,7 +21,8 @@ use muster_model::history::{
     TeamRow,
 };
 use muster_model::id::{
-    CommandId, FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, TeamId, WishId,
+    CommandId, FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, SkillId, TeamId,
+    WishId,
 };
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
@@ -29,8 +30,10 @@ use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::status::{Departure, ServiceStatus};
-use muster_model::team_audit::{Conductance, LeastFitting, Loss, Radio, Spread, TeamAudit};
-use muster_model::teams::{Limited, Member, Team, TeamChange, TeamCountScore, Teams};
+use muster_model::team_audit::{
+    Conductance, LeastFitting, Loss, Radio, SkillCover, Spread, TeamAudit,
+};
+use muster_model::teams::{Limited, Member, Team, TeamChange, TeamCountScore, TeamNeed, Teams};
 use muster_model::time::Tick;
 use muster_model::wish::{StandingWish, Wish, WishKind, WishList, WishReport, WishState};
 use muster_wire::Message;
@@ -45,6 +48,10 @@ pub fn fleet() -> FleetId {
 
 pub fn robot(name: &str) -> RobotId {
     RobotId::new(name).unwrap()
+}
+
+fn skill(name: &str) -> SkillId {
+    SkillId::new(name).unwrap()
 }
 
 fn team(name: &str) -> TeamId {
@@ -96,6 +103,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         seq,
     };
     let rank = Rank {
+        skills: None,
         superior: Some(robot("r1")),
         weight: Some(1.0),
         role: Some("rifleman".to_owned()),
@@ -103,6 +111,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         boot: boot.clone(),
         seq,
     };
+    let skilled_rank = Rank { skills: Some(vec![skill("relay"), skill("medic")]), ..rank.clone() };
     let relation = Relation { edges: vec![(robot("r1"), robot("r2"), 0.25)], stamp, boot, seq };
     let graph = GraphDelta {
         header: header(42),
@@ -123,6 +132,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
             frame: Some("map".to_owned()),
             superior: Some(robot("r9")),
             role: Some("leader".to_owned()),
+            skills: vec![skill("medic"), skill("relay")],
             last_seen: Tick(NOW.0 - 3_000_000),
         }],
         graphs: vec![(Modality::hierarchy(), revision(42)), (Modality::spatial(), revision(41))],
@@ -193,6 +203,14 @@ pub fn all() -> Vec<(&'static str, Message)> {
             gap: 0.125,
             conflict: Some("8 robots may only be in t1, which holds 6".to_owned()),
         }),
+        needs: vec![TeamNeed {
+            team: team("t1"),
+            skill: skill("medic"),
+            min: 1,
+            max: Some(2),
+            soft: false,
+            have: 0,
+        }],
     };
     let robot_team = teams.robot_team(&robot("r1")).unwrap();
     let report = |space, mean| SilhouetteReport {
@@ -235,6 +253,13 @@ pub fn all() -> Vec<(&'static str, Message)> {
             heads: 1,
             only_head: Some(robot("r1")),
             spread: Some(Spread { rms_m: 2.5, largest_m: 4.0 }),
+            skills: vec![SkillCover {
+                skill: skill("medic"),
+                robots: 3,
+                needed: 1,
+                spare: 2,
+                lacking: 0,
+            }],
         }],
         losses: vec![Loss {
             robot: robot("r1"),
@@ -341,6 +366,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
                 wishes: vec![wish.clone()],
             })),
         ),
+        ("skilled_rank", from_robot("r2", skilled_rank)),
         ("wish_report", Message::Wish(Box::new(WishReport { header: header(48), wish }))),
         ("command_outcome", Message::Outcome(Arc::new(outcome()))),
     ]
@@ -581,6 +607,12 @@ pub fn event_kinds() -> Vec<EventKind> {
             refused: Some(
                 "{\"error\":\"teams: must be 1 or more\",\"field\":\"teams\"}".to_owned(),
             ),
+        },
+        EventKind::NeedFilled {
+            team: team("t1"),
+            skill: skill("medic"),
+            robots: vec![r1()],
+            reason: "r2 is silent".to_owned(),
         },
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));

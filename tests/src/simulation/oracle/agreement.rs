@@ -121,6 +121,9 @@ impl Oracle {
                 teams.requested
             ));
         }
+        if let Some(need) = super::needs::lacking(teams).first() {
+            return Err(format!("{need:?} is not filled, and the division says nothing of it"));
+        }
         if !teams.stale.is_empty() {
             return Err(format!("the division lists {:?} as stale", teams.stale));
         }
@@ -224,6 +227,12 @@ impl Oracle {
             matches!((old, new), ([old], [new]) if same_vectors(old, new))
         };
         if (before.publisher, before.settings) != (now.publisher, now.settings) || !same_vectors() {
+            return Ok(());
+        }
+        // Who can fill needs depends on the roster as well.
+        let able = |teams: &Teams| (teams.stale.clone(), teams.needs.clone());
+        let has_needs = !before.teams.needs.is_empty() || !now.teams.needs.is_empty();
+        if has_needs && able(&before.teams) != able(&now.teams) {
             return Ok(());
         }
         let number = |teams: &Teams| (teams.requested, teams.teams.len());

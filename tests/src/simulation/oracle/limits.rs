@@ -54,7 +54,8 @@ impl Limits {
             return;
         };
         let same = |last: &ClustererSettings| {
-            (&last.size, &last.team_size) == (&settings.size, &settings.team_size)
+            let limits = (&last.size, &last.team_size, &last.needs);
+            limits == (&settings.size, &settings.team_size, &settings.needs)
         };
         if !self.announced.last().is_some_and(same) {
             self.announced.push(settings);
@@ -148,7 +149,7 @@ impl Limits {
 /// Whether a division obeys limits, as far as it says that it does.
 fn obeys(teams: &Teams, settings: &ClustererSettings, has_wishes: bool) -> bool {
     let Some(limited) = &teams.limited else { return !has_limits(settings) };
-    (has_wishes || has_limits(settings))
+    (has_wishes || has_limits(settings) || !settings.needs.is_empty())
         && teams.teams.iter().all(|team| {
             let own = settings.team_size.get(&team.id);
             let least = own.and_then(|own| own.min).or(settings.size.min).unwrap_or(0);

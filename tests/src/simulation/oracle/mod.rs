@@ -11,6 +11,7 @@ mod finite;
 mod ids;
 mod limits;
 mod memory;
+mod needs;
 mod order;
 mod received;
 mod silhouettes;
@@ -146,6 +147,8 @@ pub(crate) struct Oracle {
     carried_out: BTreeSet<(Publisher, OperatorId, CommandId)>,
     /// Whether limits of teams hold.
     limits: limits::Limits,
+    /// Whether their needs are filled.
+    needs: needs::NeedLog,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
     had_forged_terms: bool,
@@ -291,6 +294,7 @@ impl Oracle {
                     self.check_same_again(before)?;
                 }
                 self.limits.check(publisher, teams)?;
+                self.needs.check(now, publisher, teams, &self.rosters)?;
                 self.divisions.add(teams.header.revision, teams);
             }
             Message::Graph(delta) => self.graph = Some(Arc::clone(delta)),

@@ -251,6 +251,7 @@ mod tests {
             frame: None,
             superior: None,
             role: None,
+            skills: vec![],
             last_seen: Tick::default(),
         };
         let header = Header {

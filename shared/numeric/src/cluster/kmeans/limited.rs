@@ -27,8 +27,9 @@ use start::{Divided, Task};
 /// What a division has to respect.
 #[derive(Debug, Clone, Copy)]
 pub struct KMeansLimits<'a> {
-    /// Limits of the teams, which are the clusters, for as many robots as points. Soft minima are refused: their
-    /// prices have no meaning among squared distances.
+    /// Limits of the teams, which are the clusters, for as many robots as points. Soft minima come before nearness: of two
+    /// divisions the one whose missing robots have the lesser prices is better, whatever its inertia. Their prices count
+    /// in the assignments in units of which the largest distance has 2³², and should be above that.
     pub rules: &'a ValidRules,
     /// What a point in the reserve adds to the inertia, at least 0, in squared units of the points.
     pub reserve_cost: f64,
@@ -87,16 +88,6 @@ pub enum LimitedKMeansError {
     /// The cost of the reserve is negative or not a number.
     #[error("the cost of the reserve is {0}: it must be a number from 0 on")]
     ReserveCost(f64),
-    /// A limit has a soft minimum.
-    #[error(
-        "class {class} in {column} has a soft minimum, which k-means does not know: make it hard"
-    )]
-    Wanted {
-        /// The column.
-        column: Column,
-        /// The class.
-        class: usize,
-    },
     /// The costs do not fit integers.
     #[error(transparent)]
     Costs(#[from] CostError),
@@ -136,7 +127,10 @@ impl ValidKMeansOptions<'_> {
                 false => numbers.map(run).collect(),
             });
             for next in found? {
-                if next.inertia < best.inertia * (1.0 - INERTIA_TIE) {
+                if next.shortfall < best.shortfall
+                    || next.shortfall == best.shortfall
+                        && next.inertia < best.inertia * (1.0 - INERTIA_TIE)
+                {
                     best = next;
                 }
             }
@@ -145,12 +139,14 @@ impl ValidKMeansOptions<'_> {
         let mut warm = false;
         if let Some(kept) = task.refined()? {
             let noise = INERTIA_TIE * spread(x);
-            warm = kept.inertia <= (1.0 + options.hysteresis) * best.inertia + noise;
+            warm = kept.shortfall < best.shortfall
+                || kept.shortfall == best.shortfall
+                    && kept.inertia <= (1.0 + options.hysteresis) * best.inertia + noise;
             if warm {
                 best = kept;
             }
         }
-        let Divided { labels, centroids, inertia, iterations, converged } = best;
+        let Divided { labels, centroids, inertia, iterations, converged, shortfall: _ } = best;
         let rules = limits.rules.get();
         let column = |at: &u32| {
             let at = *at as usize;
@@ -189,9 +185,6 @@ fn check(
     }
     if !(limits.reserve_cost.is_finite() && limits.reserve_cost >= 0.0) {
         return Err(LimitedKMeansError::ReserveCost(limits.reserve_cost));
-    }
-    if let Some(soft) = rules.class_limits.iter().find(|limit| limit.wanted.is_some()) {
-        return Err(LimitedKMeansError::Wanted { column: soft.column, class: soft.class });
     }
     Ok(())
 }

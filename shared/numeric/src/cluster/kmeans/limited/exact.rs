@@ -29,6 +29,8 @@ struct Search<'a> {
     below: f64,
     best: Option<Vec<u32>>,
     nodes: usize,
+    /// Prices that the missing robots of a division may have.
+    shortfall: i128,
 }
 
 impl Task<'_> {
@@ -49,13 +51,15 @@ impl Task<'_> {
             below: found.inertia * (1.0 - INERTIA_TIE),
             best: None,
             nodes: 0,
+            shortfall: found.shortfall,
         };
         search.descend(0, 0.0);
         let Some(labels) = search.best else { return found };
         let mut centroids = found.centroids;
         self.update_means(&labels, &mut centroids);
         let inertia = self.inertia(&labels, &centroids);
-        Divided { labels, centroids, inertia, converged: true, iterations: found.iterations }
+        let (iterations, shortfall) = (found.iterations, found.shortfall);
+        Divided { labels, centroids, inertia, converged: true, iterations, shortfall }
     }
 }
 
@@ -82,7 +86,10 @@ impl Search<'_> {
     /// Places the points from place `depth` of the order on, after those before it have come to `inertia`.
     fn descend(&mut self, depth: usize, inertia: f64) {
         let Some(&point) = self.order.get(depth) else {
-            if self.places.hold() && self.task.keeps_numbers(&self.labels) {
+            if self.places.hold()
+                && self.places.shortfall() <= self.shortfall
+                && self.task.keeps_numbers(&self.labels)
+            {
                 self.below = inertia;
                 self.best = Some(self.labels.clone());
             }

@@ -1,6 +1,6 @@
 //! How many points are in each team, and which moves the limits allow.
 
-use crate::assignment::{Bounds, ValidRules};
+use crate::assignment::{Bounds, ValidRules, Wanted};
 
 /// No class with limits.
 const PLAIN: u32 = u32::MAX;
@@ -16,6 +16,8 @@ pub(super) struct Places<'a> {
     /// Limits and counts of classes, classes × columns.
     class_bounds: Vec<Bounds>,
     class_sizes: Vec<usize>,
+    /// Soft minima of classes, as the limits.
+    class_wanted: Vec<Option<Wanted>>,
 }
 
 impl<'a> Places<'a> {
@@ -37,11 +39,13 @@ impl<'a> Places<'a> {
         numbers.sort_unstable();
         numbers.dedup();
         let mut class_bounds = vec![Bounds::ANY; numbers.len() * columns];
+        let mut class_wanted = vec![None; class_bounds.len()];
         for limit in &all.class_limits {
             if let (Ok(class), Ok(column)) =
                 (numbers.binary_search(&limit.class), all.index_of(limit.column))
             {
                 class_bounds[class * columns + column] = limit.bounds;
+                class_wanted[class * columns + column] = limit.wanted;
             }
         }
         let number = |class: &Option<usize>| {
@@ -57,7 +61,7 @@ impl<'a> Places<'a> {
         };
         let class_sizes = vec![0; class_bounds.len()];
         let sizes = vec![0; columns];
-        Self { rules, columns, bounds, sizes, classes, class_bounds, class_sizes }
+        Self { rules, columns, bounds, sizes, classes, class_bounds, class_sizes, class_wanted }
     }
 
     /// Entry of the class of a point in a column.
@@ -105,9 +109,21 @@ impl<'a> Places<'a> {
         self.rules.restrictions.allows(point, column)
     }
 
-    /// True if one less of the class of the point may be in the column.
+    /// Prices of the robots that soft minima lack.
+    pub(super) fn shortfall(&self) -> i128 {
+        let cells = self.class_wanted.iter().zip(&self.class_sizes);
+        let price = |(wanted, size): (&Option<Wanted>, &usize)| {
+            let Wanted { count, price } = (*wanted)?;
+            Some(i128::from(price) * count.saturating_sub(*size) as i128)
+        };
+        cells.filter_map(price).sum()
+    }
+
+    /// True if one less of the class of the point may be in the column. What a soft minimum wants stays, too.
     fn class_may_leave(&self, point: usize, column: usize) -> bool {
-        let spare = |cell: usize| self.class_sizes[cell] > self.class_bounds[cell].lower;
+        let wanted = |cell: usize| self.class_wanted[cell].map_or(0, |wanted| wanted.count);
+        let spare =
+            |cell: usize| self.class_sizes[cell] > self.class_bounds[cell].lower.max(wanted(cell));
         self.cell(point, column).is_none_or(spare)
     }
 

@@ -4,6 +4,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::exchange::Exchanged;
+use super::places::Places;
 use super::seeding::capped_plus_plus;
 use super::{KMeansLimits, LimitedKMeansError, cost_unit};
 use crate::assignment::{Assigner, Bounds, Column, CostMatrix, Rules};
@@ -25,6 +26,8 @@ pub(super) struct Divided {
     pub(super) inertia: f64,
     pub(super) iterations: usize,
     pub(super) converged: bool,
+    /// Prices of the robots that soft minima lack.
+    pub(super) shortfall: i128,
 }
 
 /// What all starts have in common.
@@ -80,6 +83,15 @@ impl<'a> Task<'a> {
         costs.map(|(point, label)| self.cost(point, *label as usize, centroids)).sum()
     }
 
+    /// Prices of the robots that soft minima lack.
+    fn shortfall(&self, labels: &[u32]) -> i128 {
+        let rules = self.limits.rules;
+        if rules.get().class_limits.iter().all(|limit| limit.wanted.is_none()) {
+            return 0;
+        }
+        Places::new(rules, labels).shortfall()
+    }
+
     /// Means of the teams; an empty team keeps its centroid.
     pub(super) fn update_means(&self, labels: &[u32], centroids: &mut DenseMatrix) {
         let labels: Vec<Option<u32>> = labels.iter().map(|label| Some(*label)).collect();
@@ -128,7 +140,15 @@ impl<'a> Task<'a> {
             if !moved || iterations >= limit {
                 let inertia = self.inertia(&labels, &centroids);
                 let converged = settled && !moved;
-                return Ok(Divided { labels, centroids, inertia, iterations, converged });
+                let shortfall = self.shortfall(&labels);
+                return Ok(Divided {
+                    labels,
+                    centroids,
+                    inertia,
+                    iterations,
+                    converged,
+                    shortfall,
+                });
             }
         }
     }
@@ -164,7 +184,8 @@ impl<'a> Task<'a> {
         let Exchanged { passes, settled: converged, .. } =
             self.exchange(&mut labels, &mut centroids, self.options.hysteresis);
         let inertia = self.inertia(&labels, &centroids);
-        Ok(Some(Divided { labels, centroids, inertia, iterations: passes + 1, converged }))
+        let (iterations, shortfall) = (passes + 1, self.shortfall(&labels));
+        Ok(Some(Divided { labels, centroids, inertia, iterations, converged, shortfall }))
     }
 
     /// The exact assignment to `centroids`, where the previous column of a point costs the share `keep` only.
