@@ -37,6 +37,21 @@ async fn limits_hold_are_refused_where_they_cannot_and_say_when_they_no_longer_d
     let divided = watch.until("two teams of five", Duration::from_secs(5), even).await.unwrap();
     assert!(divided["conflict"].is_null(), "{divided}");
 
+    // Every robot learns what its place costs, and where it would cost more than it gains.
+    let prices: Vec<f64> = divided["teams"].as_array().unwrap().iter().map(|team| {
+        team["price"].as_f64().unwrap()
+    }).collect();
+    for name in &names {
+        let (code, out, err) = cluster.muster(&["why", name, "--json"]).unwrap();
+        assert_eq!(code, Some(0), "{err}");
+        let reason: Value = serde_json::from_str(&out).unwrap();
+        for team in reason["teams"].as_array().unwrap() {
+            let place = usize::from(team["team"] == "t2");
+            assert_eq!(team["max"], 5, "{reason}");
+            assert!((team["price"].as_f64().unwrap() - prices[place]).abs() < 0.5, "{prices:?} {reason}");
+        }
+    }
+
     // Two more than there are places.
     let late: Vec<&str> = truth.keys().map(String::as_str).skip(10).collect();
     let others = cluster.robots(&[&SCENARIO[..], &["--only", &late.join(",")]].concat()).unwrap();

@@ -441,6 +441,7 @@ impl Core for Auditor {
                 graphs,
             ],
             tokens: vec![],
+            fetched: vec![],
             served: own
                 .map(ServedKey::own)
                 .into_iter()

@@ -251,6 +251,8 @@ mod tests {
             changes: vec![],
             next_team: 9,
             limited: None,
+            provisional: vec![],
+            held: vec![],
         })
         .unwrap()
     }

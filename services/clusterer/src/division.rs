@@ -147,6 +147,8 @@ pub(crate) fn assemble(
         changes: named.changes,
         next_team: named.next_team,
         limited: None,
+        provisional: vec![],
+        held: vec![],
     })
 }
 

@@ -313,6 +313,8 @@ mod tests {
             changes: vec![],
             next_team,
             limited: None,
+            provisional: vec![],
+            held: vec![],
         }
     }
 

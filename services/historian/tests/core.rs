@@ -64,6 +64,8 @@ fn division(epoch: u64, teams: &[&[usize]]) -> Message {
         changes: Vec::new(),
         next_team: 9,
         limited: None,
+        provisional: vec![],
+        held: vec![],
     };
     Message::Teams { teams: Checked::new(teams).unwrap(), mirror: false }
 }

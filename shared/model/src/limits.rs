@@ -127,3 +127,6 @@ pub const MAX_WISH_ROBOTS: usize = 64;
 
 /// Longest note of a wish in characters: a sentence or two.
 pub const MAX_NOTE_LENGTH: usize = 256;
+
+/// Most teams that a reason lists: a robot's own and those that draw it most, as many as fit a screen.
+pub const MAX_REASON_TEAMS: usize = 16;

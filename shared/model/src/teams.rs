@@ -90,6 +90,18 @@ pub struct Limited {
     pub gap: f64,
     /// Why nothing satisfies the limits, so that the last division stands; none where this one does.
     pub conflict: Option<String>,
+    /// What a place in each team costs, in the order of the teams, as a squared distance: above zero where the team is
+    /// full, below where it has as few robots as it must have. Empty while nothing satisfies the limits.
+    pub prices: Vec<f64>,
+}
+
+/// A robot that is kept in its team for now.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct HeldRobot {
+    /// The robot.
+    pub robot: RobotId,
+    /// The team that it would be in if it did not have to last.
+    pub team: TeamId,
 }
 
 /// The division of the fleet.
@@ -118,6 +130,11 @@ pub struct Teams {
     pub next_team: u64,
     /// How it stands to the limits; none without any.
     pub limited: Option<Limited>,
+    /// Robots with a team that one modality alone relates to others, where several relate robots of the fleet, ordered by
+    /// name: nothing confirms their place.
+    pub provisional: Vec<RobotId>,
+    /// Robots that the newest vectors put into another team, for not long enough yet, ordered by name.
+    pub held: Vec<HeldRobot>,
 }
 
 impl Teams {
@@ -129,13 +146,14 @@ impl Teams {
     }
 
     /// Whether another division has the same teams with the same members and leaders, and the same
-    /// robots without a team or stale, and stands to the limits alike.
+    /// robots without a team, stale or provisional, and stands to the limits alike.
     #[must_use]
     pub fn same_division(&self, other: &Self) -> bool {
         let conflict =
             |teams: &Self| teams.limited.as_ref().map(|limited| limited.conflict.clone());
         self.unassigned == other.unassigned
             && self.stale == other.stale
+            && self.provisional == other.provisional
             && conflict(self) == conflict(other)
             && self.teams.len() == other.teams.len()
             && self.teams.iter().zip(&other.teams).all(|(left, right)| {
@@ -194,6 +212,8 @@ impl Content for Teams {
         if !self.teams.iter().all(|team| by_name(&team.members))
             || !self.unassigned.is_sorted()
             || !self.stale.is_sorted()
+            || !self.provisional.is_sorted()
+            || !self.held.is_sorted_by(|left, right| left.robot < right.robot)
         {
             return refuse("teams", "robots must be ordered by name");
         }
@@ -213,6 +233,12 @@ impl Content for Teams {
             let fits = |text: &String| text.chars().count() <= MAX_CONFLICT_LENGTH;
             if !limited.conflict.iter().all(fits) {
                 return refuse("conflict", "is longer than it may be");
+            }
+            let prices = &limited.prices;
+            if !prices.is_empty() && prices.len() != self.teams.len()
+                || !prices.iter().all(|price| price.is_finite())
+            {
+                return refuse("price", "must be a finite number for each team, or for none");
             }
         }
         if !self.considered.iter().all(|number| number.score.is_finite()) {

@@ -107,6 +107,8 @@ mod tests {
             changes: vec![],
             next_team: 2,
             limited: None,
+            provisional: vec![],
+            held: vec![],
         })
     }
 

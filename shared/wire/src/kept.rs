@@ -147,6 +147,8 @@ mod tests {
             changes: vec![],
             next_team: 8,
             limited: None,
+            provisional: vec![],
+            held: vec![],
         };
         let wish = Wish {
             kind: WishKind::Reserve,

@@ -77,6 +77,8 @@ pub enum Key {
     Wishes,
     /// `json/wishes`: all wishes as JSON.
     JsonWishes,
+    /// `why`: a get of `why?robot=` answers with the reasons why a robot is in its team.
+    Why,
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -249,6 +251,7 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("json"), Some("alerts"), None, ..] => Key::JsonAlerts,
         [Some("json"), Some("wishes"), None, ..] => Key::JsonWishes,
         [Some("wishes"), None, ..] => Key::Wishes,
+        [Some("why"), None, ..] => Key::Why,
         [Some("wish"), Some(operator), Some(id), None, _] => {
             Key::Wish(operator.parse().ok()?, id.parse().ok()?)
         }
@@ -384,6 +387,7 @@ impl fmt::Display for Key {
             Self::Wish(operator, id) => write!(formatter, "wish/{operator}/{id}"),
             Self::Wishes => formatter.write_str("wishes"),
             Self::JsonWishes => formatter.write_str("json/wishes"),
+            Self::Why => formatter.write_str("why"),
             Self::Foreign(key) => key.fmt(formatter),
         }
     }
@@ -423,6 +427,7 @@ mod tests {
             Key::Wish(OperatorId::new("alice").unwrap(), WishId::new("p1").unwrap()),
             Key::Wishes,
             Key::JsonWishes,
+            Key::Why,
         ];
         let robot = RobotId::new("r2").unwrap();
         keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));
@@ -495,6 +500,7 @@ mod tests {
             "json/embedding",
             "graph",
             "graph/a/b",
+            "why/r1",
             "wish/alice",
             "wish/alice/p1/x",
             "wish/A/p1",

@@ -20,6 +20,7 @@ use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
+use muster_model::why::Why;
 use muster_model::wish::{WishList, WishReport};
 
 use crate::decode::{DecodeError, check_header, format, payload};
@@ -92,6 +93,8 @@ pub enum Message {
     Wishes(Checked<WishList>),
     /// One wish: what a get of its key is answered with.
     Wish(Box<WishReport>),
+    /// Why a robot is in its team: what a get of `why?robot=` is answered with.
+    Why(Box<Why>),
 }
 
 fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
@@ -199,6 +202,7 @@ impl Message {
             | Key::History(_)
             | Key::HistoryState(_)
             | Key::Schema
+            | Key::Why
             | Key::Stream(..)
             | Key::Foreign(_) => return Err(DecodeError::NotRead),
         })
@@ -222,6 +226,7 @@ impl Message {
             Self::Alerts(alerts) => Some(&alerts.header),
             Self::Wishes(list) => Some(&list.header),
             Self::Wish(report) => Some(&report.header),
+            Self::Why(why) => Some(&why.header),
             _ => None,
         }
     }
@@ -253,6 +258,7 @@ impl Message {
             Self::Wish(report) => {
                 (Key::Wish(report.wish.operator.clone(), report.wish.id.clone()), None)
             }
+            Self::Why(_) => (Key::Why, None),
         }
     }
 
@@ -293,6 +299,7 @@ impl Message {
             | Self::History(_)
             | Self::HistoryState(_)
             | Self::Wish(_)
+            | Self::Why(_)
             | Self::Katz(_) => Format::Json,
             _ => Format::Binary,
         };
@@ -364,6 +371,7 @@ impl Message {
             Self::Alerts(alerts) => alerts.to_json(now),
             Self::Wishes(list) => list.to_json(now),
             Self::Wish(report) => report.to_json(now),
+            Self::Why(why) => why.to_json(now),
         }
     }
 
@@ -391,6 +399,7 @@ impl Message {
             | Self::History(_)
             | Self::HistoryState(_)
             | Self::Wish(_)
+            | Self::Why(_)
             | Self::Katz(_) => Err(EnvelopeError::Encode(
                 "this message has no binary form; ask with format=json".to_owned(),
             )),

@@ -28,7 +28,7 @@ use serde_json::{Map, Value, json};
 use crate::envelope::MAX_SMALL_PAYLOAD;
 use crate::json::{
     AlertsForm, AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm,
-    RobotTeamForm, RosterForm, TeamsForm, WishReportForm, WishesForm,
+    RobotTeamForm, RosterForm, TeamsForm, WishReportForm, WishesForm, WhyForm,
 };
 use crate::report;
 
@@ -169,6 +169,7 @@ impl Schemas {
              that is named twice, a wish that contradicts the limits and the other wishes for the robots of the \
              fleet, more than 256 wishes, and a key with wildcards. null withdraws the wish.",
         );
+        all.written::<WhyForm<'_>>("why", &["why?robot={robot}"]);
         all.written::<Problem<'_>>("error", &[]);
         all
     }

@@ -71,7 +71,7 @@ pub(crate) const KEYS: [&str; 16] = [
 ];
 
 /// What gets select.
-const SELECTORS: [&str; 16] = [
+const SELECTORS: [&str; 17] = [
     "~/**",
     "~/service/ingest/settings",
     "~/service/embedder/settings",
@@ -88,6 +88,7 @@ const SELECTORS: [&str; 16] = [
     "~/robot/r1/team",
     "**/team",
     "~/nothing",
+    "~/why",
 ];
 
 /// What gets ask for.
@@ -95,7 +96,7 @@ const PARAMETERS: [&str; 8] = [
     "",
     "format=json",
     "format=bincode",
-    "x=1;format=json",
+    "robot=r1;format=json",
     "katz=r1,r2",
     "format=json;katz=r2,r1",
     "format=bincode;katz=r1,r2",
@@ -150,6 +151,7 @@ struct World<C: Core> {
 struct OpenGet {
     /// A get of a pair may wait for a job.
     is_of_pair: bool,
+    is_of_reason: bool,
     is_binary: bool,
 }
 
@@ -315,14 +317,15 @@ impl<C: Core> World<C> {
     }
 
     fn get(&mut self, draw: &mut Draw<'_>) {
-        let selector = SELECTORS[usize::from(draw.below(16))].replace('~', "muster/v1/alpha");
+        let selector = SELECTORS[usize::from(draw.below(17))].replace('~', "muster/v1/alpha");
         let choice = draw.byte();
         let parameters = PARAMETERS[usize::from(choice & 3 | (choice & 8) >> 1)].to_owned();
         let payload = (choice & 4 != 0).then(|| draw.block().to_vec());
         self.gets += 1;
         let get = GetId(self.gets);
         let is_binary = parameters.contains("format=bincode");
-        self.open.insert(get, OpenGet { is_of_pair: choice & 8 != 0, is_binary });
+        let is_of_reason = selector.ends_with("/why");
+        self.open.insert(get, OpenGet { is_of_pair: choice & 8 != 0, is_of_reason, is_binary });
         self.handle(Input::Get(IncomingGet { get, selector, narrowed: None, parameters, payload }));
     }
 
@@ -376,7 +379,11 @@ impl<C: Core> World<C> {
             }
         }
         if self.stores == 0 {
-            let waits = |get: &OpenGet| get.is_of_pair && self.job.is_some();
+            // A reason waits for the division as well.
+            let waits = |get: &OpenGet| {
+                (get.is_of_pair || get.is_of_reason) && self.job.is_some()
+                    || get.is_of_reason && !self.asks.is_empty()
+            };
             assert!(self.open.values().all(waits), "a get is not answered");
         }
         if self.asks.len() > MAX_ASKS {
@@ -389,7 +396,7 @@ impl<C: Core> World<C> {
         let Err(error) = &reply.answer else { return };
         text::check(error, MAX_ERROR);
         // These have no binary form, and a get of one is answered with that.
-        let has_none = |message| matches!(message, &(Message::Status(_) | Message::Katz(_)));
+        let has_none = |message| matches!(message, &(Message::Status(_) | Message::Katz(_) | Message::Why(_)));
         let is_explained =
             reply.messages.is_empty() || open.is_binary && reply.messages.iter().any(has_none);
         assert!(is_explained, "{:?} is not answered: {error}", reply.messages);

@@ -300,6 +300,7 @@ impl Author {
             dimension,
             values: (0..values.min(256)).map(|_| draw.number()).collect(),
             without_embedding: robots.iter().map(|_| draw.below(4) == 1).collect(),
+            provisional: robots.iter().map(|_| draw.below(4) == 1).collect(),
             centrality: robots.iter().map(|_| draw.number()).collect(),
             robots,
             quality: EmbeddingQuality {
@@ -359,7 +360,10 @@ impl Author {
                 optimal: draw.byte() % 2 == 0,
                 gap: draw.number(),
                 conflict: None,
+                prices: Vec::new(),
             }),
+            provisional: draw.robots(),
+            held: Vec::new(),
         }
     }
 

@@ -454,6 +454,8 @@ mod tests {
             changes: Vec::new(),
             next_team,
             limited: None,
+            provisional: vec![],
+            held: vec![],
         }
     }
 

@@ -58,6 +58,10 @@ impl Shown for Teams {
         if !self.stale.is_empty() {
             lines.push(format!("stale: {}", names(self.stale.iter())));
         }
+        if !self.provisional.is_empty() {
+            let robots = names(self.provisional.iter());
+            lines.push(format!("provisional, as one modality alone relates them: {robots}"));
+        }
         if let Some(conflict) = self.limited.as_ref().and_then(|limited| limited.conflict.as_ref())
         {
             lines.push(format!("limits do not hold: {conflict}"));
@@ -125,6 +129,8 @@ mod tests {
             considered: vec![],
             next_team: 3,
             limited: None,
+            provisional: vec![],
+            held: vec![],
             inertia: 0.0,
             unassigned: vec![robot("loose".to_owned())],
             stale: vec![],

@@ -254,6 +254,8 @@ pub(crate) fn output(header: Header) -> Message {
         changes: Vec::new(),
         next_team: 1,
         limited: None,
+        provisional: vec![],
+        held: vec![],
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

@@ -35,6 +35,7 @@ pub(crate) fn check(message: &Message) -> Verified {
         Message::Alerts(alerts) => alerts.serialize(Walker),
         Message::Wishes(list) => list.serialize(Walker),
         Message::Wish(report) => report.wish.serialize(Walker),
+        Message::Why(why) => why.reason.serialize(Walker),
     };
     match walked {
         Ok(()) => Ok(()),
