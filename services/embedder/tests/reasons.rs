@@ -159,17 +159,17 @@ fn bench(ingest: &mut Ingest) -> Bench {
 #[test]
 fn a_robot_learns_what_draws_it_where() {
     let mut bench = bench(&mut fleet());
-    let teams = split(bench.last(), 0);
+    let teams = split(bench.last(), 1);
     let reason = bench.why("m", vec![message(&teams)]).unwrap();
-    assert_eq!((reason.team.as_str(), reason.decided_by), ("t1", DecidedBy::Relations));
+    assert_eq!((reason.team.as_str(), reason.decided_by), ("t2", DecidedBy::Relations));
     assert_eq!((reason.teams.len(), reason.older_s, reason.division.epoch), (2, None, 7));
     let pull = |team: usize, name: &str| {
         let pulls = &reason.teams[team].modalities;
         pulls.iter().find(|pull| pull.modality.as_str() == name).unwrap().pull
     };
-    assert!(pull(0, "connectivity") > pull(1, "connectivity"), "{reason:?}");
-    assert!(pull(0, "spatial") < pull(1, "spatial"), "{reason:?}");
-    assert!(reason.text.starts_with("m is in t1, which draws it more than t2 by "), "{}", reason.text);
+    assert!(pull(0, "connectivity") < pull(1, "connectivity"), "{reason:?}");
+    assert!(pull(0, "spatial") > pull(1, "spatial"), "{reason:?}");
+    assert!(reason.text.starts_with("m is in t2, which draws it more than t1 by "), "{}", reason.text);
     let own = &reason.teams[0];
     assert!(own.hysteresis > 0.0 && own.price == 0.0 && (own.robots, own.max) == (5, None));
     assert!(reason.teams.iter().all(|team| team.rest.abs() < 1e-9));
@@ -180,7 +180,7 @@ fn a_robot_learns_what_draws_it_where() {
 #[test]
 fn limits_wishes_and_dwell_are_told() {
     let mut bench = bench(&mut fleet());
-    let teams = split(bench.last(), 1);
+    let teams = split(bench.last(), 0);
     let away = bench.why("m", vec![message(&teams)]).unwrap();
     assert_eq!(away.decided_by, DecidedBy::WholeDivision, "{}", away.text);
     let gain = away.teams[1].score - away.teams[0].score;
@@ -191,7 +191,7 @@ fn limits_wishes_and_dwell_are_told() {
             optimal: true,
             gap: 0.0,
             conflict: None,
-            prices: vec![gain + 0.25, 0.0],
+            prices: vec![0.0, gain + 0.25],
         }),
         ..teams.clone()
     };
@@ -199,21 +199,21 @@ fn limits_wishes_and_dwell_are_told() {
     let reason = bench.why("m", vec![message(&limited), settings]).unwrap();
     assert_eq!(reason.decided_by, DecidedBy::Limits);
     assert_eq!((reason.teams[1].max, reason.teams[1].price), (Some(4), gain + 0.25));
-    let text = "t1 is full (4 robots): its place costs 0.250 more than m gains.";
+    let text = "t2 is full (4 robots): its place costs 0.250 more than m gains.";
     assert!(reason.text.contains(text), "{}", reason.text);
 
-    let pinned = wishes(&[(WishKind::Pin, "m", Some("t2")), (WishKind::Ban, "a1", Some("t2"))]);
+    let pinned = wishes(&[(WishKind::Pin, "m", Some("t1")), (WishKind::Ban, "a1", Some("t2"))]);
     let reason = bench.why("m", vec![message(&teams), pinned.clone()]).unwrap();
     assert_eq!((reason.decided_by, reason.wishes.len()), (DecidedBy::Wishes, 1));
-    assert!(reason.text.contains("The wish alice/p0 holds it in t2."), "{}", reason.text);
+    assert!(reason.text.contains("The wish alice/p0 holds it in t1."), "{}", reason.text);
     let reason = bench.why("a1", vec![message(&teams), pinned]).unwrap();
     assert_eq!(reason.decided_by, DecidedBy::Relations);
     assert!(reason.teams[1].barred && reason.text.contains("alice/p1 keeps it out of t2"));
-    let locked = wishes(&[(WishKind::Lock, "", Some("t2"))]);
+    let locked = wishes(&[(WishKind::Lock, "", Some("t1"))]);
     let reason = bench.why("m", vec![message(&teams), locked]).unwrap();
     assert!(reason.teams[1].barred && reason.decided_by == DecidedBy::Wishes, "{}", reason.text);
 
-    let held = vec![HeldRobot { robot: robot("m"), team: TeamId::numbered(1) }];
+    let held = vec![HeldRobot { robot: robot("m"), team: TeamId::numbered(2) }];
     let held = Teams { held, provisional: vec![robot("m")], ..teams };
     let reason = bench.why("m", vec![message(&held)]).unwrap();
     assert_eq!(reason.decided_by, DecidedBy::Dwell);
