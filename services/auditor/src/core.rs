@@ -238,6 +238,8 @@ impl Auditor {
         let Some(slot) = context.free_job_slot().filter(|_| self.newest.is_some()) else { return };
         let Some((input, source)) = self.input() else {
             self.fetch_at = self.fetch_at.or_else(|| Some(context.now().after(EMBEDDING_GRACE)));
+            // What comes is considered again; until then no newer graph helps.
+            self.teams_at = None;
             return;
         };
         self.fetch_at = None;

@@ -254,6 +254,8 @@ impl<C: Core> Bench<C> {
             self.now = self.now.max(due);
             self.input(Input::Timer);
         }
+        let due = self.host.deadline();
+        assert!(due.is_none_or(|due| due > until), "woken again and again, and does nothing");
         self.now = until;
     }
 

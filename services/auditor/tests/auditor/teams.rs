@@ -178,6 +178,21 @@ fn teams_that_a_new_embedding_has_left_as_they_were_are_scored_a_second_later() 
 }
 
 #[test]
+fn newer_graphs_wait_for_an_embedding_that_is_missing() {
+    let mut bench = with_graphs();
+    bench.wait(0.1);
+    bench.receive(graph(2, "connectivity", &PATH[..3]));
+    bench.receive(frame_roster(2, &["connectivity"], &[("b", "a")]));
+    bench.receive(teams(2, 2, TWO, ""));
+    let jobs = bench.jobs_run;
+    bench.wait(2.0);
+    assert_eq!(bench.jobs_run, jobs);
+    bench.forget_audits();
+    bench.receive(embedding(2, SIX));
+    assert_eq!(bench.audit().graphs, Some(revision(102)));
+}
+
+#[test]
 fn a_graph_that_is_missing_is_fetched() {
     let mut bench = with_graphs();
     bench.wait(1.0);

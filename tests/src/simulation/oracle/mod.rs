@@ -244,7 +244,15 @@ impl Oracle {
         let service = publisher.service;
         finite::check(message)?;
         self.order.check(now, publisher, message)?;
-        if !matches!(message, Message::Event(_) | Message::Settings(_) | Message::LeaseRenewal(_)) {
+        // A new leader publishes the lists of wishes and of alerts that it goes on with before anything of its own.
+        if matches!(
+            message,
+            Message::Roster(_)
+                | Message::Graph(_)
+                | Message::Embedding(_)
+                | Message::Teams { .. }
+                | Message::Audit(_)
+        ) {
             self.last_by.insert(service, publisher);
         }
         match message {

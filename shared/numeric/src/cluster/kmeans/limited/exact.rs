@@ -32,7 +32,7 @@ struct Search<'a> {
 }
 
 impl Task<'_> {
-    /// `found`, or a division of less inertia if the points are few and there is one.
+    /// `found`, or a division of less inertia in which teams keep their numbers, if the points are few and there is one.
     pub(super) fn searched(&self, found: Divided) -> Divided {
         let points = self.points.len();
         if points > MAX_POINTS {
@@ -59,11 +59,30 @@ impl Task<'_> {
     }
 }
 
+impl Task<'_> {
+    /// Whether no exchange of the numbers of two teams would leave more points in their previous team. Where the limits of
+    /// teams differ, the division of the least inertia may be one in which everybody's team has another number.
+    fn keeps_numbers(&self, labels: &[u32]) -> bool {
+        let teams = self.teams();
+        let mut stayed = vec![0_usize; teams * teams];
+        for (before, now) in self.previous.iter().zip(labels) {
+            if let Some(before) = before.map(|before| before as usize)
+                && before < teams
+                && (*now as usize) < teams
+            {
+                stayed[before * teams + *now as usize] += 1;
+            }
+        }
+        let at = |before: usize, now: usize| stayed[before * teams + now];
+        (0..teams).all(|a| (0..a).all(|b| at(a, b) + at(b, a) <= at(a, a) + at(b, b)))
+    }
+}
+
 impl Search<'_> {
     /// Places the points from place `depth` of the order on, after those before it have come to `inertia`.
     fn descend(&mut self, depth: usize, inertia: f64) {
         let Some(&point) = self.order.get(depth) else {
-            if self.places.hold() {
+            if self.places.hold() && self.task.keeps_numbers(&self.labels) {
                 self.below = inertia;
                 self.best = Some(self.labels.clone());
             }

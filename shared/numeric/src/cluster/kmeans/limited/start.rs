@@ -34,7 +34,7 @@ pub(super) struct Task<'a> {
     pub(super) limits: &'a KMeansLimits<'a>,
     unit: f64,
     /// Place of the previous column of every point, where it still is one.
-    previous: Vec<Option<u32>>,
+    pub(super) previous: Vec<Option<u32>>,
     /// Mean of the points that are forced into each team, or else that were in it before.
     anchors: Vec<Option<Vec<f64>>>,
 }
