@@ -42,7 +42,8 @@ async fn limits_hold_are_refused_where_they_cannot_and_say_when_they_no_longer_d
     let (code, out, err) = cluster.muster(&["why", names[0], "--json"]).unwrap();
     assert_eq!(code, Some(0), "{err}");
     let reason: Value = serde_json::from_str(&out).unwrap();
-    let limited = |team: &Value| team["max"] == 5 && team["robots"] == 5 && team["price"].is_number();
+    let limited =
+        |team: &Value| team["max"] == 5 && team["robots"] == 5 && team["price"].is_number();
     assert!(reason["teams"].as_array().is_some_and(|teams| teams.iter().all(limited)), "{reason}");
 
     // Two more than there are places.

@@ -55,12 +55,9 @@ pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionErro
         Ok(identity::named(members, ids, unassigned, job.previous.as_deref(), &job.memory))
     })?;
     teams.limited = Some(match conflict {
-        Some(conflict) => Limited {
-            optimal: false,
-            gap: 1.0,
-            conflict: Some(conflict),
-            prices: Vec::new(),
-        },
+        Some(conflict) => {
+            Limited { optimal: false, gap: 1.0, conflict: Some(conflict), prices: Vec::new() }
+        }
         None => judge(rules, &teams, embedding)?,
     });
     Ok(teams)
@@ -123,12 +120,7 @@ pub(crate) fn judge(
     let valid = rules.assignment(&columns, &robots)?;
     let groups = rules.groups(&valid, &robots)?.valid;
     let found = optimality(&x, &labels, &centroids, &valid, &groups)?;
-    Ok(Limited {
-        optimal: found.optimal,
-        gap: found.gap,
-        conflict: None,
-        prices: found.prices,
-    })
+    Ok(Limited { optimal: found.optimal, gap: found.gap, conflict: None, prices: found.prices })
 }
 
 /// A division as the assignment gives it.

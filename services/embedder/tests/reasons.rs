@@ -12,7 +12,7 @@ use muster_model::embedding::Embedding;
 use muster_model::header::{Header, Revision, StageTime};
 use muster_model::id::{FleetId, OperatorId, RobotId, ServiceName, TeamId, WishId};
 use muster_model::limits::MAX_REASON_TEAMS;
-use muster_model::settings::EmbedderSettings;
+use muster_model::settings::{ClustererSettings, EmbedderSettings, TeamSize};
 use muster_model::teams::{HeldRobot, Limited, Member, Team, Teams};
 use muster_model::why::{DecidedBy, Reason, Why};
 use muster_model::wish::{StandingWish, Wish, WishKind, WishList, WishState};
@@ -169,7 +169,11 @@ fn a_robot_learns_what_draws_it_where() {
     };
     assert!(pull(0, "connectivity") < pull(1, "connectivity"), "{reason:?}");
     assert!(pull(0, "spatial") > pull(1, "spatial"), "{reason:?}");
-    assert!(reason.text.starts_with("m is in t2, which draws it more than t1 by "), "{}", reason.text);
+    assert!(
+        reason.text.starts_with("m is in t2, which draws it more than t1 by "),
+        "{}",
+        reason.text
+    );
     let own = &reason.teams[0];
     assert!(own.hysteresis > 0.0 && own.price == 0.0 && (own.robots, own.max) == (5, None));
     assert!(reason.teams.iter().all(|team| team.rest.abs() < 1e-9));
@@ -195,7 +199,9 @@ fn limits_wishes_and_dwell_are_told() {
         }),
         ..teams.clone()
     };
-    let settings = announced(r#"{"size": {"min": 1, "max": 4}}"#);
+    let size = TeamSize { min: Some(1), max: Some(4) };
+    let settings = ClustererSettings { size, ..ClustererSettings::default() };
+    let settings = announced(&serde_json::to_string(&settings).unwrap());
     let reason = bench.why("m", vec![message(&limited), settings]).unwrap();
     assert_eq!(reason.decided_by, DecidedBy::Limits);
     assert_eq!((reason.teams[1].max, reason.teams[1].price), (Some(4), gain + 0.25));
@@ -285,8 +291,16 @@ fn what_has_no_reason_is_refused_with_one() {
     bench.frame(&mut ingest);
     let new = bench.why("new", vec![before]).unwrap_err();
     assert!(new.contains("new is not in the last division yet"), "{new}");
-    let questions =
-        ["", "robot", "robot=", "robot=R", "robot=\u{1b}[2J", "x=1", "robot=a;robot=b", "robot=%00"];
+    let questions = [
+        "",
+        "robot",
+        "robot=",
+        "robot=R",
+        "robot=\u{1b}[2J",
+        "x=1",
+        "robot=a;robot=b",
+        "robot=%00",
+    ];
     for wrong in questions {
         bench.ask(1, wrong);
         let error = bench.answered().unwrap_err();

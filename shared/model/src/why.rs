@@ -254,10 +254,10 @@ impl Reason {
             _ => text.push_str(", and there is no other team."),
         }
         self.name_wishes(&mut text);
-        if let Some(team) =
-            self.held_from.as_ref().filter(|_| self.decided_by != DecidedBy::Dwell)
+        if let Some(team) = self.held_from.as_ref().filter(|_| self.decided_by != DecidedBy::Dwell)
         {
-            let _ = write!(text, " The newest division has it in {team}, which has not lasted yet.");
+            let _ =
+                write!(text, " The newest division has it in {team}, which has not lasted yet.");
         }
         if self.provisional {
             text.push_str(
@@ -283,9 +283,8 @@ impl Reason {
             pull.map_or(0.0, |pull| pull.pull)
         };
         let pulls = own.modalities.iter();
-        let mut gains: Vec<(&Modality, f64)> = pulls
-            .map(|pull| (&pull.modality, pull.pull - of_next(&pull.modality)))
-            .collect();
+        let mut gains: Vec<(&Modality, f64)> =
+            pulls.map(|pull| (&pull.modality, pull.pull - of_next(&pull.modality))).collect();
         gains.sort_by(|left, right| right.1.total_cmp(&left.1));
         let known: f64 = gains.iter().map(|(_, gain)| gain).sum();
         for (modality, gain) in gains {

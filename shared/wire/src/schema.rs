@@ -28,7 +28,7 @@ use serde_json::{Map, Value, json};
 use crate::envelope::MAX_SMALL_PAYLOAD;
 use crate::json::{
     AlertsForm, AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm,
-    RobotTeamForm, RosterForm, TeamsForm, WishReportForm, WishesForm, WhyForm,
+    RobotTeamForm, RosterForm, TeamsForm, WhyForm, WishReportForm, WishesForm,
 };
 use crate::report;
 

@@ -396,7 +396,8 @@ impl<C: Core> World<C> {
         let Err(error) = &reply.answer else { return };
         text::check(error, MAX_ERROR);
         // These have no binary form, and a get of one is answered with that.
-        let has_none = |message| matches!(message, &(Message::Status(_) | Message::Katz(_) | Message::Why(_)));
+        let has_none =
+            |message| matches!(message, &(Message::Status(_) | Message::Katz(_) | Message::Why(_)));
         let is_explained =
             reply.messages.is_empty() || open.is_binary && reply.messages.iter().any(has_none);
         assert!(is_explained, "{:?} is not answered: {error}", reply.messages);

@@ -269,8 +269,7 @@ impl Clusterer {
 /// The robots with a team whose place nothing confirms, ordered by name.
 fn provisional(teams: &Teams, embedding: &Embedding) -> Vec<RobotId> {
     let marked = embedding.robots.iter().zip(&embedding.provisional);
-    let marked = marked.filter(|(robot, marked)| {
-        **marked && teams.unassigned.binary_search(robot).is_err()
-    });
+    let marked =
+        marked.filter(|(robot, marked)| **marked && teams.unassigned.binary_search(robot).is_err());
     marked.map(|(robot, _)| robot.clone()).collect()
 }

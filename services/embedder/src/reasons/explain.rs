@@ -112,7 +112,9 @@ fn reason(robot: &RobotId, own: usize, attraction: Attraction, task: &Task) -> R
             min: limits.least(),
             barred: number != own && is_barred(&id, &wishes),
             score: pull.score,
-            modalities: modalities.map(|(modality, pull)| ModalityPull { modality, pull }).collect(),
+            modalities: modalities
+                .map(|(modality, pull)| ModalityPull { modality, pull })
+                .collect(),
             itself: pull.itself,
             spread: pull.spread,
             rest: pull.rest,

@@ -51,8 +51,12 @@ pub(crate) async fn run(args: &WhyArgs, config: &ProcessConfig) -> anyhow::Resul
 /// The paragraph, and a table of the parts of each total.
 fn lines(why: &Why, page: &Page) -> Vec<String> {
     let Reason { text, teams, .. } = &why.reason;
-    let names: Vec<&Modality> =
-        teams.first().into_iter().flat_map(|team| &team.modalities).map(|of| &of.modality).collect();
+    let names: Vec<&Modality> = teams
+        .first()
+        .into_iter()
+        .flat_map(|team| &team.modalities)
+        .map(|of| &of.modality)
+        .collect();
     let mut columns: Vec<Column> = ["team", "robots", "total"].map(Column::kept).to_vec();
     columns.extend(names.iter().map(|name| Column::kept(name.as_str())));
     columns.extend(["itself", "spread", "rest", "price", "hysteresis"].map(Column::kept));
@@ -69,7 +73,8 @@ fn lines(why: &Why, page: &Page) -> Vec<String> {
             0.0 - team.price,
             team.hysteresis,
         ]);
-        let name = if team.barred { format!("{} (barred)", team.team) } else { team.team.to_string() };
+        let name =
+            if team.barred { format!("{} (barred)", team.team) } else { team.team.to_string() };
         let robots = match team.max {
             Some(max) => format!("{} of {max}", team.robots),
             None => team.robots.to_string(),
