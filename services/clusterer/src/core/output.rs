@@ -49,10 +49,11 @@ impl Clusterer {
             self.moves.keep(&held);
         }
         let mut teams = new.clone();
-        let kept = held.iter().filter_map(|(robot, _)| {
-            Some(HeldRobot { robot: robot.clone(), team: new.robot_team(robot)?.team? })
-        });
-        let kept: Vec<HeldRobot> = kept.collect();
+        let elsewhere = new.assignments().filter(|(robot, _)| held.contains_key(*robot));
+        let mut kept: Vec<HeldRobot> = elsewhere
+            .map(|(robot, team)| HeldRobot { robot: robot.clone(), team: team.clone() })
+            .collect();
+        kept.sort_unstable_by(|left, right| left.robot.cmp(&right.robot));
         if !held.is_empty() {
             match with_held(&new, &held, rules.as_ref(), &source.embedding) {
                 Ok(with_held) => {

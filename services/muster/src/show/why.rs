@@ -48,6 +48,12 @@ pub(crate) async fn run(args: &WhyArgs, config: &ProcessConfig) -> anyhow::Resul
     Ok(out.flush()?)
 }
 
+/// A number as the table has it; rounding has no sign.
+fn shown(number: f64) -> String {
+    let text = format!("{number:.3}");
+    if text == "-0.000" { "0.000".to_owned() } else { text }
+}
+
 /// The paragraph, and a table of the parts of each total.
 fn lines(why: &Why, page: &Page) -> Vec<String> {
     let Reason { text, teams, .. } = &why.reason;
@@ -79,7 +85,7 @@ fn lines(why: &Why, page: &Page) -> Vec<String> {
             Some(max) => format!("{} of {max}", team.robots),
             None => team.robots.to_string(),
         };
-        [name, robots].into_iter().chain(numbers.map(|number| format!("{number:.3}"))).collect()
+        [name, robots].into_iter().chain(numbers.map(shown)).collect()
     };
     let mut lines = vec![text.clone(), String::new()];
     lines.extend(page.table(&columns, teams.iter().map(row)));
