@@ -7,11 +7,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use muster_tests::cluster::{SERVICES, free_endpoint};
+use muster_tests::cluster::free_endpoint;
 use muster_tests::process::{Process, program, run};
 use serde_json::Value;
 
 const SOON: Duration = Duration::from_secs(20);
+
+/// The services that are deployed.
+const SERVICES: [&str; 5] = ["ingest", "embedder", "clusterer", "auditor", "historian"];
 
 /// Highest exposure that `systemd-analyze security` may see, in tenths: 10.0 is a process of root
 /// without any restriction.

@@ -247,6 +247,8 @@ fn golden() -> Vec<Seed> {
         ("event", "event"),
         ("event_change", "event"),
         ("settings", "service/clusterer/settings"),
+        ("wishes", "wishes"),
+        ("alerts", "alerts"),
     ];
     for (place, (name, key)) in keys.into_iter().enumerate() {
         let hex = std::fs::read_to_string(folder.join(format!("{name}.hex"))).unwrap();
@@ -260,8 +262,14 @@ fn golden() -> Vec<Seed> {
         let head = format!("p~{key}\n{BINARY}\n");
         add("packet", name, [head.as_bytes(), &bytes].concat());
         if name == "teams" {
-            add("kept", "division", [&300_u64.to_le_bytes()[..], &bytes].concat());
-            add("kept", "numbers", 300_u64.to_le_bytes().to_vec());
+            let head = [&300_u64.to_le_bytes()[..], &0_u32.to_le_bytes()].concat();
+            add("kept", "division", [&head[..], &bytes].concat());
+            add("kept", "numbers", head);
+        }
+        if name == "wishes" {
+            let length = u32::try_from(bytes.len()).unwrap();
+            let head = [&300_u64.to_le_bytes()[..], &length.to_le_bytes()].concat();
+            add("kept", "wishes", [&head[..], &bytes].concat());
         }
         if name == "robot_team" {
             add("robot_team", name, [head.as_bytes(), &bytes].concat());
