@@ -55,6 +55,17 @@ async fn the_console_shows_the_live_fleet() {
         pair["shares"].as_object().unwrap().values().map(|share| share.as_f64().unwrap()).sum();
     let similarity = pair["similarity"].as_f64().unwrap();
     assert!(similarity > 0.0 && (shares - similarity).abs() < 1e-12 * similarity, "{pair}");
+    let why = show(&["why", "c1-r1"]);
+    assert!(why.starts_with("c1-r1 is in t") && why.contains("hysteresis"), "{why}");
+    let reason = json(&["why", "c1-r1", "--json"]);
+    let own = &reason["teams"][0];
+    assert_eq!((&reason["robot"], &reason["team"]), (&"c1-r1".into(), &own["team"]));
+    let pulls = own["modalities"].as_array().unwrap().iter().map(|of| &of["pull"]);
+    let parts = pulls.chain(["itself", "spread", "rest", "hysteresis"].map(|part| &own[part]));
+    let sum: f64 = parts.map(|part| part.as_f64().unwrap()).sum();
+    assert!((sum - own["total"].as_f64().unwrap()).abs() < 1e-9, "{reason}");
+    let (code, _, err) = cluster.muster(&["why", "nobody"]).unwrap();
+    assert!(code == Some(2) && err.contains("nobody is not a robot of the fleet"), "{err}");
     let status = show(&["status"]);
     for service in SERVICES {
         assert!(status.contains(service), "{status}");
@@ -100,6 +111,8 @@ pub(crate) fn division(term: u64, epoch: u64, team: u64) -> Outbound {
         next_team: 99,
         limited: None,
         needs: vec![],
+        provisional: vec![],
+        held: vec![],
     };
     let message = Message::Teams { teams: Checked::new_unchecked(teams), mirror: false };
     message.publish(Tick(0)).unwrap().swap_remove(0)

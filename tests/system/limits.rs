@@ -37,6 +37,15 @@ async fn limits_hold_are_refused_where_they_cannot_and_say_when_they_no_longer_d
     let divided = watch.until("two teams of five", Duration::from_secs(5), even).await.unwrap();
     assert!(divided["conflict"].is_null(), "{divided}");
 
+    let prices = divided["teams"].as_array().into_iter().flatten().map(|team| &team["price"]);
+    assert!(prices.into_iter().all(Value::is_number), "{divided}");
+    let (code, out, err) = cluster.muster(&["why", names[0], "--json"]).unwrap();
+    assert_eq!(code, Some(0), "{err}");
+    let reason: Value = serde_json::from_str(&out).unwrap();
+    let limited =
+        |team: &Value| team["max"] == 5 && team["robots"] == 5 && team["price"].is_number();
+    assert!(reason["teams"].as_array().is_some_and(|teams| teams.iter().all(limited)), "{reason}");
+
     // Two more than there are places.
     let late: Vec<&str> = truth.keys().map(String::as_str).skip(10).collect();
     let others = cluster.robots(&[&SCENARIO[..], &["--only", &late.join(",")]].concat()).unwrap();

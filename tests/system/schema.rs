@@ -175,6 +175,10 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
         got.push(("katz".to_owned(), answer.unwrap()));
     }
 
+    for (_, answer) in client.get("why?robot=c1-r1", None).await.unwrap() {
+        got.push(("why".to_owned(), answer.unwrap()));
+    }
+
     // What happens, one kind after another.
     client.put("robot/r1/pose", &json!({"x": "east", "y": 0})).await.unwrap();
     let patch = json!({"teams": 3});
@@ -213,6 +217,7 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
     let mut wanted = vec!["audit", "claim", "embedding", "event", "graph", "robot_team", "roster"];
     wanted.extend([
         "katz",
+        "why",
         "status",
         "teams",
         "event robot_joined",

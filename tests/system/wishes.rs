@@ -41,6 +41,10 @@ async fn wishes_are_granted_refused_and_outlive_kills_of_every_service() {
     let active = |value: &Value| value["wishes"][0]["state"] == "active";
     wishes.until("an active wish", Duration::from_secs(5), active).await.unwrap();
 
+    let (code, out, err) = cluster.muster(&["why", &robot]).unwrap();
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains(&format!("The wish operator/pin-{robot}-t2 holds it in t2.")), "{out}");
+
     // What contradicts it is refused, and what is wrong as well.
     let (code, _, err) = cluster.muster(&["wish", "pin", &robot, "t1"]).unwrap();
     assert_eq!(code, Some(2), "{err}");
@@ -54,6 +58,9 @@ async fn wishes_are_granted_refused_and_outlive_kills_of_every_service() {
     assert_eq!(code, Some(0), "{err}");
     let granted = |value: &Value| is_pinned(value) && value["unassigned"] == json!([other]);
     watch.until("both wishes", Duration::from_secs(5), granted).await.unwrap();
+    let (code, _, err) = cluster.muster(&["why", &other]).unwrap();
+    let reserved = format!("{other} is in no team: the wish alice/spare keeps it in reserve");
+    assert!(code == Some(2) && err.contains(&reserved), "{err}");
     let states: Vec<Value> = listed(&cluster).iter().map(|one| one["state"].clone()).collect();
     assert_eq!(states, [json!("active"), json!("waiting"), json!("active")]);
 

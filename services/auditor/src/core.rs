@@ -443,6 +443,7 @@ impl Core for Auditor {
                 graphs,
             ],
             tokens: vec![],
+            fetched: vec![],
             served: own
                 .map(ServedKey::own)
                 .into_iter()

@@ -301,6 +301,7 @@ impl Core for Clusterer {
             .map(subscription)
             .to_vec(),
             tokens: vec![],
+            fetched: vec![],
             served: served.collect(),
         }
     }

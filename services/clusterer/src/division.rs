@@ -148,6 +148,8 @@ pub(crate) fn assemble(
         next_team: named.next_team,
         limited: None,
         needs: vec![],
+        provisional: vec![],
+        held: vec![],
     })
 }
 

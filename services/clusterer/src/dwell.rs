@@ -211,6 +211,8 @@ mod tests {
             next_team: 9,
             limited: None,
             needs: vec![],
+            provisional: vec![],
+            held: vec![],
         }
     }
 

@@ -314,6 +314,8 @@ mod tests {
             next_team,
             limited: None,
             needs: vec![],
+            provisional: vec![],
+            held: vec![],
         }
     }
 

@@ -21,7 +21,8 @@ use crate::rules::TeamRules;
 use crate::seats::last_of;
 
 /// A division that no rule is asked of yet.
-const NOTHING_TO_OBEY: Limited = Limited { optimal: true, gap: 0.0, conflict: None };
+const NOTHING_TO_OBEY: Limited =
+    Limited { optimal: true, gap: 0.0, conflict: None, prices: Vec::new() };
 
 /// Divides the robots that have a non-zero embedding. While nothing satisfies the rules the last division stands.
 pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
@@ -119,7 +120,7 @@ pub(crate) fn judge(
     let valid = rules.assignment(&columns, &robots)?;
     let groups = rules.groups(&valid, &columns, &robots)?.valid;
     let found = optimality(&x, &labels, &centroids, &valid, &groups)?;
-    Ok(Limited { optimal: found.optimal, gap: found.gap, conflict: None })
+    Ok(Limited { optimal: found.optimal, gap: found.gap, conflict: None, prices: found.prices })
 }
 
 /// A division as the assignment gives it.

@@ -1,4 +1,4 @@
-//! The job: from one consistent frame to one vector per robot, or to the similarity of pairs.
+//! The job: from one consistent frame to one vector per robot, to the similarity of pairs, or to reasons.
 //!
 //! A job owns or shares everything that it needs, and its result depends on nothing else but the
 //! times that its stopwatch measures ([`EmbeddingQuality::stage_us`]). The method itself is
@@ -9,7 +9,8 @@ use std::sync::Arc;
 
 use muster_method::embedding::{Embedded, Frames};
 use muster_method::pairs::{Pair, PairError};
-use muster_method::params::{EmbeddingParams, Pace};
+use muster_method::params::{EmbeddingParams, Pace, ValidEmbeddingParams};
+use muster_method::reasons::Vectors;
 use muster_method::step::Step;
 use muster_method::{Graph, MethodError};
 use muster_model::content::Checked;
@@ -17,8 +18,11 @@ use muster_model::embedding::{Embedding, EmbeddingGraph, EmbeddingQuality};
 use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId};
 use muster_model::settings::{EmbedderSettings, TeamCount};
+use muster_model::why::Why;
 use muster_service::Stopwatch;
 use muster_service::following::Frame;
+
+use crate::reasons::{self, explain};
 
 /// What an embedding rests on. As long as it stays the same, so does the embedding.
 #[derive(Debug, Clone, PartialEq)]
@@ -66,6 +70,8 @@ pub(crate) enum Task {
     },
     /// The similarity of pairs of robots, by the graphs of the last embedding.
     Compare(Vec<[RobotId; 2]>),
+    /// Why robots are in their teams, by the last embedding.
+    Explain(Box<reasons::Task>),
 }
 
 /// The end of a job.
@@ -80,12 +86,15 @@ pub struct Done {
 pub(crate) enum Outcome {
     Embedded { frame: Arc<Frame>, basis: Box<Basis>, result: Result<Box<Computed>, MethodError> },
     Compared(Vec<Result<Pair, PairError>>),
+    Explained(Vec<Result<Why, String>>),
 }
 
 /// What is kept from job to job.
 #[derive(Debug, Default)]
 pub(crate) struct Memory {
     frames: Frames,
+    /// The singular vectors of the last embedding.
+    vectors: Option<Vectors>,
 }
 
 /// An embedding without its header.
@@ -97,6 +106,7 @@ pub(crate) struct Computed {
     pub(crate) dimension: u32,
     pub(crate) values: Vec<f64>,
     pub(crate) without_embedding: Vec<bool>,
+    pub(crate) provisional: Vec<bool>,
     pub(crate) centrality: Vec<f64>,
     pub(crate) quality: EmbeddingQuality,
 }
@@ -106,11 +116,13 @@ pub(crate) fn run(job: Job, stopwatch: &mut Stopwatch) -> Done {
     let Job { task, mut memory } = job;
     let result = match task {
         Task::Embed { frame, basis, previous } => {
-            let frames = &mut memory.frames;
-            let result = compute(&frame, &basis, previous.as_deref(), frames, stopwatch);
+            let result = compute(&frame, &basis, previous.as_deref(), &mut memory, stopwatch);
             Outcome::Embedded { frame, basis, result: result.map(Box::new) }
         }
         Task::Compare(pairs) => Outcome::Compared(memory.frames.compare(&pairs)),
+        Task::Explain(task) => {
+            Outcome::Explained(explain(&memory.frames, memory.vectors.as_ref(), &task))
+        }
     };
     Done { memory, result }
 }
@@ -119,9 +131,11 @@ fn compute(
     frame: &Frame,
     basis: &Basis,
     previous: Option<&Embedding>,
-    frames: &mut Frames,
+    memory: &mut Memory,
     stopwatch: &mut Stopwatch,
 ) -> Result<Computed, MethodError> {
+    memory.vectors = None;
+    let frames = &mut memory.frames;
     let pace = if basis.at_rest { Pace::AtRest } else { Pace::Moving };
     // A fixed dimension and a fixed number of teams do not need each other.
     let teams = basis.teams.unwrap_or(TeamCount::Fixed(2));
@@ -136,23 +150,28 @@ fn compute(
 
     frames.set_new_orders(basis.new_orders.clone());
     let mut stages = Stages { us: [0; 3], current: FUSION };
-    let embedded = frames.embed(&input, &params.check()?, previous, &mut |step| {
+    let params = params.check()?;
+    let embedded = frames.embed(&input, &params, previous, &mut |step| {
         stages.enter(step, stopwatch);
     })?;
     stages.leave(stopwatch);
     let centrality = frames.centralities()?.to_vec();
     stages.current = FUSION;
     stages.leave(stopwatch);
-    Ok(computed(embedded, basis, centrality, stages.us))
+    let (computed, vectors) = computed(embedded, basis, &params, centrality, stages.us);
+    memory.vectors = Some(vectors);
+    Ok(computed)
 }
 
 fn computed(
     embedded: Embedded,
     basis: &Basis,
+    params: &ValidEmbeddingParams,
     centrality: Vec<f64>,
     stage_us: [u64; 3],
-) -> Computed {
-    let Embedded { weights, trust, decay, decomposition, x, without_embedding } = embedded;
+) -> (Computed, Vectors) {
+    let Embedded { weights, trust, decay, decomposition, x, without_embedding, provisional } =
+        embedded;
     let svd = decomposition.svd;
     let mut disagreeing = BTreeMap::new();
     let named = basis.graphs.iter().zip(weights).zip(trust);
@@ -167,11 +186,12 @@ fn computed(
             trust: trust.factor,
         }
     });
-    Computed {
+    let computed = Computed {
         graphs: graphs.collect(),
         disagreeing,
         dimension: u32::try_from(x.cols()).unwrap_or(u32::MAX),
         without_embedding,
+        provisional,
         centrality,
         quality: EmbeddingQuality {
             spectral_radius: (decay.radius.lower, decay.radius.upper),
@@ -186,10 +206,11 @@ fn computed(
                 .then_some(decomposition.teams.teams),
             team_scores: decomposition.teams.scores,
             stage_us,
-            singular_values: svd.sigma,
+            singular_values: svd.sigma.clone(),
         },
         values: x.into_data(),
-    }
+    };
+    (computed, Vectors { svd, power: params.power, rows: params.rows })
 }
 
 /// Places of [`EmbeddingQuality::stage_us`].

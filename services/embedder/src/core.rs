@@ -11,6 +11,7 @@ use muster_method::MethodError;
 use muster_method::pairs::PairError;
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
+use muster_model::header::Revision;
 use muster_model::id::{Modality, RobotId, ServiceName};
 use muster_model::orders::NewOrders;
 use muster_model::role::ReplicaState;
@@ -26,6 +27,7 @@ use muster_wire::{Key, Message, Pattern, Request};
 use crate::compute::{Basis, Done, Job, Memory, Outcome, Task, run};
 use crate::doubt::Doubts;
 use crate::pairs::Questions;
+use crate::reasons::{self, ReasonQueue};
 use crate::teams::TeamsWanted;
 
 type Context<'a> = muster_service::Context<'a, Embedder>;
@@ -47,6 +49,8 @@ pub enum EmbedderFetch {
     Frame,
     /// The settings of `clusterer`, which say how many teams there are.
     ClustererSettings,
+    /// The division and the wishes, for somebody who asks why a robot is in its team.
+    Division,
 }
 
 /// The last job that was started.
@@ -57,6 +61,8 @@ enum LastJob {
     Embedding,
     /// The similarity of pairs: an embedding that is wanted comes next.
     Comparison,
+    /// Why robots are in their teams: the same.
+    Explanation,
 }
 
 /// The service that turns graphs into an embedding.
@@ -74,7 +80,13 @@ pub struct Embedder {
     flight: SingleFlight<Basis>,
     /// Gets of the similarity of two robots.
     questions: Questions,
+    /// Gets that ask why a robot is in its team.
+    reasons: ReasonQueue,
+    /// The first revision of an embedding with the vectors that the last job has left.
+    vectors_since: Option<Revision>,
     last_job: LastJob,
+    /// The last one that was no embedding: the two kinds alternate.
+    last_side_job: LastJob,
     /// The last good embedding, at first the one of the leader before.
     embedding: Option<Checked<Embedding>>,
     /// What the embedding rests on, and when it was last published; none for a fetched one.
@@ -111,9 +123,11 @@ impl Core for Embedder {
             tokens: Vec::new(),
             served: vec![
                 ServedKey::own(Pattern::One(Key::Embedding)),
+                ServedKey::own(Pattern::One(Key::Why)),
                 ServedKey::cached(Pattern::One(Key::Roster)),
                 ServedKey::cached(Pattern::Graphs),
             ],
+            fetched: reasons::fetched(),
         }
     }
 
@@ -155,6 +169,7 @@ impl Core for Embedder {
 
     fn on_stand_down(&mut self, context: &mut Context<'_>) {
         self.questions.refuse("another instance has taken over; ask again", context);
+        self.reasons.refuse("another instance has taken over; ask again", true, context);
         *self = Self::default();
     }
 
@@ -185,6 +200,7 @@ impl Core for Embedder {
         match fetch {
             EmbedderFetch::Frame => self.accept_answers(context, answers),
             EmbedderFetch::ClustererSettings => self.settings_answered(context, &answers),
+            EmbedderFetch::Division => self.reasons.fetched(context, &answers),
         }
     }
 
@@ -196,6 +212,9 @@ impl Core for Embedder {
                     Outcome::Compared(answers) => {
                         return self.questions.answered(answers, context);
                     }
+                    Outcome::Explained(answers) => {
+                        return self.reasons.answered(answers, context);
+                    }
                     Outcome::Embedded { frame, basis, result } => {
                         JobEnd::Finished(result.map(|computed| (frame, basis, computed)))
                     }
@@ -206,6 +225,11 @@ impl Core for Embedder {
                 self.flight.side_job_panicked(context.now());
                 return self.questions.refuse("the comparison has failed", context);
             }
+            JobEnd::Panicked(_) if self.last_job == LastJob::Explanation => {
+                context.count("explanations_failed");
+                self.flight.side_job_panicked(context.now());
+                return self.reasons.refuse("the explanation has failed", false, context);
+            }
             JobEnd::Panicked(reason) => JobEnd::Panicked(reason),
         };
         let result = self.flight.ended(context, MethodError::kind, end);
@@ -215,6 +239,10 @@ impl Core for Embedder {
     }
 
     fn on_get(&mut self, context: &mut Context<'_>, get: Get) {
+        // A get of everything asks for no reason.
+        if get.request.exact_key(context.space()) == Some(Key::Why) && context.is_leading() {
+            return self.reasons.accept(get, context);
+        }
         let of_embedding = get.request.selects(context.space(), &Key::Embedding);
         match get.request.katz.clone() {
             // An instance that does not lead leaves the answer to the leader.
@@ -300,13 +328,20 @@ impl Core for Embedder {
         }
         let Some(slot) = context.free_job_slot() else { return };
         let next = next.filter(|(basis, _)| self.flight.should_start(now, basis));
-        // Comparisons alternate with embeddings, however many gets wait.
-        let asked = self.questions.wait();
+        // Comparisons and explanations alternate with embeddings, however many gets wait.
+        let asked = self.questions.wait() || self.reasons.is_ready();
         match next {
-            Some((basis, frame)) if self.last_job == LastJob::Comparison || !asked => {
+            Some((basis, frame)) if self.last_job != LastJob::Embedding || !asked => {
                 self.start(context, slot, frame, basis);
             }
-            _ if asked => self.compare(context, slot),
+            _ if asked => {
+                let was_compared = self.last_side_job == LastJob::Comparison;
+                if self.reasons.is_ready() && (was_compared || !self.questions.wait()) {
+                    self.explain(context, slot);
+                } else {
+                    self.compare(context, slot);
+                }
+            }
             _ => {}
         }
     }
@@ -390,6 +425,22 @@ impl Embedder {
         let task = Task::Compare(self.questions.ask(embedding.header.clone()));
         context.count("comparisons_started");
         self.last_job = LastJob::Comparison;
+        self.last_side_job = LastJob::Comparison;
+        context.start_job(slot, Job { task, memory });
+    }
+
+    /// Starts the job that says why robots are in their teams, if there is an embedding to say it by.
+    fn explain(&mut self, context: &mut Context<'_>, slot: FreeJobSlot) {
+        let known = self.embedding.clone().zip(self.vectors_since);
+        let task = known.and_then(|(embedding, since)| self.reasons.ask(embedding, since));
+        let (Some(task), Some(memory)) = (task, self.memory.take()) else {
+            let problem = "there is no embedding yet; ask again in a moment";
+            return self.reasons.refuse(problem, false, context);
+        };
+        context.count("explanations_started");
+        self.last_job = LastJob::Explanation;
+        self.last_side_job = LastJob::Explanation;
+        let task = Task::Explain(Box::new(task));
         context.start_job(slot, Job { task, memory });
     }
 

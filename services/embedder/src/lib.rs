@@ -4,13 +4,15 @@
 //! ([`muster_service::following`]), embeds each frame by `muster-method`, beginning with what is kept of the
 //! last one (module `compute`), and publishes the vectors as [`muster_model::embedding::Embedding`]. Module `pairs`
 //! answers gets of the similarity of two robots, module `teams` follows how many teams are wanted, on
-//! which the dimension and the published evidence depend, module `doubt` reports modalities that are in doubt.
+//! which the dimension and the published evidence depend, module `doubt` reports modalities that are in doubt, module
+//! `reasons` says why a robot is in its team.
 //! Module `core` decides when.
 //!
 //! | comes in | goes out |
 //! | --- | --- |
 //! | `graph/*`, `roster`, `service/clusterer/settings` | `embedding`, `event`, `service/embedder/settings` |
 //!
+//! A get of `why` makes it fetch `teams` and `wishes`.
 //! It also answers gets of the last `roster` and its graphs, for an `ingest` that restarts.
 //! The last good embedding stands through every fault: it is served until a newer one exists.
 
@@ -20,6 +22,7 @@ mod compute;
 mod core;
 mod doubt;
 mod pairs;
+mod reasons;
 mod teams;
 
 pub use crate::compute::{Done, Job};

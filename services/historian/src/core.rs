@@ -256,6 +256,7 @@ impl Core for Historian {
         Wiring {
             subscriptions,
             tokens: vec![Pattern::RobotTokens],
+            fetched: vec![],
             served: [Pattern::Histories, Pattern::HistoryStates].map(ServedKey::own).to_vec(),
         }
     }

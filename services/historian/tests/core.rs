@@ -65,6 +65,8 @@ fn division(epoch: u64, teams: &[&[usize]]) -> Message {
         next_team: 9,
         limited: None,
         needs: vec![],
+        provisional: vec![],
+        held: vec![],
     };
     Message::Teams { teams: Checked::new(teams).unwrap(), mirror: false }
 }

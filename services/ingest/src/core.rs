@@ -221,6 +221,7 @@ impl Core for Ingest {
         Wiring {
             subscriptions: Pattern::streams().map(subscription).into(),
             tokens: vec![Pattern::RobotTokens],
+            fetched: vec![],
             served: vec![
                 ServedKey::own(Pattern::Graphs),
                 ServedKey::own(Pattern::One(Key::Roster)),

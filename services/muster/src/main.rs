@@ -72,6 +72,8 @@ enum Command {
     Alerts(alerts::AlertsArgs),
     /// Show the graphs of the live fleet
     Graph(show::graph::GraphArgs),
+    /// Show why a robot is in its team
+    Why(show::why::WhyArgs),
     /// Show services and robots of the live fleet
     Status(show::ShowArgs),
     /// Show what a fleet was: its teams at a moment, or how they changed
@@ -163,6 +165,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Graph(args) => {
             console(&config, async |config| show::graph::run(args, &config).await)
         }
+        Command::Why(args) => console(&config, async |config| show::why::run(args, &config).await),
         Command::Status(args) => {
             console(&config, async |config| show::status::run(args, &config).await)
         }

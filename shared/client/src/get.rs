@@ -16,6 +16,7 @@ use muster_model::role::ReplicaState;
 use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::Teams;
+use muster_model::why::Why;
 use muster_model::wish::StandingWish;
 use muster_wire::message::{plain_reason, quoted};
 use muster_wire::{Key, Message, Packet, Pattern};
@@ -31,6 +32,9 @@ pub(crate) const REPLY_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// The same for the similarity of a pair: the first one computes that of all pairs of the fleet.
 const SIMILARITY_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// The same for a reason, which waits until the embedder has fetched the division and ended its running job.
+const REASON_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A running instance of a service, by its liveliness token.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
@@ -180,6 +184,32 @@ impl Client {
                 Err(Error::Refused { service, reason: reason(&error) })
             }
             None => Err(self.unanswered("similarities")),
+        }
+    }
+
+    /// Why a robot is in its team.
+    ///
+    /// # Errors
+    /// [`Error::Refused`] if the robot is unknown or in no team, or if there is no division yet, [`Error::Unanswered`] if
+    /// `embedder` does not run, [`Error::Bus`] if the bus fails or the reply is not of this form.
+    pub async fn get_reason(&self, robot: &RobotId) -> Result<Why, Error> {
+        let ask = Ask {
+            parameters: &format!("format=json;robot={robot}"),
+            payload: None,
+            within: REASON_TIMEOUT,
+            further_within: None,
+            target: Target::Complete,
+        };
+        match self.get(&Pattern::One(Key::Why), ask).await?.into_iter().next() {
+            Some(Answer::Packet(packet)) => {
+                let why = muster_wire::why::decode(self.bus().space(), &packet, wall_clock());
+                why.map_err(|refused| Error::bus(refused.reason))
+            }
+            Some(Answer::Error(error)) => {
+                let service = ServiceName::Embedder;
+                Err(Error::Refused { service, reason: reason(&error) })
+            }
+            None => Err(self.unanswered("reasons")),
         }
     }
 

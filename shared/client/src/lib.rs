@@ -52,7 +52,7 @@
 //!
 //! [`Client`] is a session without a robot. It follows the division, the audit and the roster
 //! ([`Client::teams`] and so on, each a [`Watch`]), delivers events, asks once ([`Client::get_statuses`],
-//! [`Client::get_graphs`], [`Client::get_similarity`] and others), and changes settings
+//! [`Client::get_graphs`], [`Client::get_similarity`], [`Client::get_reason`] and others), and changes settings
 //! ([`Client::change_settings`]) and wishes ([`Client::put_wish`], [`Client::withdraw_wish`],
 //! [`Client::get_wishes`]). [`Client::alerts`] is the list of open alerts, and [`Client::acknowledge_alert`] says that an
 //! operator has seen one. Each watch is a stream too, and [`Client::changes`] is all in one.

@@ -41,6 +41,9 @@ pub struct Embedded {
     /// Per robot, whether its row holds nothing: it has no edge, or its part of the fleet is weaker than the
     /// K leading triplets. Such a robot belongs to no team.
     pub without_embedding: Vec<bool>,
+    /// Per robot, whether one modality alone relates it to others, where several relate robots of the fleet:
+    /// nothing confirms its place.
+    pub provisional: Vec<bool>,
 }
 
 /// The embedding of a single frame: one frame of new [`Frames`].
@@ -102,7 +105,7 @@ impl Frames {
         let weights = weights(&params.weights, frame)?;
         let place = |robot: &RobotId| frame.robots.binary_search(robot).ok();
         let new_orders: Vec<usize> = self.new_orders.iter().filter_map(place).collect();
-        let Fused { matrix, weights, trust, relations } =
+        let Fused { matrix, weights, trust, relations, provisional } =
             self.fusion.fuse(frame, weights, &new_orders, params)?;
         let fused = Arc::new(matrix);
         progress(Step::SpectralRadius);
@@ -137,13 +140,20 @@ impl Frames {
             _ => embedded.x,
         };
         self.last = Some(LastGraph { fused, decay: decay.clone(), centralities: None });
-        Ok(Embedded { weights, trust, decay, decomposition, x, without_embedding: embedded.weak })
+        let without_embedding = embedded.weak;
+        Ok(Embedded { weights, trust, decay, decomposition, x, without_embedding, provisional })
     }
 
     /// The robots whose superior is another than a moment ago, for the frames that follow: their ranks count
     /// before their places and links.
     pub fn set_new_orders(&mut self, robots: Vec<RobotId>) {
         self.new_orders = robots;
+    }
+
+    /// The robots of the last frame, ordered by name; none before it.
+    #[must_use]
+    pub fn robots(&self) -> &[RobotId] {
+        &self.robots
     }
 
     /// A* of the last embedding; none before it.
@@ -273,6 +283,27 @@ mod tests {
                 assert!(without.last().unwrap());
             }
         }
+    }
+
+    #[test]
+    fn robots_that_one_modality_of_several_relates_are_provisional() {
+        let matrix = |edges: &[(usize, usize)]| {
+            let both = edges.iter().flat_map(|(i, j)| [(*i, *j, 1.0), (*j, *i, 1.0)]);
+            Graph::Matrix(Arc::new(SparseMatrix::from_triplets(5, both).unwrap()))
+        };
+        let links = matrix(&[(0, 1), (1, 2), (2, 3)]);
+        let places = matrix(&[(0, 1), (1, 2)]);
+        let found = |graphs: Vec<(Modality, Graph)>| {
+            let names = (0..5).map(|i| RobotId::new(format!("r{i}")).unwrap());
+            let frame = Frame { robots: names.collect(), graphs };
+            let params = EmbeddingParams::once(&EmbedderSettings::default(), 2).check().unwrap();
+            embed(&frame, &params, &mut |_| {}).unwrap().provisional
+        };
+        let both = vec![(Modality::connectivity(), links.clone()), (Modality::spatial(), places)];
+        assert_eq!(found(both), [false, false, false, true, false]);
+        // Where there is one modality only, nothing else could confirm anything.
+        let nothing = (Modality::spatial(), matrix(&[]));
+        assert_eq!(found(vec![(Modality::connectivity(), links), nothing]), [false; 5]);
     }
 
     #[test]

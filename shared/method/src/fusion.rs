@@ -43,6 +43,8 @@ pub(crate) struct Fused {
     pub(crate) trust: Vec<Trust>,
     /// The graphs as they are reported, by which the number of teams is chosen; none where it is fixed.
     pub(crate) relations: Vec<Relation>,
+    /// Per robot, whether one modality alone relates it to others, where several relate robots of the fleet.
+    pub(crate) provisional: Vec<bool>,
 }
 
 /// A graph with a weight.
@@ -115,7 +117,8 @@ impl Fusion {
             Some(_) => Vec::new(),
             None => self.relations(&standings)?,
         };
-        Ok(Fused { matrix: self.sum(frame.robots.len())?, weights, trust, relations })
+        let Sum { matrix, provisional } = self.sum(frame.robots.len())?;
+        Ok(Fused { matrix, weights, trust, relations, provisional })
     }
 
     /// The graphs as they are reported, without what is not trusted and what old orders explain.
@@ -189,21 +192,30 @@ impl Fusion {
     }
 
     /// Σ w_m N_m + β I.
-    fn sum(&self, robots: usize) -> Result<SparseMatrix, MethodError> {
+    fn sum(&self, robots: usize) -> Result<Sum, MethodError> {
         let parts = self.graphs.values();
         let parts = parts.map(|graph| (&*graph.trusted, graph.weight, graph.scale.norm()));
         let mut parts: Vec<_> = parts.collect();
-        let mut related = vec![false; robots];
-        for (graph, ..) in parts.iter().filter(|(_, weight, _)| *weight > 0.0) {
+        // By how many modalities each robot is related, and by which the last time.
+        let mut related = vec![Related::default(); robots];
+        let mut relating = 0;
+        let weighty = parts.iter().filter(|(_, weight, _)| *weight > 0.0);
+        for ((graph, ..), number) in weighty.zip(1..) {
+            let mut any = false;
             for (row, col, _) in graph.triplets() {
-                (related[row], related[col]) = (true, true);
+                any = true;
+                related[row].count_once(number);
+                related[col].count_once(number);
             }
+            relating += u32::from(any);
         }
-        let loops = related.iter().enumerate().filter(|(_, related)| **related);
+        let provisional =
+            related.iter().map(|related| relating > 1 && related.modalities == 1).collect();
+        let loops = related.iter().enumerate().filter(|(_, related)| related.modalities > 0);
         let loops = SparseMatrix::from_triplets(robots, loops.map(|(i, _)| (i, i, 1.0)));
         let loops = loops.map_err(muster_numeric::fuse::FuseError::from)?;
         parts.push((&loops, self.self_loops, 1.0));
-        Ok(fuse_scaled(&parts)?)
+        Ok(Sum { matrix: fuse_scaled(&parts)?, provisional })
     }
 
     /// The graphs that A* consists of besides self-loops, each with its weight there: w_m / s_m.
@@ -215,6 +227,27 @@ impl Fusion {
     /// The weight of self-loops in A*.
     pub(crate) fn self_loops(&self) -> f64 {
         self.self_loops
+    }
+}
+
+/// A* with what was seen on the way.
+struct Sum {
+    matrix: SparseMatrix,
+    provisional: Vec<bool>,
+}
+
+/// By how many modalities a robot is related to others.
+#[derive(Clone, Copy, Default)]
+struct Related {
+    modalities: u32,
+    last: u32,
+}
+
+impl Related {
+    /// Counts a modality, whatever the number of its edges.
+    fn count_once(&mut self, modality: u32) {
+        self.modalities += u32::from(self.last != modality);
+        self.last = modality;
     }
 }
 

@@ -54,12 +54,16 @@ pub struct Limits<'a> {
 }
 
 /// How far a division is from the best assignment of its robots.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Optimality {
     /// Whether no assignment to these teams under the limits has a lesser sum of squared distances to the centroids.
     pub optimal: bool,
     /// By which share the sum could be lower at most, from 0 to 1.
     pub gap: f64,
+    /// What a place in each team costs in the best assignment, as a squared distance: above zero where the team is full,
+    /// below where it has as few robots as it must have. The price of what groups of robots have to do is not in them.
+    /// Empty if there is no assignment.
+    pub prices: Vec<f64>,
 }
 
 /// Divides robots, each a row of `x`, N × D, into the teams of `limits`. Labels are the numbers of the teams; a robot in
@@ -138,7 +142,7 @@ fn grouped(
     let (mut iterations, mut converged) = (0, false);
     while iterations < MAX_GROUP_ITERATIONS && !converged {
         iterations += 1;
-        let costs = costs(x, &centroids, |robot, column| {
+        let (costs, _) = costs(x, &centroids, |robot, column| {
             let stays = limits.previous.get(robot) == Some(&Some(Column::Team(column)));
             if stays { keep } else { 1.0 }
         })?;
@@ -228,41 +232,48 @@ pub fn optimality(
     rules: &ValidRules,
     groups: &ValidWishes,
 ) -> Result<Optimality, CostError> {
-    let costs = costs(x, centroids, |_, _| 1.0)?;
+    let (costs, unit) = costs(x, centroids, |_, _| 1.0)?;
     let own = |(robot, team): (usize, &usize)| i128::from(costs.row(robot)[*team]);
     let near: i128 = labels.iter().enumerate().map(own).sum();
     let places: Vec<Option<usize>> = labels.iter().copied().map(Some).collect();
     let cost = near + shortfall(rules, groups, &places);
     let mut assigner = Assigner::new();
+    let free = assigner.solve(rules, &costs).ok().map(|best| best.cost);
+    let price = |price: &i64| *price as f64 * unit;
+    let prices: Vec<f64> = match free {
+        Some(_) => assigner.column_prices().iter().map(price).collect(),
+        None => Vec::new(),
+    };
     let best = if is_empty(groups) {
-        assigner.solve(rules, &costs).ok().map(|best| best.cost)
+        free
     } else {
+        let mut assigner = Assigner::new();
         let found = assign_with_wishes(&mut assigner, rules, groups, &costs, NODE_BUDGET);
         found.ok().map(|best| best.bound)
     };
     // Where nothing is found, the labels do not satisfy the rules either.
-    let Some(best) = best else { return Ok(Optimality { optimal: false, gap: 1.0 }) };
+    let Some(best) = best else { return Ok(Optimality { optimal: false, gap: 1.0, prices }) };
     // What is missing is no distance: the gap is a share of the distances alone.
     let gap = if cost > best { ((cost - best) as f64 / near.max(1) as f64).min(1.0) } else { 0.0 };
     if gap <= ROUNDING_SHARE {
-        return Ok(Optimality { optimal: true, gap: 0.0 });
+        return Ok(Optimality { optimal: true, gap: 0.0, prices });
     }
-    Ok(Optimality { optimal: false, gap })
+    Ok(Optimality { optimal: false, gap, prices })
 }
 
-/// Squared distances of rows to centroids, each times its share, as integers.
+/// Squared distances of rows to centroids, each times its share, as integers, and what one of them stands for.
 fn costs(
     x: &DenseMatrix,
     centroids: &DenseMatrix,
     share: impl Fn(usize, usize) -> f64,
-) -> Result<CostMatrix, CostError> {
+) -> Result<(CostMatrix, f64), CostError> {
     let mut values = Vec::with_capacity(x.rows() * centroids.rows());
     for (robot, row) in x.iter_rows().enumerate() {
         let far = |(column, c)| share(robot, column) * square(row, c);
         values.extend(centroids.iter_rows().enumerate().map(far));
     }
     let unit = CostMatrix::unit_for(values.iter().fold(0.0, |most: f64, value| most.max(*value)));
-    CostMatrix::from_floats(x.rows(), centroids.rows(), &values, unit)
+    Ok((CostMatrix::from_floats(x.rows(), centroids.rows(), &values, unit)?, unit))
 }
 
 /// The rows of some robots.
@@ -367,10 +378,49 @@ mod tests {
         assert_eq!(found.labels[3], far, "the nearest of the others");
         let labels: Vec<usize> = found.labels.iter().flatten().copied().collect();
         let judged = optimality(&x, &labels, &found.centroids, &rules, &groups).unwrap();
-        assert_eq!(judged, Optimality { optimal: true, gap: 0.0 });
+        assert_eq!((judged.optimal, judged.gap), (true, 0.0));
         let worse: Vec<usize> = vec![labels[0], labels[0], labels[3], labels[0], labels[3]];
         let judged = optimality(&x, &worse, &found.centroids, &rules, &groups).unwrap();
         assert!(!judged.optimal && judged.gap > 0.0 && judged.gap < 1.0, "{judged:?}");
+    }
+
+    #[test]
+    fn at_the_prices_every_robot_is_where_it_is_cheapest() {
+        let mut seed = 1_u64;
+        let mut draw = || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (seed >> 33) as f64 / (1_u64 << 31) as f64
+        };
+        let mut priced = 0;
+        for _ in 0..100 {
+            let robots = 6 + (10.0 * draw()) as usize;
+            let points: Vec<f64> = (0..2 * robots).map(|_| draw()).collect();
+            let x = DenseMatrix::new(robots, 2, points).unwrap();
+            let most = robots.div_ceil(3) + (2.0 * draw()) as usize;
+            let rules = rules(robots, &[Bounds::new(1, most); 3], None);
+            let params = DivisionParams { teams: 3, hysteresis: 0.0, ..DivisionParams::default() };
+            let (groups, previous) = (no_groups(&rules), vec![None; robots]);
+            let limits = Limits { rules: &rules, groups: &groups, previous: &previous };
+            let found = divide_within(&x, &params.check().unwrap(), &limits).unwrap();
+            let labels: Vec<usize> = found.labels.iter().flatten().copied().collect();
+            let judged = optimality(&x, &labels, &found.centroids, &rules, &groups).unwrap();
+            if !judged.optimal {
+                continue;
+            }
+            let prices = &judged.prices;
+            assert_eq!(prices.len(), 3);
+            for (row, own) in x.iter_rows().zip(&labels) {
+                let pay = |team: usize| square(row, found.centroids.row(team)) + prices[team];
+                assert!((0..3).all(|team| pay(*own) <= pay(team) + 1e-6), "{prices:?}");
+            }
+            for (team, price) in prices.iter().enumerate() {
+                let size = labels.iter().filter(|label| **label == team).count();
+                assert!(*price <= 0.0 || size == most, "a team with room costs {price}");
+                assert!(*price >= 0.0 || size == 1, "a team with more than it needs costs {price}");
+            }
+            priced += usize::from(prices.iter().any(|price| *price > 0.01));
+        }
+        assert!(priced > 10, "{priced} divisions had a full team that others wanted");
     }
 
     #[test]

@@ -44,6 +44,26 @@ struct Parts {
     rows: Vec<Vec<f64>>,
 }
 
+/// How a robot is drawn to all teams.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Attraction {
+    /// ‖x‖²: less the score of a team, it is the squared distance to that team's mean row.
+    pub length_squared: f64,
+    /// How it is drawn to each team, the strongest first.
+    pub pulls: Vec<TeamPull>,
+}
+
+/// The singular vectors of an embedding, and how its rows were made of them.
+#[derive(Debug)]
+pub struct Vectors {
+    /// The leading triplets.
+    pub svd: RankKSvd,
+    /// The power of the singular values that columns were multiplied by.
+    pub power: f64,
+    /// How rows were scaled.
+    pub rows: RowScaling,
+}
+
 impl Frames {
     /// How a robot is drawn to each team, the strongest first, by the graphs of the last embedding.
     ///
@@ -59,39 +79,45 @@ impl Frames {
         robot: usize,
         labels: &[Option<usize>],
     ) -> Vec<TeamPull> {
-        let Some(last) = &self.last else { return Vec::new() };
+        let found = self.attractions(svd, power, rows, &[robot], labels).pop().flatten();
+        found.map(|found| found.pulls).unwrap_or_default()
+    }
+
+    /// The same for several robots, none for one that has no row.
+    #[must_use]
+    pub fn attractions(
+        &self,
+        svd: &RankKSvd,
+        power: f64,
+        rows: RowScaling,
+        robots: &[usize],
+        labels: &[Option<usize>],
+    ) -> Vec<Option<Attraction>> {
         let nodes = svd.u.rows();
+        let last = self.last.as_ref();
+        let last = last.filter(|last| last.fused.nodes() == nodes && labels.len() == nodes);
+        let Some(last) = last else { return vec![None; robots.len()] };
         let embedded = embed_powers(svd, power, rows);
-        if last.fused.nodes() != nodes || labels.len() != nodes {
-            return Vec::new();
-        }
-        if embedded.weak.get(robot).copied().unwrap_or(true) {
-            return Vec::new();
-        }
         let x = &embedded.x;
-        let parts = self.parts_of(svd, last.decay.alpha, robot);
-        let factors = factors(svd, power, x.row(robot), robot);
-        let row = x.row(robot);
-        let mut pulls: Vec<TeamPull> = centroids(x, labels)
-            .into_iter()
-            .map(|(team, centre)| {
-                let spread = -product(&centre, &centre);
-                let score = 2.0 * product(row, &centre) + spread;
-                let pull = |part: &Vec<f64>| {
-                    let scaled = part.iter().zip(&factors).zip(&centre);
-                    2.0 * scaled.map(|((part, factor), centre)| part * factor * centre).sum::<f64>()
-                };
-                let mut pulls: Vec<f64> = parts.rows.iter().map(pull).collect();
-                let itself = pulls.pop().unwrap_or(0.0);
-                let rest = score - spread - itself - pulls.iter().sum::<f64>();
-                let modalities = parts.names.iter().cloned().zip(pulls).collect();
-                TeamPull { team, score, modalities, itself, spread, rest }
-            })
-            .collect();
-        pulls.sort_by(|left, right| {
-            right.score.total_cmp(&left.score).then(left.team.cmp(&right.team))
-        });
-        pulls
+        let centroids = centroids(x, labels);
+        let attraction = |robot: &usize| {
+            let robot = *robot;
+            if embedded.weak.get(robot).copied().unwrap_or(true) {
+                return None;
+            }
+            let row = x.row(robot);
+            let parts = self.parts_of(svd, last.decay.alpha, robot);
+            let factors = factors(svd, power, row, robot);
+            let mut pulls: Vec<TeamPull> = centroids
+                .iter()
+                .map(|(team, centre)| pull(*team, centre, row, &parts, &factors))
+                .collect();
+            pulls.sort_by(|left, right| {
+                right.score.total_cmp(&left.score).then(left.team.cmp(&right.team))
+            });
+            Some(Attraction { length_squared: product(row, row), pulls })
+        };
+        robots.iter().map(attraction).collect()
     }
 
     /// The parts of a robot's row of \[U, V\].
@@ -105,6 +131,21 @@ impl Frames {
         parts.rows.push(part(svd, loops, [(robot, 1.0, 1.0)].into_iter()));
         parts
     }
+}
+
+/// How a robot with this row is drawn to a team with this mean row.
+fn pull(team: usize, centre: &[f64], row: &[f64], parts: &Parts, factors: &[f64]) -> TeamPull {
+    let spread = -product(centre, centre);
+    let score = 2.0 * product(row, centre) + spread;
+    let pull = |part: &Vec<f64>| {
+        let scaled = part.iter().zip(factors).zip(centre);
+        2.0 * scaled.map(|((part, factor), centre)| part * factor * centre).sum::<f64>()
+    };
+    let mut pulls: Vec<f64> = parts.rows.iter().map(pull).collect();
+    let itself = pulls.pop().unwrap_or(0.0);
+    let rest = score - spread - itself - pulls.iter().sum::<f64>();
+    let modalities = parts.names.iter().cloned().zip(pulls).collect();
+    TeamPull { team, score, modalities, itself, spread, rest }
 }
 
 /// The other ends of a robot's edges, with the weight of the edge there and of the edge back.

@@ -109,6 +109,9 @@ pub struct Embedding {
     pub values: Vec<f64>,
     /// Which robots have no embedding: the K leading singular vectors are zero in their rows.
     pub without_embedding: Vec<bool>,
+    /// Which robots one modality alone relates to others, where several relate robots of the fleet: nothing confirms
+    /// their place.
+    pub provisional: Vec<bool>,
     /// Katz centrality of each robot, at least 1: the weight of all walks that begin at it, each step
     /// damped by the decay, the walk of no step included.
     pub centrality: Vec<f64>,
@@ -123,6 +126,9 @@ impl Content for Embedding {
         let robots = self.robots.len();
         if self.without_embedding.len() != robots {
             return refuse("unseen", "must have one entry per robot");
+        }
+        if self.provisional.len() != robots {
+            return refuse("provisional", "must have one entry per robot");
         }
         if robots.checked_mul(self.dimension as usize) != Some(self.values.len()) {
             return refuse("values", "must have one row of the dimension's length per robot");

@@ -36,4 +36,5 @@ pub mod team_audit;
 pub mod teams;
 pub mod term;
 pub mod time;
+pub mod why;
 pub mod wish;

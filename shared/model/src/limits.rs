@@ -139,3 +139,5 @@ pub const MAX_NEEDED_SKILLS: usize = 16;
 
 /// Most skills of a team that an audit lists, those that it needs before others: as many as fit a line or two.
 pub const MAX_AUDITED_SKILLS: usize = 32;
+/// Most teams that a reason lists: a robot's own and those that draw it most, as many as fit a screen.
+pub const MAX_REASON_TEAMS: usize = 16;

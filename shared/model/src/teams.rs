@@ -90,19 +90,31 @@ pub struct Limited {
     pub gap: f64,
     /// Why nothing satisfies the limits, so that the last division stands; none where this one does.
     pub conflict: Option<String>,
+    /// What a place in each team costs, in the order of the teams, as a squared distance: above zero where the team is
+    /// full, below where it has as few robots as it must have. Empty while nothing satisfies the limits.
+    pub prices: Vec<f64>,
+}
+
+/// A robot that is kept in its team for now.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct HeldRobot {
+    /// The robot.
+    pub robot: RobotId,
+    /// The team that it would be in if it did not have to last.
+    pub team: TeamId,
 }
 
 impl Limited {
     /// That of a division which stands because nothing satisfies the limits.
     #[must_use]
     pub fn standing(conflict: String) -> Self {
-        Self { optimal: false, gap: 1.0, conflict: Some(conflict) }
+        Self { optimal: false, gap: 1.0, conflict: Some(conflict), prices: Vec::new() }
     }
 
     /// That of a division which goes on although needs cannot all be filled.
     #[must_use]
     pub fn lacking(conflict: String) -> Self {
-        Self { optimal: false, gap: 0.0, conflict: Some(conflict) }
+        Self { optimal: false, gap: 0.0, conflict: Some(conflict), prices: Vec::new() }
     }
 
     /// Whether the last division stands, as against one that goes on and lacks what it needs.
@@ -166,6 +178,11 @@ pub struct Teams {
     /// What the teams need and have, ordered as the teams, then by skill. A team whose robots are all stale needs nothing
     /// until one of them is back.
     pub needs: Vec<TeamNeed>,
+    /// Robots with a team that one modality alone relates to others, where several relate robots of the fleet, ordered by
+    /// name: nothing confirms their place.
+    pub provisional: Vec<RobotId>,
+    /// Robots that the newest vectors put into another team, for not long enough yet, ordered by name.
+    pub held: Vec<HeldRobot>,
 }
 
 impl Teams {
@@ -177,13 +194,14 @@ impl Teams {
     }
 
     /// Whether another division has the same teams with the same members and leaders, and the same
-    /// robots without a team or stale, and stands to limits and needs alike.
+    /// robots without a team, stale or provisional, and stands to limits and needs alike.
     #[must_use]
     pub fn same_division(&self, other: &Self) -> bool {
         let conflict =
             |teams: &Self| teams.limited.as_ref().map(|limited| limited.conflict.clone());
         self.unassigned == other.unassigned
             && self.stale == other.stale
+            && self.provisional == other.provisional
             && conflict(self) == conflict(other)
             && self.needs == other.needs
             && self.teams.len() == other.teams.len()
@@ -243,6 +261,8 @@ impl Content for Teams {
         if !self.teams.iter().all(|team| by_name(&team.members))
             || !self.unassigned.is_sorted()
             || !self.stale.is_sorted()
+            || !self.provisional.is_sorted()
+            || !self.held.is_sorted_by(|left, right| left.robot < right.robot)
         {
             return refuse("teams", "robots must be ordered by name");
         }
@@ -262,6 +282,12 @@ impl Content for Teams {
             let fits = |text: &String| text.chars().count() <= MAX_CONFLICT_LENGTH;
             if !limited.conflict.iter().all(fits) {
                 return refuse("conflict", "is longer than it may be");
+            }
+            let prices = &limited.prices;
+            if !prices.is_empty() && prices.len() != self.teams.len()
+                || !prices.iter().all(|price| price.is_finite())
+            {
+                return refuse("price", "must be a finite number for each team, or for none");
             }
         }
         if self.needs.len() > MAX_TEAMS as usize * MAX_NEEDED_SKILLS {

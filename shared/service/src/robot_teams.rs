@@ -108,6 +108,8 @@ mod tests {
             next_team: 2,
             limited: None,
             needs: vec![],
+            provisional: vec![],
+            held: vec![],
         })
     }
 

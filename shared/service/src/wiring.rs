@@ -63,6 +63,8 @@ pub struct Wiring {
     pub tokens: Vec<Pattern>,
     /// Keys that it answers gets for.
     pub served: Vec<ServedKey>,
+    /// Keys that it gets now and then, beside those that it subscribes to and its own output.
+    pub fetched: Vec<Pattern>,
 }
 
 /// How many instances of a service publish.

@@ -105,7 +105,7 @@ pub(super) fn solve(
     let frames = problem.keeps_frames.then_some(frames);
     let mut warnings = warnings(problem, &embedded, residual);
     let divided = divide(problem, &embedded, &mut warnings, progress)?;
-    let Embedded { weights, trust, decay, decomposition, x, without_embedding } = embedded;
+    let Embedded { weights, trust, decay, decomposition, x, without_embedding, .. } = embedded;
     Ok(Solution {
         weights,
         trust,

@@ -22,8 +22,9 @@ use muster_model::limits::{
 use muster_model::refused::Refused;
 use muster_model::roster::{Presence, Roster};
 use muster_model::team_audit::{Loss, TeamAudit};
-use muster_model::teams::{RobotTeam, TeamCountScore, TeamNeed, Teams};
+use muster_model::teams::{HeldRobot, RobotTeam, TeamCountScore, TeamNeed, Teams};
 use muster_model::time::Tick;
+use muster_model::why::{Reason, Why};
 use muster_model::wish::{StandingWish, WishList, WishReport};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::ser::SerializeMap;
@@ -129,6 +130,11 @@ pub(crate) struct TeamsForm<'a> {
     conflict: Option<&'a str>,
     /// What the teams need and have, ordered as the teams, then by skill; empty without needs.
     needs: &'a [TeamNeed],
+    /// Robots with a team that one modality alone relates to others, where several relate robots of the fleet, ordered
+    /// by name: nothing confirms their place.
+    provisional: &'a [RobotId],
+    /// Robots that the newest vectors put into another team, for not long enough yet, ordered by name.
+    held: &'a [HeldRobot],
 }
 
 /// One team.
@@ -142,16 +148,21 @@ struct TeamForm<'a> {
     members: Vec<&'a RobotId>,
     /// The robot that commands most of the others; the previous leader if none commands any.
     leader: &'a RobotId,
+    /// What a place in the team costs, as a squared distance of vectors: above zero where it is full, below where it has as
+    /// few robots as it must have; null without limits, and while nothing satisfies them.
+    price: Option<f64>,
 }
 
 impl EdgeJson for Teams {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
-        let teams = self.teams.iter().map(|team| TeamForm {
+        let limited = self.limited.as_ref();
+        let prices = limited.map_or(&[][..], |limited| &limited.prices);
+        let teams = self.teams.iter().enumerate().map(|(number, team)| TeamForm {
             id: &team.id,
             members: team.members.iter().map(|member| &member.robot).collect(),
             leader: &team.leader,
+            price: prices.get(number).copied(),
         });
-        let limited = self.limited.as_ref();
         serde_json::to_vec(&TeamsForm {
             head: head(&self.header, now),
             requested: self.requested,
@@ -163,6 +174,8 @@ impl EdgeJson for Teams {
             gap: limited.filter(|limited| limited.conflict.is_none()).map(|limited| limited.gap),
             conflict: limited.and_then(|limited| limited.conflict.as_deref()),
             needs: &self.needs,
+            provisional: &self.provisional,
+            held: &self.held,
         })
     }
 }
@@ -631,6 +644,9 @@ pub(crate) struct EmbeddingForm<'a> {
     embedding: Vec<&'a [f64]>,
     /// Robots that the leading singular vectors do not see: no division can be read off their row.
     unseen: Vec<&'a RobotId>,
+    /// Robots that one modality alone relates to others, where several relate robots of the fleet: nothing confirms
+    /// their place.
+    provisional: Vec<&'a RobotId>,
     /// Katz centrality of each robot: the weight of all walks that begin at it, 1 for one without any
     /// relation.
     centrality: &'a [f64],
@@ -650,12 +666,14 @@ pub(crate) struct EmbeddingForm<'a> {
 impl EdgeJson for Embedding {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
         let unseen = self.robots.iter().zip(&self.without_embedding).filter(|(_, unseen)| **unseen);
+        let provisional = self.robots.iter().zip(&self.provisional).filter(|(_, marked)| **marked);
         serde_json::to_vec(&EmbeddingForm {
             head: head(&self.header, now),
             robots: &self.robots,
             dimension: self.dimension,
             embedding: self.values.chunks(self.dimension.max(1) as usize).collect(),
             unseen: unseen.map(|(robot, _)| robot).collect(),
+            provisional: provisional.map(|(robot, _)| robot).collect(),
             centrality: &self.centrality,
             weights: self.graphs.iter().map(|graph| (&graph.modality, graph.weight)).collect(),
             trust: self.graphs.iter().map(|graph| (&graph.modality, graph.trust)).collect(),
@@ -733,6 +751,22 @@ pub(crate) struct WishReportForm<'a> {
 impl EdgeJson for WishReport {
     fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
         serde_json::to_vec(&WishReportForm { head: head(&self.header, now), wish: &self.wish })
+    }
+}
+
+/// Why a robot is in its team: what a get of `why?robot=` is answered with. The head is that of the embedding by which
+/// the scores are computed.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct WhyForm<'a> {
+    #[serde(flatten)]
+    head: Head<'a>,
+    #[serde(flatten)]
+    reason: &'a Reason,
+}
+
+impl EdgeJson for Why {
+    fn to_json(&self, now: Tick) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec(&WhyForm { head: head(&self.header, now), reason: &self.reason })
     }
 }
 

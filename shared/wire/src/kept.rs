@@ -148,6 +148,8 @@ mod tests {
             next_team: 8,
             limited: None,
             needs: vec![],
+            provisional: vec![],
+            held: vec![],
         };
         let wish = Wish {
             kind: WishKind::Reserve,

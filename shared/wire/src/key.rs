@@ -81,6 +81,8 @@ pub enum Key {
     JsonWishes,
     /// `command/{service}/{operator}/{id}`: a get with a payload commands a service, one without answers what came of it.
     Command(ServiceName, OperatorId, CommandId),
+    /// `why`: a get of `why?robot=` answers with the reasons why a robot is in its team.
+    Why,
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -258,6 +260,7 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("json"), Some("alerts"), None, ..] => Key::JsonAlerts,
         [Some("json"), Some("wishes"), None, ..] => Key::JsonWishes,
         [Some("wishes"), None, ..] => Key::Wishes,
+        [Some("why"), None, ..] => Key::Why,
         [Some("wish"), Some(operator), Some(id), None, _] => {
             Key::Wish(operator.parse().ok()?, id.parse().ok()?)
         }
@@ -401,6 +404,7 @@ impl fmt::Display for Key {
             }
             Self::Wishes => formatter.write_str("wishes"),
             Self::JsonWishes => formatter.write_str("json/wishes"),
+            Self::Why => formatter.write_str("why"),
             Self::Foreign(key) => key.fmt(formatter),
         }
     }
@@ -440,6 +444,7 @@ mod tests {
             Key::Wish(OperatorId::new("alice").unwrap(), WishId::new("p1").unwrap()),
             Key::Wishes,
             Key::JsonWishes,
+            Key::Why,
         ];
         let robot = RobotId::new("r2").unwrap();
         keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));
@@ -512,6 +517,7 @@ mod tests {
             "json/embedding",
             "graph",
             "graph/a/b",
+            "why/r1",
             "wish/alice",
             "wish/alice/p1/x",
             "wish/A/p1",

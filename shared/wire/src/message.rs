@@ -21,6 +21,7 @@ use muster_model::roster::Roster;
 use muster_model::status::ServiceStatus;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
+use muster_model::why::Why;
 use muster_model::wish::{WishList, WishReport};
 
 use crate::decode::{DecodeError, check_header, format, payload};
@@ -95,6 +96,8 @@ pub enum Message {
     Wish(Box<WishReport>),
     /// What came of a command.
     Outcome(Arc<CommandOutcome>),
+    /// Why a robot is in its team: what a get of `why?robot=` is answered with.
+    Why(Box<Why>),
 }
 
 fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
@@ -210,6 +213,7 @@ impl Message {
             | Key::History(_)
             | Key::HistoryState(_)
             | Key::Schema
+            | Key::Why
             | Key::Stream(..)
             | Key::Foreign(_) => return Err(DecodeError::NotRead),
         })
@@ -234,6 +238,7 @@ impl Message {
             Self::Wishes(list) => Some(&list.header),
             Self::Wish(report) => Some(&report.header),
             Self::Outcome(outcome) => Some(&outcome.header),
+            Self::Why(why) => Some(&why.header),
             _ => None,
         }
     }
@@ -269,6 +274,7 @@ impl Message {
                 let (operator, id) = (outcome.operator.clone(), outcome.id.clone());
                 (Key::Command(outcome.service, operator, id), None)
             }
+            Self::Why(_) => (Key::Why, None),
         }
     }
 
@@ -310,6 +316,7 @@ impl Message {
             | Self::HistoryState(_)
             | Self::Wish(_)
             | Self::Outcome(_)
+            | Self::Why(_)
             | Self::Katz(_) => Format::Json,
             _ => Format::Binary,
         };
@@ -382,6 +389,7 @@ impl Message {
             Self::Wishes(list) => list.to_json(now),
             Self::Wish(report) => report.to_json(now),
             Self::Outcome(outcome) => outcome.to_json(now),
+            Self::Why(why) => why.to_json(now),
         }
     }
 
@@ -410,6 +418,7 @@ impl Message {
             | Self::History(_)
             | Self::HistoryState(_)
             | Self::Wish(_)
+            | Self::Why(_)
             | Self::Katz(_) => Err(EnvelopeError::Encode(
                 "this message has no binary form; ask with format=json".to_owned(),
             )),

@@ -28,7 +28,7 @@ use serde_json::{Map, Value, json};
 use crate::command::{MAX_COMMAND_BYTES, OutcomeForm};
 use crate::json::{
     AlertsForm, AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm,
-    RobotTeamForm, RosterForm, TeamsForm, WishReportForm, WishesForm,
+    RobotTeamForm, RosterForm, TeamsForm, WhyForm, WishReportForm, WishesForm,
 };
 use crate::report;
 
@@ -173,6 +173,7 @@ impl Schemas {
              term, actions of another service, more than 256 commands within ten minutes, and whatever the action itself \
              may not be",
         );
+        all.written::<WhyForm<'_>>("why", &["why?robot={robot}"]);
         all.written::<Problem<'_>>("error", &[]);
         all
     }

@@ -71,7 +71,7 @@ pub(crate) const KEYS: [&str; 16] = [
 ];
 
 /// What gets select.
-const SELECTORS: [&str; 20] = [
+const SELECTORS: [&str; 21] = [
     "~/**",
     "~/service/ingest/settings",
     "~/service/embedder/settings",
@@ -92,6 +92,7 @@ const SELECTORS: [&str; 20] = [
     "~/wish/kim/w1",
     "~/alerts",
     "~/command/*/kim/c1",
+    "~/why",
 ];
 
 /// What gets ask for.
@@ -99,7 +100,7 @@ const PARAMETERS: [&str; 8] = [
     "",
     "format=json",
     "format=bincode",
-    "x=1;format=json",
+    "robot=r1;format=json",
     "katz=r1,r2",
     "format=json;katz=r2,r1",
     "format=bincode;katz=r1,r2",
@@ -154,6 +155,7 @@ struct World<C: Core> {
 struct OpenGet {
     /// A get of a pair may wait for a job.
     is_of_pair: bool,
+    is_of_reason: bool,
     is_binary: bool,
 }
 
@@ -319,7 +321,7 @@ impl<C: Core> World<C> {
     }
 
     fn get(&mut self, draw: &mut Draw<'_>) {
-        let tail = SELECTORS[usize::from(draw.below(20))];
+        let tail = SELECTORS[usize::from(draw.below(21))];
         let choice = draw.byte();
         let parameters = PARAMETERS[usize::from(choice & 3 | (choice & 8) >> 1)].to_owned();
         let payload = (choice & 4 != 0).then(|| draw.block().to_vec());
@@ -336,7 +338,8 @@ impl<C: Core> World<C> {
         };
         let selector = tail.replace('~', "muster/v1/alpha");
         let is_binary = parameters.contains("format=bincode");
-        self.open.insert(get, OpenGet { is_of_pair: choice & 8 != 0, is_binary });
+        let is_of_reason = selector.ends_with("/why");
+        self.open.insert(get, OpenGet { is_of_pair: choice & 8 != 0, is_of_reason, is_binary });
         self.handle(Input::Get(IncomingGet { get, selector, narrowed: None, parameters, payload }));
     }
 
@@ -390,7 +393,11 @@ impl<C: Core> World<C> {
             }
         }
         if self.stores == 0 {
-            let waits = |get: &OpenGet| get.is_of_pair && self.job.is_some();
+            // A reason waits for the division as well.
+            let waits = |get: &OpenGet| {
+                (get.is_of_pair || get.is_of_reason) && self.job.is_some()
+                    || get.is_of_reason && !self.asks.is_empty()
+            };
             assert!(self.open.values().all(waits), "a get is not answered");
         }
         if self.asks.len() > MAX_ASKS {
@@ -403,7 +410,8 @@ impl<C: Core> World<C> {
         let Err(error) = &reply.answer else { return };
         text::check(error, MAX_ERROR);
         // These have no binary form, and a get of one is answered with that.
-        let has_none = |message| matches!(message, &(Message::Status(_) | Message::Katz(_)));
+        let has_none =
+            |message| matches!(message, &(Message::Status(_) | Message::Katz(_) | Message::Why(_)));
         let is_explained =
             reply.messages.is_empty() || open.is_binary && reply.messages.iter().any(has_none);
         assert!(is_explained, "{:?} is not answered: {error}", reply.messages);

@@ -311,6 +311,7 @@ impl Author {
             dimension,
             values: (0..values.min(256)).map(|_| draw.number()).collect(),
             without_embedding: robots.iter().map(|_| draw.below(4) == 1).collect(),
+            provisional: robots.iter().map(|_| draw.below(4) == 1).collect(),
             centrality: robots.iter().map(|_| draw.number()).collect(),
             robots,
             quality: EmbeddingQuality {
@@ -370,6 +371,7 @@ impl Author {
                 optimal: draw.byte() % 2 == 0,
                 gap: draw.number(),
                 conflict: None,
+                prices: Vec::new(),
             }),
             needs: draw.some(2, |draw| TeamNeed {
                 team: TeamId::numbered(draw.number64()),
@@ -379,6 +381,8 @@ impl Author {
                 soft: draw.byte() % 2 == 0,
                 have: u32::from(draw.byte()),
             }),
+            provisional: draw.robots(),
+            held: Vec::new(),
         }
     }
 

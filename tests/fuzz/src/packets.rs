@@ -26,6 +26,9 @@ pub(crate) const BINARY: &str = "application/octet-stream;bincode";
 /// Longest key or reason of a refusal, in characters.
 const MAX_REFUSAL: usize = 120;
 
+/// Longest text about the parameters of a get: a name that is cut short and a sentence.
+const MAX_PROBLEM: usize = 300;
+
 /// Bytes that decoding a packet may hold for each byte of it: the smallest entry of a roster has
 /// eleven bytes on the bus and some two hundred in memory, and vectors grow by doubling.
 const BYTES_PER_INPUT_BYTE: usize = 64;
@@ -149,6 +152,28 @@ pub(crate) fn katz(data: &[u8]) -> Outcome {
     assert_eq!(again.header.revision, pair.header.revision);
     again.header = pair.header.clone();
     assert_eq!(again, pair, "another similarity is read back");
+    Outcome::Accepted
+}
+
+/// A packet as [`foreign`] reads it, for a console that asked why a robot is in its team, and the parameters of such a
+/// question.
+pub(crate) fn why(data: &[u8]) -> Outcome {
+    if let Ok(parameters) = std::str::from_utf8(data)
+        && let Err(error) = muster_wire::why::robot(parameters)
+    {
+        text::check(&error.to_string(), MAX_PROBLEM);
+    }
+    let Some(packet) = foreign(data) else { return Outcome::Refused };
+    let space = space();
+    let decode = |packet: &Packet| muster_wire::why::decode(&space, packet, NOW);
+    let Ok(why) = read(&packet, "reading a reason", decode) else { return Outcome::Refused };
+    assert_eq!(space.format(&Key::Why), packet.key, "a reason comes from another key");
+    let out = Message::Why(Box::new(why.clone())).encode(Key::Why, Format::Json, NOW).unwrap();
+    let again = decode(&Packet { payload: Ok(out.payload), ..packet }).unwrap();
+    assert_eq!(again.reason, why.reason, "another reason is read back");
+    // What decided is found for any numbers.
+    let decided = why.reason.decided();
+    assert!(!decided.text.is_empty());
     Outcome::Accepted
 }
 

@@ -455,6 +455,8 @@ mod tests {
             next_team,
             limited: None,
             needs: vec![],
+            provisional: vec![],
+            held: vec![],
         }
     }
 

@@ -396,6 +396,10 @@ async fn a_client_on_the_callers_session_leaves_it_open() {
     assert!(matches!(refused, Error::Refused { service: ServiceName::Embedder, .. }), "{refused}");
     let kim = OperatorId::new("kim").unwrap();
     let settings = client.change_settings(&kim, ServiceName::Clusterer, &json!({"teams": 1})).await;
+    let why = client.get_reason(&one).await.unwrap();
+    assert_eq!((&why.reason.robot, why.reason.wishes.len()), (&one, 0));
+    let refused = client.get_reason(&stranger).await.unwrap_err();
+    assert!(matches!(refused, Error::Refused { service: ServiceName::Embedder, .. }), "{refused}");
     assert_eq!(settings.unwrap()["teams"], 1);
     let refused = client.change_settings(&kim, ServiceName::Clusterer, &json!({"teams": 0})).await;
     assert!(matches!(refused, Err(Error::Refused { .. })), "{refused:?}");

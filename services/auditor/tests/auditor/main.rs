@@ -153,6 +153,7 @@ fn embedding(epoch: u64, rows: Rows<'_>) -> Message {
         dimension: 2,
         values: rows.iter().flat_map(|row| row.1).collect(),
         without_embedding: vec![false; rows.len()],
+        provisional: vec![false; rows.len()],
         centrality: vec![1.0; rows.len()],
         quality: EmbeddingQuality {
             spectral_radius: (1.0, 1.0),
@@ -216,6 +217,8 @@ fn teams(epoch: u64, of: u64, teams: &[(&str, &str)], unassigned: &str) -> Messa
         next_team: 9,
         limited: None,
         needs: vec![],
+        provisional: vec![],
+        held: vec![],
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

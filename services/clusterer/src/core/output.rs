@@ -9,7 +9,7 @@ use muster_model::embedding::Embedding;
 use muster_model::event::{EventKind, Severity};
 use muster_model::id::RobotId;
 use muster_model::roster::Presence;
-use muster_model::teams::{Limited, Teams};
+use muster_model::teams::{HeldRobot, Limited, Teams};
 use muster_model::time::{Tick, seconds};
 use muster_wire::Message;
 
@@ -50,17 +50,23 @@ impl Clusterer {
             self.moves.keep(&held);
         }
         let mut teams = new.clone();
+        let elsewhere = new.assignments().filter(|(robot, _)| held.contains_key(*robot));
+        let mut kept: Vec<HeldRobot> = elsewhere
+            .map(|(robot, team)| HeldRobot { robot: robot.clone(), team: team.clone() })
+            .collect();
+        kept.sort_unstable_by(|left, right| left.robot.cmp(&right.robot));
         if !held.is_empty() {
             match with_held(&new, &held, rules.as_ref(), &source.embedding) {
-                Ok(kept) => {
+                Ok(with_held) => {
                     context.add("moves_held", held.len() as u64);
-                    teams = kept;
+                    teams = with_held;
                 }
                 // The division itself has passed the same computation.
                 Err(error) => context.report_job_failure("dwell", &error.to_string()),
             }
         }
         teams.changes = changes(&teams, before.as_deref());
+        teams.held = kept;
         // What happened to the teams is published with this one.
         let teams_found = Teams { changes: vec![], ..new };
         let undecided = Undecided { teams: teams_found, rules: asked };
@@ -90,7 +96,8 @@ impl Clusterer {
     pub(super) fn publish(&mut self, context: &mut Context<'_>, teams: Teams, source: Received) {
         let now = context.now();
         let (leaders, stale) = self.roster_view(&teams, &source.embedding);
-        let mut teams = Teams { stale, ..teams };
+        let provisional = provisional(&teams, &source.embedding);
+        let mut teams = Teams { stale, provisional, ..teams };
         for (team, leader) in teams.teams.iter_mut().zip(leaders) {
             if let Some(leader) = leader {
                 team.leader = leader;
@@ -266,4 +273,12 @@ impl Clusterer {
         let published = self.published.as_ref()?;
         Some(published.at.after(seconds(view.settings().heartbeat_s)))
     }
+}
+
+/// The robots with a team whose place nothing confirms, ordered by name.
+fn provisional(teams: &Teams, embedding: &Embedding) -> Vec<RobotId> {
+    let marked = embedding.robots.iter().zip(&embedding.provisional);
+    let marked =
+        marked.filter(|(robot, marked)| **marked && teams.unassigned.binary_search(robot).is_err());
+    marked.map(|(robot, _)| robot.clone()).collect()
 }

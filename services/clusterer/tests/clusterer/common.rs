@@ -165,6 +165,7 @@ pub fn from_rows(
         dimension: 2,
         values: rows.iter().flat_map(|row| row.1.clone()).collect(),
         without_embedding: rows.iter().map(|row| row.2).collect(),
+        provisional: vec![false; rows.len()],
         centrality: vec![1.0; rows.len()],
         quality: EmbeddingQuality {
             spectral_radius: (1.0, 1.0),

@@ -1,6 +1,7 @@
 //! Limits on the robots of teams: they hold, or the division and an event say why not.
 
 use muster_model::settings::TeamSize;
+use muster_model::teams::HeldRobot;
 
 use super::*;
 
@@ -261,4 +262,25 @@ proptest! {
             }
         }
     }
+}
+
+#[test]
+fn the_prices_say_what_a_place_costs_and_who_is_kept_is_named() {
+    let settings = ClustererSettings { dwell_s: 0.5, ..limited(2, None, Some(3)) };
+    let (mut bench, division) =
+        divided(settings, &embedding(1, &[("a b c d", WEST), ("x y", EAST)]));
+    assert_eq!(short(&division), "t1: a b c | t2: d x y");
+    let prices = &division.limited.as_ref().unwrap().prices;
+    assert!(prices[0] > prices[1], "all four would be in the first team: {prices:?}");
+    assert!(division.held.is_empty());
+    // With a place more nobody needs to pay.
+    set(&mut bench, r#"{"size":{"max":4}}"#).unwrap();
+    let division = bench.division();
+    let held = vec![HeldRobot { robot: robot("d"), team: division.teams[0].id.clone() }];
+    assert_eq!((short(&division).as_str(), &division.held), ("t1: a b c | t2: d x y", &held));
+    bench.wait(0.6);
+    let division = bench.division();
+    assert_eq!((short(&division).as_str(), division.held.len()), ("t1: a b c d | t2: x y", 0));
+    let prices = &division.limited.as_ref().unwrap().prices;
+    assert!(prices.iter().all(|price| price.abs() < 1e-9), "{prices:?}");
 }

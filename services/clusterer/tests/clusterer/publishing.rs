@@ -150,3 +150,22 @@ fn after_a_lost_link_everyone_is_informed_again() {
     bench.answer_fetch(fetches.remove(0), vec![Message::Embedding(missed)]);
     assert_eq!(short(&bench.division()), "t1: a b c | t2: d");
 }
+
+#[test]
+fn robots_that_one_modality_relates_are_provisional() {
+    let first = embedding(1, &[("a b", WEST), ("c d", EAST), ("e!", NORTH)]);
+    let (mut bench, division) = divided(teams(2), &first);
+    assert!(division.provisional.is_empty());
+    // Whoever has no team is in no provisional one.
+    let marked = |epoch: u64, place: [f64; 2]| {
+        let next = embedding(epoch, &[("a b", WEST), ("c d", place), ("e!", NORTH)]);
+        let provisional = vec![false, true, false, false, true];
+        Checked::new_unchecked(Embedding { provisional, ..(*next).clone() })
+    };
+    bench.receive_embedding(&marked(2, NORTH));
+    let sent = bench.take();
+    assert_eq!(sent.division().provisional, [robot("b")]);
+    assert!(sent.teams.iter().any(|(_, mirror)| *mirror), "the mirror says so at once");
+    bench.receive_embedding(&marked(3, EAST));
+    assert_eq!(bench.division().provisional, [robot("b")]);
+}

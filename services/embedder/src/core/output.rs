@@ -53,10 +53,12 @@ impl Embedder {
             dimension: computed.dimension,
             values: computed.values,
             without_embedding: computed.without_embedding,
+            provisional: computed.provisional,
             centrality: computed.centrality,
             quality: computed.quality,
         };
         self.published = Some((basis, now));
+        self.vectors_since = Some(embedding.header.revision);
         self.publish(context, embedding);
     }
 

@@ -70,11 +70,12 @@ fn schema(space: &KeySpace) -> String {
 }
 
 fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
-    let Wiring { subscriptions, tokens, served } = wiring(service);
+    let Wiring { subscriptions, tokens, served, fetched } = wiring(service);
     let texts = |patterns: &mut dyn Iterator<Item = Pattern>| -> Vec<String> {
         patterns.map(|pattern| space.pattern(&pattern)).collect()
     };
     let received = texts(&mut subscriptions.into_iter().map(|subscription| subscription.pattern));
+    let fetched = texts(&mut fetched.into_iter());
     // The schema is the same for all services: it is answered, and never put.
     let is_output = |key: &&ServedKey| {
         key.authority == Authority::Own && key.pattern != Pattern::One(Key::Schema)
@@ -89,7 +90,7 @@ fn of_service(space: &KeySpace, service: ServiceName) -> Rights {
     let mut rights = Rights {
         put: outputs.iter().chain(&events).cloned().chain(refusals).collect(),
         // At the start it gets what it subscribes to, and its own last output.
-        get: [received.as_slice(), &outputs].concat(),
+        get: [received.as_slice(), &outputs, &fetched].concat(),
         subscribe: received,
         reply: answered,
         declare_token: vec![space.pattern(&Pattern::InstanceTokens(service))],
@@ -152,6 +153,7 @@ fn of_viewer(space: &KeySpace) -> Rights {
         Key::Wishes,
         Key::Alerts,
         Key::Event,
+        Key::Why,
     ];
     let keys = keys.iter().map(|key| space.format(key));
     let wildcards = ["robot/**", "graph/*", "service/**", "json/*", "history/**", "wish/*/*"];
@@ -271,6 +273,15 @@ mod tests {
             }
         }
         assert!(rights("service.embedder").get.contains(&of("service/clusterer/settings")));
+        for (identity, key) in [
+            ("service.embedder", "teams"),
+            ("service.embedder", "wishes"),
+            ("operator.operator", "why"),
+            ("viewer.dashboard", "why"),
+        ] {
+            assert!(rights(identity).get.contains(&of(key)), "{identity} and {key}");
+        }
+        assert!(!rights("robot.r1").get.contains(&of("why")));
         assert!(rights("service.ingest").subscribe.contains(&of("robot/*/pose")));
         assert!(rights("service.ingest").subscribe.contains(&of("robot/*/*")));
         assert!(rights("service.ingest").watch_token.contains(&of("robot/*")));

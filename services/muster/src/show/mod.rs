@@ -8,6 +8,7 @@ mod screen;
 pub(crate) mod status;
 pub(crate) mod teams;
 pub(crate) mod watch;
+pub(crate) mod why;
 
 /// Arguments of the commands that show a live fleet.
 #[derive(Debug, Clone, clap::Args)]

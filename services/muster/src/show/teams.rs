@@ -58,6 +58,10 @@ impl Shown for Teams {
         if !self.stale.is_empty() {
             lines.push(format!("stale: {}", names(self.stale.iter())));
         }
+        if !self.provisional.is_empty() {
+            let robots = names(self.provisional.iter());
+            lines.push(format!("provisional, as one modality alone relates them: {robots}"));
+        }
         if let Some(conflict) = self.limited.as_ref().and_then(|limited| limited.conflict.as_ref())
         {
             lines.push(format!("limits do not hold: {conflict}"));
@@ -130,6 +134,8 @@ mod tests {
             next_team: 3,
             limited: None,
             needs: vec![],
+            provisional: vec![],
+            held: vec![],
             inertia: 0.0,
             unassigned: vec![robot("loose".to_owned())],
             stale: vec![],

@@ -136,6 +136,15 @@ impl Assigner {
         })
     }
 
+    /// What a place in each column of the last result costs beside the cost of the robot: above zero where the column
+    /// has as many robots as it may have, below where it has as few as it must have, and else zero. Every robot that
+    /// no pair of the rules ties is where its cost and the price are least. Columns of limited classes have prices per
+    /// class, which are not among these.
+    #[must_use]
+    pub fn column_prices(&self) -> &[i64] {
+        self.prices.get(..self.shape.columns).unwrap_or_default()
+    }
+
     /// Places of the columns of the last result.
     pub(crate) fn labels(&self) -> &[u32] {
         &self.labels

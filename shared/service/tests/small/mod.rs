@@ -255,6 +255,8 @@ pub(crate) fn output(header: Header) -> Message {
         next_team: 1,
         limited: None,
         needs: vec![],
+        provisional: vec![],
+        held: vec![],
     };
     Message::Teams { teams: Checked::new_unchecked(teams), mirror: false }
 }

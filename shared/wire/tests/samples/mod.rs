@@ -33,8 +33,11 @@ use muster_model::status::{Departure, ServiceStatus};
 use muster_model::team_audit::{
     Conductance, LeastFitting, Loss, Radio, SkillCover, Spread, TeamAudit,
 };
-use muster_model::teams::{Limited, Member, Team, TeamChange, TeamCountScore, TeamNeed, Teams};
+use muster_model::teams::{
+    HeldRobot, Limited, Member, Team, TeamChange, TeamCountScore, TeamNeed, Teams,
+};
 use muster_model::time::Tick;
+use muster_model::why::{DecidedBy, ModalityPull, Reason, ReasonWish, TeamReason, Why};
 use muster_model::wish::{StandingWish, Wish, WishKind, WishList, WishReport, WishState};
 use muster_wire::Message;
 use muster_wire::envelope::AnnouncedSettings;
@@ -150,6 +153,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         dimension: 2,
         values: vec![0.25, -0.5, 0.0, 0.0],
         without_embedding: vec![false, true],
+        provisional: vec![true, false],
         centrality: vec![1.5, 1.0],
         quality: EmbeddingQuality {
             spectral_radius: (0.5, 0.5),
@@ -202,6 +206,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
             optimal: false,
             gap: 0.125,
             conflict: Some("8 robots may only be in t1, which holds 6".to_owned()),
+            prices: vec![0.375],
         }),
         needs: vec![TeamNeed {
             team: team("t1"),
@@ -211,6 +216,8 @@ pub fn all() -> Vec<(&'static str, Message)> {
             soft: false,
             have: 0,
         }],
+        provisional: vec![robot("r1")],
+        held: vec![HeldRobot { robot: robot("r1"), team: team("t1") }],
     };
     let robot_team = teams.robot_team(&robot("r1")).unwrap();
     let report = |space, mean| SilhouetteReport {
@@ -356,6 +363,7 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ),
         ("status", Message::Status(Box::new(status))),
         ("katz", Message::Katz(Box::new(pair))),
+        ("why", Message::Why(Box::new(why()))),
         ("history", Message::History(Box::new(history()))),
         ("history_state", Message::HistoryState(Box::new(history_state()))),
         ("alerts", Message::Alerts(Arc::new(alerts()))),
@@ -617,4 +625,54 @@ pub fn event_kinds() -> Vec<EventKind> {
     ];
     kinds.extend(changes.map(EventKind::TeamChanged));
     kinds
+}
+
+fn why() -> Why {
+    let reason = |name: &str, pulls: [f64; 2], price: f64, hysteresis: f64| {
+        let names = [Modality::hierarchy(), Modality::spatial()];
+        let pull = |(modality, pull)| ModalityPull { modality, pull };
+        TeamReason {
+            team: team(name),
+            robots: 2,
+            max: Some(2),
+            min: 1,
+            barred: name == "t3",
+            score: pulls.iter().sum::<f64>() + 0.125 - 0.25,
+            modalities: names.into_iter().zip(pulls).map(pull).collect(),
+            itself: 0.125,
+            spread: -0.25,
+            rest: 0.0,
+            price,
+            hysteresis,
+            total: 0.0,
+        }
+        .summed()
+    };
+    let reason = Reason {
+        robot: robot("r7"),
+        team: team("t1"),
+        decided_by: DecidedBy::Relations,
+        text: String::new(),
+        division: revision(44),
+        older_s: Some(0.5),
+        provisional: true,
+        held_from: Some(team("t2")),
+        length_squared: 1.0,
+        teams: vec![
+            reason("t1", [0.5, 0.25], 0.0, 0.0625),
+            reason("t2", [0.25, 0.75], 0.75, 0.0),
+            reason("t3", [0.0, 0.125], 0.0, 0.0),
+        ],
+        wishes: vec![ReasonWish {
+            operator: OperatorId::new("alice").unwrap(),
+            id: WishId::new("p1").unwrap(),
+            kind: WishKind::Ban,
+            team: Some(team("t3")),
+            granted: true,
+        }],
+        hysteresis: 0.0625,
+        dwell_s: 0.5,
+        conflict: None,
+    };
+    Why { header: header(43), reason: reason.decided() }
 }

@@ -36,6 +36,7 @@ pub(crate) fn check(message: &Message) -> Verified {
         Message::Wishes(list) => list.serialize(Walker),
         Message::Wish(report) => report.wish.serialize(Walker),
         Message::Outcome(outcome) => outcome.serialize(Walker),
+        Message::Why(why) => why.reason.serialize(Walker),
     };
     match walked {
         Ok(()) => Ok(()),
