@@ -289,10 +289,6 @@ fn golden() -> Vec<Seed> {
     let json = std::fs::read_to_string(folder.join("why.json")).unwrap();
     let bytes = format!("p~why\n\n{json}").into_bytes();
     seeds.push(Seed { target: "why", name: "why-json".to_owned(), bytes });
-    for parameters in ["robot=r1", "format=json;robot=r1", "robot=", "robots=r1"] {
-        let name = format!("why-{}", parameters.replace([';', '='], "-"));
-        seeds.push(Seed { target: "why", name, bytes: parameters.as_bytes().to_vec() });
-    }
     for letter in ["a", "g", "d", "c"] {
         let bytes = format!("{letter}~robot/r1\n\n").into_bytes();
         seeds.push(Seed { target: "packet", name: format!("token-{letter}"), bytes });
