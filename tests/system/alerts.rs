@@ -154,7 +154,7 @@ async fn a_robot_whose_loss_cuts_its_team_is_named_and_its_loss_is_an_alert_unti
 
     // A reader that comes late has the list, and an operator acknowledges the alert.
     let late = Client::open(&config(&cluster)).await.unwrap();
-    assert_eq!(cut_off(&*late.get_alerts().await.unwrap()).unwrap().id, id);
+    assert_eq!(cut_off(&late.get_alerts().await.unwrap()).unwrap().id, id);
     let mut watch = late.alerts().await.unwrap();
     let newest = tokio::time::timeout(SEEN_WITHIN, watch.changed()).await.unwrap().unwrap();
     assert_eq!(cut_off(&newest.value).unwrap().id, id);
