@@ -25,6 +25,7 @@ use muster_model::role::LeaseRenewal;
 use muster_model::time::Tick;
 use muster_service::recording::{Entry, Head, commands_frame, input_frame};
 use muster_service::replay::{Comparison, Ending, compare};
+use muster_service::testkit::command_of;
 use muster_service::{
     Arrival, Ask, AskId, Command, Core, GetId, Host, IncomingGet, Input, Start, Stopwatch, Stored,
     Wiring,
@@ -395,7 +396,16 @@ impl World {
             Act::Link(at, up) => self.nodes[at].link(self.now, up),
             Act::Refuse(at) => self.nodes[at].refuse(self.now),
             Act::Get(at, key, payload) => {
-                self.nodes[at].get(self.now, incoming(key.to_owned(), "", payload));
+                let tail = key.trim_start_matches("muster/v1/alpha/");
+                let id = self.now.0.to_string();
+                let command = payload.and_then(|payload| command_of(self.now, tail, &id, payload));
+                let (key, payload) = match &command {
+                    Some((tail, command)) => {
+                        (format!("muster/v1/alpha/{tail}"), Some(command.as_str()))
+                    }
+                    None => (key.to_owned(), payload),
+                };
+                self.nodes[at].get(self.now, incoming(key, "", payload));
             }
         }
         self.settle();

@@ -1,9 +1,12 @@
 //! A robot or dashboard without the client crate: plain Zenoh and JSON.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use muster_model::time::Tick;
+use muster_service::testkit::command_of;
 use muster_wire::{Packet, Source};
 use serde_json::Value;
 use tokio::time::sleep;
@@ -63,7 +66,7 @@ pub fn division(teams: &Value) -> Division {
 /// The moment in seconds since 1970.
 #[must_use]
 pub fn now() -> f64 {
-    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.unwrap_or_default().as_secs_f64()
 }
 
@@ -183,7 +186,8 @@ impl Client {
         self.session.liveliness().declare_token(self.key(tail)).await.map_err(fail)
     }
 
-    /// Gets JSON: every answer with its key, errors as their text.
+    /// Gets JSON: every answer with its key, errors as their text. A payload for settings, a wish or the alerts goes in a
+    /// command of its own, and what is returned is what its key answers.
     ///
     /// # Errors
     /// If the session is closed.
@@ -205,10 +209,31 @@ impl Client {
         payload: Option<&Value>,
         within: Duration,
     ) -> anyhow::Result<Vec<(String, Result<Value, String>)>> {
+        let text = payload.map(Value::to_string);
+        let command =
+            text.as_deref().and_then(|text| command_of(wall_tick(), tail, &command_id(), text));
+        let Some((key, command)) = command else {
+            return self.get_raw(tail, text, within).await;
+        };
+        let answers = self.get_raw(&key, Some(command), within).await?;
+        let inner = |outcome: Value| outcome.get("answer").cloned().unwrap_or(Value::Null);
+        Ok(answers.into_iter().map(|(_, answer)| (tail.to_owned(), answer.map(inner))).collect())
+    }
+
+    /// Gets JSON with a payload as it is.
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn get_raw(
+        &self,
+        tail: &str,
+        payload: Option<String>,
+        within: Duration,
+    ) -> anyhow::Result<Vec<(String, Result<Value, String>)>> {
         let selector = self.key(tail);
         let mut get = self.session.get(selector.as_str()).timeout(within);
         if let Some(payload) = payload {
-            get = get.payload(payload.to_string());
+            get = get.payload(payload);
         }
         answers(get.await.map_err(fail)?, &self.prefix).await
     }
@@ -424,4 +449,15 @@ pub fn is_event_of_robots(event: &Value, name: &str) -> bool {
     let named = event["event"].as_str().unwrap_or_default();
     let of_several = named.strip_prefix("robots_");
     named == name || of_several.is_some_and(|tail| name.strip_prefix("robot_") == Some(tail))
+}
+
+/// Now, by the wall clock.
+fn wall_tick() -> Tick {
+    Tick(0).after(SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default())
+}
+
+/// An id that no other command of this process has.
+fn command_id() -> String {
+    static SENT: AtomicU64 = AtomicU64::new(0);
+    format!("t{}-{}", std::process::id(), SENT.fetch_add(1, Ordering::Relaxed))
 }

@@ -397,7 +397,8 @@ mod tests {
             for (tick, found) in entries[..entries.len() - 1].iter().enumerate() {
                 assert_eq!(*found, entry_read(tick as u64));
             }
-            assert!(entries.len() > 10 && entries.len() < 300, "{}", entries.len());
+            // The queue, and what the buffer of the writer holds before the disk is asked.
+            assert!(entries.len() > 10 && entries.len() < 1000, "{}", entries.len());
         }
     }
 

@@ -6,7 +6,8 @@
 mod common;
 
 use std::ops::ControlFlow;
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use common::{config, connected, passive_core, router};
 use muster_model::event::{EventKind, Severity};
@@ -23,6 +24,7 @@ use muster_runtime::stop;
 use muster_runtime::store::Store;
 use muster_service::recording::Head;
 use muster_service::replay::{ReplayError, Step, compare};
+use muster_service::testkit::command_of;
 use muster_service::{
     Context, Core, Delivery, Get, Input, JobEnd, Stopwatch, Subscription, View, Wiring,
 };
@@ -165,6 +167,17 @@ async fn status(bus: &Bus, counter: &str) -> u64 {
     status["counters"][counter].as_u64().unwrap_or_default()
 }
 
+/// Commands a change of settings.
+async fn set(asker: &Bus, patch: &str) -> Vec<Answer> {
+    static SENT: AtomicU64 = AtomicU64::new(0);
+    let now = Tick(0).after(SystemTime::now().duration_since(UNIX_EPOCH).unwrap());
+    let id = format!("c{}", SENT.fetch_add(1, Ordering::Relaxed));
+    let settings = Key::Settings(ServiceName::Clusterer).to_string();
+    let (key, command) = command_of(now, &settings, &id, patch).unwrap();
+    let key = asker.space().parse(&format!("muster/v1/{}/{key}", asker.space().fleet())).unwrap();
+    asker.get(&Pattern::One(key), ask(Some(command.as_bytes()))).await.unwrap()
+}
+
 fn ask(payload: Option<&[u8]>) -> Ask<'_> {
     Ask {
         parameters: "",
@@ -259,14 +272,14 @@ async fn a_setting_is_on_disk_before_it_is_confirmed_or_the_failure_is_reported(
     }
     for teams in 3..20_u32 {
         let patch = format!("{{\"teams\":{teams}}}");
-        let answers = asker.get(&settings, ask(Some(patch.as_bytes()))).await.unwrap();
+        let answers = set(&asker, &patch).await;
         assert!(matches!(answers[0], Answer::Packet(_)), "{answers:?}");
         assert_eq!(store.load().patch["teams"], teams);
     }
     // A file where the folder should be: nothing can be kept any more.
     std::fs::remove_dir_all(directory.path().join(fleet.as_str())).unwrap();
     std::fs::write(directory.path().join(fleet.as_str()), "").unwrap();
-    let answers = asker.get(&settings, ask(Some(b"{\"teams\":7}"))).await.unwrap();
+    let answers = set(&asker, "{\"teams\":7}").await;
     let Answer::Error(problem) = &answers[0] else { panic!("{answers:?}") };
     assert!(problem.contains("will not survive"), "{problem}");
     stopper.stop();

@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use muster_model::event::EventKind;
 use muster_model::id::{FleetId, InstanceId};
 use muster_model::status::ServiceStatus;
 use muster_model::time::Tick;
@@ -27,8 +28,10 @@ pub struct Bench<C: Core> {
     pub host: Host<C>,
     /// The moment of the bench.
     pub now: Tick,
-    /// What was published, oldest first.
+    /// What was published, oldest first, but for `commanded`.
     pub published: Vec<Message>,
+    /// What the host has published of commands, oldest first: outcomes, and their events.
+    pub commanded: Vec<Message>,
     /// Questions that wait for [`Bench::answer`].
     pub asks: Vec<Ask>,
     /// What is kept over a restart.
@@ -45,7 +48,7 @@ pub struct Bench<C: Core> {
     pub hold_jobs: bool,
     /// State waits for [`Input::Stored`] or [`Input::Kept`], with its command in `others`, instead of being kept at once.
     pub hold_stores: bool,
-    /// Queries for the current leader wait in `asks`, instead of going unanswered at once.
+    /// Queries for the current leader and the last commands wait in `asks`, instead of going unanswered at once.
     pub hold_leader_queries: bool,
     /// The job that waits.
     pub job: Option<C::Job>,
@@ -65,6 +68,7 @@ impl<C: Core> Bench<C> {
             stored: start.stored.clone(),
             host: Host::new(start),
             published: Vec::new(),
+            commanded: Vec::new(),
             asks: Vec::new(),
             kept: None,
             replies: Vec::new(),
@@ -193,15 +197,19 @@ impl<C: Core> Bench<C> {
             let Some(input) = inputs.pop_front() else { return };
             for command in self.host.handle(self.now, input) {
                 match command {
-                    Command::Publish(publication) => self.published.extend(publication.message),
+                    Command::Publish(publication) => {
+                        let of_command = publication.message.as_ref().is_some_and(is_of_command);
+                        let list =
+                            if of_command { &mut self.commanded } else { &mut self.published };
+                        list.extend(publication.message);
+                    }
                     Command::Reply(reply) => self.replies.push(reply),
                     Command::RunJob => {
                         assert!(self.job.is_none(), "one job at a time");
                         self.job = self.host.take_job();
                     }
                     Command::Ask(ask)
-                        if !self.hold_leader_queries
-                            && ask.pattern == Pattern::One(Key::Lease(C::SERVICE)) =>
+                        if !self.hold_leader_queries && is_of_host::<C>(&ask.pattern) =>
                     {
                         inputs.push_back(Input::Answered { ask: ask.ask, answers: Vec::new() });
                     }
@@ -312,6 +320,20 @@ impl<C: Core> Bench<C> {
     }
 }
 
+/// Whether a message is about a command.
+fn is_of_command(message: &Message) -> bool {
+    match message {
+        Message::Outcome(_) => true,
+        Message::Event(event) => matches!(event.kind, EventKind::Commanded { .. }),
+        _ => false,
+    }
+}
+
+/// Whether a question is the host's own.
+fn is_of_host<C: Core>(pattern: &Pattern) -> bool {
+    *pattern == Pattern::One(Key::Lease(C::SERVICE)) || *pattern == Pattern::Commands(C::SERVICE)
+}
+
 /// How long the commands of tests are valid, in seconds.
 const COMMAND_VALID_S: f64 = 60.0;
 
@@ -322,7 +344,7 @@ pub fn command_of(now: Tick, selector: &str, id: &str, payload: &str) -> Option<
     let value: Value = serde_json::from_str(payload).ok()?;
     let chunks: Vec<&str> = selector.split('/').collect();
     let (service, operator, action) = match chunks[..] {
-        ["service", service, "settings"] => (service, "tester", json!({ "set": value })),
+        ["service", service, "settings"] => (service, "operator", json!({ "set": value })),
         ["wish", operator, id] if value.is_null() => {
             ("clusterer", operator, json!({"withdraw": {"id": id}}))
         }

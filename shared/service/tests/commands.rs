@@ -44,7 +44,7 @@ fn outcomes(driven: &Driven) -> Vec<Arc<CommandOutcome>> {
         Message::Outcome(outcome) => Some(Arc::clone(outcome)),
         _ => None,
     };
-    driven.published.iter().filter_map(outcome).collect()
+    driven.commanded.iter().filter_map(outcome).collect()
 }
 
 #[test]
@@ -110,7 +110,7 @@ fn what_is_too_late_from_another_clock_or_of_a_later_term_is_refused_with_the_re
     let based = json!({"based_on": {"term": term, "epoch": 9}});
     command(&mut driven, "kim/c1", &content(based)).unwrap();
     assert_eq!(driven.teams(), 7);
-    let events = driven.published.iter().filter(|message| {
+    let events = driven.commanded.iter().filter(|message| {
         matches!(message, Message::Event(event) if matches!(event.kind, EventKind::Commanded { .. }))
     });
     assert_eq!(events.count(), 7, "six of a form that is right, and the last");

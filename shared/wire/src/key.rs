@@ -185,6 +185,11 @@ impl KeySpace {
         }
     }
 
+    /// What stands before the service in the keys of all commands.
+    pub(crate) fn commands(&self) -> String {
+        format!("{}command/", self.prefix)
+    }
+
     /// The key expression of a set of keys.
     #[must_use]
     pub fn pattern(&self, pattern: &Pattern) -> String {

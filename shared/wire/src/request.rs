@@ -91,6 +91,12 @@ impl Request {
         space.parse(&self.selector).ok()
     }
 
+    /// Whether the get names several commands at once, or its part that one server of commands is to answer does.
+    #[must_use]
+    pub fn names_commands(&self, space: &KeySpace) -> bool {
+        !self.exact && self.selector.starts_with(&space.commands())
+    }
+
     /// Whether the get selects a key.
     #[must_use]
     pub fn selects(&self, space: &KeySpace, key: &Key) -> bool {

@@ -1,6 +1,8 @@
 //! Packets on any key, in any encoding, from any source.
 
+use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
+use muster_model::command::CommandOutcome;
 use muster_model::embedding::Embedding;
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
@@ -10,6 +12,7 @@ use muster_model::role::LeaseRenewal;
 use muster_model::roster::Roster;
 use muster_model::teams::{RobotTeam, Teams};
 use muster_model::time::Tick;
+use muster_model::wish::WishList;
 use muster_wire::envelope::{AnnouncedSettings, BinaryMessage, MAGIC, VERSION, decode, encode};
 use muster_wire::message::MAX_REASON;
 use muster_wire::report::{decode_unchecked, encode_unchecked};
@@ -247,12 +250,12 @@ pub(crate) fn envelope(data: &[u8]) -> Outcome {
         })
     }
     let Some((kind, content)) = data.split_first() else { return Outcome::Refused };
-    let kind = kind % 14;
+    let kind = kind % 19;
     let bytes = [&[MAGIC, VERSION, kind], content].concat();
     match kind {
         1 => of_stream(&Stream::Pose, &bytes),
         2 => of_stream(&Stream::Links, &bytes),
-        3 => of_stream(&Stream::Rank, &bytes),
+        3 | 17 => of_stream(&Stream::Rank, &bytes),
         4 => of_stream(&Stream::Relation(Modality::spatial()), &bytes),
         5 => of::<GraphDelta>(&bytes),
         6 => of::<Roster>(&bytes),
@@ -263,6 +266,9 @@ pub(crate) fn envelope(data: &[u8]) -> Outcome {
         11 => of::<Event>(&bytes),
         12 => of::<AnnouncedSettings>(&bytes),
         13 => of::<LeaseRenewal>(&bytes),
+        14 => of::<WishList>(&bytes),
+        16 => of::<Alerts>(&bytes),
+        18 => of::<CommandOutcome>(&bytes),
         // The head itself is foreign.
         _ => of::<Event>(content),
     }

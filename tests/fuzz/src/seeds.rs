@@ -250,6 +250,7 @@ fn golden() -> Vec<Seed> {
         ("settings", "service/clusterer/settings"),
         ("wishes", "wishes"),
         ("alerts", "alerts"),
+        ("command_outcome", "command/clusterer/kim/c1"),
     ];
     for (place, (name, key)) in keys.into_iter().enumerate() {
         let hex = std::fs::read_to_string(folder.join(format!("{name}.hex"))).unwrap();

@@ -290,6 +290,8 @@ impl Mutator {
             }
             (Mutant::Overfull, Message::Teams { teams, mirror }) if teams.limited.is_some() => {
                 let mut teams = Teams::clone(&teams);
+                // Readers would refuse prices of teams that are not there.
+                teams.limited.iter_mut().for_each(|limited| limited.prices.clear());
                 let others = teams.teams.split_off(teams.teams.len().min(1));
                 if let Some(first) = teams.teams.first_mut() {
                     first.members.extend(others.into_iter().flat_map(|team| team.members));

@@ -157,8 +157,9 @@ fn an_operator_acknowledges_an_alert_and_learns_what_is_wrong_with_a_request() {
     assert_eq!(events(&mut bench), ["+1 cut_off", "kim saw 1"]);
     for (payload, named) in [
         (r#"{"operator": "kim", "alert": 9}"#, "no open alert 9"),
-        (r#"{"operator": "kim"}"#, "alert"),
-        ("x", "such as"),
+        (r#"{"operator": "kim", "alert": -1}"#, "alert"),
+        (r#"{"operator": "kim"}"#, "command"),
+        ("x", "command"),
     ] {
         let refused = bench.get("alerts", Some(payload)).unwrap_err();
         assert!(refused.contains(named), "{refused}");

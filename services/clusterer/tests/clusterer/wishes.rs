@@ -2,6 +2,7 @@
 
 use muster_model::settings::TeamSize;
 use muster_model::wish::{StandingWish, WishState};
+use muster_service::testkit::command_of;
 use serde_json::{Value, json};
 
 use super::*;
@@ -178,7 +179,7 @@ fn a_wish_that_contradicts_others_is_refused_with_them() {
     for (name, payload, named) in [
         ("alice/p2", json!({"kind": "pin", "robots": ["a"]}), "team"),
         ("alice/p2", json!({"kind": "reserve", "robots": ["a"], "expires": 5.0}), "expires"),
-        ("alice/p2", json!([1]), "(wish)"),
+        ("alice/p2", json!([1]), "action.wish"),
     ] {
         let error = put(&mut bench, name, &payload).unwrap_err();
         assert!(error.contains(named), "{payload}: {error}");
@@ -233,12 +234,14 @@ fn a_wish_is_on_disk_before_it_is_confirmed_and_there_after_a_restart() {
     let (mut bench, _) = divided(fixed(), &six(1));
     bench.hold_stores = true;
     let replies = bench.replies.len();
+    let wish = pin(&["a"], "t2").to_string();
+    let (key, command) = command_of(bench.now, "wish/alice/p", "c1", &wish).unwrap();
     let get = muster_service::IncomingGet {
         get: muster_service::GetId(999),
-        selector: "muster/v1/f/wish/alice/p".to_owned(),
+        selector: format!("muster/v1/f/{key}"),
         narrowed: None,
         parameters: String::new(),
-        payload: Some(pin(&["a"], "t2").to_string().into_bytes()),
+        payload: Some(command.into_bytes()),
     };
     bench.input(Input::Get(get));
     assert_eq!(bench.replies.len(), replies, "it is not on disk yet");

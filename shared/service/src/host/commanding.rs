@@ -32,6 +32,13 @@ impl<C: Core> Host<C> {
                     self.command(get, (operator, id));
                     None
                 }
+                // A get of many keys that a queryable of commands was reached by.
+                None if get.request.names_commands(&space) => {
+                    let problem = "must name one command, without wildcards";
+                    let problem = problem_json("(key)", problem);
+                    Context::<C>(&mut self.facilities).reply_error(get, problem);
+                    None
+                }
                 _ => Some(get),
             };
         }
@@ -96,9 +103,6 @@ impl<C: Core> Host<C> {
         let facilities = &mut self.facilities;
         let refused =
             |field: &str, problem: &str| Err(NotBegun::Refused(problem_json(field, problem)));
-        if !get.request.is_exact() {
-            return refused("(key)", "must name one command, without wildcards");
-        }
         if !facilities.replica.election.has_term() {
             return refused("(command)", "the service is starting; ask again in a moment");
         }

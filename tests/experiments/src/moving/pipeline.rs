@@ -22,7 +22,7 @@ use muster_model::settings::{
 };
 use muster_model::teams::Teams;
 use muster_model::time::Tick;
-use muster_service::testkit::START_RETRY_TIME;
+use muster_service::testkit::{START_RETRY_TIME, command_of};
 use muster_service::{
     Arrival, Command, Core, GetId, Host, IncomingGet, Input, Start, Stopwatch, Stored,
 };
@@ -253,11 +253,17 @@ impl Pipeline {
     /// # Errors
     /// If `clusterer` refuses.
     pub fn order_teams(&mut self, teams: usize) -> Result<(), PipelineError> {
-        let selector = self.space.format(&Key::Settings(ServiceName::Clusterer));
-        let payload = Some(format!("{{\"teams\": {teams}}}").into_bytes());
         self.gets += 1;
-        let (get, parameters) = (GetId(self.gets), String::new());
-        let get = IncomingGet { get, selector, narrowed: None, parameters, payload };
+        let (key, id) = (Key::Settings(ServiceName::Clusterer).to_string(), self.gets.to_string());
+        let patch = format!("{{\"teams\": {teams}}}");
+        let Some((key, command)) = command_of(self.now, &key, &id, &patch) else { return Ok(()) };
+        let get = IncomingGet {
+            get: GetId(self.gets),
+            selector: format!("muster/v1/{}/{key}", self.space.fleet()),
+            narrowed: None,
+            parameters: String::new(),
+            payload: Some(command.into_bytes()),
+        };
         let out = self.clusterer.step(self.now, Input::Get(get), &mut self.times);
         self.send(out);
         self.deliver();
