@@ -235,7 +235,7 @@ fn a_wish_is_on_disk_before_it_is_confirmed_and_there_after_a_restart() {
     bench.hold_stores = true;
     let replies = bench.replies.len();
     let wish = pin(&["a"], "t2").to_string();
-    let (key, command) = command_of(bench.now, "wish/alice/p", "c1", &wish).unwrap();
+    let (key, command) = command_of(bench.now, "wish/alice/p", "first", &wish).unwrap();
     let get = muster_service::IncomingGet {
         get: muster_service::GetId(999),
         selector: format!("muster/v1/f/{key}"),
