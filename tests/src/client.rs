@@ -215,7 +215,18 @@ impl Client {
         let Some((key, command)) = command else {
             return self.get_raw(tail, text, within).await;
         };
-        let answers = self.get_raw(&key, Some(command), within).await?;
+        let start = Instant::now();
+        let answers = loop {
+            let answers = self.get_raw(&key, Some(command.clone()), within).await?;
+            // The same command again is carried out once.
+            let starts = |answer: &Result<Value, String>| {
+                answer.as_ref().is_err_and(|error| error.contains("the service is starting"))
+            };
+            if start.elapsed() > within || !answers.iter().any(|(_, answer)| starts(answer)) {
+                break answers;
+            }
+            sleep(Duration::from_millis(100)).await;
+        };
         let inner = |outcome: Value| outcome.get("answer").cloned().unwrap_or(Value::Null);
         Ok(answers.into_iter().map(|(_, answer)| (tail.to_owned(), answer.map(inner))).collect())
     }

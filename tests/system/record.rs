@@ -221,9 +221,11 @@ fn tampering_is_found(folder: &Path) {
     let mut changed = 0;
     for entry in &mut entries {
         if let Entry::Input { input: Input::Get(get), .. } = entry
-            && get.payload.as_deref() == Some(b"{\"teams\":3}")
+            && let Some(payload) = &get.payload
+            && let Ok(text) = std::str::from_utf8(payload)
+            && text.contains("\"teams\":3")
         {
-            get.payload = Some(b"{\"teams\":2}".to_vec());
+            get.payload = Some(text.replace("\"teams\":3", "\"teams\":2").into_bytes());
             changed += 1;
         }
     }

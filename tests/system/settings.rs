@@ -78,7 +78,7 @@ async fn a_wrong_setting_is_answered_with_its_field_and_changes_nothing() {
         ("ingest", json!({"gone_after_s": 1.0}), "gone_after_s"),
         ("ingest", json!({"modalities": ["spatial"]}), "modalities"),
         ("auditor", json!({"good": 0.1, "poor": 0.5}), "good"),
-        ("auditor", json!([1, 2]), "(patch)"),
+        ("auditor", json!([1, 2]), "action.set"),
     ];
     for (service, patch, field) in wrong {
         let key = format!("service/{service}/settings");

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use muster_bus::{Answer, Ask, Target};
 use muster_model::alert::{AcknowledgeAlert, Alerts};
@@ -10,6 +10,7 @@ use muster_model::command::{Action, OperatorCommand};
 use muster_model::header::Revision;
 use muster_model::id::{CommandId, OperatorId, ServiceName, WishId};
 use muster_model::wish::{StandingWish, Wish};
+use muster_wire::command::STARTING;
 use muster_wire::{Key, Packet, Pattern};
 use serde_json::{Map, Value};
 
@@ -21,6 +22,27 @@ use crate::reporter::wall_clock;
 /// How long a command may be carried out: longer than its answer is waited for, and shorter than anybody forgets what he
 /// has commanded.
 const VALID_TIME: Duration = Duration::from_secs(30);
+
+/// How long a service is asked again that is starting: it knows within about two seconds whether it leads.
+const START_TIME: Duration = Duration::from_secs(5);
+
+/// Time between two such questions.
+const START_PAUSE: Duration = Duration::from_millis(200);
+
+/// What was heard of a command.
+enum Sent {
+    /// It was carried out: what came of it.
+    Answered(Value),
+    /// It was refused: the error reply.
+    Refused(String),
+    /// Nothing.
+    Unanswered,
+}
+
+/// Whether a command was refused because the service does not lead yet.
+fn is_starting(error: &str) -> bool {
+    error.contains(STARTING)
+}
 
 impl Client {
     /// Commands a service, and returns what came of it, with the fields of the schema `command_outcome`. The command has an
@@ -41,23 +63,37 @@ impl Client {
         let command = OperatorCommand { sent, expires, based_on, action };
         let payload = serde_json::to_vec(&command).map_err(Error::bus)?;
         let key = Key::Command(service, operator.clone(), command_id(now.0)?);
-        let ask = Ask { payload: Some(&payload), ..ask_for("format=json", Target::Complete) };
-        let mut refused = None;
+        let start = Instant::now();
+        loop {
+            match self.command_once(&key, &payload).await? {
+                Sent::Answered(outcome) => return Ok(outcome),
+                // The same command again is carried out once.
+                Sent::Refused(error) if is_starting(&error) && start.elapsed() < START_TIME => {
+                    tokio::time::sleep(START_PAUSE).await;
+                }
+                Sent::Refused(error) => {
+                    return Err(Error::Refused { service, reason: reason(&error) });
+                }
+                Sent::Unanswered => return Err(self.leader_unanswered(service, key).await),
+            }
+        }
+    }
+
+    /// Sends a command and waits for its answer.
+    async fn command_once(&self, key: &Key, payload: &[u8]) -> Result<Sent, Error> {
+        let ask = Ask { payload: Some(payload), ..ask_for("format=json", Target::Complete) };
+        let mut sent = Sent::Unanswered;
         for answer in self.get(&Pattern::One(key.clone()), ask).await? {
             match answer {
                 Answer::Packet(Packet { payload: Ok(payload), .. }) => {
-                    return serde_json::from_slice(&payload).map_err(Error::bus);
+                    let outcome = serde_json::from_slice(&payload).map_err(Error::bus)?;
+                    return Ok(Sent::Answered(outcome));
                 }
                 Answer::Packet(_) => {}
-                Answer::Error(error) => {
-                    refused = Some(Error::Refused { service, reason: reason(&error) });
-                }
+                Answer::Error(error) => sent = Sent::Refused(error),
             }
         }
-        match refused {
-            Some(refused) => Err(refused),
-            None => Err(self.leader_unanswered(service, key).await),
-        }
+        Ok(sent)
     }
 
     /// Changes settings of a service, and returns all of them. The patch is a JSON object with the fields to change; it is

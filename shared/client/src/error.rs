@@ -53,7 +53,7 @@ pub enum Error {
     /// The service runs and answers other gets, but not this one: the rules of a router drop it.
     #[error(
         "denied: {service} of fleet {fleet} runs, and the router does not let this client get or change \
-         {key}; use the identity of an operator (--zenoh-config, Config::zenoh_config)"
+         {key}; use the identity of an operator (--zenoh-config, Config::zenoh_config), and its name (--operator)"
     )]
     Denied {
         /// The service.

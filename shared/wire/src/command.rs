@@ -9,12 +9,15 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use crate::envelope::MAX_SMALL_PAYLOAD;
 use crate::json::{EdgeJson, Head, head};
 use crate::key::Key;
-use crate::wish::MAX_WISH_BYTES;
 
-/// Largest payload in bytes: the largest wish, and what stands around it.
-pub const MAX_COMMAND_BYTES: usize = MAX_WISH_BYTES + 1024;
+/// Largest payload in bytes: settings as large as a message may hold them, and any wish.
+pub const MAX_COMMAND_BYTES: usize = MAX_SMALL_PAYLOAD;
+
+/// Why an instance that does not lead yet refuses a command: it is to be sent again in a moment.
+pub const STARTING: &str = "the service is starting; ask again in a moment";
 
 /// Reads a payload.
 ///

@@ -247,9 +247,18 @@ async fn patched(client: &Client, service: &str, text: &str) -> Result<(), Strin
     // The patch as it is written: JSON that is read and written again would hide what is wrong with it.
     let command = format!(r#"{{"sent":{now},"expires":{},"action":{{"set":{text}}}}}"#, now + 60.0);
     let key = format!("command/{service}/operator/{id}");
-    let answers = client.get_raw(&key, Some(command), Duration::from_secs(5)).await.unwrap();
-    let (_, answer) = answers.into_iter().next().expect("every patch is answered");
-    answer.map(|_| ())
+    for _ in 0..50 {
+        let within = Duration::from_secs(5);
+        let answers = client.get_raw(&key, Some(command.clone()), within).await.unwrap();
+        let (_, answer) = answers.into_iter().next().expect("every patch is answered");
+        match answer {
+            Err(error) if error.contains("the service is starting") => {
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
+            answer => return answer.map(|_| ()),
+        }
+    }
+    panic!("{service} does not begin");
 }
 
 #[tokio::test(flavor = "multi_thread")]

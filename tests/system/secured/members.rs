@@ -60,14 +60,20 @@ async fn members_of_a_secured_fleet_work_as_on_a_plain_bus() {
     seen.until("the viewer sees teams", SOON, |_| true).await.unwrap();
     assert_eq!(division(&viewer.get_one("json/teams").await.unwrap()), division(&formed));
 
-    // Only the operator can change settings.
+    // Only the operator can change settings, and only under its own name.
     let settings = "service/clusterer/settings";
     for (name, client) in [("robot", &robots[0].0), ("viewer", &viewer)] {
         let answers = client.get(settings, Some(&json!({"hysteresis": 0.5}))).await.unwrap();
         assert!(answers.is_empty(), "{name}: {answers:?}");
     }
     assert_eq!(operator.get_one(settings).await.unwrap()["hysteresis"], 0.05);
-    let (code, _, err) = secured.muster(&["set", "clusterer", "hysteresis=0.06"]);
+    assert_eq!(viewer.get_one(settings).await.unwrap()["hysteresis"], 0.05);
+    let (code, _, err) =
+        secured.muster(&["set", "clusterer", "hysteresis=0.08", "--operator", "kim"]);
+    assert_eq!(code, Some(1), "{err}");
+    assert!(err.contains("denied: clusterer") && err.contains("--operator"), "{err}");
+    let (code, _, err) =
+        secured.muster(&["set", "clusterer", "hysteresis=0.06", "--operator", "op"]);
     assert_eq!(code, Some(0), "{err}");
     assert_eq!(operator.get_one(settings).await.unwrap()["hysteresis"], 0.06);
 

@@ -7,7 +7,7 @@ use muster_model::event::{EventKind, Severity};
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_model::settings::Settings;
-use muster_wire::command::{carried_out_by, decode, remembered};
+use muster_wire::command::{STARTING, carried_out_by, decode, remembered};
 use muster_wire::{Key, Message, Packet, Request};
 
 use super::Host;
@@ -104,7 +104,7 @@ impl<C: Core> Host<C> {
         let refused =
             |field: &str, problem: &str| Err(NotBegun::Refused(problem_json(field, problem)));
         if !facilities.replica.election.has_term() {
-            return refused("(command)", "the service is starting; ask again in a moment");
+            return refused("(command)", STARTING);
         }
         match facilities.operator_commands.admit(facilities.now, &name) {
             Admission::New => {}
