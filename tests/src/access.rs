@@ -19,7 +19,7 @@ const DEPLOYED_WITHIN: Duration = Duration::from_secs(60);
 pub const BUS_VARIABLE: &str = "MUSTER_TEST_BUS";
 
 /// The operator of every fleet of the tests, which may read everything and change settings.
-pub const OPERATOR: &str = "operator.op";
+pub const OPERATOR: &str = "operator.operator";
 
 /// A member that no test counts on, for messages that exceed its rights.
 pub const STRANGER: &str = "stranger";
@@ -105,7 +105,7 @@ impl Access {
         let file = folder.join("fleet.toml");
         let names: Vec<&str> = robots.iter().map(String::as_str).chain([STRANGER]).collect();
         let content = format!(
-            "fleet = \"{fleet}\"\nrobots = {names:?}\noperators = [\"op\"]\n[[routers]]\n\
+            "fleet = \"{fleet}\"\nrobots = {names:?}\noperators = [\"operator\"]\n[[routers]]\n\
              name = \"base\"\naddresses = [\"127.0.0.1\"]\nport = {port}\n"
         );
         std::fs::write(&file, content)?;
