@@ -1,13 +1,13 @@
 //! `muster alerts`: the open alerts of the live fleet, and who has seen them.
 
 use muster_model::alert::{Alert, Alerts};
-use muster_model::id::OperatorId;
 use muster_model::time::Tick;
 use muster_runtime::config::ProcessConfig;
 use muster_wire::json::EdgeJson;
 use muster_wire::message::plain_reason;
 
 use crate::console::{self, exit_error};
+use crate::operator::OperatorArgs;
 use crate::show::page::{Column, Page, names};
 use crate::show::watch::{Shown, follow, print};
 
@@ -43,9 +43,8 @@ enum AlertsCommand {
 struct AckArgs {
     /// The number of the alert
     id: u64,
-    /// Who has seen it, in a-z 0-9 _ -
-    #[arg(long, value_name = "NAME")]
-    operator: OperatorId,
+    #[command(flatten)]
+    operator: OperatorArgs,
     /// Print the open alerts as one line of JSON
     #[arg(long)]
     json: bool,
@@ -59,7 +58,7 @@ pub(crate) async fn run(args: &AlertsArgs, config: &ProcessConfig) -> anyhow::Re
     let client = console::open(config).await?;
     let (alerts, json) = match &args.command {
         Some(AlertsCommand::Ack(ack)) => {
-            (client.acknowledge_alert(&ack.operator, ack.id).await, ack.json)
+            (client.acknowledge_alert(&ack.operator.name(config)?, ack.id).await, ack.json)
         }
         None if args.watch => {
             let alerts = client.alerts().await.map_err(exit_error)?;
@@ -133,7 +132,7 @@ fn open_for(now: Tick, raised: Tick) -> String {
 mod tests {
     use muster_model::alert::{Acknowledgement, AlertKind, AlertSubject};
     use muster_model::header::{Header, Revision};
-    use muster_model::id::{FleetId, RobotId, TeamId};
+    use muster_model::id::{FleetId, OperatorId, RobotId, TeamId};
 
     use super::*;
     use crate::show::page::tests::{WIDTHS, assert_fits, page};

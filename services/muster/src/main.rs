@@ -16,6 +16,7 @@ mod deploy;
 mod describe;
 mod doctor;
 mod fleet;
+mod operator;
 mod past;
 mod probe;
 mod replay;

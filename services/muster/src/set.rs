@@ -2,11 +2,12 @@
 
 use std::io::Write as _;
 
-use muster_model::id::{OperatorId, ServiceName};
+use muster_model::id::ServiceName;
 use muster_runtime::config::{ProcessConfig, parse_assignments};
 use muster_runtime::exit::ExitError;
 
 use crate::console;
+use crate::operator::OperatorArgs;
 
 /// Arguments of `muster set`.
 #[derive(Debug, clap::Args)]
@@ -23,9 +24,8 @@ pub(crate) struct SetArgs {
     /// What to change, such as teams=3; dots lead into tables
     #[arg(value_name = "FIELD=VALUE")]
     assignments: Vec<String>,
-    /// Who changes them; where access is controlled, the name of the certificate
-    #[arg(long, default_value = "operator")]
-    operator: OperatorId,
+    #[command(flatten)]
+    operator: OperatorArgs,
     /// Print one line of JSON
     #[arg(long)]
     json: bool,
@@ -38,9 +38,10 @@ pub(crate) struct SetArgs {
 pub(crate) async fn run(args: &SetArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let patch = (!args.assignments.is_empty()).then(|| parse_assignments(&args.assignments));
     let patch = patch.transpose().map_err(ExitError::usage)?;
+    let operator = args.operator.name(config)?;
     let client = console::open(config).await?;
     let settings = match &patch {
-        Some(patch) => client.change_settings(&args.operator, args.service, patch).await,
+        Some(patch) => client.change_settings(&operator, args.service, patch).await,
         None => client.get_settings(args.service).await,
     };
     client.close().await;

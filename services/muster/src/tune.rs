@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use muster_client::Client;
-use muster_model::id::{OperatorId, ServiceName};
+use muster_model::id::ServiceName;
 use muster_model::time::Tick;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
@@ -16,6 +16,7 @@ use muster_solve::{SolveError, TuneOptions, Tuning, read_file, tune};
 use muster_wire::json::EdgeJson as _;
 
 use crate::console;
+use crate::operator::OperatorArgs;
 
 /// Arguments of `muster tune`.
 #[derive(Debug, clap::Args)]
@@ -38,9 +39,8 @@ pub(crate) struct TuneArgs {
     /// Apply what is proposed to the live fleet
     #[arg(long, conflicts_with = "file")]
     apply: bool,
-    /// Who applies it; where access is controlled, the name of the certificate
-    #[arg(long, default_value = "operator")]
-    operator: OperatorId,
+    #[command(flatten)]
+    operator: OperatorArgs,
     #[command(flatten)]
     options: TuneOptions,
 }
@@ -79,6 +79,7 @@ pub(crate) fn of_file(args: &TuneArgs) -> anyhow::Result<()> {
 /// # Errors
 /// If no router or no service answers, if the fleet cannot be tuned, or if a change is refused.
 pub(crate) async fn of_fleet(args: &TuneArgs, config: &ProcessConfig) -> anyhow::Result<()> {
+    let operator = args.operator.name(config)?;
     let client = console::open(config).await?;
     let text = saved(&client).await?;
     let (options, is_shown) = (args.options, args.shows_progress());
@@ -90,7 +91,7 @@ pub(crate) async fn of_fleet(args: &TuneArgs, config: &ProcessConfig) -> anyhow:
         && let Some(proposed) = tuning.proposed()
     {
         let patch = Tuning::patch(proposed);
-        let changed = client.change_settings(&args.operator, ServiceName::Embedder, &patch).await;
+        let changed = client.change_settings(&operator, ServiceName::Embedder, &patch).await;
         changed.map_err(console::exit_error)?;
         eprintln!("applied");
     }

@@ -4,13 +4,14 @@ use std::io::Write as _;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
-use muster_model::id::{OperatorId, RobotId, TeamId, WishId};
+use muster_model::id::{RobotId, TeamId, WishId};
 use muster_model::wish::{StandingWish, Wish, WishKind, WishState};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 
 use crate::console;
+use crate::operator::OperatorArgs;
 
 /// Longest id of a wish that is made of names; longer ones end with a checksum.
 const MAX_NAMED_ID: usize = 48;
@@ -92,9 +93,8 @@ struct Options {
 
 #[derive(Debug, Args)]
 struct Who {
-    /// Whose wish it is; where access is controlled, the name of the certificate
-    #[arg(long, default_value = "operator")]
-    operator: OperatorId,
+    #[command(flatten)]
+    operator: OperatorArgs,
     /// Print one line of JSON
     #[arg(long)]
     json: bool,
@@ -140,8 +140,9 @@ pub(crate) async fn run(args: &WishArgs, config: &ProcessConfig) -> anyhow::Resu
         Some(id) => id.clone(),
         None => named(&wish)?,
     };
+    let operator = options.who.operator.name(config)?;
     let client = console::open(config).await?;
-    let put = client.put_wish(&options.who.operator, &id, &wish).await;
+    let put = client.put_wish(&operator, &id, &wish).await;
     client.close().await;
     print(&put.map_err(console::exit_error)?, options.who.json)
 }
@@ -189,8 +190,9 @@ async fn show(list: &List, config: &ProcessConfig) -> anyhow::Result<()> {
 }
 
 async fn take_away(withdraw: &Withdraw, config: &ProcessConfig) -> anyhow::Result<()> {
+    let operator = withdraw.who.operator.name(config)?;
     let client = console::open(config).await?;
-    let withdrawn = client.withdraw_wish(&withdraw.who.operator, &withdraw.id).await;
+    let withdrawn = client.withdraw_wish(&operator, &withdraw.id).await;
     client.close().await;
     print(&withdrawn.map_err(console::exit_error)?, withdraw.who.json)
 }

@@ -23,4 +23,4 @@ pub use get::{Answer, Ask, Target};
 pub use serve::{IncomingQuery, Query, Served};
 /// A session of Zenoh, for callers that have one of their own.
 pub use zenoh::Session;
-pub use zenoh_config::{QUIET_LOG, check_endpoint, check_zenoh_config, routers};
+pub use zenoh_config::{QUIET_LOG, check_endpoint, check_zenoh_config, identity, routers};

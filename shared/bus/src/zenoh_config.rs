@@ -118,6 +118,18 @@ pub(crate) fn connect_endpoints(zenoh: &zenoh::Config) -> Option<Vec<String>> {
     serde_json::from_str(&zenoh.get_json("connect/endpoints").ok()?).ok()
 }
 
+/// The member that a file of `muster deploy certs` is for, such as `operator.kim`; nothing without a file, or if the file
+/// does not say it.
+///
+/// # Errors
+/// If the file with Zenoh's own configuration is wrong.
+pub fn identity(config: &BusConfig) -> Result<Option<String>, OpenError> {
+    let Some(path) = &config.zenoh_config else { return Ok(None) };
+    let metadata = read_zenoh_config(path)?.get_json("metadata").unwrap_or_default();
+    let metadata: serde_json::Value = serde_json::from_str(&metadata).unwrap_or_default();
+    Ok(metadata.get("identity").and_then(|name| name.as_str()).map(str::to_owned))
+}
+
 fn read_zenoh_config(path: &Path) -> Result<zenoh::Config, OpenError> {
     zenoh::Config::from_file(path)
         .map_err(|error| OpenError::Config(format!("zenoh_config {}: {error}", path.display())))

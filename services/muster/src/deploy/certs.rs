@@ -310,6 +310,8 @@ fn client_config(
     Ok(format!(
         "// Zenoh's configuration of {identity} of fleet {fleet_name}. Keep it secret: it holds the key.
 {{
+  // Whose file this is: operators command under this name.
+  metadata: {{ identity: \"{identity}\" }},
   // Through a router; clients do not link with each other.
   mode: \"client\",
   // Routers in the order in which they are tried; when one is lost, the next is used.

@@ -56,7 +56,7 @@ fn alerts(alerts: &Alerts) -> Option<Finding> {
     let named = unseen.iter().map(|alert| format!("{} of {}", alert.kind, alert.subject));
     let seen = format!("alerts are open: {}; {}", names(named), plain_reason(&first.reason));
     let remedy = format!(
-        "`muster alerts` shows them, and `muster alerts ack {} --operator NAME` says that one has been seen; \
+        "`muster alerts` shows them, and `muster alerts ack {}` says that one has been seen; \
          the thresholds are settings of auditor",
         first.id
     );
