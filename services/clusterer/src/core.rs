@@ -186,6 +186,10 @@ impl Clusterer {
             teams,
             requested: teams.max(*task.settings.teams.range().start()),
             same_number: is_same,
+            returning: self.arrivals.is_team_returning(now).then(|| {
+                let renewed = self.orders.renewed(now, self.roster.as_deref());
+                renewed.into_iter().cloned().collect()
+            }),
             settings: task.settings.clone(),
             rules: rules.map(|rules| {
                 let previous = self.division.as_deref();

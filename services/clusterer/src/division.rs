@@ -35,6 +35,9 @@ pub struct Job {
     pub(crate) requested: u32,
     /// Whether those robots were in so many teams before.
     pub(crate) same_number: bool,
+    /// Set while the robots of a team return one after the other: those that have new orders. All others stay in
+    /// their last team, because the vectors of the first ones that return rest on few relations.
+    pub(crate) returning: Option<BTreeSet<RobotId>>,
     pub(crate) previous: Option<Checked<Teams>>,
     pub(crate) memory: Arc<Memory>,
 }
@@ -250,8 +253,48 @@ fn cluster(x: &DenseMatrix, job: &Job) -> Result<Division, DivisionError> {
     let Job { embedding, settings, .. } = job;
     let warm = job.previous.as_deref().filter(|_| job.same_number);
     let warm = warm.map(|previous| last_labels(previous, job));
+    if let (Some(renewed), Some(labels)) = (&job.returning, &warm)
+        && let Some(found) = stay(x, labels, renewed, job)?
+    {
+        return Ok(found);
+    }
     let params = DivisionParams::new(settings, job.teams as usize).check()?;
     Ok(divide_robots(x, &embedding.without_embedding, &params, warm.as_deref(), &mut |_| {})?)
+}
+
+/// Every robot in its last team, but for those that have none or have new orders: these are in the nearest one.
+/// None if these are not as many teams as are asked for.
+fn stay(
+    x: &DenseMatrix,
+    last: &[Option<usize>],
+    renewed: &BTreeSet<RobotId>,
+    job: &Job,
+) -> Result<Option<Division>, DivisionError> {
+    let embedding = &*job.embedding;
+    let stays = |row: usize| last[row].filter(|_| !renewed.contains(&embedding.robots[row]));
+    let mut labels: Vec<Option<usize>> = (0..last.len()).map(stays).collect();
+    let teams = job.teams as usize;
+    let filled: BTreeSet<usize> = labels.iter().flatten().copied().collect();
+    if filled.len() != teams || filled.last().is_none_or(|last| last + 1 != teams) {
+        return Ok(None);
+    }
+    let centroids = means(x, &labels, teams)?;
+    for (row, label) in labels.iter_mut().enumerate() {
+        if label.is_none() && !embedding.without_embedding[row] {
+            *label = nearest(x.row(row), &centroids);
+        }
+    }
+    let centroids = means(x, &labels, teams)?;
+    let inertia = inertia(x, &labels, &centroids);
+    Ok(Some(Division { labels, centroids, inertia, iterations: 0, converged: true }))
+}
+
+/// The centroid that is nearest to a row, the first of equal ones.
+fn nearest(row: &[f64], centroids: &DenseMatrix) -> Option<usize> {
+    let distance =
+        |centre: &[f64]| row.iter().zip(centre).map(|(x, mean)| (x - mean).powi(2)).sum::<f64>();
+    let all = centroids.iter_rows().map(distance).enumerate();
+    all.min_by(|left, right| left.1.total_cmp(&right.1)).map(|(number, _)| number)
 }
 
 /// The team of each robot before, as a number.

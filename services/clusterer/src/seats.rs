@@ -5,7 +5,8 @@
 //! been started and hear one robot after the other. Its seat is kept for as long as the team is remembered
 //! (`TEAM_MEMORY_TIME`). Robots that no team knows may be a team of their own: for a moment after they came
 //! the evidence decides whether they get a free seat. The first robots of a team that returns may be too few to
-//! be one by the evidence: for a moment after they came their team has its seat whatever the evidence is.
+//! be one by the evidence: for a moment after they came their team has its seat whatever the evidence is, and every
+//! robot without new orders stays in its last team (`division`).
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -162,6 +163,13 @@ pub(crate) struct Arrivals {
     newcomers: Option<Tick>,
     /// When the first robots of a team that had been absent were last there again.
     returned: Option<Tick>,
+}
+
+impl Arrivals {
+    /// Whether a team has returned of which more robots may follow.
+    pub(crate) fn is_team_returning(&self, now: Tick) -> bool {
+        settles(self.returned, now)
+    }
 }
 
 /// Whether robots that came then may still be followed by others of their team.

@@ -111,6 +111,47 @@ fn the_first_robot_of_a_team_that_returns_waits_for_the_others_in_its_team() {
     }
 }
 
+/// What a robot that returns first reports of the others is little: by its vector it may stand anywhere.
+#[test]
+fn robots_of_a_team_that_returns_are_told_their_team_wherever_their_vectors_are_at_first() {
+    for wanted in [TeamCount::Fixed(3), TeamCount::Between { from: 3, to: 5 }, TeamCount::Auto] {
+        let (mut bench, first) = divided(settings(wanted), &camps(1, ALL, &THREE));
+        assert_eq!(short(&first), WHOLE, "{wanted}");
+        let mut epoch = 1;
+        let receive = |bench: &mut Bench, embedding: Checked<Embedding>| {
+            bench.wait(0.1);
+            bench.receive_embedding(&embedding);
+            held(bench)
+        };
+        let mut next = || {
+            epoch += 1;
+            epoch
+        };
+        for _ in 0..100 {
+            let rest = receive(&mut bench, camps(next(), WITHOUT, &TWO));
+            assert_eq!(short(&rest), REST, "{wanted}");
+        }
+        for (present, team) in [("a b c d m n o p z", "t3: z"), ("a b c d m n o p w z", "t3: w z")]
+        {
+            for _ in 0..10 {
+                let mut embedding = Embedding::clone(&camps(next(), present, &TWO));
+                let dimension = embedding.dimension as usize;
+                for row in 8..embedding.robots.len() {
+                    // Among the robots of the first camp.
+                    embedding.values[row * dimension] = 1.4;
+                    embedding.values[row * dimension + 1] = 0.2;
+                }
+                let back = receive(&mut bench, Checked::new_unchecked(embedding));
+                assert_eq!(short(&back), format!("{REST} | {team}"), "{wanted}");
+            }
+        }
+        for _ in 0..50 {
+            let whole = receive(&mut bench, camps(next(), ALL, &THREE));
+            assert_eq!(short(&whole), WHOLE, "{wanted}");
+        }
+    }
+}
+
 #[test]
 fn an_absent_team_is_the_reason_for_fewer_teams_and_not_reported_as_another_one() {
     let (mut bench, _) = divided(settings(TeamCount::Fixed(3)), &camps(1, ALL, &[]));
