@@ -33,39 +33,62 @@ fn told(watch: &Watch, robot: &str) -> Vec<Option<String>> {
     told
 }
 
-/// Cuts the link of one of three camps, and restores it.
-///
-/// The bus is plain, where the robots of the camp return together. With a link for each they return one by one, and
-/// with a number of teams that is fixed the first one may be told another team.
-async fn cut_one_of_three(teams_setting: &str) {
+/// Time between two robots that return one after the other.
+const RETURN_PAUSE: Duration = Duration::from_millis(700);
+
+/// How the robots of a camp return.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Return {
+    /// All have one link.
+    Together,
+    /// Each has a link of its own.
+    OneByOne,
+}
+
+/// Cuts the links of one of three camps, and restores them.
+async fn cut_one_of_three(teams_setting: &str, how: Return) {
     let cluster = Cluster::start("alpha", &[("clusterer", teams_setting)]).unwrap();
     let camps = truth(&cluster, &SCENARIO);
     let groups: BTreeSet<&String> = camps.values().collect();
     assert_eq!(groups.len(), 3, "{camps:?}");
     let cut_off = groups.last().copied().unwrap();
-    let wire = Relay::to(&cluster.endpoint).await.unwrap();
-    let robots = |endpoint: &str, is_cut_off: bool| {
+    let of_camp = |is_cut_off: bool| -> Vec<&str> {
         let of_camp = camps.iter().filter(|(_, camp)| (*camp == cut_off) == is_cut_off);
-        let names: Vec<&str> = of_camp.map(|(robot, _)| robot.as_str()).collect();
+        of_camp.map(|(robot, _)| robot.as_str()).collect()
+    };
+    let robots = |endpoint: &str, names: &[&str]| {
         let names = names.join(",");
         cluster.robots_at(endpoint, &[&SCENARIO[..], &["--only", &names]].concat()).unwrap()
     };
-    let _there = robots(&cluster.endpoint, false);
-    let _cut_off = robots(&wire.endpoint, true);
+    let _there = robots(&cluster.endpoint, &of_camp(false));
+    let all_away = of_camp(true);
+    let with_one_link = match how {
+        Return::Together => all_away.len(),
+        Return::OneByOne => 1,
+    };
+    let (mut wires, mut cut_robots) = (Vec::new(), Vec::new());
+    for names in all_away.chunks(with_one_link) {
+        let wire = Relay::to(&cluster.endpoint).await.unwrap();
+        cut_robots.push(robots(&wire.endpoint, names));
+        wires.push(wire);
+    }
     let client = cluster.client().await.unwrap();
     let wanted = formed(&client, &camps).await;
     tokio::time::sleep(Duration::from_secs(2)).await;
     let teams = client.watch("json/teams").await.unwrap();
     let robot_teams = client.watch("robot/*/team").await.unwrap();
 
-    wire.cut();
+    wires.iter().for_each(Relay::cut);
     let others = camps.values().filter(|camp| *camp != cut_off).count();
     let without = |value: &serde_json::Value| division(value).len() == others;
     teams.until("the division without them", GONE_WITHIN, without).await.unwrap();
     tokio::time::sleep(CUT_TIME.saturating_sub(Duration::from_secs(12))).await;
     let away = teams.newest().unwrap();
     teams.clear();
-    wire.restore();
+    for wire in &wires {
+        wire.restore();
+        tokio::time::sleep(RETURN_PAUSE).await;
+    }
     let whole = |value: &serde_json::Value| division(value) == wanted;
     let back = teams.until("all are back in their teams", BACK_WITHIN, whole).await;
     tokio::time::sleep(Duration::from_secs(2)).await;
@@ -85,10 +108,15 @@ async fn cut_one_of_three(teams_setting: &str) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_team_of_a_fixed_number_that_is_cut_off_moves_nobody_else() {
-    cut_one_of_three("teams=3").await;
+    cut_one_of_three("teams=3", Return::Together).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_robots_of_a_team_of_a_fixed_number_return_one_by_one_to_it() {
+    cut_one_of_three("teams=3", Return::OneByOne).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_team_of_a_chosen_number_that_is_cut_off_moves_nobody_else() {
-    cut_one_of_three("teams=auto").await;
+    cut_one_of_three("teams=auto", Return::OneByOne).await;
 }
