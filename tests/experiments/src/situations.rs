@@ -10,7 +10,7 @@
 //! | what baselines read and write | [`exchange`] |
 //! | all kinds over all seeds | [`run`] |
 //! | the method without one step each | [`steps`] |
-//! | the page | [`page`] |
+//! | the page, and the goals on it | [`page`], `goals` |
 //!
 //! Kinds are divided like seeds ([`crate::seeds`]): defaults may be chosen on the kinds of one list alone; those
 //! of the other are looked at once, at the end.
@@ -21,6 +21,7 @@ mod draw;
 pub mod exchange;
 mod faults;
 mod fleet;
+mod goals;
 pub mod kinds;
 mod looked_at_once;
 pub mod page;

@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use super::goals::goals;
 use super::kinds::{Kind, List};
 use super::run::{Divider, Outcome, Score};
 use super::steps::Worth;
@@ -33,14 +34,14 @@ const BEFORE: &str = "Written by `tests/peers/divide`. Each *kind* is a family o
     knows beforehand.";
 
 /// The outcomes of one kind.
-struct OfKind<'a> {
-    kind: &'static Kind,
-    outcomes: Vec<&'a Outcome>,
+pub(super) struct OfKind<'a> {
+    pub(super) kind: &'static Kind,
+    pub(super) outcomes: Vec<&'a Outcome>,
 }
 
 impl<'a> OfKind<'a> {
     /// The kinds of a list that were run.
-    fn all(list: List, outcomes: &'a [Outcome]) -> Vec<Self> {
+    pub(super) fn all(list: List, outcomes: &'a [Outcome]) -> Vec<Self> {
         let of_kind = |kind: &'static Kind| {
             let outcomes = outcomes.iter().filter(|outcome| outcome.case.kind.name == kind.name);
             Self { kind, outcomes: outcomes.collect() }
@@ -49,13 +50,13 @@ impl<'a> OfKind<'a> {
     }
 
     /// A number of each seed on which a method has something to work on.
-    fn values(&self, divider: Divider, of: impl Fn(&Score) -> f64) -> Vec<f64> {
+    pub(super) fn values(&self, divider: Divider, of: impl Fn(&Score) -> f64) -> Vec<f64> {
         let scores = self.outcomes.iter().filter_map(|outcome| outcome.score(divider));
         scores.map(|score| of(&score)).collect()
     }
 
     /// The mean accuracy of a method; none where it has nothing to work on.
-    fn accuracy(&self, divider: Divider) -> Option<Estimate> {
+    pub(super) fn accuracy(&self, divider: Divider) -> Option<Estimate> {
         let values = self.values(divider, |score| score.accuracy);
         (!values.is_empty()).then(|| Estimate::of(&values))
     }
@@ -109,7 +110,7 @@ fn percent(estimate: Option<Estimate>) -> String {
 
 /// The mean over kinds of independent estimates, with its interval.
 #[expect(clippy::cast_precision_loss, reason = "there are a few dozen kinds")]
-fn over_kinds(estimates: &[Estimate]) -> Option<Estimate> {
+pub(super) fn over_kinds(estimates: &[Estimate]) -> Option<Estimate> {
     let count = estimates.len();
     if count == 0 {
         return None;
@@ -151,6 +152,9 @@ pub fn page(outcomes: &[Outcome], steps: &[Worth]) -> Result<Page, PlotError> {
     );
     for (list, kinds) in lists() {
         numbers(&mut page, *list, kinds);
+    }
+    if let Some((_, kinds)) = lists().find(|(list, _)| *list == List::LookedAtOnce) {
+        goals(&mut page, kinds);
     }
     worth(&mut page, steps);
     page.records = outcomes.iter().flat_map(records).collect();
