@@ -16,6 +16,10 @@ const REUNION_TIME: Duration = Duration::from_secs(REUNION_SECONDS as u64);
 
 const REUNION_SECONDS: u32 = 3;
 
+/// How long they are awaited where all of them are there and related to others: each stream of each robot has been repeated
+/// by then.
+const WHOLE_REUNION_TIME: Duration = Duration::from_millis(1500);
+
 /// After so many frames an `ingest` has run for longer than that, however fast it is: it knows its robots.
 const FRAMES_OF_REUNION: f64 = REUNION_SECONDS as f64 * MAX_TICK_HZ;
 
@@ -29,6 +33,14 @@ const RELATION_TIME: Duration = Duration::from_secs(1);
 pub(super) struct Reunion {
     /// When the first of them was there.
     begun: Option<Tick>,
+    /// Whether all of them are there, and related to others.
+    is_whole: bool,
+}
+
+impl Reunion {
+    fn time(&self) -> Duration {
+        if self.is_whole { WHOLE_REUNION_TIME } else { REUNION_TIME }
+    }
 }
 
 impl Clusterer {
@@ -42,11 +54,24 @@ impl Clusterer {
         frames as f64 > FRAMES_OF_REUNION || embedded.is_some() && embedded == divided
     }
 
+    /// Whether every robot of the last division has a vector that more than one relation stands behind.
+    fn is_whole(&self) -> bool {
+        let (Some(newest), Some(division)) = (&self.newest, &self.division) else { return false };
+        let embedding = &newest.embedding;
+        division.assignments().all(|(robot, _)| {
+            embedding.robots.binary_search(robot).is_ok_and(|row| {
+                !embedding.without_embedding[row]
+                    && !embedding.provisional.get(row).copied().unwrap_or_default()
+            })
+        })
+    }
+
     /// Whether the robots of the division that was found on disk are still awaited.
     pub(super) fn awaits_robots(&mut self, now: Tick) -> bool {
         if self.reunion.is_some() && self.others_lived_on() {
             self.reunion = None;
         }
+        let is_whole = self.is_whole();
         let (Some(reunion), Some(newest)) = (&mut self.reunion, &self.newest) else {
             return false;
         };
@@ -54,7 +79,8 @@ impl Clusterer {
             return true;
         }
         let begun = *reunion.begun.get_or_insert(now);
-        let are_awaited = now.since(begun) < REUNION_TIME;
+        reunion.is_whole = is_whole;
+        let are_awaited = now.since(begun) < reunion.time();
         if !are_awaited {
             self.reunion = None;
         }
@@ -82,8 +108,8 @@ impl Clusterer {
 
     /// When robots are awaited no longer.
     pub(super) fn awaits_until(&self) -> Option<Tick> {
-        let begun = self.reunion.as_ref().and_then(|reunion| reunion.begun);
-        let reunion = begun.map(|begun| begun.after(REUNION_TIME));
+        let reunion = self.reunion.as_ref();
+        let reunion = reunion.and_then(|reunion| Some(reunion.begun?.after(reunion.time())));
         let returning = self.returning_since.map(|since| since.after(RELATION_TIME));
         reunion.into_iter().chain(returning).min()
     }

@@ -52,7 +52,9 @@ fn ids_members_and_leaders_stand_though_robots_come_one_by_one() {
         assert!(sent.teams.is_empty() && sent.robots.is_empty(), "they are awaited: {sent:?}");
     }
     next.receive_embedding(&later(9, &ALL));
-    next.wait(2.5);
+    next.wait(0.8);
+    assert!(next.take().teams.is_empty(), "what relates them may not be whole yet");
+    next.wait(0.2);
     let sent = next.take();
     assert!(sent.changes().is_empty(), "{sent:?}");
     assert_eq!(
@@ -104,7 +106,7 @@ fn the_seat_of_a_team_that_was_absent_is_kept_for_a_minute() {
     assert_eq!(short(&last), "t1: a b c | t2: m n o");
     let mut next = restarted(settings(), &bench.kept.clone().unwrap());
     next.receive_embedding(&later(3, &ALL[..2]));
-    next.wait(3.1);
+    next.wait(1.6);
     assert_eq!(short(&next.take().division()), short(&last), "no robot fills the seat");
     next.wait(61.0);
     next.take();
@@ -131,7 +133,7 @@ fn no_number_is_given_twice_though_the_last_writes_are_lost() {
     assert!(highest > 30 && highest < kept(&bench).reserved, "{highest}");
     let mut next = restarted(settings(), &on_disk);
     next.receive_embedding(&later(30, &[("n1 n2", WEST), ("n3", EAST), ("a b c", NORTH)]));
-    next.wait(3.1);
+    next.wait(1.6);
     let division = next.division();
     assert!(short(&division).starts_with("t1: a b c | "), "{}", short(&division));
     let number = |id: &TeamId| id.as_str()[1..].parse::<u64>().unwrap();
@@ -196,7 +198,7 @@ fn a_standby_keeps_what_it_hears_and_takes_over_from_it() {
     assert!(kept(&standby).reserved > 70);
     let mut next = restarted(settings(), &standby.kept.clone().unwrap());
     next.receive_embedding(&later(2, &ALL));
-    next.wait(3.1);
+    next.wait(1.6);
     assert!(next.division().same_division(&heard));
     // A forged message must not take the numbers that are left.
     let mut forged = Teams::clone(&heard);
