@@ -150,7 +150,8 @@ impl<'a> Problem<'a> {
         let embedding = &*job.embedding;
         let last = last_of(job.previous.as_deref(), &job.memory, embedding, rows);
         let teams = (job.teams as usize).min(rows.len());
-        let columns = rules.columns(teams, &last, job.previous.as_deref(), &job.memory);
+        let robots: Vec<&RobotId> = rows.iter().map(|row| &embedding.robots[*row]).collect();
+        let columns = rules.columns(teams, &robots, &last, job.previous.as_deref(), &job.memory);
         let place_of: BTreeMap<&TeamId, usize> = columns
             .iter()
             .zip(0..)
@@ -160,7 +161,6 @@ impl<'a> Problem<'a> {
         let previous = last.iter().map(place).collect();
         let columns = columns.into_iter().map(|column| column.team).collect();
         let x = rows_of(&embedding.values, embedding.dimension as usize, rows)?;
-        let robots = rows.iter().map(|row| &embedding.robots[*row]).collect();
         Ok(Self { rules, robots, x, columns, previous })
     }
 

@@ -201,6 +201,33 @@ impl TeamRules {
         ties
     }
 
+    /// Those of the last teams in which no robot may be: it is banned from there, or must be in another one. In their place
+    /// another team can be made.
+    pub(crate) fn closed<'a>(
+        &self,
+        last: &[Option<&'a TeamId>],
+        robots: &[&RobotId],
+    ) -> BTreeSet<&'a TeamId> {
+        let teams: BTreeSet<&TeamId> = last.iter().flatten().copied().collect();
+        let columns: Vec<TeamId> = teams.iter().map(|id| (*id).clone()).collect();
+        let ties = self.ties(&columns, robots);
+        if ties.is_empty() {
+            return BTreeSet::new();
+        }
+        let may_be = |robot: usize, at: usize| {
+            ties.iter().all(|tie| match tie.pair {
+                Pair::Forced { robot: named, column } => {
+                    named != robot || column == Column::Team(at)
+                }
+                Pair::Forbidden { robot: named, column } => {
+                    named != robot || column != Column::Team(at)
+                }
+            })
+        };
+        let is_closed = |at: usize| !(0..robots.len()).any(|robot| may_be(robot, at));
+        teams.into_iter().zip(0..).filter(|(_, at)| is_closed(*at)).map(|(id, _)| id).collect()
+    }
+
     /// The groups of robots that are to be together or apart, and needs that are no limits of classes. A group of which
     /// fewer than two robots are there waits.
     pub(crate) fn groups(
@@ -245,17 +272,20 @@ impl TeamRules {
     pub(crate) fn columns(
         &self,
         teams: usize,
+        robots: &[&RobotId],
         last: &[Option<&TeamId>],
         previous: Option<&Teams>,
         memory: &Memory,
     ) -> Vec<TeamColumn> {
         let living: BTreeSet<&TeamId> =
             previous.into_iter().flat_map(|last| &last.teams).map(|team| &team.id).collect();
+        let closed = self.closed(last, robots);
         let mut robots: BTreeMap<&TeamId, usize> = BTreeMap::new();
         for id in last.iter().flatten() {
             *robots.entry(id).or_default() += 1;
         }
         let mut known: Vec<(&TeamId, usize)> = robots.into_iter().collect();
+        known.retain(|(id, _)| !closed.contains(id));
         known.sort_by_key(|&(id, count)| (!self.names(id), Reverse(count), identity::order(id)));
         let mut numbers = Numbers::after(previous, memory);
         let column = |(id, _): (&TeamId, usize)| {

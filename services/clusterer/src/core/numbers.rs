@@ -187,11 +187,11 @@ impl Placeable<'_> {
     /// The teams that so many may be.
     fn columns(&self, teams: u32) -> Vec<TeamColumn> {
         let teams = (teams as usize).min(self.robots.len());
-        self.rules.columns(teams, &self.last, self.previous, self.memory)
+        self.rules.columns(teams, &self.robots, &self.last, self.previous, self.memory)
     }
 
     /// Whether something divides these robots into so many teams as the rules want it. Teams that wishes name must be
-    /// among them.
+    /// among them, if any robot may be there.
     fn is_possible(&self, teams: u32) -> bool {
         if self.robots.is_empty() {
             return true;
@@ -200,7 +200,9 @@ impl Placeable<'_> {
         let known: BTreeSet<&TeamId> = self.last.iter().flatten().copied().collect();
         let kept: BTreeSet<&TeamId> =
             columns.iter().filter_map(|column| column.last.as_ref()).collect();
-        let is_left_out = known.difference(&kept).any(|team| self.rules.is_wished(team));
+        let closed = self.rules.closed(&self.last, &self.robots);
+        let mut left_out = known.difference(&kept).filter(|team| !closed.contains(*team));
+        let is_left_out = left_out.any(|team| self.rules.is_wished(team));
         let columns: Vec<TeamId> = columns.iter().map(|column| column.team.clone()).collect();
         !is_left_out && self.rules.is_possible(&columns, &self.robots)
     }

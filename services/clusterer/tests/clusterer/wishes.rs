@@ -357,3 +357,25 @@ proptest! {
         }
     }
 }
+
+/// One team by the evidence, and two while one of two robots may not be in it: a team in which nobody may be any more is
+/// not waited for.
+#[test]
+fn a_team_in_which_no_robot_may_be_makes_room_for_another_at_once() {
+    let settings = ClustererSettings { teams: TeamCount::Auto, ..fixed() };
+    let two = |epoch| {
+        let mut embedding = Embedding::clone(&embedding(epoch, &[("a b", WEST)]));
+        embedding.quality.teams_shown = Some(1);
+        embedding.quality.team_scores = vec![0.48, -0.4];
+        Checked::new_unchecked(embedding)
+    };
+    let (mut bench, _) = divided(settings, &two(1));
+    put(&mut bench, "alice/w1", &json!({"kind": "ban", "robots": ["b"], "team": "t1"})).unwrap();
+    bench.wait(1.0);
+    assert_eq!(short(&bench.take().teams.pop().unwrap().0), "t1: a | t2: b");
+    put(&mut bench, "alice/w2", &json!({"kind": "pin", "robots": ["a"], "team": "t2"})).unwrap();
+    bench.wait(2.0);
+    let mut seen: Vec<String> = bench.take().teams.iter().map(|(teams, _)| short(teams)).collect();
+    seen.dedup();
+    assert_eq!(seen, ["t2: a | t3: b", "t2: a b"]);
+}
