@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use muster_model::content::Checked;
+use muster_model::event::EventKind;
 use muster_model::header::Revision;
 use muster_model::history::{Entry, Record};
 use muster_model::id::{CommandId, RobotId, ServiceName, TeamId};
@@ -69,8 +70,8 @@ pub(crate) struct Mutator {
     kept: BTreeMap<String, KeptTerm>,
     /// The first command that each service has carried out.
     first_commands: BTreeMap<ServiceName, CommandId>,
-    /// The first alert that it has raised.
-    first_alert: Option<u64>,
+    /// The event of the first alert that was raised.
+    first_alert: Option<EventKind>,
     /// The ids of teams that were published, and what it calls others instead.
     seen: BTreeSet<TeamId>,
     renamed: BTreeMap<TeamId, TeamId>,
@@ -123,6 +124,9 @@ impl Mutator {
     ) -> Result<(Message, Vec<Packet>), EnvelopeError> {
         if !self.active {
             self.note_term(&message);
+            if let Message::Event(event) = &message {
+                self.note_alert(&event.kind);
+            }
         }
         let Some(mutant) = self.mutant.filter(|_| self.active) else {
             return Ok((message, packets));
@@ -131,6 +135,13 @@ impl Mutator {
         let outbound = message.publish(now)?.into_iter();
         let packets = outbound.map(|outbound| outbound.into_packet(space)).collect();
         Ok((message, packets))
+    }
+
+    /// Notes the first alert that is raised.
+    fn note_alert(&mut self, kind: &EventKind) {
+        if matches!(kind, EventKind::AlertRaised { .. }) && self.first_alert.is_none() {
+            self.first_alert = Some(kind.clone());
+        }
     }
 
     /// Notes the highest term of each key before the faults begin.

@@ -55,9 +55,9 @@ pub enum Mutant {
     Resigned,
     /// Nothing reaches the clusterer any more once the disk of a historian was full.
     Dependent,
-    /// The auditor counts its alerts from one again in every list, once settings were changed.
+    /// The auditor gives its alerts other numbers in every second list, once settings were changed.
     Renumbered,
-    /// The auditor raises the same alert again in place of the next ones, once settings were changed.
+    /// The auditor reports its first alert again in place of whatever happens to alerts, once settings were changed.
     Insistent,
     /// The auditor leaves out that nothing satisfies the limits, once settings were changed.
     Speechless,

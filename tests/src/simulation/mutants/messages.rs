@@ -130,13 +130,21 @@ impl Mutator {
                 Message::Event(event)
             }
             (Mutant::Renumbered, Message::Alerts(mut alerts)) => {
+                self.published += 1;
                 let list = Arc::make_mut(&mut alerts);
-                list.open.iter_mut().zip(1..).for_each(|(alert, number)| alert.id = number);
+                let shift = self.published % 2;
+                list.next_id += shift;
+                list.open.iter_mut().for_each(|alert| alert.id += shift);
                 Message::Alerts(alerts)
             }
             (Mutant::Insistent, Message::Event(mut event)) => {
-                if let EventKind::AlertRaised { alert, .. } = &mut event.kind {
-                    *alert = *self.first_alert.get_or_insert(*alert);
+                let is_of_alert = matches!(
+                    event.kind,
+                    EventKind::AlertRaised { .. } | EventKind::AlertCleared { .. }
+                );
+                match &self.first_alert {
+                    Some(first) if is_of_alert => event.kind = first.clone(),
+                    _ => self.note_alert(&event.kind),
                 }
                 Message::Event(event)
             }
