@@ -101,7 +101,8 @@ fn fits(path: &str, found: &Value, golden: &Value) -> Result<(), String> {
     if found["each"]["is"].is_array() {
         fits(&format!("{path}[]"), &found["each"], &golden["each"])?;
     }
-    if let (Some(found), Some(golden)) = (found["fields"].as_object(), golden["fields"].as_object()) {
+    if let (Some(found), Some(golden)) = (found["fields"].as_object(), golden["fields"].as_object())
+    {
         for (name, one) in found {
             let path = format!("{path}.{name}");
             let wanted = golden.get(name).ok_or_else(|| format!("{path} is new"))?;
@@ -143,7 +144,9 @@ fn printed(out: &str) -> Vec<Value> {
         Ok(whole) => vec![whole],
         Err(_) => out
             .lines()
-            .map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}")))
+            .map(|line| {
+                serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))
+            })
             .collect(),
     }
 }
@@ -174,7 +177,8 @@ async fn the_json_of_every_command_has_its_golden_form() {
     let names: Vec<String> = division(&teams.newest().unwrap()).into_keys().collect();
     let (first, second) = (names[0].as_str(), names[1].as_str());
     let moment = format!("{:.6}", now());
-    let through = |state: &Value| state["recorded_through"].as_u64() > Some((now() * 1e6) as u64 - 500_000);
+    let through =
+        |state: &Value| state["recorded_through"].as_u64() > Some((now() * 1e6) as u64 - 500_000);
     let _ = states.until("a recording", SOON, through).await;
 
     let saved = cluster.folder().join("graph.json");
@@ -194,7 +198,15 @@ async fn the_json_of_every_command_has_its_golden_form() {
         ("why", vec![vec![first]]),
         ("alerts", vec![vec![]]),
         ("alerts ack", vec![vec![&alert]]),
-        ("set", vec![vec!["clusterer"], vec!["clusterer", "restarts=9"], vec!["auditor"], vec!["historian"]]),
+        (
+            "set",
+            vec![
+                vec!["clusterer"],
+                vec!["clusterer", "restarts=9"],
+                vec!["auditor"],
+                vec!["historian"],
+            ],
+        ),
         ("wish pin", vec![vec![first, "t1", "--note", "a note"]]),
         ("wish ban", vec![vec!["nobody", "t2"]]),
         ("wish together", vec![vec!["nobody", "noone"]]),
@@ -203,14 +215,20 @@ async fn the_json_of_every_command_has_its_golden_form() {
         ("wish reserve", vec![vec!["other"]]),
         ("wish list", vec![vec![]]),
         ("wish withdraw", vec![vec!["reserve-other"]]),
-        ("history", vec![vec![], vec!["--as-of", &moment], vec!["--robot", first], vec!["--team", "t1"]]),
+        (
+            "history",
+            vec![vec![], vec!["--as-of", &moment], vec!["--robot", first], vec!["--team", "t1"]],
+        ),
         ("events", vec![vec![]]),
         ("robots", vec![vec![]]),
         ("tune", vec![vec!["--draws", "2"]]),
         ("doctor", vec![vec!["--listen-for", "1"]]),
         ("solve", vec![vec![&saved], vec![&saved, "--estimate"]]),
         ("replay-core", vec![vec![recording]]),
-        ("demo", vec![vec!["--robots", "6", "--teams", "2", "--seconds", "12", "--listen", &endpoint]]),
+        (
+            "demo",
+            vec![vec!["--robots", "6", "--teams", "2", "--seconds", "12", "--listen", &endpoint]],
+        ),
     ];
     let (mut found, mut ran) = (BTreeMap::new(), BTreeSet::new());
     let mut with_json = BTreeSet::new();
@@ -241,7 +259,10 @@ async fn the_json_of_every_command_has_its_golden_form() {
         }
     }
     drop(robots);
-    assert_eq!(ran, with_json, "every command with --json has a golden form, in the list of this test");
+    assert_eq!(
+        ran, with_json,
+        "every command with --json has a golden form, in the list of this test"
+    );
     compare(found);
 }
 

@@ -487,7 +487,8 @@ mod tests {
             let x = DenseMatrix::new(robots, 2, points).unwrap();
             let most = robots.div_ceil(3) + 1;
             // Two of one class in the second team at least, and one of the other in the third at most; one wanted there.
-            let classes: Vec<Option<usize>> = (0..robots).map(|robot| [Some(0), Some(1), None][robot % 3]).collect();
+            let classes: Vec<Option<usize>> =
+                (0..robots).map(|robot| [Some(0), Some(1), None][robot % 3]).collect();
             let limit = |team, class, bounds, wanted| ClassLimit {
                 column: Column::Team(team),
                 class,

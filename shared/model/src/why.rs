@@ -584,7 +584,8 @@ mod tests {
                 Reason {
                     skill: Some(SkillId::new("medic").unwrap()),
                     ..reason(vec![
-                        TeamReason { skill_price: -1.0, ..team("t1", [0.5, 0.3], 0.0, 0.0) }.summed(),
+                        TeamReason { skill_price: -1.0, ..team("t1", [0.5, 0.3], 0.0, 0.0) }
+                            .summed(),
                         team("t2", [0.9, 0.3], 0.0, 0.0),
                     ])
                 },
@@ -596,7 +597,8 @@ mod tests {
                     skill: Some(SkillId::new("medic").unwrap()),
                     ..reason(vec![
                         own(),
-                        TeamReason { skill_price: 1.0, ..team("t2", [0.9, 0.3], 0.0, 0.0) }.summed(),
+                        TeamReason { skill_price: 1.0, ..team("t2", [0.9, 0.3], 0.0, 0.0) }
+                            .summed(),
                     ])
                 },
                 DecidedBy::Limits,

@@ -6,9 +6,7 @@ mod small;
 
 use std::sync::Arc;
 
-use muster_model::command::{
-    CommandOutcome, MAX_REMEMBERED_COMMANDS, MAX_REMEMBERED_REFUSALS,
-};
+use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS, MAX_REMEMBERED_REFUSALS};
 use muster_model::event::EventKind;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;

@@ -521,12 +521,7 @@ fn wishes(chance: &mut Chance, robots: usize, begin: Micros, end: Micros) -> Vec
 }
 
 /// What happens to historians in some seeds, from a chance of its own: their disks are full, and they are killed.
-fn historians(
-    chance: &mut Chance,
-    instances: usize,
-    begin: Micros,
-    end: Micros,
-) -> Vec<Injection> {
+fn historians(chance: &mut Chance, instances: usize, begin: Micros, end: Micros) -> Vec<Injection> {
     if !chance.percent(HISTORIANS_PERCENT) || end <= begin {
         return Vec::new();
     }

@@ -252,7 +252,8 @@ impl World {
             _ if link < pipeline + historians => count + link,
             _ => link - historians,
         };
-        let links = (0..count).map(|link| Link::new(Chance::new(seed, Purpose::Link, number(link))));
+        let links =
+            (0..count).map(|link| Link::new(Chance::new(seed, Purpose::Link, number(link))));
         let clusterer = files.get(&ServiceName::Clusterer);
         let teams = clusterer.and_then(|file| file.get("teams")?.as_u64());
         let max_robots =

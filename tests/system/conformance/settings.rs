@@ -243,7 +243,10 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
     add(
         "clusterer",
         OnlyByService("size, team_size or need whose max is below its min"),
-        &[r#"{"team_size":{"t1":{"min":3,"max":2}}}"#, r#"{"size":{"min":3},"team_size":{"t1":{"max":2}}}"#],
+        &[
+            r#"{"team_size":{"t1":{"min":3,"max":2}}}"#,
+            r#"{"size":{"min":3},"team_size":{"t1":{"max":2}}}"#,
+        ],
     );
     let many: Vec<String> = (0..257).map(|team| format!(r#""t{team}":{{}}"#)).collect();
     cases.push(("clusterer", format!(r#"{{"team_size":{{{}}}}}"#, many.join(",")), Refused));

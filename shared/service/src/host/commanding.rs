@@ -187,8 +187,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
             expires: command.expires.clamp(0.0, MAX_EXPIRY_S),
             based_on: command.based_on,
             action: action_text(command),
-            refused: remembered(&problem)
-                .or_else(|| Some(problem_json("(command)", "is refused"))),
+            refused: remembered(&problem).or_else(|| Some(problem_json("(command)", "is refused"))),
             answer: None,
             may_be_repeated,
         });

@@ -91,9 +91,8 @@ impl Recorder {
         report.coverage =
             self.store.as_ref().map_or_else(Coverage::default, |store| store.coverage());
         let next = if report.problem.is_some() { RETRY_INTERVAL } else { COMMIT_INTERVAL };
-        let is_news = report.lost > 0
-            || report.damaged.is_some()
-            || self.reported.as_ref() != Some(&report);
+        let is_news =
+            report.lost > 0 || report.damaged.is_some() || self.reported.as_ref() != Some(&report);
         if is_news {
             self.reported = Some(report.clone());
         }

@@ -124,7 +124,8 @@ impl Mutator {
                 Message::Event(event)
             }
             (Mutant::Reversed, Message::Event(mut event)) => {
-                if let EventKind::TeamChanged(TeamChange::Moved { from, to, .. }) = &mut event.kind {
+                if let EventKind::TeamChanged(TeamChange::Moved { from, to, .. }) = &mut event.kind
+                {
                     std::mem::swap(from, to);
                 }
                 Message::Event(event)

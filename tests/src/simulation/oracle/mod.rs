@@ -36,8 +36,8 @@ use muster_wire::envelope::AnnouncedSettings;
 use super::clock::Micros;
 use super::plan::OutputKind;
 
-pub(crate) use alerts::ALERTED_WITHIN;
 pub(crate) use agreement::{Agreed, GroundTruth, RobotTruth};
+pub(crate) use alerts::ALERTED_WITHIN;
 pub(crate) use ids::Ids;
 pub(crate) use memory::{Bounds, MEMORY, check_memory_use};
 pub(crate) use received::Judged;

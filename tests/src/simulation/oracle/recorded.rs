@@ -23,7 +23,8 @@ const KEPT: &str = "what is published as recorded is on the disk, whatever is ki
 const TRUE: &str = "what is recorded is what was published";
 
 /// What is promised of what was received.
-const WHOLE: &str = "everything that a historian received is recorded, up to the moment that it names";
+const WHOLE: &str =
+    "everything that a historian received is recorded, up to the moment that it names";
 
 /// Where a robot is: in the division, its team, whether it is stale.
 type Place = (bool, Option<TeamId>, bool);
@@ -105,7 +106,8 @@ impl Oracle {
         let count = usize::try_from(state.coverage.sequence).unwrap_or(usize::MAX);
         if count > disk.len() || count < tape.promised {
             let had = tape.promised;
-            let seen = format!("{count} records are promised, {had} were, {} are there", disk.len());
+            let seen =
+                format!("{count} records are promised, {had} were, {} are there", disk.len());
             return breach(KEPT, seen);
         }
         for entry in &disk[tape.promised..count] {
@@ -132,16 +134,16 @@ impl Oracle {
                 }
         };
         // Of divisions the newest counts: those before it may be gone from the picture.
-        let divisions = tape.awaited.iter().filter(|(_, received)| {
-            matches!(received, Received::Division(_))
-        });
+        let divisions =
+            tape.awaited.iter().filter(|(_, received)| matches!(received, Received::Division(_)));
         let newest = divisions.max_by_key(|(_, received)| match received {
             Received::Division(revision) => Some(*revision),
             Received::Event(..) => None,
         });
-        let events = tape.awaited.iter().find(|(at, received)| {
-            *at < before && matches!(received, Received::Event(..))
-        });
+        let events = tape
+            .awaited
+            .iter()
+            .find(|(at, received)| *at < before && matches!(received, Received::Event(..)));
         let missing = newest.filter(is_missing).or(events)?;
         Some(format!("{missing:?} is not recorded before {before:?}"))
     }
