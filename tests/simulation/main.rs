@@ -231,7 +231,6 @@ fn every_mutant_is_found_and_its_run_made_short() {
         (Mutant::Resigned, vec!["recording goes on by itself once there is room"]),
         (Mutant::Renumbered, vec!["the number of an alert is used once in a term"]),
         (Mutant::Insistent, vec!["an alert is raised once and ends once"]),
-        (Mutant::Speechless, vec!["an alert is open while nothing satisfies the limits"]),
         (
             Mutant::Negligent,
             vec!["needs of teams are filled within 20 s, or the division says why not"],

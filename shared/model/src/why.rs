@@ -247,9 +247,7 @@ impl Reason {
             DecidedBy::Conflict
         } else if self.held_from.is_some() {
             DecidedBy::Dwell
-        } else if is_best(|team| team.score, false) {
-            DecidedBy::Wishes
-        } else if self.jointly && is_grouped() {
+        } else if is_best(|team| team.score, false) || self.jointly && is_grouped() {
             DecidedBy::Wishes
         } else if self.jointly {
             DecidedBy::Jointly

@@ -72,8 +72,10 @@ pub(crate) struct Mutator {
     first_commands: BTreeMap<ServiceName, CommandId>,
     /// The event of the first alert that was raised.
     first_alert: Option<EventKind>,
-    /// The ids of teams that were published, and what it calls others instead.
-    seen: BTreeSet<TeamId>,
+    /// All robots that were in the team of each id that was published, and what it calls others instead.
+    seen: BTreeMap<TeamId, BTreeSet<RobotId>>,
+    /// Those of the last division.
+    living: BTreeSet<TeamId>,
     renamed: BTreeMap<TeamId, TeamId>,
 }
 
@@ -101,7 +103,8 @@ impl Mutator {
             kept: BTreeMap::new(),
             first_commands: BTreeMap::new(),
             first_alert: None,
-            seen: BTreeSet::new(),
+            seen: BTreeMap::new(),
+            living: BTreeSet::new(),
             renamed: BTreeMap::new(),
         }
     }

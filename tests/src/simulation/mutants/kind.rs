@@ -55,19 +55,17 @@ pub enum Mutant {
     Resigned,
     /// Nothing reaches the clusterer any more once the disk of a historian was full.
     Dependent,
-    /// The auditor gives its alerts other numbers in every second list, once settings were changed.
+    /// The auditor lists two alerts in turn under one number, once settings were changed.
     Renumbered,
     /// The auditor reports its first alert again in place of whatever happens to alerts, once settings were changed.
     Insistent,
-    /// The auditor leaves out that nothing satisfies the limits, once settings were changed.
-    Speechless,
     /// The clusterer does not fill needs, and says nothing of it, once settings were changed.
     Negligent,
     /// The clusterer takes granted pins for bans, once an operator had a wish.
     Disobedient,
     /// The clusterer reports nothing when limits can hold no longer, once settings were changed.
     Silent,
-    /// The clusterer gives the ids of teams that have ended to new ones, once settings were changed.
+    /// The clusterer gives the id of a team that has ended to another one, once settings were changed.
     Reused,
     /// The clusterer reports moves of robots the wrong way round, once settings were changed.
     Reversed,
@@ -75,7 +73,7 @@ pub enum Mutant {
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 33] = [
+    pub const ALL: [Self; 32] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -103,7 +101,6 @@ impl Mutant {
         Self::Dependent,
         Self::Renumbered,
         Self::Insistent,
-        Self::Speechless,
         Self::Negligent,
         Self::Disobedient,
         Self::Silent,
@@ -133,7 +130,6 @@ impl Mutant {
             | Self::Boastful
             | Self::Renumbered
             | Self::Insistent
-            | Self::Speechless
             | Self::Negligent
             | Self::Silent
             | Self::Reused

@@ -1,14 +1,15 @@
 //! What mutants make of messages.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use muster_model::alert::AlertKind;
+use muster_model::alert::{Alert, AlertKind, AlertSubject};
 use muster_model::content::Checked;
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
-use muster_model::id::TeamId;
+use muster_model::id::{RobotId, TeamId};
 use muster_model::teams::{TeamChange, Teams};
+use muster_model::time::Tick;
 use muster_model::wish::{WishKind, WishList, WishState};
 use muster_wire::Message;
 
@@ -133,9 +134,22 @@ impl Mutator {
             (Mutant::Renumbered, Message::Alerts(mut alerts)) => {
                 self.published += 1;
                 let list = Arc::make_mut(&mut alerts);
-                let shift = self.published % 2;
-                list.next_id += shift;
-                list.open.iter_mut().for_each(|alert| alert.id += shift);
+                let kinds = [AlertKind::Churn, AlertKind::Flapping];
+                let kind = kinds[usize::from(self.published.is_multiple_of(2))];
+                if !list.open.iter().any(|of| of.kind == kind) {
+                    list.open.push(Alert {
+                        id: list.next_id,
+                        kind,
+                        subject: AlertSubject::Fleet,
+                        raised: Tick(0),
+                        value: 1.0,
+                        threshold: 1.0,
+                        reason: String::new(),
+                        robots: Vec::new(),
+                        acknowledged: None,
+                    });
+                    list.next_id += 1;
+                }
                 Message::Alerts(alerts)
             }
             (Mutant::Insistent, Message::Event(mut event)) => {
@@ -148,10 +162,6 @@ impl Mutator {
                     _ => self.note_alert(&event.kind),
                 }
                 Message::Event(event)
-            }
-            (Mutant::Speechless, Message::Alerts(mut alerts)) => {
-                Arc::make_mut(&mut alerts).open.retain(|of| of.kind != AlertKind::Infeasible);
-                Message::Alerts(alerts)
             }
             (Mutant::Reused, Message::Teams { teams, mirror }) => {
                 let mut teams = Teams::clone(&teams);
@@ -227,21 +237,29 @@ impl Mutator {
         }
     }
 
-    /// Gives new teams the ids of teams that have ended, and keeps to that.
+    /// Gives a team the id of one that has ended and had none of its robots, and keeps to that.
     fn reuse_ids(&mut self, teams: &mut Teams) {
-        let name = |renamed: &std::collections::BTreeMap<TeamId, TeamId>, id: &TeamId| {
-            renamed.get(id).unwrap_or(id).clone()
-        };
-        let mut living: BTreeSet<TeamId> =
+        let name =
+            |renamed: &BTreeMap<TeamId, TeamId>, id: &TeamId| renamed.get(id).unwrap_or(id).clone();
+        let living: BTreeSet<TeamId> =
             teams.teams.iter().map(|team| name(&self.renamed, &team.id)).collect();
+        let ended = self.seen.iter().filter(|(id, _)| !living.contains(*id));
+        // It must not be in the division before either.
+        let ended: Vec<_> = ended.filter(|(id, _)| !self.living.contains(*id)).collect();
+        let other = teams.teams.iter().find_map(|team| {
+            let is_other = |known: &BTreeSet<RobotId>| {
+                team.members.iter().all(|member| !known.contains(&member.robot))
+            };
+            let (id, _) = ended.iter().find(|(_, known)| is_other(known))?;
+            Some((team.id.clone(), (*id).clone()))
+        });
+        if self.renamed.is_empty() {
+            self.renamed.extend(other);
+        }
+        self.living = teams.teams.iter().map(|team| name(&self.renamed, &team.id)).collect();
         for team in &teams.teams {
-            let is_new = !self.seen.contains(&team.id) && !self.renamed.contains_key(&team.id);
-            let ended = self.seen.iter().find(|id| !living.contains(*id)).cloned();
-            if let Some(ended) = ended.filter(|_| is_new) {
-                living.insert(ended.clone());
-                self.renamed.insert(team.id.clone(), ended);
-            }
-            self.seen.insert(name(&self.renamed, &team.id));
+            let known = self.seen.entry(name(&self.renamed, &team.id)).or_default();
+            known.extend(team.members.iter().map(|member| member.robot.clone()));
         }
         for team in &mut teams.teams {
             team.id = name(&self.renamed, &team.id);

@@ -101,3 +101,20 @@ impl AlertLog {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Few runs end while nothing satisfies the limits, so that no mutant would be found.
+    #[test]
+    fn a_conflict_without_an_alert_is_seen() {
+        let mut log = AlertLog { conflict_since: Some(7), ..AlertLog::default() };
+        assert_eq!(log.check_conflict(6 + ALERTED_WITHIN), Ok(()));
+        assert!(log.check_conflict(7 + ALERTED_WITHIN).is_err());
+        log.says_infeasible = true;
+        assert_eq!(log.check_conflict(7 + ALERTED_WITHIN), Ok(()));
+        log = AlertLog::default();
+        assert_eq!(log.check_conflict(7 + ALERTED_WITHIN), Ok(()));
+    }
+}
