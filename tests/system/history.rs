@@ -38,7 +38,11 @@ print(json.dumps({"events": events, "divisions": divisions, "gaps": gaps}))
 "#;
 
 fn read(file: &Path) -> Value {
-    let out = Command::new("python3").args(["-c", READ]).arg(file).output().unwrap();
+    read_by(Command::new("python3").args(["-c", READ]).arg(file))
+}
+
+fn read_by(reader: &mut Command) -> Value {
+    let out = reader.output().unwrap();
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     serde_json::from_slice(&out.stdout).unwrap()
 }
@@ -223,6 +227,92 @@ async fn a_full_disk_costs_the_oldest_minutes_and_is_over_without_a_restart() {
     assert!(state.last["recorded_through"].as_u64().is_some());
     let found = read(&file(&cluster));
     assert!(!found["events"].as_array().unwrap().is_empty());
+    drop(historian);
+}
+
+/// Starts the historian with its state on a disk of its own, of so many MB; none if the test may not mount one. The mount
+/// is seen by the historian alone, and ends with it.
+fn start_on_small_disk(cluster: &Cluster, megabytes: u32) -> Option<Process> {
+    let state = cluster.folder().join("small");
+    std::fs::create_dir(&state).unwrap();
+    let mount = format!("mount -t tmpfs -o size={megabytes}m tmpfs {}", state.display());
+    let may = Command::new("unshare").args(["-m", "sh", "-c", &mount]).output();
+    if !may.is_ok_and(|tried| tried.status.success()) {
+        eprintln!("a small disk cannot be mounted here: only the limit on files is tested");
+        return None;
+    }
+    let script = format!(
+        "{mount} && exec {} --fleet {} --connect {} --state-directory {}",
+        program("muster-historian").unwrap().display(),
+        cluster.fleet,
+        cluster.endpoint,
+        state.display()
+    );
+    let mut command = Command::new("unshare");
+    command.args(["-m", "sh", "-c", &script]);
+    Some(Process::start_command("muster-historian", command, cluster.folder()).unwrap())
+}
+
+/// A real disk, of 6 MB: it fills, the division goes on, and once it is larger the recording does as well.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_disk_of_six_megabytes_fills_and_recording_goes_on_once_it_is_larger() {
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=4")]).unwrap();
+    let client = cluster.client().await.unwrap();
+    let events = client.watch("json/event").await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let alerts = client.watch("json/alerts").await.unwrap();
+    let states = client.watch("history/*/state").await.unwrap();
+    let _robots = cluster.robots(&SCENARIO).unwrap();
+    teams.until("teams", SOON, |value| division(value).len() == 16).await.unwrap();
+    let Some(historian) = start_on_small_disk(&cluster, 6) else { return };
+    let is = |wanted: &'static str| move |event: &Value| event["event"] == wanted;
+    newest(&states, 0.0, |_| true).await;
+    let name = "x".repeat(60);
+    let robots: Vec<String> = (0..64).map(|number| format!("{name}{number}")).collect();
+    let (start, mut filled) = (now(), 0_u64);
+    while !events.all().iter().any(|(_, event)| is("history_degraded")(event)) {
+        assert!(now() - start < 120.0, "never degraded: {:?}", states.newest());
+        for _ in 0..50 {
+            filled += 1;
+            event(&client, filled, &robots).await;
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let kinds = |value: &Value| -> BTreeSet<String> {
+        let open = value["open"].as_array().into_iter().flatten();
+        open.map(|of| of["kind"].as_str().unwrap().to_owned()).collect()
+    };
+    alerts
+        .until("the alert", SOON, |value| kinds(value).contains("history_degraded"))
+        .await
+        .unwrap();
+    let before = teams.newest().unwrap();
+    client.get("service/clusterer/settings", Some(&json!({"teams": 3}))).await.unwrap();
+    teams
+        .until("another division", SOON, |value| revision(value) > revision(&before))
+        .await
+        .unwrap();
+    // The disk becomes larger.
+    let small = cluster.folder().join("small");
+    let grown = Command::new("nsenter")
+        .args([&format!("--target={}", historian.id()), "-m", "mount", "-o", "remount,size=64m"])
+        .arg(&small)
+        .status()
+        .unwrap();
+    assert!(grown.success());
+    let recovered = events.until("it recovers", Duration::from_secs(60), is("history_recovered"));
+    recovered.await.unwrap();
+    alerts
+        .until("no alert", SOON, |value| !kinds(value).contains("history_degraded"))
+        .await
+        .unwrap();
+    let state = newest(&states, now(), |state| state["degraded"].is_null()).await;
+    assert!(state.last["recorded_through"].as_u64().is_some());
+    // Only the historian sees the disk.
+    let mut reader = Command::new("nsenter");
+    reader.args([&format!("--target={}", historian.id()), "-m", "python3", "-c", READ]);
+    let path = small.join(&cluster.fleet).join("history.sqlite");
+    assert!(!read_by(reader.arg(path))["events"].as_array().unwrap().is_empty());
     drop(historian);
 }
 

@@ -18,6 +18,7 @@ mod doctor;
 mod documents;
 mod history;
 mod hostile;
+mod json_forms;
 mod keys;
 mod languages;
 mod latency;

@@ -27,6 +27,7 @@ use crate::alerts::AlertBook;
 use crate::alerts::fleet::{Alert, FlappingAlert};
 use crate::flapping::FlappingWindow;
 use crate::history::{Acceptance, History};
+use crate::recordings::Recordings;
 use crate::score::{AuditInput, Job, ScoreError, Scores, quality, same_graphs, score};
 
 type Context<'a> = muster_service::Context<'a, Auditor>;
@@ -100,6 +101,8 @@ pub struct Auditor {
     follow: Follower,
     flight: SingleFlight<Task>,
     scored: Option<Scored>,
+    /// What historians say of themselves.
+    recordings: Recordings,
     /// The last good answer; of the leader before until this one has its own.
     audit: Option<Arc<Audit>>,
     book: AlertBook,
@@ -134,6 +137,16 @@ impl Auditor {
                 self.accept_alerts(context, alerts);
                 Acceptance::Kept
             }
+            Message::HistoryState(state) => {
+                self.recordings.receive(context.now(), &state);
+                self.watch_fleet(context);
+                Acceptance::Kept
+            }
+            Message::ServiceToken { service: ServiceName::Historian, instance, alive: false } => {
+                self.recordings.gone(&instance);
+                self.watch_fleet(context);
+                Acceptance::Kept
+            }
             _ => Acceptance::Kept,
         };
         match acceptance {
@@ -155,6 +168,7 @@ impl Auditor {
         self.flapping.observe(context.now(), teams.clone());
         self.newest = Some(Received { teams, at: context.now() });
         self.watch_flapping(context);
+        self.watch_fleet(context);
         Acceptance::Wanted
     }
 
@@ -441,8 +455,9 @@ impl Core for Auditor {
                 // As a standby.
                 subscription(Key::Alerts, Delivery::Latest),
                 graphs,
+                Subscription { pattern: Pattern::HistoryStates, delivery: Delivery::Latest },
             ],
-            tokens: vec![],
+            tokens: vec![Pattern::InstanceTokens(ServiceName::Historian)],
             fetched: vec![],
             served: own
                 .map(ServedKey::own)
@@ -454,7 +469,7 @@ impl Core for Auditor {
 
     fn initial() -> Vec<Pattern> {
         let keys = [Key::Audit, Key::Alerts, Key::Teams, Key::Embedding, Key::Roster];
-        keys.map(Pattern::One).to_vec()
+        keys.map(Pattern::One).into_iter().chain([Pattern::HistoryStates]).collect()
     }
 
     fn output() -> Key {
@@ -536,8 +551,10 @@ impl Core for Auditor {
 
     fn on_connectivity(&mut self, context: &mut Context<'_>, connectivity: Connectivity) {
         if connectivity == Connectivity::Online {
+            // The tokens of historians were lost with the link, and they say nothing before something is new.
             let patterns = [Key::Teams, Key::Embedding, Key::Roster].map(Pattern::One);
-            context.fetch(AuditorFetch::Inputs, patterns.to_vec());
+            let patterns = patterns.into_iter().chain([Pattern::HistoryStates]);
+            context.fetch(AuditorFetch::Inputs, patterns.collect());
             self.follow.refresh();
             self.publish(context);
             self.watch(context);
@@ -572,6 +589,8 @@ impl Core for Auditor {
             self.advance_alerts(context);
         }
         if is_due(self.alerts_published.map(|at| at.after(HEARTBEAT))) {
+            // What was lost of a history is an alert for a while.
+            self.watch_fleet(context);
             self.publish_alerts(context);
         }
         if is_due(self.retry_at(&context.view())) || is_due(self.teams_at(&context.view())) {
@@ -654,6 +673,7 @@ impl Core for Auditor {
                 + self.flapping.robots()
                 + followed.robots,
             messages: followed.messages
+                + self.recordings.count()
                 + self.embeddings.iter().len()
                 + self.rosters.iter().len()
                 + single,

@@ -22,6 +22,7 @@ mod alerts;
 mod core;
 mod flapping;
 mod history;
+mod recordings;
 mod score;
 mod teams;
 

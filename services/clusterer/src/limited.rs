@@ -3,12 +3,14 @@
 use std::collections::BTreeMap;
 
 use muster_method::division::Division;
-use muster_method::limited::{LimitedError, Limits, divide_within, optimality, rows_of};
+use muster_method::limited::{
+    LimitedError, Limits, Optimality, PlacePrice, divide_within, optimality, rows_of,
+};
 use muster_method::params::DivisionParams;
 use muster_model::embedding::Embedding;
-use muster_model::id::{RobotId, TeamId};
+use muster_model::id::{RobotId, SkillId, TeamId};
 use muster_model::limits::MAX_CONFLICT_LENGTH;
-use muster_model::teams::{Limited, Teams};
+use muster_model::teams::{Limited, SkillPrices, Teams};
 use muster_numeric::assignment::{
     Assigner, Bounds, Column, CostMatrix, Pair, Rules, ValidRules, ValidWishes, Wishes,
 };
@@ -19,10 +21,6 @@ use crate::division::{DivisionError, Job, assemble};
 use crate::identity;
 use crate::rules::TeamRules;
 use crate::seats::last_of;
-
-/// A division that no rule is asked of yet.
-const NOTHING_TO_OBEY: Limited =
-    Limited { optimal: true, gap: 0.0, conflict: None, prices: Vec::new() };
 
 /// Divides the robots that have a non-zero embedding. While nothing satisfies the rules the last division stands.
 pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
@@ -109,7 +107,7 @@ pub(crate) fn judge(
         }
     }
     if rows.is_empty() {
-        return Ok(NOTHING_TO_OBEY);
+        return Ok(Limited::open());
     }
     let columns: Vec<TeamId> = teams.teams.iter().map(|team| team.id.clone()).collect();
     let dimension = embedding.dimension as usize;
@@ -120,7 +118,36 @@ pub(crate) fn judge(
     let valid = rules.assignment(&columns, &robots)?;
     let groups = rules.groups(&valid, &columns, &robots)?.valid;
     let found = optimality(&x, &labels, &centroids, &valid, &groups)?;
-    Ok(Limited { optimal: found.optimal, gap: found.gap, conflict: None, prices: found.prices })
+    let skill_prices = skill_prices(rules, &found.class_prices, &columns, &robots);
+    let mut jointly: Vec<RobotId> =
+        found.jointly.iter().filter_map(|at| Some((*robots.get(*at)?).clone())).collect();
+    jointly.sort_unstable();
+    let Optimality { optimal, gap, prices, .. } = found;
+    Ok(Limited { optimal, gap, conflict: None, prices, skill_prices, jointly })
+}
+
+/// The prices of needed skills that are any.
+fn skill_prices(
+    rules: &TeamRules,
+    found: &[PlacePrice],
+    columns: &[TeamId],
+    robots: &[&RobotId],
+) -> Vec<SkillPrices> {
+    let skills = rules.needs.class_names();
+    let of_class = |(class, skill): (usize, &&SkillId)| {
+        let mut prices = vec![0.0; columns.len()];
+        for of in found.iter().filter(|of| of.class == class) {
+            if let Some(price) = prices.get_mut(of.team) {
+                *price = of.price;
+            }
+        }
+        let mut able: Vec<RobotId> =
+            robots.iter().filter(|robot| rules.needs.has(skill, robot)).copied().cloned().collect();
+        able.sort_unstable();
+        let has_price = prices.iter().any(|price| *price != 0.0);
+        has_price.then(|| SkillPrices { skill: (*skill).clone(), robots: able, prices })
+    };
+    skills.iter().enumerate().filter_map(of_class).collect()
 }
 
 /// A division as the assignment gives it.

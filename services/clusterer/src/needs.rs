@@ -249,6 +249,11 @@ impl Needs {
         self.skills.iter().any(|skill| skill.robots.contains(robot))
     }
 
+    /// Whether a robot fills needs of a skill.
+    pub(crate) fn has(&self, skill: &SkillId, robot: &RobotId) -> bool {
+        self.skills.iter().any(|of| of.skill == *skill && of.robots.contains(robot))
+    }
+
     /// The name of the skill of each class.
     pub(crate) fn class_names(&self) -> Vec<&SkillId> {
         self.skills.iter().map(|skill| &skill.skill).collect()

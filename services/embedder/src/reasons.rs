@@ -39,6 +39,8 @@ pub(crate) struct Material {
     pub(crate) wishes: Vec<StandingWish>,
     /// The settings that divide.
     pub(crate) settings: ClustererSettings,
+    /// Whether nobody has answered with them, so that they are the defaults.
+    pub(crate) settings_assumed: bool,
 }
 
 /// What a job is to explain.
@@ -139,13 +141,14 @@ impl ReasonQueue {
             _ => None,
         });
         let settings = settings.max_by_key(|announced| announced.header.revision);
-        let settings = settings.and_then(|announced| {
+        let settings: Option<ClustererSettings> = settings.and_then(|announced| {
             let value = serde_json::from_str(&announced.settings).ok()?;
             from_value(value).ok()
         });
         self.material = Some(Arc::new(Material {
             teams: teams.clone(),
             wishes: wishes.map(|list| list.wishes.clone()).unwrap_or_default(),
+            settings_assumed: settings.is_none(),
             settings: settings.unwrap_or_default(),
         }));
         self.ready.append(&mut self.waiting);

@@ -10,10 +10,10 @@ use muster_method::params::DivisionParams;
 use muster_model::content::{Checked, Content};
 use muster_model::embedding::Embedding;
 use muster_model::header::{Header, Revision, StageTime};
-use muster_model::id::{FleetId, OperatorId, RobotId, ServiceName, TeamId, WishId};
+use muster_model::id::{FleetId, OperatorId, RobotId, ServiceName, SkillId, TeamId, WishId};
 use muster_model::limits::MAX_REASON_TEAMS;
 use muster_model::settings::{ClustererSettings, EmbedderSettings, TeamSize};
-use muster_model::teams::{HeldRobot, Limited, Member, Team, Teams};
+use muster_model::teams::{HeldRobot, Limited, Member, SkillPrices, Team, Teams};
 use muster_model::why::{DecidedBy, Reason, Why};
 use muster_model::wish::{StandingWish, Wish, WishKind, WishList, WishState};
 use muster_numeric::matrix::DenseMatrix;
@@ -197,6 +197,7 @@ fn limits_wishes_and_dwell_are_told() {
             gap: 0.0,
             conflict: None,
             prices: vec![0.0, gain + 0.25],
+            ..Limited::open()
         }),
         ..teams.clone()
     };
@@ -208,6 +209,36 @@ fn limits_wishes_and_dwell_are_told() {
     assert_eq!((reason.teams[1].max, reason.teams[1].price), (Some(4), gain + 0.25));
     let text = "t2 is full (4 robots): its place costs 0.250 more than m gains.";
     assert!(reason.text.contains(text), "{}", reason.text);
+
+    assert!(!reason.settings_assumed && !reason.text.contains("defaults are assumed"));
+    let reason = bench.why("m", vec![message(&limited)]).unwrap();
+    assert!(reason.settings_assumed && reason.text.contains("defaults are assumed"), "{reason:?}");
+
+    // The same by a needed skill, and where no price stands for the place.
+    let by_skill = |jointly: Vec<RobotId>| Teams {
+        limited: Some(Limited {
+            skill_prices: vec![SkillPrices {
+                skill: SkillId::new("medic").unwrap(),
+                robots: vec![robot("m")],
+                prices: vec![-gain, 0.25],
+            }],
+            prices: vec![0.0; 2],
+            jointly,
+            ..Limited::open()
+        }),
+        ..teams.clone()
+    };
+    let reason = bench.why("m", vec![message(&by_skill(vec![]))]).unwrap();
+    assert_eq!(reason.decided_by, DecidedBy::Limits);
+    assert_eq!((reason.teams[0].skill_price, reason.teams[1].skill_price), (-gain, 0.25));
+    assert!(reason.text.contains("t1 needs robots with medic"), "{}", reason.text);
+    assert!(reason.text.contains("t2 may have no more robots with medic"), "{}", reason.text);
+    let other = bench.why("a1", vec![message(&by_skill(vec![]))]).unwrap();
+    assert_eq!((other.skill, other.teams[0].skill_price), (None, 0.0));
+    let reason = bench.why("m", vec![message(&by_skill(vec![robot("m")]))]).unwrap();
+    assert_eq!((reason.decided_by, reason.jointly), (DecidedBy::Jointly, true));
+    assert_eq!((reason.skill.as_ref(), reason.teams[0].skill_price), (None, 0.0));
+    assert!(reason.text.contains("no price stands for its place"), "{}", reason.text);
 
     let pinned = wishes(&[(WishKind::Pin, "m", Some("t1")), (WishKind::Ban, "a1", Some("t2"))]);
     let reason = bench.why("m", vec![message(&teams), pinned.clone()]).unwrap();
@@ -269,12 +300,7 @@ fn what_has_no_reason_is_refused_with_one() {
     let mut conflict = split(bench.last(), 0);
     conflict.teams[0].members.retain(|member| member.robot != robot("m"));
     conflict.unassigned = vec![robot("alone"), robot("m")];
-    conflict.limited = Some(Limited {
-        optimal: false,
-        gap: 1.0,
-        conflict: Some("9 robots, 8 places".to_owned()),
-        prices: vec![],
-    });
+    conflict.limited = Some(Limited::standing("9 robots, 8 places".to_owned()));
     let without = bench.why("m", vec![message(&conflict)]).unwrap_err();
     assert!(without.contains("the limits leave no place: 9 robots, 8 places"), "{without}");
     for i in 0..4 {

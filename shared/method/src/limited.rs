@@ -1,8 +1,8 @@
 //! From vectors to teams that have limits: k-means over the robots with an embedding, whose assignments are exact.
 
 use muster_numeric::assignment::{
-    Assigner, Column, CostError, CostMatrix, DivisionError, Need, ValidRules, ValidWishes, Wanted,
-    assign_with_wishes,
+    Assigner, ClassPrice, Column, CostError, CostMatrix, DivisionError, Need, Pair, ValidRules,
+    ValidWishes, Wanted, Wishes, assign_with_wishes,
 };
 use muster_numeric::kmeans::{KMeansError, KMeansLimits, KMeansOptions, LimitedKMeansError};
 use muster_numeric::matrix::{DenseMatrix, MatrixError};
@@ -61,9 +61,25 @@ pub struct Optimality {
     /// By which share the sum could be lower at most, from 0 to 1.
     pub gap: f64,
     /// What a place in each team costs in the best assignment, as a squared distance: above zero where the team is full,
-    /// below where it has as few robots as it must have. The price of what groups of robots have to do is not in them.
-    /// Empty if there is no assignment.
+    /// below where it has as few robots as it must have. Empty if there is no assignment.
     pub prices: Vec<f64>,
+    /// What a place costs the robots of a class beside that.
+    pub class_prices: Vec<PlacePrice>,
+    /// The robots that are placed together with others: in groups, or for needs that are no limits of classes. The prices
+    /// are those at which all others are where they are cheapest while these stay where they are; none stands for their own
+    /// places.
+    pub jointly: Vec<usize>,
+}
+
+/// What a place in a team costs a robot of a class beside the price of the team.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlacePrice {
+    /// The class.
+    pub class: usize,
+    /// The team.
+    pub team: usize,
+    /// The price, as a squared distance.
+    pub price: f64,
 }
 
 /// Divides robots, each a row of `x`, N × D, into the teams of `limits`. Labels are the numbers of the teams; a robot in
@@ -238,12 +254,24 @@ pub fn optimality(
     let places: Vec<Option<usize>> = labels.iter().copied().map(Some).collect();
     let cost = near + shortfall(rules, groups, &places);
     let mut assigner = Assigner::new();
-    let free = assigner.solve(rules, &costs).ok().map(|best| best.cost);
-    let price = |price: &i64| *price as f64 * unit;
-    let prices: Vec<f64> = match free {
-        Some(_) => assigner.column_prices().iter().map(price).collect(),
-        None => Vec::new(),
+    let jointly = jointly(groups);
+    let fixed = (!jointly.is_empty()).then(|| with_fixed(rules, &jointly, labels));
+    // Where the others' places contradict the rules, nothing has a price.
+    let priced = match &fixed {
+        None => Some(rules),
+        Some(fixed) => fixed.as_ref(),
     };
+    let free = priced.and_then(|rules| assigner.solve(rules, &costs).ok()).map(|best| best.cost);
+    let (mut prices, mut class_prices) = (Vec::new(), Vec::new());
+    if free.is_some() {
+        prices.extend(assigner.column_prices().iter().map(|price| *price as f64 * unit));
+        let of_class = |of: ClassPrice| {
+            let ClassPrice { class, column: team, price } = of;
+            PlacePrice { class, team, price: price as f64 * unit }
+        };
+        class_prices.extend(assigner.class_prices().into_iter().map(of_class));
+    }
+    let judged = |optimal, gap| Optimality { optimal, gap, prices, class_prices, jointly };
     let best = if is_empty(groups) {
         free
     } else {
@@ -252,13 +280,33 @@ pub fn optimality(
         found.ok().map(|best| best.bound)
     };
     // Where nothing is found, the labels do not satisfy the rules either.
-    let Some(best) = best else { return Ok(Optimality { optimal: false, gap: 1.0, prices }) };
+    let Some(best) = best else { return Ok(judged(false, 1.0)) };
     // What is missing is no distance: the gap is a share of the distances alone.
     let gap = if cost > best { ((cost - best) as f64 / near.max(1) as f64).min(1.0) } else { 0.0 };
-    if gap <= ROUNDING_SHARE {
-        return Ok(Optimality { optimal: true, gap: 0.0, prices });
-    }
-    Ok(Optimality { optimal: false, gap, prices })
+    let is_optimal = gap <= ROUNDING_SHARE;
+    Ok(judged(is_optimal, if is_optimal { 0.0 } else { gap }))
+}
+
+/// The robots that a search places, in order.
+fn jointly(groups: &ValidWishes) -> Vec<usize> {
+    let Wishes { wishes, needs } = groups.get();
+    let wished = wishes.iter().flat_map(|wish| &wish.robots);
+    let mut robots: Vec<usize> =
+        wished.chain(needs.iter().flat_map(|need| &need.robots)).copied().collect();
+    robots.sort_unstable();
+    robots.dedup();
+    robots
+}
+
+/// The rules with some robots where they are; none if they are no rules.
+fn with_fixed(rules: &ValidRules, robots: &[usize], labels: &[usize]) -> Option<ValidRules> {
+    let mut rules = rules.get().clone();
+    let fixed = |robot: &usize| {
+        let column = Column::Team(*labels.get(*robot)?);
+        Some(Pair::Forced { robot: *robot, column })
+    };
+    rules.pairs.extend(robots.iter().filter_map(fixed));
+    rules.check().ok()
 }
 
 /// Squared distances of rows to centroids, each times its share, as integers, and what one of them stands for.
@@ -291,7 +339,7 @@ pub fn rows_of(
 
 #[cfg(test)]
 mod tests {
-    use muster_numeric::assignment::{Bounds, Relation, Rules, Wish, Wishes};
+    use muster_numeric::assignment::{Bounds, ClassLimit, Relation, Rules, Wish};
 
     use super::*;
     use crate::params::DivisionParams;
@@ -421,6 +469,81 @@ mod tests {
             priced += usize::from(prices.iter().any(|price| *price > 0.01));
         }
         assert!(priced > 10, "{priced} divisions had a full team that others wanted");
+    }
+
+    /// With the prices of classes, and with groups of robots whose places are given, all others are where they are
+    /// cheapest.
+    #[test]
+    fn at_the_prices_of_classes_and_beside_groups_every_other_robot_is_where_it_is_cheapest() {
+        let mut seed = 7_u64;
+        let mut draw = || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (seed >> 33) as f64 / (1_u64 << 31) as f64
+        };
+        let (mut of_classes, mut beside_groups) = (0, 0);
+        for round in 0..200 {
+            let robots = 8 + (8.0 * draw()) as usize;
+            let points: Vec<f64> = (0..2 * robots).map(|_| draw()).collect();
+            let x = DenseMatrix::new(robots, 2, points).unwrap();
+            let most = robots.div_ceil(3) + 1;
+            // Two of one class in the second team at least, and one of the other in the third at most; one wanted there.
+            let classes: Vec<Option<usize>> =
+                (0..robots).map(|robot| [Some(0), Some(1), None][robot % 3]).collect();
+            let limit = |team, class, bounds, wanted| ClassLimit {
+                column: Column::Team(team),
+                class,
+                bounds,
+                wanted,
+            };
+            let class_limits = vec![
+                limit(1, 0, Bounds::at_least(2), None),
+                limit(2, 1, Bounds::at_most(1), None),
+                limit(0, 1, Bounds::ANY, Some(Wanted { count: 2, price: 1 << 36 })),
+            ];
+            let teams = vec![Bounds::new(1, most); 3];
+            let rules = Rules { robots, teams, classes, class_limits, ..Rules::default() };
+            let rules = rules.check().unwrap();
+            let wish = |relation, robots: &[usize]| Wish {
+                relation,
+                robots: robots.to_vec(),
+                price: None,
+            };
+            let wishes = if round % 2 == 0 {
+                Vec::new()
+            } else {
+                vec![wish(Relation::Together, &[0, 3]), wish(Relation::Apart, &[1, 4, 7])]
+            };
+            let groups = Wishes { wishes, ..Wishes::default() }.check(&rules).unwrap();
+            let params = DivisionParams { teams: 3, hysteresis: 0.0, ..DivisionParams::default() };
+            let previous = vec![None; robots];
+            let limits = Limits { rules: &rules, groups: &groups, previous: &previous };
+            let found = divide_within(&x, &params.check().unwrap(), &limits).unwrap();
+            let labels: Vec<usize> = found.labels.iter().flatten().copied().collect();
+            let judged = optimality(&x, &labels, &found.centroids, &rules, &groups).unwrap();
+            let jointly: &[usize] = if round % 2 == 0 { &[] } else { &[0, 1, 3, 4, 7] };
+            assert_eq!(judged.jointly, jointly);
+            if !judged.optimal {
+                continue;
+            }
+            let classes = &rules.get().classes;
+            for (robot, own) in labels.iter().enumerate() {
+                if jointly.contains(&robot) {
+                    continue;
+                }
+                let by_class = |team: usize| {
+                    let of = |of: &&PlacePrice| of.team == team && Some(of.class) == classes[robot];
+                    judged.class_prices.iter().find(of).map_or(0.0, |of| of.price)
+                };
+                let pay = |team: usize| {
+                    let far = square(x.row(robot), found.centroids.row(team));
+                    far + judged.prices[team] + by_class(team)
+                };
+                assert!((0..3).all(|team| pay(*own) <= pay(team) + 1e-6), "{robot}: {judged:?}");
+                of_classes += usize::from((0..3).any(|team| by_class(team).abs() > 0.01));
+                beside_groups += usize::from(!jointly.is_empty());
+            }
+        }
+        assert!(of_classes > 100 && beside_groups > 100, "{of_classes} {beside_groups}");
     }
 
     #[test]

@@ -25,6 +25,10 @@ pub const MAX_CLOCK_OFFSET_S: f64 = 30.0;
 /// ten minutes come from a program that should wait.
 pub const MAX_REMEMBERED_COMMANDS: usize = 256;
 
+/// Most refused commands of those that are remembered: a program with a wrong clock sends any number of them, and they must
+/// not displace what was carried out.
+pub const MAX_REMEMBERED_REFUSALS: usize = 64;
+
 /// Longest answer, action or reason of a command that is remembered, in bytes.
 pub const MAX_OUTCOME_TEXT: usize = 4096;
 
@@ -103,6 +107,15 @@ pub struct CommandProblem {
     pub problem: String,
 }
 
+impl CommandProblem {
+    /// Whether the same command may be right in a moment: the instance has not received a division that the operator has
+    /// seen. A clock or an expiry that was wrong stays wrong.
+    #[must_use]
+    pub fn passes(&self) -> bool {
+        self.field == "based_on"
+    }
+}
+
 impl OperatorCommand {
     /// Refuses a command that makes no sense, has expired, comes from a clock that is far off, or is based on a later term
     /// than `term`.
@@ -176,6 +189,9 @@ pub struct CommandOutcome {
     pub refused: Option<String>,
     /// What the service answered, as JSON; none if it was refused, or the answer is too long to be remembered.
     pub answer: Option<String>,
+    /// Whether the same id may be sent again: it was refused before it began, for a reason that passes.
+    #[serde(default)]
+    pub may_be_repeated: bool,
 }
 
 impl Content for CommandOutcome {
@@ -187,6 +203,9 @@ impl Content for CommandOutcome {
         }
         if !(0.0..=MAX_EXPIRY_S).contains(&self.expires) {
             return refuse("expires", "must be seconds since 1970");
+        }
+        if self.may_be_repeated && self.refused.is_none() {
+            return refuse("may_be_repeated", "is for refused commands alone");
         }
         Ok(())
     }

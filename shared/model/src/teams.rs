@@ -93,6 +93,23 @@ pub struct Limited {
     /// What a place in each team costs, in the order of the teams, as a squared distance: above zero where the team is
     /// full, below where it has as few robots as it must have. Empty while nothing satisfies the limits.
     pub prices: Vec<f64>,
+    /// What a place costs robots with a needed skill beside that.
+    pub skill_prices: Vec<SkillPrices>,
+    /// Robots that are placed together with others, by wishes of groups or for skills of which robots have several, ordered
+    /// by name. No price stands for their places; those of the other robots hold while these stay.
+    pub jointly: Vec<RobotId>,
+}
+
+/// What a place costs the robots that have one needed skill, beside what it costs any robot.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SkillPrices {
+    /// The skill.
+    pub skill: SkillId,
+    /// The robots that pay: those that have the skill and are not stale, ordered by name.
+    pub robots: Vec<RobotId>,
+    /// The price in each team, in the order of the teams, as a squared distance: above zero where no more robots with the
+    /// skill may be, below where the team needs them.
+    pub prices: Vec<f64>,
 }
 
 /// A robot that is kept in its team for now.
@@ -108,13 +125,26 @@ impl Limited {
     /// That of a division which stands because nothing satisfies the limits.
     #[must_use]
     pub fn standing(conflict: String) -> Self {
-        Self { optimal: false, gap: 1.0, conflict: Some(conflict), prices: Vec::new() }
+        Self { gap: 1.0, ..Self::lacking(conflict) }
     }
 
     /// That of a division which goes on although needs cannot all be filled.
     #[must_use]
     pub fn lacking(conflict: String) -> Self {
-        Self { optimal: false, gap: 0.0, conflict: Some(conflict), prices: Vec::new() }
+        Self { optimal: false, conflict: Some(conflict), ..Self::open() }
+    }
+
+    /// That of a division of which nothing is asked.
+    #[must_use]
+    pub const fn open() -> Self {
+        Self {
+            optimal: true,
+            gap: 0.0,
+            conflict: None,
+            prices: Vec::new(),
+            skill_prices: Vec::new(),
+            jointly: Vec::new(),
+        }
     }
 
     /// Whether the last division stands, as against one that goes on and lacks what it needs.
@@ -288,6 +318,20 @@ impl Content for Teams {
                 || !prices.iter().all(|price| price.is_finite())
             {
                 return refuse("price", "must be a finite number for each team, or for none");
+            }
+            if limited.skill_prices.len() > MAX_NEEDED_SKILLS {
+                return refuse("skill_prices", "are of more skills than there may be");
+            }
+            let is_sound = |of: &SkillPrices| {
+                of.robots.is_sorted_by(|left, right| left < right)
+                    && of.prices.len() == self.teams.len()
+                    && of.prices.iter().all(|price| price.is_finite())
+            };
+            if !limited.skill_prices.iter().all(is_sound) {
+                return refuse("skill_prices", "must be finite, one for each team");
+            }
+            if !limited.jointly.is_sorted_by(|left, right| left < right) {
+                return refuse("jointly", "must be ordered by name");
             }
         }
         if self.needs.len() > MAX_TEAMS as usize * MAX_NEEDED_SKILLS {

@@ -3,7 +3,8 @@
 //! k-means puts a robot with the vector x into the team whose mean c is nearest, which is the team with the largest
 //! *score* 2 x·c − ‖c‖². The score is a sum of one pull per modality, what the robot's self-loop keeps, the spread of the
 //! team, and what rounding leaves. What decides is the *total*: the score, less the price of a place where teams have
-//! limits, and for the robot's own team the credit that the hysteresis gives it. All parts of a total add up to it.
+//! limits and that of a needed skill, and for the robot's own team the credit that the hysteresis gives it. All parts of a
+//! total add up to it. A robot that is placed together with others has no price, and its reason says so.
 
 use std::fmt::Write as _;
 
@@ -12,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::content::{Content, ContentError, refuse};
 use crate::header::{Header, Revision};
-use crate::id::{Modality, OperatorId, RobotId, TeamId, WishId};
+use crate::id::{Modality, OperatorId, RobotId, SkillId, TeamId, WishId};
 use crate::limits::{MAX_REASON_TEAMS, MAX_WISHES};
 use crate::wish::WishKind;
 
@@ -42,6 +43,8 @@ pub enum DecidedBy {
     OlderDivision,
     /// Another team is nearer, and yet the division as a whole is the best that was found.
     WholeDivision,
+    /// It is placed together with others, for needs of skills that robots have several of.
+    Jointly,
 }
 
 /// How much one modality draws a robot to a team.
@@ -80,8 +83,12 @@ pub struct TeamReason {
     pub price: f64,
     /// By how much the hysteresis favours the team that the robot is in; zero for others.
     pub hysteresis: f64,
-    /// `score` − `price` + `hysteresis`.
+    /// `score` − `price` − `skill_price` + `hysteresis`.
     pub total: f64,
+    /// What a place in the team costs beside that for the needed skill of the robot: above zero where no more robots with it
+    /// may be, below where the team needs them.
+    #[serde(default)]
+    pub skill_price: f64,
 }
 
 /// A wish that concerns the robot.
@@ -137,6 +144,17 @@ pub struct Reason {
     pub dwell_s: f64,
     /// Why nothing satisfies limits and wishes; none where something does.
     pub conflict: Option<String>,
+    /// The needed skill by which limits price its place; none without one.
+    #[serde(default)]
+    pub skill: Option<SkillId>,
+    /// Whether it is placed together with others, by wishes of groups or for skills of which robots have several. Such a
+    /// place was searched for: no price stands for it, and the totals leave out what decided.
+    #[serde(default)]
+    pub jointly: bool,
+    /// Whether `clusterer` did not answer with its settings, so that `hysteresis`, `dwell_s` and the limits of the teams are
+    /// the defaults, and may be others.
+    #[serde(default)]
+    pub settings_assumed: bool,
 }
 
 /// A reason as a get is answered with it.
@@ -152,19 +170,20 @@ impl TeamReason {
     /// Sets the total from the parts.
     #[must_use]
     pub fn summed(self) -> Self {
-        let total = self.score - self.price + self.hysteresis;
+        let total = self.score - self.price - self.skill_price + self.hysteresis;
         Self { total, ..self }
     }
 
     /// The sum of the parts of the total.
     fn parts(&self) -> f64 {
         let pulls: f64 = self.modalities.iter().map(|pull| pull.pull).sum();
-        pulls + self.itself + self.spread + self.rest - self.price + self.hysteresis
+        let costs = self.price + self.skill_price;
+        pulls + self.itself + self.spread + self.rest - costs + self.hysteresis
     }
 
     fn numbers(&self) -> impl Iterator<Item = f64> {
         let others = [self.score, self.itself, self.spread, self.rest, self.price];
-        let others = others.into_iter().chain([self.hysteresis, self.total]);
+        let others = others.into_iter().chain([self.hysteresis, self.total, self.skill_price]);
         self.modalities.iter().map(|pull| pull.pull).chain(others)
     }
 }
@@ -228,9 +247,11 @@ impl Reason {
             DecidedBy::Conflict
         } else if self.held_from.is_some() {
             DecidedBy::Dwell
-        } else if is_best(|team| team.score, false) {
+        } else if is_best(|team| team.score, false) || self.jointly && is_grouped() {
             DecidedBy::Wishes
-        } else if is_best(|team| team.score - team.price, false) {
+        } else if self.jointly {
+            DecidedBy::Jointly
+        } else if is_best(|team| team.score - team.price - team.skill_price, false) {
             DecidedBy::Limits
         } else if is_best(|team| team.total, false) {
             DecidedBy::Hysteresis
@@ -254,6 +275,17 @@ impl Reason {
             _ => text.push_str(", and there is no other team."),
         }
         self.name_wishes(&mut text);
+        if self.jointly && self.decided_by != DecidedBy::Jointly {
+            text.push_str(
+                " It is placed together with others, by a search: no price of limits stands for its place.",
+            );
+        }
+        if self.settings_assumed {
+            text.push_str(
+                " clusterer has not answered with its settings: the defaults are assumed for the limits, for the \
+                 hysteresis and for dwell_s.",
+            );
+        }
         if let Some(team) = self.held_from.as_ref().filter(|_| self.decided_by != DecidedBy::Dwell)
         {
             let _ =
@@ -299,7 +331,26 @@ impl Reason {
         match self.decided_by {
             DecidedBy::Relations => text.push_str(" No team draws it more."),
             DecidedBy::Limits => {
-                let more = next.price - own.price - gain;
+                let price = |team: &TeamReason| team.price + team.skill_price;
+                let more = price(next) - price(own) - gain;
+                if let Some(skill) = &self.skill {
+                    if next.skill_price > 0.0 {
+                        let _ = write!(
+                            text,
+                            " {} may have no more robots with {skill}: its place costs {more:.3} more than {robot} \
+                             gains.",
+                            next.team
+                        );
+                    }
+                    if own.skill_price < 0.0 {
+                        let _ = write!(
+                            text,
+                            " {} needs robots with {skill}: without {robot} another one would have to come, which costs \
+                             {more:.3} more than {robot} gains.",
+                            own.team
+                        );
+                    }
+                }
                 if next.price > 0.0 {
                     let _ = write!(
                         text,
@@ -349,6 +400,10 @@ impl Reason {
                      may move it."
                 );
             }
+            DecidedBy::Jointly => text.push_str(
+                " It is placed together with others, for needs of skills that robots have several of: that was found by \
+                 a search, and no price stands for its place.",
+            ),
             DecidedBy::WholeDivision => text.push_str(
                 " Yet the division as a whole is the best that was found: teams change with their robots.",
             ),
@@ -399,6 +454,7 @@ mod tests {
             price,
             hysteresis,
             total: 0.0,
+            skill_price: 0.0,
         }
         .summed()
     }
@@ -419,6 +475,9 @@ mod tests {
             hysteresis: 0.05,
             dwell_s: 0.5,
             conflict: None,
+            skill: None,
+            jointly: false,
+            settings_assumed: false,
         }
     }
 
@@ -518,6 +577,52 @@ mod tests {
                 reason(vec![own(), team("t2", [0.9, 0.3], 0.0, 0.0)]),
                 DecidedBy::WholeDivision,
                 "the division as a whole is the best that was found",
+            ),
+            (
+                Reason {
+                    skill: Some(SkillId::new("medic").unwrap()),
+                    ..reason(vec![
+                        TeamReason { skill_price: -1.0, ..team("t1", [0.5, 0.3], 0.0, 0.0) }
+                            .summed(),
+                        team("t2", [0.9, 0.3], 0.0, 0.0),
+                    ])
+                },
+                DecidedBy::Limits,
+                "t1 needs robots with medic: without r7 another one would have to come, which costs 0.600 more",
+            ),
+            (
+                Reason {
+                    skill: Some(SkillId::new("medic").unwrap()),
+                    ..reason(vec![
+                        own(),
+                        TeamReason { skill_price: 1.0, ..team("t2", [0.9, 0.3], 0.0, 0.0) }
+                            .summed(),
+                    ])
+                },
+                DecidedBy::Limits,
+                "t2 may have no more robots with medic: its place costs 0.600 more than r7 gains.",
+            ),
+            (
+                Reason { jointly: true, ..reason(vec![own(), team("t2", [0.9, 0.3], 0.0, 0.0)]) },
+                DecidedBy::Jointly,
+                "found by a search, and no price stands for its place.",
+            ),
+            (
+                Reason {
+                    jointly: true,
+                    wishes: vec![wish(WishKind::Apart, None)],
+                    ..reason(vec![own(), team("t2", [0.9, 0.3], 0.0, 0.0)])
+                },
+                DecidedBy::Wishes,
+                "by a search: no price of limits stands for its place.",
+            ),
+            (
+                Reason {
+                    settings_assumed: true,
+                    ..reason(vec![own(), team("t2", [0.1, 0.4], 0.0, 0.0)])
+                },
+                DecidedBy::Relations,
+                "clusterer has not answered with its settings: the defaults are assumed",
             ),
         ];
         for (reason, decided_by, text) in cases {

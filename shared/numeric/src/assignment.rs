@@ -37,7 +37,7 @@ mod rules;
 mod search_node;
 mod wishes;
 
-pub use assigner::{Assigner, Assignment, AssignmentError};
+pub use assigner::{Assigner, Assignment, AssignmentError, ClassPrice};
 pub use branch::{Division, DivisionError, assign_with_wishes, is_grantable};
 pub use certificate::Certificate;
 pub use conflict::{Conflict, Imbalance, Rule};

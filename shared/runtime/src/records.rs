@@ -5,23 +5,17 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::Context;
-use muster_model::history::{Coverage, Entry, Query, RecordingReport, Retention};
+use muster_model::history::{Entry, Query, RecordingReport, Retention};
 use muster_model::id::{FleetId, InstanceId};
 use muster_service::Input;
-use muster_service::records::{MAX_BATCH_RECORDS, RecordQueue, Records, WriteError};
+use muster_service::records::{MAX_BATCH_RECORDS, Recorder, Records};
 use tokio::sync::oneshot;
 
 /// Most tasks that wait for the thread: four transactions. It takes them up while it waits for nothing but the disk.
 const MAX_WAITING_TASKS: usize = 4 * MAX_BATCH_RECORDS;
-
-/// How often records are written: each transaction waits for the disk.
-const COMMIT_INTERVAL: Duration = Duration::from_secs(1);
-
-/// How soon records that could not be written are tried again: each attempt is a line in the log.
-const RETRY_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Where the records of an instance are kept.
 #[derive(Debug, Clone)]
@@ -68,13 +62,14 @@ impl RecordWriter {
         let (sender, tasks) = sync_channel(MAX_WAITING_TASKS);
         let overflow = Arc::new(AtomicU64::new(0));
         let (done, ended) = oneshot::channel();
-        let recorder = Recorder::new(options, Arc::clone(&overflow));
+        let counted = Arc::clone(&overflow);
         let span = tracing::Span::current();
         std::thread::Builder::new()
             .name("muster-records".to_owned())
             .spawn(move || {
                 let _service = span.enter();
-                recorder.run(&tasks, &send);
+                let recorder = Recorder::new(move || (options.open)(&options.place));
+                run(recorder, &counted, &tasks, &send);
                 let _ = done.send(());
             })
             .context("cannot start the thread that writes records")?;
@@ -100,144 +95,60 @@ impl RecordWriter {
     }
 }
 
-/// What the thread keeps.
-struct Recorder {
-    options: RecordOptions,
-    store: Option<Box<dyn Records>>,
-    queue: RecordQueue,
-    overflow: Arc<AtomicU64>,
-    retention: Option<Retention>,
-    reported: Option<RecordingReport>,
+/// Drives a recorder by the clock until the handle is gone.
+fn run(
+    mut recorder: Recorder,
+    overflow: &AtomicU64,
+    tasks: &Receiver<Task>,
+    send: &impl Fn(Input),
+) {
+    // The first step opens the store and reports what it holds.
+    let mut due = Instant::now();
+    let mut had_problem = false;
+    loop {
+        let wait = due.saturating_duration_since(Instant::now());
+        match tasks.recv_timeout(wait) {
+            Ok(Task::Append(entry)) => recorder.append(*entry),
+            Ok(Task::LookUp { lookup, query }) => {
+                send(Input::Found { lookup, page: recorder.answer(&query) });
+            }
+            Ok(Task::Retain(retention)) => recorder.retain(retention),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => {
+                recorder.step(overflow.swap(0, Ordering::Relaxed));
+                return;
+            }
+        }
+        if recorder.is_full() || Instant::now() >= due {
+            let step = recorder.step(overflow.swap(0, Ordering::Relaxed));
+            due = Instant::now() + step.next;
+            if let Some(report) = step.news {
+                log(&report, had_problem);
+                had_problem = report.problem.is_some();
+                send(Input::Recorded(Box::new(report)));
+            }
+        }
+    }
 }
 
-impl Recorder {
-    fn new(options: RecordOptions, overflow: Arc<AtomicU64>) -> Self {
-        Self {
-            options,
-            store: None,
-            queue: RecordQueue::default(),
-            overflow,
-            retention: None,
-            reported: None,
-        }
+fn log(report: &RecordingReport, had_problem: bool) {
+    match (&report.problem, had_problem) {
+        (Some(problem), _) => tracing::error!("recording is degraded: {problem}"),
+        (None, true) => tracing::info!("recording goes on as it should"),
+        (None, false) => {}
     }
-
-    fn run(mut self, tasks: &Receiver<Task>, send: &impl Fn(Input)) {
-        // The first step opens the store and reports what it holds.
-        let mut due = Instant::now();
-        loop {
-            let wait = due.saturating_duration_since(Instant::now());
-            match tasks.recv_timeout(wait) {
-                Ok(Task::Append(entry)) => self.queue.push(*entry),
-                Ok(Task::LookUp { lookup, query }) => {
-                    let page = match &mut self.store {
-                        Some(store) => store.answer(&query),
-                        None => Err(self.problem_before()),
-                    };
-                    send(Input::Found { lookup, page });
-                }
-                Ok(Task::Retain(retention)) => self.retention = Some(retention),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => {
-                    self.step();
-                    return;
-                }
-            }
-            let is_failing =
-                self.reported.as_ref().is_some_and(|reported| reported.problem.is_some());
-            let is_full = self.queue.len() >= MAX_BATCH_RECORDS && !is_failing;
-            if is_full || Instant::now() >= due {
-                let report = self.step();
-                let interval =
-                    if report.problem.is_some() { RETRY_INTERVAL } else { COMMIT_INTERVAL };
-                due = Instant::now() + interval;
-                let is_news = report.lost > 0
-                    || report.damaged.is_some()
-                    || self.reported.as_ref() != Some(&report);
-                if is_news {
-                    self.log(&report);
-                    self.reported = Some(report.clone());
-                    send(Input::Recorded(Box::new(report)));
-                }
-            }
-        }
+    if let Some(damaged) = &report.damaged {
+        tracing::error!("{damaged}");
     }
-
-    fn problem_before(&self) -> String {
-        let reported = self.reported.as_ref().and_then(|reported| reported.problem.clone());
-        reported.unwrap_or_else(|| "the history is not open yet; ask again in a moment".to_owned())
-    }
-
-    fn log(&self, report: &RecordingReport) {
-        let before = self.reported.as_ref().and_then(|reported| reported.problem.as_ref());
-        match (&report.problem, before) {
-            (Some(problem), _) => tracing::error!("recording is degraded: {problem}"),
-            (None, Some(_)) => tracing::info!("recording goes on as it should"),
-            (None, None) => {}
-        }
-        if let Some(damaged) = &report.damaged {
-            tracing::error!("{damaged}");
-        }
-        if report.lost > 0 {
-            tracing::error!("{} records are lost", report.lost);
-        }
-    }
-
-    /// Writes what waits, and forgets what is to be forgotten.
-    fn step(&mut self) -> RecordingReport {
-        let overflow = self.overflow.swap(0, Ordering::Relaxed);
-        if overflow > 0 {
-            self.queue.interrupt();
-        }
-        let mut report = RecordingReport::default();
-        if let Err(problem) = self.write(&mut report) {
-            report.problem = Some(problem);
-        }
-        report.lost = self.queue.take_lost().saturating_add(overflow);
-        report.coverage =
-            self.store.as_ref().map_or_else(Coverage::default, |store| store.coverage());
-        report
-    }
-
-    fn write(&mut self, report: &mut RecordingReport) -> Result<(), String> {
-        let store = match &mut self.store {
-            Some(store) => store,
-            none => none.insert((self.options.open)(&self.options.place)?),
-        };
-        report.damaged = store.take_damage();
-        let mut kept = |result: Result<bool, WriteError>, queue: &mut RecordQueue| match result {
-            Ok(more) => Ok(more),
-            Err(WriteError::Damaged(problem)) => {
-                queue.interrupt();
-                report.damaged = Some(problem);
-                Ok(false)
-            }
-            Err(WriteError::Full(problem) | WriteError::Failed(problem)) => Err(problem),
-        };
-        // Twice the batches that wait at most: one that finds a damaged file is written again.
-        for _ in 0..2 * MAX_WAITING_TASKS / MAX_BATCH_RECORDS {
-            if self.queue.is_empty() {
-                break;
-            }
-            let written = store.write(self.queue.batch());
-            if written.is_ok() {
-                self.queue.written();
-            }
-            kept(written.map(|()| false), &mut self.queue)?;
-        }
-        if let Some(retention) = self.retention.take()
-            && kept(store.retain(&retention), &mut self.queue)?
-        {
-            // The rest goes with the next transactions.
-            self.retention = Some(retention);
-        }
-        store.shortage().map_or(Ok(()), Err)
+    if report.lost > 0 {
+        tracing::error!("{} records are lost", report.lost);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::mpsc;
+    use std::time::Duration;
 
     use muster_model::history::{Record, Rows, Subject};
     use muster_model::id::RobotId;
@@ -300,28 +211,5 @@ mod tests {
         assert!(writer.look_up(1, Query::of(Subject::Divisions)));
         let found = inputs.recv_timeout(WAIT).unwrap();
         assert_eq!(found, Input::Found { lookup: 1, page: Err("no place".to_owned()) });
-    }
-
-    #[test]
-    fn what_is_not_written_waits_and_is_written_once_there_is_room() {
-        let overflow = Arc::default();
-        let open: OpenRecords = |_| {
-            let full = WriteError::Full("the disk is full".to_owned());
-            Ok(Box::new(MemoryRecords::failing(full)))
-        };
-        let mut recorder = Recorder::new(RecordOptions { place: place(), open }, overflow);
-        recorder.queue.push(*joined(1));
-        let full = recorder.step();
-        assert_eq!((full.problem.as_deref(), full.lost), (Some("the disk is full"), 0));
-        recorder.store = Some(Box::<MemoryRecords>::default());
-        let written = recorder.step();
-        assert_eq!((written.problem, written.coverage.sequence), (None, 1));
-        // A file that was damaged: what comes next must be whole.
-        let damaged = WriteError::Damaged("put aside".to_owned());
-        recorder.store = Some(Box::new(MemoryRecords::failing(damaged)));
-        recorder.queue.push(*joined(2));
-        let report = recorder.step();
-        assert_eq!(report.damaged.as_deref(), Some("put aside"));
-        assert!(report.lost > 0 && report.problem.is_none());
     }
 }

@@ -3,7 +3,9 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS, OperatorCommand};
+use muster_model::command::{
+    CommandOutcome, MAX_REMEMBERED_COMMANDS, MAX_REMEMBERED_REFUSALS, OperatorCommand,
+};
 use muster_model::id::{CommandId, OperatorId};
 use muster_model::time::Tick;
 use muster_wire::Request;
@@ -55,8 +57,9 @@ impl Commands {
     }
 
     /// Whether a command may be carried out now. Those that have expired give way: they would be refused by their time.
+    /// So do those that were refused: they have changed nothing.
     pub(crate) fn admit(&mut self, now: Tick, name: &CommandName) -> Admission {
-        if let Some(outcome) = self.outcomes.get(name) {
+        if let Some(outcome) = self.outcomes.get(name).filter(|known| !known.may_be_repeated) {
             return Admission::Known(Arc::clone(outcome));
         }
         if self.pending.values().any(|pending| pending.name == *name) {
@@ -66,14 +69,14 @@ impl Commands {
         while self.order.len() + self.pending.len() >= MAX_REMEMBERED_COMMANDS {
             let outcomes = &self.outcomes;
             let has_expired = |name: &CommandName| {
-                outcomes.get(name).is_none_or(|outcome| outcome.expires <= now)
+                outcomes
+                    .get(name)
+                    .is_none_or(|outcome| outcome.expires <= now || outcome.refused.is_some())
             };
             let Some(place) = self.order.iter().position(has_expired) else {
                 return Admission::Full;
             };
-            if let Some(name) = self.order.remove(place) {
-                self.outcomes.remove(&name);
-            }
+            self.forget(place);
         }
         Admission::New
     }
@@ -91,17 +94,33 @@ impl Commands {
     /// Remembers an outcome. Returns whether it was not known.
     pub(crate) fn remember(&mut self, outcome: Arc<CommandOutcome>) -> bool {
         let name = (outcome.operator.clone(), outcome.id.clone());
-        if self.outcomes.contains_key(&name) {
-            return false;
+        match self.outcomes.get(&name) {
+            Some(known) if !known.may_be_repeated => return false,
+            Some(_) => {
+                let place = self.order.iter().position(|other| *other == name);
+                place.into_iter().for_each(|place| self.forget(place));
+            }
+            None => {}
         }
-        if self.order.len() >= MAX_REMEMBERED_COMMANDS
-            && let Some(oldest) = self.order.pop_front()
+        let refusals = self.outcomes.values().filter(|known| known.refused.is_some()).count();
+        if outcome.refused.is_some() && refusals >= MAX_REMEMBERED_REFUSALS
+            || self.order.len() >= MAX_REMEMBERED_COMMANDS
         {
-            self.outcomes.remove(&oldest);
+            // Of all, the oldest that was refused; else the oldest.
+            let is_refused = |name| {
+                self.outcomes.get(name).is_some_and(|known: &Arc<_>| known.refused.is_some())
+            };
+            self.forget(self.order.iter().position(is_refused).unwrap_or(0));
         }
         self.order.push_back(name.clone());
         self.outcomes.insert(name, outcome);
         true
+    }
+
+    fn forget(&mut self, place: usize) {
+        if let Some(name) = self.order.remove(place) {
+            self.outcomes.remove(&name);
+        }
     }
 
     /// What is remembered, the oldest first.

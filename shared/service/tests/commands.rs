@@ -6,7 +6,7 @@ mod small;
 
 use std::sync::Arc;
 
-use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS};
+use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS, MAX_REMEMBERED_REFUSALS};
 use muster_model::event::EventKind;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
@@ -91,7 +91,8 @@ fn what_is_too_late_from_another_clock_or_of_a_later_term_is_refused_with_the_re
         content.as_object_mut().unwrap().extend(change.as_object().unwrap().clone());
         content
     };
-    for (change, field) in [
+    let right = content(json!({}));
+    for (number, (change, field)) in [
         (json!({"sent": now - 60.0, "expires": now + 1.0}), "sent"),
         (json!({"sent": now + 60.0, "expires": now + 70.0}), "sent"),
         (json!({"sent": now - 20.0, "expires": now - 1.0}), "expires"),
@@ -100,16 +101,31 @@ fn what_is_too_late_from_another_clock_or_of_a_later_term_is_refused_with_the_re
         (json!({"action": {"acknowledge": {"alert": 3}}}), "action"),
         (json!({"action": {"sett": {}}}), "action"),
         (json!({"who": "kim"}), "who"),
-    ] {
-        let error = command(&mut driven, "kim/c1", &content(change)).unwrap_err();
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let key = format!("kim/c{number}");
+        let error = command(&mut driven, &key, &content(change)).unwrap_err();
         assert!(error.contains(field), "{field}: {error}");
+        let asked = command(&mut driven, &key, &Value::Null).unwrap();
+        if number > 5 {
+            assert_eq!(asked, Value::Null, "what is no command leaves no outcome");
+            continue;
+        }
+        assert_eq!(asked["refused"], serde_json::from_str::<Value>(&error).unwrap());
+        assert_eq!(asked["may_be_repeated"], field == "based_on");
+        if field != "based_on" {
+            assert_eq!(command(&mut driven, &key, &right), Err(error), "it is final");
+        }
     }
     assert_eq!(driven.teams(), small::AUTO);
-    assert!(outcomes(&driven).is_empty());
-    // What was refused by its time may come again, right.
+    assert_eq!((outcomes(&driven).len(), driven.counter("commands")), (6, 0));
+    // A division that the instance had not received yet is known in a moment.
     let based = json!({"based_on": {"term": term, "epoch": 9}});
-    command(&mut driven, "kim/c1", &content(based)).unwrap();
-    assert_eq!(driven.teams(), 7);
+    command(&mut driven, "kim/c4", &content(based)).unwrap();
+    let asked = command(&mut driven, "kim/c4", &Value::Null).unwrap();
+    assert_eq!((driven.teams(), &asked["refused"]), (7, &Value::Null));
     let events = driven.commanded.iter().filter(|message| {
         matches!(message, Message::Event(event) if matches!(event.kind, EventKind::Commanded { .. }))
     });
@@ -185,4 +201,27 @@ fn ids_are_remembered_until_they_expire_and_no_more_than_that() {
     let error = command(&mut driven, "kim/c0", &old).unwrap_err();
     assert!(error.contains("expires"), "{error}");
     assert_eq!(ServiceName::Clusterer, outcomes(&driven)[0].service);
+}
+
+/// A program with a wrong clock neither takes memory nor displaces what was carried out.
+#[test]
+fn refused_commands_are_remembered_in_a_bounded_number_and_displace_none_that_was_carried_out() {
+    let mut driven = Driven::leading();
+    set(&mut driven, "kim/first", &json!({"teams": 7})).unwrap();
+    set(&mut driven, "kim/second", &json!({"teams": 8})).unwrap();
+    let now = driven.now.as_seconds();
+    let late = json!({"sent": now, "expires": now - 1.0, "action": {"set": {"teams": 3}}});
+    for number in 0..3 * MAX_REMEMBERED_COMMANDS {
+        command(&mut driven, &format!("lee/c{number}"), &late).unwrap_err();
+    }
+    let known = |driven: &mut Driven, key: &str| command(driven, key, &Value::Null).unwrap();
+    let numbers = 0..3 * MAX_REMEMBERED_COMMANDS;
+    let kept = numbers.filter(|number| !known(&mut driven, &format!("lee/c{number}")).is_null());
+    assert_eq!(kept.count(), MAX_REMEMBERED_REFUSALS);
+    // Sent again, what was carried out first does not hide what came after it.
+    set(&mut driven, "kim/first", &json!({"teams": 7})).unwrap();
+    assert_eq!(driven.teams(), 8);
+    for number in 2..MAX_REMEMBERED_COMMANDS {
+        set(&mut driven, &format!("kim/c{number}"), &json!({"teams": 9})).unwrap();
+    }
 }

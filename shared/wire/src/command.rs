@@ -86,6 +86,8 @@ pub(crate) struct OutcomeForm<'a> {
     refused: Option<Value>,
     /// What the service answered; null if it was refused, or the answer is long.
     answer: Option<Value>,
+    /// Whether the same id may be sent again: it was refused before it began, for a reason that passes.
+    may_be_repeated: bool,
 }
 
 impl EdgeJson for CommandOutcome {
@@ -101,6 +103,7 @@ impl EdgeJson for CommandOutcome {
             action: read(&self.action),
             refused: self.refused.as_ref().map(read),
             answer: self.answer.as_ref().map(read),
+            may_be_repeated: self.may_be_repeated,
         })
     }
 }

@@ -22,7 +22,7 @@ use muster_model::limits::{
 use muster_model::refused::Refused;
 use muster_model::roster::{Presence, Roster};
 use muster_model::team_audit::{Loss, TeamAudit};
-use muster_model::teams::{HeldRobot, RobotTeam, TeamCountScore, TeamNeed, Teams};
+use muster_model::teams::{HeldRobot, RobotTeam, SkillPrices, TeamCountScore, TeamNeed, Teams};
 use muster_model::time::Tick;
 use muster_model::why::{Reason, Why};
 use muster_model::wish::{StandingWish, WishList, WishReport};
@@ -135,6 +135,11 @@ pub(crate) struct TeamsForm<'a> {
     provisional: &'a [RobotId],
     /// Robots that the newest vectors put into another team, for not long enough yet, ordered by name.
     held: &'a [HeldRobot],
+    /// What a place costs robots with a needed skill beside `price` of the team.
+    skill_prices: &'a [SkillPrices],
+    /// Robots that are placed together with others, by wishes of groups or for skills of which robots have several: no price
+    /// stands for their places.
+    jointly: &'a [RobotId],
 }
 
 /// One team.
@@ -176,6 +181,8 @@ impl EdgeJson for Teams {
             needs: &self.needs,
             provisional: &self.provisional,
             held: &self.held,
+            skill_prices: limited.map_or(&[][..], |limited| &limited.skill_prices),
+            jointly: limited.map_or(&[][..], |limited| &limited.jointly),
         })
     }
 }

@@ -149,6 +149,9 @@ impl Message {
         if let Some(header) = message.header() {
             check_header(space, header)?;
         }
+        if let Self::HistoryState(state) = &message {
+            agree(space.fleet(), &state.fleet, "fleets")?;
+        }
         Ok(message)
     }
 
@@ -201,6 +204,14 @@ impl Message {
                 outcome.check()?;
                 Self::Outcome(Arc::new(outcome))
             }
+            Key::HistoryState(instance) => {
+                let state: RecordingState = match format {
+                    Format::Json => serde_json::from_slice(bytes)?,
+                    Format::Binary => return Err(DecodeError::NotJson),
+                };
+                agree(&instance, &state.instance, "instances")?;
+                Self::HistoryState(Box::new(state))
+            }
             Key::RobotToken(_) | Key::ServiceToken(..) => return Err(DecodeError::OnlyTokens),
             Key::JsonWishes
             | Key::Wish(..)
@@ -211,7 +222,6 @@ impl Message {
             | Key::Status(_)
             | Key::RobotRefused(_)
             | Key::History(_)
-            | Key::HistoryState(_)
             | Key::Schema
             | Key::Why
             | Key::Stream(..)

@@ -285,7 +285,7 @@ fn patch(table: &Value, parts: &Map<String, Value>) -> Map<String, Value> {
                 inner.insert("description".to_owned(), field["description"].clone());
                 Value::Object(inner)
             }
-            None => field.clone(),
+            None => with_parts_of_maps(field.clone(), parts),
         };
         (name.clone(), or_null(&mut field))
     });
@@ -295,6 +295,19 @@ fn patch(table: &Value, parts: &Map<String, Value>) -> Map<String, Value> {
         ("properties".to_owned(), Value::Object(fields)),
         ("additionalProperties".to_owned(), Value::Bool(false)),
     ])
+}
+
+/// A map whose values are tables holds these itself: a reference means the table as it is written, with all fields.
+fn with_parts_of_maps(mut field: Value, parts: &Map<String, Value>) -> Value {
+    let patterns = field.get_mut("patternProperties").and_then(Value::as_object_mut);
+    for value in patterns.into_iter().flat_map(Map::values_mut) {
+        let target = value.get("$ref").and_then(Value::as_str);
+        let part = target.and_then(|target| parts.get(target.strip_prefix(PARTS)?));
+        if let Some(part) = part.filter(|part| part.get("properties").is_some()) {
+            *value = part.clone();
+        }
+    }
+    field
 }
 
 /// Allows null for a field.

@@ -372,6 +372,8 @@ impl Author {
                 gap: draw.number(),
                 conflict: None,
                 prices: Vec::new(),
+                skill_prices: Vec::new(),
+                jointly: draw.robots(),
             }),
             needs: draw.some(2, |draw| TeamNeed {
                 team: TeamId::numbered(draw.number64()),

@@ -15,6 +15,7 @@ use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
 use super::link::{State, Storm, Way};
 use super::plan::{Fault, Forgery, OutputKind, Rubbish};
+use super::recording::Disk;
 use super::robots::{RobotStream, packet};
 use super::router::Carried;
 use super::world::{Event, World};
@@ -85,6 +86,17 @@ impl World {
                 let until = self.now + lasts;
                 self.nodes[index].busy_until = self.nodes[index].busy_until.max(until);
                 self.cut(index, until, false);
+            }
+            Fault::FullDisk { at, lasts } => {
+                let Some(index) = node(self, at) else { return };
+                let Some(disk) = &self.nodes[index].disk else { return };
+                disk.fill(true);
+                if self.mutator.is_careless() {
+                    disk.be_careless();
+                }
+                if let Some(lasts) = lasts {
+                    self.schedule(self.now + lasts, Event::DiskHasRoom { node: index });
+                }
             }
             Fault::Slow { at, lasts, each } => {
                 let Some(index) = node(self, at) else { return };
@@ -184,6 +196,12 @@ impl World {
         }
         node.life += 1;
         node.step_at = None;
+        if let Some(disk) = &node.disk {
+            if self.mutator.loses_records() {
+                disk.lose_last();
+            }
+            self.oracle.recorded.killed(node.instance, disk.entries().len());
+        }
         // The session ends with the process; the link itself stays as it is.
         let link = node.link;
         let keys = self.router.tokens_of(link);
@@ -201,6 +219,10 @@ impl World {
         let node = &mut self.nodes[index];
         node.stored = Stored::default();
         node.kept = None;
+        if let Some(disk) = &mut node.disk {
+            *disk = Disk::default();
+            self.oracle.recorded.forget(node.instance);
+        }
         let (service, instance) = (node.service, node.instance);
         if !self.clocks_agree || self.oracle.had_forged_terms() {
             self.oracle.forget_order(service, instance);

@@ -11,7 +11,8 @@
 //! byte. [`shrink()`] makes a failing one short.
 //!
 //! Services are addressed as (service, instance), each on a machine of its own; every other seed has two
-//! of each, of which one leads and the other is a standby.
+//! of each, of which one leads and the other is a standby; of the historian each records by itself, on a virtual disk that
+//! outlives its process and may be full.
 
 mod batch;
 mod busy;
@@ -27,6 +28,7 @@ mod node;
 mod operator;
 pub(crate) mod oracle;
 mod plan;
+mod recording;
 mod robots;
 mod router;
 mod scheduler;

@@ -155,7 +155,9 @@ impl World {
             Reception::News => self.log.line(self.now, format_args!("{name} receives its team")),
             Reception::Known => {}
             Reception::Refused { since } => {
-                let is_alone = self.nodes.len() == ServiceName::PIPELINE.len();
+                let instances =
+                    self.nodes.iter().filter(|node| node.service == ServiceName::Clusterer);
+                let is_alone = instances.count() == 1;
                 let applies = is_alone && self.clocks_agree && !self.oracle.had_forged_terms();
                 if applies && self.now > since + BELIEVED_WITHIN {
                     let promise = "robots believe services that have lost their state within 5 s";

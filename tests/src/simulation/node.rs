@@ -10,6 +10,7 @@ use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_model::wish::Wish;
 use muster_service::inbox::{Inbox, Parcel};
+use muster_service::records::Recorder;
 use muster_service::{Delivery, GetId, IncomingGet, Input, Stored};
 use muster_wire::{KeySpace, Packet, Pattern};
 
@@ -17,6 +18,7 @@ use super::chance::Chance;
 use super::clock::{HostClock, Micros, ProcessClock};
 use super::host::{AnyHost, ServiceKind};
 use super::oracle::Publisher;
+use super::recording::Disk;
 use super::router::{BusGet, BusGetId, LinkId, includes, intersects};
 
 /// Most gets that wait for the host, as the shell has them: a bounded channel from the threads of the
@@ -60,6 +62,8 @@ pub(crate) struct Process {
     pub(crate) idle_timers: u32,
     /// The key of its liveliness token.
     pub(crate) token: Arc<str>,
+    /// What writes its records, if it keeps some.
+    pub(crate) recorder: Option<Recorder>,
 }
 
 /// A get that the host has not answered.
@@ -107,6 +111,10 @@ pub(crate) struct Node {
     /// The next step that is on the agenda.
     pub(crate) step_at: Option<Micros>,
     pub(crate) chance: Chance,
+    /// The disk for the records of a historian.
+    pub(crate) disk: Option<Disk>,
+    /// Since when its process runs and that disk has room.
+    pub(crate) recording_since: Micros,
     subscribed: Vec<Subscribed>,
     tokens: Vec<String>,
     served: Vec<String>,
@@ -148,6 +156,8 @@ impl Node {
             panics_until: 0,
             step_at: None,
             chance,
+            disk: (service == ServiceName::Historian).then(Disk::default),
+            recording_since: 0,
             subscribed,
             tokens,
             served,
@@ -190,6 +200,7 @@ impl Node {
             changes_before_result: 0,
             idle_timers: 0,
             token,
+            recorder: self.disk.as_ref().map(Disk::recorder),
         });
     }
 

@@ -12,8 +12,11 @@ use super::oracle::{GroundTruth, RobotTruth};
 use super::robots::Robots;
 use super::router::{Answer, LinkId};
 
-/// The fields of refusals after which a command is given again.
-const TRIED_AGAIN: [&str; 2] = [r#""field":"(command)""#, r#""field":"sent""#];
+/// The field of refusals after which the same command is given again: the service starts.
+const TRIED_AGAIN: &str = r#""field":"(command)""#;
+
+/// The field of refusals after which it is given under another id: the clock of the service was set meanwhile.
+const GIVEN_ANEW: &str = r#""field":"sent""#;
 
 /// What an operator wants and knows.
 #[derive(Debug)]
@@ -65,10 +68,15 @@ impl Operator {
 
     /// A service has answered.
     pub(crate) fn answered(&mut self, service: ServiceName, answer: &Answer) {
-        // A service that starts, or whose clock was set meanwhile, is asked again.
-        if matches!(answer, Answer::Error(error) if TRIED_AGAIN.iter().any(|field| error.contains(field)))
-        {
-            return;
+        match answer {
+            Answer::Error(error) if error.contains(TRIED_AGAIN) => return,
+            Answer::Error(error) if error.contains(GIVEN_ANEW) => {
+                self.count += 1;
+                let first = self.wanted.get_mut(&service).and_then(VecDeque::front_mut);
+                first.into_iter().for_each(|(number, _)| *number = self.count);
+                return;
+            }
+            Answer::Error(_) | Answer::Packets(_) => {}
         }
         let Some((_, patch)) = self.wanted.get_mut(&service).and_then(VecDeque::pop_front) else {
             return;

@@ -152,6 +152,8 @@ pub(crate) enum Fault {
     Set { service: ServiceName, patch: String },
     /// An operator puts or withdraws a wish about a robot.
     Wish { id: &'static str, robot: usize, wish: &'static str },
+    /// The disk for the records of a historian is full for a while; until all agree if no time is given.
+    FullDisk { at: Place, lasts: Option<Micros> },
     /// An operator sets what stops every job of the embedder, and mends it after a while.
     BadAlpha { lasts: Micros },
 }
@@ -238,6 +240,7 @@ impl Fault {
             Self::Set { .. } => "settings",
             Self::Wish { .. } => "wish",
             Self::BadAlpha { .. } => "bad alpha",
+            Self::FullDisk { .. } => "full disk",
         }
     }
 }
@@ -265,6 +268,10 @@ impl fmt::Display for Injection {
             | Fault::BadAlpha { lasts }
             | Fault::Blackout { lasts, .. }
             | Fault::PowerCut { lasts } => write!(formatter, "for {}", Span(*lasts)),
+            Fault::FullDisk { at, lasts: Some(lasts) } => {
+                write!(formatter, "{at} for {}", Span(*lasts))
+            }
+            Fault::FullDisk { at, lasts: None } => write!(formatter, "{at} until all agree"),
             Fault::Slow { at, lasts, each } | Fault::SlowJobs { at, lasts, each } => {
                 write!(formatter, "{at} for {}: {} each", Span(*lasts), Span(*each))
             }
@@ -424,6 +431,15 @@ const WISHES: [&str; 6] = [
     "null",
 ];
 
+/// Of a hundred seeds, those in which something happens to historians.
+const HISTORIANS_PERCENT: u64 = 40;
+
+/// By how many microseconds the clock of its host may go back.
+const HOUR: i64 = 3_600_000_000;
+
+/// Most of that in one seed.
+const MAX_HISTORIAN_FAULTS: u64 = 5;
+
 /// The plan of a seed, in order of time. Nothing that heals by itself outlasts the storm.
 pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection> {
     let mut chance = Chance::new(seed, Purpose::Plan, 0);
@@ -454,6 +470,8 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
     injections.extend(wishes(chance, scale.robots, begin, end));
     let chance = &mut Chance::new(seed, Purpose::Plan, 5);
     injections.extend(settings(chance, &NEEDS, begin, end));
+    let chance = &mut Chance::new(seed, Purpose::Plan, 6);
+    injections.extend(historians(chance, scale.instances, begin, end));
     let mut busy = Chance::new(seed, Purpose::Plan, 2);
     if busy.percent(BUSY_PERCENT) && end > begin {
         injections.retain(|injection| {
@@ -497,6 +515,34 @@ fn wishes(chance: &mut Chance, robots: usize, begin: Micros, end: Micros) -> Vec
         let id = chance.pick(&["w1", "w2", "w3"]).copied().unwrap_or("w1");
         let wish = chance.pick(&WISHES).copied().unwrap_or("null");
         let fault = Fault::Wish { id, robot: chance.below(robots), wish };
+        all.push(Injection { number: 0, at, fault });
+    }
+    all
+}
+
+/// What happens to historians in some seeds, from a chance of its own: their disks are full, and they are killed.
+fn historians(chance: &mut Chance, instances: usize, begin: Micros, end: Micros) -> Vec<Injection> {
+    if !chance.percent(HISTORIANS_PERCENT) || end <= begin {
+        return Vec::new();
+    }
+    let mut all = Vec::new();
+    for _ in 0..chance.between(1, MAX_HISTORIAN_FAULTS) {
+        let at = chance.between(begin, end.saturating_sub(MS).max(begin));
+        let place = Place::Service(ServiceName::Historian, chance.below(instances));
+        let lasts = chance.between(50 * MS, 8 * SECOND).min(end - at);
+        if chance.percent(20) {
+            // Its host starts again with a clock that is an hour behind.
+            let fault = Fault::Clock { at: place, by: -HOUR };
+            all.push(Injection { number: 0, at, fault });
+            let fault = Fault::Kill { at: place, lasts: lasts / 2 };
+            all.push(Injection { number: 0, at, fault });
+            continue;
+        }
+        let fault = match chance.below(10) {
+            0..5 => Fault::Kill { at: place, lasts: lasts / 2 },
+            5..8 => Fault::FullDisk { at: place, lasts: Some(lasts) },
+            _ => Fault::FullDisk { at: place, lasts: None },
+        };
         all.push(Injection { number: 0, at, fault });
     }
     all

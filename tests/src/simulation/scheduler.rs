@@ -53,6 +53,8 @@ impl World {
             let input = describe(&self.space, &input);
             self.log.line(self.now, format_args!("{} takes {input}", node.name()));
         }
+        self.note_received(index, &input);
+        let node = &mut self.nodes[index];
         let Some(process) = node.process.as_mut() else { return };
         let now = process.clock.tick(self.now);
         let is_timer = matches!(input, Input::Timer);
@@ -144,12 +146,21 @@ impl World {
             Command::Unencodable(seen) => {
                 self.require(breach("what is published fits its key", seen));
             }
-            other @ (Command::DeclareToken(_)
-            | Command::WithdrawToken(_)
-            | Command::Append(_)
-            | Command::LookUp { .. }
-            | Command::Retain(_)) => {
-                // None of the four services has tokens or records of its own.
+            Command::Append(entry) => {
+                if !self.mutator.omits(&entry) {
+                    self.with_recorder(index, |recorder| recorder.append(*entry));
+                }
+            }
+            Command::LookUp { lookup, query } => {
+                let mut page = Err("there are no records".to_owned());
+                self.with_recorder(index, |recorder| page = recorder.answer(&query));
+                self.nodes[index].complete(Input::Found { lookup, page });
+            }
+            Command::Retain(retention) => {
+                self.with_recorder(index, |recorder| recorder.retain(retention));
+            }
+            other @ (Command::DeclareToken(_) | Command::WithdrawToken(_)) => {
+                // None of the services has tokens of its own.
                 let seen = format!("{} wants {other:?}", self.nodes[index].name());
                 self.require(breach(CONTRACT, seen));
             }
@@ -262,7 +273,10 @@ impl World {
                     embedding.quality.teams_shown,
                 ),
             ),
-            (Message::Teams { .. }, _) => self.stats.divisions += 1,
+            (Message::Teams { .. }, _) => {
+                self.stats.divisions += 1;
+                self.division_at = self.now;
+            }
             (Message::Settings(new), Some(process)) if new.settings != process.settings => {
                 process.settings.clone_from(&new.settings);
                 process.settings_changes += 1;
@@ -283,9 +297,16 @@ impl World {
             let checked = before.stands(teams);
             self.require(checked);
         }
+        if let Message::Event(event) = &message {
+            let mirror = packets.iter().find(|packet| packet.key.ends_with("/json/event"));
+            let bytes = mirror.and_then(|packet| packet.payload.as_ref().ok());
+            let json = bytes.and_then(|bytes| serde_json::from_slice(bytes).ok());
+            self.oracle.recorded.published(event, json.unwrap_or_default());
+        }
         self.stats.published += 1;
         let checked = self.check_published(index, &message, &packets);
         self.require(checked);
+        self.check_promised(index, &message);
         match &message {
             Message::Roster(roster) => self.freshness.roster(self.now, roster.header.revision),
             Message::Teams { teams, .. } => {

@@ -5,6 +5,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 use std::sync::Arc;
 
+use muster_model::history::RecordingReport;
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_service::{AskId, Stored};
@@ -20,7 +21,7 @@ use super::log::Log;
 use super::mutants::Mutator;
 use super::node::Node;
 use super::operator::Operator;
-use super::oracle::{Agreed, Bounds, Breach, MEMORY, Oracle, Verified};
+use super::oracle::{ALERTED_WITHIN, Agreed, Bounds, Breach, MEMORY, Oracle, Verified};
 use super::plan::{Fault, Injection, Place};
 use super::robots::{RobotStream, Robots};
 use super::router::{Answer, BusGetId, Carried, LinkId, Router};
@@ -71,6 +72,9 @@ pub(super) enum Event {
     SetLater { service: ServiceName, patch: String },
     Inject(usize),
     StormOver,
+    WriteRecords { node: usize, life: u32 },
+    Written { node: usize, life: u32, report: Box<RecordingReport> },
+    DiskHasRoom { node: usize },
     Poll,
 }
 
@@ -147,6 +151,8 @@ pub(super) struct World {
     pub(super) files: BTreeMap<ServiceName, Value>,
     /// The names of robots on the bus, good and forged, and when each was last there.
     pub(super) names: BTreeMap<RobotId, Micros>,
+    /// When a division was published last.
+    pub(super) division_at: Micros,
     pub(super) max_robots: usize,
     pub(super) stats: Stats,
     storm: Micros,
@@ -210,7 +216,9 @@ impl World {
         let files = files(seed, &mut chance, scale.robots);
         let mut nodes = Vec::new();
         let sets_clock = |injection: &Injection| {
-            matches!(injection.fault, Fault::Clock { at: Place::Service(..), .. })
+            // Nobody follows the terms of a historian.
+            matches!(injection.fault, Fault::Clock { at: Place::Service(service, _), .. }
+                if service != ServiceName::Historian)
         };
         let mut clocks_agree = !injections.iter().any(sets_clock);
         let mut wrong = Chance::new(seed, Purpose::Fleet, 4);
@@ -229,9 +237,23 @@ impl World {
             let own = Chance::new(seed, Purpose::Node, link);
             nodes.push(Node::new(&space, service, instance, link, clock, own));
         }
+        let pipeline = nodes.len();
+        for instance in 0..scale.instances {
+            let (link, service) = (nodes.len(), ServiceName::Historian);
+            let (clock, own) = (HostClock::default(), Chance::new(seed, Purpose::Node, link));
+            nodes.push(Node::new(&space, service, instance, link, clock, own));
+        }
+        let historians = nodes.len() - pipeline;
         let robots = Robots::new(seed, scale.robots, nodes.len());
         let count = nodes.len() + robots.all.len() + 2;
-        let links = (0..count).map(|link| Link::new(Chance::new(seed, Purpose::Link, link)));
+        // Historians have numbers behind all others, so that the chance of those does not depend on them.
+        let number = |link: usize| match link {
+            _ if link < pipeline => link,
+            _ if link < pipeline + historians => count + link,
+            _ => link - historians,
+        };
+        let links =
+            (0..count).map(|link| Link::new(Chance::new(seed, Purpose::Link, number(link))));
         let clusterer = files.get(&ServiceName::Clusterer);
         let teams = clusterer.and_then(|file| file.get("teams")?.as_u64());
         let max_robots =
@@ -258,6 +280,7 @@ impl World {
             freshness: Freshness::default(),
             files,
             names: BTreeMap::new(),
+            division_at: 0,
             stats: Stats::default(),
             storm: scale.storm,
             storm_over: false,
@@ -277,7 +300,10 @@ impl World {
     }
 
     fn fill_agenda(&mut self, chance: &mut Chance, fleet: usize) {
+        let mut historians = Chance::new(self.seed, Purpose::Fleet, 5);
         for node in 0..self.nodes.len() {
+            let is_historian = self.nodes[node].service == ServiceName::Historian;
+            let chance = if is_historian { &mut historians } else { &mut *chance };
             self.schedule(chance.between(0, SECOND), Event::Start { node });
         }
         for robot in 0..fleet.min(self.robots.all.len()) {
@@ -296,6 +322,11 @@ impl World {
     /// The link of the attacker.
     pub(super) fn attacker(&self) -> LinkId {
         self.links.len() - 1
+    }
+
+    /// Since when nothing more goes wrong.
+    pub(super) fn quiet_since(&self) -> Micros {
+        self.quiet_since
     }
 
     /// Puts something on the agenda.
@@ -383,6 +414,9 @@ impl World {
             Event::SetLater { service, patch } => self.operator.wants(service, patch),
             Event::Inject(number) => self.inject(number),
             Event::StormOver => self.end_storm(),
+            Event::WriteRecords { node, life } => self.write_records(node, life),
+            Event::Written { node, life, report } => self.written(node, life, report),
+            Event::DiskHasRoom { node } => self.free_disk(node),
             Event::Poll => self.poll(),
         }
     }
@@ -417,6 +451,11 @@ impl World {
         let host = node.kind.start(start);
         node.begin(host, clock, token.into());
         node.busy_until = self.now;
+        node.recording_since = self.now;
+        if node.disk.is_some() {
+            let life = node.life;
+            self.schedule(self.now, Event::WriteRecords { node: index, life });
+        }
         self.log.line(self.now, format_args!("{} starts", self.nodes[index].name()));
         self.links[link].state = State::Up;
         self.declare(link);
@@ -529,8 +568,20 @@ impl World {
                 if is_long { since > limit + LONG_RUN_TIME } else { since >= at + AGREED_TIME };
             self.finished = is_over && self.power_cut.is_none();
         }
+        self.check_alerts(since);
+        let settled_for = self.settled.as_ref().map(|(at, _)| since.saturating_sub(*at));
+        self.finished &= self.historians_have_recorded(settled_for);
         self.cut_power_if_settled(since);
         self.schedule(self.now + TICK, Event::Poll);
+    }
+
+    /// Checks, once all have agreed for a while, what the list of alerts says.
+    fn check_alerts(&mut self, since: Micros) {
+        let is_late = |(at, _): &(Micros, Agreed)| since >= *at + ALERTED_WITHIN;
+        if self.settled.as_ref().is_some_and(is_late) {
+            let checked = self.oracle.alerts.check_conflict(self.now);
+            self.require(checked);
+        }
     }
 
     /// Cuts the power once nothing is about to change by itself, and all have agreed for long enough that it is

@@ -191,6 +191,11 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
             r#"{"needs":[{"skill":"medic","per_team":{"min":1}}]}"#,
             r#"{"needs":[{"skill":"medic","per_team":{"min":1,"max":null}},{"skill":"medic","team":"t2","per_team":{"min":0,"max":2},"soft":true}]}"#,
             r#"{"needs":null}"#,
+            r#"{"size":{"min":2}}"#,
+            r#"{"team_size":{"t1":{"min":2}}}"#,
+            r#"{"team_size":{"t1":{"max":3},"t2":{"min":1,"max":null},"t3":{}}}"#,
+            r#"{"team_size":{}}"#,
+            r#"{"team_size":null}"#,
         ],
     );
     add(
@@ -210,6 +215,13 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
             r#"{"init":"best"}"#,
             r#"{"seed":-1}"#,
             r#"{"team":3}"#,
+            r#"{"team_size":{"t1":3}}"#,
+            r#"{"team_size":{"t1":null}}"#,
+            r#"{"team_size":{"t1":{"most":3}}}"#,
+            r#"{"team_size":{"t1":{"max":0}}}"#,
+            r#"{"team_size":{"t1":{"min":100001}}}"#,
+            r#"{"team_size":{"T 1":{"min":1}}}"#,
+            r#"{"team_size":[["t1",{"min":1}]]}"#,
             r#"{"teams":3,"restarts":0}"#,
             r#"{"needs":{"skill":"medic","per_team":{"min":1}}}"#,
             r#"{"needs":[["medic",null,{"min":1},false]]}"#,
@@ -228,6 +240,19 @@ fn patches() -> Vec<(&'static str, String, Wanted)> {
     );
     let contrary = r#"{"needs":[{"skill":"a","per_team":{"min":2,"max":1}}]}"#;
     add("clusterer", OnlyByService("need whose max is below its min"), &[contrary]);
+    add(
+        "clusterer",
+        OnlyByService("size, team_size or need whose max is below its min"),
+        &[
+            r#"{"team_size":{"t1":{"min":3,"max":2}}}"#,
+            r#"{"size":{"min":3},"team_size":{"t1":{"max":2}}}"#,
+        ],
+    );
+    let many: Vec<String> = (0..257).map(|team| format!(r#""t{team}":{{}}"#)).collect();
+    cases.push(("clusterer", format!(r#"{{"team_size":{{{}}}}}"#, many.join(",")), Refused));
+    let mut add = |service, wanted, texts: &[&str]| {
+        cases.extend(texts.iter().map(|text| (service, (*text).to_owned(), wanted)));
+    };
     add("clusterer", OnlyByService("17, not 17.0"), &[r#"{"teams":3.0}"#]);
     add("auditor", Accepted, &[r#"{"good":0.9,"poor":0.1}"#, r#"{"good":null}"#]);
     add("auditor", Refused, &[r#"{"good":"high"}"#, r#"{"goods":0.5}"#]);

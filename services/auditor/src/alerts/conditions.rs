@@ -5,7 +5,7 @@ use muster_model::embedding::EmbeddingGraph;
 use muster_model::id::RobotId;
 use muster_model::settings::AuditorSettings;
 use muster_model::team_audit::TeamAudit;
-use muster_model::teams::{Team, Teams};
+use muster_model::teams::{Limited, Team, Teams};
 
 use super::{Condition, Wanted};
 
@@ -154,6 +154,27 @@ fn lacking(audit: &TeamAudit, teams: &Teams) -> Condition {
         value: f64::from(missing),
         threshold: 1.0,
         reason: format!("{} has {}", audit.team, words.join(", ")),
+        robots: Vec::new(),
+    }
+}
+
+/// Whether anything satisfies the limits and wishes, by what the division says of itself: 1 while the last one stands, less
+/// while it goes on and lacks what it needs.
+pub(crate) fn infeasible(teams: &Teams) -> Condition {
+    let limited = teams.limited.as_ref();
+    let conflict = limited.and_then(|limited| limited.conflict.as_ref());
+    let stands = limited.is_some_and(Limited::stands);
+    let value = match conflict {
+        None => 0.0,
+        Some(_) if stands => 1.0,
+        Some(_) => 0.5,
+    };
+    Condition {
+        subject: AlertSubject::Fleet,
+        wanted: Wanted::of(conflict.is_some()),
+        value,
+        threshold: 0.5,
+        reason: conflict.cloned().unwrap_or_default(),
         robots: Vec::new(),
     }
 }

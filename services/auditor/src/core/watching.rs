@@ -11,7 +11,7 @@ use muster_service::Get;
 use muster_wire::Message;
 
 use super::{Auditor, Context, View};
-use crate::alerts::conditions::{of_churn, of_modalities, of_teams};
+use crate::alerts::conditions::{infeasible, of_churn, of_modalities, of_teams};
 use crate::alerts::{AlertEvent, Condition, Delays, Wanted};
 
 fn delays(settings: &AuditorSettings) -> Delays {
@@ -90,6 +90,22 @@ impl Auditor {
         }
         let churn = of_churn(self.flapping.changes(now), &settings);
         self.book.observe(now, AlertKind::Churn, vec![churn]);
+        self.advance_alerts(context);
+    }
+
+    /// Watches what concerns the fleet as a whole: whether limits can hold, and whether its history is whole. A suspect
+    /// does not.
+    pub(super) fn watch_fleet(&mut self, context: &mut Context<'_>) {
+        if !context.is_leading() {
+            return;
+        }
+        let now = context.now();
+        let teams = self.newest.as_ref().map(|newest| &*newest.teams);
+        if let Some(teams) = teams {
+            self.book.observe(now, AlertKind::Infeasible, vec![infeasible(teams)]);
+        }
+        let condition = self.recordings.condition(now);
+        self.book.observe(now, AlertKind::HistoryDegraded, vec![condition]);
         self.advance_alerts(context);
     }
 

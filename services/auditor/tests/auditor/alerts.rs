@@ -1,8 +1,9 @@
 //! The list of open alerts: what raises them, how it is published, acknowledged and taken over.
 
 use muster_model::alert::{AlertKind, AlertSubject};
+use muster_model::history::{Coverage, RecordingState};
 use muster_model::id::SkillId;
-use muster_model::teams::TeamNeed;
+use muster_model::teams::{Limited, TeamNeed};
 
 use super::teams::{PATH, SIX, TWO, frame_roster, graph, with_graphs, with_stale};
 use super::*;
@@ -102,6 +103,74 @@ fn low_quality_and_flapping_are_on_the_list_and_keep_their_events() {
     bench.wait(2.0);
     let found = open(&mut bench).join(", ");
     assert!(!found.contains("poor fleet"), "{found}");
+}
+
+#[test]
+fn limits_that_cannot_hold_are_an_alert_until_they_do() {
+    let with_conflict = |epoch, conflict: Option<Limited>| {
+        let Message::Teams { mut teams, mirror } = teams(epoch, 1, PAIRS, "") else { panic!() };
+        teams.make_mut_unchecked().limited = conflict;
+        Message::Teams { teams, mirror }
+    };
+    let (mut bench, _) = scored();
+    let stands = Limited::standing("9 robots may only be in t1 and t2, which hold 8".to_owned());
+    bench.receive(with_conflict(2, Some(stands)));
+    bench.wait(2.9);
+    assert!(open(&mut bench).is_empty());
+    bench.wait(0.1);
+    assert_eq!(open(&mut bench), ["1 infeasible fleet"]);
+    let alert = bench.alerts.as_ref().unwrap().open[0].clone();
+    assert_eq!(alert.reason, "9 robots may only be in t1 and t2, which hold 8");
+    assert_eq!(alert.value, 1.0);
+    // It goes on, and lacks a medic: that is less, and not over.
+    bench.receive(with_conflict(3, Some(Limited::lacking("1 of 2 with medic".to_owned()))));
+    bench.wait(5.0);
+    assert_eq!(open(&mut bench), ["1 infeasible fleet"]);
+    bench.receive(with_conflict(4, None));
+    bench.wait(1.9);
+    assert_eq!(open(&mut bench).len(), 1);
+    bench.wait(0.1);
+    assert!(open(&mut bench).is_empty());
+    assert_eq!(events(&mut bench), ["+1 infeasible", "-1 infeasible"]);
+}
+
+#[test]
+fn a_history_that_cannot_be_written_or_has_gaps_is_an_alert_without_a_division_too() {
+    let instance = InstanceId::new("h-1").unwrap();
+    let state = |lost, degraded: Option<&str>| {
+        Message::HistoryState(Box::new(RecordingState {
+            fleet: FleetId::new("f").unwrap(),
+            instance: InstanceId::new("h-1").unwrap(),
+            coverage: Coverage::default(),
+            lost,
+            degraded: degraded.map(str::to_owned),
+        }))
+    };
+    let mut bench = Bench::leading(vec![state(0, None)]);
+    bench.receive(state(0, Some("the disk is full")));
+    bench.wait(2.9);
+    assert!(open(&mut bench).is_empty());
+    bench.wait(0.2);
+    assert_eq!(open(&mut bench), ["1 history_degraded fleet"]);
+    assert_eq!(bench.alerts.as_ref().unwrap().open[0].reason, "h-1: the disk is full");
+    bench.receive(state(0, None));
+    bench.wait(2.1);
+    assert!(open(&mut bench).is_empty());
+    // Nothing is wrong any more; what was lost is worth a look for a minute.
+    bench.receive(state(40, None));
+    bench.wait(10.0);
+    assert_eq!(open(&mut bench), ["2 history_degraded fleet"]);
+    assert_eq!(bench.alerts.as_ref().unwrap().open[0].reason, "h-1: 40 records were lost");
+    bench.wait(60.0);
+    assert!(open(&mut bench).is_empty());
+    // A historian that is gone says nothing of its disk.
+    bench.receive(state(40, Some("the disk is full")));
+    bench.wait(5.0);
+    assert_eq!(open(&mut bench).len(), 1);
+    let service = ServiceName::Historian;
+    bench.receive(Message::ServiceToken { service, instance, alive: false });
+    bench.wait(3.0);
+    assert!(open(&mut bench).is_empty());
 }
 
 #[test]

@@ -23,7 +23,7 @@ fn nothing_is_published_before_the_term_has_begun() {
     bench.input(Input::Started { linked: true });
     // The question for the leader is answered: there is none.
     let inquiry = std::mem::take(&mut bench.asks);
-    assert_eq!(inquiry.len(), 6);
+    assert_eq!(inquiry.len(), 7);
     bench.receive(embedding(1, FOUR));
     bench.receive(teams(1, 1, PAIRS, ""));
     bench.wait(100.0);
@@ -230,7 +230,7 @@ fn after_a_lost_link_the_missed_is_fetched() {
     bench.input(Input::LinkLost);
     bench.input(Input::LinkRestored);
     let mut fetches = bench.take_fetches();
-    assert_eq!((fetches.len(), fetches[0].len(), fetches[1].len()), (2, 3, 1));
+    assert_eq!((fetches.len(), fetches[0].len(), fetches[1].len()), (2, 4, 1));
     assert_eq!(fetches[1][0].pattern, Pattern::One(Key::Audit));
     bench.audit();
     let messages = vec![teams(2, 2, CROSSED, ""), embedding(2, FOUR)];

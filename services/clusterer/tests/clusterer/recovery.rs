@@ -176,3 +176,28 @@ fn a_division_that_a_suspect_finished_is_published_whole_once_it_leads_again() {
     let sent = bench.take();
     assert!(sent.changes().is_empty() && sent.division().changes.is_empty(), "reported once");
 }
+
+/// What is remembered of robots and teams that are gone is forgotten after a minute, however many there were.
+#[test]
+fn ten_thousand_robots_come_and_go_with_flat_memory() {
+    let mut bench = Bench::leading(teams(2));
+    let mut held = Vec::new();
+    for round in 0..20_u64 {
+        let name = |number: u64| format!("r{:05}", round * 500 + number);
+        let names = |from: u64| (from..from + 250).map(name).collect::<Vec<_>>().join(" ");
+        bench.receive_roster(roster(2 * round + 1, &format!("{} {}", names(0), names(250))));
+        let all = embedding(2 * round + 1, &[(&names(0), WEST), (&names(250), EAST)]);
+        bench.receive_embedding(&all);
+        bench.wait(2.0);
+        bench.receive_roster(roster(2 * round + 2, ""));
+        bench.receive_embedding(&embedding(2 * round + 2, &[]));
+        bench.wait(90.0);
+        bench.take();
+        held.push(bench.host.memory_use());
+    }
+    // The first round has nothing before it.
+    let least = held[1].robots.min(held[2].robots);
+    assert!(held[1..].iter().all(|now| now.robots <= least + 500), "{held:?}");
+    assert!(held.last().unwrap().robots <= 1500, "{held:?}");
+    assert_eq!(held[5], held[19], "{held:?}");
+}

@@ -92,16 +92,23 @@ fn counts(one: &StandingWish) -> bool {
 
 /// The reason of a robot that is in a team, without what decided.
 fn reason(robot: &RobotId, own: usize, attraction: Attraction, task: &Task) -> Reason {
-    let Material { teams: division, wishes, settings } = &*task.material;
+    let Material { teams: division, wishes, settings, settings_assumed } = &*task.material;
     let Attraction { length_squared, pulls } = attraction;
     let team = division.teams[own].id.clone();
     let wishes = concerning(robot, &team, wishes);
+    let limited = division.limited.as_ref();
+    let jointly = limited.is_some_and(|limited| limited.jointly.binary_search(robot).is_ok());
+    // No price stands for the place of a robot that is placed together with others.
+    let limited = limited.filter(|_| !jointly);
+    let skilled = limited.and_then(|limited| {
+        limited.skill_prices.iter().find(|of| of.robots.binary_search(robot).is_ok())
+    });
     let number_of = |pull: &TeamPull| pull.team;
     let explained = |pull: TeamPull| {
         let number = number_of(&pull);
         let id = division.teams[number].id.clone();
         let limits = settings.size_of(&id);
-        let prices = division.limited.as_ref().map(|limited| &limited.prices);
+        let prices = limited.map(|limited| &limited.prices);
         let price = prices.and_then(|prices| prices.get(number)).copied().unwrap_or(0.0);
         let distance = (length_squared - pull.score).max(0.0);
         let hysteresis = if number == own { settings.hysteresis * distance } else { 0.0 };
@@ -121,6 +128,7 @@ fn reason(robot: &RobotId, own: usize, attraction: Attraction, task: &Task) -> R
             price,
             hysteresis,
             total: 0.0,
+            skill_price: skilled.and_then(|of| of.prices.get(number)).copied().unwrap_or(0.0),
             team: id,
         }
         .summed()
@@ -146,6 +154,9 @@ fn reason(robot: &RobotId, own: usize, attraction: Attraction, task: &Task) -> R
         hysteresis: settings.hysteresis,
         dwell_s: settings.dwell_s,
         conflict: division.limited.as_ref().and_then(|limited| limited.conflict.clone()),
+        skill: skilled.map(|of| of.skill.clone()),
+        jointly,
+        settings_assumed: *settings_assumed,
         team,
     }
 }

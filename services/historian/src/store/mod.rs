@@ -208,6 +208,10 @@ fn is_full(error: &rusqlite::Error) -> bool {
 
 impl Records for FileRecords {
     fn write(&mut self, entries: &[Entry]) -> Result<(), WriteError> {
+        // A file that may not grow, and has no minutes to give, would refuse everything for ever.
+        if self.shortage.is_some() {
+            self.keep_reserve();
+        }
         for _ in 0..MAX_ATTEMPTS {
             let written = writing::write(
                 &mut self.connection,

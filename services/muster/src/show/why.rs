@@ -16,7 +16,8 @@ use crate::console::{self, exit_error};
 #[command(
     after_help = "A robot is in the team with the largest score, 2 x·c − ‖c‖², as that is the nearest one. The score is the \
 sum of one pull per modality, what the robot's self-loop keeps (itself), the spread of the team, and what rounding leaves \
-(rest). What decides is the total: the score, less the price of a place where teams have limits, and with what the \
+(rest). What decides is the total: the score, less the price of a place where teams have limits and of a \
+needed skill, and with what the \
 hysteresis gives the robot's own team.\n\nExamples:\n  muster why r7\n  muster why r7 --json"
 )]
 pub(crate) struct WhyArgs {
@@ -65,7 +66,7 @@ fn lines(why: &Why, page: &Page) -> Vec<String> {
         .collect();
     let mut columns: Vec<Column> = ["team", "robots", "total"].map(Column::kept).to_vec();
     columns.extend(names.iter().map(|name| Column::kept(name.as_str())));
-    columns.extend(["itself", "spread", "rest", "price", "hysteresis"].map(Column::kept));
+    columns.extend(["itself", "spread", "rest", "price", "skill", "hysteresis"].map(Column::kept));
     let row = |team: &TeamReason| {
         let pull = |name: &&Modality| {
             let pull = team.modalities.iter().find(|of| of.modality == **name);
@@ -75,8 +76,9 @@ fn lines(why: &Why, page: &Page) -> Vec<String> {
             team.itself,
             team.spread,
             team.rest,
-            // It is taken away.
+            // These are taken away.
             0.0 - team.price,
+            0.0 - team.skill_price,
             team.hysteresis,
         ]);
         let name =

@@ -59,7 +59,7 @@ pub struct ClustererSettings {
     pub size: TeamSize,
     /// How many robots single teams have, by their ids: what is named here replaces `size` for the team. A team that
     /// is not there keeps its limits until it is.
-    #[schemars(length(max = MAX_TEAM_SIZES))]
+    #[schemars(extend("maxProperties" = MAX_TEAM_SIZES))]
     pub team_size: BTreeMap<TeamId, TeamSize>,
     /// Which robots every team, or one team, needs. Of several needs for one skill that of the team holds.
     #[serde(deserialize_with = "crate::object::list")]

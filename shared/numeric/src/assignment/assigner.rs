@@ -33,6 +33,18 @@ pub struct Assignment {
     pub repairs: usize,
 }
 
+/// What a place in a column costs a robot of a limited class beside the price of the column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ClassPrice {
+    /// The class.
+    pub class: usize,
+    /// Place of the column among all columns.
+    pub column: usize,
+    /// The price in units: above zero where the column has as many robots of the class as it may have, below where it has
+    /// as few as it must have or wants more.
+    pub price: i64,
+}
+
 /// Why there is no assignment.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum AssignmentError {
@@ -138,11 +150,23 @@ impl Assigner {
 
     /// What a place in each column of the last result costs beside the cost of the robot: above zero where the column
     /// has as many robots as it may have, below where it has as few as it must have, and else zero. Every robot that
-    /// no pair of the rules ties is where its cost and the price are least. Columns of limited classes have prices per
-    /// class, which are not among these.
+    /// no pair of the rules ties is where its cost and the price are least, but for those of limited classes, which pay
+    /// [`Assigner::class_prices`] as well.
     #[must_use]
     pub fn column_prices(&self) -> &[i64] {
         self.prices.get(..self.shape.columns).unwrap_or_default()
+    }
+
+    /// What a place in each limited column costs the robots of a limited class in the last result, beside
+    /// [`Assigner::column_prices`]. With both, every robot that no pair ties is where its cost and the prices are least.
+    #[must_use]
+    pub fn class_prices(&self) -> Vec<ClassPrice> {
+        let cells = self.prices.get(self.shape.columns..).unwrap_or_default();
+        let of_cell = |(&(class, column), price): (&(Option<usize>, usize), &i64)| {
+            let of_column = self.prices.get(column)?;
+            Some(ClassPrice { class: class?, column, price: price - of_column })
+        };
+        self.shape.cells.iter().zip(cells).filter_map(of_cell).collect()
     }
 
     /// Places of the columns of the last result.

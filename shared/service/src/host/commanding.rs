@@ -7,6 +7,7 @@ use muster_model::event::{EventKind, Severity};
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_model::settings::Settings;
+use muster_model::wish::MAX_EXPIRY_S;
 use muster_wire::command::{STARTING, carried_out_by, decode, remembered};
 use muster_wire::{Key, Message, Packet, Request};
 
@@ -78,7 +79,9 @@ impl<C: Core> Host<C> {
     /// Remembers what the leader has answered to a command, so that it is not carried out again once this instance leads.
     pub(super) fn learn_outcome(&mut self, outcome: Arc<CommandOutcome>) {
         let leads = self.facilities.replica.election.has_term();
-        if !leads && self.facilities.operator_commands.remember(outcome) {
+        // What was refused has changed nothing, and any number of such may come: it is not worth a write.
+        let counts = outcome.refused.is_none();
+        if !leads && self.facilities.operator_commands.remember(outcome) && counts {
             self.facilities.store();
         }
     }
@@ -124,7 +127,7 @@ impl<C: Core> Host<C> {
         let term = facilities.replica.revision().term;
         if let Err(wrong) = command.check(C::SERVICE, facilities.now, term) {
             let problem = problem_json(wrong.field, &wrong.problem);
-            facilities.report_command(&name, &command, Some(&problem));
+            facilities.refuse_command(name, &command, problem.clone(), wrong.passes());
             return Err(NotBegun::Refused(problem));
         }
         let (key, payload) = carried_out_by(C::SERVICE, &name.0, &command.action);
@@ -166,6 +169,34 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         self.publish_event(severity, kind);
     }
 
+    /// Remembers that a command was refused before it began, and tells standbys and operators. It is on the disk with the
+    /// next one that is carried out.
+    fn refuse_command(
+        &mut self,
+        name: CommandName,
+        command: &OperatorCommand,
+        problem: String,
+        may_be_repeated: bool,
+    ) {
+        let outcome = Arc::new(CommandOutcome {
+            header: self.replica.own_header(self.now, self.replica.revision()),
+            service: self.replica.service,
+            operator: name.0.clone(),
+            id: name.1.clone(),
+            // What the operator sent may be no time at all.
+            expires: command.expires.clamp(0.0, MAX_EXPIRY_S),
+            based_on: command.based_on,
+            action: action_text(command),
+            refused: remembered(&problem).or_else(|| Some(problem_json("(command)", "is refused"))),
+            answer: None,
+            may_be_repeated,
+        });
+        self.operator_commands.remember(Arc::clone(&outcome));
+        self.publish_as_leader(Message::Outcome(outcome));
+        self.replica.add("commands_refused", 1);
+        self.report_command(&name, command, Some(&problem));
+    }
+
     /// Answers a command that was given before as it was answered then.
     fn reply_again(&mut self, get: Get, outcome: &Arc<CommandOutcome>) {
         let answer = match &outcome.refused {
@@ -202,6 +233,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
                 remembered(problem).unwrap_or_else(|| problem_json("(command)", "is refused"))
             }),
             answer: text.and_then(remembered),
+            may_be_repeated: false,
         });
         self.operator_commands.remember(Arc::clone(&outcome));
         self.store();

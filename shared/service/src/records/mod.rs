@@ -1,15 +1,17 @@
 //! What a history is kept in: the trait of a store, the queue in which records wait for it, and a store in memory.
 //!
-//! The runtime drives a store on a thread of its own. The simulation and the tests drive [`MemoryRecords`], which
-//! answers the same.
+//! The runtime drives a [`Recorder`] on a thread of its own, with a store in a file. The simulation drives the same
+//! recorder with [`MemoryRecords`] on a virtual disk, which answers the same.
 
 mod memory;
 mod queue;
+mod recorder;
 
 use muster_model::history::{Coverage, Entry, Page, Query, Retention};
 
 pub use memory::{DivisionHead, MemoryRecords, past_division};
 pub use queue::{MAX_BATCH_RECORDS, RecordQueue};
+pub use recorder::{COMMIT_INTERVAL, RETRY_INTERVAL, Recorder, Step};
 
 /// Most bytes of the rows of one answer, about: a quarter of the largest message. Those that do not fit are asked for
 /// behind them.

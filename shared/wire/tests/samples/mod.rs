@@ -34,7 +34,7 @@ use muster_model::team_audit::{
     Conductance, LeastFitting, Loss, Radio, SkillCover, Spread, TeamAudit,
 };
 use muster_model::teams::{
-    HeldRobot, Limited, Member, Team, TeamChange, TeamCountScore, TeamNeed, Teams,
+    HeldRobot, Limited, Member, SkillPrices, Team, TeamChange, TeamCountScore, TeamNeed, Teams,
 };
 use muster_model::time::Tick;
 use muster_model::why::{DecidedBy, ModalityPull, Reason, ReasonWish, TeamReason, Why};
@@ -207,6 +207,12 @@ pub fn all() -> Vec<(&'static str, Message)> {
             gap: 0.125,
             conflict: Some("8 robots may only be in t1, which holds 6".to_owned()),
             prices: vec![0.375],
+            skill_prices: vec![SkillPrices {
+                skill: skill("medic"),
+                robots: vec![robot("r1")],
+                prices: vec![-0.125],
+            }],
+            jointly: vec![robot("r2")],
         }),
         needs: vec![TeamNeed {
             team: team("t1"),
@@ -391,6 +397,7 @@ fn outcome() -> CommandOutcome {
         action: "{\"set\":{\"teams\":3}}".to_owned(),
         refused: None,
         answer: Some("{\"teams\":3}".to_owned()),
+        may_be_repeated: false,
     }
 }
 
@@ -645,6 +652,7 @@ fn why() -> Why {
             price,
             hysteresis,
             total: 0.0,
+            skill_price: price / 2.0,
         }
         .summed()
     };
@@ -673,6 +681,9 @@ fn why() -> Why {
         hysteresis: 0.0625,
         dwell_s: 0.5,
         conflict: None,
+        skill: Some(skill("medic")),
+        jointly: false,
+        settings_assumed: true,
     };
     Why { header: header(43), reason: reason.decided() }
 }

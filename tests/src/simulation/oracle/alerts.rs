@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use muster_model::alert::{AlertKind, AlertSubject, Alerts};
 use muster_model::event::{Event, EventKind};
+use muster_model::teams::Teams;
 
+use super::super::clock::{Micros, SECOND};
 use super::{Publisher, Verified, breach};
 
 /// What one leader has published in one term.
@@ -22,12 +24,23 @@ struct Term {
 
 /// What was published of alerts.
 #[derive(Debug, Default)]
-pub(crate) struct AlertLog(BTreeMap<(Publisher, u64), Term>);
+pub(crate) struct AlertLog {
+    terms: BTreeMap<(Publisher, u64), Term>,
+    /// Since when divisions say that nothing satisfies the limits.
+    conflict_since: Option<Micros>,
+    /// Whether the last list says so.
+    says_infeasible: bool,
+}
+
+/// How long all must have agreed until the list of alerts says why limits do not hold: longer than what raises an alert
+/// must last.
+pub(crate) const ALERTED_WITHIN: Micros = 5 * SECOND;
 
 impl AlertLog {
     /// Checks a list.
     pub(crate) fn check_list(&mut self, publisher: Publisher, alerts: &Alerts) -> Verified {
-        let term = self.0.entry((publisher, alerts.header.revision.term)).or_default();
+        let term = self.terms.entry((publisher, alerts.header.revision.term)).or_default();
+        self.says_infeasible = alerts.open.iter().any(|of| of.kind == AlertKind::Infeasible);
         let mut subjects = BTreeSet::new();
         let mut open = BTreeSet::new();
         for alert in &alerts.open {
@@ -52,6 +65,23 @@ impl AlertLog {
         Ok(())
     }
 
+    /// A division was published.
+    pub(crate) fn divided(&mut self, now: Micros, teams: &Teams) {
+        let conflict = teams.limited.as_ref().and_then(|limited| limited.conflict.as_ref());
+        self.conflict_since = conflict.map(|_| self.conflict_since.unwrap_or(now));
+    }
+
+    /// Checks, once all have agreed for a while, that an alert says why limits or needs do not hold.
+    pub(crate) fn check_conflict(&self, now: Micros) -> Verified {
+        if self.says_infeasible || self.conflict_since.is_none_or(|at| now < at + ALERTED_WITHIN) {
+            return Ok(());
+        }
+        breach(
+            "an alert is open while nothing satisfies the limits",
+            format!("there is none, since {:?}", self.conflict_since),
+        )
+    }
+
     /// Checks an event.
     pub(crate) fn check_event(&mut self, publisher: Publisher, event: &Event) -> Verified {
         let (EventKind::AlertRaised { alert, .. } | EventKind::AlertCleared { alert, .. }) =
@@ -59,7 +89,7 @@ impl AlertLog {
         else {
             return Ok(());
         };
-        let term = self.0.entry((publisher, event.header.revision.term)).or_default();
+        let term = self.terms.entry((publisher, event.header.revision.term)).or_default();
         let is_raised = matches!(event.kind, EventKind::AlertRaised { .. });
         let all = if is_raised { &mut term.raised } else { &mut term.cleared };
         if !all.insert(alert) || (is_raised && term.cleared.contains(&alert)) {
@@ -69,5 +99,22 @@ impl AlertLog {
             );
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Few runs end while nothing satisfies the limits, so that no mutant would be found.
+    #[test]
+    fn a_conflict_without_an_alert_is_seen() {
+        let mut log = AlertLog { conflict_since: Some(7), ..AlertLog::default() };
+        assert_eq!(log.check_conflict(6 + ALERTED_WITHIN), Ok(()));
+        assert!(log.check_conflict(7 + ALERTED_WITHIN).is_err());
+        log.says_infeasible = true;
+        assert_eq!(log.check_conflict(7 + ALERTED_WITHIN), Ok(()));
+        log = AlertLog::default();
+        assert_eq!(log.check_conflict(7 + ALERTED_WITHIN), Ok(()));
     }
 }

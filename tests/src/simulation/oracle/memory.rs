@@ -66,7 +66,8 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
             robots: (MAX_AUDITOR_MESSAGES + 3) * robots,
             // As in the embedder.
             edges: (2 + MAX_WAITING_DELTAS) * graphs * robots * robots,
-            messages: 2 * MAX_AUDITOR_MESSAGES + 6,
+            // And what historians say of themselves.
+            messages: 2 * MAX_AUDITOR_MESSAGES + 6 + 16,
             offenders: OFFENDERS,
         },
         ServiceName::Historian => MemoryUse {

@@ -6,6 +6,7 @@
 
 mod agreement;
 mod alerts;
+mod changes;
 mod division;
 mod finite;
 mod ids;
@@ -14,6 +15,7 @@ mod memory;
 mod needs;
 mod order;
 mod received;
+mod recorded;
 mod silhouettes;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -35,6 +37,7 @@ use super::clock::Micros;
 use super::plan::OutputKind;
 
 pub(crate) use agreement::{Agreed, GroundTruth, RobotTruth};
+pub(crate) use alerts::ALERTED_WITHIN;
 pub(crate) use ids::Ids;
 pub(crate) use memory::{Bounds, MEMORY, check_memory_use};
 pub(crate) use received::Judged;
@@ -117,6 +120,12 @@ impl<T: Clone> Published<T> {
         self.all.get(&revision).map_or(&[], Vec::as_slice)
     }
 
+    /// Whether something that was published under a revision may be forgotten by now.
+    fn has_forgotten(&self, revision: Revision) -> bool {
+        self.order.len() >= MAX_REMEMBERED_MESSAGES
+            && self.order.front().is_some_and(|oldest| revision <= *oldest)
+    }
+
     /// Everything, the newest first.
     fn newest_first(&self) -> impl Iterator<Item = &T> {
         self.order.iter().rev().filter_map(|revision| self.all.get(revision)).flatten()
@@ -142,13 +151,16 @@ pub(crate) struct Oracle {
     /// The ids of teams, where one instance of the clusterer gives them all. Of two, the one that is cut off
     /// may give some that nobody hears of.
     ids: Option<Ids>,
-    alerts: alerts::AlertLog,
+    pub(crate) alerts: alerts::AlertLog,
+    changes: changes::Changes,
     /// The commands that each process has carried out.
     carried_out: BTreeSet<(Publisher, OperatorId, CommandId)>,
     /// Whether limits of teams hold.
     limits: limits::Limits,
     /// Whether their needs are filled.
     needs: needs::NeedLog,
+    /// What historians have recorded.
+    pub(crate) recorded: recorded::Recorded,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
     had_forged_terms: bool,
@@ -293,6 +305,8 @@ impl Oracle {
                 if let Some(before) = self.divided.replace(divided) {
                     self.check_same_again(before)?;
                 }
+                self.changes.divided(publisher, teams);
+                self.alerts.divided(now, teams);
                 self.limits.check(publisher, teams)?;
                 self.needs.check(now, publisher, teams, &self.rosters)?;
                 self.divisions.add(teams.header.revision, teams);
@@ -302,6 +316,7 @@ impl Oracle {
             Message::Outcome(outcome) => self.check_outcome(publisher, outcome)?,
             Message::Event(event) if service == ServiceName::Clusterer => {
                 self.limits.reported(publisher, &event.kind);
+                self.changes.reported(publisher, &event.kind, &self.divisions)?;
             }
             Message::Settings(announced) if service == ServiceName::Clusterer => {
                 self.limits.announced(publisher, announced);
