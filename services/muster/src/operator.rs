@@ -1,9 +1,10 @@
 //! Under which name the commands of this program are sent.
 
 use muster_model::id::OperatorId;
-use muster_runtime::bus::{self, BusConfig};
 use muster_runtime::config::{ProcessConfig, process_environment};
 use muster_runtime::exit::ExitError;
+
+use crate::console;
 
 /// The environment variable with the name.
 const VARIABLE: &str = "MUSTER_OPERATOR";
@@ -37,8 +38,7 @@ impl OperatorArgs {
             return OperatorId::new(&name)
                 .map_err(|error| ExitError::usage(format!("{VARIABLE}: {error}")));
         }
-        let identity = bus::identity(&BusConfig::from(config));
-        let identity = identity.map_err(|error| ExitError::usage(error.to_string()))?;
+        let identity = console::client_config(config)?.identity().map_err(console::exit_error)?;
         let name = identity.as_deref().and_then(|identity| identity.strip_prefix(IDENTITY));
         OperatorId::new(name.unwrap_or(DEFAULT))
             .map_err(|error| ExitError::usage(error.to_string()))

@@ -125,6 +125,15 @@ impl Config {
         self.bus().map(drop)
     }
 
+    /// The member of a fleet that the file with Zenoh's configuration is for, such as `operator.kim`; nothing without a
+    /// file, or if it does not say whose it is. `muster deploy certs` writes it.
+    ///
+    /// # Errors
+    /// [`Error::Input`] names the first field that is wrong.
+    pub fn identity(&self) -> Result<Option<String>, Error> {
+        muster_bus::identity(&self.bus()?).map_err(|error| Error::input("zenoh_config", &error))
+    }
+
     /// The fleet, with every field checked that does not concern the session.
     pub(crate) fn fleet(&self) -> Result<FleetId, Error> {
         check_range("stale_after", self.stale_after, STALE_AFTER_RANGE)?;

@@ -185,7 +185,8 @@ impl Tape {
     fn apply(&mut self, division: &DivisionRecord) {
         let (places, leaders) = &mut self.picture;
         if division.snapshot.is_some() {
-            (places.clear(), leaders.clear());
+            places.clear();
+            leaders.clear();
         }
         for place in &division.places {
             if place.present || place.stale {
