@@ -40,6 +40,7 @@ fn the_binary_form_of_every_message_is_frozen_and_read_back() {
             Message::Status(_)
                 | Message::Katz(_)
                 | Message::Why(_)
+                | Message::Proposal(_)
                 | Message::Refused(_)
                 | Message::History(_)
                 | Message::HistoryState(_)
