@@ -358,7 +358,7 @@ mod tests {
         let long = "x".repeat(60);
         assert!(with("\"r3\"", &format!("{long:?}")).contains("shorter"));
         assert!(with("operators =", "operator =").contains("operator"));
-        assert!(with("\"historian\"]", "\"boss\"]").contains("boss"));
+        assert!(with("\"planner\"]", "\"boss\"]").contains("boss"));
         assert!(with("\"base.local\"", "\"base local\"").contains("routers.base.addresses"));
         assert!(with("\"base.local\"", "\"tcp/base:1\"").contains("routers.base.addresses"));
         assert!(with("port = 7447", "port = 0").contains("routers.base.port"));
