@@ -222,7 +222,7 @@ async fn the_live_division_waits_for_no_proposal() {
     // The planner runs again, and answers.
     cluster.service("planner").unwrap().signal("CONT").unwrap();
     let again =
-        client.until("service/planner/status", SOON, |status| status["standing"] == "leading");
+        client.until("service/planner/status", SOON, |status| status["standing"] == "holding");
     again.await.unwrap();
     let proposal = json_of(&cluster, &["propose", "--teams", "2", "--id", "again"]);
     assert_eq!(proposal["division"]["teams"].as_array().map(Vec::len), Some(2));
@@ -233,7 +233,7 @@ async fn the_live_division_waits_for_no_proposal() {
     cluster.service("planner").unwrap().kill().unwrap();
     cluster.start_service("planner").unwrap();
     let again =
-        client.until("service/planner/status", SOON, |status| status["standing"] == "leading");
+        client.until("service/planner/status", SOON, |status| status["standing"] == "holding");
     again.await.unwrap();
     let err = refusal(&cluster, &["propose", "show", "again"]);
     assert!(err.contains("/again is not there"), "{err}");

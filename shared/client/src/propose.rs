@@ -330,3 +330,43 @@ fn parts(proposal: &Proposal) -> Result<Vec<AppliedPart>, Error> {
     }
     Ok(parts)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn proposal(asked: Value) -> Proposal {
+        let text = json!({"operator": "alice", "id": "p1", "state": "ready", "asked": asked, "ahead": 0,
+                          "age_s": 1.0, "forgotten_in_s": 59.0, "division": null});
+        serde_json::from_value(text).unwrap()
+    }
+
+    #[test]
+    fn a_proposal_is_applied_by_a_wish_and_changes_of_settings() {
+        let all = proposal(json!({"teams": 3, "weights": {"spatial": 1.0}, "without": ["r7"]}));
+        let parts = parts(&all).unwrap();
+        let as_json: Vec<Value> = parts.iter().map(AppliedPart::to_json).collect();
+        assert_eq!(
+            as_json,
+            [
+                json!({"service": "clusterer", "reserve": {"id": "propose-p1", "robots": ["r7"]}}),
+                json!({"service": "clusterer", "set": {"teams": 3}}),
+                json!({"service": "embedder", "set": {"weights": {"spatial": 1.0}}}),
+            ]
+        );
+        assert_eq!(parts[0].to_string(), "wish propose-p1: r7 in reserve");
+        let error = super::parts(&proposal(json!({}))).unwrap_err().to_string();
+        assert!(error.contains("p1 changes nothing"), "{error}");
+    }
+
+    #[test]
+    fn what_could_not_be_taken_back_is_named() {
+        let reason = Box::new(refused("no".to_owned()));
+        let text = Error::NotApplied { reason, left: Vec::new() }.to_string();
+        assert_eq!(text, "the proposal is not applied: planner refuses: no");
+        let parts = parts(&proposal(json!({"teams": 3}))).unwrap();
+        let reason = Box::new(refused("no".to_owned()));
+        let text = Error::NotApplied { reason, left: parts }.to_string();
+        assert!(text.ends_with("still holds: settings of clusterer: {\"teams\":3}"), "{text}");
+    }
+}

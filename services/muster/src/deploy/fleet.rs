@@ -339,7 +339,7 @@ mod tests {
     #[test]
     fn the_example_is_read() {
         let fleet = FleetFile::parse(EXAMPLE).unwrap();
-        assert_eq!(fleet.identities().len(), 1 + 5 + 3 + 1 + 1);
+        assert_eq!(fleet.identities().len(), 1 + 6 + 3 + 1 + 1);
         let robot = Identity { kind: Kind::Robot, name: "r1".to_owned() };
         assert_eq!(fleet.common_name(&robot), "robot.r1.default");
         let router = fleet.router(None).unwrap();
