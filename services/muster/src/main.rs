@@ -92,7 +92,7 @@ enum Command {
     Set(set::SetArgs),
     /// Put, withdraw or list wishes about robots and teams
     Wish(wish::WishArgs),
-    /// Show what the teams would be with other settings or without some robots, and accept it
+    /// Show what the teams would be with other settings, and accept that
     Propose(propose::ProposeArgs),
     /// Print the JSON Schema of the messages
     Schema(schema::SchemaArgs),
