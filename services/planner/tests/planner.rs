@@ -72,7 +72,7 @@ impl Rig {
     }
 
     fn proposal(&mut self, get: GetId) -> Result<Proposal, String> {
-        let mut messages = self.reply(get).expect("the get is answered")?;
+        let mut messages = self.reply(get).unwrap()?;
         assert_eq!(messages.len(), 1);
         match messages.remove(0) {
             Message::Proposal(report) => {

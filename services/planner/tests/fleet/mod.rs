@@ -65,6 +65,9 @@ fn header(epoch: u64) -> Header {
     }
 }
 
+/// A modality, and the weight of the edge between two robots by their places.
+type Edges<'a> = (&'a str, &'a dyn Fn(usize, usize) -> f64);
+
 /// A fleet.
 pub struct Fleet {
     robots: Vec<RobotId>,
@@ -79,15 +82,12 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    fn new(
-        robots: Vec<(String, [f64; 3])>,
-        edges: &[(&str, &dyn Fn(usize, usize) -> f64)],
-    ) -> Self {
+    fn new(robots: Vec<(String, [f64; 3])>, edges: &[Edges<'_>]) -> Self {
         let mut robots: Vec<(RobotId, [f64; 3])> =
             robots.into_iter().map(|(name, at)| (robot(&name), at)).collect();
         robots.sort_by(|left, right| left.0.cmp(&right.0));
         let (robots, positions): (Vec<_>, Vec<_>) = robots.into_iter().unzip();
-        let graph = |(name, weight): &(&str, &dyn Fn(usize, usize) -> f64)| {
+        let graph = |(name, weight): &Edges<'_>| {
             let name = Modality::new(name).unwrap();
             let row = |source: usize| {
                 let others = (0..robots.len()).filter(|other| *other != source);
