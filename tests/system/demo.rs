@@ -124,12 +124,12 @@ async fn demos_stay_apart_from_a_live_fleet_and_from_each_other() {
         found.extend(reply.result().map(|token| token.key_expr().to_string()));
     }
     assert_eq!(found, Vec::<String>::new(), "the live fleet has robots of a demo");
-    // A process on the router of one demo sees five services, not ten.
+    // A process on the router of one demo sees six services, not twelve.
     for endpoint in [&endpoint, &other] {
         let status = ["status", "--json", "--fleet", "demo", "--connect", endpoint];
         let (code, out, err) = run("muster", &status, Duration::from_secs(20)).unwrap();
         assert_eq!(code, Some(0), "{err}");
         let status: Value = serde_json::from_str(&out).unwrap();
-        assert_eq!(status["services"].as_array().unwrap().len(), 5, "{status}");
+        assert_eq!(status["services"].as_array().unwrap().len(), 6, "{status}");
     }
 }

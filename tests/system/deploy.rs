@@ -14,7 +14,7 @@ use serde_json::Value;
 const SOON: Duration = Duration::from_secs(20);
 
 /// The services that are deployed.
-const SERVICES: [&str; 5] = ["ingest", "embedder", "clusterer", "auditor", "historian"];
+const SERVICES: [&str; 6] = ["ingest", "embedder", "clusterer", "auditor", "historian", "planner"];
 
 /// Highest exposure that `systemd-analyze security` may see, in tenths: 10.0 is a process of root
 /// without any restriction.

@@ -7,7 +7,7 @@ use std::time::Duration;
 use muster_model::id::{Modality, ServiceName};
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, HistorianSettings, IngestSettings,
-    default_weight,
+    PlannerSettings, default_weight,
 };
 use muster_tests::cluster::free_endpoint;
 use muster_tests::hosts::fault::FAULTS;
@@ -146,6 +146,7 @@ fn the_operators_manual_names_every_setting() {
         serde_json::to_value(ClustererSettings::default()),
         serde_json::to_value(AuditorSettings::default()),
         serde_json::to_value(HistorianSettings::default()),
+        serde_json::to_value(PlannerSettings::default()),
     ];
     let rows = rows(OPERATORS_MANUAL, "| service | settings |");
     assert_eq!(rows.len(), ServiceName::ALL.len());

@@ -1,6 +1,8 @@
 //! The bus itself agrees with the rules of keys.
 
-use muster_model::id::{FleetId, InstanceId, Modality, RobotId, ServiceName};
+use muster_model::id::{
+    FleetId, InstanceId, Modality, OperatorId, ProposalId, RobotId, ServiceName,
+};
 use muster_model::observation::Stream;
 use muster_wire::{ForeignKey, ForeignPattern, Key, KeySpace, Pattern, Request};
 use zenoh::key_expr::KeyExpr;
@@ -28,6 +30,7 @@ fn every_key() -> Vec<Key> {
         Key::Schema,
         Key::History(InstanceId::new("host-1").unwrap()),
         Key::HistoryState(InstanceId::new("host-1").unwrap()),
+        Key::Proposal(OperatorId::new("alice").unwrap(), ProposalId::new("p1").unwrap()),
     ];
     for service in ServiceName::ALL {
         keys.push(Key::Settings(service));

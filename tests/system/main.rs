@@ -31,6 +31,7 @@ mod partition;
 mod pipeline;
 mod power_cut;
 mod presence;
+mod propose;
 mod record;
 mod restarts;
 mod routers;

@@ -139,6 +139,7 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
         ("clusterer", "teams=2"),
     ];
     let mut cluster = Cluster::start("alpha", &settings).unwrap();
+    cluster.start_service("planner").unwrap();
     let client = cluster.client().await.unwrap();
     let mut watched = Vec::new();
     for keys in ["json/*", "robot/*/team", "robot/*/refused"] {
@@ -178,6 +179,12 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
     for (_, answer) in client.get("why?robot=c1-r1", None).await.unwrap() {
         got.push(("why".to_owned(), answer.unwrap()));
     }
+    let asked = json!({"teams": 3, "size": {"min": 1}, "without": ["c1-r1"]});
+    let proposed = client.get_within("propose/alice/p1", Some(&asked), Duration::from_secs(10));
+    for (_, answer) in proposed.await.unwrap() {
+        got.push(("proposal".to_owned(), answer.unwrap()));
+    }
+    got.push(("proposal_request".to_owned(), asked));
 
     // What happens, one kind after another.
     client.put("robot/r1/pose", &json!({"x": "east", "y": 0})).await.unwrap();
@@ -218,6 +225,7 @@ async fn everything_that_a_live_fleet_says_in_json_is_valid() {
     wanted.extend([
         "katz",
         "why",
+        "proposal",
         "status",
         "teams",
         "event robot_joined",

@@ -5,6 +5,7 @@ mod watching;
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_division::scores::ScoreError;
 use muster_model::alert::Alerts;
 use muster_model::audit::{Audit, Quality};
 use muster_model::content::Checked;
@@ -28,7 +29,7 @@ use crate::alerts::fleet::{Alert, FlappingAlert};
 use crate::flapping::FlappingWindow;
 use crate::history::{Acceptance, History};
 use crate::recordings::Recordings;
-use crate::score::{AuditInput, Job, ScoreError, Scores, quality, same_graphs, score};
+use crate::score::{AuditInput, Job, Scores, quality, same_graphs, score};
 
 type Context<'a> = muster_service::Context<'a, Auditor>;
 type View<'a> = muster_service::View<'a, Auditor>;

@@ -27,5 +27,6 @@ mod score;
 mod teams;
 
 pub use crate::core::{Auditor, AuditorFetch};
-pub use crate::score::{Job, ScoreError, Scores};
+pub use crate::score::{Job, Scores};
 pub use crate::teams::TeamScores;
+pub use muster_division::scores::ScoreError;

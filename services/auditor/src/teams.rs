@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 
+use muster_division::scores::Positions;
 use muster_model::audit::SilhouetteReport;
 use muster_model::graph::GraphReplica;
 use muster_model::header::Revision;
@@ -17,8 +18,6 @@ use muster_model::team_audit::{
 use muster_model::teams::{Team, Teams};
 use muster_numeric::conductance::conductances;
 use muster_numeric::cuts::{Cuts, cuts};
-
-use crate::score::Positions;
 
 /// A followed graph, with its modality.
 pub(crate) type Graph = (Modality, std::sync::Arc<GraphReplica>);

@@ -9,6 +9,12 @@ mod wishing;
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 
+use muster_division::division::{DivisionError, Job, divide, same_data};
+use muster_division::identity::is_believable;
+use muster_division::memory::Memory;
+use muster_division::rules::{TeamRules, asks_alike};
+use muster_division::seats::{Arrivals, Vacancies};
+use muster_division::words::plural;
 use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
@@ -26,13 +32,9 @@ use muster_service::{
 };
 use muster_wire::{Key, Message, Pattern, Request};
 
-use crate::division::{DivisionError, Job, divide, same_data};
 use crate::dwell::{CountDwell, MoveDwell};
-use crate::identity::{Memory, is_believable};
 use crate::keeping::Keeping;
-use crate::publishing::{Rotation, plural};
-use crate::rules::{TeamRules, asks_alike};
-use crate::seats::{Arrivals, Vacancies};
+use crate::publishing::Rotation;
 use crate::wishes::WishBook;
 
 use awaiting::Reunion;

@@ -3,10 +3,10 @@
 //! Everything here is a small state machine that is given the time. What is remembered is at most one entry
 //! per robot of the last division or roster.
 
-use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
+use muster_division::number::best_number;
 use muster_model::id::{RobotId, TeamId};
 use muster_model::settings::TeamCount;
 use muster_model::teams::Teams;
@@ -15,29 +15,6 @@ use muster_model::time::Tick;
 /// How long another number of teams must be the best one before it is used: a few frames of a fleet, so that
 /// one frame of bad data divides nobody, and a split is still followed within a second.
 pub(crate) const TEAM_COUNT_DWELL: Duration = Duration::from_millis(400);
-
-/// The number that the evidence is for, within what is wanted.
-pub(crate) fn best_number(wanted: TeamCount, shown: Option<u32>, current: Option<u32>) -> u32 {
-    let range = wanted.range();
-    let current = current.filter(|teams| range.contains(teams));
-    let best = shown.or(current).unwrap_or(*range.start());
-    best.clamp(*range.start(), *range.end())
-}
-
-/// The number of teams among the possible ones: the best one if it is possible, or else the one with the highest score,
-/// or else the nearest one. None if nothing is possible.
-pub(crate) fn possible_number(possible: &[u32], best: u32, scores: &[f64]) -> Option<u32> {
-    if possible.contains(&best) {
-        return Some(best);
-    }
-    let score = |teams: u32| scores.get(teams.checked_sub(1)? as usize).copied();
-    let rank = |teams: &u32| (score(*teams).unwrap_or(f64::MIN), Reverse(teams.abs_diff(best)));
-    possible.iter().copied().reduce(|first, second| {
-        let (one, other) = (rank(&first), rank(&second));
-        let order = one.0.total_cmp(&other.0).then(one.1.cmp(&other.1));
-        if order.is_lt() { second } else { first }
-    })
-}
 
 /// The number of teams of one division after the other.
 #[derive(Debug, Default)]
@@ -290,16 +267,6 @@ mod tests {
         assert_eq!(held(&mut dwell, 0, &new, &before, ""), "");
         let circle = division(&[("t1", "p q y z"), ("t2", "a b")]);
         assert_eq!(held(&mut dwell, 0, &circle, &before, ""), "a>t1 b>t1 p>t2 q>t2 y>t2 z>t2");
-    }
-
-    #[test]
-    fn of_the_possible_numbers_the_best_is_taken() {
-        let scores = [0.1, 0.5, 0.9, 0.4];
-        assert_eq!(possible_number(&[2, 3, 4], 3, &scores), Some(3));
-        assert_eq!(possible_number(&[1, 2, 4, 5], 3, &scores), Some(2), "the next best score");
-        assert_eq!(possible_number(&[5, 7, 9], 3, &scores), Some(5), "the nearest without a score");
-        assert_eq!(possible_number(&[2, 4], 3, &[]), Some(2), "of two as near the lower one");
-        assert_eq!(possible_number(&[], 3, &scores), None);
     }
 
     #[test]

@@ -13,7 +13,7 @@ use muster_model::time::Tick;
 use muster_model::wish::WishList;
 use muster_wire::kept::KeptTeams;
 
-use crate::identity::{MAX_KEPT_NUMBER, is_believable};
+use muster_division::identity::{MAX_KEPT_NUMBER, is_believable};
 
 /// Shortest time between two writes of divisions: a fleet that changes in every frame must not wear out its
 /// disk, and what a power cut may lose is less than half a second of changes.

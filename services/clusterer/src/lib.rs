@@ -1,11 +1,10 @@
 //! `clusterer`: divides the embedded robots into teams with lasting identities.
 //!
-//! Read in the order of the data's path: [`Clusterer`] receives embeddings and decides what is published
-//! when; `division` is the job, k-means on the rows of an embedding, started from the teams before;
-//! `wishes` are those of operators, `rules` is what they and the limits ask of divisions, `limited` the job under them, `words` why they cannot be obeyed;
-//! `identity` gives each cluster a team id that lives on, and names what changed, with the help of
-//! `memory`, which robot was in which team lately; `seats` keeps the places of teams that are absent; `dwell` says how long a change must last before it
-//! counts; `leader` finds the commander of each team; `keeping` has what is on disk; `publishing` says which robots are informed.
+//! Read in the order of the data's path: [`Clusterer`] receives embeddings and decides what is published when; the job is
+//! that of `muster-division`, k-means on the rows of an embedding, started from the teams before, under the rules that
+//! limits, wishes and needs make. `wishes` are those of operators, and what has become of each; `dwell` says how long a
+//! change must last before it counts; `leader` finds the commander of each team; `keeping` has what is on disk;
+//! `publishing` says which robots are informed.
 //!
 //! What holds at all times:
 //! - A robot of the embedding stands in exactly one team, or among those without one.
@@ -29,20 +28,12 @@
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
 mod core;
-mod division;
 mod dwell;
-mod identity;
 mod keeping;
 mod leader;
-mod limited;
-mod memory;
-mod needs;
 mod publishing;
 mod replacement;
-mod rules;
-mod seats;
 mod wishes;
-mod words;
 
 pub use crate::core::{Clusterer, MissedInputs};
-pub use crate::division::{DivisionError, Job};
+pub use muster_division::division::{DivisionError, Job};

@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use muster_division::words::plural;
 use muster_model::id::RobotId;
 use muster_model::limits::MAX_MEMBERS_PUBLISHED;
 use muster_model::settings::TeamCount;
@@ -43,11 +44,6 @@ impl Rotation {
         self.last = next.last().cloned();
         next
     }
-}
-
-/// A count with its noun.
-pub(crate) fn plural(count: usize, what: &str) -> String {
-    if count == 1 { format!("1 {what}") } else { format!("{count} {what}s") }
 }
 
 /// How many teams were asked for, how many there are, and why, if they are too few. Of a range its least

@@ -8,8 +8,8 @@ use muster_model::limits::MAX_ROBOTS_OF_EVENT;
 use muster_model::roster::Roster;
 use muster_model::teams::Teams;
 
-use crate::needs::Needs;
-use crate::words::list;
+use muster_division::needs::Needs;
+use muster_division::words::list;
 
 /// The events of needs that newcomers fill: those of teams that were there before and would lack them now without the
 /// newcomers.

@@ -11,7 +11,7 @@ use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use muster_model::wish::{StandingWish, Wish, WishKind, WishState};
 
-use crate::rules::{Asked, grants_group};
+use muster_division::rules::{Asked, grants_group};
 
 /// How long a wish stands in the list after it has expired, so that its operator sees what has become of it.
 const EXPIRED_WISH_TIME: Duration = Duration::from_secs(3600);
@@ -51,13 +51,7 @@ impl WishBook {
 
     /// Those that count: all that have not expired.
     pub(crate) fn asked(&self) -> Vec<Asked> {
-        let counts = self.all.values().filter(|one| one.state != WishState::Expired);
-        counts
-            .map(|one| Asked {
-                name: format!("{}/{}", one.operator, one.id),
-                wish: Wish { expires: None, note: None, ..one.wish.clone() },
-            })
-            .collect()
+        Asked::of(self.all.values())
     }
 
     /// Puts a wish, in place of the one with its name.
@@ -166,7 +160,7 @@ fn awaited(wish: &Wish, there: &BTreeSet<&RobotId>, living: &BTreeSet<&TeamId>) 
     if wish.kind != WishKind::Lock && wish.robots.len() - absent.len() < needed {
         let names: Vec<String> = absent.iter().map(ToString::to_string).collect();
         let verb = if names.len() == 1 { "is" } else { "are" };
-        return Some(format!("{} {verb} not there", crate::words::list(&names)));
+        return Some(format!("{} {verb} not there", muster_division::words::list(&names)));
     }
     None
 }

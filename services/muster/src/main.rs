@@ -19,6 +19,7 @@ mod fleet;
 mod operator;
 mod past;
 mod probe;
+mod propose;
 mod replay;
 mod robot;
 mod router;
@@ -91,6 +92,8 @@ enum Command {
     Set(set::SetArgs),
     /// Put, withdraw or list wishes about robots and teams
     Wish(wish::WishArgs),
+    /// Show what the teams would be with other settings, and accept that
+    Propose(propose::ProposeArgs),
     /// Print the JSON Schema of the messages
     Schema(schema::SchemaArgs),
     /// Print configurations, make certificates and the rules of routers
@@ -180,6 +183,9 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Tune(args) if args.has_file() => tune::of_file(args),
         Command::Tune(args) => console(&config, async |config| tune::of_fleet(args, &config).await),
         Command::Wish(args) => console(&config, async |config| wish::run(args, &config).await),
+        Command::Propose(args) => {
+            console(&config, async |config| propose::run(args, &config).await)
+        }
         Command::Probe(args) => probe::run(args, &config),
         Command::ReplayCore(args) => replay::run(args),
         Command::Schema(args) => schema::run(args),

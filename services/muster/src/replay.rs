@@ -13,6 +13,7 @@ use muster_historian::Historian;
 use muster_ingest::Ingest;
 use muster_model::id::ServiceName;
 use muster_model::time::Tick;
+use muster_planner::Planner;
 use muster_runtime::exit::ExitError;
 use muster_runtime::recording::host_facts;
 use muster_service::recording::{Entry, Head};
@@ -130,6 +131,7 @@ fn by_service(
         ServiceName::Clusterer => compare::<Clusterer>(head, next, until, see),
         ServiceName::Auditor => compare::<Auditor>(head, next, until, see),
         ServiceName::Historian => compare::<Historian>(head, next, until, see),
+        ServiceName::Planner => compare::<Planner>(head, next, until, see),
     }
 }
 

@@ -19,7 +19,7 @@ muster set embedder 'weights={\"spatial\":0.5,\"hierarchy\":0.5}' alpha.fraction
 muster set ingest spatial.width=1.5 stale_after_s=null"
 )]
 pub(crate) struct SetArgs {
-    /// ingest, embedder, clusterer or auditor
+    /// ingest, embedder, clusterer, auditor, historian or planner
     service: ServiceName,
     /// What to change, such as teams=3; dots lead into tables
     #[arg(value_name = "FIELD=VALUE")]

@@ -10,6 +10,7 @@ use muster_embedder::Embedder;
 use muster_historian::Historian;
 use muster_ingest::Ingest;
 use muster_model::id::ServiceName;
+use muster_planner::Planner;
 use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{DEFAULT_ENDPOINT, ProcessConfig};
 use muster_runtime::exit::ExitError;
@@ -27,7 +28,7 @@ muster up embedder clusterer        two of them; the others run on other hosts\n
 muster up --router --set clusterer.teams=3"
 )]
 pub(crate) struct UpArgs {
-    /// Services to run: ingest, embedder, clusterer, auditor, historian; all if none is named
+    /// Services to run: ingest, embedder, clusterer, auditor, historian, planner; all if none is named
     #[arg(value_name = "SERVICE")]
     services: Vec<ServiceName>,
     /// Run a router in this process as well, at --listen
@@ -86,6 +87,7 @@ pub(crate) fn start(
                 let open = muster_historian::open;
                 tasks.spawn(service::run_recording::<Historian>(config, stop, observer, open))
             }
+            ServiceName::Planner => tasks.spawn(service::run::<Planner>(config, stop, observer)),
         };
     }
     tasks

@@ -4,6 +4,8 @@ use muster_bus::OpenError;
 use muster_model::id::{FleetId, IdError, RobotId, ServiceName};
 use muster_model::observation::ObservationError;
 
+use crate::propose::AppliedPart;
+
 /// Why the client refuses or fails.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -71,6 +73,14 @@ pub enum Error {
         /// What is wrong and what would be right, cut short, without control characters.
         reason: String,
     },
+    /// A part of a proposal was refused, so that it is not applied.
+    #[error("the proposal is not applied: {reason}{}", left_text(left))]
+    NotApplied {
+        /// Why one of its commands was refused.
+        reason: Box<Error>,
+        /// What was applied before and could not be taken back.
+        left: Vec<AppliedPart>,
+    },
     /// The robot has left, or the client was closed.
     #[error("the robot has left, or its client was closed")]
     Closed,
@@ -80,6 +90,14 @@ pub enum Error {
         /// The error of Zenoh or the operating system.
         reason: String,
     },
+}
+
+fn left_text(left: &[AppliedPart]) -> String {
+    if left.is_empty() {
+        return String::new();
+    }
+    let parts: Vec<String> = left.iter().map(ToString::to_string).collect();
+    format!("; what could not be taken back still holds: {}", parts.join(", "))
 }
 
 impl Error {

@@ -98,7 +98,8 @@
 //! `reporter` checks, numbers and remembers the reports of a robot, `send_queue` is the bounded queue to
 //! the bus, `freshness` decides which message is the newest and when it is stale: none of them knows the
 //! bus, and each is tested without one. [`Watch`] and [`Robot`] connect them to a session; `get` has what a
-//! console asks for once, `history` what it asks recordings.
+//! console asks for once, `history` what it asks recordings, `propose` what it asks
+//! about other settings.
 
 mod changes;
 mod client;
@@ -109,6 +110,7 @@ mod feed;
 mod freshness;
 mod get;
 mod history;
+mod propose;
 mod reporter;
 mod robot;
 mod send_queue;
@@ -127,5 +129,6 @@ pub use crate::error::Error;
 pub use crate::feed::{Events, Feed, ReceivedPose, Refusals};
 pub use crate::freshness::{Latest, Publication, Staleness};
 pub use crate::get::{FleetPresence, ServiceInstance};
+pub use crate::propose::AppliedPart;
 pub use crate::robot::{Robot, RobotPublisher};
 pub use crate::watch::Watch;

@@ -150,6 +150,12 @@ impl Frames {
         self.new_orders = robots;
     }
 
+    /// How many teams a frame before showed, where the first of these goes on from one that is elsewhere: the number is
+    /// kept unless another is clearly better.
+    pub fn set_teams_shown(&mut self, teams: Option<u32>) {
+        self.teams = teams;
+    }
+
     /// The robots of the last frame, ordered by name; none before it.
     #[must_use]
     pub fn robots(&self) -> &[RobotId] {

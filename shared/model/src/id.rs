@@ -138,6 +138,10 @@ id!(
     WishId
 );
 id!(
+    "A proposal, among those of its operator."
+    ProposalId
+);
+id!(
     "A team. It keeps its id for as long as it can be matched with itself."
     TeamId
 );
@@ -213,10 +217,13 @@ impl InstanceId {
 
 /// The text names no service.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no service is called {0:?}; there are ingest, embedder, clusterer, auditor, historian")]
+#[error(
+    "no service is called {0:?}; there are ingest, embedder, clusterer, auditor, historian, planner"
+)]
 pub struct ServiceNameError(pub String);
 
-/// The services of a fleet: four that turn observations into audited teams, and one that records them.
+/// The services of a fleet: four that turn observations into audited teams, one that records them, and one that says
+/// what other settings would lead to.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
 )]
@@ -232,12 +239,20 @@ pub enum ServiceName {
     Auditor,
     /// All of it to a history.
     Historian,
+    /// What the teams would be.
+    Planner,
 }
 
 impl ServiceName {
     /// All services in the order of the data's path.
-    pub const ALL: [Self; 5] =
-        [Self::Ingest, Self::Embedder, Self::Clusterer, Self::Auditor, Self::Historian];
+    pub const ALL: [Self; 6] = [
+        Self::Ingest,
+        Self::Embedder,
+        Self::Clusterer,
+        Self::Auditor,
+        Self::Historian,
+        Self::Planner,
+    ];
 
     /// The services that turn observations into audited teams: those that every fleet needs.
     pub const PIPELINE: [Self; 4] = [Self::Ingest, Self::Embedder, Self::Clusterer, Self::Auditor];
@@ -251,6 +266,7 @@ impl ServiceName {
             Self::Clusterer => "clusterer",
             Self::Auditor => "auditor",
             Self::Historian => "historian",
+            Self::Planner => "planner",
         }
     }
 }

@@ -26,6 +26,7 @@ pub mod limits;
 pub mod object;
 pub mod observation;
 pub mod orders;
+pub mod proposal;
 pub mod refused;
 pub mod role;
 pub mod roster;

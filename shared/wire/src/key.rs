@@ -7,7 +7,7 @@
 use std::fmt;
 
 use muster_model::id::{
-    CommandId, FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, WishId,
+    CommandId, FleetId, InstanceId, Modality, OperatorId, ProposalId, RobotId, ServiceName, WishId,
 };
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Stream;
@@ -83,6 +83,8 @@ pub enum Key {
     Command(ServiceName, OperatorId, CommandId),
     /// `why`: a get of `why?robot=` answers with the reasons why a robot is in its team.
     Why,
+    /// `propose/{operator}/{id}`: a get answers with the proposal, one with a payload asks for it or drops it.
+    Proposal(OperatorId, ProposalId),
 }
 
 /// A set of keys to subscribe to, serve or get.
@@ -122,6 +124,10 @@ pub enum Pattern {
     EachWish,
     /// `command/{service}/*/*`: all commands of a service.
     Commands(ServiceName),
+    /// `propose/*/*`
+    EachProposal,
+    /// `propose/{operator}/*`
+    ProposalsOf(OperatorId),
 }
 
 /// Why a text is not a key of the fleet.
@@ -209,6 +215,10 @@ impl KeySpace {
             }
             Pattern::Statuses => "service/*/status",
             Pattern::EachWish => "wish/*/*",
+            Pattern::EachProposal => "propose/*/*",
+            Pattern::ProposalsOf(operator) => {
+                return format!("{}propose/{operator}/*", self.prefix);
+            }
             Pattern::Commands(service) => {
                 return format!("{}command/{service}/*/*", self.prefix);
             }
@@ -268,6 +278,9 @@ fn parse_chunks(chunks: [Option<&str>; 5]) -> Option<Key> {
         [Some("why"), None, ..] => Key::Why,
         [Some("wish"), Some(operator), Some(id), None, _] => {
             Key::Wish(operator.parse().ok()?, id.parse().ok()?)
+        }
+        [Some("propose"), Some(operator), Some(id), None, _] => {
+            Key::Proposal(operator.parse().ok()?, id.parse().ok()?)
         }
         [Some("command"), Some(service), Some(operator), Some(id), None] => {
             Key::Command(service.parse().ok()?, operator.parse().ok()?, id.parse().ok()?)
@@ -333,9 +346,12 @@ impl Pattern {
             | Self::EachWish
             | Self::Commands(_) => MAX_SMALL_PAYLOAD,
             Self::RobotTokens | Self::ServiceTokens | Self::InstanceTokens(_) => 0,
-            Self::Graphs | Self::Everything | Self::Foreign(_) | Self::Histories => {
-                MAX_SERVICE_PAYLOAD
-            }
+            Self::Graphs
+            | Self::Everything
+            | Self::Foreign(_)
+            | Self::Histories
+            | Self::EachProposal
+            | Self::ProposalsOf(_) => MAX_SERVICE_PAYLOAD,
             Self::One(key) => key.payload_limit(),
         }
     }
@@ -407,6 +423,7 @@ impl fmt::Display for Key {
             Self::Command(service, operator, id) => {
                 write!(formatter, "command/{service}/{operator}/{id}")
             }
+            Self::Proposal(operator, id) => write!(formatter, "propose/{operator}/{id}"),
             Self::Wishes => formatter.write_str("wishes"),
             Self::JsonWishes => formatter.write_str("json/wishes"),
             Self::Why => formatter.write_str("why"),
@@ -450,6 +467,7 @@ mod tests {
             Key::Wishes,
             Key::JsonWishes,
             Key::Why,
+            Key::Proposal(OperatorId::new("alice").unwrap(), ProposalId::new("p1").unwrap()),
         ];
         let robot = RobotId::new("r2").unwrap();
         keys.extend(Stream::BUILT_IN.map(|stream| Key::Stream(robot.clone(), stream)));
@@ -526,6 +544,8 @@ mod tests {
             "wish/alice",
             "wish/alice/p1/x",
             "wish/A/p1",
+            "propose/alice",
+            "propose/alice/p1/x",
             "robot/r1/relation/a/",
         ] {
             assert_eq!(

@@ -24,6 +24,7 @@ pub mod kept;
 pub mod key;
 pub mod message;
 pub mod packet;
+pub mod proposal;
 pub mod recording;
 pub mod refused;
 pub mod report;

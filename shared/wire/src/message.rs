@@ -15,6 +15,7 @@ use muster_model::history::{HistoryAnswer, RecordingState};
 use muster_model::id::{InstanceId, RobotId, ServiceName};
 use muster_model::katz::PairSimilarity;
 use muster_model::observation::CheckedReport;
+use muster_model::proposal::ProposalReport;
 use muster_model::refused::Refused;
 use muster_model::role::LeaseRenewal;
 use muster_model::roster::Roster;
@@ -98,6 +99,8 @@ pub enum Message {
     Outcome(Arc<CommandOutcome>),
     /// Why a robot is in its team: what a get of `why?robot=` is answered with.
     Why(Box<Why>),
+    /// A proposal: what a get of its key is answered with.
+    Proposal(Box<ProposalReport>),
 }
 
 fn binary<T: BinaryMessage>(format: Format, bytes: &[u8]) -> Result<T, DecodeError> {
@@ -224,6 +227,7 @@ impl Message {
             | Key::History(_)
             | Key::Schema
             | Key::Why
+            | Key::Proposal(..)
             | Key::Stream(..)
             | Key::Foreign(_) => return Err(DecodeError::NotRead),
         })
@@ -249,6 +253,7 @@ impl Message {
             Self::Wish(report) => Some(&report.header),
             Self::Outcome(outcome) => Some(&outcome.header),
             Self::Why(why) => Some(&why.header),
+            Self::Proposal(report) => Some(&report.header),
             _ => None,
         }
     }
@@ -285,6 +290,10 @@ impl Message {
                 (Key::Command(outcome.service, operator, id), None)
             }
             Self::Why(_) => (Key::Why, None),
+            Self::Proposal(report) => {
+                let proposal = &report.proposal;
+                (Key::Proposal(proposal.operator.clone(), proposal.id.clone()), None)
+            }
         }
     }
 
@@ -327,6 +336,7 @@ impl Message {
             | Self::Wish(_)
             | Self::Outcome(_)
             | Self::Why(_)
+            | Self::Proposal(_)
             | Self::Katz(_) => Format::Json,
             _ => Format::Binary,
         };
@@ -400,6 +410,7 @@ impl Message {
             Self::Wish(report) => report.to_json(now),
             Self::Outcome(outcome) => outcome.to_json(now),
             Self::Why(why) => why.to_json(now),
+            Self::Proposal(report) => report.to_json(now),
         }
     }
 
@@ -429,6 +440,7 @@ impl Message {
             | Self::HistoryState(_)
             | Self::Wish(_)
             | Self::Why(_)
+            | Self::Proposal(_)
             | Self::Katz(_) => Err(EnvelopeError::Encode(
                 "this message has no binary form; ask with format=json".to_owned(),
             )),

@@ -13,10 +13,11 @@ use muster_model::history::{HistoryAnswer, RecordingState};
 use muster_model::id::{Modality, ServiceName};
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_model::observation::Stream;
+use muster_model::proposal::ProposalRequest;
 use muster_model::role::LeaseRenewal;
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, HistorianSettings, IngestSettings,
-    Settings,
+    PlannerSettings, Settings,
 };
 use muster_model::status::ServiceStatus;
 use muster_model::wish::Wish;
@@ -30,6 +31,7 @@ use crate::json::{
     AlertsForm, AuditForm, EmbeddingForm, EventForm, GraphForm, KatzForm, Problem, RefusedForm,
     RobotTeamForm, RosterForm, TeamsForm, WhyForm, WishReportForm, WishesForm,
 };
+use crate::proposal::ProposalForm;
 use crate::report;
 
 /// The version of JSON Schema.
@@ -174,6 +176,14 @@ impl Schemas {
              may not be",
         );
         all.written::<WhyForm<'_>>("why", &["why?robot={robot}"]);
+        all.settings::<PlannerSettings>(ServiceName::Planner, "");
+        all.written::<ProposalForm<'_>>("proposal", &["propose/{operator}/{id}"]);
+        all.read::<ProposalRequest>(
+            "proposal_request",
+            &["propose/{operator}/{id} (payload of a get)"],
+            "weights that do not sum to 1, limits, needs and robots that nothing satisfies for the fleet, robots that are \
+             not in it, a robot that is named twice, and more than 8 open proposals of one operator, or 16 of all.",
+        );
         all.written::<Problem<'_>>("error", &[]);
         all
     }

@@ -40,6 +40,7 @@ fn the_binary_form_of_every_message_is_frozen_and_read_back() {
             Message::Status(_)
                 | Message::Katz(_)
                 | Message::Why(_)
+                | Message::Proposal(_)
                 | Message::Refused(_)
                 | Message::History(_)
                 | Message::HistoryState(_)
@@ -64,6 +65,25 @@ fn the_json_form_of_every_message_is_frozen() {
             &format!("{}\n", serde_json::to_string_pretty(&value).unwrap()),
         );
     }
+}
+
+/// What `muster propose` reads.
+#[test]
+fn the_json_form_of_a_proposal_is_read_back() {
+    let space = KeySpace::new(samples::fleet());
+    let found = samples::all().into_iter().find_map(|(_, message)| match message {
+        Message::Proposal(report) => Some(report),
+        _ => None,
+    });
+    let message = Message::Proposal(found.unwrap());
+    let outbound = message.encode(message.keys().0, Format::Json, samples::NOW).unwrap();
+    let packet = outbound.into_packet(&space);
+    let read = muster_wire::proposal::decode(&space, &packet, samples::NOW).unwrap();
+    let Message::Proposal(sent) = message else { unreachable!("it was one") };
+    assert_eq!(read.proposal, sent.proposal);
+    let elsewhere = Packet { key: packet.key.replace("/p1", "/p2"), ..packet };
+    let refused = muster_wire::proposal::decode(&space, &elsewhere, samples::NOW).unwrap_err();
+    assert!(refused.reason.contains("different proposals"), "{}", refused.reason);
 }
 
 /// What `muster history`, `events` and `robots` print with `--json`, and a get of a history is answered with.

@@ -33,6 +33,7 @@ fn every_message_that_is_received_comes_back_from_a_recording() {
             Message::Status(_)
                 | Message::Katz(_)
                 | Message::Why(_)
+                | Message::Proposal(_)
                 | Message::Refused(_)
                 | Message::History(_)
                 | Message::HistoryState(_)

@@ -48,7 +48,7 @@ fn every_message_and_every_part_is_there_once_and_refers_to_what_is_there() {
         "pose",
         "rank",
     ];
-    wanted.extend(["wish", "wish_report", "wishes", "why"]);
+    wanted.extend(["wish", "wish_report", "wishes", "why", "proposal", "proposal_request"]);
     wanted.extend(["refused", "relation", "robot_team", "roster", "status", "teams"]);
     wanted.extend(["history", "history_state", "command", "command_outcome"]);
     let mut wanted: Vec<String> = wanted.into_iter().map(str::to_owned).collect();

@@ -149,8 +149,8 @@ fn services(config: &ProcessConfig, stop: &Stop) -> anyhow::Result<JoinSet<anyho
                 tasks.spawn(service::run::<Clusterer>(config, stop, observer))
             }
             ServiceName::Auditor => tasks.spawn(service::run::<Auditor>(config, stop, observer)),
-            // It is no part of the pipeline.
-            ServiceName::Historian => continue,
+            // They are no part of the pipeline.
+            ServiceName::Historian | ServiceName::Planner => continue,
         };
     }
     Ok(tasks)

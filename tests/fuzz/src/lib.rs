@@ -59,12 +59,13 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 18] = [
+pub const TARGETS: [Target; 19] = [
     target("packet", packets::packet, 2048, 30_000),
     target("envelope", packets::envelope, 2048, 30_000),
     target("robot_team", packets::robot_team, 2048, 20_000),
     target("katz", packets::katz, 2048, 20_000),
     target("why", packets::why, 4096, 10_000),
+    target("proposal", packets::proposal, 4096, 10_000),
     target("recording", recording::recording, 4096, 10_000),
     target("kept", kept::kept, 2048, 10_000),
     target("edge_json", packets::edge_json, 2048, 30_000),

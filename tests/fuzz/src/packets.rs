@@ -15,6 +15,7 @@ use muster_model::time::Tick;
 use muster_model::wish::WishList;
 use muster_wire::envelope::{AnnouncedSettings, BinaryMessage, MAGIC, VERSION, decode, encode};
 use muster_wire::message::MAX_REASON;
+use muster_wire::proposal::ProposalChange;
 use muster_wire::report::{decode_unchecked, encode_unchecked};
 use muster_wire::{Format, Key, KeySpace, Message, Packet, Rejection, Source};
 
@@ -177,6 +178,35 @@ pub(crate) fn why(data: &[u8]) -> Outcome {
     // What decided is found for any numbers.
     let decided = why.reason.decided();
     assert!(!decided.text.is_empty());
+    Outcome::Accepted
+}
+
+/// A packet as [`foreign`] reads it, for a console that asked what the teams would be, and the payload of such a question.
+pub(crate) fn proposal(data: &[u8]) -> Outcome {
+    let mut outcome = Outcome::Refused;
+    match muster_wire::proposal::decode_request(data) {
+        Ok(ProposalChange::Ask(asked)) => {
+            let again = serde_json::to_vec(&*asked).unwrap();
+            let again = muster_wire::proposal::decode_request(&again);
+            assert_eq!(again, Ok(ProposalChange::Ask(asked)), "another request is read back");
+            outcome = Outcome::Accepted;
+        }
+        Ok(ProposalChange::Drop) => {}
+        Err(error) => {
+            text::check(&error.field, MAX_REFUSAL);
+            text::check(&error.problem, MAX_PROBLEM + MAX_REFUSAL);
+        }
+    }
+    let Some(packet) = foreign(data) else { return outcome };
+    let space = space();
+    let decode = |packet: &Packet| muster_wire::proposal::decode(&space, packet, NOW);
+    let Ok(report) = read(&packet, "reading a proposal", decode) else { return outcome };
+    let key = Key::Proposal(report.proposal.operator.clone(), report.proposal.id.clone());
+    assert_eq!(space.format(&key), packet.key, "a proposal comes from another key");
+    let message = Message::Proposal(Box::new(report.clone()));
+    let out = message.encode(key, Format::Json, NOW).unwrap();
+    let again = decode(&Packet { payload: Ok(out.payload), ..packet }).unwrap();
+    assert_eq!(again.proposal, report.proposal, "another proposal is read back");
     Outcome::Accepted
 }
 

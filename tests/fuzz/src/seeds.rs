@@ -290,6 +290,13 @@ fn golden() -> Vec<Seed> {
     let json = std::fs::read_to_string(folder.join("why.json")).unwrap();
     let bytes = format!("p~why\n\n{json}").into_bytes();
     seeds.push(Seed { target: "why", name: "why-json".to_owned(), bytes });
+    let json = std::fs::read_to_string(folder.join("proposal.json")).unwrap();
+    let bytes = format!("p~propose/alice/p1\n\n{json}").into_bytes();
+    seeds.push(Seed { target: "proposal", name: "proposal-json".to_owned(), bytes });
+    let request =
+        r#"{"teams":{"from":2,"to":4},"weights":{"spatial":1},"size":{"min":2},"without":["r7"]}"#;
+    let bytes = request.as_bytes().to_vec();
+    seeds.push(Seed { target: "proposal", name: "proposal-request".to_owned(), bytes });
     for letter in ["a", "g", "d", "c"] {
         let bytes = format!("{letter}~robot/r1\n\n").into_bytes();
         seeds.push(Seed { target: "packet", name: format!("token-{letter}"), bytes });

@@ -15,6 +15,7 @@ use muster_model::id::{FleetId, InstanceId, ServiceName};
 use muster_model::role::ReplicaState;
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
+use muster_planner::Planner;
 use muster_service::replay::panic_text;
 use muster_service::{Command, Core, Host, Input, MemoryUse, Start, Stopwatch, Stored, Wiring};
 
@@ -62,6 +63,7 @@ impl ServiceKind {
             ServiceName::Clusterer => Self::of_core::<Clusterer>(),
             ServiceName::Auditor => Self::of_core::<Auditor>(),
             ServiceName::Historian => Self::of_core::<Historian>(),
+            ServiceName::Planner => Self::of_core::<Planner>(),
         }
     }
 

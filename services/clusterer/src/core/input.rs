@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use muster_division::identity::is_believable;
+use muster_division::seats::Vacancies;
 use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::content::Checked;
@@ -13,8 +15,6 @@ use muster_wire::Message;
 
 use super::awaiting::Reunion;
 use super::{Clusterer, Context, Received};
-use crate::identity::is_believable;
-use crate::seats::Vacancies;
 use crate::wishes::WishBook;
 
 impl Clusterer {

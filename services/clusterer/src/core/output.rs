@@ -4,6 +4,9 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_division::division::{changes, with_held};
+use muster_division::rules::{TeamRules, asks_alike};
+use muster_division::seats::{Seats, reseated};
 use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::event::{EventKind, Severity};
@@ -14,12 +17,9 @@ use muster_model::time::{Tick, seconds};
 use muster_wire::Message;
 
 use super::{Clusterer, Context, Published, Received, Undecided, View};
-use crate::division::{changes, with_held};
 use crate::leader::leaders;
 use crate::publishing::{robots_to_inform, shortage};
 use crate::replacement::filled;
-use crate::rules::{TeamRules, asks_alike};
-use crate::seats::{Seats, reseated};
 
 /// Most changes of one division that are published as events; the others are only counted. When a whole fleet
 /// changes teams, the division itself is the better report.

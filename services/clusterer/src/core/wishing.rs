@@ -104,7 +104,7 @@ impl Clusterer {
         book.put(name.clone(), wish).map_err(wrong)?;
         let settings = context.settings();
         let needs = self.needs(settings);
-        let asked = crate::rules::TeamRules::of(settings, book.asked(), needs);
+        let asked = muster_division::rules::TeamRules::of(settings, book.asked(), needs);
         let before = self.rules(settings);
         let conflict = asked.and_then(|rules| {
             self.new_conflict(context.now(), settings, &rules, settings, before.as_ref())

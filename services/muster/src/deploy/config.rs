@@ -20,7 +20,7 @@ const RULE: &str = "# -----";
 muster-ingest --config /etc/muster/ingest.toml --check-config\n  \
 muster deploy config                    all services in one file")]
 pub(crate) struct ConfigArgs {
-    /// ingest, embedder, clusterer, auditor or historian; all if none is named
+    /// ingest, embedder, clusterer, auditor, historian or planner; all if none is named
     service: Option<ServiceName>,
 }
 

@@ -339,7 +339,7 @@ mod tests {
     #[test]
     fn the_example_is_read() {
         let fleet = FleetFile::parse(EXAMPLE).unwrap();
-        assert_eq!(fleet.identities().len(), 1 + 5 + 3 + 1 + 1);
+        assert_eq!(fleet.identities().len(), 1 + 6 + 3 + 1 + 1);
         let robot = Identity { kind: Kind::Robot, name: "r1".to_owned() };
         assert_eq!(fleet.common_name(&robot), "robot.r1.default");
         let router = fleet.router(None).unwrap();
@@ -358,7 +358,7 @@ mod tests {
         let long = "x".repeat(60);
         assert!(with("\"r3\"", &format!("{long:?}")).contains("shorter"));
         assert!(with("operators =", "operator =").contains("operator"));
-        assert!(with("\"historian\"]", "\"boss\"]").contains("boss"));
+        assert!(with("\"planner\"]", "\"boss\"]").contains("boss"));
         assert!(with("\"base.local\"", "\"base local\"").contains("routers.base.addresses"));
         assert!(with("\"base.local\"", "\"tcp/base:1\"").contains("routers.base.addresses"));
         assert!(with("port = 7447", "port = 0").contains("routers.base.port"));

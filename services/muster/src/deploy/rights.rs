@@ -11,6 +11,7 @@ use muster_historian::Historian;
 use muster_ingest::Ingest;
 use muster_model::id::{RobotId, ServiceName};
 use muster_model::observation::Stream;
+use muster_planner::Planner;
 use muster_service::{Authority, ServedKey, Wiring};
 use muster_wire::{Key, KeySpace, Pattern};
 
@@ -61,6 +62,7 @@ fn wiring(service: ServiceName) -> Wiring {
         ServiceName::Clusterer => Wiring::of::<Clusterer>(),
         ServiceName::Auditor => Wiring::of::<Auditor>(),
         ServiceName::Historian => Wiring::of::<Historian>(),
+        ServiceName::Planner => Wiring::of::<Planner>(),
     }
 }
 
@@ -133,15 +135,16 @@ fn of_robot(fleet: &FleetFile, space: &KeySpace, robot: &RobotId) -> Rights {
     rights
 }
 
-/// An operator commands under its own name, and reads everything.
+/// An operator commands and asks for proposals under its own name, and reads everything but the proposals of others.
 fn of_operator(space: &KeySpace, name: &str) -> Rights {
     let mut rights = of_viewer(space);
     rights.get.push(format!("muster/v1/{}/command/*/{name}/*", space.fleet()));
+    rights.get.push(format!("muster/v1/{}/propose/{name}/*", space.fleet()));
     rights
 }
 
-/// A viewer reads everything but the answers to commands: a get of one may carry it, which a router cannot distinguish.
-/// Their outcomes are events.
+/// A viewer reads everything but the answers to commands and proposals: a get of one may carry it, which a router cannot
+/// distinguish. Outcomes of commands are events.
 fn of_viewer(space: &KeySpace) -> Rights {
     let all = |tail: &str| format!("muster/v1/{}/{tail}", space.fleet());
     let keys = [
@@ -219,6 +222,7 @@ mod tests {
         check_start::<Clusterer>();
         check_start::<Auditor>();
         check_start::<Historian>();
+        check_start::<Planner>();
     }
 
     #[test]
@@ -235,6 +239,7 @@ mod tests {
             ("audit", "auditor"),
             ("json/audit", "auditor"),
             ("history/*/state", "historian"),
+            ("propose/*/*", "planner"),
         ] {
             for service in ServiceName::ALL {
                 let may = rights(&format!("service.{service}"));

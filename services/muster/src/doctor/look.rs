@@ -184,9 +184,9 @@ async fn statuses(
 ) -> Result<(Vec<ServiceStatus>, Vec<Instance>), Error> {
     let (mut statuses, mut instances) = (Vec::new(), Vec::new());
     let all = ServiceName::ALL.map(|service| status(client, clock, service));
-    let [first, second, third, fourth, fifth] = all;
-    let answers = tokio::try_join!(first, second, third, fourth, fifth)?;
-    let answers = [answers.0, answers.1, answers.2, answers.3, answers.4];
+    let [first, second, third, fourth, fifth, sixth] = all;
+    let answers = tokio::try_join!(first, second, third, fourth, fifth, sixth)?;
+    let answers = [answers.0, answers.1, answers.2, answers.3, answers.4, answers.5];
     for (status, clock_offset_s) in answers.concat() {
         instances.push(Instance {
             service: status.service,

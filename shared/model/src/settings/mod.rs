@@ -10,6 +10,7 @@ mod embedder;
 mod historian;
 mod ingest;
 mod need;
+mod planner;
 mod team_count;
 mod team_size;
 
@@ -30,6 +31,7 @@ pub use ingest::{
     SpatialSettings,
 };
 pub use need::{Need, SkillCount};
+pub use planner::PlannerSettings;
 pub use team_count::TeamCount;
 pub use team_size::TeamSize;
 
@@ -187,6 +189,7 @@ mod tests {
         assert_eq!(ClustererSettings::default().check(), Ok(()));
         assert_eq!(AuditorSettings::default().check(), Ok(()));
         assert_eq!(HistorianSettings::default().check(), Ok(()));
+        assert_eq!(PlannerSettings::default().check(), Ok(()));
     }
 
     #[test]

@@ -64,6 +64,7 @@ pub(super) struct File {
     pub(super) clusterer: Option<toml::Table>,
     pub(super) auditor: Option<toml::Table>,
     pub(super) historian: Option<toml::Table>,
+    pub(super) planner: Option<toml::Table>,
 }
 
 /// Where environment variables are read: the process's own, or a test's.

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use muster_model::id::{FleetId, ServiceName};
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, HistorianSettings, IngestSettings,
-    Settings, SettingsError,
+    PlannerSettings, Settings, SettingsError,
 };
 use serde_json::Value;
 
@@ -168,6 +168,7 @@ impl ProcessConfig {
             (ServiceName::Clusterer, file.clusterer),
             (ServiceName::Auditor, file.auditor),
             (ServiceName::Historian, file.historian),
+            (ServiceName::Planner, file.planner),
         ];
         let patches = patches(tables, path.as_deref(), environment)?;
         let config = Self {
@@ -197,6 +198,7 @@ impl ProcessConfig {
         self.settings::<ClustererSettings>(ServiceName::Clusterer)?;
         self.settings::<AuditorSettings>(ServiceName::Auditor)?;
         self.settings::<HistorianSettings>(ServiceName::Historian)?;
+        self.settings::<PlannerSettings>(ServiceName::Planner)?;
         Ok(())
     }
 
@@ -254,7 +256,7 @@ impl ProcessConfig {
 
 /// The patches of the services' settings, of the file and of the environment.
 fn patches(
-    tables: [(ServiceName, Option<toml::Table>); 5],
+    tables: [(ServiceName, Option<toml::Table>); 6],
     path: Option<&Path>,
     environment: Environment<'_>,
 ) -> Result<Vec<(ServiceName, Origin, Value)>, ExitError> {

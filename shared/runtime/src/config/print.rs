@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use muster_model::id::ServiceName;
 use muster_model::settings::{
     AuditorSettings, ClustererSettings, EmbedderSettings, HistorianSettings, IngestSettings,
-    Settings,
+    PlannerSettings, Settings,
 };
 use serde_json::{Map, Value};
 
@@ -48,6 +48,7 @@ impl ProcessConfig {
                 ServiceName::Clusterer => to_value(&self.settings::<ClustererSettings>(*service)?),
                 ServiceName::Auditor => to_value(&self.settings::<AuditorSettings>(*service)?),
                 ServiceName::Historian => to_value(&self.settings::<HistorianSettings>(*service)?),
+                ServiceName::Planner => to_value(&self.settings::<PlannerSettings>(*service)?),
             };
             let _ = write!(text, "\n[{service}]\n");
             self.print_table(&mut text, *service, &settings, "");

@@ -102,7 +102,7 @@ pub(super) fn reasons(service: ServiceName, look: &Look) -> Vec<String> {
     if service != ServiceName::Embedder && silent(look.since_embedding, RESULT_SILENT_AFTER, begun)
     {
         report("no embedding", ServiceName::Embedder, look.since_embedding);
-    } else if service == ServiceName::Auditor
+    } else if matches!(service, ServiceName::Auditor | ServiceName::Planner)
         && silent(look.since_teams, RESULT_SILENT_AFTER, begun)
     {
         report("no division", ServiceName::Clusterer, look.since_teams);

@@ -21,11 +21,15 @@ use muster_model::history::{
     TeamRow,
 };
 use muster_model::id::{
-    CommandId, FleetId, InstanceId, Modality, OperatorId, RobotId, ServiceName, SkillId, TeamId,
-    WishId,
+    CommandId, FleetId, InstanceId, Modality, OperatorId, ProposalId, RobotId, ServiceName,
+    SkillId, TeamId, WishId,
 };
 use muster_model::katz::{PairMethod, PairSimilarity};
 use muster_model::observation::{CheckedReport, Link, Links, Pose, Rank, Relation, Report};
+use muster_model::proposal::{
+    DivisionQuality, LiveTeam, Proposal, ProposalReport, ProposalRequest, ProposalState,
+    ProposedDivision, ProposedMove, ProposedTeam,
+};
 use muster_model::refused::Refused;
 use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_model::roster::{Presence, Roster, RosterEntry};
@@ -383,7 +387,50 @@ pub fn all() -> Vec<(&'static str, Message)> {
         ("skilled_rank", from_robot("r2", skilled_rank)),
         ("wish_report", Message::Wish(Box::new(WishReport { header: header(48), wish }))),
         ("command_outcome", Message::Outcome(Arc::new(outcome()))),
+        ("proposal", Message::Proposal(Box::new(proposal()))),
     ]
+}
+
+fn proposal() -> ProposalReport {
+    let asked = serde_json::json!({"teams": 2, "size": {"max": 4}, "without": ["r7"]});
+    let teams = serde_json::json!({"teams": 3, "size": {"min": null, "max": null}});
+    let serde_json::Value::Object(replaces) = teams else { unreachable!("it is an object") };
+    let quality = |mean: f64| DivisionQuality {
+        mean: Some(mean),
+        least_team: Some(mean / 2.0),
+        physical_mean: None,
+    };
+    let division = ProposedDivision {
+        based_on: revision(42),
+        replaces: BTreeMap::from([(ServiceName::Clusterer, replaces)]),
+        embedded: true,
+        teams: vec![ProposedTeam {
+            id: team("t1"),
+            members: vec![robot("r1"), robot("r2")],
+            mean: Some(0.75),
+            least: Some(0.5),
+        }],
+        unassigned: vec![robot("r7")],
+        moves: vec![ProposedMove { robot: robot("r7"), from: Some(team("t2")), to: None }],
+        proposed: quality(0.75),
+        live: quality(0.5),
+        change: quality(0.75).beyond(&quality(0.5)),
+        live_teams: vec![LiveTeam { id: team("t1"), robots: 2, mean: Some(0.5), least: None }],
+        conflict: None,
+    };
+    ProposalReport {
+        header: header(50),
+        proposal: Proposal {
+            operator: OperatorId::new("alice").unwrap(),
+            id: ProposalId::new("p1").unwrap(),
+            state: ProposalState::Ready,
+            asked: ProposalRequest::from_json(asked).unwrap(),
+            ahead: 0,
+            age_s: 2.5,
+            forgotten_in_s: Some(57.5),
+            division: Some(division),
+        },
+    }
 }
 
 fn outcome() -> CommandOutcome {

@@ -37,6 +37,7 @@ pub(crate) fn check(message: &Message) -> Verified {
         Message::Wish(report) => report.wish.serialize(Walker),
         Message::Outcome(outcome) => outcome.serialize(Walker),
         Message::Why(why) => why.reason.serialize(Walker),
+        Message::Proposal(report) => report.proposal.serialize(Walker),
     };
     match walked {
         Ok(()) => Ok(()),

@@ -4,6 +4,7 @@ use muster_model::id::ServiceName;
 use muster_model::limits::{
     MAX_DECLARED_MODALITIES, MAX_DEPARTED_ROBOTS, MAX_LINKS, MAX_RELATION_EDGES, MAX_ROBOTS,
 };
+use muster_model::proposal::MAX_OPEN_PROPOSALS;
 use muster_service::MemoryUse;
 
 use super::super::clock::{Micros, SECOND};
@@ -76,6 +77,15 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
             edges: 0,
             // The settings of the services, and gets that wait.
             messages: 4 + 64,
+            offenders: OFFENDERS,
+        },
+        ServiceName::Planner => MemoryUse {
+            // The rosters that graphs are followed by, and as in the clusterer the robots that left a team.
+            robots: 2 * robots + bounds.names.min(MAX_ROBOTS) + bounds.names.pow(2).min(MAX_ROBOTS),
+            // As in the embedder.
+            edges: (2 + MAX_WAITING_DELTAS) * graphs * robots * robots,
+            // The newest vectors, division and rosters, the proposals, and gets that wait.
+            messages: 4 + MAX_OPEN_PROPOSALS + 64,
             offenders: OFFENDERS,
         },
     }

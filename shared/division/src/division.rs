@@ -25,21 +25,25 @@ use crate::seats::last_teams;
 /// One embedding to divide.
 #[derive(Debug, Clone)]
 pub struct Job {
-    pub(crate) embedding: Checked<Embedding>,
-    pub(crate) settings: ClustererSettings,
+    /// The vectors of the robots.
+    pub embedding: Checked<Embedding>,
+    /// How it is divided.
+    pub settings: ClustererSettings,
     /// What divisions have to respect; none if nothing is asked of them.
-    pub(crate) rules: Option<Arc<TeamRules>>,
+    pub rules: Option<Arc<TeamRules>>,
     /// How many teams the robots of the embedding are divided into.
-    pub(crate) teams: u32,
+    pub teams: u32,
     /// How many teams were asked for, with those that are absent.
-    pub(crate) requested: u32,
+    pub requested: u32,
     /// Whether those robots were in so many teams before.
-    pub(crate) same_number: bool,
+    pub same_number: bool,
     /// Set while the robots of a team return one after the other: those that have new orders. All others stay in
     /// their last team, because the vectors of the first ones that return rest on few relations.
-    pub(crate) returning: Option<BTreeSet<RobotId>>,
-    pub(crate) previous: Option<Checked<Teams>>,
-    pub(crate) memory: Arc<Memory>,
+    pub returning: Option<BTreeSet<RobotId>>,
+    /// The division that it goes on from; none if there is none.
+    pub previous: Option<Checked<Teams>>,
+    /// Teams that robots had before that.
+    pub memory: Arc<Memory>,
 }
 
 /// Why an embedding is not divided.
@@ -76,7 +80,7 @@ pub enum DivisionError {
 
 /// Whether two embeddings hold the same robots with the same vectors, and the same evidence for a number of
 /// teams.
-pub(crate) fn same_data(left: &Embedding, right: &Embedding) -> bool {
+pub fn same_data(left: &Embedding, right: &Embedding) -> bool {
     std::ptr::eq(left, right)
         || left.dimension == right.dimension
             && left.robots == right.robots
@@ -91,8 +95,11 @@ pub(crate) struct Cluster {
     centroid: Vec<f64>,
 }
 
-/// Divides the robots that have a non-zero embedding. The core fills in header, leaders and stale robots.
-pub(crate) fn divide(job: &Job) -> Result<Teams, DivisionError> {
+/// Divides the robots that have a non-zero embedding. The caller fills in header, leaders and stale robots.
+///
+/// # Errors
+/// [`DivisionError`] if the vectors, settings or rules do not fit each other.
+pub fn divide(job: &Job) -> Result<Teams, DivisionError> {
     if let Some(rules) = &job.rules {
         return limited::divide(job, rules);
     }
@@ -168,7 +175,10 @@ fn considered(settings: &ClustererSettings, embedding: &Embedding) -> Vec<TeamCo
 
 /// The same division with some robots in the teams of which `held` has the ids; centroids, margins and inertia
 /// are those of the robots that are then together. Every team keeps a robot, and `rules` hold.
-pub(crate) fn with_held(
+///
+/// # Errors
+/// [`DivisionError`] as for the division itself.
+pub fn with_held(
     new: &Teams,
     held: &BTreeMap<RobotId, TeamId>,
     rules: Option<&TeamRules>,
@@ -239,7 +249,7 @@ pub(crate) fn means(
 }
 
 /// Those changes of a new division that are about teams, and the robots of it that are elsewhere than before.
-pub(crate) fn changes(new: &Teams, before: Option<&Teams>) -> Vec<TeamChange> {
+pub fn changes(new: &Teams, before: Option<&Teams>) -> Vec<TeamChange> {
     let of_teams = |change: &&TeamChange| !matches!(change, TeamChange::Moved { .. });
     let mut changes: Vec<TeamChange> = new.changes.iter().filter(of_teams).cloned().collect();
     if let Some(before) = before {

@@ -26,11 +26,11 @@ const SETTLE_TIME: Duration = Duration::from_secs(3);
 
 /// Who has a team, at one embedding.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct Seats {
+pub struct Seats {
     /// The teams of which a robot is there.
     present: BTreeSet<TeamId>,
     /// How many teams have a seat and no robot that is there.
-    pub(crate) absent: u32,
+    pub absent: u32,
     /// How many of the present teams are not in the last division: they return.
     returning: u32,
     /// Whether there are robots that no team knows.
@@ -40,7 +40,7 @@ pub(crate) struct Seats {
 impl Seats {
     /// The seats of the last division and of the teams that are remembered, and `vacant` ones of which no more
     /// is known. Robots that are in no team on purpose have no seat, and neither has a team of which all robots are.
-    pub(crate) fn of(
+    pub fn of(
         division: Option<&Teams>,
         memory: &Memory,
         vacant: u32,
@@ -82,7 +82,7 @@ impl Seats {
 
     /// How many teams the robots that are there were in, none if there is no division to go on from.
     /// `requested` is the number that the last division was asked for.
-    pub(crate) fn current(&self, requested: Option<u32>) -> Option<u32> {
+    pub fn current(&self, requested: Option<u32>) -> Option<u32> {
         if self.absent == 0 && self.returning == 0 {
             // Robots in the same place are fewer teams than asked for, and may come apart.
             return requested;
@@ -92,7 +92,7 @@ impl Seats {
 
     /// The number of teams that is wanted of the robots that are there, while absent teams keep their seats and
     /// those that have just returned have theirs.
-    pub(crate) fn wanted(
+    pub fn wanted(
         &self,
         now: Tick,
         wanted: TeamCount,
@@ -127,14 +127,14 @@ impl Seats {
 /// Seats that were kept for absent teams when the division was written that was found on disk. Which robots
 /// they are kept for is not known any more: whoever returns is a newcomer.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Vacancies {
+pub struct Vacancies {
     seats: u32,
     since: Option<Tick>,
 }
 
 impl Vacancies {
     /// Those of a division that was found on disk.
-    pub(crate) fn of(found: &Teams) -> Self {
+    pub fn of(found: &Teams) -> Self {
         let teams = u32::try_from(found.teams.len()).unwrap_or(u32::MAX);
         // A file may say anything.
         let requested = found.requested.min(MAX_TEAMS);
@@ -143,7 +143,7 @@ impl Vacancies {
 
     /// How many seats are kept. They are as long as a team is remembered, and until all seats are taken in the
     /// last division.
-    pub(crate) fn count(&mut self, now: Tick, last: Option<&Teams>) -> u32 {
+    pub fn count(&mut self, now: Tick, last: Option<&Teams>) -> u32 {
         if self.seats == 0 {
             return 0;
         }
@@ -158,7 +158,7 @@ impl Vacancies {
 
 /// Who came lately.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Arrivals {
+pub struct Arrivals {
     /// When robots were last there that no team knew.
     newcomers: Option<Tick>,
     /// When the first robots of a team that had been absent were last there again.
@@ -167,7 +167,8 @@ pub(crate) struct Arrivals {
 
 impl Arrivals {
     /// Whether a team has returned of which more robots may follow.
-    pub(crate) fn is_team_returning(&self, now: Tick) -> bool {
+    #[must_use]
+    pub fn is_team_returning(&self, now: Tick) -> bool {
         settles(self.returned, now)
     }
 }
@@ -207,7 +208,7 @@ pub(crate) fn last_of<'a>(
 /// A division as it would be with the seats of the next one: without the teams that have lost all their
 /// robots, and with those whose robots are all back. What is between the two are moves of robots alone; none
 /// if teams were divided or put together.
-pub(crate) fn reseated(before: &Teams, new: &Teams) -> Option<Teams> {
+pub fn reseated(before: &Teams, new: &Teams) -> Option<Teams> {
     let ids = |teams: &Teams| -> BTreeSet<TeamId> {
         teams.teams.iter().map(|team| team.id.clone()).collect()
     };

@@ -11,8 +11,7 @@ use muster_model::settings::{ClustererSettings, Need};
 use muster_model::teams::{TeamNeed, Teams};
 use muster_numeric::assignment::{self as numeric, Bounds, ClassLimit, Column, MAX_COST, Wanted};
 
-use crate::publishing::plural;
-use crate::words::list;
+use crate::words::{list, plural};
 
 /// What a missing robot costs where a need is soft: sixteen times the largest distance of the assignment, so that it is
 /// missed only where there is no other way.
@@ -66,7 +65,7 @@ enum Leniency {
 
 /// What teams need.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct Needs {
+pub struct Needs {
     /// Ordered by skill.
     skills: Vec<NeededSkill>,
     /// Teams whose robots are all stale: nobody could fill their needs in time, and nobody could use it.
@@ -88,7 +87,7 @@ pub(crate) struct NeedLimits {
 
 impl Needs {
     /// The needs of some settings, with those who can fill them. None are known before there is a roster.
-    pub(crate) fn of(
+    pub fn of(
         settings: &ClustererSettings,
         roster: Option<&Roster>,
         division: Option<&Teams>,
@@ -124,12 +123,12 @@ impl Needs {
     }
 
     /// Whether nothing is needed.
-    pub(crate) fn is_empty(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         self.skills.is_empty()
     }
 
     /// Whether other needs ask for the same, whoever can fill them.
-    pub(crate) fn asks_as(&self, other: &Self) -> bool {
+    pub fn asks_as(&self, other: &Self) -> bool {
         let asked =
             |skill: &NeededSkill| (skill.skill.clone(), skill.of_all, skill.of_team.clone());
         self.skills.iter().map(asked).eq(other.skills.iter().map(asked))
@@ -304,7 +303,7 @@ impl Needs {
     }
 
     /// What the teams of a division need and have.
-    pub(crate) fn published(&self, teams: &Teams) -> Vec<TeamNeed> {
+    pub fn published(&self, teams: &Teams) -> Vec<TeamNeed> {
         let of_team = |team: &muster_model::teams::Team| {
             let needs = self.skills.iter().filter_map(|skill| {
                 let Amount { min, max, soft } = self.amount(skill, &team.id)?;
@@ -325,7 +324,7 @@ impl Needs {
     }
 
     /// The robots of a team that fill a need, of those that are in a list ordered by name.
-    pub(crate) fn able(&self, skill: &SkillId, team: &[RobotId]) -> Vec<RobotId> {
+    pub fn able(&self, skill: &SkillId, team: &[RobotId]) -> Vec<RobotId> {
         let needed = self.skills.iter().find(|needed| needed.skill == *skill);
         let is_able =
             |robot: &&RobotId| needed.is_some_and(|needed| needed.robots.contains(*robot));

@@ -127,11 +127,16 @@ fn common_class(rules: &[Rule]) -> Option<Option<usize>> {
 
 /// "9 robots", "1 robot".
 fn robots_text(count: usize) -> String {
-    crate::publishing::plural(count, "robot")
+    plural(count, "robot")
+}
+
+/// A count with its noun: "1 robot", "9 robots".
+pub fn plural(count: usize, what: &str) -> String {
+    if count == 1 { format!("1 {what}") } else { format!("{count} {what}s") }
 }
 
 /// "a", "a and b", "a, b and c", "a, b, … and 5 more".
-pub(crate) fn list(names: &[String]) -> String {
+pub fn list(names: &[String]) -> String {
     if names.len() > MAX_NAMES {
         let more = names.len() - MAX_NAMES;
         return format!("{} and {more} more", names[..MAX_NAMES].join(", "));

@@ -41,10 +41,10 @@ const MAX_BELIEVED_NUMBER: u64 = 1 << 48;
 
 /// The end of the numbers that are read from disk: what is believed, and room for what was reserved beyond it. A
 /// file with a higher one would leave none to be given, restart after restart.
-pub(crate) const MAX_KEPT_NUMBER: u64 = 2 * MAX_BELIEVED_NUMBER;
+pub const MAX_KEPT_NUMBER: u64 = 2 * MAX_BELIEVED_NUMBER;
 
 /// Whether the numbers of a division of another instance leave some to be given.
-pub(crate) fn is_believable(teams: &Teams) -> bool {
+pub fn is_believable(teams: &Teams) -> bool {
     let mut numbers = teams.teams.iter().filter_map(|team| number(&team.id));
     teams.next_team <= MAX_BELIEVED_NUMBER && numbers.all(|number| number < MAX_BELIEVED_NUMBER)
 }
@@ -255,7 +255,7 @@ fn moves(
 }
 
 /// Robots of a division that were elsewhere in the one before, ordered by name.
-pub(crate) fn moved(new: &Teams, before: &Teams) -> Vec<TeamChange> {
+pub fn moved(new: &Teams, before: &Teams) -> Vec<TeamChange> {
     let clusters: Vec<Vec<&RobotId>> =
         new.teams.iter().map(|team| team.members.iter().map(|m| &m.robot).collect()).collect();
     let ids: Vec<TeamId> = new.teams.iter().map(|team| team.id.clone()).collect();

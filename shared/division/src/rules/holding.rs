@@ -12,11 +12,7 @@ use crate::needs::NeedLimits;
 impl TeamRules {
     /// Of the robots that are to be kept in their last team, as many as the rules let stay there. The others are where
     /// the new division has them, which obeys the rules. Every team keeps a robot.
-    pub(crate) fn keep(
-        &self,
-        new: &Teams,
-        held: BTreeMap<RobotId, TeamId>,
-    ) -> BTreeMap<RobotId, TeamId> {
+    pub fn keep(&self, new: &Teams, held: BTreeMap<RobotId, TeamId>) -> BTreeMap<RobotId, TeamId> {
         let plain = |held: &BTreeMap<RobotId, TeamId>| -> BTreeMap<RobotId, TeamId> {
             let others = held.iter().filter(|(robot, _)| !self.needs.concern(robot));
             others.map(|(robot, team)| (robot.clone(), team.clone())).collect()

@@ -14,7 +14,7 @@ use muster_model::id::{RobotId, SkillId, TeamId};
 use muster_model::limits::MAX_CONFLICT_LENGTH;
 use muster_model::settings::{ClustererSettings, TeamSize};
 use muster_model::teams::Teams;
-use muster_model::wish::{Wish, WishKind};
+use muster_model::wish::{StandingWish, Wish, WishKind, WishState};
 use muster_numeric::assignment::{
     self as numeric, Assigner, Bounds, Column, CostMatrix, Pair, Relation, Rule, Rules, RulesError,
     ValidRules, ValidWishes, WishesError, assign_with_wishes, is_grantable,
@@ -39,10 +39,24 @@ pub(crate) struct TeamColumn {
 
 /// A wish that counts, under the name that operators know it by.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Asked {
+pub struct Asked {
     /// The operator and the id.
-    pub(crate) name: String,
-    pub(crate) wish: Wish,
+    pub name: String,
+    /// What is wished.
+    pub wish: Wish,
+}
+
+impl Asked {
+    /// Those of standing wishes that count: all that have not expired.
+    pub fn of<'a>(wishes: impl Iterator<Item = &'a StandingWish>) -> Vec<Self> {
+        let counts = wishes.filter(|one| one.state != WishState::Expired);
+        counts
+            .map(|one| Self {
+                name: format!("{}/{}", one.operator, one.id),
+                wish: Wish { expires: None, note: None, ..one.wish.clone() },
+            })
+            .collect()
+    }
 }
 
 /// A pair of a robot and a team, and the place of the wish that asks for it.
@@ -69,7 +83,7 @@ impl Groups {
 
 /// What divisions have to respect.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct TeamRules {
+pub struct TeamRules {
     size: TeamSize,
     of_team: BTreeMap<TeamId, TeamSize>,
     wishes: Vec<Asked>,
@@ -80,11 +94,7 @@ pub(crate) struct TeamRules {
 
 impl TeamRules {
     /// The rules of some settings, of the wishes that count and of the needs; none if these ask for nothing.
-    pub(crate) fn of(
-        settings: &ClustererSettings,
-        wishes: Vec<Asked>,
-        needs: Needs,
-    ) -> Option<Self> {
+    pub fn of(settings: &ClustererSettings, wishes: Vec<Asked>, needs: Needs) -> Option<Self> {
         if !settings.has_limits() && wishes.is_empty() && needs.is_empty() {
             return None;
         }
@@ -94,17 +104,17 @@ impl TeamRules {
     }
 
     /// The rules with other needs.
-    pub(crate) fn with_needs(&self, needs: Needs) -> Self {
+    pub fn with_needs(&self, needs: Needs) -> Self {
         Self { needs, ..self.clone() }
     }
 
     /// Whether other rules ask for the same, whichever robots can fill needs.
-    pub(crate) fn asks_as(&self, other: &Self) -> bool {
+    pub fn asks_as(&self, other: &Self) -> bool {
         self.needs.asks_as(&other.needs) && *self == other.with_needs(self.needs.clone())
     }
 
     /// The rules with the robots that locked teams have, by the last team of each robot.
-    pub(crate) fn resolved(
+    pub fn resolved(
         mut self,
         previous: Option<&Teams>,
         memory: &Memory,
@@ -137,7 +147,7 @@ impl TeamRules {
     }
 
     /// The robots that are in no team on purpose.
-    pub(crate) fn reserved(&self) -> BTreeSet<&RobotId> {
+    pub fn reserved(&self) -> BTreeSet<&RobotId> {
         let reserves = self.wishes.iter().filter(|asked| asked.wish.kind == WishKind::Reserve);
         reserves.flat_map(|asked| &asked.wish.robots).collect()
     }
@@ -148,7 +158,7 @@ impl TeamRules {
     }
 
     /// The teams of a division that wishes or needs name.
-    pub(crate) fn wished(&self, division: Option<&Teams>) -> BTreeSet<TeamId> {
+    pub fn wished(&self, division: Option<&Teams>) -> BTreeSet<TeamId> {
         let teams = division.into_iter().flat_map(|division| &division.teams);
         let is_named = |id: &&TeamId| self.is_wished(id) || self.needs.name(id);
         teams.map(|team| &team.id).filter(is_named).cloned().collect()
@@ -161,7 +171,7 @@ impl TeamRules {
     }
 
     /// Whether a wish names a team.
-    pub(crate) fn is_wished(&self, team: &TeamId) -> bool {
+    pub fn is_wished(&self, team: &TeamId) -> bool {
         self.wishes.iter().any(|asked| asked.wish.team.as_ref() == Some(team))
     }
 
@@ -478,7 +488,7 @@ impl TeamRules {
 
 /// Whether two rules ask for the same, whichever robots can fill needs: who can changes with every robot that falls
 /// silent, and a division for those of a moment ago is better than none.
-pub(crate) fn asks_alike(left: Option<&TeamRules>, right: Option<&TeamRules>) -> bool {
+pub fn asks_alike(left: Option<&TeamRules>, right: Option<&TeamRules>) -> bool {
     match (left, right) {
         (Some(left), Some(right)) => left.asks_as(right),
         (left, right) => left.is_none() && right.is_none(),
@@ -486,7 +496,7 @@ pub(crate) fn asks_alike(left: Option<&TeamRules>, right: Option<&TeamRules>) ->
 }
 
 /// Whether the robots of a group that have a team are together or apart as they are to be; true for other wishes.
-pub(crate) fn grants_group(wish: &Wish, placed: &BTreeMap<RobotId, TeamId>) -> bool {
+pub fn grants_group(wish: &Wish, placed: &BTreeMap<RobotId, TeamId>) -> bool {
     let teams: Vec<&TeamId> = wish.robots.iter().filter_map(|robot| placed.get(robot)).collect();
     let distinct: BTreeSet<&TeamId> = teams.iter().copied().collect();
     match wish.kind {

@@ -10,18 +10,18 @@ use muster_model::time::Tick;
 
 /// How long a robot's last team, and a team that ended, are remembered: a platoon that drives through a
 /// tunnel or is restarted is back within it, and one that comes later is another platoon.
-pub(crate) const TEAM_MEMORY_TIME: Duration = Duration::from_secs(60);
+pub const TEAM_MEMORY_TIME: Duration = Duration::from_secs(60);
 
 /// What is remembered of divisions before the last.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Memory {
+pub struct Memory {
     /// The last team of robots that have left or have none now, and when that was. At most
     /// [`MAX_ROBOTS`].
     last: BTreeMap<RobotId, (TeamId, Tick)>,
     /// Teams that ended. At most [`MAX_TEAMS`] with [`MAX_ROBOTS`] robots in all.
     pub(crate) ended: BTreeMap<TeamId, Ended>,
     /// No division that was received has this team number or a higher one.
-    pub(crate) next_team: u64,
+    pub next_team: u64,
 }
 
 /// A team that ended.
@@ -33,7 +33,7 @@ pub(crate) struct Ended {
 
 impl Memory {
     /// One division follows another.
-    pub(crate) fn follow(&mut self, now: Tick, before: Option<&Teams>, after: &Teams) {
+    pub fn follow(&mut self, now: Tick, before: Option<&Teams>, after: &Teams) {
         let placed: BTreeSet<&RobotId> = after.assignments().map(|(robot, _)| robot).collect();
         let living: BTreeSet<&TeamId> = after.teams.iter().map(|team| &team.id).collect();
         for team in before.into_iter().flat_map(|before| &before.teams) {
@@ -72,29 +72,30 @@ impl Memory {
     }
 
     /// How many robots are remembered; a robot counts once for each team that ended with it.
-    pub(crate) fn robot_count(&self) -> usize {
+    pub fn robot_count(&self) -> usize {
         self.last.len() + self.ended.values().map(|ended| ended.members.len()).sum::<usize>()
     }
 
     /// Whether something was remembered for long enough.
-    pub(crate) fn is_overdue(&self, now: Tick) -> bool {
+    pub fn is_overdue(&self, now: Tick) -> bool {
         let times = self.last.values().map(|(_, at)| *at);
         times.chain(self.ended.values().map(|ended| ended.at)).any(|at| is_over(now, at))
     }
 
     /// Forgets what was remembered for long enough.
-    pub(crate) fn forget(&mut self, now: Tick) {
+    pub fn forget(&mut self, now: Tick) {
         self.last.retain(|_, (_, at)| !is_over(now, *at));
         self.ended.retain(|_, ended| !is_over(now, ended.at));
     }
 
     /// The last team of a robot that left it.
-    pub(crate) fn last_team(&self, robot: &RobotId) -> Option<&TeamId> {
+    #[must_use]
+    pub fn last_team(&self, robot: &RobotId) -> Option<&TeamId> {
         self.last.get(robot).map(|(team, _)| team)
     }
 
     /// Teams that ended as their robots left: most of them are in no team since, and not all of those `reserved`.
-    pub(crate) fn lost_teams<'a>(
+    pub fn lost_teams<'a>(
         &'a self,
         reserved: &'a BTreeSet<&'a RobotId>,
     ) -> impl Iterator<Item = &'a TeamId> {
