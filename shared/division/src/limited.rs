@@ -26,8 +26,7 @@ use crate::seats::last_of;
 pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
     let embedding = &*job.embedding;
     let rows = rules.rows(embedding);
-    let problem = Problem::new(job, rules, &rows)?;
-    let solved = if rows.is_empty() { Solved::default() } else { problem.solve(job)? };
+    let solved = if rows.is_empty() { Solved::default() } else { solve(job, rules, &rows)? };
     let Solved { columns, labels, limited } = solved;
     let stands = limited.as_ref().is_some_and(Limited::stands);
     let mut ids: Vec<TeamId> = Vec::new();
@@ -172,13 +171,37 @@ struct Problem<'a> {
     previous: Vec<Option<Column>>,
 }
 
+/// Which teams make room for others.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Closing {
+    /// Those in which no robot may be.
+    Closed,
+    /// None: the last division is to stand.
+    Nothing,
+}
+
+/// The best division within the rules; the last one where nothing satisfies them.
+fn solve(job: &Job, rules: &TeamRules, rows: &[usize]) -> Result<Solved, DivisionError> {
+    match Problem::new(job, rules, rows, Closing::Closed)?.solve(job)? {
+        Ok(solved) => Ok(solved),
+        Err(conflict) => Problem::new(job, rules, rows, Closing::Nothing)?.stand(job, conflict),
+    }
+}
+
 impl<'a> Problem<'a> {
-    fn new(job: &'a Job, rules: &'a TeamRules, rows: &[usize]) -> Result<Self, DivisionError> {
+    fn new(
+        job: &'a Job,
+        rules: &'a TeamRules,
+        rows: &[usize],
+        closing: Closing,
+    ) -> Result<Self, DivisionError> {
         let embedding = &*job.embedding;
         let last = last_of(job.previous.as_deref(), &job.memory, embedding, rows);
         let teams = (job.teams as usize).min(rows.len());
         let robots: Vec<&RobotId> = rows.iter().map(|row| &embedding.robots[*row]).collect();
-        let columns = rules.columns(teams, &robots, &last, job.previous.as_deref(), &job.memory);
+        let asked = if closing == Closing::Closed { &robots[..] } else { &[] };
+        let columns = rules.columns(teams, asked, &last, job.previous.as_deref(), &job.memory);
+        let columns = columns.columns;
         let place_of: BTreeMap<&TeamId, usize> = columns
             .iter()
             .zip(0..)
@@ -191,12 +214,20 @@ impl<'a> Problem<'a> {
         Ok(Self { rules, robots, x, columns, previous })
     }
 
-    fn solve(self, job: &Job) -> Result<Solved, DivisionError> {
+    /// The column of each robot within rules.
+    fn divided(
+        &self,
+        job: &Job,
+        rules: &ValidRules,
+        groups: &ValidWishes,
+    ) -> Result<Result<Vec<Option<usize>>, LimitedError>, DivisionError> {
         let params = DivisionParams::new(&job.settings, self.columns.len()).check()?;
-        let divided = |rules: &ValidRules, groups: &ValidWishes| {
-            let limits = Limits { rules, groups, previous: &self.previous };
-            divide_within(&self.x, &params, &limits).map(|found| found.labels)
-        };
+        let limits = Limits { rules, groups, previous: &self.previous };
+        Ok(divide_within(&self.x, &params, &limits).map(|found| found.labels))
+    }
+
+    /// The best division within the rules; why there is none, where nothing satisfies them.
+    fn solve(self, job: &Job) -> Result<Result<Solved, String>, DivisionError> {
         // Where needs cannot all be filled, as many are as can be, and all else holds.
         let mut first_conflict = None;
         let lenient = self.rules.needs.lenient();
@@ -207,11 +238,11 @@ impl<'a> Problem<'a> {
                 None => {
                     let valid = rules.assignment(&self.columns, &self.robots)?;
                     let groups = rules.groups(&valid, &self.columns, &self.robots)?;
-                    match divided(&valid, &groups.valid) {
+                    match self.divided(job, &valid, &groups.valid)? {
                         Ok(labels) => {
                             let columns = self.named(&labels);
                             let limited = first_conflict.map(Limited::lacking);
-                            return Ok(Solved { columns, labels, limited });
+                            return Ok(Ok(Solved { columns, labels, limited }));
                         }
                         // The search ended before it found anything.
                         Err(LimitedError::Groups(error)) => {
@@ -223,11 +254,15 @@ impl<'a> Problem<'a> {
             };
             first_conflict.get_or_insert(conflict);
         }
-        let conflict = first_conflict.unwrap_or_default();
+        Ok(Err(first_conflict.unwrap_or_default()))
+    }
+
+    /// The last division, as nothing satisfies the rules.
+    fn stand(self, job: &Job, conflict: String) -> Result<Solved, DivisionError> {
         let relaxed = |stay: &[Option<Column>]| -> Result<_, DivisionError> {
             let rules = self.rules.relaxed(&self.columns, &self.robots, stay)?;
             let nobody = Wishes::default().check(&rules)?;
-            Ok(divided(&rules, &nobody))
+            self.divided(job, &rules, &nobody)
         };
         let labels = match relaxed(&self.previous)? {
             // The last division had more robots in a team than it may have.

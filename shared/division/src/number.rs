@@ -11,7 +11,7 @@ use muster_model::time::Tick;
 
 use crate::memory::Memory;
 use crate::needs::Needs;
-use crate::rules::{TeamColumn, TeamRules};
+use crate::rules::{Columns, TeamRules};
 use crate::seats::{Arrivals, Seats, last_of};
 
 /// The number that the evidence is for, within what is wanted.
@@ -123,7 +123,7 @@ impl Situation<'_> {
             return None;
         }
         let columns: Vec<TeamId> =
-            robots.columns(best).into_iter().map(|column| column.team).collect();
+            robots.columns(best).columns.into_iter().map(|column| column.team).collect();
         let text = rules.conflict(&columns, &robots.robots);
         Some(text.unwrap_or_else(|| format!("wishes name more teams than {best}")))
     }
@@ -172,7 +172,7 @@ struct Placeable<'a> {
 
 impl Placeable<'_> {
     /// The teams that so many may be.
-    fn columns(&self, teams: u32) -> Vec<TeamColumn> {
+    fn columns(&self, teams: u32) -> Columns {
         let teams = (teams as usize).min(self.robots.len());
         self.rules.columns(teams, &self.robots, &self.last, self.previous, self.memory)
     }
@@ -183,11 +183,10 @@ impl Placeable<'_> {
         if self.robots.is_empty() {
             return true;
         }
-        let columns = self.columns(teams);
+        let Columns { columns, closed } = self.columns(teams);
         let known: BTreeSet<&TeamId> = self.last.iter().flatten().copied().collect();
         let kept: BTreeSet<&TeamId> =
             columns.iter().filter_map(|column| column.last.as_ref()).collect();
-        let closed = self.rules.closed(&self.last, &self.robots);
         let mut left_out = known.difference(&kept).filter(|team| !closed.contains(*team));
         let is_left_out = left_out.any(|team| self.rules.is_wished(team));
         let columns: Vec<TeamId> = columns.iter().map(|column| column.team.clone()).collect();

@@ -37,6 +37,14 @@ pub(crate) struct TeamColumn {
     pub(crate) last: Option<TeamId>,
 }
 
+/// The teams of a division.
+pub(crate) struct Columns {
+    /// Ordered by id.
+    pub(crate) columns: Vec<TeamColumn>,
+    /// Teams that robots were in and in which none may be.
+    pub(crate) closed: BTreeSet<TeamId>,
+}
+
 /// A wish that counts, under the name that operators know it by.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Asked {
@@ -211,33 +219,6 @@ impl TeamRules {
         ties
     }
 
-    /// Those of the last teams in which no robot may be: it is banned from there, or must be in another one. In their place
-    /// another team can be made.
-    pub(crate) fn closed<'a>(
-        &self,
-        last: &[Option<&'a TeamId>],
-        robots: &[&RobotId],
-    ) -> BTreeSet<&'a TeamId> {
-        let teams: BTreeSet<&TeamId> = last.iter().flatten().copied().collect();
-        let columns: Vec<TeamId> = teams.iter().map(|id| (*id).clone()).collect();
-        let ties = self.ties(&columns, robots);
-        if ties.is_empty() {
-            return BTreeSet::new();
-        }
-        let may_be = |robot: usize, at: usize| {
-            ties.iter().all(|tie| match tie.pair {
-                Pair::Forced { robot: named, column } => {
-                    named != robot || column == Column::Team(at)
-                }
-                Pair::Forbidden { robot: named, column } => {
-                    named != robot || column != Column::Team(at)
-                }
-            })
-        };
-        let is_closed = |at: usize| !(0..robots.len()).any(|robot| may_be(robot, at));
-        teams.into_iter().zip(0..).filter(|(_, at)| is_closed(*at)).map(|(id, _)| id).collect()
-    }
-
     /// The groups of robots that are to be together or apart, and needs that are no limits of classes. A group of which
     /// fewer than two robots are there waits.
     pub(crate) fn groups(
@@ -276,9 +257,10 @@ impl TeamRules {
         Bounds::new(size.least() as usize, upper)
     }
 
-    /// The teams of the next division, ordered by id. Of those that robots were in so many stay as there are to be: teams
-    /// that rules name before others, then those with most robots. New ones get the next numbers, and so do teams that
-    /// ended, as long as it is not known whether most of their robots are in them again.
+    /// The teams of the next division. Of those that robots were in so many stay as there are to be: teams that rules
+    /// name before others, then those with most robots. New ones get the next numbers, and so do teams that ended, as long
+    /// as it is not known whether most of their robots are in them again. A team in which no robot may be any more makes
+    /// room for another one.
     pub(crate) fn columns(
         &self,
         teams: usize,
@@ -286,29 +268,58 @@ impl TeamRules {
         last: &[Option<&TeamId>],
         previous: Option<&Teams>,
         memory: &Memory,
-    ) -> Vec<TeamColumn> {
+    ) -> Columns {
         let living: BTreeSet<&TeamId> =
             previous.into_iter().flat_map(|last| &last.teams).map(|team| &team.id).collect();
-        let closed = self.closed(last, robots);
-        let mut robots: BTreeMap<&TeamId, usize> = BTreeMap::new();
+        let mut members: BTreeMap<&TeamId, usize> = BTreeMap::new();
         for id in last.iter().flatten() {
-            *robots.entry(id).or_default() += 1;
+            *members.entry(id).or_default() += 1;
         }
-        let mut known: Vec<(&TeamId, usize)> = robots.into_iter().collect();
-        known.retain(|(id, _)| !closed.contains(id));
+        let mut known: Vec<(&TeamId, usize)> = members.into_iter().collect();
         known.sort_by_key(|&(id, count)| (!self.names(id), Reverse(count), identity::order(id)));
-        let mut numbers = Numbers::after(previous, memory);
-        let column = |(id, _): (&TeamId, usize)| {
-            let team = if living.contains(id) { id.clone() } else { numbers.next() };
-            TeamColumn { team, last: Some(id.clone()) }
-        };
-        let mut columns: Vec<TeamColumn> = known.into_iter().take(teams).map(column).collect();
-        while columns.len() < teams {
-            columns.push(TeamColumn { team: numbers.next(), last: None });
+        let mut closed = BTreeSet::new();
+        // Each turn closes a team, so there are no more turns than teams.
+        loop {
+            let mut numbers = Numbers::after(previous, memory);
+            let column = |(id, _): &(&TeamId, usize)| {
+                let team = if living.contains(*id) { (*id).clone() } else { numbers.next() };
+                TeamColumn { team, last: Some((*id).clone()) }
+            };
+            let mut columns: Vec<TeamColumn> = known.iter().take(teams).map(column).collect();
+            while columns.len() < teams {
+                columns.push(TeamColumn { team: numbers.next(), last: None });
+            }
+            columns.sort_by(|left, right| {
+                identity::order(&left.team).cmp(&identity::order(&right.team))
+            });
+            let Some(id) = self.closed(&columns, robots) else {
+                return Columns { columns, closed };
+            };
+            known.retain(|(other, _)| **other != id);
+            closed.insert(id);
         }
-        columns
-            .sort_by(|left, right| identity::order(&left.team).cmp(&identity::order(&right.team)));
-        columns
+    }
+
+    /// The first team that robots were in and in which none may be: each is banned from there, or must be in another one.
+    fn closed(&self, columns: &[TeamColumn], robots: &[&RobotId]) -> Option<TeamId> {
+        let ids: Vec<TeamId> = columns.iter().map(|column| column.team.clone()).collect();
+        let ties = self.ties(&ids, robots);
+        if ties.is_empty() || robots.is_empty() {
+            return None;
+        }
+        let may_be = |robot: usize, at: usize| {
+            ties.iter().all(|tie| match tie.pair {
+                Pair::Forced { robot: named, column } => {
+                    named != robot || column == Column::Team(at)
+                }
+                Pair::Forbidden { robot: named, column } => {
+                    named != robot || column != Column::Team(at)
+                }
+            })
+        };
+        let is_closed = |at: usize| !(0..robots.len()).any(|robot| may_be(robot, at));
+        let known = columns.iter().zip(0..).filter(|(_, at)| is_closed(*at));
+        known.filter_map(|(column, _)| column.last.clone()).next()
     }
 
     /// The rules of the assignment of robots.

@@ -369,7 +369,7 @@ fn a_team_in_which_no_robot_may_be_makes_room_for_another_at_once() {
         embedding.quality.team_scores = vec![0.48, -0.4];
         Checked::new_unchecked(embedding)
     };
-    let (mut bench, _) = divided(settings, &two(1));
+    let (mut bench, _) = divided(settings.clone(), &two(1));
     put(&mut bench, "alice/w1", &json!({"kind": "ban", "robots": ["b"], "team": "t1"})).unwrap();
     bench.wait(1.0);
     assert_eq!(short(&bench.take().teams.pop().unwrap().0), "t1: a | t2: b");
@@ -378,4 +378,15 @@ fn a_team_in_which_no_robot_may_be_makes_room_for_another_at_once() {
     let mut seen: Vec<String> = bench.take().teams.iter().map(|(teams, _)| short(teams)).collect();
     seen.dedup();
     assert_eq!(seen, ["t2: a | t3: b", "t2: a b"]);
+
+    // The same where the team of the pin is only to come.
+    let (mut bench, _) = divided(settings, &two(1));
+    put(&mut bench, "alice/w1", &json!({"kind": "pin", "robots": ["b"], "team": "t2"})).unwrap();
+    bench.wait(1.0);
+    assert_eq!(short(&bench.take().teams.pop().unwrap().0), "t1: a b");
+    put(&mut bench, "alice/w2", &json!({"kind": "ban", "robots": ["a"], "team": "t1"})).unwrap();
+    bench.wait(2.0);
+    let mut seen: Vec<String> = bench.take().teams.iter().map(|(teams, _)| short(teams)).collect();
+    seen.dedup();
+    assert_eq!(seen, ["t2: b | t3: a", "t2: a b"]);
 }
