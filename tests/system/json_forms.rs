@@ -165,6 +165,7 @@ async fn the_json_of_every_command_has_its_golden_form() {
     ];
     let mut cluster = Cluster::start("alpha", &settings).unwrap();
     cluster.start_service("historian").unwrap();
+    cluster.start_service("planner").unwrap();
     let client = cluster.client().await.unwrap();
     let teams = client.watch("json/teams").await.unwrap();
     let alerts = client.watch("json/alerts").await.unwrap();
@@ -224,6 +225,14 @@ async fn the_json_of_every_command_has_its_golden_form() {
         ("tune", vec![vec!["--draws", "2"]]),
         ("doctor", vec![vec!["--listen-for", "1"]]),
         ("solve", vec![vec![&saved], vec![&saved, "--estimate"]]),
+        (
+            "propose",
+            vec![vec!["--teams", "3", "--id", "p1"], vec!["--without", second, "--id", "p2"]],
+        ),
+        ("propose show", vec![vec!["p1"]]),
+        ("propose list", vec![vec![]]),
+        ("propose drop", vec![vec!["p2"]]),
+        ("propose accept", vec![vec!["p1"]]),
         ("replay-core", vec![vec![recording]]),
         (
             "demo",
