@@ -196,6 +196,13 @@ pub fn simulate(seed: u64, options: &Options, mutant: Option<Mutant>, logged: bo
     Outcome { seed, robots: scale.fleet, stats, failure, faults, log }
 }
 
+/// Whether a fault of one of these kinds is in the plan of a seed.
+#[must_use]
+pub fn has_fault(seed: u64, options: &Options, kinds: &[&str]) -> bool {
+    let scale = options.scale(seed);
+    plan(seed, &scale, &places(&scale)).iter().any(|one| kinds.contains(&one.fault.kind()))
+}
+
 impl Outcome {
     /// The command that leads to the same run.
     #[must_use]
