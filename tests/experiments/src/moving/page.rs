@@ -143,20 +143,21 @@ fn faulty(page: &mut Page, all: &[Tried]) {
 }
 
 /// Why goals are missed, and what was tried.
-const REASONS: &str = "Why goals are missed, and what was tried, on other seeds than those above:\n\n- *50 robots.* A team is two \
-    squads of six robots; squads are 10 m from each other and teams 20 m. The squads are the plainer level, and \
-    with a number that is chosen they are found at rest and in every mission, so no change of the teams can be \
-    seen. Where an operator sets `teams` to a range that leaves the squads out (2 to 6), rest and march had \
-    every robot in the right team. Where the number is told exactly, k + 1 comes 5 s after the order, and the \
-    few relations of a part of six robots are not always enough.\n- *A part that splits off* (200 and 1,000 \
-    robots) is less than half of one team of many. Its orders are seen in the same frame, but one team more is a \
-    better division of the whole fleet only once the part has fallen back some metres. The eigengap in place of \
-    the modularity was later still: 5 to 9 s.\n- *Regroup.* A part leaves one team while another team joins a \
-    third, so the number stays and what it counts changes. Found are the old teams until the parts have \
-    moved.\n- *What made no difference there:* no dwell, no hysteresis; more weight for ranks (.75) and less for \
-    positions (.2); relations that lead back at full weight. Worse: a fixed dimension of 8 or 10, graphs divided \
-    by their largest singular value. Trust in every single rank brought the way back at 50 robots from 1.2 to \
-    3.5 s to .2 to .9 s; so ranks are not doubted while they are new.";
+const REASONS: &str = "Why goals are missed, and what was tried, on other seeds than those above and with the rule for the number \
+    of teams before the present one (the eigengap alone):\n\n- *50 robots.* A team is two squads of six \
+    robots; squads are 10 m from each other and teams 20 m. The squads are the plainer level, and with a \
+    number that is chosen they are found at rest and in every mission, so no change of the teams can be seen. \
+    Where an operator sets `teams` to a range that leaves the squads out (2 to 6), rest and march had every \
+    robot in the right team. Where the number is set exactly, k + 1 comes 5 s after the order, and the few \
+    relations of a part of six robots are not always enough.\n- *A part that splits off* (200 and 1,000 \
+    robots) is less than half of one team of many. Its orders are seen in the same frame, but one team more is \
+    a better division of the whole fleet only once the part has fallen back some metres. With the eigengap it \
+    took 5 to 9 s.\n- *Regroup.* A part leaves one team while another team joins a third, so the number stays \
+    and what it counts changes. Found are the old teams until the parts have moved.\n- *What made no \
+    difference there:* no dwell, no hysteresis; more weight for ranks (.75) and less for positions (.2); \
+    relations that lead back at full weight. Worse: a fixed dimension of 8 or 10, graphs divided by their \
+    largest singular value. Trust in every single rank brought the way back at 50 robots from 1.2 to 3.5 s to \
+    .2 to .9 s; so ranks are not doubted while they are new.";
 
 /// Whether the goals are reached.
 fn goals(page: &mut Page, all: &[Tried]) {

@@ -43,26 +43,25 @@ const PLAIN: (usize, f64) = (2, 0.99);
 const RAND_INDEX: f64 = 0.02;
 
 /// Why what is missed is missed, and what was tried.
-const REASONS: &str = "Why goals are missed, and what was tried. Nothing was changed after the kinds of this list had \
-    been looked at, but for the rule for the number of teams.\n\n\
-    - *lines abreast*: lines are 12 m from each other and robots within a line hardly less, radios hear all lines, \
-    and orders come down a chain, so each robot has one rank that counts and many neighbours that do not. A single \
-    chain is weak evidence beside them: only the tree of command, which sees nothing else, has these teams. Weights \
-    that rest on ranks alone would lose where ranks are wrong or go by kind.\n\
-    - *head-on crowds*: the links alone are right, and weigh .05 beside ranks with .6, which half of the robots do \
-    not have: their tree falls into pieces that count as groups, and the positions are doubted in some seeds only. \
-    Weighing a modality by the share of robots that it relates changed as much for the worse as for the better.\n\
-    - *a third of ranks wrong*: no method has more than 97.0, Muster 96.8.\n\
-    - *crowded field*, *deep trees*: positions and ranks disagree about robots at the edge of a team. The tree of \
-    command is right there because its ranks are; Muster is ahead of everything that uses positions.\n\
-    - *lone robots*: a team of one robot is hard to see for a method that spreads rows on a sphere: the row of a \
-    robot without ties is small, and its direction is noise. k-means on positions sees the distance.\n\
-    - *The number of teams.* Fleets have levels, and the plainest is found: nine squads for three platoons \
-    (*platoons of squads*), no team of one robot (*lone robots*), one team for two or three robots that hear each \
-    other (*two alone*, *two and one*: two linked robots are to be one team). Rings, crescents and crowds that walk \
-    through each other are continuous, and are cut into several parts of a better modularity. The eigengap alone, \
-    which was the rule before, found squads for teams more often. An operator who knows the number, or a range of \
-    it, sets `teams`.";
+const REASONS: &str = "Why goals are missed, and what was tried. Nothing was changed after the kinds of this list had been looked \
+    at, but for the rule for the number of teams.\n\n- *lines abreast*: lines are 12 m from each other, robots \
+    within a line 9 m, radios reach all lines, and orders come down a chain, so each robot has one rank that \
+    counts and many neighbours that do not. A single chain is weak evidence beside them: only the tree of \
+    command, which sees nothing else, has these teams. Weights that rest on ranks alone were not tried: ranks \
+    that are wrong or go by kind have kinds of their own.\n- *head-on crowds*: the links alone are right, and \
+    weigh .05 beside ranks with .6, which half of the robots do not have: their tree falls into pieces that \
+    count as groups, and the positions are doubted in some seeds only. Weighing a modality by the share of \
+    robots that it relates changed as much for the worse as for the better.\n- *a third of ranks wrong*: no \
+    method has more than 97.0, Muster 96.8.\n- *crowded field*, *deep trees*: positions and ranks disagree \
+    about robots at the edge of a team. The tree of command is right there because its ranks are; Muster is \
+    ahead of everything that uses positions.\n- *lone robots*: k-means on positions sees the distance. The \
+    likely cause, which was not tested: rows have length one, so what little relates a lone robot counts as \
+    much as what relates the others.\n- *The number of teams.* Fleets have levels, and the plainest is found: \
+    nine squads for three platoons (*platoons of squads*), no team of one robot (*lone robots*), one team for \
+    two or three robots that hear each other (*two alone*, *two and one*: two linked robots are to be one \
+    team). Rings, crescents and crowds that walk through each other are continuous, and are cut into several \
+    parts of a better modularity. The eigengap alone, which was the rule before, found squads for teams more \
+    often. An operator who knows the number, or a range of it, sets `teams`.";
 
 struct Goal {
     what: String,
