@@ -44,7 +44,7 @@ impl Recordings {
         self.0.insert(state.instance.clone(), Recording { lost: state.lost, degraded, gap });
     }
 
-    /// A historian is gone: its disk is nobody's concern until it is back.
+    /// A historian is gone: its disk does not count until it is back.
     pub(crate) fn gone(&mut self, instance: &InstanceId) {
         self.0.remove(instance);
     }

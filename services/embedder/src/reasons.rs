@@ -39,7 +39,7 @@ pub(crate) struct Material {
     pub(crate) wishes: Vec<StandingWish>,
     /// The settings that divide.
     pub(crate) settings: ClustererSettings,
-    /// Whether nobody has answered with them, so that they are the defaults.
+    /// Whether no service has answered with them, so that they are the defaults.
     pub(crate) settings_assumed: bool,
 }
 

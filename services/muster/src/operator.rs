@@ -19,9 +19,19 @@ const DEFAULT: &str = "operator";
 #[derive(Debug, clap::Args)]
 pub(crate) struct OperatorArgs {
     /// Who commands, in a-z 0-9 _ - [MUSTER_OPERATOR] [default: the operator whose identity --zenoh-config is, else
-    /// operator]. Where access is controlled, the router lets nobody command under another name
+    /// operator]. Where access is controlled, the router lets no one command under another name
     #[arg(long, value_name = "NAME")]
     operator: Option<OperatorId>,
+}
+
+/// Who commands, and how what came of it is printed.
+#[derive(Debug, clap::Args)]
+pub(crate) struct CommandArgs {
+    #[command(flatten)]
+    pub(crate) operator: OperatorArgs,
+    /// Print one line of JSON
+    #[arg(long)]
+    pub(crate) json: bool,
 }
 
 impl OperatorArgs {

@@ -16,7 +16,7 @@ use muster_runtime::exit::ExitError;
 use serde_json::{Value, json};
 
 use crate::console::{self, exit_error};
-use crate::operator::OperatorArgs;
+use crate::operator::CommandArgs;
 use crate::show::page::Page;
 
 /// What stands before the number in ids that are given by themselves.
@@ -40,7 +40,7 @@ pub(crate) struct ProposeArgs {
     #[command(flatten)]
     asked: Asked,
     #[command(flatten)]
-    who: Who,
+    who: CommandArgs,
 }
 
 #[derive(Debug, Subcommand)]
@@ -52,7 +52,7 @@ enum Action {
     /// Show a proposal again
     Show(Named),
     /// Show all open proposals of the operator
-    List(Who),
+    List(CommandArgs),
 }
 
 #[derive(Debug, Args)]
@@ -84,20 +84,11 @@ struct Asked {
 }
 
 #[derive(Debug, Args)]
-struct Who {
-    #[command(flatten)]
-    operator: OperatorArgs,
-    /// Print one line of JSON
-    #[arg(long)]
-    json: bool,
-}
-
-#[derive(Debug, Args)]
 struct Named {
     /// The proposal
     id: ProposalId,
     #[command(flatten)]
-    who: Who,
+    who: CommandArgs,
 }
 
 impl Asked {

@@ -11,7 +11,7 @@ use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 
 use crate::console;
-use crate::operator::OperatorArgs;
+use crate::operator::CommandArgs;
 
 /// Longest id of a wish that is made of names; longer ones end with a checksum.
 const MAX_NAMED_ID: usize = 48;
@@ -88,16 +88,7 @@ struct Options {
     #[arg(long)]
     id: Option<WishId>,
     #[command(flatten)]
-    who: Who,
-}
-
-#[derive(Debug, Args)]
-struct Who {
-    #[command(flatten)]
-    operator: OperatorArgs,
-    /// Print one line of JSON
-    #[arg(long)]
-    json: bool,
+    who: CommandArgs,
 }
 
 #[derive(Debug, Args)]
@@ -112,7 +103,7 @@ struct Withdraw {
     /// The wish
     id: WishId,
     #[command(flatten)]
-    who: Who,
+    who: CommandArgs,
 }
 
 /// Puts, withdraws or lists wishes.

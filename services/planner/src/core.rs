@@ -179,7 +179,7 @@ impl Planner {
         }
     }
 
-    /// Gives up on the running job: nobody waits for it any more.
+    /// Gives up on the running job, whose result is no longer asked for.
     fn abandon(&mut self, context: &mut Context<'_>) {
         self.running = None;
         context.abandon_job();

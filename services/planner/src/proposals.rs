@@ -310,7 +310,7 @@ impl Proposals {
         reports.into_iter().filter(selects).collect()
     }
 
-    /// Answers everybody with a reason, and forgets everything.
+    /// Answers every waiting get with a reason, and forgets all proposals.
     pub(crate) fn refuse_all(&mut self, context: &mut PlannerContext<'_>, reason: &str) {
         let error = problem(&refused(reason.to_owned()));
         for entry in std::mem::take(&mut self.all).into_values() {

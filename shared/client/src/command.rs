@@ -29,7 +29,7 @@ const START_TIME: Duration = Duration::from_secs(5);
 /// Time between two such questions.
 const START_PAUSE: Duration = Duration::from_millis(200);
 
-/// What was heard of a command.
+/// How a command was answered.
 enum Sent {
     /// It was carried out: what came of it.
     Answered(Value),

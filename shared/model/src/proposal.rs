@@ -1,4 +1,4 @@
-//! What if: divisions that an operator asks for to look at, which nobody is told of and nothing acts on.
+//! What if: divisions that an operator asks for to look at. They are not published, and nothing acts on them.
 //!
 //! A proposal is asked for with what is to be different, and says what the fleet would become: who would move, and how
 //! good the division would be beside the live one. It is forgotten [`PROPOSAL_LIFETIME`] after it was computed.
