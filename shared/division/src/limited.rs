@@ -215,6 +215,10 @@ impl<'a> Problem<'a> {
     }
 
     /// The column of each robot within rules.
+    ///
+    /// Teams do not swap their ids so that a few robots need not be among others: with one robot pinned into another
+    /// team it would cost less distance to give that team's id to all robots of the first. What was found is then
+    /// begun from again with the ids that most robots had.
     fn divided(
         &self,
         job: &Job,
@@ -222,8 +226,32 @@ impl<'a> Problem<'a> {
         groups: &ValidWishes,
     ) -> Result<Result<Vec<Option<usize>>, LimitedError>, DivisionError> {
         let params = DivisionParams::new(&job.settings, self.columns.len()).check()?;
-        let limits = Limits { rules, groups, previous: &self.previous };
-        Ok(divide_within(&self.x, &params, &limits).map(|found| found.labels))
+        let within = |previous: &[Option<Column>], refine_only: bool| {
+            let limits = Limits { rules, groups, previous, refine_only };
+            divide_within(&self.x, &params, &limits)
+        };
+        let found = match within(&self.previous, false) {
+            Ok(found) => found,
+            Err(error) => return Ok(Err(error)),
+        };
+        let Some(kept) = self.with_kept_ids(&found.labels) else { return Ok(Ok(found.labels)) };
+        let better = |before: Division, other: Division| {
+            let stays = before.inertia <= (1.0 + job.settings.hysteresis) * other.inertia;
+            if stays { before.labels } else { other.labels }
+        };
+        Ok(within(&self.previous, true).and_then(|before| Ok(better(before, within(&kept, true)?))))
+    }
+
+    /// The columns of the same clusters under the ids that most robots had, where the rules let fewer robots keep theirs.
+    fn with_kept_ids(&self, labels: &[Option<usize>]) -> Option<Vec<Option<Column>>> {
+        let Clusters { members, shared } = self.clusters(labels);
+        let keeping = |order: &[usize]| -> i64 {
+            order.iter().zip(&shared).map(|(column, shared)| shared[*column]).sum()
+        };
+        let within = self.order_within(&members, &shared);
+        let free = matched(&shared, self.robots.len(), |_, _| true)?;
+        let column = |label: &Option<usize>| label.map(|label| Column::Team(free[label]));
+        (keeping(&within) < keeping(&free)).then(|| labels.iter().map(column).collect())
     }
 
     /// The best division within the rules; why there is none, where nothing satisfies them.
@@ -276,23 +304,38 @@ impl<'a> Problem<'a> {
 
     /// The team that each column becomes: of those whose rules it obeys, such that most robots stay in their team.
     fn named(&self, labels: &[Option<usize>]) -> Vec<TeamId> {
+        let Clusters { members, shared } = self.clusters(labels);
+        let mut order = self.order_within(&members, &shared);
+        self.sort_new(&members, &mut order);
+        order.into_iter().map(|column| self.columns[column].clone()).collect()
+    }
+
+    /// The robots of each column, and where they were.
+    fn clusters(&self, labels: &[Option<usize>]) -> Clusters<'a> {
         let count = self.columns.len();
-        let mut clusters: Vec<Vec<&RobotId>> = vec![Vec::new(); count];
+        let mut members: Vec<Vec<&RobotId>> = vec![Vec::new(); count];
         let mut shared = vec![vec![0_i64; count]; count];
         for ((robot, label), previous) in self.robots.iter().zip(labels).zip(&self.previous) {
             let Some(label) = *label else { continue };
-            clusters[label].push(robot);
+            members[label].push(*robot);
             if let Some(Column::Team(team)) = *previous {
                 shared[label][team] += 1;
             }
         }
+        Clusters { members, shared }
+    }
+
+    /// The column whose team each cluster becomes, by the rules, such that most robots stay in their team.
+    fn order_within(&self, members: &[Vec<&RobotId>], shared: &[Vec<i64>]) -> Vec<usize> {
+        let order = (0..members.len()).collect();
         let is_most = |(at, row): (usize, &Vec<i64>)| row.iter().all(|shared| *shared <= row[at]);
-        let mut order: Vec<usize> = (0..count).collect();
-        if !shared.iter().enumerate().all(is_most) {
-            order = self.matched(&clusters, &shared).unwrap_or(order);
+        if shared.iter().enumerate().all(is_most) {
+            return order;
         }
-        self.sort_new(&clusters, &mut order);
-        order.into_iter().map(|column| self.columns[column].clone()).collect()
+        let admits = |cluster: usize, column: usize| {
+            self.rules.admits(&self.columns[column], &members[cluster], &self.columns)
+        };
+        matched(shared, self.robots.len(), admits).unwrap_or(order)
     }
 
     /// Gives teams that nobody was in to clusters in the order of their first robots, where the rules allow it: the order
@@ -314,29 +357,40 @@ impl<'a> Problem<'a> {
             }
         }
     }
+}
 
-    /// The column whose team each cluster becomes; none if there is no such order.
-    fn matched(&self, clusters: &[Vec<&RobotId>], shared: &[Vec<i64>]) -> Option<Vec<usize>> {
-        let count = clusters.len();
-        let most = i64::try_from(self.robots.len()).ok()?;
-        let (mut pairs, mut costs) = (Vec::new(), Vec::new());
-        for (cluster, (robots, shared)) in clusters.iter().zip(shared).enumerate() {
-            for (column, shared) in shared.iter().enumerate() {
-                if !self.rules.admits(&self.columns[column], robots, &self.columns) {
-                    pairs.push(Pair::Forbidden { robot: cluster, column: Column::Team(column) });
-                }
-                // Of equal ones the column itself.
-                costs.push(2 * (most - shared) + i64::from(cluster != column));
+/// The robots of each column of a division, and how many of them were in the team of each column before.
+struct Clusters<'a> {
+    members: Vec<Vec<&'a RobotId>>,
+    shared: Vec<Vec<i64>>,
+}
+
+/// The column whose team each cluster becomes, such that most of `robots` robots stay in theirs; none if there is no
+/// order of which all `admits` pairs of cluster and column.
+fn matched(
+    shared: &[Vec<i64>],
+    robots: usize,
+    admits: impl Fn(usize, usize) -> bool,
+) -> Option<Vec<usize>> {
+    let count = shared.len();
+    let most = i64::try_from(robots).ok()?;
+    let (mut pairs, mut costs) = (Vec::new(), Vec::new());
+    for (cluster, shared) in shared.iter().enumerate() {
+        for (column, shared) in shared.iter().enumerate() {
+            if !admits(cluster, column) {
+                pairs.push(Pair::Forbidden { robot: cluster, column: Column::Team(column) });
             }
+            // Of equal ones the column itself.
+            costs.push(2 * (most - shared) + i64::from(cluster != column));
         }
-        let teams = vec![Bounds::new(1, 1); count];
-        let rules = Rules { robots: count, teams, pairs, ..Rules::default() }.check().ok()?;
-        let costs = CostMatrix::new(count, count, costs).ok()?;
-        let found = Assigner::new().solve(&rules, &costs).ok()?;
-        let place = |column: &Column| match column {
-            Column::Team(at) => Some(*at),
-            Column::Reserve => None,
-        };
-        found.columns.iter().map(place).collect()
     }
+    let teams = vec![Bounds::new(1, 1); count];
+    let rules = Rules { robots: count, teams, pairs, ..Rules::default() }.check().ok()?;
+    let costs = CostMatrix::new(count, count, costs).ok()?;
+    let found = Assigner::new().solve(&rules, &costs).ok()?;
+    let place = |column: &Column| match column {
+        Column::Team(at) => Some(*at),
+        Column::Reserve => None,
+    };
+    found.columns.iter().map(place).collect()
 }

@@ -51,6 +51,8 @@ pub struct Limits<'a> {
     pub groups: &'a ValidWishes,
     /// Column of every robot in the previous division; `None` for a new robot.
     pub previous: &'a [Option<Column>],
+    /// Whether the previous division is only refined, if there was one.
+    pub refine_only: bool,
 }
 
 /// How far a division is from the best assignment of its robots.
@@ -106,8 +108,9 @@ pub fn divide_within(
         options.check().map_err(|error| LimitedKMeansError::from(KMeansError::from(error)))?;
     let reserve_cost = RESERVE_FACTOR * largest_distance(x);
     let previous = Some(limits.previous);
+    let Limits { rules, refine_only, .. } = *limits;
     let found =
-        options.divide_within(x, &KMeansLimits { rules: limits.rules, reserve_cost, previous })?;
+        options.divide_within(x, &KMeansLimits { rules, reserve_cost, previous, refine_only })?;
     let label = |column: &Column| match column {
         Column::Team(team) => Some(*team),
         Column::Reserve => None,
@@ -124,14 +127,17 @@ pub fn divide_within(
     }
     // The same for groups: from the centroids that were found, and from those before, which are kept unless the others
     // are better by more than the hysteresis.
-    let cold = grouped(x, limits, found.centroids.clone(), 1.0)?;
     let label = |column: &Option<Column>| column.as_ref().and_then(label);
     let labels: Vec<Option<usize>> = limits.previous.iter().map(label).collect();
     if labels.iter().all(Option::is_none) {
-        return Ok(cold);
+        return grouped(x, limits, found.centroids, 1.0);
     }
     let before = means(x, &labels, &found.centroids)?;
     let warm = grouped(x, limits, before, 1.0 - params.hysteresis)?;
+    if refine_only {
+        return Ok(warm);
+    }
+    let cold = grouped(x, limits, found.centroids, 1.0)?;
     let [of_warm, of_cold] =
         [&warm, &cold].map(|found| shortfall(limits.rules, limits.groups, &found.labels));
     let keeps = of_warm < of_cold
@@ -366,7 +372,8 @@ mod tests {
             |relation, robots: &[usize]| Wish { relation, robots: robots.to_vec(), price: None };
         let wishes = vec![wish(Relation::Together, &[2, 3]), wish(Relation::Apart, &[0, 1])];
         let groups = Wishes { wishes, ..Wishes::default() }.check(&rules).unwrap();
-        let limits = Limits { rules: &rules, groups: &groups, previous: &[None; 6] };
+        let limits =
+            Limits { rules: &rules, groups: &groups, previous: &[None; 6], refine_only: false };
         let found = divide_within(&x, &params, &limits).unwrap();
         let of = |robot: usize| found.labels[robot].unwrap();
         assert!(of(2) == of(3) && of(0) != of(1), "{:?}", found.labels);
@@ -395,7 +402,8 @@ mod tests {
         let of = |robots: &[usize], price| [0, 1].map(|team| need(robots, team, price));
         let needs = [of(&[0, 1], None), of(&[1, 2], None)].concat();
         let groups = Wishes { needs, ..Wishes::default() }.check(&rules).unwrap();
-        let limits = Limits { rules: &rules, groups: &groups, previous: &[None; 8] };
+        let limits =
+            Limits { rules: &rules, groups: &groups, previous: &[None; 8], refine_only: false };
         let found = divide_within(&x, &params, &limits).unwrap();
         let of_robot = |robot: usize| found.labels[robot].unwrap();
         for skilled in [[0, 1], [1, 2]] {
@@ -419,7 +427,8 @@ mod tests {
         let rules = rules(5, &[Bounds::new(2, 3), Bounds::new(2, 3)], None);
         let params = DivisionParams { teams: 2, ..DivisionParams::default() }.check().unwrap();
         let groups = no_groups(&rules);
-        let limits = Limits { rules: &rules, groups: &groups, previous: &[None; 5] };
+        let limits =
+            Limits { rules: &rules, groups: &groups, previous: &[None; 5], refine_only: false };
         let found = divide_within(&x, &params, &limits).unwrap();
         let far = found.labels[4];
         assert_eq!(found.labels.iter().filter(|label| **label == far).count(), 2);
@@ -448,7 +457,8 @@ mod tests {
             let rules = rules(robots, &[Bounds::new(1, most); 3], None);
             let params = DivisionParams { teams: 3, hysteresis: 0.0, ..DivisionParams::default() };
             let (groups, previous) = (no_groups(&rules), vec![None; robots]);
-            let limits = Limits { rules: &rules, groups: &groups, previous: &previous };
+            let limits =
+                Limits { rules: &rules, groups: &groups, previous: &previous, refine_only: false };
             let found = divide_within(&x, &params.check().unwrap(), &limits).unwrap();
             let labels: Vec<usize> = found.labels.iter().flatten().copied().collect();
             let judged = optimality(&x, &labels, &found.centroids, &rules, &groups).unwrap();
@@ -516,7 +526,8 @@ mod tests {
             let groups = Wishes { wishes, ..Wishes::default() }.check(&rules).unwrap();
             let params = DivisionParams { teams: 3, hysteresis: 0.0, ..DivisionParams::default() };
             let previous = vec![None; robots];
-            let limits = Limits { rules: &rules, groups: &groups, previous: &previous };
+            let limits =
+                Limits { rules: &rules, groups: &groups, previous: &previous, refine_only: false };
             let found = divide_within(&x, &params.check().unwrap(), &limits).unwrap();
             let labels: Vec<usize> = found.labels.iter().flatten().copied().collect();
             let judged = optimality(&x, &labels, &found.centroids, &rules, &groups).unwrap();
@@ -552,7 +563,8 @@ mod tests {
         let rules = rules(3, &[Bounds::at_most(2)], Some(Bounds::ANY));
         let params = DivisionParams { teams: 1, ..DivisionParams::default() }.check().unwrap();
         let groups = no_groups(&rules);
-        let limits = Limits { rules: &rules, groups: &groups, previous: &[None; 3] };
+        let limits =
+            Limits { rules: &rules, groups: &groups, previous: &[None; 3], refine_only: false };
         let found = divide_within(&x, &params, &limits).unwrap();
         assert_eq!(found.labels, [Some(0), Some(0), None]);
     }

@@ -55,7 +55,7 @@ fn divided(robots: usize, teams: usize, skills: usize, min: usize, seed: u64) ->
     let groups = Wishes { needs: needs.clone(), ..Wishes::default() }.check(&rules).unwrap();
     let params = DivisionParams { teams, restarts: 5, ..DivisionParams::default() };
     let previous = vec![None; robots];
-    let limits = Limits { rules: &rules, groups: &groups, previous: &previous };
+    let limits = Limits { rules: &rules, groups: &groups, previous: &previous, refine_only: false };
     match divide_within(&x, &params.check().unwrap(), &limits) {
         Ok(found) => {
             for need in &needs {

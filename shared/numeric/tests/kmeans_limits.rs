@@ -21,7 +21,11 @@ fn divide(
     rules: &ValidRules,
     options: &KMeansOptions<'_>,
 ) -> Result<LimitedKMeans, LimitedKMeansError> {
-    within(x, &KMeansLimits { rules, reserve_cost: 0.0, previous: None }, options)
+    within(
+        x,
+        &KMeansLimits { rules, reserve_cost: 0.0, previous: None, refine_only: false },
+        options,
+    )
 }
 
 fn within(
@@ -106,7 +110,8 @@ fn outliers_go_to_the_reserve() {
     rows.extend([vec![50.0, 0.0], vec![0.0, -60.0], vec![70.0, 70.0]]);
     let x = DenseMatrix::from_rows(&rows).unwrap();
     let rules = Rules { reserve: Some(Bounds::at_most(3)), ..Rules::new(43, 4) }.check().unwrap();
-    let limits = KMeansLimits { rules: &rules, reserve_cost: 4.0, previous: None };
+    let limits =
+        KMeansLimits { rules: &rules, reserve_cost: 4.0, previous: None, refine_only: false };
     let found = within(&x, &limits, &KMeansOptions::new(4)).unwrap();
     let reserve: Vec<usize> =
         (0..43).filter(|point| found.columns[*point] == Column::Reserve).collect();
@@ -124,7 +129,12 @@ fn the_previous_division_keeps_its_numbers() {
     // A new point, one that left its team, and one of a team that is gone.
     (previous[4], previous[14], previous[33]) =
         (None, Some(Column::Team(1)), Some(Column::Team(9)));
-    let limits = KMeansLimits { rules: &rules, reserve_cost: 0.0, previous: Some(&previous) };
+    let limits = KMeansLimits {
+        rules: &rules,
+        reserve_cost: 0.0,
+        previous: Some(&previous),
+        refine_only: false,
+    };
     let options = KMeansOptions { hysteresis: 0.1, ..KMeansOptions::new(4) };
     let found = within(&x, &limits, &options).unwrap();
     assert!(found.warm);
@@ -139,7 +149,12 @@ fn a_previous_division_outside_of_the_limits_is_brought_within() {
     let x = blobs(&CORNERS, 10, 1.5, 3);
     let previous = vec![Some(Column::Team(0)); 40];
     let rules = even(40, 4, Bounds::new(7, 11));
-    let limits = KMeansLimits { rules: &rules, reserve_cost: 0.0, previous: Some(&previous) };
+    let limits = KMeansLimits {
+        rules: &rules,
+        reserve_cost: 0.0,
+        previous: Some(&previous),
+        refine_only: false,
+    };
     let options = KMeansOptions { hysteresis: 0.9, restarts: 1, ..KMeansOptions::new(4) };
     let found = within(&x, &limits, &options).unwrap();
     let labels = places(rules.get(), &found);
@@ -154,7 +169,12 @@ fn noise_moves_nobody_across_a_border() {
     let rules = even(21, 2, Bounds::new(8, 13));
     let previous: Vec<Option<Column>> =
         (0..21).map(|i| Some(Column::Team(usize::from(i / 10 == 1)))).collect();
-    let limits = KMeansLimits { rules: &rules, reserve_cost: 0.0, previous: Some(&previous) };
+    let limits = KMeansLimits {
+        rules: &rules,
+        reserve_cost: 0.0,
+        previous: Some(&previous),
+        refine_only: false,
+    };
     let options = KMeansOptions { hysteresis: 0.2, ..KMeansOptions::new(2) };
     for (at, team) in [(0.04, 0), (-0.04, 0), (0.5, 1)] {
         rows[20] = vec![at];
@@ -193,7 +213,8 @@ fn what_does_not_fit_is_named() {
     assert!(matches!(conflict, LimitedKMeansError::Assignment(AssignmentError::Infeasible(_))));
     assert_eq!(conflict.to_string(), "8 robots may only be in t0 and t1, which hold 6");
     let rules = Rules::new(8, 2).check().unwrap();
-    let limits = KMeansLimits { rules: &rules, reserve_cost: f64::NAN, previous: None };
+    let limits =
+        KMeansLimits { rules: &rules, reserve_cost: f64::NAN, previous: None, refine_only: false };
     let found = within(&x, &limits, &KMeansOptions::new(2));
     assert!(matches!(found, Err(LimitedKMeansError::ReserveCost(_))));
     let limits = KMeansLimits { reserve_cost: 0.0, previous: Some(&[None]), ..limits };
@@ -261,7 +282,7 @@ proptest! {
             .map(|labels| (lacks(&labels), inertia(&x, &labels, teams, 0.3)))
             .min_by(|left, right| left.0.cmp(&right.0).then(left.1.total_cmp(&right.1)));
         let valid = rules.clone().check().unwrap();
-        let limits = KMeansLimits { rules: &valid, reserve_cost: 0.3, previous: None };
+        let limits = KMeansLimits { rules: &valid, reserve_cost: 0.3, previous: None, refine_only: false };
         let options = KMeansOptions { seed, ..KMeansOptions::new(teams) };
         match (within(&x, &limits, &options), best) {
             (Ok(found), Some((least, best))) => {

@@ -68,6 +68,60 @@ fn a_pin_is_granted_at_once_and_gone_when_it_is_withdrawn() {
     assert!(error.contains("alice/p1 is not there"), "{error}");
 }
 
+/// The last division after the same robots were divided again a few times, as when one of them moves a little.
+fn settle(bench: &mut Bench, groups: &[(&str, [f64; 2])]) -> String {
+    let mut last = None;
+    for _ in 0..4 {
+        bench.wait(1.0);
+        bench.receive_embedding(&embedding(bench.now.0, groups));
+        bench.wait(1.0);
+        last = bench.take().teams.pop().or(last);
+    }
+    short(&last.expect("a division in eight seconds").0)
+}
+
+#[test]
+fn a_pin_moves_its_robot_and_no_other() {
+    let small = [("a b c", WEST), ("x y z", EAST)];
+    let large = [("a b c d e", WEST), ("m n o p", NORTH), ("v w x y z", EAST)];
+    for (groups, free, pinned) in [
+        (&small[..], FREE, "t1: b c | t2: a x y z"),
+        (
+            &large,
+            "t1: a b c d e | t2: m n o p | t3: v w x y z",
+            "t1: b c d e | t2: a m n o p | t3: v w x y z",
+        ),
+    ] {
+        let count = u32::try_from(groups.len()).unwrap();
+        let settings = ClustererSettings { heartbeat_s: 4.0, dwell_s: 0.5, ..teams(count) };
+        let (mut bench, before) = divided(settings, &embedding(1, groups));
+        assert_eq!(short(&before), free);
+        put(&mut bench, "alice/p1", &pin(&["a"], "t2")).unwrap();
+        assert_eq!(short(&bench.division()), pinned);
+        assert_eq!(
+            settle(&mut bench, groups),
+            pinned,
+            "two teams that swap their ids move all their robots"
+        );
+        // Another wish is no reason either.
+        let last = groups.last().unwrap().0.split(' ').next_back().unwrap();
+        put(&mut bench, "alice/r", &json!({"kind": "reserve", "robots": [last]})).unwrap();
+        let pinned = format!("{} | - {last}", pinned.replace(&format!(" {last}"), ""));
+        assert_eq!(settle(&mut bench, groups), pinned);
+        put(&mut bench, "alice/p1", &Value::Null).unwrap();
+        put(&mut bench, "alice/r", &Value::Null).unwrap();
+        assert_eq!(settle(&mut bench, groups), free);
+    }
+}
+
+#[test]
+fn a_whole_team_that_is_pinned_elsewhere_makes_the_others_make_room() {
+    let groups = [("a b c", WEST), ("x y z", EAST)];
+    let (mut bench, _) = divided(fixed(), &embedding(1, &groups));
+    put(&mut bench, "alice/p1", &pin(&["a", "b", "c"], "t2")).unwrap();
+    assert_eq!(settle(&mut bench, &groups), "t1: x y z | t2: a b c");
+}
+
 #[test]
 fn every_kind_is_granted() {
     let (mut bench, _) = divided(fixed(), &six(1));

@@ -36,6 +36,8 @@ pub struct KMeansLimits<'a> {
     /// Column of every point in the previous division, if there was one; `None` for a new point. It takes the place of
     /// [`KMeansOptions::warm_labels`], which is not read.
     pub previous: Option<&'a [Option<Column>]>,
+    /// Whether the previous division is only refined, if there was one, and no restart is tried.
+    pub refine_only: bool,
 }
 
 /// A division of N points that respects limits.
@@ -100,9 +102,10 @@ impl ValidKMeansOptions<'_> {
     /// Divides the rows of `x`, N × D, into the teams of `limits` so that the sum of squared distances to the means of
     /// the teams is small.
     ///
-    /// Takes the best of all restarts, and of up to ten points the best division of all where a bounded search ends. A previous division is refined, and kept unless a restart is better by more than
-    /// the hysteresis, as by [`ValidKMeansOptions::divide`]; its columns keep their numbers. Of several optimal
-    /// assignments the result is one; it depends on the input alone.
+    /// Takes the best of all restarts, and of up to ten points the best division of all where a bounded search ends. A
+    /// previous division is refined, and kept unless a restart is better by more than the hysteresis, as by
+    /// [`ValidKMeansOptions::divide`]; its columns keep their numbers. Of several optimal assignments the result is one;
+    /// it depends on the input alone.
     ///
     /// # Errors
     /// [`LimitedKMeansError`], with a conflict if no division satisfies the rules.
@@ -116,6 +119,11 @@ impl ValidKMeansOptions<'_> {
         let threads = Threads::new(options.threads);
         let points = threads.run(|| Points::new(x, 1));
         let task = Task::new(&points, options, limits);
+        if limits.refine_only
+            && let Some(kept) = task.refined()?
+        {
+            return Ok(finished(kept, limits.rules, true));
+        }
         let mut best = threads.run(|| task.restart(0))?;
         let parallel = threads.count() > 1;
         let batch = if parallel { threads.count() * RESTARTS_PER_THREAD } else { 1 };
@@ -146,15 +154,20 @@ impl ValidKMeansOptions<'_> {
                 best = kept;
             }
         }
-        let Divided { labels, centroids, inertia, iterations, converged, shortfall: _ } = best;
-        let rules = limits.rules.get();
-        let column = |at: &u32| {
-            let at = *at as usize;
-            if at < rules.teams.len() { Column::Team(at) } else { Column::Reserve }
-        };
-        let columns = labels.iter().map(column).collect();
-        Ok(LimitedKMeans { columns, centroids, inertia, iterations, converged, warm })
+        Ok(finished(best, limits.rules, warm))
     }
+}
+
+/// The division that a start found.
+fn finished(found: Divided, rules: &ValidRules, warm: bool) -> LimitedKMeans {
+    let Divided { labels, centroids, inertia, iterations, converged, shortfall: _ } = found;
+    let teams = rules.get().teams.len();
+    let column = |at: &u32| {
+        let at = *at as usize;
+        if at < teams { Column::Team(at) } else { Column::Reserve }
+    };
+    let columns = labels.iter().map(column).collect();
+    LimitedKMeans { columns, centroids, inertia, iterations, converged, warm }
 }
 
 /// Refuses what does not fit together.

@@ -38,7 +38,8 @@ pub(super) struct Task<'a> {
     unit: f64,
     /// Place of the previous column of every point, where it still is one.
     pub(super) previous: Vec<Option<u32>>,
-    /// Mean of the points that are forced into each team, or else that were in it before.
+    /// Mean of the points that were in each team before and may be there, with those that are forced into it. A team is
+    /// its robots: one that is forced into it does not take its id elsewhere.
     anchors: Vec<Option<Vec<f64>>>,
 }
 
@@ -54,13 +55,12 @@ impl<'a> Task<'a> {
         };
         let previous: Vec<Option<u32>> =
             limits.previous.unwrap_or_default().iter().map(place).collect();
-        let forced: Vec<Option<u32>> = (0..points.len())
-            .map(|point| limits.rules.restrictions.only(point).map(|at| at as u32))
-            .collect();
-        let teams = rules.teams.len();
-        let (pinned, before) = (means(points.x, &forced, teams), means(points.x, &previous, teams));
-        let anchors =
-            pinned.into_iter().zip(before).map(|(first, second)| first.or(second)).collect();
+        let forced = (0..points.len())
+            .map(|point| limits.rules.restrictions.only(point).map(|at| at as u32));
+        let before = previous.iter().copied().chain(std::iter::repeat(None));
+        let placed: Vec<Option<u32>> =
+            forced.zip(before).map(|(first, second)| first.or(second)).collect();
+        let anchors = means(points.x, &placed, rules.teams.len());
         Self { points, options, limits, unit: cost_unit(points), previous, anchors }
     }
 
