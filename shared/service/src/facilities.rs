@@ -14,6 +14,7 @@ use crate::gets::{Gets, encode_answer};
 use crate::io::{Command, GetId, Publication, Reply};
 use crate::replica::Replica;
 use crate::start::Stored;
+use crate::unstored::UnstoredTerm;
 
 /// The one job of a service.
 pub(crate) enum JobSlot<Job> {
@@ -44,6 +45,8 @@ pub(crate) struct Facilities<S, F, J> {
     pub(crate) commands: Vec<Command>,
     /// When state that could not be written is written again.
     pub(crate) store_again_at: Option<Tick>,
+    /// What is not published before the term is on the disk.
+    pub(crate) unstored_term: UnstoredTerm,
 }
 
 /// Whether an answer confirms stored state.

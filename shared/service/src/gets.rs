@@ -70,6 +70,11 @@ impl Gets {
         self.pending_stores = self.pending_stores.saturating_add(1);
     }
 
+    /// How many states are being written.
+    pub(crate) fn pending_stores(&self) -> u32 {
+        self.pending_stores
+    }
+
     /// An answer goes out, once all that is being written is on disk. What is returned goes out now.
     pub(crate) fn pass(&mut self, reply: Reply, confirms_store: bool) -> Option<Reply> {
         if self.pending_stores == 0 {

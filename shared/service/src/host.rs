@@ -31,6 +31,7 @@ use crate::io::{Arrival, AskId, Command, Input};
 use crate::replica::Replica;
 use crate::replica::election::{RenewalSource, Rivalry};
 use crate::start::Start;
+use crate::unstored::UnstoredTerm;
 
 /// Shortest time between two timers: a core that names a past moment again and again must not keep
 /// its process from everything else.
@@ -70,6 +71,7 @@ impl<C: Core> Host<C> {
             jobs: JobOutcomes::default(),
             commands: Vec::new(),
             store_again_at: None,
+            unstored_term: UnstoredTerm::default(),
         };
         Self {
             core,
@@ -105,7 +107,10 @@ impl<C: Core> Host<C> {
         if state != std::mem::replace(&mut self.announced_state, state) {
             self.facilities.commands.push(Command::ReplicaState(state));
         }
-        std::mem::take(&mut self.facilities.commands)
+        let is_leading = self.facilities.replica.election.is_leading();
+        let mut commands = std::mem::take(&mut self.facilities.commands);
+        self.facilities.unstored_term.pass(now, is_leading, &mut commands);
+        commands
     }
 
     /// The job that [`Command::RunJob`] is about; none if it was taken already.
@@ -131,7 +136,8 @@ impl<C: Core> Host<C> {
         let election = self.facilities.replica.election.deadline();
         let fetches = self.facilities.fetches.deadline();
         let store = self.facilities.store_again_at;
-        let due = [core, election, fetches, store].into_iter().flatten().min()?;
+        let unstored = self.facilities.unstored_term.deadline();
+        let due = [core, election, fetches, store, unstored].into_iter().flatten().min()?;
         Some(due.max(self.timer_not_before))
     }
 
@@ -199,6 +205,7 @@ impl<C: Core> Host<C> {
             }
             Input::LinkRestored => self.link_restored(),
             Input::Stored { error } => {
+                self.facilities.unstored_term.stored();
                 self.confirm_leadership();
                 self.facilities.store_ended(error.as_deref());
                 let replies = self.facilities.gets.stored(error.as_deref());

@@ -29,6 +29,7 @@ mod single_flight;
 mod start;
 mod stopwatch;
 pub mod testkit;
+mod unstored;
 mod wiring;
 
 pub use crate::core::{Connectivity, Context, Core, FreeJobSlot, JobEnd, MemoryUse, View};

@@ -191,3 +191,46 @@ fn state_that_cannot_be_written_is_reported_once_until_it_can() {
     bench.input(Input::Stored { error: Some("the disk is full".to_owned()) });
     assert_eq!(losses(&bench).len(), 2);
 }
+
+/// An instance that leads while its term is being written.
+fn unstored() -> Bench<Small<ONE_LEADS>> {
+    let mut bench = Bench::new(Start {
+        fleet: small::space().fleet().clone(),
+        instance: small::instance("b"),
+        now: at(RIGHT_S),
+        settings: ClustererSettings::default(),
+        stored: Stored { term: 7, ..Stored::default() },
+    });
+    bench.hold_stores = true;
+    bench.now = at(RIGHT_S + 2);
+    bench.start(vec![]);
+    bench
+}
+
+#[test]
+fn nothing_of_a_term_is_published_before_it_is_on_the_disk() {
+    let mut bench = unstored();
+    assert_eq!((bench.status().standing, term(&bench)), (ReplicaState::Leading, 8));
+    assert!(bench.published.is_empty(), "{:?}", bench.published);
+    bench.input(Input::Stored { error: None });
+    let started = EventKind::ServiceStarted { term: 8 };
+    let is_start =
+        |message: &Message| matches!(message, Message::Event(event) if event.kind == started);
+    assert!(bench.published.first().is_some_and(is_start), "in order: {:?}", bench.published);
+    assert!(bench.published.iter().any(|message| matches!(message, Message::LeaseRenewal(_))));
+}
+
+#[test]
+fn a_disk_that_hangs_holds_a_term_up_for_a_second() {
+    let mut bench = unstored();
+    bench.now = bench.now.after(Duration::from_millis(999));
+    bench.input(Input::Timer);
+    assert!(bench.published.is_empty(), "{:?}", bench.published);
+    bench.now = bench.now.after(Duration::from_millis(1));
+    bench.input(Input::Timer);
+    assert!(!bench.published.is_empty());
+    bench.published.clear();
+    bench.now = bench.now.after(Duration::from_secs(1));
+    bench.input(Input::Timer);
+    assert!(!bench.published.is_empty(), "and nothing waits after that");
+}

@@ -196,6 +196,7 @@ impl<C: Core> Host<C> {
         let facilities = &mut self.facilities;
         facilities.replica.begin_term(facilities.now, seen);
         facilities.store();
+        facilities.unstored_term.begin(facilities.now, facilities.gets.pending_stores());
         let term = facilities.replica.revision().term;
         facilities.publish_event(Severity::Info, EventKind::ServiceStarted { term });
         facilities.report_state_loss();
