@@ -145,6 +145,7 @@ fn a_division_waits_until_its_numbers_are_on_disk_but_not_for_ever() {
     let mut bench = Bench::new(settings());
     bench.hold_stores = true;
     bench.start(vec![]);
+    bench.input(Input::Stored { error: None });
     bench.receive_embedding(&embedding(1, &ALL));
     let keeps = |bench: &Bench| {
         bench.others.iter().filter(|command| matches!(command, Command::Keep(_))).count()
