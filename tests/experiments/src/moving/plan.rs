@@ -35,7 +35,7 @@ const SIZES: [Size; 5] = [
         in_range: &Case::ALL,
         in_nets: &Case::ALL,
         told: &[Case::Split],
-        faulty: 10,
+        faulty: 20,
     },
     Size {
         robots: 200,
