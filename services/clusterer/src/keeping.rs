@@ -135,6 +135,14 @@ impl Keeping {
         self.was_received = true;
     }
 
+    /// Another service remembers a division after which `next_team` was the next number. If nothing is on disk here, what
+    /// it remembers may be older than what this host has published: some numbers are left out.
+    pub(crate) fn inherit_numbers(&mut self, next_team: u64) {
+        let is_without_state = self.reserved == 0 && self.newest.is_none();
+        let unknown = if is_without_state { NUMBER_BLOCK / 2 } else { 0 };
+        self.next_team = self.next_team.max(next_team.saturating_add(unknown));
+    }
+
     /// A division was received while another instance leads.
     pub(crate) fn hear(&mut self, teams: &Checked<Teams>) {
         if is_believable(teams) {
@@ -279,6 +287,19 @@ mod tests {
         next.restore(&bytes).unwrap();
         assert_eq!(next.next_team, 104, "whatever was given of them");
         assert!(!next.may_give(at(0), 107));
+    }
+
+    #[test]
+    fn numbers_are_left_out_where_a_disk_was_lost() {
+        let mut without = Keeping::default();
+        without.inherit_numbers(7);
+        assert_eq!(without.next_team, 57);
+        let mut keeping = Keeping::default();
+        assert!(!keeping.may_give(at(0), 4));
+        let mut restored = Keeping::default();
+        restored.restore(&keeping.write(at(0)).unwrap()).unwrap();
+        restored.inherit_numbers(7);
+        assert_eq!(restored.next_team, 104, "the disk knows what was reserved");
     }
 
     #[test]

@@ -113,8 +113,7 @@ impl Clusterer {
             if !is_believable(teams) {
                 continue;
             }
-            let next_team = &mut self.keeping.next_team;
-            *next_team = teams.next_team.max(*next_team);
+            self.keeping.inherit_numbers(teams.next_team);
             let last = self.division.as_ref().map(|division| division.header.revision);
             if last.is_none_or(|last| teams.header.revision > last) {
                 self.division = Some(teams.clone());

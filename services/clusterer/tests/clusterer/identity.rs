@@ -59,7 +59,8 @@ fn ids_and_numbers_outlive_the_process() {
     assert_eq!(sent.informed_robots(), "a b c d", "a new leader informs everyone");
     next.get("service/clusterer/settings", Some("{\"teams\":3}")).unwrap();
     let ids: Vec<String> = next.division().teams.iter().map(|team| team.id.to_string()).collect();
-    assert_eq!(ids.last().unwrap(), "t4", "{ids:?}");
+    // Without a disk, some numbers are left out: others may remember less than was published.
+    assert_eq!(ids.last().unwrap(), "t54", "{ids:?}");
 }
 
 #[test]
