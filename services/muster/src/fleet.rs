@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use muster_client::{Client, Error, Report, RobotPublisher};
 use muster_model::id::SkillId;
-use muster_model::observation::{Links, Pose, Rank};
+use muster_model::observation::{Links, Rank};
 use muster_runtime::stop::Stop;
 use muster_scenario::Fleet;
 use tokio::time::{Instant, MissedTickBehavior, interval};
@@ -15,6 +15,12 @@ const LINK_PERIOD_S: f64 = 0.5;
 /// How often ranks are reported, in seconds, so that a reader that missed one soon has it.
 const RANK_PERIOD_S: f64 = 1.0;
 
+/// Most robots that report in the same moment, as long as there are few groups: their reports fit one batch of the bus.
+const GROUP_SIZE: usize = 100;
+
+/// Most groups: where all robots are is computed for each of them.
+const MAX_GROUPS: u32 = 10;
+
 /// Some robots of a simulated fleet, joined to the bus.
 pub(crate) struct SimulatedRobots {
     fleet: Fleet,
@@ -22,6 +28,38 @@ pub(crate) struct SimulatedRobots {
     publishers: Vec<(usize, RobotPublisher)>,
     /// The skills that all of them have.
     skills: Vec<SkillId>,
+    /// Robots of a large fleet do not all report in the same moment: those of one group do.
+    groups: u32,
+}
+
+/// What robots report less often than their poses, and when they do so next, in seconds of the scenario.
+struct Slow {
+    /// What every robot reports in this turn of all groups; empty if nothing is due.
+    links: Vec<Links>,
+    ranks: Vec<Rank>,
+    links_at: f64,
+    ranks_at: f64,
+}
+
+impl Slow {
+    fn new(from: f64) -> Self {
+        Self { links: Vec::new(), ranks: Vec::new(), links_at: from, ranks_at: from }
+    }
+
+    /// A turn of all groups begins.
+    fn renew(&mut self, fleet: &Fleet, skills: &[SkillId], t: f64) {
+        (self.links, self.ranks) = (Vec::new(), Vec::new());
+        if t >= self.links_at {
+            self.links_at = t + LINK_PERIOD_S;
+            self.links = fleet.links(t);
+        }
+        if t >= self.ranks_at {
+            self.ranks_at = t + RANK_PERIOD_S;
+            let skills = Some(skills.to_vec()).filter(|skills| !skills.is_empty());
+            let ranks = fleet.ranks(t).into_iter();
+            self.ranks = ranks.map(|rank| Rank { skills: skills.clone(), ..rank }).collect();
+        }
+    }
 }
 
 impl SimulatedRobots {
@@ -39,7 +77,9 @@ impl SimulatedRobots {
             let robot = fleet.robots()[index].clone();
             publishers.push((index, client.join_as_publisher(robot).await?));
         }
-        Ok(Self { fleet, publishers, skills: Vec::new() })
+        let wanted = publishers.len().div_ceil(GROUP_SIZE).max(1);
+        let groups = u32::try_from(wanted).map_or(MAX_GROUPS, |wanted| wanted.min(MAX_GROUPS));
+        Ok(Self { fleet, publishers, skills: Vec::new(), groups })
     }
 
     /// The same robots with some skills.
@@ -59,11 +99,11 @@ impl SimulatedRobots {
         seconds: Option<f64>,
         mut stop: Stop,
     ) -> Result<(), Error> {
-        let mut ticks = interval(Duration::from_secs_f64(1.0 / rate_hz));
+        let mut ticks = interval(Duration::from_secs_f64(1.0 / rate_hz) / self.groups);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let start = Instant::now();
-        let (mut links_at, mut ranks_at) = (from, from);
-        loop {
+        let mut slow = Slow::new(from);
+        for group in (0..self.groups).cycle() {
             tokio::select! {
                 _ = ticks.tick() => {}
                 () = stop.stopped() => break,
@@ -73,21 +113,12 @@ impl SimulatedRobots {
                 break;
             }
             let t = from + elapsed;
-            let poses: Vec<Pose> = self.fleet.poses(t);
-            self.report(&poses, Report::Pose)?;
-            if t >= links_at {
-                links_at = t + LINK_PERIOD_S;
-                let links: Vec<Links> = self.fleet.links(t);
-                self.report(&links, Report::Links)?;
+            if group == 0 {
+                slow.renew(&self.fleet, &self.skills, t);
             }
-            if t >= ranks_at {
-                ranks_at = t + RANK_PERIOD_S;
-                let skills = Some(self.skills.clone()).filter(|skills| !skills.is_empty());
-                let ranks = self.fleet.ranks(t).into_iter();
-                let ranks: Vec<Rank> =
-                    ranks.map(|rank| Rank { skills: skills.clone(), ..rank }).collect();
-                self.report(&ranks, Report::Rank)?;
-            }
+            self.report(group, &self.fleet.poses(t), Report::Pose)?;
+            self.report(group, &slow.links, Report::Links)?;
+            self.report(group, &slow.ranks, Report::Rank)?;
         }
         for (_, publisher) in self.publishers {
             publisher.leave().await;
@@ -95,9 +126,18 @@ impl SimulatedRobots {
         Ok(())
     }
 
-    fn report<T: Clone>(&self, all: &[T], report: fn(T) -> Report) -> Result<(), Error> {
-        for (index, publisher) in &self.publishers {
-            publisher.put(report(all[*index].clone()))?;
+    /// Reports of the robots of a group, if there are any reports.
+    fn report<T: Clone>(
+        &self,
+        group: u32,
+        all: &[T],
+        report: fn(T) -> Report,
+    ) -> Result<(), Error> {
+        let of_group = self.publishers.iter().skip(group as usize).step_by(self.groups as usize);
+        for (index, publisher) in of_group {
+            if let Some(one) = all.get(*index) {
+                publisher.put(report(one.clone()))?;
+            }
         }
         Ok(())
     }

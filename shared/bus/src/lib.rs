@@ -12,6 +12,7 @@ mod get;
 pub mod handshake;
 mod opening;
 mod packet;
+mod publishers;
 pub mod send_queue;
 mod serve;
 mod zenoh_config;
@@ -20,6 +21,7 @@ pub use bus::{Bus, ConnectTimeout, Subscription, Token, Urgency};
 pub use config::{BusConfig, Mode};
 pub use error::{EndpointError, OpenError};
 pub use get::{Answer, Ask, Target};
+pub use publishers::Publishers;
 pub use serve::{IncomingQuery, Query, Served};
 /// A session of Zenoh, for callers that have one of their own.
 pub use zenoh::Session;
