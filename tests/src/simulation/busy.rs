@@ -38,7 +38,8 @@ pub(crate) struct Load {
     pub(crate) delay: Micros,
     /// How much later answers of gets come than what is published: they may be large, and have less priority.
     pub(crate) late: Micros,
-    /// How many of a hundred messages from and to `embedder` are lost.
+    /// How many of a hundred messages that are put from and to `embedder` are lost. The bus drops what is put where a link is
+    /// busy; gets and answers wait (`CongestionControl::DEFAULT_REQUEST` of Zenoh 1.10.2).
     pub(crate) loss: u64,
 }
 

@@ -45,7 +45,8 @@ impl World {
             Fault::Storm { at, lasts, loss, copies, delay, reorders } => {
                 let Some(link) = self.link_of(at) else { return };
                 let until = self.now + lasts;
-                self.links[link].storm(Storm { until, loss, copies, delay, reorders });
+                let loses_gets = true;
+                self.links[link].storm(Storm { until, loss, loses_gets, copies, delay, reorders });
             }
             Fault::Cut { at, lasts, clean } => {
                 let Some(link) = self.link_of(at) else { return };
@@ -181,7 +182,7 @@ impl World {
             node.slow_jobs = (until, job);
             let loss = if node.service == ServiceName::Embedder { loss } else { 0 };
             let link = &mut self.links[node.link];
-            link.storm(Storm { until, loss, copies: 0, delay, reorders: false });
+            link.storm(Storm { until, loss, loses_gets: false, copies: 0, delay, reorders: false });
             link.delay_answers(until, late);
         }
         self.freshness.begin(self.now, until, load);

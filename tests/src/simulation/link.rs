@@ -23,6 +23,8 @@ pub(crate) enum Way {
 pub(crate) struct Storm {
     pub(crate) until: Micros,
     pub(crate) loss: u64,
+    /// Whether gets are lost as well. A bus that is only busy drops what is put, and lets gets and answers wait.
+    pub(crate) loses_gets: bool,
     pub(crate) copies: u64,
     pub(crate) delay: Micros,
     pub(crate) reorders: bool,
@@ -127,7 +129,8 @@ impl Link {
             *free = at.max(*free + 1);
             return vec![*free];
         }
-        if self.chance.percent(storm.loss) {
+        let may_be_lost = storm.loses_gets || matches!(carried, Carried::Put(_));
+        if may_be_lost && self.chance.percent(storm.loss) {
             damage.lost += 1;
             return Vec::new();
         }
