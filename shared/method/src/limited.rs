@@ -1,8 +1,8 @@
 //! From vectors to teams that have limits: k-means over the robots with an embedding, whose assignments are exact.
 
 use muster_numeric::assignment::{
-    Assigner, ClassPrice, Column, CostError, CostMatrix, DivisionError, Need, Pair, ValidRules,
-    ValidWishes, Wanted, Wishes, assign_with_wishes,
+    ApartClasses, Assigner, ClassPrice, Column, CostError, CostMatrix, DivisionError, Need, Pair,
+    ValidRules, ValidWishes, Wanted, Wishes, apart_as_classes, assign_with_wishes,
 };
 use muster_numeric::kmeans::{KMeansError, KMeansLimits, KMeansOptions, LimitedKMeansError};
 use muster_numeric::matrix::{DenseMatrix, MatrixError};
@@ -67,7 +67,8 @@ pub struct Optimality {
     pub class_prices: Vec<PlacePrice>,
     /// The robots that are placed together with others: in groups, or for needs that are no limits of classes. The prices
     /// are those at which all others are where they are cheapest while these stay where they are; none stands for their own
-    /// places.
+    /// places. Robots that are to be apart are not among them where that costs nobody anything: the prices stand for their
+    /// places as well.
     pub jointly: Vec<usize>,
 }
 
@@ -254,14 +255,19 @@ pub fn optimality(
     let places: Vec<Option<usize>> = labels.iter().copied().map(Some).collect();
     let cost = near + shortfall(rules, groups, &places);
     let mut assigner = Assigner::new();
-    let jointly = jointly(groups);
-    let fixed = (!jointly.is_empty()).then(|| with_fixed(rules, &jointly, labels));
+    let apart = apart_as_classes(rules, groups);
+    let is_class = |wish: usize| apart.classes.iter().any(|(place, _)| *place == wish);
+    let mut jointly = jointly(groups, &is_class);
+    let fixed = (!jointly.is_empty()).then(|| with_fixed(&apart.rules, &jointly, labels));
     // Where the others' places contradict the rules, nothing has a price.
     let priced = match &fixed {
-        None => Some(rules),
+        None => Some(&apart.rules),
         Some(fixed) => fixed.as_ref(),
     };
     let free = priced.and_then(|rules| assigner.solve(rules, &costs).ok()).map(|best| best.cost);
+    jointly.extend(hindered(&apart, groups, &assigner, free.is_some()));
+    jointly.sort_unstable();
+    jointly.dedup();
     let (mut prices, mut class_prices) = (Vec::new(), Vec::new());
     if free.is_some() {
         prices.extend(assigner.column_prices().iter().map(|price| *price as f64 * unit));
@@ -269,10 +275,14 @@ pub fn optimality(
             let ClassPrice { class, column: team, price } = of;
             PlacePrice { class, team, price: price as f64 * unit }
         };
-        class_prices.extend(assigner.class_prices().into_iter().map(of_class));
+        // A group that is apart has no name that its price could be published by.
+        let has_name = |of: &ClassPrice| apart.classes.iter().all(|(_, class)| *class != of.class);
+        let of_classes = assigner.class_prices().into_iter().filter(has_name);
+        class_prices.extend(of_classes.map(of_class));
     }
     let judged = |optimal, gap| Optimality { optimal, gap, prices, class_prices, jointly };
     let best = if is_empty(groups) {
+        // Without groups no robot was fixed.
         free
     } else {
         let mut assigner = Assigner::new();
@@ -287,10 +297,32 @@ pub fn optimality(
     Ok(judged(is_optimal, if is_optimal { 0.0 } else { gap }))
 }
 
-/// The robots that a search places, in order.
-fn jointly(groups: &ValidWishes) -> Vec<usize> {
+/// The robots of groups whose places cost them more than others, as they are to be apart; all of them where nothing has a
+/// price.
+fn hindered(
+    apart: &ApartClasses,
+    groups: &ValidWishes,
+    assigner: &Assigner,
+    has_prices: bool,
+) -> Vec<usize> {
+    let paid: Vec<usize> = if has_prices {
+        let all = assigner.class_prices().into_iter();
+        all.filter(|of| of.price != 0).map(|of| of.class).collect()
+    } else {
+        apart.classes.iter().map(|(_, class)| *class).collect()
+    };
+    let wishes = &groups.get().wishes;
+    let pay = apart.classes.iter().filter(|(_, class)| paid.contains(class));
+    pay.filter_map(|(place, _)| wishes.get(*place))
+        .flat_map(|wish| wish.robots.iter().copied())
+        .collect()
+}
+
+/// The robots that a search places, in order; those of a wish that `is_class` has no search.
+fn jointly(groups: &ValidWishes, is_class: &dyn Fn(usize) -> bool) -> Vec<usize> {
     let Wishes { wishes, needs } = groups.get();
-    let wished = wishes.iter().flat_map(|wish| &wish.robots);
+    let searched = wishes.iter().enumerate().filter(|(place, _)| !is_class(*place));
+    let wished = searched.flat_map(|(_, wish)| &wish.robots);
     let mut robots: Vec<usize> =
         wished.chain(needs.iter().flat_map(|need| &need.robots)).copied().collect();
     robots.sort_unstable();
@@ -544,6 +576,48 @@ mod tests {
             }
         }
         assert!(of_classes > 100 && beside_groups > 100, "{of_classes} {beside_groups}");
+    }
+
+    /// Robots that are apart anyway pay what all others pay; those that are kept from a team together by no more than
+    /// the wish are placed jointly.
+    #[test]
+    fn robots_that_are_apart_have_a_price_where_that_costs_nothing() {
+        let mut seed = 3_u64;
+        let mut draw = || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (seed >> 33) as f64 / (1_u64 << 31) as f64
+        };
+        let (mut free, mut hindered) = (0, 0);
+        for _ in 0..200 {
+            let robots = 6 + (8.0 * draw()) as usize;
+            let points: Vec<f64> = (0..2 * robots).map(|_| draw()).collect();
+            let x = DenseMatrix::new(robots, 2, points).unwrap();
+            let most = robots.div_ceil(3) + (2.0 * draw()) as usize;
+            let rules = rules(robots, &[Bounds::new(1, most); 3], None);
+            let wish = Wish { relation: Relation::Apart, robots: vec![0, 1], price: None };
+            let groups = Wishes { wishes: vec![wish], ..Wishes::default() }.check(&rules).unwrap();
+            let params = DivisionParams { teams: 3, hysteresis: 0.0, ..DivisionParams::default() };
+            let previous = vec![None; robots];
+            let limits = Limits { rules: &rules, groups: &groups, previous: &previous };
+            let found = divide_within(&x, &params.check().unwrap(), &limits).unwrap();
+            let labels: Vec<usize> = found.labels.iter().flatten().copied().collect();
+            let judged = optimality(&x, &labels, &found.centroids, &rules, &groups).unwrap();
+            if !judged.optimal {
+                continue;
+            }
+            assert!(judged.jointly.is_empty() || judged.jointly == [0, 1], "{judged:?}");
+            assert!(judged.class_prices.is_empty(), "{judged:?}");
+            for (robot, own) in labels.iter().enumerate() {
+                let pay = |team: usize| {
+                    square(x.row(robot), found.centroids.row(team)) + judged.prices[team]
+                };
+                let is_cheapest = (0..3).all(|team| pay(*own) <= pay(team) + 1e-6);
+                assert!(is_cheapest || judged.jointly.contains(&robot), "{robot}: {judged:?}");
+            }
+            free += usize::from(judged.jointly.is_empty());
+            hindered += usize::from(!judged.jointly.is_empty());
+        }
+        assert!(free > 40 && hindered > 20, "{free} {hindered}");
     }
 
     #[test]
