@@ -297,7 +297,6 @@ fn every_mutant_is_found_and_its_run_made_short() {
         (Mutant::Dependent, vec![settle, "a full disk stops no division"]),
         // Readers refuse a list in which an alert stands twice.
         (Mutant::Doubled, vec!["what a service publishes, others understand"]),
-        (Mutant::Unalarmed, vec!["an alert is open while nothing satisfies the limits"]),
         (Mutant::Meddling, vec!["a planner publishes nothing that others go by"]),
         (Mutant::Hoarding, vec!["at most 16 proposals are open, and 8 of one operator"]),
         (Mutant::Nostalgic, vec!["a proposal is forgotten 60 s after it was computed"]),

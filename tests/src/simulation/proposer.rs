@@ -96,7 +96,7 @@ impl World {
         let seen: Vec<_> = answers.iter().filter(is_seen).collect();
         if one_led && self.one_plans() && seen.len() > 1 {
             let seen = format!("{}/{} is answered {seen:?}", errand.operator, errand.id);
-            self.require(breach(ONE_ANSWERS, seen));
+            return self.require(breach(ONE_ANSWERS, seen));
         }
         match seen.first().map(|answer| answer.as_ref()) {
             None if errand.tries < MAX_TRIES => {
