@@ -1,7 +1,7 @@
 //! Times exact assignments and k-means under limits, for `tests/peers/limits`.
 //!
-//! Each line of standard input is a command, and is answered with one line: seconds, a value and the time of the answer
-//! apart by blanks. Numbers of files are 8 bytes each, little-endian.
+//! Each line of standard input is a command, and is answered with one line: seconds and a value. Numbers of files are 8
+//! bytes each, little-endian.
 //!
 //! | command | answer |
 //! | --- | --- |
