@@ -163,7 +163,7 @@ fn proposals_delay_no_division() {
             outcome.stats
         };
         let (with, without) = (run(asked), run(BTreeSet::new()));
-        // A planner that has seen no division yet refuses them.
+        // A planner that is starting refuses them.
         assert!(with.proposals + with.proposals_refused > 0, "seed {seed}: {with:?}");
         assert_eq!(without.proposals + without.proposals_refused, 0, "seed {seed}: {without:?}");
         proposals += with.proposals;
