@@ -91,7 +91,14 @@ fn shared_crates_know_only_what_they_may() {
         ),
         (
             "muster-solve",
-            &["muster-method", "muster-model", "muster-numeric", "muster-relation", "muster-solve"],
+            &[
+                "muster-division",
+                "muster-method",
+                "muster-model",
+                "muster-numeric",
+                "muster-relation",
+                "muster-solve",
+            ],
         ),
     ];
     for (package, allowed) in rules {

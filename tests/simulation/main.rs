@@ -7,6 +7,7 @@
     reason = "a test fails by panicking"
 )]
 
+use std::collections::BTreeSet;
 use std::io::Write as _;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -17,7 +18,7 @@ use muster_ingest::Ingest;
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_service::Core;
 use muster_tests::simulation::{
-    Batch, Mutant, Options, Summary, has_fault, run_batch, shrink, simulate,
+    Batch, Mutant, Options, Stats, Summary, fault_numbers, has_fault, run_batch, shrink, simulate,
 };
 use muster_wire::{Key, Pattern};
 
@@ -86,6 +87,9 @@ fn every_promise_holds_for_three_hundred_seeds() {
         "bad alpha",
         "full disk",
         "wish",
+        "proposal",
+        "many proposals",
+        "proposal at rest",
     ] {
         let count = summary.total.faults.get(kind).copied().unwrap_or(0);
         assert!(count > 0, "no fault of the kind {kind:?} has happened");
@@ -94,6 +98,8 @@ fn every_promise_holds_for_three_hundred_seeds() {
     assert!(total.lost > 0 && total.repeated > 0 && total.mixed > 0 && total.panics > 0);
     // Rules that never had anything to check would prove nothing either.
     assert!(total.takeovers > 0 && total.joined > SEEDS, "{}", summary.text());
+    assert!(total.proposals > 100 && total.proposals_refused > 10, "{total:?}");
+    assert!(total.proposals_compared > 20, "{total:?}");
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
@@ -136,6 +142,54 @@ fn what_is_remembered_of_robots_that_left_is_forgotten_again() {
     println!("{ghosts} ghosts, at most {most} robots remembered");
     assert!(most > 60 && most < ghosts, "{most} robots are remembered");
 }
+
+/// What operators ask of planners, without what they accept of it.
+const PROPOSALS: [&str; 1] = ["many proposals"];
+
+/// Proposals are computed by others than the division: it is published as often with many of them as without any.
+#[test]
+fn proposals_delay_no_division() {
+    let options = Options { robots: Some(6), ..Options::default() };
+    let seeds: Vec<u64> =
+        (0..200).filter(|seed| has_fault(*seed, &options, &PROPOSALS)).take(6).collect();
+    assert_eq!(seeds.len(), 6);
+    let mut proposals = 0;
+    for seed in seeds {
+        let asked = fault_numbers(seed, &options, &PROPOSALS);
+        let run = |only: BTreeSet<usize>| {
+            let options = Options { only: Some(only), ..options.clone() };
+            let outcome = simulate(seed, &options, None, false);
+            assert_eq!(outcome.failure, None, "seed {seed}");
+            outcome.stats
+        };
+        let (with, without) = (run(asked), run(BTreeSet::new()));
+        // A planner that is starting refuses them.
+        assert!(with.proposals + with.proposals_refused > 0, "seed {seed}: {with:?}");
+        assert_eq!(without.proposals + without.proposals_refused, 0, "seed {seed}: {without:?}");
+        proposals += with.proposals;
+        let per_second = |stats: &Stats| stats.divisions as f64 / stats.simulated as f64;
+        let ratio = per_second(&with) / per_second(&without);
+        assert!((0.9..1.1).contains(&ratio), "seed {seed}: {with:?} {without:?}");
+    }
+    assert!(proposals > 0);
+}
+
+/// Proposals that nobody accepts or drops are forgotten, in runs that outlast them.
+#[test]
+fn proposals_are_forgotten() {
+    let options = Options { robots: Some(4), ..FORGETFUL };
+    let seeds = (0..200).filter(|seed| has_fault(*seed, &options, &PROPOSALS));
+    for seed in seeds.take(2) {
+        let only = Some(fault_numbers(seed, &options, &PROPOSALS));
+        let outcome = simulate(seed, &Options { only, ..options.clone() }, None, false);
+        assert_eq!(outcome.failure, None, "seed {seed}");
+        assert!(outcome.stats.proposals > 0, "seed {seed}");
+    }
+}
+
+/// A run that outlasts proposals.
+const FORGETFUL: Options =
+    Options { robots: None, fleet: None, steps: 9000, only: None, ghosts: 0 };
 
 /// A leader that has lost its terms asks its readers, and each must answer for what it goes by: one that
 /// does not would drop all that the leader publishes until the epochs have passed what it knows.
@@ -246,13 +300,28 @@ fn every_mutant_is_found_and_its_run_made_short() {
         (Mutant::Reused, vec!["no id of a team is given to another team"]),
         (Mutant::Reversed, vec!["every event about teams is the difference of two divisions"]),
         (Mutant::Dependent, vec![settle, "a full disk stops no division"]),
+        // Readers refuse a list in which an alert stands twice.
+        (Mutant::Doubled, vec!["what a service publishes, others understand"]),
+        (Mutant::Meddling, vec!["a planner publishes nothing that others go by"]),
+        (Mutant::Hoarding, vec!["at most 16 proposals are open, and 8 of one operator"]),
+        (Mutant::Nostalgic, vec!["a proposal is forgotten 60 s after it was computed"]),
+        (Mutant::Chorus, vec!["one planner answers"]),
+        (Mutant::Discreet, vec!["a proposal says who would move"]),
+        (
+            Mutant::Misleading,
+            vec!["an accepted proposal becomes the division, if nothing else changes"],
+        ),
     ] {
         // MUTANT=Reversed looks for one alone.
         let wanted = std::env::var("MUTANT");
         if wanted.is_ok_and(|wanted| wanted != format!("{mutant:?}")) {
             continue;
         }
-        let options = Options { robots: Some(6), ..Options::default() };
+        let options = match mutant {
+            // It shows after a minute.
+            Mutant::Nostalgic => Options { robots: Some(6), ..FORGETFUL },
+            _ => Options { robots: Some(6), ..Options::default() },
+        };
         let seeds = (0..MUTANT_SEEDS).filter(|seed| has_fault(*seed, &options, mutant.after()));
         let outcomes = seeds.map(|seed| simulate(seed, &options, Some(mutant), false));
         let found = outcomes

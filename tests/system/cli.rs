@@ -308,6 +308,29 @@ fn a_solve_is_estimated_before_it_is_begun() {
 }
 
 #[test]
+fn a_solve_that_nothing_satisfies_says_which_limits_contradict_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("fleet.json");
+    let file = r#"{"robots": ["a", "b", "c"], "teams": 2, "modalities": [{"name": "m",
+                   "edges": [["a", "b", 1], ["b", "a", 1], ["b", "c", 1], ["c", "a", 1]]}]}"#;
+    std::fs::write(&path, file).unwrap();
+    let path = path.to_str().unwrap();
+    let why = "3 robots may only be in t1 and t2, which hold 2";
+    let (code, out, err) = run("muster", &["solve", path, "--size", "..1"], SOON).unwrap();
+    assert_eq!((code, out.as_str()), (Some(4), ""), "{err}");
+    assert!(err.contains(why), "{err}");
+    let asked = ["solve", path, "--size", "..1", "--json"];
+    let (code, out, _) = run("muster", &asked, SOON).unwrap();
+    let printed: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((code, printed), (Some(4), serde_json::json!({"conflict": why})));
+    let asked = ["solve", path, "--size", "1..2", "--wish", "apart a b", "--json"];
+    let (code, out, err) = run("muster", &asked, SOON).unwrap();
+    let printed: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((code, &printed["gap"]), (Some(0), &serde_json::json!(0.0)), "{err}");
+    assert_ne!(printed["teams"]["a"], printed["teams"]["b"]);
+}
+
+#[test]
 fn every_command_has_examples() {
     for command in [
         "demo",

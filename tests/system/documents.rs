@@ -272,7 +272,9 @@ fn the_format_of_solve_is_complete_and_its_defaults_are_true() {
     let wanted = wanted.into_iter().chain(["seed", "teams"]).map(str::to_owned).collect();
     assert_eq!(compared, wanted);
 
-    let all = solved(&with(fleet(), "emit", json!(["katz", "embedding", "diagnostics"]))).unwrap();
+    // What is asked of the teams adds how the division stands to that.
+    let asked = with(fleet(), "size", json!({"max": 6}));
+    let all = solved(&with(asked, "emit", json!(["katz", "embedding", "diagnostics"]))).unwrap();
     let written: BTreeSet<String> = all.as_object().unwrap().keys().cloned().collect();
     let described = names(&self::rows(COMMANDS, "<!-- solve output -->"));
     assert_eq!(described, written);

@@ -5,17 +5,21 @@
 
 use std::path::Path;
 
-use muster_historian::FileRecords;
+use muster_historian::{FileRecords, Historian};
 use muster_model::audit::Quality;
-use muster_model::event::Severity;
-use muster_model::header::Revision;
+use muster_model::event::{Event, EventKind, Severity};
+use muster_model::header::{Header, Revision};
 use muster_model::history::{
     AuditRecord, DivisionRecord, Entry, EventRecord, LeaveReason, PastDivision, Place, Query,
     Record, Retention, Rows, SnapshotCause, Subject, TeamLine,
 };
-use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName, TeamId};
+use muster_model::id::{CommandId, FleetId, InstanceId, OperatorId, RobotId, ServiceName, TeamId};
+use muster_model::settings::HistorianSettings;
 use muster_model::time::Tick;
+use muster_service::Command;
 use muster_service::records::{MemoryRecords, Records, WriteError};
+use muster_service::testkit::Bench;
+use muster_wire::Message;
 use proptest::prelude::*;
 use proptest::sample::Index;
 
@@ -309,6 +313,53 @@ fn after_the_clock_went_back_rows_keep_their_order_and_a_moment_has_its_last_div
     let Rows::Events(events) = ask(&mut store, &Query::of(Subject::Events(None))) else { panic!() };
     let order: Vec<_> = events.iter().map(|event| (event.sequence, event.revision.epoch)).collect();
     assert_eq!(order, [(4, 2), (2, 1)]);
+}
+
+/// What a service says of a command that it refused reaches the file: who gave it, what it was, and why it was refused.
+#[test]
+fn a_refused_command_is_in_the_file_with_its_reason() {
+    let (fleet, instance) = (FleetId::new("f").unwrap(), InstanceId::new("i-1").unwrap());
+    let refused = r#"{"field":"teams","problem":"must be 1 to 1024"}"#;
+    let commanded = |id: &str, refused: Option<&str>| EventKind::Commanded {
+        operator: OperatorId::new("kim").unwrap(),
+        command: CommandId::new(id).unwrap(),
+        action: r#"{"set":{"teams":0}}"#.to_owned(),
+        refused: refused.map(str::to_owned),
+    };
+    let settings = HistorianSettings::default();
+    let (at, folder) = (Tick(START), tempfile::tempdir().unwrap());
+    let mut bench = Bench::<Historian>::leading(fleet.clone(), instance, at, settings, Vec::new());
+    for (epoch, kind) in (1..).zip([commanded("c1", Some(refused)), commanded("c2", None)]) {
+        let revision = Revision { term: 1, epoch };
+        let (oldest, newest, stages) = (None, None, Vec::new());
+        let header = Header { fleet: fleet.clone(), revision, oldest, newest, stages };
+        let (source, severity) = (ServiceName::Clusterer, Severity::Warning);
+        bench.receive(Message::Event(Event { header, source, severity, kind }));
+    }
+    let entries = std::mem::take(&mut bench.others).into_iter();
+    let entries: Vec<Entry> = entries
+        .filter_map(|command| match command {
+            Command::Append(entry) => Some(*entry),
+            _ => None,
+        })
+        .collect();
+    open(folder.path()).write(&entries).unwrap();
+    // Another process reads it.
+    let mut store = open(folder.path());
+    let asked = Query::of(Subject::Events(Some("commanded".to_owned())));
+    let Rows::Events(events) = ask(&mut store, &asked) else { panic!() };
+    let details: Vec<serde_json::Value> =
+        events.iter().rev().map(|event| serde_json::from_str(&event.detail).unwrap()).collect();
+    assert_eq!(details.len(), 2);
+    for (detail, (id, reason)) in details.iter().zip([("c1", Some(refused)), ("c2", None)]) {
+        assert_eq!((&detail["operator"], &detail["command"]), (&"kim".into(), &id.into()));
+        assert!(detail["action"].to_string().contains("teams"), "{detail}");
+        assert_eq!(detail["refused"].is_null(), reason.is_none(), "{detail}");
+        assert!(
+            reason.is_none() || detail["refused"].to_string().contains("1 to 1024"),
+            "{detail}"
+        );
+    }
 }
 
 #[test]

@@ -193,10 +193,13 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Command::Manual(args) => describe::manual(args, Arguments::command()),
         Command::Deploy(args) => deploy::run(args),
         Command::Solve(args) => solve::run(args).map_err(|error| {
-            if error.is::<solve::SolveError>() {
-                ExitError::usage(format!("{error:#}")).into()
-            } else {
-                error
+            let message = format!("{error:#}");
+            match error.downcast_ref::<solve::SolveError>() {
+                Some(solve::SolveError::Conflict(_)) => {
+                    ExitError { exit: exit::Exit::Conflict, message }.into()
+                }
+                Some(_) => ExitError::usage(message).into(),
+                None => error,
             }
         }),
     }

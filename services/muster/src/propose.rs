@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use muster_client::{AppliedPart, Client};
-use muster_model::id::{Modality, OperatorId, ProposalId, RobotId, SkillId, TeamId};
+use muster_model::id::{Modality, OperatorId, ProposalId, RobotId, TeamId};
 use muster_model::proposal::{Proposal, ProposalRequest};
-use muster_model::settings::{Need, SkillCount, TeamCount, TeamSize};
+use muster_model::settings::{Need, TeamCount, TeamSize, written};
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 use serde_json::{Value, json};
@@ -64,13 +64,13 @@ struct Asked {
     #[arg(long, value_name = "MODALITY=WEIGHT,…", value_delimiter = ',', value_parser = weight)]
     weights: Vec<(Modality, f64)>,
     /// How many robots each team has: 3..6, 3.., ..6 or a number
-    #[arg(long, value_name = "RANGE", value_parser = size)]
+    #[arg(long, value_name = "RANGE", value_parser = written::size)]
     size: Option<TeamSize>,
     /// How many robots single teams have, all of them
-    #[arg(long, value_name = "TEAM=RANGE,…", value_delimiter = ',', value_parser = team_size)]
+    #[arg(long, value_name = "TEAM=RANGE,…", value_delimiter = ',', value_parser = written::team_size)]
     team_size: Vec<(TeamId, TeamSize)>,
     /// How many robots with a skill each team needs at least, or a range, all of them: medic=1, medic=1..2
-    #[arg(long, value_name = "SKILL=COUNT,…", value_delimiter = ',', value_parser = need)]
+    #[arg(long, value_name = "SKILL=COUNT,…", value_delimiter = ',', value_parser = written::need)]
     needs: Vec<Need>,
     /// Robots that are in no team
     #[arg(long, value_name = "ROBOT,…", value_delimiter = ',')]
@@ -119,28 +119,11 @@ impl Asked {
     }
 }
 
-/// A range such as 2..4, 2.., ..4, or one number for both ends.
-fn range(text: &str) -> Result<(Option<u32>, Option<u32>), String> {
-    let number = |text: &str| -> Result<Option<u32>, String> {
-        if text.is_empty() {
-            return Ok(None);
-        }
-        let wrong = |_| format!("{text:?} is no whole number");
-        text.parse().map(Some).map_err(wrong)
-    };
-    match text.split_once("..") {
-        Some(("", "")) => Err("a range must have an end".to_owned()),
-        Some((from, to)) => Ok((number(from)?, number(to.strip_prefix('=').unwrap_or(to))?)),
-        None if text.is_empty() => Err("must be a number or a range such as 3..6".to_owned()),
-        None => Ok((number(text)?, number(text)?)),
-    }
-}
-
 fn teams(text: &str) -> Result<TeamCount, String> {
     if text == "auto" {
         return Ok(TeamCount::Auto);
     }
-    let count = match range(text)? {
+    let count = match written::range(text)? {
         (Some(from), Some(to)) if from == to => TeamCount::Fixed(from),
         (Some(from), Some(to)) => TeamCount::Between { from, to },
         _ => return Err("a range of teams must have both ends, as in 2..4".to_owned()),
@@ -149,35 +132,11 @@ fn teams(text: &str) -> Result<TeamCount, String> {
     Ok(count)
 }
 
-fn size(text: &str) -> Result<TeamSize, String> {
-    let (min, max) = range(text)?;
-    Ok(TeamSize { min, max })
-}
-
-/// Splits NAME=VALUE.
-fn pair<'a>(text: &'a str, form: &str) -> Result<(&'a str, &'a str), String> {
-    text.split_once('=').ok_or_else(|| format!("{text:?} must be {form}"))
-}
-
 fn weight(text: &str) -> Result<(Modality, f64), String> {
-    let (name, weight) = pair(text, "MODALITY=WEIGHT")?;
+    let (name, weight) = written::pair(text, "MODALITY=WEIGHT")?;
     let name = Modality::new(name).map_err(|error| error.to_string())?;
     let number = weight.parse().map_err(|_| format!("{weight:?} is no number"))?;
     Ok((name, number))
-}
-
-fn team_size(text: &str) -> Result<(TeamId, TeamSize), String> {
-    let (team, range) = pair(text, "TEAM=RANGE")?;
-    Ok((TeamId::new(team).map_err(|error| error.to_string())?, size(range)?))
-}
-
-fn need(text: &str) -> Result<Need, String> {
-    let (skill, count) = pair(text, "SKILL=COUNT")?;
-    let skill = SkillId::new(skill).map_err(|error| error.to_string())?;
-    let (min, max) = range(count)?;
-    // One number is the least: a medic more does no harm.
-    let max = max.filter(|_| count.contains(".."));
-    Ok(Need { skill, team: None, per_team: SkillCount { min: min.unwrap_or(0), max }, soft: false })
 }
 
 /// Asks for a proposal, shows, accepts or drops it.

@@ -4,9 +4,11 @@
 //! k-means on the rows, started from the teams before. [`rules`] is what limits, wishes and [`needs`] ask of a division,
 //! `limited` the division under them, `words` why they cannot be obeyed; [`number`] says how many teams there are to be;
 //! [`identity`] gives each cluster a team id that lives on, and names what changed, with the help of [`memory`], which
-//! robot was in which team lately; [`seats`] keeps the places of teams that are absent; [`scores`] has the silhouettes.
+//! robot was in which team lately; [`seats`] keeps the places of teams that are absent; [`wishes`] says what has become of each
+//! wish; [`scores`] has the silhouettes.
 //!
-//! The live division and proposals are made by this code, so that a proposal is what the fleet would become.
+//! The live division, proposals and `muster solve` under limits are made by this code, so that each is what the fleet would
+//! become.
 
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
@@ -19,4 +21,5 @@ pub mod number;
 pub mod rules;
 pub mod scores;
 pub mod seats;
+pub mod wishes;
 pub mod words;

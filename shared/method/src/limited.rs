@@ -1,8 +1,8 @@
 //! From vectors to teams that have limits: k-means over the robots with an embedding, whose assignments are exact.
 
 use muster_numeric::assignment::{
-    Assigner, ClassPrice, Column, CostError, CostMatrix, DivisionError, Need, Pair, ValidRules,
-    ValidWishes, Wanted, Wishes, assign_with_wishes,
+    ApartClasses, Assigner, ClassPrice, Column, CostError, CostMatrix, DivisionError, Need, Pair,
+    ValidRules, ValidWishes, Wanted, Wishes, apart_as_classes, assign_with_wishes,
 };
 use muster_numeric::kmeans::{KMeansError, KMeansLimits, KMeansOptions, LimitedKMeansError};
 use muster_numeric::matrix::{DenseMatrix, MatrixError};
@@ -69,7 +69,8 @@ pub struct Optimality {
     pub class_prices: Vec<PlacePrice>,
     /// The robots that are placed together with others: in groups, or for needs that are no limits of classes. The prices
     /// are those at which all others are where they are cheapest while these stay where they are; none stands for their own
-    /// places.
+    /// places. Robots that are to be apart are not among them where that costs nobody anything: the prices stand for their
+    /// places as well.
     pub jointly: Vec<usize>,
 }
 
@@ -260,14 +261,19 @@ pub fn optimality(
     let places: Vec<Option<usize>> = labels.iter().copied().map(Some).collect();
     let cost = near + shortfall(rules, groups, &places);
     let mut assigner = Assigner::new();
-    let jointly = jointly(groups);
-    let fixed = (!jointly.is_empty()).then(|| with_fixed(rules, &jointly, labels));
+    let apart = apart_as_classes(rules, groups);
+    let is_class = |wish: usize| apart.classes.iter().any(|(place, _)| *place == wish);
+    let mut jointly = jointly(groups, &is_class);
+    let fixed = (!jointly.is_empty()).then(|| with_fixed(&apart.rules, &jointly, labels));
     // Where the others' places contradict the rules, nothing has a price.
     let priced = match &fixed {
-        None => Some(rules),
+        None => Some(&apart.rules),
         Some(fixed) => fixed.as_ref(),
     };
     let free = priced.and_then(|rules| assigner.solve(rules, &costs).ok()).map(|best| best.cost);
+    jointly.extend(hindered(&apart, groups, &assigner, free.is_some()));
+    jointly.sort_unstable();
+    jointly.dedup();
     let (mut prices, mut class_prices) = (Vec::new(), Vec::new());
     if free.is_some() {
         prices.extend(assigner.column_prices().iter().map(|price| *price as f64 * unit));
@@ -275,10 +281,14 @@ pub fn optimality(
             let ClassPrice { class, column: team, price } = of;
             PlacePrice { class, team, price: price as f64 * unit }
         };
-        class_prices.extend(assigner.class_prices().into_iter().map(of_class));
+        // A group that is apart has no name that its price could be published by.
+        let has_name = |of: &ClassPrice| apart.classes.iter().all(|(_, class)| *class != of.class);
+        let of_classes = assigner.class_prices().into_iter().filter(has_name);
+        class_prices.extend(of_classes.map(of_class));
     }
     let judged = |optimal, gap| Optimality { optimal, gap, prices, class_prices, jointly };
     let best = if is_empty(groups) {
+        // Without groups no robot was fixed.
         free
     } else {
         let mut assigner = Assigner::new();
@@ -293,10 +303,32 @@ pub fn optimality(
     Ok(judged(is_optimal, if is_optimal { 0.0 } else { gap }))
 }
 
-/// The robots that a search places, in order.
-fn jointly(groups: &ValidWishes) -> Vec<usize> {
+/// The robots of groups whose places cost them more than others, as they are to be apart; all of them where nothing has a
+/// price.
+fn hindered(
+    apart: &ApartClasses,
+    groups: &ValidWishes,
+    assigner: &Assigner,
+    has_prices: bool,
+) -> Vec<usize> {
+    let paid: Vec<usize> = if has_prices {
+        let all = assigner.class_prices().into_iter();
+        all.filter(|of| of.price != 0).map(|of| of.class).collect()
+    } else {
+        apart.classes.iter().map(|(_, class)| *class).collect()
+    };
+    let wishes = &groups.get().wishes;
+    let pay = apart.classes.iter().filter(|(_, class)| paid.contains(class));
+    pay.filter_map(|(place, _)| wishes.get(*place))
+        .flat_map(|wish| wish.robots.iter().copied())
+        .collect()
+}
+
+/// The robots that a search places, in order; those of a wish that `is_class` has no search.
+fn jointly(groups: &ValidWishes, is_class: &dyn Fn(usize) -> bool) -> Vec<usize> {
     let Wishes { wishes, needs } = groups.get();
-    let wished = wishes.iter().flat_map(|wish| &wish.robots);
+    let searched = wishes.iter().enumerate().filter(|(place, _)| !is_class(*place));
+    let wished = searched.flat_map(|(_, wish)| &wish.robots);
     let mut robots: Vec<usize> =
         wished.chain(needs.iter().flat_map(|need| &need.robots)).copied().collect();
     robots.sort_unstable();

@@ -42,6 +42,7 @@ pub use branch::{Division, DivisionError, assign_with_wishes, is_grantable};
 pub use certificate::Certificate;
 pub use conflict::{Conflict, Imbalance, Rule};
 pub use costs::{CostError, CostMatrix, MAX_COST};
+pub use exact_wishes::{ApartClasses, apart_as_classes};
 pub use rules::{
     Bounds, ClassLimit, Column, MAX_CLASSES, MAX_COLUMNS, MAX_LIMITED_CELLS, MAX_ROBOTS, Pair,
     Rules, RulesError, ValidRules, Wanted,

@@ -14,6 +14,8 @@ pub enum Exit {
     Usage = 2,
     /// The bus cannot be reached, or no answer came.
     Unreachable = 3,
+    /// Nothing satisfies what is asked of the teams.
+    Conflict = 4,
 }
 
 impl From<Exit> for ExitCode {
@@ -24,7 +26,7 @@ impl From<Exit> for ExitCode {
 
 /// Their part of `--help`.
 pub const HELP: &str = "Exit codes: 0 done, or stopped by a signal; 1 something failed while running; \
-2 a flag, file or setting is wrong; 3 the bus cannot be reached or no answer came.";
+2 a flag, file or setting is wrong; 3 the bus cannot be reached or no answer came; 4 nothing satisfies the limits, wishes and needs of a solve.";
 
 /// An error that knows its exit code.
 #[derive(Debug, thiserror::Error)]

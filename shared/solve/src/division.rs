@@ -15,6 +15,7 @@ use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::Scores;
 
 use super::error::{SolveError, refuse};
+use super::limited::{self, WishOutcome, Within};
 use super::options::{EXACT_ROBOTS, SilhouetteChoice};
 use super::problem::{Division, Problem};
 
@@ -33,6 +34,8 @@ pub(super) struct Divided {
     pub(super) inertia: f64,
     /// None for fewer than two labels.
     pub(super) silhouette: Option<Scores>,
+    /// What is asked of the teams, and how the division stands to it; none if nothing is.
+    pub(super) within: Option<Within>,
 }
 
 /// The teams of a problem.
@@ -45,6 +48,11 @@ pub(super) fn divide(
     let x = &embedded.x;
     let (Numbered { labels, unassigned }, inertia) = match &problem.division {
         Division::Wanted(settings) => {
+            if let Some(rules) = limited::rules(problem, settings)? {
+                progress(Step::KMeans { done: 0, restarts: settings.restarts as usize });
+                let within = limited::divide(problem, settings, embedded, rules)?;
+                return Ok(within_limits(problem, embedded, within, warnings, progress));
+            }
             let found = cluster(embedded, settings, warnings, progress)?;
             let numbered = found.numbered();
             let without = embedded.without_embedding.iter().enumerate().filter(|(_, w)| **w);
@@ -61,7 +69,27 @@ pub(super) fn divide(
     progress(Step::Silhouettes);
     // The labels are one per row, so that the only error left is one of fewer than two labels.
     let silhouette = silhouettes(x, &labels, &silhouette_params(problem.options.silhouette)).ok();
-    Ok(Divided { labels, unassigned, inertia, silhouette })
+    Ok(Divided { labels, unassigned, inertia, silhouette, within: None })
+}
+
+/// A division that respects what is asked of it, with the silhouettes of the robots that have a team.
+fn within_limits(
+    problem: &Problem,
+    embedded: &Embedded,
+    within: Within,
+    warnings: &mut Vec<String>,
+    progress: &mut Progress<'_>,
+) -> Divided {
+    progress(Step::Silhouettes);
+    warnings.extend(within.wishes.iter().filter_map(WishOutcome::warning));
+    let unassigned = within.ids.iter().position(Option::is_none);
+    let rows: Vec<usize> =
+        (0..within.labels.len()).filter(|row| Some(within.labels[*row]) != unassigned).collect();
+    let x = embedded.x.select_rows(&rows);
+    let labels: Vec<usize> = rows.iter().map(|row| within.labels[*row]).collect();
+    let silhouette = silhouettes(&x, &labels, &silhouette_params(problem.options.silhouette)).ok();
+    let (labels, inertia) = (within.labels.clone(), within.inertia);
+    Divided { labels, unassigned, inertia, silhouette, within: Some(within) }
 }
 
 /// How silhouettes are computed.

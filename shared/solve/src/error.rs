@@ -24,6 +24,12 @@ pub enum SolveError {
         /// What is wrong and what would be right.
         problem: String,
     },
+    /// Nothing satisfies limits, wishes and needs together.
+    #[error("nothing satisfies what is asked of the teams: {0}")]
+    Conflict(
+        /// What contradicts each other, with the numbers.
+        String,
+    ),
     /// The text is no JSON, or lacks a field.
     #[error("{0}")]
     Json(String),

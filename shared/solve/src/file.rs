@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::marker::PhantomData;
 
-use muster_model::id::{Modality, RobotId};
+use muster_model::id::{Modality, RobotId, SkillId, TeamId};
 use muster_model::object::Object;
 use muster_model::observation::{Link, Pose, Rank};
 use muster_model::settings::{
-    Alpha, CentroidStart, Dimension, Normalization, RowScaling, SingularValueScaling, TeamCount,
-    Trusted,
+    Alpha, CentroidStart, Dimension, Need, Normalization, RowScaling, SingularValueScaling,
+    TeamCount, TeamSize, Trusted,
 };
+use muster_model::wish::Wish;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
@@ -46,6 +47,11 @@ pub(super) struct File {
     pub(super) init: Option<CentroidStart>,
     pub(super) restarts: Option<u32>,
     pub(super) seed: Option<u64>,
+    pub(super) size: Option<Object<TeamSize>>,
+    pub(super) team_size: Option<Named<TeamId, Object<TeamSize>>>,
+    pub(super) needs: Option<Vec<Object<Need>>>,
+    pub(super) skills: Option<Named<RobotId, Vec<SkillId>>>,
+    pub(super) wishes: Option<Vec<Object<Wish>>>,
     pub(super) emit: Option<Vec<Emit>>,
 }
 

@@ -2,7 +2,8 @@
 //!
 //! The input goes through [`input`], which reads it, and [`problem`], which checks it, with
 //! [`observations`] for raw observations; [`path`] decides how the similarity is decomposed; [`method`]
-//! applies `muster-method`, with [`division`] for the teams, and [`output`] writes. Nothing here knows the
+//! applies `muster-method`, with [`division`] for the teams, [`limits`] and [`limited`] where anything is asked of them, and
+//! [`output`] writes. Nothing here knows the
 //! bus. [`estimate`] says beforehand how much it needs, by the tables of [`cost`], [`memory`]
 //! refuses what does not fit, and [`line`] shows the step that runs.
 
@@ -14,6 +15,8 @@ mod error;
 mod estimate;
 mod file;
 mod input;
+mod limited;
+mod limits;
 mod line;
 mod memory;
 mod method;
@@ -39,6 +42,7 @@ pub use error::SolveError;
 use error::tidy;
 pub use estimate::Estimate;
 use input::{parse, read};
+pub use limits::LimitOptions;
 pub use muster_method::step::{Progress, Step};
 use muster_model::id::RobotId;
 pub use options::{Options, PathChoice, Preset, SilhouetteChoice, TOLERANCES};
@@ -75,6 +79,13 @@ All keys, with what is taken where they are left out:
               instead of it:
   labels      one whole number per robot: the division to judge
   init        "kmeans++" (default) or "random"; restarts (50); seed (0)
+  size        {"min": 2, "max": 6}: how many robots each team has; none by default. With limits, wishes or
+              needs teams are t1, t2, …
+  team_size   by team, such as {"t1": {"max": 4}}, instead of "size"
+  needs       list of {"skill": "medic", "per_team": {"min": 1}}, also with "team", "max" and "soft": true
+  skills      by robot, such as {"r1": ["medic"]}; those of "ranks" count as well
+  wishes      list of {"kind": "pin", "robots": ["r7"], "team": "t2"}; also "ban", and without a team
+              "together", "apart" and "reserve" (in no team)
   emit        any of "katz", "embedding", "diagnostics": added to the output of --json; "katz" for at
               most 16384 robots
 
@@ -92,8 +103,11 @@ Instead of modalities, raw observations, which become graphs as in the live flee
 
 A live fleet, saved and divided again; the lines of its settings may be left out:
 
-  (muster graph --json; muster set embedder --json; muster set clusterer --json) > fleet.jsonl
+  (muster graph --json; muster set embedder --json; muster set clusterer --json;
+   muster status --json; muster wish list --json) > fleet.jsonl
   muster solve fleet.jsonl
+
+The status has the skills of robots, which needs rest on.
 
 The similarity of the plain mathematics, S = (I - αA*)⁻¹ - I with A* = Σ w A of the graphs as they
 are: "normalize": "none".
@@ -115,15 +129,21 @@ are less similar to a robot, by all other modalities, than those that its edges 
 0.5 by chance; null where it was not compared. A modality whose trust is below 0.5 is "in_doubt", and
 "diagnostics" names the robots whose edges agree least as "disagreeing".
 
+Within limits, wishes and needs the robots are divided as in the live fleet: "optimal" says that no other
+assignment to these teams is nearer, "gap" by which share one could be, "ids" names the team of each label (null for robots
+in no team, which "unassigned" lists), "prices" what a place in it costs, and "wishes" what has become of each.
+
 A solve that takes longer than a second says on a terminal what it is doing, unless --json is given.
 Exit codes: 0 done, or --estimate and it fits; 1 the results cannot be written; 2 the file is wrong, or
-what it asks for does not fit into the memory that is available.
+what it asks for does not fit into the memory that is available; 4 nothing satisfies the limits,
+wishes and needs: the error has those that contradict each other with the numbers, and so has "conflict" of --json.
 
 Examples:
   muster solve fleet.json
   muster solve fleet.json --estimate
   muster solve fleet.json --preset paper
   muster solve fleet.json --teams 2..6
+  muster solve fleet.json --size 3..6 --needs medic=1 --wish "apart r1 r2"
   muster solve fleet.json --path inverse-free --tolerance 1e-6
   muster solve fleet.json --json | jq .teams
   muster solve fleet.json --why r7
@@ -147,6 +167,8 @@ pub struct SolveArgs {
     why: Option<RobotId>,
     #[command(flatten)]
     options: Options,
+    #[command(flatten)]
+    limits: LimitOptions,
 }
 
 /// Runs the command.
@@ -163,6 +185,7 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
     let line = line::Line::start(!args.json && std::io::stderr().is_terminal());
     let text = read(&args.file).with_context(|| name.clone())?;
     let mut problem = parse(&text, args.options).with_context(|| name.clone())?;
+    problem.ask(&args.limits).with_context(|| name.clone())?;
     problem.keeps_frames = args.why.is_some();
     drop(text);
     if args.estimate {
@@ -175,8 +198,12 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
         }
         return estimate.check().with_context(|| name);
     }
-    let solution = solve(&problem, &mut |step| line.show(step)).with_context(|| name.clone())?;
+    let solved = solve(&problem, &mut |step| line.show(step));
     drop(line);
+    if let (Err(SolveError::Conflict(conflict)), true) = (&solved, args.json) {
+        output::write_conflict(conflict)?;
+    }
+    let solution = solved.with_context(|| name.clone())?;
     if let Some(robot) = &args.why {
         let reasons = why::reasons(&problem, &solution, robot).with_context(|| name)?;
         let text = if args.json { reasons.to_json()? } else { reasons.text() };
@@ -237,7 +264,21 @@ impl Solved {
         options: Options,
         progress: &mut Progress<'_>,
     ) -> Result<Self, SolveError> {
-        let problem = parse(text, options)?;
+        Self::asked(text, options, &LimitOptions::default(), progress)
+    }
+
+    /// The same within limits, wishes and needs beside those of the file.
+    ///
+    /// # Errors
+    /// As of [`Solved::new`], and [`SolveError::Conflict`] if nothing satisfies what is asked.
+    pub fn asked(
+        text: &[u8],
+        options: Options,
+        limits: &LimitOptions,
+        progress: &mut Progress<'_>,
+    ) -> Result<Self, SolveError> {
+        let mut problem = parse(text, options)?;
+        problem.ask(limits)?;
         let solution = solve(&problem, progress)?;
         Ok(Self { problem, solution })
     }

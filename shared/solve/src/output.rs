@@ -1,22 +1,24 @@
 //! The results: one JSON object, or a summary to read.
 
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
 use std::io::{BufWriter, Write};
 
 use comfy_table::presets::UTF8_BORDERS_ONLY;
 use comfy_table::{Cell, CellAlignment, ContentArrangement, Table};
 use muster_method::decomposition::Path;
 use muster_model::audit::SilhouetteMethod;
-use muster_model::id::{Modality, RobotId};
+use muster_model::id::{Modality, RobotId, TeamId};
 use muster_model::settings::{Alpha, Dimension};
-use muster_model::teams::TeamCountScore;
+use muster_model::teams::{Limited, SkillPrices, TeamCountScore, TeamNeed};
 use muster_numeric::matrix::DenseMatrix;
 use muster_numeric::silhouette::Scores;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
-use super::division::wanted_teams;
+use super::division::{Divided, wanted_teams};
 use super::file::Emit;
+use super::limited::{WishOutcome, Within};
 use super::method::{Solution, is_doubted};
 use super::path::description;
 use super::problem::{Division, Problem};
@@ -46,14 +48,46 @@ struct Report<'a> {
     embedding: Option<Matrix<'a>>,
     labels: &'a [usize],
     teams: Teams<'a>,
+    #[serde(flatten)]
+    within: Option<WithinReport<'a>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     requested: Option<u32>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     considered: Vec<TeamCountScore>,
     inertia: f64,
-    silhouette: SilhouetteReport<'a>,
+    silhouette: SilhouetteReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     diagnostics: Option<DiagnosticsReport<'a>>,
+}
+
+/// How the division stands to limits, wishes and needs.
+#[derive(Serialize)]
+struct WithinReport<'a> {
+    optimal: bool,
+    gap: f64,
+    ids: &'a [Option<TeamId>],
+    prices: &'a [Option<f64>],
+    skill_prices: &'a [SkillPrices],
+    jointly: &'a [RobotId],
+    needs: &'a [TeamNeed],
+    wishes: &'a [WishOutcome],
+    unassigned: &'a [RobotId],
+}
+
+impl<'a> WithinReport<'a> {
+    fn of(within: &'a Within) -> Self {
+        Self {
+            optimal: within.limited.optimal,
+            gap: within.limited.gap,
+            ids: &within.ids,
+            prices: &within.prices,
+            skill_prices: within.skill_prices(),
+            jointly: &within.limited.jointly,
+            needs: &within.needs,
+            wishes: &within.wishes,
+            unassigned: &within.unassigned,
+        }
+    }
 }
 
 /// How much a modality counts.
@@ -81,14 +115,15 @@ struct DecompositionReport {
 
 /// Silhouettes; how they were computed is left out where they are not defined.
 #[derive(Serialize)]
-struct SilhouetteReport<'a> {
+struct SilhouetteReport {
     mean: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     standard_error: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     method: Option<SilhouetteMethod>,
     per_team: Vec<f64>,
-    per_robot: &'a [f64],
+    /// None for a robot without a team.
+    per_robot: Vec<Option<f64>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     detail_method: Option<SilhouetteMethod>,
 }
@@ -135,6 +170,13 @@ pub(super) fn write_json(problem: &Problem, solution: &Solution) -> std::io::Res
     // Through the io::Error, by which a reader that has gone away is known.
     serde_json::to_writer(&mut out, &report(problem, solution)).map_err(std::io::Error::from)?;
     out.write_all(b"\n")?;
+    out.flush()
+}
+
+/// Writes why nothing satisfies what is asked of the teams as one JSON object.
+pub(super) fn write_conflict(conflict: &str) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{}", serde_json::json!({ "conflict": conflict }))?;
     out.flush()
 }
 
@@ -187,12 +229,13 @@ fn report<'a>(problem: &'a Problem, solution: &'a Solution) -> Report<'a> {
         labels,
         teams: Teams(&problem.robots, labels),
         requested: match problem.division {
-            Division::Wanted(_) => Some(found.teams.teams),
+            Division::Wanted(_) => Some(requested(solution)),
             Division::Given(_) => None,
         },
+        within: solution.divided.within.as_ref().map(WithinReport::of),
         considered: considered(problem, solution),
         inertia: solution.divided.inertia,
-        silhouette: silhouette_report(solution.divided.silhouette.as_ref()),
+        silhouette: silhouette_report(&solution.divided),
         diagnostics: wants(Emit::Diagnostics).then(|| DiagnosticsReport {
             spectral_radius: [solution.radius.lower, solution.radius.upper],
             dimension: solution.embedding.cols(),
@@ -220,7 +263,7 @@ fn considered(problem: &Problem, solution: &Solution) -> Vec<TeamCountScore> {
 /// How many teams were chosen, with the best of the numbers that were considered.
 fn team_count(problem: &Problem, solution: &Solution) -> String {
     let mut considered = considered(problem, solution);
-    let teams = solution.decomposition.teams.teams;
+    let teams = requested(solution);
     if wanted_teams(problem).fixed().is_some() {
         return teams.to_string();
     }
@@ -233,7 +276,14 @@ fn team_count(problem: &Problem, solution: &Solution) -> String {
     }
 }
 
-fn silhouette_report(scores: Option<&Scores>) -> SilhouetteReport<'_> {
+/// How many teams were asked for, or chosen.
+fn requested(solution: &Solution) -> u32 {
+    let within = solution.divided.within.as_ref();
+    within.map_or(solution.decomposition.teams.teams, |within| within.requested)
+}
+
+fn silhouette_report(divided: &Divided) -> SilhouetteReport {
+    let scores = divided.silhouette.as_ref();
     let details = scores.map(|scores| &scores.details);
     let per_cluster = details.map(|details| details.per_cluster.as_slice()).unwrap_or_default();
     SilhouetteReport {
@@ -241,9 +291,17 @@ fn silhouette_report(scores: Option<&Scores>) -> SilhouetteReport<'_> {
         standard_error: scores.map(|scores| scores.standard_error),
         method: scores.map(|scores| scores.method),
         per_team: per_cluster.iter().map(|cluster| cluster.1).collect(),
-        per_robot: details.map(|details| details.per_point.as_slice()).unwrap_or_default(),
+        per_robot: details.map_or_else(Vec::new, |details| per_robot(divided, &details.per_point)),
         detail_method: details.map(|details| details.method),
     }
+}
+
+/// The silhouette of each robot, in the order of the file; under limits only robots with a team have one.
+fn per_robot(divided: &Divided, scored: &[f64]) -> Vec<Option<f64>> {
+    let left_out = divided.unassigned.filter(|_| divided.within.is_some());
+    let mut scored = scored.iter().copied();
+    let value = |label: &usize| if left_out == Some(*label) { None } else { scored.next() };
+    divided.labels.iter().map(value).collect()
 }
 
 /// The results to read.
@@ -296,7 +354,7 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
          residual          {residual:.1e}, space turned by a sine of at most {angle:.1e}\n\
          inertia           {inertia}\n\
          mean silhouette   {mean}\n\
-         teams             {teams}\n\
+         teams             {teams}\n{limits}\
          {table}\n",
         robots = problem.robots.len(),
         modalities = modalities.join(", "),
@@ -312,8 +370,30 @@ pub(super) fn summary(problem: &Problem, solution: &Solution) -> String {
         angle = solution.angle_bound(),
         inertia = rounded(solution.divided.inertia),
         teams = team_count(problem, solution),
+        limits = limits(solution),
         table = table(problem, solution),
     )
+}
+
+/// How the division stands to limits, wishes and needs; empty if nothing is asked.
+fn limits(solution: &Solution) -> String {
+    let Some(within) = &solution.divided.within else { return String::new() };
+    let nearest = match within.limited {
+        Limited { optimal: true, .. } => "no other assignment to these teams is nearer".to_owned(),
+        Limited { gap, .. } => {
+            format!("another assignment could be nearer by {:.2} %", 100.0 * gap)
+        }
+    };
+    let mut text = format!("limits            {nearest}\n");
+    let needs: Vec<String> = within
+        .needs
+        .iter()
+        .map(|need| format!("{} {} of {}", need.team, need.skill, need.have))
+        .collect();
+    if !needs.is_empty() {
+        let _ = writeln!(text, "needs             {}", needs.join(", "));
+    }
+    text
 }
 
 /// The trust in each modality and its agreement with the others; one in doubt stands out.
@@ -354,6 +434,7 @@ fn table(problem: &Problem, solution: &Solution) -> Table {
         .flat_map(|scores| scores.details.per_cluster.iter().copied())
         .collect();
     let unassigned = solution.divided.unassigned;
+    let ids = solution.divided.within.as_ref().map(|within| &within.ids);
     let label = match problem.division {
         Division::Wanted(_) => "team",
         Division::Given(_) => "label",
@@ -367,7 +448,11 @@ fn table(problem: &Problem, solution: &Solution) -> Table {
             silhouettes.get(&label).map_or_else(|| "-".to_owned(), |s| format!("{s:.3}"));
         let right = |text: String| Cell::new(text).set_alignment(CellAlignment::Right);
         table.add_row([
-            right(if unassigned == Some(label) { "-".to_owned() } else { label.to_string() }),
+            right(match ids.map(|ids| ids.get(label).cloned().flatten()) {
+                _ if unassigned == Some(label) => "-".to_owned(),
+                Some(Some(id)) => format!("{id} ({label})"),
+                _ => label.to_string(),
+            }),
             right(members.len().to_string()),
             right(silhouette),
             Cell::new(named(&members)),

@@ -16,6 +16,7 @@ use super::defaults;
 use super::edges::Edges;
 use super::error::{SolveError, refuse};
 use super::file::{Emit, File, ModalityEntry, Named};
+use super::limits::{Asks, LABELS_ARE_DIVIDED, with_limits};
 use super::observations::{Graphs, Observations};
 use super::options::{Options, Preset};
 use super::places::{Places, places};
@@ -30,6 +31,8 @@ pub(super) struct Problem {
     /// From graphs to vectors; the weights are those of `graphs`, in which edges lead back already.
     pub(super) settings: EmbedderSettings,
     pub(super) division: Division,
+    /// What is asked of the teams beside the settings of the division.
+    pub(super) asks: Asks,
     pub(super) emit: BTreeSet<Emit>,
     /// What was chosen by flags.
     pub(super) options: Options,
@@ -63,11 +66,15 @@ pub(super) fn check(mut file: File, options: Options) -> Result<Problem, SolveEr
     check_self_loops(self_loops)?;
     let trusted = file.trusted.take().unwrap_or(defaults.trusted);
     let is_observed = file.modalities.is_none();
+    let asks = Asks::of_file(&mut file, &places)?;
     let graphs = graphs(&mut file, &places, preset, options.normalize_weights)?;
     if let Trusted::Only(named) = &trusted {
         check_known("trusted", named, &graphs, is_observed)?;
     }
     let division = division(&mut file, preset, options.teams)?;
+    if let (Division::Given(_), false) = (&division, asks.wishes.is_empty()) {
+        return refuse("wishes", LABELS_ARE_DIVIDED);
+    }
     let alpha = file.alpha.map_or(defaults.alpha, |decay| decay.0);
     check_alpha(alpha)?;
     let dimension = file.dimension.unwrap_or(defaults.dimension);
@@ -83,7 +90,7 @@ pub(super) fn check(mut file: File, options: Options) -> Result<Problem, SolveEr
         ..defaults
     };
     let emit = file.emit.unwrap_or_default().into_iter().collect();
-    Ok(Problem::new(file.robots, graphs, settings, division, emit, options))
+    Ok(Problem { asks, ..Problem::new(file.robots, graphs, settings, division, emit, options) })
 }
 
 impl Problem {
@@ -98,7 +105,8 @@ impl Problem {
     ) -> Self {
         let weights = graphs.iter().map(|graph| (graph.name.clone(), graph.weight)).collect();
         let settings = EmbedderSettings { weights, reciprocity: BTreeMap::new(), ..settings };
-        Self { robots, graphs, settings, division, emit, options, keeps_frames: false }
+        let asks = Asks::default();
+        Self { robots, graphs, settings, division, asks, emit, options, keeps_frames: false }
     }
 }
 
@@ -205,6 +213,17 @@ fn division(
         seed: file.seed.unwrap_or(defaults.seed),
         ..defaults
     };
+    let limits = [
+        ("size", file.size.is_some()),
+        ("team_size", file.team_size.is_some()),
+        ("needs", file.needs.is_some()),
+    ];
+    if let (Some((field, _)), true) =
+        (limits.iter().find(|(_, is_given)| *is_given), file.labels.is_some())
+    {
+        return refuse(*field, LABELS_ARE_DIVIDED);
+    }
+    let settings = with_limits(file, settings);
     settings.check().or_else(|error| refuse(error.field, error.problem))?;
     let least = *settings.teams.range().start();
     match (wanted, file.labels.take()) {

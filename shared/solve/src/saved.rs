@@ -1,17 +1,21 @@
 //! A saved fleet: the lines of `muster graph --json`, and the settings of the services if they are there.
 //!
 //! Each line is one JSON object: a graph as it is printed, or the settings of `embedder` or `clusterer` as
-//! `muster set embedder --json` and `muster set clusterer --json` print them. Settings that are not there
+//! `muster set embedder --json` and `muster set clusterer --json` print them, the status with the skills of robots, or a
+//! wish of `muster wish list --json`. Settings that are not there
 //! are the defaults. A saved fleet is divided as the live fleet would divide these graphs first.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
+use muster_division::rules::Asked;
 use muster_method::weights::weights;
 use muster_method::{Frame, Graph as FrameGraph};
-use muster_model::id::{FleetId, Modality, RobotId};
+use muster_model::id::{FleetId, Modality, RobotId, SkillId};
 use muster_model::object::Object;
+use muster_model::roster::Presence;
 use muster_model::settings::{ClustererSettings, EmbedderSettings, Settings};
+use muster_model::wish::StandingWish;
 use muster_numeric::matrix::SparseMatrix;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -20,6 +24,7 @@ use super::defaults;
 use super::edges::Edges;
 use super::error::{SolveError, refuse, tidy};
 use super::file::explained;
+use super::limits::Asks;
 use super::options::{Options, Preset};
 use super::places::MAX_SOLVE_ROBOTS;
 use super::problem::{Division, Graph, Problem, edge_triplets};
@@ -39,6 +44,8 @@ struct Probe {
     modality: Option<IgnoredAny>,
     residual_tolerance: Option<IgnoredAny>,
     heartbeat_s: Option<IgnoredAny>,
+    robot_tokens: Option<IgnoredAny>,
+    operator: Option<IgnoredAny>,
 }
 
 /// What a line holds.
@@ -46,6 +53,22 @@ enum Kind {
     Graph,
     Embedder,
     Clusterer,
+    Status,
+    Wish,
+}
+
+/// What `muster status --json` says of the robots.
+#[derive(Deserialize)]
+struct SavedStatus {
+    robots: Vec<SavedRobot>,
+}
+
+#[derive(Deserialize)]
+struct SavedRobot {
+    robot: RobotId,
+    presence: Presence,
+    #[serde(default)]
+    skills: Vec<SkillId>,
 }
 
 impl Probe {
@@ -54,6 +77,8 @@ impl Probe {
             Self { modality: Some(_), .. } => Some(Kind::Graph),
             Self { residual_tolerance: Some(_), .. } => Some(Kind::Embedder),
             Self { heartbeat_s: Some(_), .. } => Some(Kind::Clusterer),
+            Self { robot_tokens: Some(_), .. } => Some(Kind::Status),
+            Self { operator: Some(_), .. } => Some(Kind::Wish),
             _ => None,
         }
     }
@@ -67,6 +92,9 @@ pub(super) struct SavedFleet {
     graphs: BTreeMap<Modality, SavedGraph>,
     embedder: EmbedderSettings,
     clusterer: ClustererSettings,
+    /// The robots with their skills; none if the status was not saved.
+    status: Option<SavedStatus>,
+    wishes: Vec<StandingWish>,
 }
 
 impl SavedFleet {
@@ -93,10 +121,12 @@ impl SavedFleet {
                 Some(Kind::Graph) => saved.add(number, parsed(number, value)?)?,
                 Some(Kind::Embedder) => saved.embedder = settings(number, value)?,
                 Some(Kind::Clusterer) => saved.clusterer = settings(number, value)?,
+                Some(Kind::Status) => saved.status = Some(parsed(number, value)?),
+                Some(Kind::Wish) => saved.wishes.push(wish(number, value)?),
                 None if number == 0 => return Ok(None),
                 None => {
-                    let problem = "is neither a graph of `muster graph --json` nor settings of \
-                                   embedder or clusterer";
+                    let problem = "is no graph of `muster graph --json`, no settings of embedder \
+                                   or clusterer, no status and no wish";
                     return refuse(line(number, ""), problem);
                 }
             }
@@ -124,6 +154,7 @@ impl SavedFleet {
     /// # Errors
     /// Names the graph and the field that is wrong.
     pub(super) fn into_problem(self, options: Options) -> Result<Problem, SolveError> {
+        let asks = self.asks()?;
         let Self { graphs, mut embedder, mut clusterer, .. } = self;
         if let Some(preset) = options.preset {
             let ClustererSettings { init, restarts, .. } = defaults::clusterer(Some(preset));
@@ -164,7 +195,27 @@ impl SavedFleet {
         }
         let teams = options.teams.unwrap_or(clusterer.teams);
         let division = Division::Wanted(ClustererSettings { teams, ..clusterer });
-        Ok(Problem::new(robots, reported, embedder, division, BTreeSet::new(), options))
+        let problem = Problem::new(robots, reported, embedder, division, BTreeSet::new(), options);
+        Ok(Problem { asks, ..problem })
+    }
+
+    /// The wishes that count, and who can fill needs.
+    fn asks(&self) -> Result<Asks, SolveError> {
+        let mut asks = Asks::default();
+        for asked in Asked::of(self.wishes.iter()) {
+            asks.add_asked(asked)?;
+        }
+        if self.status.is_none() && !self.clusterer.needs.is_empty() {
+            let problem = "rest on the skills of robots, which `muster status --json` prints: save \
+                           that as well";
+            return refuse("needs", problem);
+        }
+        let robots = self.status.iter().flat_map(|status| &status.robots);
+        // A stale robot can do nothing for its team.
+        for robot in robots.filter(|robot| robot.presence == Presence::Active) {
+            asks.add_skills(&robot.robot, &robot.skills);
+        }
+        Ok(asks)
     }
 }
 
@@ -182,6 +233,14 @@ fn parsed<'de, T: Deserialize<'de>>(number: usize, value: &'de [u8]) -> Result<T
         let problem = explained(&error.into_inner(), value);
         SolveError::Field { field: tidy(&line(number, &path)), problem: tidy(&problem) }
     })
+}
+
+fn wish(number: usize, value: &[u8]) -> Result<StandingWish, SolveError> {
+    let standing: StandingWish = parsed(number, value)?;
+    let wish = standing.wish.checked();
+    let wish = wish
+        .or_else(|error| refuse(line(number, &format!(".wish.{}", error.field)), error.problem))?;
+    Ok(StandingWish { wish, ..standing })
 }
 
 fn settings<T: Settings>(number: usize, value: &[u8]) -> Result<T, SolveError> {

@@ -31,6 +31,9 @@ struct TeamReason {
     itself: f64,
     spread: f64,
     rest: f64,
+    /// What a place in it costs under limits, which counts against the score.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    price: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -59,6 +62,7 @@ pub(super) fn reasons(
     let (svd, power) = (&solution.decomposition.svd, settings.scale.power());
     let frames = solution.frames.iter();
     let pulls = frames.flat_map(|frames| frames.reasons(svd, power, settings.rows, place, &labels));
+    let prices = solution.divided.within.as_ref().map(|within| &within.prices);
     let reason = |pull: TeamPull| TeamReason {
         team: pull.team,
         score: pull.score,
@@ -68,6 +72,7 @@ pub(super) fn reasons(
         itself: pull.itself,
         spread: pull.spread,
         rest: pull.rest,
+        price: prices.and_then(|prices| prices.get(pull.team).copied().flatten()),
     };
     let teams = pulls.map(reason).collect();
     Ok(Reasons { robot: robot.clone(), team: labels[place], teams })
@@ -108,7 +113,11 @@ impl Reasons {
                     gains.iter().map(|(name, gain)| format!("{name} {gain:+.3}")).collect();
                 let others =
                     own.itself + own.spread + own.rest - next.itself - next.spread - next.rest;
-                let _ = writeln!(text, "{}, all else {others:+.3}", gains.join(", "));
+                let _ = write!(text, "{}, all else {others:+.3}", gains.join(", "));
+                if let (Some(own), Some(next)) = (own.price, next.price) {
+                    let _ = write!(text, "; by the limits its place costs {:+.3}", own - next);
+                }
+                text.push('\n');
             }
             _ => text.push_str(", and there is no other\n"),
         }
@@ -119,11 +128,14 @@ impl Reasons {
         let names: Vec<String> = names.map(|pull| pull.name.to_string()).collect();
         let head = |name: &str| name.to_owned();
         let columns = [head("team"), head("score")].into_iter().chain(names);
-        table.set_header(columns.chain([head("itself"), head("spread"), head("rest")]));
+        let is_limited = self.teams.iter().any(|reason| reason.price.is_some());
+        let last = ["itself", "spread", "rest"].into_iter().chain(is_limited.then_some("price"));
+        table.set_header(columns.chain(last.map(head)));
         for reason in &self.teams {
             let numbers = std::iter::once(reason.score)
                 .chain(reason.modalities.iter().map(|pull| pull.pull))
-                .chain([reason.itself, reason.spread, reason.rest]);
+                .chain([reason.itself, reason.spread, reason.rest])
+                .chain(is_limited.then_some(reason.price.unwrap_or(0.0)));
             let right = |text: String| Cell::new(text).set_alignment(CellAlignment::Right);
             let cells = numbers.map(|number| right(format!("{number:.4}")));
             table.add_row(std::iter::once(right(reason.team.to_string())).chain(cells));

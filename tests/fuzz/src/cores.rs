@@ -12,9 +12,11 @@ use muster_model::audit::{Audit, SilhouetteReport};
 use muster_model::event::EventKind;
 use muster_model::graph::GraphReplica;
 use muster_model::header::Revision;
-use muster_model::id::{FleetId, InstanceId, Modality};
+use muster_model::id::{FleetId, InstanceId, Modality, ServiceName};
+use muster_model::proposal::ProposalState;
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
+use muster_planner::Planner;
 use muster_service::testkit::{START_RETRY_TIME, command_of};
 use muster_service::{
     Arrival, Ask, Command, Core, GetId, Host, IncomingGet, Input, Publication, Reply, Start,
@@ -70,6 +72,55 @@ pub(crate) const KEYS: [&str; 16] = [
     "robot/R1/pose",
 ];
 
+/// Keys that packets of a planner come in on: what it follows, and what it fetches for a proposal.
+pub(crate) const PLANNER_KEYS: [&str; 16] = [
+    "graph/spatial",
+    "graph/connectivity",
+    "graph/hierarchy",
+    "graph/thermal",
+    "roster",
+    "embedding",
+    "teams",
+    "wishes",
+    "service/clusterer/settings",
+    "service/embedder/settings",
+    "service/planner/settings",
+    "audit",
+    "robot/r1/pose",
+    "graph/GRAPH",
+    "propose/kim/p1",
+    "event",
+];
+
+/// The keys of a service.
+fn keys_of(service: ServiceName) -> &'static [&'static str; 16] {
+    if service == ServiceName::Planner { &PLANNER_KEYS } else { &KEYS }
+}
+
+/// What gets of a planner select.
+const PLANNER_SELECTORS: [&str; 8] = [
+    "~/propose/kim/p1",
+    "~/propose/kim/p2",
+    "~/propose/alice/p1",
+    "~/propose/*/*",
+    "~/propose/kim/*",
+    "~/service/planner/settings",
+    "~/**",
+    "~/nothing",
+];
+
+/// What proposals ask for, by the number in a payload of one byte.
+const ASKED: [&str; 8] = [
+    r#"{"teams":2}"#,
+    r#"{"teams":{"from":1,"to":3}}"#,
+    r#"{"without":["r1"]}"#,
+    r#"{"size":{"max":2}}"#,
+    r#"{"weights":{"spatial":1}}"#,
+    r#"{"needs":[{"skill":"medic","per_team":{"min":1}}]}"#,
+    r#"{"team_size":{"t1":{"min":2}},"without":["r0","r2"]}"#,
+    "null",
+];
+
 /// What gets select.
 const SELECTORS: [&str; 21] = [
     "~/**",
@@ -123,6 +174,10 @@ pub(crate) fn auditor(data: &[u8]) -> Outcome {
     run::<Auditor>(data)
 }
 
+pub(crate) fn planner(data: &[u8]) -> Outcome {
+    run::<Planner>(data)
+}
+
 fn run<C: Core>(data: &[u8]) -> Outcome {
     let limit = BYTES_PER_INPUT_BYTE * data.len() + BASE_BYTES;
     let what = format!("{} with all that it received", C::SERVICE);
@@ -156,6 +211,8 @@ struct OpenGet {
     /// A get of a pair may wait for a job.
     is_of_pair: bool,
     is_of_reason: bool,
+    /// A get of a proposal waits until that is computed, or for three seconds.
+    is_of_proposal: bool,
     is_binary: bool,
 }
 
@@ -268,7 +325,7 @@ impl<C: Core> World<C> {
     fn raw(&self, draw: &mut Draw<'_>) -> Packet {
         let choice = draw.byte();
         let encoding = if choice & 16 == 0 { BINARY } else { "" };
-        let key = format!("muster/v1/alpha/{}", KEYS[usize::from(choice % 16)]);
+        let key = format!("muster/v1/alpha/{}", keys_of(C::SERVICE)[usize::from(choice % 16)]);
         Packet::put(key, encoding, draw.block())
     }
 
@@ -321,10 +378,19 @@ impl<C: Core> World<C> {
     }
 
     fn get(&mut self, draw: &mut Draw<'_>) {
-        let tail = SELECTORS[usize::from(draw.below(21))];
+        let tail = match C::SERVICE {
+            ServiceName::Planner => PLANNER_SELECTORS[usize::from(draw.below(8))],
+            _ => SELECTORS[usize::from(draw.below(21))],
+        };
         let choice = draw.byte();
         let parameters = PARAMETERS[usize::from(choice & 3 | (choice & 8) >> 1)].to_owned();
         let payload = (choice & 4 != 0).then(|| draw.block().to_vec());
+        let payload = payload.map(|payload| match payload[..] {
+            [one] if C::SERVICE == ServiceName::Planner => {
+                ASKED[usize::from(one % 8)].as_bytes().to_vec()
+            }
+            _ => payload,
+        });
         self.gets += 1;
         let get = GetId(self.gets);
         // What a service changes by commands alone goes in one, unless it is none that could.
@@ -339,7 +405,9 @@ impl<C: Core> World<C> {
         let selector = tail.replace('~', "muster/v1/alpha");
         let is_binary = parameters.contains("format=bincode");
         let is_of_reason = selector.ends_with("/why");
-        self.open.insert(get, OpenGet { is_of_pair: choice & 8 != 0, is_of_reason, is_binary });
+        let is_of_proposal = selector.contains("/propose/");
+        let is_of_pair = choice & 8 != 0;
+        self.open.insert(get, OpenGet { is_of_pair, is_of_reason, is_of_proposal, is_binary });
         self.handle(Input::Get(IncomingGet { get, selector, narrowed: None, parameters, payload }));
     }
 
@@ -397,6 +465,7 @@ impl<C: Core> World<C> {
             let waits = |get: &OpenGet| {
                 (get.is_of_pair || get.is_of_reason) && self.job.is_some()
                     || get.is_of_reason && !self.asks.is_empty()
+                    || get.is_of_proposal
             };
             assert!(self.open.values().all(waits), "a get is not answered");
         }
@@ -407,11 +476,19 @@ impl<C: Core> World<C> {
 
     fn replied(&mut self, reply: &Reply) {
         let open = self.open.remove(&reply.get).expect("a get is answered that is not open");
+        let is_ready = |message: &Message| matches!(message, Message::Proposal(report) if report.proposal.state == ProposalState::Ready);
+        if reply.messages.iter().any(is_ready) {
+            self.outcome = Outcome::Accepted;
+        }
         let Err(error) = &reply.answer else { return };
         text::check(error, MAX_ERROR);
         // These have no binary form, and a get of one is answered with that.
-        let has_none =
-            |message| matches!(message, &(Message::Status(_) | Message::Katz(_) | Message::Why(_)));
+        let has_none = |message: &Message| {
+            matches!(
+                message,
+                Message::Status(_) | Message::Katz(_) | Message::Why(_) | Message::Proposal(_)
+            )
+        };
         let is_explained =
             reply.messages.is_empty() || open.is_binary && reply.messages.iter().any(has_none);
         assert!(is_explained, "{:?} is not answered: {error}", reply.messages);

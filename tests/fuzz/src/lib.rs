@@ -59,7 +59,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 19] = [
+pub const TARGETS: [Target; 20] = [
     target("packet", packets::packet, 2048, 30_000),
     target("envelope", packets::envelope, 2048, 30_000),
     target("robot_team", packets::robot_team, 2048, 20_000),
@@ -79,6 +79,7 @@ pub const TARGETS: [Target; 19] = [
     target("embedder", cores::embedder, 4096, 400),
     target("clusterer", cores::clusterer, 4096, 400),
     target("auditor", cores::auditor, 4096, 400),
+    target("planner", cores::planner, 6144, 400),
 ];
 
 const fn target(

@@ -28,7 +28,7 @@ use muster_wire::{Format, Key, Message, Packet, Pattern};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::cores::KEYS;
+use crate::cores::{KEYS, PLANNER_KEYS};
 use crate::packets::{BINARY, NOW};
 
 /// One input for a target.
@@ -43,12 +43,13 @@ pub struct Seed {
 }
 
 /// Files of `muster solve`, as the manual has them.
-const SOLVE: [&str; 5] = [
+const SOLVE: [&str; 6] = [
     r#"{"robots":["r1","r2","r3","r4"],"modalities":[{"name":"radio","edges":[["r1","r2",1],["r2","r1",1],["r3","r4",1],["r4","r3",1]]}],"teams":2}"#,
     r#"{"robots":["r1","r2","r3"],"modalities":[{"name":"spatial","weight":0.4,"matrix":[[0,1,0],[1,0,0],[0,0,0]]},{"name":"hierarchy","weight":0.6,"edges":[["r1","r3",1.0]]}],"alpha":{"fraction":0.5},"dimension":"auto","teams":2,"emit":["katz","embedding","diagnostics"]}"#,
     r#"{"robots":["r1","r2"],"teams":1,"poses":{"r1":{"x":0,"y":0},"r2":{"x":3,"y":4,"z":0}},"links":{"r1":[{"peer":"r2","quality":0.9}]},"ranks":{"r2":{"superior":"r1"}},"weights":{"spatial":0.5,"connectivity":0.25,"hierarchy":0.25},"spatial":{"width":2.0},"connectivity":{"unit":"quality"}}"#,
     r#"{"robots":["r1","r2","r3"],"modalities":[{"name":"m","matrix":[[0,1,0],[0,0,1],[1,0,0]]}],"normalize":"none","scale":"none","rows":"none","init":"random","restarts":1,"seed":7,"alpha":0.2,"dimension":4,"teams":2}"#,
     r#"{"robots":["r1","r2","r3"],"modalities":[{"name":"m","edges":[["r1","r2",0.5],["r2","r3",2]]}],"labels":[0,1,1]}"#,
+    r#"{"robots":["r1","r2","r3","r4"],"modalities":[{"name":"m","matrix":[[0,1,0,0],[1,0,1,0],[0,0,0,1],[0,0,1,0]]}],"teams":2,"size":{"min":1,"max":2},"team_size":{"t1":{"max":1}},"needs":[{"skill":"medic","per_team":{"min":1}}],"skills":{"r1":["medic"],"r3":["medic"]},"wishes":[{"kind":"apart","robots":["r1","r2"]},{"kind":"reserve","robots":["r4"]}]}"#,
 ];
 
 const PATHS: [&str; 9] = [
@@ -117,7 +118,7 @@ pub fn all() -> Vec<Seed> {
         let file = format!("{{\"term\":3,\"patch\":{settings}}}");
         add("stored", format!("default-{service}"), &[&[service], file.as_bytes()].concat());
     }
-    for target in ["replica", "ingest", "embedder", "clusterer", "auditor"] {
+    for target in ["replica", "ingest", "embedder", "clusterer", "auditor", "planner"] {
         for number in 0..4 {
             let mut random = ChaCha8Rng::seed_from_u64(number);
             let mut bytes = vec![0; 200 * (number as usize + 1)];
@@ -343,9 +344,49 @@ fn pipeline() -> Vec<Seed> {
         ("embedder", inputs(&graphs)),
         ("clusterer", inputs(&clusterer_inputs)),
         ("auditor", inputs(&auditor_inputs)),
+        ("planner", planner_inputs(&graphs, &embeddings, &teams)),
     ]
     .map(|(target, bytes)| Seed { target, name: "pipeline".to_owned(), bytes })
     .into()
+}
+
+/// What a planner follows of the first frame, a get of a proposal, and the settings that it is computed with.
+fn planner_inputs(graphs: &[Message], embeddings: &[Message], teams: &[Message]) -> Vec<u8> {
+    let place = |key: &str| {
+        let place = PLANNER_KEYS.iter().position(|known| *known == key).unwrap();
+        u8::try_from(place).unwrap()
+    };
+    let block =
+        |bytes: &[u8]| [&u16::try_from(bytes.len()).unwrap().to_le_bytes()[..], bytes].concat();
+    let encoded = |message: &Message| {
+        let out = message.encode(message.keys().0, Format::Binary, NOW).unwrap();
+        [&[place(&out.key.to_string())][..], &block(&out.payload)].concat()
+    };
+    let end = graphs.iter().position(|message| matches!(message, Message::Roster(_))).unwrap();
+    let frame = graphs[..=end].iter().chain(embeddings.first()).chain(teams.first());
+    // The first fetch is answered with nothing.
+    let mut bytes = vec![8, 0];
+    for message in frame {
+        bytes.push(5);
+        bytes.extend(encoded(message));
+    }
+    // Half a second passes; a get asks for two teams; its fetch is answered, and the job ends.
+    bytes.extend([0, 0xF4, 1, 1, 9, 0, 4]);
+    bytes.extend(block(&[0]));
+    bytes.extend([8, 2]);
+    bytes.extend(encoded(&announced::<Clusterer>()));
+    bytes.extend(encoded(&announced::<Embedder>()));
+    bytes.push(10);
+    bytes
+}
+
+/// The settings that a service announces when it begins to lead.
+fn announced<C: Core>() -> Message {
+    let fleet = FleetId::new("alpha").unwrap();
+    let instance = InstanceId::new("seed-1").unwrap();
+    let bench = Bench::<C>::leading(fleet, instance, NOW, C::Settings::default(), Vec::new());
+    let mut published = bench.published.into_iter();
+    published.find(|message| matches!(message, Message::Settings(_))).unwrap()
 }
 
 /// Messages as the input of a core: each as a raw packet, with a timeout and the end of a job.

@@ -26,7 +26,7 @@ const SEED: u64 = 20_261_121;
 const MAX_TIME: Duration = Duration::from_secs(20);
 
 /// Most files of the corpus.
-const MAX_FILES: usize = 400;
+const MAX_FILES: usize = 500;
 
 /// Most bytes of the corpus.
 const MAX_BYTES: usize = 500_000;

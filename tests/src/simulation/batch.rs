@@ -56,6 +56,9 @@ impl Summary {
         total.divisions += stats.divisions;
         total.takeovers += stats.takeovers;
         total.joined += stats.joined;
+        total.proposals += stats.proposals;
+        total.proposals_refused += stats.proposals_refused;
+        total.proposals_compared += stats.proposals_compared;
         total.remembered = total.remembered.max(stats.remembered);
         for (kind, count) in &stats.faults {
             *total.faults.entry(kind).or_default() += count;
@@ -90,6 +93,11 @@ impl Summary {
             text,
             "takeovers checked {}, gets of late joiners {}; most robots remembered {}",
             total.takeovers, total.joined, total.remembered
+        );
+        let _ = writeln!(
+            text,
+            "proposals read {}, refused {}, compared with the division {}",
+            total.proposals, total.proposals_refused, total.proposals_compared
         );
         let (worst, seed) = self.worst;
         let _ = writeln!(text, "longest time to agreement: {}, seed {seed}", in_ticks(worst));

@@ -14,7 +14,8 @@ use super::busy::Load;
 use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
 use super::link::{State, Storm, Way};
-use super::plan::{Fault, Forgery, OutputKind, Rubbish};
+use super::plan::{Fault, Forgery, OutputKind, Rubbish, Then};
+use super::proposer::{AtRest, Errand};
 use super::recording::Disk;
 use super::robots::{RobotStream, packet};
 use super::router::Carried;
@@ -28,6 +29,9 @@ const MIN_DOWN_TIME: Micros = 30 * MS;
 
 /// How long after a fault all are connected again and have received a lease renewal.
 const RECOVERY_TIME: Micros = 3 * SECOND;
+
+/// Who asks for many proposals at once.
+const PROPOSERS: [&str; 3] = ["alice", "bob", "carol"];
 
 impl World {
     /// A fault happens.
@@ -165,6 +169,24 @@ impl World {
                     self.operator.wants(ServiceName::Clusterer, change);
                 }
             }
+            Fault::Propose { operator, id, robot, asked, then } => {
+                let asked = self.about(robot, asked);
+                let (operator, id) = (operator.to_owned(), id.to_owned());
+                self.propose(Errand { operator, id, payload: Some(asked), then, tries: 0 });
+            }
+            Fault::ProposeMany { count } => {
+                for number in 0..count {
+                    let operator = PROPOSERS[number % PROPOSERS.len()].to_owned();
+                    let (id, payload) = (format!("m{number}"), Some(r#"{"teams":2}"#.to_owned()));
+                    let then = Then::Forget;
+                    self.propose(Errand { operator, id, payload, then, tries: 0 });
+                }
+                self.list_proposals();
+                self.schedule(self.now + SECOND, Event::ListProposals);
+            }
+            Fault::ProposeAtRest { robot, asked } => {
+                self.at_rest = Some(AtRest::Planned(self.about(robot, asked)));
+            }
             Fault::BadAlpha { lasts } => {
                 self.operator.wants(ServiceName::Embedder, r#"{"alpha":1e9}"#.to_owned());
                 let patch = r#"{"alpha":{"fraction":0.5}}"#.to_owned();
@@ -172,6 +194,12 @@ impl World {
                 self.schedule(self.now + lasts, later);
             }
         }
+    }
+
+    /// A text about a robot.
+    fn about(&self, robot: usize, text: &str) -> String {
+        let name = self.robots.all.get(robot).map_or("nobody", |robot| robot.name.as_str());
+        text.replace("ROBOT", name)
     }
 
     /// All hosts of services are busy until a moment.

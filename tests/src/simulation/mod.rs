@@ -12,7 +12,7 @@
 //!
 //! Services are addressed as (service, instance), each on a machine of its own; every other seed has two
 //! of each, of which one leads and the other is a standby; of the historian each records by itself, on a virtual disk that
-//! outlives its process and may be full.
+//! outlives its process and may be full. Operators ask the planners what the teams would be.
 
 mod batch;
 mod busy;
@@ -28,6 +28,7 @@ mod node;
 mod operator;
 pub(crate) mod oracle;
 mod plan;
+mod proposer;
 mod recording;
 mod robots;
 mod router;
@@ -135,6 +136,13 @@ pub struct Stats {
     pub remembered: usize,
     /// How many gets of a console that joined late were answered.
     pub joined: u64,
+    /// How many proposals operators have read, how many were refused, and how many were accepted and compared with the
+    /// division that came of it.
+    pub proposals: u64,
+    /// See `proposals`.
+    pub proposals_refused: u64,
+    /// See `proposals`.
+    pub proposals_compared: u64,
     /// How long after the last fault all agreed, in microseconds.
     pub agreement: u64,
 }
@@ -194,6 +202,14 @@ pub fn simulate(seed: u64, options: &Options, mutant: Option<Mutant>, logged: bo
         planned,
     });
     Outcome { seed, robots: scale.fleet, stats, failure, faults, log }
+}
+
+/// The numbers of the faults in the plan of a seed that are of one of these kinds.
+#[must_use]
+pub fn fault_numbers(seed: u64, options: &Options, kinds: &[&str]) -> BTreeSet<usize> {
+    let scale = options.scale(seed);
+    let all = plan(seed, &scale, &places(&scale)).into_iter();
+    all.filter(|one| kinds.contains(&one.fault.kind())).map(|one| one.number).collect()
 }
 
 /// Whether a fault of one of these kinds is in the plan of a seed.

@@ -13,6 +13,7 @@ use serde_json::Value;
 
 mod kind;
 mod messages;
+mod proposals;
 
 pub use kind::Mutant;
 
@@ -77,6 +78,8 @@ pub(crate) struct Mutator {
     /// Those of the last division.
     living: BTreeSet<TeamId>,
     renamed: BTreeMap<TeamId, TeamId>,
+    /// The last proposal that was computed, and when it was read.
+    proposal: Option<(Message, Tick)>,
 }
 
 /// The term of a leader that those after it keep.
@@ -106,6 +109,7 @@ impl Mutator {
             seen: BTreeMap::new(),
             living: BTreeSet::new(),
             renamed: BTreeMap::new(),
+            proposal: None,
         }
     }
 

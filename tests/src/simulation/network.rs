@@ -298,7 +298,13 @@ impl World {
     }
 
     /// Sends a get, whose answers are waited for so long.
-    fn get(&mut self, link: LinkId, asked: BusGet, within: Micros, asker: Asker) -> BusGetId {
+    pub(super) fn get(
+        &mut self,
+        link: LinkId,
+        asked: BusGet,
+        within: Micros,
+        asker: Asker,
+    ) -> BusGetId {
         let get = self.router.begin_get(link);
         let (answers, further_within) = (Vec::new(), None);
         let pending = Pending { asker, answers, further_within, ends: Micros::MAX };
@@ -331,6 +337,8 @@ impl World {
                     self.operator.answered(service, answer);
                 }
             }
+            Asker::Nobody => {}
+            Asker::Proposer(errand, one_led) => self.proposal_answered(*errand, one_led, &answers),
             Asker::LateJoiner(last) => {
                 let packets = answers.iter().filter_map(|answer| answer.packets());
                 let received: Vec<Message> = packets

@@ -100,6 +100,18 @@ impl Forgery {
         [Self::Higher(1), Self::Higher(2), Self::Higher(1 << 20), Self::Bound, Self::Largest];
 }
 
+/// What an operator does about a proposal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Then {
+    /// Makes it the division, by ordinary commands.
+    Accept,
+    /// Makes it the division while nothing else changes.
+    AcceptAtRest,
+    Drop,
+    /// Looks at it now and then.
+    Forget,
+}
+
 /// One thing that goes wrong, or that people and robots do. Spans are in microseconds.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Fault {
@@ -152,6 +164,18 @@ pub(crate) enum Fault {
     Set { service: ServiceName, patch: String },
     /// An operator puts or withdraws a wish about a robot.
     Wish { id: &'static str, robot: usize, wish: &'static str },
+    /// An operator asks what the teams would be, and does something about the answer.
+    Propose {
+        operator: &'static str,
+        id: &'static str,
+        robot: usize,
+        asked: &'static str,
+        then: Then,
+    },
+    /// Operators ask for many proposals at once.
+    ProposeMany { count: usize },
+    /// An operator asks what the teams would be once all agree, and accepts it.
+    ProposeAtRest { robot: usize, asked: &'static str },
     /// The disk for the records of a historian is full for a while; until all agree if no time is given.
     FullDisk { at: Place, lasts: Option<Micros> },
     /// An operator sets what stops every job of the embedder, and mends it after a while.
@@ -239,6 +263,9 @@ impl Fault {
             Self::Ghosts { .. } => "ghosts",
             Self::Set { .. } => "settings",
             Self::Wish { .. } => "wish",
+            Self::Propose { .. } => "proposal",
+            Self::ProposeMany { .. } => "many proposals",
+            Self::ProposeAtRest { .. } => "proposal at rest",
             Self::BadAlpha { .. } => "bad alpha",
             Self::FullDisk { .. } => "full disk",
         }
@@ -290,7 +317,13 @@ impl fmt::Display for Injection {
             Fault::Rubbish { robot, kind, count } => {
                 write!(formatter, "{kind:?} about robot {robot}, {count} messages")
             }
-            Fault::Ghosts { count } => write!(formatter, "{count}"),
+            Fault::Ghosts { count } | Fault::ProposeMany { count } => write!(formatter, "{count}"),
+            Fault::Propose { operator, id, robot, asked, then } => {
+                write!(formatter, "{operator}/{id} about robot {robot}: {asked}, then {then:?}")
+            }
+            Fault::ProposeAtRest { robot, asked } => {
+                write!(formatter, "about robot {robot}: {asked}")
+            }
             Fault::Set { service, patch } => write!(formatter, "{service} {patch}"),
             Fault::Wish { id, robot, wish } => write!(formatter, "{id} of robot {robot}: {wish}"),
         }
@@ -440,6 +473,39 @@ const HOUR: i64 = 3_600_000_000;
 /// Most of that in one seed.
 const MAX_HISTORIAN_FAULTS: u64 = 5;
 
+/// Of a hundred seeds, those in which operators ask for proposals.
+const PROPOSALS_PERCENT: u64 = 40;
+
+/// Most proposals of one seed, without those that are asked for at once.
+const MAX_PROPOSALS: u64 = 6;
+
+/// Most proposals at once: more than there may be.
+const MANY_PROPOSALS: usize = 26;
+
+/// What operators ask for. Some ask what nothing satisfies, or what makes no sense, and are refused.
+const ASKED: [&str; 10] = [
+    r#"{"teams":2}"#,
+    r#"{"teams":3}"#,
+    r#"{"teams":{"from":1,"to":4}}"#,
+    r#"{"size":{"max":4}}"#,
+    r#"{"size":{"min":2}}"#,
+    r#"{"without":["ROBOT"]}"#,
+    r#"{"teams":2,"without":["ROBOT"]}"#,
+    r#"{"weights":{"spatial":1.0}}"#,
+    r#"{"needs":[{"skill":"medic","per_team":{"min":1}}]}"#,
+    r#"{"size":{"min":4,"max":2}}"#,
+];
+
+/// What is asked for at rest: what one command accepts, and what changes no vectors.
+const ASKED_AT_REST: [&str; 6] = [
+    r#"{"size":{"max":3}}"#,
+    r#"{"size":{"max":2}}"#,
+    r#"{"size":{"min":3}}"#,
+    r#"{"without":["ROBOT"]}"#,
+    r#"{"needs":[{"skill":"medic","per_team":{"min":1}}]}"#,
+    r#"{"teams":2}"#,
+];
+
 /// The plan of a seed, in order of time. Nothing that heals by itself outlasts the storm.
 pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection> {
     let mut chance = Chance::new(seed, Purpose::Plan, 0);
@@ -472,6 +538,8 @@ pub(crate) fn plan(seed: u64, scale: &Scale, places: &[Place]) -> Vec<Injection>
     injections.extend(settings(chance, &NEEDS, begin, end));
     let chance = &mut Chance::new(seed, Purpose::Plan, 6);
     injections.extend(historians(chance, scale.instances, begin, end));
+    let chance = &mut Chance::new(seed, Purpose::Plan, 7);
+    injections.extend(proposals(chance, scale, begin, end));
     let mut busy = Chance::new(seed, Purpose::Plan, 2);
     if busy.percent(BUSY_PERCENT) && end > begin {
         injections.retain(|injection| {
@@ -544,6 +612,47 @@ fn historians(chance: &mut Chance, instances: usize, begin: Micros, end: Micros)
             _ => Fault::FullDisk { at: place, lasts: None },
         };
         all.push(Injection { number: 0, at, fault });
+    }
+    all
+}
+
+/// What operators ask planners in some seeds, from a chance of its own, and what happens to planners meanwhile.
+fn proposals(chance: &mut Chance, scale: &Scale, begin: Micros, end: Micros) -> Vec<Injection> {
+    if !chance.percent(PROPOSALS_PERCENT) || end <= begin {
+        return Vec::new();
+    }
+    let mut all = Vec::new();
+    for _ in 0..chance.between(1, MAX_PROPOSALS) {
+        let at = chance.between(begin, end.saturating_sub(MS).max(begin));
+        let then = [Then::Accept, Then::Drop, Then::Forget, Then::Forget][chance.below(4)];
+        let operator = chance.pick(&["alice", "bob"]).copied().unwrap_or("alice");
+        let id = chance.pick(&["p1", "p2", "p3"]).copied().unwrap_or("p1");
+        let asked = chance.pick(&ASKED).copied().unwrap_or("{}");
+        let robot = chance.below(scale.robots);
+        let fault = Fault::Propose { operator, id, robot, asked, then };
+        all.push(Injection { number: 0, at, fault });
+    }
+    if chance.percent(25) {
+        let at = chance.between(begin, end.saturating_sub(MS).max(begin));
+        let fault = Fault::ProposeMany { count: 1 + chance.below(MANY_PROPOSALS) };
+        all.push(Injection { number: 0, at, fault });
+    }
+    if chance.percent(60) {
+        let asked = chance.pick(&ASKED_AT_REST).copied().unwrap_or("{}");
+        let fault = Fault::ProposeAtRest { robot: chance.below(scale.robots), asked };
+        all.push(Injection { number: 0, at: begin, fault });
+    }
+    for _ in 0..chance.below(4) {
+        let starts = chance.between(begin, end.saturating_sub(MS).max(begin));
+        let at = Place::Service(ServiceName::Planner, chance.below(scale.instances));
+        let lasts = chance.between(50 * MS, 6 * SECOND).min(end - starts);
+        let fault = match chance.below(6) {
+            0..3 => Fault::Kill { at, lasts: lasts / 2 },
+            3 => Fault::Cut { at, lasts, clean: chance.percent(50) },
+            4 => Fault::SlowJobs { at, lasts, each: chance.between(50, 4000) * MS },
+            _ => Fault::Panics { at, lasts },
+        };
+        all.push(Injection { number: 0, at: starts, fault });
     }
     all
 }

@@ -114,7 +114,8 @@ impl World {
             taken.keeps_before = process.keeps_begun;
         }
         // Answers wait for the disk, and for nothing else that is asked for here.
-        if process.overdue_answers() > 0 {
+        // A planner keeps those who ask for a proposal waiting until it is computed.
+        if service != ServiceName::Planner && process.overdue_answers() > 0 {
             return breach(ANSWERED_ONCE, format!("{service} leaves a get unanswered"));
         }
         let (announced, state) = (process.announced_state, process.host.replica_state());
@@ -227,8 +228,9 @@ impl World {
 
     fn reply(&mut self, index: usize, reply: Reply) {
         let Reply { get, answer, messages } = reply;
-        let name = self.nodes[index].name();
+        let (name, publisher) = (self.nodes[index].name(), self.nodes[index].publisher());
         let Some(process) = &mut self.nodes[index].process else { return };
+        let now = process.clock.tick(self.now);
         let Some(unanswered) = process.unanswered.remove(&get) else {
             let seen = format!("{name} answers a get twice");
             return self.require(breach(ANSWERED_ONCE, seen));
@@ -238,10 +240,17 @@ impl World {
             let seen = format!("{name} answers while state is being written");
             self.require(breach("an answer waits for what was stored before", seen));
         }
+        let (answer, messages) = if publisher.service == ServiceName::Planner {
+            self.mutator.proposed(&self.space, answer, messages, now)
+        } else {
+            (answer, messages)
+        };
         for message in &messages {
             let checked = self.oracle.answered(message);
             self.require(checked);
         }
+        let checked = self.oracle.proposed(self.now, publisher, &messages);
+        self.require(checked);
         let answer = Arc::new(answer.map_or_else(Answer::Error, Answer::Packets));
         self.send(
             self.nodes[index].link,

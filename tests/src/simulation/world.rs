@@ -23,6 +23,7 @@ use super::node::Node;
 use super::operator::Operator;
 use super::oracle::{ALERTED_WITHIN, Agreed, Bounds, Breach, MEMORY, Oracle, Verified};
 use super::plan::{Fault, Injection, Place};
+use super::proposer::{AtRest, Errand};
 use super::robots::{RobotStream, Robots};
 use super::router::{Answer, BusGetId, Carried, LinkId, Router};
 use super::{AGREEMENT_TICKS, Mutant, Scale, Stats, TICK};
@@ -70,6 +71,8 @@ pub(super) enum Event {
     NoFurtherAnswer { get: BusGetId },
     Operate,
     SetLater { service: ServiceName, patch: String },
+    AskForProposal(Box<Errand>),
+    ListProposals,
     Inject(usize),
     StormOver,
     WriteRecords { node: usize, life: u32 },
@@ -114,6 +117,10 @@ pub(super) enum Asker {
     Operator(ServiceName),
     /// A console that joins when all have agreed, and what was published last by then.
     LateJoiner(Message),
+    /// An operator, about a proposal, and whether one planner led and the others stood by when the get was sent.
+    Proposer(Box<Errand>, bool),
+    /// Somebody who only wants it answered.
+    Nobody,
 }
 
 /// A get as its sender knows it.
@@ -161,6 +168,8 @@ pub(super) struct World {
     quiet_since: Micros,
     /// The power is to be cut for so long once all agree.
     pub(super) power_cut: Option<Micros>,
+    /// What becomes of a proposal while nothing else changes.
+    pub(super) at_rest: Option<AtRest>,
     /// What all had agreed on when the power was cut, until they agree again.
     pub(super) stands: Option<Agreed>,
     settled: Option<(Micros, Agreed)>,
@@ -244,13 +253,19 @@ impl World {
             nodes.push(Node::new(&space, service, instance, link, clock, own));
         }
         let historians = nodes.len() - pipeline;
+        for instance in 0..scale.instances {
+            let (link, service) = (nodes.len(), ServiceName::Planner);
+            let (clock, own) = (HostClock::default(), Chance::new(seed, Purpose::Node, link));
+            nodes.push(Node::new(&space, service, instance, link, clock, own));
+        }
+        let planners = nodes.len() - pipeline - historians;
         let robots = Robots::new(seed, scale.robots, nodes.len());
         let count = nodes.len() + robots.all.len() + 2;
-        // Historians have numbers behind all others, so that the chance of those does not depend on them.
+        // Historians and planners have numbers behind all others, so that the chance of those does not depend on them.
         let number = |link: usize| match link {
             _ if link < pipeline => link,
-            _ if link < pipeline + historians => count + link,
-            _ => link - historians,
+            _ if link < pipeline + historians + planners => count - planners + link,
+            _ => link - historians - planners,
         };
         let links =
             (0..count).map(|link| Link::new(Chance::new(seed, Purpose::Link, number(link))));
@@ -286,6 +301,7 @@ impl World {
             storm_over: false,
             quiet_since: scale.storm,
             power_cut: None,
+            at_rest: None,
             stands: None,
             settled: None,
             differs: String::new(),
@@ -301,9 +317,13 @@ impl World {
 
     fn fill_agenda(&mut self, chance: &mut Chance, fleet: usize) {
         let mut historians = Chance::new(self.seed, Purpose::Fleet, 5);
+        let mut planners = Chance::new(self.seed, Purpose::Fleet, 6);
         for node in 0..self.nodes.len() {
-            let is_historian = self.nodes[node].service == ServiceName::Historian;
-            let chance = if is_historian { &mut historians } else { &mut *chance };
+            let chance = match self.nodes[node].service {
+                ServiceName::Historian => &mut historians,
+                ServiceName::Planner => &mut planners,
+                _ => &mut *chance,
+            };
             self.schedule(chance.between(0, SECOND), Event::Start { node });
         }
         for robot in 0..fleet.min(self.robots.all.len()) {
@@ -412,6 +432,8 @@ impl World {
             }
             Event::Operate => self.operate(),
             Event::SetLater { service, patch } => self.operator.wants(service, patch),
+            Event::AskForProposal(errand) => self.propose(*errand),
+            Event::ListProposals => self.list_proposals(),
             Event::Inject(number) => self.inject(number),
             Event::StormOver => self.end_storm(),
             Event::WriteRecords { node, life } => self.write_records(node, life),
@@ -572,7 +594,23 @@ impl World {
         let settled_for = self.settled.as_ref().map(|(at, _)| since.saturating_sub(*at));
         self.finished &= self.historians_have_recorded(settled_for);
         self.cut_power_if_settled(since);
+        if self.settled.is_some() {
+            self.rest(settled_for);
+        }
+        self.finished &= self.at_rest.is_none();
         self.schedule(self.now + TICK, Event::Poll);
+    }
+
+    /// Whether nothing is about to change by itself.
+    pub(super) fn is_at_rest(&self) -> bool {
+        let is_rested = self.now >= self.storm.max(self.quiet_since) + ORDERS_TIME;
+        is_rested && self.power_cut.is_none() && self.stands.is_none() && !self.operator.is_busy()
+    }
+
+    /// Something changes on purpose: all have to agree anew.
+    pub(super) fn forget_agreement(&mut self) {
+        self.quiet_since = self.now;
+        self.settled = None;
     }
 
     /// Checks, once all have agreed for a while, what the list of alerts says.

@@ -20,6 +20,7 @@ mod needs;
 mod properties;
 mod publishing;
 mod recovery;
+mod solve;
 mod wishes;
 
 use std::collections::{BTreeMap, BTreeSet};

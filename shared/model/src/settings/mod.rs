@@ -13,6 +13,7 @@ mod need;
 mod planner;
 mod team_count;
 mod team_size;
+pub mod written;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;

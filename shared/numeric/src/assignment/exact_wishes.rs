@@ -4,7 +4,7 @@
 //! of which a team holds at least as many as it needs. Both are exact as long as no robot would be in two classes.
 
 use super::rules::{Bounds, ClassLimit, Column, Rules, RulesError, ValidRules, Wanted};
-use super::wishes::{Need, Relation, Wish, Wishes};
+use super::wishes::{Need, Relation, ValidWishes, Wish, Wishes};
 
 /// Rules with what became limits, and the wishes and needs that are left.
 pub(super) struct Split<'a> {
@@ -25,13 +25,7 @@ pub(super) fn split<'a>(
     let mut left = Vec::new();
     for (wish, _) in wishes.wishes.iter().zip(chosen_wishes).filter(|(_, chosen)| **chosen) {
         let apart = wish.relation == Relation::Apart && wish.price.is_none();
-        let limit = |team| ClassLimit {
-            column: Column::Team(team),
-            class: 0,
-            bounds: Bounds::at_most(1),
-            wanted: None,
-        };
-        let limits = (0..rules.get().teams.len()).map(limit).collect();
+        let limits = one_per_team(rules);
         match with_class(&current, &wish.robots, limits).filter(|_| apart) {
             Some(next) => current = next,
             None => left.push(wish),
@@ -56,6 +50,47 @@ pub(super) fn split<'a>(
         open = other;
     }
     Ok(Split { rules: current, wishes: left, needs: left_needs })
+}
+
+/// Rules in which groups that are to be apart are limits of classes.
+#[derive(Debug, Clone)]
+pub struct ApartClasses {
+    /// The rules with those limits.
+    pub rules: ValidRules,
+    /// The place of each wish that became one, and its class.
+    pub classes: Vec<(usize, usize)>,
+}
+
+/// Makes limits of classes of the groups that are to be apart at any price, as far as no robot is in two classes.
+#[must_use]
+pub fn apart_as_classes(rules: &ValidRules, wishes: &ValidWishes) -> ApartClasses {
+    let mut all = ApartClasses { rules: rules.clone(), classes: Vec::new() };
+    for (place, wish) in wishes.get().wishes.iter().enumerate() {
+        if wish.relation != Relation::Apart || wish.price.is_some() {
+            continue;
+        }
+        let limits = one_per_team(&all.rules);
+        let next = with_class(&all.rules, &wish.robots, limits);
+        let class = |next: &ValidRules| next.get().class_of(*wish.robots.first()?);
+        if let Some(next) = next
+            && let Some(class) = class(&next)
+        {
+            all.rules = next;
+            all.classes.push((place, class));
+        }
+    }
+    all
+}
+
+/// At most one robot of a class in each team.
+fn one_per_team(rules: &ValidRules) -> Vec<ClassLimit> {
+    let limit = |team| ClassLimit {
+        column: Column::Team(team),
+        class: 0,
+        bounds: Bounds::at_most(1),
+        wanted: None,
+    };
+    (0..rules.get().teams.len()).map(limit).collect()
 }
 
 /// Limits that stand for needs of one skill; `None` if two soft needs are for one column, or two contradict each other.

@@ -69,11 +69,27 @@ pub enum Mutant {
     Reused,
     /// The clusterer reports moves of robots the wrong way round, once settings were changed.
     Reversed,
+    /// The auditor lists an alert under two numbers, once settings were changed.
+    Doubled,
+    /// The auditor lists no alert that says why limits do not hold, once settings were changed.
+    Unalarmed,
+    /// The planner announces its settings as those of the clusterer, once a proposal was asked for.
+    Meddling,
+    /// The planner lists more proposals than there may be, once many were asked for.
+    Hoarding,
+    /// The planner does not forget proposals, once one was asked for.
+    Nostalgic,
+    /// Planners that stand by answer as well, once a proposal was asked for.
+    Chorus,
+    /// The planner leaves out a robot that would move, once a proposal was asked for.
+    Discreet,
+    /// The planner says another division than would come of it, once one was asked for while nothing else changes.
+    Misleading,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 32] = [
+    pub const ALL: [Self; 40] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -106,6 +122,14 @@ impl Mutant {
         Self::Silent,
         Self::Reused,
         Self::Reversed,
+        Self::Doubled,
+        Self::Unalarmed,
+        Self::Meddling,
+        Self::Hoarding,
+        Self::Nostalgic,
+        Self::Chorus,
+        Self::Discreet,
+        Self::Misleading,
     ];
 
     /// The kinds of faults after which it shows.
@@ -133,7 +157,12 @@ impl Mutant {
             | Self::Negligent
             | Self::Silent
             | Self::Reused
-            | Self::Reversed => &["settings"],
+            | Self::Reversed
+            | Self::Doubled
+            | Self::Unalarmed => &["settings"],
+            Self::Meddling | Self::Nostalgic | Self::Chorus | Self::Discreet => &["proposal"],
+            Self::Hoarding => &["many proposals"],
+            Self::Misleading => &["proposal at rest"],
             Self::Disobedient => &["wish"],
             Self::TermsFromOne | Self::DeafRobots => &["blackout without disks"],
             Self::UnbelievedTerm => &["forged term"],

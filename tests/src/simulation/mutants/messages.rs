@@ -7,7 +7,7 @@ use muster_model::alert::{Alert, AlertKind, AlertSubject};
 use muster_model::content::Checked;
 use muster_model::event::EventKind;
 use muster_model::header::Revision;
-use muster_model::id::{RobotId, TeamId};
+use muster_model::id::{RobotId, ServiceName, TeamId};
 use muster_model::teams::{TeamChange, Teams};
 use muster_model::time::Tick;
 use muster_model::wish::{WishKind, WishList, WishState};
@@ -151,6 +151,25 @@ impl Mutator {
                     list.next_id += 1;
                 }
                 Message::Alerts(alerts)
+            }
+            (Mutant::Doubled, Message::Alerts(mut alerts)) => {
+                let list = Arc::make_mut(&mut alerts);
+                if let Some(first) = list.open.first().cloned() {
+                    list.open.push(Alert { id: list.next_id, ..first });
+                    list.next_id += 1;
+                }
+                Message::Alerts(alerts)
+            }
+            (Mutant::Unalarmed, Message::Alerts(mut alerts)) => {
+                let list = Arc::make_mut(&mut alerts);
+                list.open.retain(|alert| alert.kind != AlertKind::Infeasible);
+                Message::Alerts(alerts)
+            }
+            (Mutant::Meddling, Message::Settings(mut announced)) => {
+                if announced.service == ServiceName::Planner {
+                    announced.service = ServiceName::Clusterer;
+                }
+                Message::Settings(announced)
             }
             (Mutant::Insistent, Message::Event(mut event)) => {
                 let is_of_alert = matches!(

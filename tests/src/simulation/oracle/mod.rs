@@ -14,6 +14,7 @@ mod limits;
 mod memory;
 mod needs;
 mod order;
+mod proposals;
 mod received;
 mod recorded;
 mod silhouettes;
@@ -161,6 +162,8 @@ pub(crate) struct Oracle {
     needs: needs::NeedLog,
     /// What historians have recorded.
     pub(crate) recorded: recorded::Recorded,
+    /// What planners have answered.
+    proposals: proposals::ProposalLog,
     graph: Option<Arc<GraphDelta>>,
     settings: Option<Box<AnnouncedSettings>>,
     had_forged_terms: bool,
@@ -250,6 +253,16 @@ impl Oracle {
         Ok(())
     }
 
+    /// Judges one answer of a planner.
+    pub(crate) fn proposed(
+        &mut self,
+        now: Micros,
+        publisher: Publisher,
+        messages: &[Message],
+    ) -> Verified {
+        self.proposals.check(now, publisher, messages, &self.divisions)
+    }
+
     /// A process carries a command out once, however often it arrives.
     fn check_outcome(&mut self, publisher: Publisher, outcome: &CommandOutcome) -> Verified {
         let name = (publisher, outcome.operator.clone(), outcome.id.clone());
@@ -273,6 +286,7 @@ impl Oracle {
     ) -> Verified {
         let service = publisher.service;
         finite::check(message)?;
+        proposals::check_published(publisher, message)?;
         self.order.check(now, publisher, message)?;
         // A new leader publishes the lists of wishes and of alerts that it goes on with before anything of its own.
         if matches!(
