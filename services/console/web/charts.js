@@ -12,6 +12,9 @@ const css = (name) => getComputedStyle(document.documentElement).getPropertyValu
 const COLORS = ["#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#d55e00"];
 
 class Chart extends Component {
+    /** @type {HTMLElement | null} */
+    root = null;
+
     constructor() {
         super();
         /** @type {any} */
@@ -33,8 +36,8 @@ class Chart extends Component {
 
     #show() {
         const { lines, data } = this.props;
-        const root = /** @type {HTMLElement} */ (this.base).querySelector(".plot");
-        if (!root || !Plot()) return;
+        const root = /** @type {HTMLElement} */ (this.root);
+        if (!root || !Plot() || !root.clientWidth) return;
         const key = `${lines.join()} ${document.documentElement.dataset.theme} ${root.clientWidth}`;
         if (key !== this.key) {
             this.plot?.destroy();
@@ -58,7 +61,7 @@ class Chart extends Component {
         });
         return h("figure", { class: "chart" },
             h("figcaption", {}, title, h("span", { class: "dim" }, ` ${last.join(", ")}`)),
-            h("div", { class: "plot", "aria-hidden": "true" }));
+            h("div", { class: "plot", "aria-hidden": "true", ref: (/** @type {HTMLElement | null} */ root) => { this.root = root; } }));
     }
 }
 

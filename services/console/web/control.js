@@ -23,8 +23,11 @@ export function confirmThen(text, go) {
 }
 
 export class Confirm extends Component {
+    /** @type {HTMLElement | null} */
+    root = null;
+
     componentDidUpdate() {
-        const dialog = /** @type {HTMLDialogElement} */ (this.base);
+        const dialog = /** @type {HTMLDialogElement} */ (this.root);
         if (question && !dialog.open) dialog.showModal();
         if (!question && dialog.open) dialog.close();
     }
@@ -37,7 +40,7 @@ export class Confirm extends Component {
             changed();
             asker?.focus();
         };
-        return h("dialog", { id: "confirm", "aria-labelledby": "confirm-text", onCancel: (/** @type {Event} */ event) => {
+        return h("dialog", { id: "confirm", ref: (/** @type {HTMLElement | null} */ root) => { this.root = root; }, "aria-labelledby": "confirm-text", onCancel: (/** @type {Event} */ event) => {
             event.preventDefault();
             end(false);
         } },
@@ -88,6 +91,18 @@ class Count extends Component {
     }
 }
 
+/** The weights that are set, or those that the embedder has chosen, before its trust in them. @returns {Record<string, number> | null} */
+function weightsNow() {
+    const set = state.settings.embedder?.weights;
+    if (!set) return null;
+    if (Object.keys(set).length) return set;
+    const used = (state.fleet?.weights ?? []).map((/** @type {any} */ one) =>
+        [one.modality, one.trust > 0 ? one.weight / one.trust : one.weight]);
+    const sum = used.reduce((/** @type {number} */ all, /** @type {any} */ one) => all + one[1], 0);
+    if (!(sum > 0)) return null;
+    return Object.fromEntries(used.map((/** @type {any} */ [name, weight]) => [name, weight / sum]));
+}
+
 class Weights extends Component {
     constructor() {
         super();
@@ -109,7 +124,7 @@ class Weights extends Component {
     }
 
     render() {
-        const present = state.settings.embedder?.weights;
+        const present = weightsNow();
         if (!present) return null;
         const weights = this.state.weights ?? present;
         const sum = Object.values(/** @type {Record<string, number>} */ (weights)).reduce((all, one) => all + one, 0);
@@ -122,6 +137,10 @@ class Weights extends Component {
             h("div", { class: "line" },
                 h("button", { type: "button", id: "weights-set", disabled: !canCommand() || !this.state.weights, onClick: () => {
                     const wanted = Object.fromEntries(Object.entries(weights).map(([name, weight]) => [name, Number(weight.toFixed(4))]));
+                    // Rounding must not change the sum, which is 1.
+                    const [first] = Object.keys(wanted);
+                    const others = Object.entries(wanted).filter(([name]) => name !== first).reduce((all, [, weight]) => all + weight, 0);
+                    wanted[first] = Number((1 - others).toFixed(4));
                     confirmThen(`Weigh the modalities anew for ${fleetSize()}?`, () => {
                         void command("weights", "embedder", { set: { weights: wanted } });
                         this.setState({ weights: null });

@@ -16,7 +16,6 @@ function reasons(why) {
     const names = ["team", "robots", "total", ...modalities, "itself", "spread", "price", "hysteresis"];
     return h("div", {},
         h("p", { id: "why" }, why.text),
-        why.older_s ? h("p", { class: "dim" }, `The division is ${age(why.older_s)} older than the relations.`) : null,
         h("div", { class: "scroll" }, h("table", {},
             h("caption", {}, "What draws it to each team; the largest total decides"),
             h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name)))),

@@ -93,7 +93,7 @@ void main() { pixel = vec4(ink, 0.12 + 0.5 * weight); }`;
 export class Painter {
     /** @param {HTMLCanvasElement} canvas */
     constructor(canvas) {
-        const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
+        const gl = canvas.getContext("webgl2", { antialias: false, alpha: true, premultipliedAlpha: false, powerPreference: "high-performance" });
         if (!gl) throw new Error("this browser has no WebGL2, which the map is drawn with");
         this.gl = gl;
         this.points = this.#program(POINTS, DOT);
@@ -115,7 +115,7 @@ export class Painter {
         }
         this.setTeams([]);
         gl.enable(gl.BLEND);
-        gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+        gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     }
 
     /** @param {string} vertex @param {string} fragment */
@@ -186,7 +186,7 @@ export class Painter {
     paint({ frame, ends, scale, shift, middle, size, alpha, ink, ground }) {
         const { gl } = this;
         gl.viewport(0, 0, gl.drawingBufferWidth, gl.drawingBufferHeight);
-        gl.clearColor(ground[0], ground[1], ground[2], 1);
+        gl.clearColor(ground[0], ground[1], ground[2], 0);
         gl.clear(gl.COLOR_BUFFER_BIT);
         if (ends.length) {
             gl.useProgram(this.lines);

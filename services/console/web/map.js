@@ -30,6 +30,8 @@ let painter = null;
 let canvas = null;
 /** @type {HTMLCanvasElement | null} */
 let overlay = null;
+/** @type {HTMLCanvasElement | null} */
+let below = null;
 /** @type {{from: [number, number], to: [number, number]} | null} */
 let box = null;
 /** The list of teams and the theme whose colours the card has. */
@@ -140,11 +142,11 @@ function lineEnds() {
 
 /** Draws the newest state. */
 export function draw() {
-    if (!canvas || !overlay || !painter) return;
+    if (!canvas || !overlay || !below || !painter) return;
     const frame = frameNow();
     const ratio = devicePixelRatio;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-    for (const one of [canvas, overlay]) {
+    for (const one of [canvas, overlay, below]) {
         if (one.width !== Math.round(width * ratio) || one.height !== Math.round(height * ratio)) {
             one.width = Math.round(width * ratio);
             one.height = Math.round(height * ratio);
@@ -172,6 +174,7 @@ export function draw() {
         ground: css("--map"),
         middle: [view.x, view.y],
     });
+    drawGrid(below, ratio);
     drawOverlay(overlay, ratio);
     if (frame) {
         drawn.count += 1;
@@ -189,18 +192,23 @@ function gridStep() {
 }
 
 /** @param {HTMLCanvasElement} target @param {number} ratio */
-function drawOverlay(target, ratio) {
+function clear(target, ratio) {
     const pen = /** @type {CanvasRenderingContext2D} */ (target.getContext("2d"));
-    const [width, height] = [target.clientWidth, target.clientHeight];
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, width, height);
-    const style = getComputedStyle(document.documentElement);
-    const color = (/** @type {string} */ name) => style.getPropertyValue(name);
+    pen.clearRect(0, 0, target.clientWidth, target.clientHeight);
+    return pen;
+}
+
+/** @param {string} name */
+const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
+
+/** @param {HTMLCanvasElement} target @param {number} ratio */
+function drawGrid(target, ratio) {
+    const pen = clear(target, ratio);
+    const [width, height] = [target.clientWidth, target.clientHeight];
     const step = gridStep();
     pen.lineWidth = 1;
     pen.strokeStyle = color("--grid");
-    pen.fillStyle = color("--dim");
-    pen.font = "12px system-ui, sans-serif";
     const [left, top] = toGround(0, 0);
     const [right, low] = toGround(width, height);
     pen.beginPath();
@@ -215,6 +223,14 @@ function drawOverlay(target, ratio) {
         pen.lineTo(width, at);
     }
     pen.stroke();
+}
+
+/** @param {HTMLCanvasElement} target @param {number} ratio */
+function drawOverlay(target, ratio) {
+    const pen = clear(target, ratio);
+    const [width, height] = [target.clientWidth, target.clientHeight];
+    const step = gridStep();
+    pen.font = "12px system-ui, sans-serif";
     const unit = state.view.embedding ? "" : step >= 1000 ? " km" : " m";
     const shown = !state.view.embedding && step >= 1000 ? step / 1000 : step;
     pen.fillStyle = color("--text");
@@ -335,9 +351,12 @@ export function showLinks(modality) {
 }
 
 export class MapView extends Component {
+    /** @type {HTMLElement | null} */
+    root = null;
+
     componentDidMount() {
-        const root = /** @type {HTMLElement} */ (this.base);
-        [canvas, overlay] = /** @type {HTMLCanvasElement[]} */ ([...root.querySelectorAll("canvas")]);
+        const root = /** @type {HTMLElement} */ (this.root);
+        [below, canvas, overlay] = /** @type {HTMLCanvasElement[]} */ ([...root.querySelectorAll("canvas")]);
         this.#open();
         // A lost graphics card comes back, and everything is uploaded anew.
         canvas.addEventListener("webglcontextlost", (event) => {
@@ -436,7 +455,8 @@ export class MapView extends Component {
         const count = frame?.count ?? 0;
         const label = `Map of ${count} robots. Arrows pan, plus and minus zoom, F shows all, N and P choose the next robot, ` +
             "Escape chooses none. Shift and drag selects a box.";
-        return h("div", { class: "map" },
+        return h("div", { class: "map", ref: (/** @type {HTMLElement | null} */ root) => { this.root = root; } },
+            h("canvas", { class: "grid", "aria-hidden": "true" }),
             h("canvas", { class: "gl", "aria-hidden": "true" }),
             h("canvas", { class: "over", tabIndex: 0, role: "application", "aria-label": label, id: "map" }),
             state.replay && h("div", { class: "watermark", "aria-hidden": "true" }, "REPLAY"));

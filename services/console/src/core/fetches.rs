@@ -7,7 +7,7 @@ use muster_model::id::Modality;
 use muster_model::time::Tick;
 
 use super::limits::{
-    FETCH_TIMEOUT, PICTURE_PERIOD, SETTINGS_PERIOD, STATUS_PERIOD, WISHES_PERIOD,
+    FETCH_TIMEOUT, PICTURE_PERIOD, SETTINGS_PERIOD, STATUS_PERIOD, WEIGHTS_PERIOD, WISHES_PERIOD,
 };
 
 /// What all browsers are shown, and nobody publishes by itself.
@@ -19,8 +19,10 @@ pub enum Fetch {
     Settings,
     /// All wishes.
     Wishes,
-    /// The embedding.
+    /// The embedding, while a browser shows it.
     Embedding,
+    /// The same for the weights of the modalities that it was made with.
+    Weights,
     /// The graph of a modality.
     Graph(Modality),
 }
@@ -32,6 +34,7 @@ impl Fetch {
             Self::Settings => SETTINGS_PERIOD,
             Self::Wishes => WISHES_PERIOD,
             Self::Embedding | Self::Graph(_) => PICTURE_PERIOD,
+            Self::Weights => WEIGHTS_PERIOD,
         }
     }
 }

@@ -66,5 +66,9 @@ pub const WISHES_PERIOD: Duration = Duration::from_secs(2);
 /// How often the embedding and graphs are, while a browser shows them.
 pub const PICTURE_PERIOD: Duration = Duration::from_secs(1);
 
+/// How often the embedding is asked for while nobody shows it, for the weights that it was made with: seldom, as that of a
+/// large fleet is a megabyte.
+pub const WEIGHTS_PERIOD: Duration = Duration::from_secs(10);
+
 /// When a question that was not answered is asked again: longer than any answer is waited for.
 pub const FETCH_TIMEOUT: Duration = Duration::from_secs(15);

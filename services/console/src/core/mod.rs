@@ -16,7 +16,7 @@ use std::sync::Arc;
 use muster_model::alert::Alerts;
 use muster_model::audit::Audit;
 use muster_model::command::Action;
-use muster_model::embedding::Embedding;
+use muster_model::embedding::{Embedding, EmbeddingGraph};
 use muster_model::event::Event;
 use muster_model::graph::GraphDelta;
 use muster_model::header::Revision;
@@ -147,6 +147,8 @@ pub struct Console {
     events: VecDeque<(u64, Arc<Value>)>,
     axes: Axes,
     embedding: Vec<(RobotId, Option<[f64; 2]>)>,
+    /// What the embedding was made of.
+    weights: Vec<EmbeddingGraph>,
     graphs: BTreeMap<Modality, Arc<GraphDelta>>,
     topics: Topics,
     /// The list of the missing that the topic has.
@@ -184,6 +186,7 @@ impl Console {
             events: VecDeque::new(),
             axes: Axes::default(),
             embedding: Vec::new(),
+            weights: Vec::new(),
             graphs: BTreeMap::new(),
             topics,
             missing: Value::Null,
@@ -292,6 +295,11 @@ impl Console {
             }
             Input::Embedding(embedding) => {
                 self.fetches.answered(&Fetch::Embedding);
+                self.fetches.answered(&Fetch::Weights);
+                if self.weights != embedding.graphs {
+                    self.weights.clone_from(&embedding.graphs);
+                    self.topics.change(Topic::Fleet);
+                }
                 let places = self.axes.project(&embedding);
                 self.embedding = embedding.robots.iter().cloned().zip(places).collect();
                 self.frames.change_robots();
@@ -488,9 +496,8 @@ impl Console {
             return;
         }
         let mut wanted = vec![Fetch::Statuses, Fetch::Settings, Fetch::Wishes];
-        if self.browsers.values().any(|browser| browser.view.embedding) {
-            wanted.push(Fetch::Embedding);
-        }
+        let is_shown = self.browsers.values().any(|browser| browser.view.embedding);
+        wanted.push(if is_shown { Fetch::Embedding } else { Fetch::Weights });
         let shown = self.browsers.values().filter_map(|browser| browser.view.links.as_ref());
         let mut modalities: Vec<&Modality> = shown.map(|links| &links.modality).collect();
         modalities.sort_unstable();
@@ -507,6 +514,10 @@ impl Console {
     /// The text of a topic.
     fn topic(&mut self, topic: Topic, now: Tick) -> Arc<str> {
         let (fleet, name, link, stale) = (&self.fleet, &self.name, self.link, &self.stale);
+        let weight = |graph: &EmbeddingGraph| {
+            json!({"modality": graph.modality, "weight": graph.weight, "trust": graph.trust})
+        };
+        let weights: Vec<Value> = self.weights.iter().map(weight).collect();
         let (audit, alerts, missing) = (&self.audit, &self.alerts, &self.missing);
         let (statuses, settings, wishes) = (&self.statuses, &self.settings, &self.wishes);
         self.topics.text(topic, || match topic {
@@ -515,7 +526,7 @@ impl Console {
                 let modalities = graphs.unwrap_or_default().iter().map(|(modality, _)| modality);
                 json!({
                     "fleet": name, "link": link, "stale": stale,
-                    "modalities": modalities.collect::<Vec<_>>(),
+                    "modalities": modalities.collect::<Vec<_>>(), "weights": weights,
                 })
             }
             Topic::Teams => fleet.division().unwrap_or_default(),

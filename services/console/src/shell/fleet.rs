@@ -183,7 +183,7 @@ async fn fetched(client: &Client, fetch: &Fetch) -> Result<Input, Error> {
     Ok(match fetch {
         Fetch::Statuses => Input::Statuses(client.get_statuses(None).await?),
         Fetch::Wishes => Input::Wishes(client.get_wishes().await?),
-        Fetch::Embedding => Input::Embedding(client.get_embedding().await?),
+        Fetch::Embedding | Fetch::Weights => Input::Embedding(client.get_embedding().await?),
         Fetch::Graph(modality) => {
             let graphs = client.get_graphs(Some(modality)).await?;
             graphs.into_iter().next().map_or_else(|| Input::Unfetched(fetch.clone()), Input::Graph)

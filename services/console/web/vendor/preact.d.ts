@@ -3,7 +3,6 @@ export class Component<P = any, S = any> {
     constructor(props?: P);
     props: P;
     state: S;
-    base: HTMLElement | null;
     setState(state: Partial<S> | ((state: S) => Partial<S>)): void;
     forceUpdate(): void;
     render(): any;
