@@ -64,15 +64,18 @@ fn console_shows_and_commands_a_fleet_in_a_browser() {
     let names: Vec<String> = robots_of(&SCENARIO).unwrap().into_keys().collect();
     let (last, others) = names.split_last().unwrap();
     let mut lonely = cluster.robots(&[&SCENARIO[..], &["--only", last]].concat()).unwrap();
-    let _others = cluster.robots(&[&SCENARIO[..], &["--only", &others.join(",")]].concat()).unwrap();
+    let _others =
+        cluster.robots(&[&SCENARIO[..], &["--only", &others.join(",")]].concat()).unwrap();
 
     let (address, viewer_address) = (free_address(), free_address());
     let mut console = Some(start_console(&cluster, &address, &["--operator", "kim"]));
     let access = cluster.folder().join("access.toml");
     std::fs::write(&access, "[[viewer]]\ntoken = \"wall-wall-wall-wall-wall-wall\"\n").unwrap();
-    let _viewers = start_console(&cluster, &viewer_address, &["--access", access.to_str().unwrap()]);
+    let _viewers =
+        start_console(&cluster, &viewer_address, &["--access", access.to_str().unwrap()]);
 
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../services/console/tests/browser.mjs");
+    let script =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../services/console/tests/browser.mjs");
     let mut node = Command::new("node")
         .arg(script)
         .args([chromium.as_os_str(), address.as_ref(), viewer_address.as_ref()])

@@ -93,9 +93,12 @@ impl AccessFile {
             return Err(format!("hosts: there may be at most {MAX_HOSTS}"));
         }
         for host in &self.hosts {
-            let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "-.:[]".contains(c);
+            let is_plain =
+                |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || "-.:[]".contains(c);
             if host.is_empty() || !host.chars().all(is_plain) {
-                return Err("hosts: must be names in lower case, such as base.example:7480".to_owned());
+                return Err(
+                    "hosts: must be names in lower case, such as base.example:7480".to_owned()
+                );
             }
         }
         for (number, (token, _)) in tokens.iter().enumerate() {
@@ -298,7 +301,10 @@ mod tests {
             (r#"{"viewer": [{"token": "short-secret"}]}"#, "at least 24"),
             (r#"{"viewer": [{"token": "short-secret", "name": "kim"}]}"#, "name"),
             (r#"{"operator": [{"token": "x"}]}"#, "name"),
-            (r#"{"hosts": ["http://x/"], "viewer": [{"token": "wall-wall-wall-wall-wall-wall"}]}"#, "hosts"),
+            (
+                r#"{"hosts": ["http://x/"], "viewer": [{"token": "wall-wall-wall-wall-wall-wall"}]}"#,
+                "hosts",
+            ),
         ] {
             let problem = file(wrong).unwrap_err();
             assert!(problem.contains(named) && !problem.contains("short-secret"), "{problem}");
@@ -312,7 +318,9 @@ mod tests {
             assert!(hosts.knows(Some(own)), "{own}");
             assert!(hosts.knows_origin(Some(&format!("http://{own}"))), "{own}");
         }
-        for other in ["evil.example:7480", "127.0.0.1", "localhost:80", "", "localhost:7480.evil.example"] {
+        for other in
+            ["evil.example:7480", "127.0.0.1", "localhost:80", "", "localhost:7480.evil.example"]
+        {
             assert!(!hosts.knows(Some(other)), "{other}");
             assert!(!hosts.knows_origin(Some(&format!("http://{other}"))), "{other}");
         }

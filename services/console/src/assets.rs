@@ -72,8 +72,7 @@ impl Compressed {
     #[must_use]
     pub fn new(asset: &Asset) -> Self {
         use std::io::Write as _;
-        let mut encoder =
-            flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
         // Writing to memory does not fail.
         let _ = encoder.write_all(asset.bytes);
         let gzip = encoder.finish().unwrap_or_default().into();

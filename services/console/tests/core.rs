@@ -11,8 +11,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_console::limits::{
-    LOST_FOR, MAX_BROWSERS, MAX_COMMANDS_PER_MINUTE, MAX_LINKS_SHOWN, MAX_MESSAGE_BYTES, MAX_MESSAGES_PER_SECOND,
-    MAX_PENDING, MAX_REPLY_BYTES, MAX_TURN_BYTES, MAX_WAITING_BYTES, STALLED_AFTER,
+    LOST_FOR, MAX_BROWSERS, MAX_COMMANDS_PER_MINUTE, MAX_LINKS_SHOWN, MAX_MESSAGE_BYTES,
+    MAX_MESSAGES_PER_SECOND, MAX_PENDING, MAX_REPLY_BYTES, MAX_TURN_BYTES, MAX_WAITING_BYTES,
+    STALLED_AFTER,
 };
 use muster_console::{BrowserId, Command, Console, Fetch, Input, Output, Role, frame};
 use muster_model::command::Action;
@@ -124,7 +125,11 @@ impl Bench {
     }
 
     /// Draws until nothing more comes, and returns the texts and frames of it.
-    fn draw(&mut self, browser: BrowserId, mut outputs: Vec<Output>) -> (Vec<Value>, Vec<Arc<[u8]>>) {
+    fn draw(
+        &mut self,
+        browser: BrowserId,
+        mut outputs: Vec<Output>,
+    ) -> (Vec<Value>, Vec<Arc<[u8]>>) {
         let (mut texts, mut frames) = (Vec::new(), Vec::new());
         loop {
             let mut turn = None;
@@ -194,7 +199,10 @@ fn a_browser_gets_names_before_the_frames_that_refer_to_them() {
     assert_eq!([slot(frame, 1), slot(frame, 4), slot(frame, 5)], [0, 1, frame::NONE]);
     assert_eq!([flags(frame, 0), flags(frame, 1)], [frame::LEADER, 0]);
     let division = topic(&texts, "teams")[0];
-    assert_eq!((&division["teams"][1]["id"], &division["teams"][1]["members"]), (&json!("t4"), &json!(3)));
+    assert_eq!(
+        (&division["teams"][1]["id"], &division["teams"][1]["members"]),
+        (&json!("t4"), &json!(3))
+    );
     // The same names are not sent again.
     let outputs = bench.give(Input::Roster(Arc::new(roster(&all)), None));
     let (texts, frames) = bench.draw(1, outputs);
@@ -414,7 +422,10 @@ fn a_robot_that_left_stays_as_lost_with_its_place_until_it_is_back() {
     assert_eq!((frames[0].len() - frame::HEAD) / 8, 3);
     assert_eq!(flags(&frames[0], 1), frame::LOST);
     let lost = &topic(&texts, "lost")[0]["robots"][0];
-    assert_eq!((&lost["robot"], &lost["state"], &lost["team"]), (&json!(all[1]), &json!("lost"), &json!("t1")));
+    assert_eq!(
+        (&lost["robot"], &lost["state"], &lost["team"]),
+        (&json!(all[1]), &json!("lost"), &json!("t1"))
+    );
     let outputs = bench.give(Input::Roster(Arc::new(roster(&all)), None));
     let (texts, frames) = bench.draw(1, outputs);
     assert_eq!((flags(&frames[0], 1), &topic(&texts, "lost")[0]["count"]), (0, &json!(0)));
@@ -473,13 +484,20 @@ fn links_come_for_what_a_browser_asked_for_and_the_strongest_of_too_many() {
     bench.draw(1, outputs);
     let row = |source: u32| GraphRow {
         source,
-        edges: (0..200).filter(|to| *to != source).map(|to| (to, f64::from(source + to + 1))).collect(),
+        edges: (0..200)
+            .filter(|to| *to != source)
+            .map(|to| (to, f64::from(source + to + 1)))
+            .collect(),
     };
     let graph = GraphDelta {
         header: header(1),
         modality: Modality::spatial(),
         base: None,
-        nodes_added: all.iter().enumerate().map(|(node, name)| (u32::try_from(node).unwrap(), robot(name))).collect(),
+        nodes_added: all
+            .iter()
+            .enumerate()
+            .map(|(node, name)| (u32::try_from(node).unwrap(), robot(name)))
+            .collect(),
         nodes_removed: Vec::new(),
         rows: (0..200).map(row).collect(),
     };
@@ -506,7 +524,8 @@ fn nothing_is_asked_for_while_nobody_looks() {
         assert!(outputs.contains(&Output::Fetch(fetch.clone())), "{fetch:?}");
     }
     // One question of each kind at a time.
-    let asked = |outputs: &[Output]| outputs.iter().filter(|o| matches!(o, Output::Fetch(_))).count();
+    let asked =
+        |outputs: &[Output]| outputs.iter().filter(|o| matches!(o, Output::Fetch(_))).count();
     assert_eq!(asked(&bench.pass(Duration::from_secs(3))), 0);
     assert_eq!(asked(&bench.give(Input::Statuses(Vec::new()))), 1, "it is due again");
     bench.give(Input::Closed(1));

@@ -71,7 +71,8 @@ impl Served {
         let fields = fields.join("\r\n");
         let length = body.len();
         let close = if fields.contains("Upgrade") { "" } else { "Connection: close\r\n" };
-        let text = format!("{line} HTTP/1.1\r\n{fields}\r\n{close}Content-Length: {length}\r\n\r\n{body}");
+        let text =
+            format!("{line} HTTP/1.1\r\n{fields}\r\n{close}Content-Length: {length}\r\n\r\n{body}");
         stream.write_all(text.as_bytes()).unwrap();
         let mut answer = Vec::new();
         if close.is_empty() {
@@ -127,7 +128,9 @@ fn the_page_comes_with_a_strict_policy_under_its_own_names_alone() {
     }
     let (head, body) = served.ask("GET /app.js", &["Accept-Encoding: gzip, br"], "");
     assert_eq!((field(&head, "content-encoding"), &body[..2]), (Some("gzip"), &[0x1f, 0x8b][..]));
-    for traversal in ["/../Cargo.toml", "/vendor/../app.js", "/vendor", "//app.js", "/%2e%2e/Cargo.toml"] {
+    for traversal in
+        ["/../Cargo.toml", "/vendor/../app.js", "/vendor", "//app.js", "/%2e%2e/Cargo.toml"]
+    {
         assert_eq!(status(&served.ask(&format!("GET {traversal}"), &[], "").0), 404, "{traversal}");
     }
     // A page elsewhere whose name was pointed at this host.
@@ -163,7 +166,9 @@ fn only_the_own_page_opens_a_websocket() {
 
 #[test]
 fn a_token_is_exchanged_for_a_cookie_that_scripts_do_not_see() {
-    let text = format!("[[operator]]\nname = \"kim\"\ntoken = \"{KIM}\"\n[[viewer]]\ntoken = \"{WALL}\"\n");
+    let text = format!(
+        "[[operator]]\nname = \"kim\"\ntoken = \"{KIM}\"\n[[viewer]]\ntoken = \"{WALL}\"\n"
+    );
     let served = Served::start(Some(&text));
     let origin = served.origin();
     assert_eq!(status(&served.ask("GET /session", &[], "").0), 401);
@@ -188,7 +193,8 @@ fn a_token_is_exchanged_for_a_cookie_that_scripts_do_not_see() {
     assert_eq!(status(&served.ask("DELETE /session", &[&origin, &session], "").0), 200);
     assert_eq!(status(&served.open_live(&[&origin, &session])), 401);
     let head = sign_in(WALL, &origin);
-    let session = format!("Cookie: {}", field(&head, "set-cookie").unwrap().split(';').next().unwrap());
+    let session =
+        format!("Cookie: {}", field(&head, "set-cookie").unwrap().split(';').next().unwrap());
     let (_, body) = served.ask("GET /session", &[&session], "");
     assert!(String::from_utf8(body).unwrap().contains("\"role\":\"viewer\""));
 }

@@ -37,12 +37,25 @@ class SignIn extends Component {
     }
 }
 
+/** When the data behind a division is old, in seconds: what readers of a division wait for a newer one. */
+const OLD_AFTER = 5;
+
+/** Whether an instance of a service leads. @param {string} service */
+const leads = (service) => state.services.instances.some((/** @type {any} */ one) =>
+    one.service === service && one.standing === "holding");
+
 function banner() {
     if (state.replay) return h("p", { class: "banner replay", role: "status" }, "REPLAY – this is the past");
     if (state.socket !== "open") return h("p", { class: "banner lost", role: "status" }, "The console is not reached. What is shown is old; it connects again by itself.");
     if (!state.link) return h("p", { class: "banner lost", role: "status" }, "The link to the router is lost. What is shown is old.");
     const old = Object.entries(state.fleet?.stale ?? {}).filter(([, why]) => why).map(([name]) => name);
     if (old.length) return h("p", { class: "banner stale", role: "status" }, `No service says anything newer: ${old.join(", ")} may be old.`);
+    const idle = ["ingest", "embedder", "clusterer", "auditor"].filter((name) => state.services && !leads(name));
+    const behind = now() - (state.teams?.newest ?? NaN);
+    if (idle.length || behind > OLD_AFTER) {
+        const why = idle.length ? `No ${idle.join(", no ")} leads: ` : "";
+        return h("p", { class: "banner stale", role: "status" }, `${why}the division rests on data of ${age(behind)} ago and may be old.`);
+    }
     if (state.problem) return h("p", { class: "banner stale", role: "status" }, state.problem);
     return null;
 }

@@ -3,7 +3,7 @@
 import { canCommand } from "./alerts.js";
 import { age, clock, fixed } from "./format.js";
 import { command } from "./link.js";
-import { changed, now, state } from "./state.js";
+import { now, state } from "./state.js";
 import { Component, h } from "./vendor/preact.js";
 
 const KINDS = ["pin", "ban", "together", "apart", "lock", "reserve"];
@@ -19,26 +19,33 @@ let asker = null;
 export function confirmThen(text, go) {
     asker = /** @type {HTMLElement | null} */ (document.activeElement);
     question = { text, go };
-    changed();
+    confirm?.setState({});
 }
+
+/** @type {Confirm | null} */
+let confirm = null;
 
 export class Confirm extends Component {
     /** @type {HTMLElement | null} */
     root = null;
 
+    componentDidMount() {
+        confirm = this;
+    }
+
     componentDidUpdate() {
         const dialog = /** @type {HTMLDialogElement} */ (this.root);
         if (question && !dialog.open) dialog.showModal();
-        if (!question && dialog.open) dialog.close();
     }
 
     render() {
         const end = (/** @type {boolean} */ yes) => {
             const asked = question;
             question = null;
-            if (yes) asked?.go();
-            changed();
+            // At once: until it is closed, the rest of the page takes no key.
+            /** @type {HTMLDialogElement} */ (this.root).close();
             asker?.focus();
+            if (yes) asked?.go();
         };
         return h("dialog", { id: "confirm", ref: (/** @type {HTMLElement | null} */ root) => { this.root = root; }, "aria-labelledby": "confirm-text", onCancel: (/** @type {Event} */ event) => {
             event.preventDefault();

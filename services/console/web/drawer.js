@@ -16,7 +16,7 @@ function reasons(why) {
     const names = ["team", "robots", "total", ...modalities, "itself", "spread", "price", "hysteresis"];
     return h("div", {},
         h("p", { id: "why" }, why.text),
-        h("div", { class: "scroll" }, h("table", {},
+        h("div", { class: "scroll", tabIndex: 0, role: "group", "aria-label": "Table" }, h("table", {},
             h("caption", {}, "What draws it to each team; the largest total decides"),
             h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name)))),
             h("tbody", {}, why.teams.map((/** @type {any} */ team) => h("tr", { key: team.team },

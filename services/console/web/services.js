@@ -32,7 +32,7 @@ export function Services() {
             h("p", { class: "warn", key: name }, `What is shown of ${name} is old: ${why === "silent" ? "no service has said anything newer" : why === "restarted" ? "the services began anew" : "the link was lost"}.`)),
         h("h2", {}, counted(instances.length, "instance")),
         missing.length ? h("p", { class: "warn" }, `No instance leads: ${missing.join(", ")}.`) : null,
-        h("div", { class: "scroll" }, h("table", { id: "services" },
+        h("div", { class: "scroll", tabIndex: 0, role: "group", "aria-label": "Table" }, h("table", { id: "services" },
             h("thead", {}, h("tr", {}, names.map((name) => h("th", { scope: "col" }, name)))),
             h("tbody", {}, instances.map((/** @type {any} */ one) => h("tr", { key: `${one.service} ${one.instance}`, "data-service": one.service },
                 h("th", { scope: "row" }, one.service),

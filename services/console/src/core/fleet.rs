@@ -199,7 +199,9 @@ impl Fleet {
         for line in &self.lines {
             let (entry, gone) = match present.next_if(|entry| entry.robot == line.robot) {
                 Some(entry) => (Some(entry), false),
-                None => (lost.next_if(|one| one.entry.robot == line.robot).map(|one| &one.entry), true),
+                None => {
+                    (lost.next_if(|one| one.entry.robot == line.robot).map(|one| &one.entry), true)
+                }
             };
             let (team, mut flags) = self.place(&line.robot);
             if gone {
@@ -316,6 +318,7 @@ impl Fleet {
             "slots": self.slots,
             "term": teams.header.revision.term,
             "epoch": teams.header.revision.epoch,
+            "newest": teams.header.newest.map(Tick::as_seconds),
             "requested": teams.requested,
             "considered": teams.considered,
             "teams": list,

@@ -245,7 +245,11 @@ impl Console {
             Input::Roster(roster, stale) => {
                 self.fresh("roster", stale);
                 let modalities = |roster: &Roster| roster.graphs.len();
-                if self.fleet.roster().is_none_or(|before| modalities(before) != modalities(&roster)) {
+                if self
+                    .fleet
+                    .roster()
+                    .is_none_or(|before| modalities(before) != modalities(&roster))
+                {
                     self.topics.change(Topic::Fleet);
                 }
                 self.fleet.follow_roster(now, roster);
@@ -347,7 +351,8 @@ impl Console {
             self.list_missing();
             self.frames.change_robots();
         }
-        let stalled = |(id, browser): (&BrowserId, &Browser)| browser.is_stalled(now).then_some(*id);
+        let stalled =
+            |(id, browser): (&BrowserId, &Browser)| browser.is_stalled(now).then_some(*id);
         let stalled: Vec<BrowserId> = self.browsers.iter().filter_map(stalled).collect();
         for id in stalled {
             self.close(id);
@@ -514,9 +519,7 @@ impl Console {
     /// The text of a topic.
     fn topic(&mut self, topic: Topic, now: Tick) -> Arc<str> {
         let (fleet, name, link, stale) = (&self.fleet, &self.name, self.link, &self.stale);
-        let weight = |graph: &EmbeddingGraph| {
-            json!({"modality": graph.modality, "weight": graph.weight, "trust": graph.trust})
-        };
+        let weight = |graph: &EmbeddingGraph| json!({"modality": graph.modality, "weight": graph.weight, "trust": graph.trust});
         let weights: Vec<Value> = self.weights.iter().map(weight).collect();
         let (audit, alerts, missing) = (&self.audit, &self.alerts, &self.missing);
         let (statuses, settings, wishes) = (&self.statuses, &self.settings, &self.wishes);

@@ -61,7 +61,8 @@ impl Axes {
             for first in 0..dimension {
                 let left = (vector[first] - mean[first]) / count;
                 for second in 0..dimension {
-                    covariance[first * dimension + second] += left * (vector[second] - mean[second]);
+                    covariance[first * dimension + second] +=
+                        left * (vector[second] - mean[second]);
                 }
             }
         }
@@ -77,7 +78,8 @@ impl Axes {
         if self.axes[0].len() != dimension {
             // Unequal numbers, so that the start is orthogonal to no direction.
             #[expect(clippy::cast_precision_loss, reason = "dimensions are small")]
-            let begin = |shift: usize| (0..dimension).map(|at| ((at * 2 + shift) as f64).sin()).collect();
+            let begin =
+                |shift: usize| (0..dimension).map(|at| ((at * 2 + shift) as f64).sin()).collect();
             self.axes = [begin(1), begin(2)];
         }
         let apply = |vector: &[f64]| -> Vec<f64> {

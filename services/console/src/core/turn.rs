@@ -31,7 +31,11 @@ impl Cached {
     }
 }
 
-fn cached(place: &mut Option<(u64, Arc<[u8]>)>, version: u64, make: impl FnOnce() -> Vec<u8>) -> Arc<[u8]> {
+fn cached(
+    place: &mut Option<(u64, Arc<[u8]>)>,
+    version: u64,
+    make: impl FnOnce() -> Vec<u8>,
+) -> Arc<[u8]> {
     match place {
         Some((made, frame)) if *made == version => Arc::clone(frame),
         _ => {
@@ -156,6 +160,10 @@ impl Console {
         let version = self.frames.robots;
         let has_names = browser.names.1 >= self.fleet.pieces();
         if browser.frames.0 == version || !has_names || self.fleet.roster().is_none() {
+            return;
+        }
+        // Robots without vectors are no picture.
+        if browser.view.embedding && self.embedding.is_empty() {
             return;
         }
         let frame = if browser.view.embedding {

@@ -50,7 +50,11 @@ pub(super) fn client_config(config: &ProcessConfig) -> Config {
 type Happenings = mpsc::Sender<Happening>;
 
 /// Follows a fleet until the loop ends.
-pub(super) async fn follow(config: Config, happenings: Happenings, mut orders: mpsc::Receiver<Order>) {
+pub(super) async fn follow(
+    config: Config,
+    happenings: Happenings,
+    mut orders: mpsc::Receiver<Order>,
+) {
     let client = loop {
         match Client::open(&config).await {
             Ok(client) => break client,
@@ -161,10 +165,12 @@ async fn carry_out(client: &Client, order: Order) -> Input {
         Order::Ask(ticket, question) => {
             let answer = match question {
                 Question::Why(robot) => client.get_reason(&robot).await.and_then(|why| {
-                    serde_json::to_value(&why.reason).map_err(|error| Error::Bus { reason: error.to_string() })
+                    serde_json::to_value(&why.reason)
+                        .map_err(|error| Error::Bus { reason: error.to_string() })
                 }),
                 Question::History(query) => client.get_history(&query).await.and_then(|answer| {
-                    serde_json::to_value(&answer).map_err(|error| Error::Bus { reason: error.to_string() })
+                    serde_json::to_value(&answer)
+                        .map_err(|error| Error::Bus { reason: error.to_string() })
                 }),
             };
             Input::Answer(ticket, answer.map_err(|error| error.to_string()))

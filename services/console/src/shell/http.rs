@@ -189,7 +189,9 @@ fn role(request: &Request<Incoming>, port: &Port) -> Option<Role> {
 fn who(request: &Request<Incoming>, port: &Port) -> Answer {
     let asks = port.shared.sessions.lock().unwrap_or_else(PoisonError::into_inner).asks();
     match role(request, port) {
-        Some(Role::Viewer) => json_answer(StatusCode::OK, &json!({"role": "viewer", "token": asks})),
+        Some(Role::Viewer) => {
+            json_answer(StatusCode::OK, &json!({"role": "viewer", "token": asks}))
+        }
         Some(Role::Operator(name)) => {
             let answer = json!({"role": "operator", "operator": name, "token": asks});
             json_answer(StatusCode::OK, &answer)
@@ -215,7 +217,8 @@ async fn sign(request: Request<Incoming>, port: &Port) -> Answer {
         sessions().sign_out(session.as_deref());
         return cookie(json_answer(StatusCode::OK, &json!({"role": null})), "", 0);
     }
-    let body = tokio::time::timeout(HEAD_WITHIN, Limited::new(request.into_body(), MAX_BODY).collect());
+    let body =
+        tokio::time::timeout(HEAD_WITHIN, Limited::new(request.into_body(), MAX_BODY).collect());
     let Ok(Ok(body)) = body.await else {
         return text(StatusCode::BAD_REQUEST, "the token is too long, or did not arrive\n");
     };

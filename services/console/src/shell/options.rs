@@ -111,7 +111,8 @@ fn resolve(
             "serve: {text:?} is no address with a port; write one like {DEFAULT_ADDRESS}"
         ))
     })?;
-    let path = args.access.clone().or_else(|| environment("MUSTER_CONSOLE_ACCESS").map(PathBuf::from));
+    let path =
+        args.access.clone().or_else(|| environment("MUSTER_CONSOLE_ACCESS").map(PathBuf::from));
     let Some(path) = path else {
         if !address.ip().is_loopback() {
             return Err(ExitError::usage(format!(
@@ -126,7 +127,8 @@ fn resolve(
     let door = file.door();
     let door = door.map_err(|problem| wrong_file(&path, &problem))?;
     if address.ip().is_unspecified() && file.hosts.is_empty() {
-        let problem = "hosts: name the hosts with ports that browsers ask for, as base.example:7480";
+        let problem =
+            "hosts: name the hosts with ports that browsers ask for, as base.example:7480";
         return Err(wrong_file(&path, problem));
     }
     Ok(ConsoleOptions { address, further_hosts: file.hosts, door })

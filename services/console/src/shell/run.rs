@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use muster_runtime::clock::Clock;
 use muster_runtime::config::ProcessConfig;
-use muster_runtime::notify;
 use muster_runtime::exit::{Exit, ExitError};
+use muster_runtime::notify;
 use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
 use tokio::sync::mpsc;
