@@ -196,6 +196,11 @@ try {
     assert.ok(Math.abs(sum - 1) < 1e-9 && weights.spatial > weight, JSON.stringify([weight, weights]));
     assert.match(await muster("set", "embedder"), new RegExp(`spatial\\W+${weights.spatial}`));
 
+    step("a change is taken back");
+    await page.getByRole("button", { name: "Undo weights" }).click();
+    await page.getByRole("button", { name: "Do it" }).click();
+    await until(page, () => Object.keys(window.muster.state.settings.embedder.weights).length === 0);
+
     step("limits and needs");
     await page.locator("#limit-max").fill("9");
     await page.locator("#limits-set").click();

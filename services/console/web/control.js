@@ -66,6 +66,13 @@ function describe(teams) {
 
 const fleetSize = () => `${state.robots.length} robots`;
 
+/** Changes settings, which may be taken back. @param {string} what @param {string} service @param {any} patch */
+function change(what, service, patch) {
+    const present = state.settings[service] ?? {};
+    const before = Object.fromEntries(Object.keys(patch).map((field) => [field, present[field] ?? null]));
+    return command(what, service, { set: patch }, { set: before });
+}
+
 /** @param {any} event */
 const valueOf = (event) => event.target.value;
 
@@ -94,7 +101,7 @@ class Count extends Component {
             mode === "range" ? h("span", {}, number("from", "Least number of teams"), " to ", number("to", "Largest number of teams")) : null,
             h("button", { type: "button", id: "count-set", disabled: !canCommand(), onClick: () =>
                 confirmThen(`Divide ${fleetSize()} into ${describe(wanted)} teams? It is ${describe(present)} at present.`, () =>
-                    command(`teams = ${describe(wanted)}`, "clusterer", { set: { teams: wanted } })) }, "Set number of teams"));
+                    change(`teams = ${describe(wanted)}`, "clusterer", { teams: wanted })) }, "Set number of teams"));
     }
 }
 
@@ -149,7 +156,7 @@ class Weights extends Component {
                     const others = Object.entries(wanted).filter(([name]) => name !== first).reduce((all, [, weight]) => all + weight, 0);
                     wanted[first] = Number((1 - others).toFixed(4));
                     confirmThen(`Weigh the modalities anew for ${fleetSize()}?`, () => {
-                        void command("weights", "embedder", { set: { weights: wanted } });
+                        void change("weights", "embedder", { weights: wanted });
                         this.setState({ weights: null });
                     });
                 } }, "Set weights"),
@@ -180,7 +187,7 @@ class Limits extends Component {
             const patch = team ? { team_size: sizes } : { size: wanted };
             const whom = team || "every team";
             confirmThen(`Let ${whom} have ${shown(wanted)} robots?`, () =>
-                command(`size of ${whom} = ${shown(wanted)}`, "clusterer", { set: patch }));
+                change(`size of ${whom} = ${shown(wanted)}`, "clusterer", patch));
         };
         return h("fieldset", {}, h("legend", {}, "Limits of teams"),
             h("p", { id: "limits-now" }, `Every team: ${shown(size)} robots`,
@@ -207,7 +214,7 @@ class Needs extends Component {
             `${need.team ?? "every team"}: ${need.skill}, at least ${need.per_team?.min ?? 0}` +
             `${need.per_team?.max ? `, at most ${need.per_team.max}` : ""}${need.soft ? ", where possible" : ""}`;
         const put = (/** @type {any[]} */ wanted, /** @type {string} */ what) => confirmThen(`${what}?`, () =>
-            command(what, "clusterer", { set: { needs: wanted } }));
+            change(what, "clusterer", { needs: wanted }));
         return h("fieldset", {}, h("legend", {}, "Needs of skills"),
             h("ul", { id: "needs" }, needs.map((/** @type {any} */ need, /** @type {number} */ number) => h("li", { key: number },
                 describeNeed(need), " ",
@@ -243,7 +250,7 @@ class Wishes extends Component {
         const wish = { kind, robots, ...(where ? { team: where } : {}), ...(note ? { note } : {}),
             ...(minutes ? { expires: now() + 60 * Number(minutes) } : {}) };
         const id = `${kind}-${[...robots.slice(0, 3), where].filter(Boolean).join("-")}`.slice(0, 64);
-        const go = () => command(`${kind} ${robots.join(" ")} ${where ?? ""}`, "clusterer", { wish: { id, wish } });
+        const go = () => command(`${kind} ${robots.join(" ")} ${where ?? ""}`, "clusterer", { wish: { id, wish } }, { withdraw: { id } });
         // What holds a whole team, or takes robots out of the fleet, is asked twice.
         if (kind === "lock" || kind === "reserve" || robots.length > 1) confirmThen(`${kind} ${robots.join(", ")} ${where ?? ""}?`, go);
         else void go();
@@ -272,7 +279,7 @@ class Wishes extends Component {
                 one.reason ? ` (${one.reason})` : "", h("span", { class: "dim" }, ` ${one.operator}/${one.id}`,
                     one.wish.expires ? ` for ${age(one.wish.expires - now())}` : "", one.wish.note ? ` “${one.wish.note}”` : ""), " ",
                 one.operator === own ? h("button", { type: "button", disabled: !canCommand(), "aria-label": `Withdraw ${one.id}`, onClick: () =>
-                    confirmThen(`Withdraw ${one.id}?`, () => command(`withdraw ${one.id}`, "clusterer", { withdraw: { id: one.id } })) }, "Withdraw") : null))));
+                    confirmThen(`Withdraw ${one.id}?`, () => command(`withdraw ${one.id}`, "clusterer", { withdraw: { id: one.id } }, { wish: { id: one.id, wish: one.wish } })) }, "Withdraw") : null))));
     }
 }
 
@@ -281,7 +288,13 @@ function orders() {
         h("h2", { id: "orders-title" }, "Commands of this page"),
         h("ol", { id: "orders", "aria-live": "polite" }, state.orders.map((one) => h("li", { key: one.id, "data-order": one.state, class: one.state === "refused" || one.state === "unknown" ? "warn" : "" },
             h("span", { class: "dim" }, `${clock(one.at)} `), `${one.what}: `, h("strong", {}, one.state),
-            one.reason ? ` – ${one.reason}` : "", one.state === "unknown" ? "; what the services say now is shown above" : ""))));
+            one.reason ? ` – ${one.reason}` : "", one.state === "unknown" ? "; what the services say now is shown above" : "", " ",
+            one.state === "done" && one.undo ? h("button", { type: "button", disabled: !canCommand(), "aria-label": `Undo ${one.what}`, onClick: () =>
+                confirmThen(`Undo ${one.what}?`, () => {
+                    const { undo } = one;
+                    one.undo = null;
+                    void command(`undo ${one.what}`, one.service, undo);
+                }) }, "Undo") : null))));
 }
 
 export function Control() {

@@ -121,10 +121,11 @@ export const ask = (content) => request("ask", content, false);
 /**
  * Commands a service. It is pending until the service has answered; the page shows what the services say then.
  * @param {string} what in words @param {string} service @param {any} action
+ * @param {any} [undo] the action that takes it back
  */
-export async function command(what, service, action) {
+export async function command(what, service, action, undo = null) {
     /** @type {import("./state.js").Order} */
-    const order = { id: next, what, service, state: "pending", reason: "", at: now() };
+    const order = { id: next, what, service, state: "pending", reason: "", undo, at: now() };
     addOrder(order);
     const wasOpen = state.socket === "open";
     try {

@@ -18,6 +18,7 @@ import { EMBEDDING, GROUND, LINKS, readFrame } from "./frame.js";
  * @property {string} service
  * @property {"pending" | "done" | "refused" | "unknown"} state
  * @property {string} reason
+ * @property {any} undo the action that takes it back; null where there is none
  * @property {number} at
  */
 
