@@ -54,7 +54,7 @@ async function open(options = {}) {
     // While the page is worked on it may be taken from its folder, without building the program anew.
     if (process.env.MUSTER_WEB_FOLDER) {
         await context.route(/\.(js|css)$/, async (route) => {
-            const response = await route.fetch();
+            const response = await route.fetch({ maxRetries: 3 });
             const body = await readFile(`${process.env.MUSTER_WEB_FOLDER}${new URL(route.request().url()).pathname}`);
             await route.fulfill({ response, body });
         });
@@ -299,7 +299,7 @@ try {
     await picture(page, "replay");
     await axe(page, "replay");
     await page.locator("#leave-replay").click();
-    assert.equal(await page.locator(".banner").count(), 0);
+    await until(page, () => !document.querySelector(".banner"));
 
     step("no finding of axe in any panel, dark and light");
     for (const theme of ["dark", "light"]) {
