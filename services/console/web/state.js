@@ -118,6 +118,9 @@ function receiveNames(data) {
     }
 }
 
+/** An audit that came in this turn: its moment comes with the end of the turn. @type {any} */
+let unsampled = null;
+
 /** @param {any} audit */
 function sample(audit) {
     const at = now();
@@ -151,7 +154,7 @@ export function receive(message) {
         case "teams": state.teams = data; break;
         case "audit":
             state.audit = data;
-            if (data) sample(data);
+            unsampled = data;
             break;
         case "alerts": state.alerts = data; break;
         case "wishes": state.wishes = data ?? []; break;
@@ -170,6 +173,8 @@ export function receive(message) {
             state.serverNow = data.now;
             state.serverNowAt = performance.now();
             state.link = data.link;
+            if (unsampled) sample(unsampled);
+            unsampled = null;
             return data.turn;
     }
     return 0;
