@@ -275,8 +275,8 @@ try {
     const alert = page.locator(`#alerts li[data-alert="${id}"]`);
     await alert.getByRole("button", { name: "Acknowledge singleton" }).click();
     await alert.getByText("seen by kim").waitFor();
-    const open = JSON.parse(await muster("alerts", "--json")).open.find((one) => String(one.id) === id);
-    assert.equal(open.acknowledged.operator, "kim");
+    const acknowledged = JSON.parse(await muster("alerts", "--json")).open.find((one) => String(one.id) === id);
+    assert.equal(acknowledged.acknowledged.operator, "kim");
     await picture(page, "alerts");
 
     step("a killed embedder shows stale and recovers without a reload");
@@ -330,10 +330,10 @@ try {
 
     step("the console is killed while a command is pending");
     await panel(page, "Control");
-    await act("stop", "clusterer");
     await page.getByLabel("exactly").check();
     await page.locator("#count-one").fill("2");
     await page.locator("#count-set").click();
+    await act("stop", "clusterer");
     await page.getByRole("button", { name: "Do it" }).click();
     await page.locator("#orders li[data-order=pending]").waitFor();
     await act("kill-console");

@@ -7,6 +7,7 @@
     reason = "a test fails by panicking"
 )]
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -19,7 +20,7 @@ use muster_console::{BrowserId, Command, Console, Fetch, Input, Output, Role, fr
 use muster_model::command::Action;
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
-use muster_model::id::{FleetId, Modality, OperatorId, RobotId, TeamId, WishId};
+use muster_model::id::{FleetId, Modality, OperatorId, RobotId, ServiceName, TeamId, WishId};
 use muster_model::roster::{Presence, Roster, RosterEntry};
 use muster_model::teams::{Member, Team, Teams};
 use muster_model::time::Tick;
@@ -513,6 +514,21 @@ fn links_come_for_what_a_browser_asked_for_and_the_strongest_of_too_many() {
     let outputs = bench.text(1, &one);
     let (_, frames) = bench.draw(1, outputs);
     assert_eq!(links(&frames), 2 * 199);
+}
+
+#[test]
+fn settings_of_a_service_that_does_not_answer_stay_known() {
+    let mut bench = Bench::new();
+    let of = |service, teams: u32| BTreeMap::from([(service, json!({ "teams": teams }))]);
+    bench.give(Input::Settings(of(ServiceName::Clusterer, 3)));
+    bench.give(Input::Settings(of(ServiceName::Ingest, 1)));
+    let outputs = bench.give(Input::Opened(1, kim()));
+    let (texts, _) = bench.draw(1, outputs);
+    let settings = topic(&texts, "settings")[0];
+    assert_eq!(
+        (&settings["clusterer"]["teams"], &settings["ingest"]["teams"]),
+        (&json!(3), &json!(1))
+    );
 }
 
 #[test]

@@ -60,7 +60,8 @@ export class Confirm extends Component {
 
 /** @param {any} teams the setting */
 function describe(teams) {
-    if (teams === "auto" || teams === undefined) return "auto";
+    if (teams === undefined) return "unknown";
+    if (teams === "auto") return "auto";
     return typeof teams === "number" ? `${teams}` : `${teams.from} to ${teams.to}`;
 }
 
@@ -69,8 +70,10 @@ const fleetSize = () => `${state.robots.length} robots`;
 /** Changes settings, which may be taken back. @param {string} what @param {string} service @param {any} patch */
 function change(what, service, patch) {
     const present = state.settings[service] ?? {};
-    const before = Object.fromEntries(Object.keys(patch).map((field) => [field, present[field] ?? null]));
-    return command(what, service, { set: patch }, { set: before });
+    const fields = Object.keys(patch);
+    const isKnown = fields.every((field) => field in present);
+    const before = Object.fromEntries(fields.map((field) => [field, present[field]]));
+    return command(what, service, { set: patch }, isKnown ? { set: before } : null);
 }
 
 /** @param {any} event */

@@ -282,8 +282,11 @@ impl Console {
             }
             Input::Settings(settings) => {
                 self.fetches.answered(&Fetch::Settings);
-                if self.settings != settings || self.topics.version(Topic::Settings) == 0 {
-                    self.settings = settings;
+                // A service that does not answer has those that it had; that it does not lead is shown apart.
+                let mut all = self.settings.clone();
+                all.extend(settings);
+                if self.settings != all || self.topics.version(Topic::Settings) == 0 {
+                    self.settings = all;
                     self.topics.change(Topic::Settings);
                 }
             }
