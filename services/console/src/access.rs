@@ -207,7 +207,9 @@ impl Sessions {
         let Door::Tokens(tokens) = &self.door else { return Err(SignInError::Unknown) };
         // All are compared, so that the time says nothing of their order.
         let found = tokens.iter().filter(|(known, _)| same(known, token)).map(|(_, role)| role);
-        let Some(role) = found.last().cloned() else { return Err(SignInError::Unknown) };
+        let Some(role) = found.fold(None, |_, role| Some(role.clone())) else {
+            return Err(SignInError::Unknown);
+        };
         self.open.retain(|_, (_, since)| now.since(*since) < SESSION_TIME);
         if self.open.len() >= MAX_SESSIONS {
             let oldest = self.open.iter().min_by_key(|(_, (_, since))| *since);

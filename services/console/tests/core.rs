@@ -345,7 +345,7 @@ fn an_operator_commands_under_the_own_name_and_hears_what_came_of_it() {
     let (texts, _) = bench.draw(1, outputs);
     assert_eq!(topic(&texts, "reply"), [&json!({"id": 7, "refused": "teams: must be 1 to 9"})]);
     // After a command, what it may have changed is asked for at once.
-    assert!(bench.outputs.iter().any(|output| *output == Output::Fetch(Fetch::Settings)));
+    assert!(bench.outputs.contains(&Output::Fetch(Fetch::Settings)));
     // The answer comes once.
     assert!(bench.give(Input::Answer(*ticket, Ok(json!({})))).is_empty());
 }
