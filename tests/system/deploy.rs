@@ -71,7 +71,8 @@ fn install(folder: &Path) -> Vec<PathBuf> {
         std::fs::write(&path, text.replace("/usr/local/bin", &programs)).unwrap();
         path
     };
-    let mut units = vec![write("muster-router.service", read("systemd/muster-router.service"))];
+    let alone = ["muster-router.service", "muster-console.service"];
+    let mut units = alone.map(|unit| write(unit, read(&format!("systemd/{unit}")))).to_vec();
     write("muster@.service", read("systemd/muster@.service"));
     for service in SERVICES {
         let name = format!("muster@{service}.service");
@@ -152,11 +153,13 @@ fn the_units_start_what_there_is() {
         line.split(' ').map(str::to_owned).collect()
     };
     check_command(&line("systemd/muster-router.service", ""));
+    check_command(&line("systemd/muster-console.service", ""));
     for service in SERVICES {
         check_command(&line("systemd/muster@.service", service));
     }
     // A service without a standby that hangs stops the division until it is restarted.
-    for unit in ["systemd/muster-router.service", "systemd/muster@.service"] {
+    for unit in ["muster-router.service", "muster-console.service", "muster@.service"] {
+        let unit = &format!("systemd/{unit}");
         assert!(read(unit).lines().any(|line| line == "WatchdogSec=10"), "{unit}");
     }
 }

@@ -1,0 +1,9 @@
+//! The shell: flags, sockets, the bus and the clock around the core.
+
+mod fleet;
+mod http;
+mod options;
+mod run;
+mod socket;
+
+pub use self::options::main;

@@ -1,0 +1,130 @@
+//! The console in a real browser, over a real router, with real services and simulated robots.
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use muster_tests::cluster::{Cluster, ClusterOptions, robots_of};
+use muster_tests::process::{Process, run};
+use serde_json::{Value, json};
+
+const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
+
+/// How long a console may take to serve.
+const SERVES_WITHIN: Duration = Duration::from_secs(20);
+
+/// Where the packages of `services/console/tests/package.json` are.
+fn packages() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/web/node_modules")
+}
+
+/// The browser and the packages; `tests/run` installs them.
+fn chromium() -> PathBuf {
+    let browser = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
+    let browser = browser.iter().map(PathBuf::from).find(|path| path.exists());
+    let remedy = "tests/run installs it, or `apt-get install chromium nodejs npm` and \
+                  `npm install --prefix target/web` of services/console/tests/package.json";
+    assert!(packages().join("playwright-core").exists(), "playwright-core is missing: {remedy}");
+    browser.unwrap_or_else(|| panic!("there is no Chromium: {remedy}"))
+}
+
+fn free_address() -> String {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.local_addr().unwrap().to_string()
+}
+
+fn start_console(cluster: &Cluster, address: &str, further: &[&str]) -> Process {
+    let flags = ["--fleet", &cluster.fleet, "--connect", &cluster.endpoint, "--serve", address];
+    let arguments = [&flags, further].concat();
+    let mut console = Process::start("muster-console", &arguments, &[], cluster.folder()).unwrap();
+    console.until_prints("serves the console at", SERVES_WITHIN).unwrap();
+    console
+}
+
+#[test]
+fn console_types_hold() {
+    let compiler = packages().join(".bin/tsc");
+    assert!(compiler.exists(), "typescript is missing; tests/run installs it");
+    let project = Path::new(env!("CARGO_MANIFEST_DIR")).join("../services/console");
+    let output = Command::new(compiler).arg("--project").arg(project).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+}
+
+#[test]
+fn console_shows_and_commands_a_fleet_in_a_browser() {
+    let chromium = chromium();
+    let mut cluster = Cluster::start_by(&ClusterOptions {
+        settings: &[("clusterer", "teams=3"), ("ingest", "gone_after_s=6")],
+        ..ClusterOptions::default()
+    })
+    .unwrap();
+    cluster.start_service("historian").unwrap();
+    // The last robot is a process of its own, which is killed.
+    let names: Vec<String> = robots_of(&SCENARIO).unwrap().into_keys().collect();
+    let (last, others) = names.split_last().unwrap();
+    let mut lonely = cluster.robots(&[&SCENARIO[..], &["--only", last]].concat()).unwrap();
+    let _others =
+        cluster.robots(&[&SCENARIO[..], &["--only", &others.join(",")]].concat()).unwrap();
+
+    let (address, viewer_address) = (free_address(), free_address());
+    let mut console = Some(start_console(&cluster, &address, &["--operator", "kim"]));
+    let access = cluster.folder().join("access.toml");
+    std::fs::write(&access, "[[viewer]]\ntoken = \"wall-wall-wall-wall-wall-wall\"\n").unwrap();
+    let _viewers =
+        start_console(&cluster, &viewer_address, &["--access", access.to_str().unwrap()]);
+
+    let script =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../services/console/tests/browser.mjs");
+    let mut node = Command::new("node")
+        .arg(script)
+        .args([chromium.as_os_str(), address.as_ref(), viewer_address.as_ref()])
+        .args(std::env::var("MUSTER_PICTURES"))
+        .env("MUSTER_WEB_PACKAGES", packages())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut answers = node.stdin.take().unwrap();
+    let mut held = false;
+    for line in BufReader::new(node.stdout.take().unwrap()).lines() {
+        let line = line.unwrap();
+        println!("{line}");
+        held |= line == "everything holds";
+        let Some(what) = line.strip_prefix("do ") else { continue };
+        let what: Vec<String> = serde_json::from_str(what).unwrap();
+        let what: Vec<&str> = what.iter().map(String::as_str).collect();
+        let mut answer = Value::Null;
+        match what[..] {
+            ["muster", ref arguments @ ..] => {
+                let (code, out, err) = cluster.muster(arguments).unwrap();
+                answer = json!({"code": code, "out": out, "err": err});
+            }
+            ["kill-robot"] => lonely.kill().unwrap(),
+            ["kill", service] => cluster.service(service).unwrap().kill().unwrap(),
+            ["start", service] => cluster.start_service(service).unwrap(),
+            ["stop", service] => cluster.service(service).unwrap().signal("STOP").unwrap(),
+            ["continue", service] => cluster.service(service).unwrap().signal("CONT").unwrap(),
+            ["kill-console"] => console.take().unwrap().kill().unwrap(),
+            ["start-console"] => {
+                console = Some(start_console(&cluster, &address, &["--operator", "kim"]));
+            }
+            _ => panic!("nobody knows how to {what:?}"),
+        }
+        writeln!(answers, "{answer}").unwrap();
+    }
+    let status = node.wait().unwrap();
+    assert!(status.success() && held, "{status}");
+}
+
+#[test]
+fn console_refuses_what_is_unsafe_at_the_start() {
+    let (code, _, err) =
+        run("muster-console", &["--serve", "0.0.0.0:0"], Duration::from_secs(20)).unwrap();
+    assert_eq!(code, Some(2), "{err}");
+    assert!(err.contains("serve: ") && err.contains("--access"), "{err}");
+    let print = ["--print-config", "--fleet", "alpha"];
+    let (code, out, err) = run("muster-console", &print, Duration::from_secs(20)).unwrap();
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains("fleet = \"alpha\"") && out.contains("# serves 127.0.0.1:7480"), "{out}");
+}
