@@ -23,5 +23,6 @@ pub mod shell;
 mod testkit;
 
 pub use crate::core::{
-    BrowserId, Command, Console, Fetch, Input, Output, Question, Role, Stale, Ticket, frame, limits,
+    BrowserId, Command, Console, Fetch, Input, Output, ProposalOrder, ProposalStep, Question, Role, Stale,
+    Ticket, frame, limits, proposal,
 };

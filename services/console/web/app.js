@@ -2,7 +2,8 @@
 
 import { Alerts } from "./alerts.js";
 import { Charts } from "./charts.js";
-import { Confirm, Control } from "./control.js";
+import { Confirm } from "./confirm.js";
+import { Control } from "./control.js";
 import { Drawer } from "./drawer.js";
 import { age, counted } from "./format.js";
 import { History } from "./history.js";

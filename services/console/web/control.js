@@ -1,69 +1,16 @@
 // What an operator commands. A change is pending until the service has answered, and the page shows what the services say.
 
 import { canCommand } from "./alerts.js";
+import { confirmThen } from "./confirm.js";
 import { age, clock, fixed } from "./format.js";
 import { command } from "./link.js";
 import { now, state } from "./state.js";
+import { describe, describeNeed, WhatIf, whatIf } from "./whatif.js";
 import { Component, h } from "./vendor/preact.js";
 
 const KINDS = ["pin", "ban", "together", "apart", "lock", "reserve"];
 /** Most robots of a wish. */
 const MAX_ROBOTS = 64;
-
-/** What is asked a second time. @type {{text: string, go: () => void} | null} */
-let question = null;
-/** What had the keyboard before. @type {HTMLElement | null} */
-let asker = null;
-
-/** Asks once more before something that may move many robots. @param {string} text @param {() => void} go */
-export function confirmThen(text, go) {
-    asker = /** @type {HTMLElement | null} */ (document.activeElement);
-    question = { text, go };
-    confirm?.setState({});
-}
-
-/** @type {Confirm | null} */
-let confirm = null;
-
-export class Confirm extends Component {
-    /** @type {HTMLElement | null} */
-    root = null;
-
-    componentDidMount() {
-        confirm = this;
-    }
-
-    componentDidUpdate() {
-        const dialog = /** @type {HTMLDialogElement} */ (this.root);
-        if (question && !dialog.open) dialog.showModal();
-    }
-
-    render() {
-        const end = (/** @type {boolean} */ yes) => {
-            const asked = question;
-            question = null;
-            // At once: until it is closed, the rest of the page takes no key.
-            /** @type {HTMLDialogElement} */ (this.root).close();
-            asker?.focus();
-            if (yes) asked?.go();
-        };
-        return h("dialog", { id: "confirm", ref: (/** @type {HTMLElement | null} */ root) => { this.root = root; }, "aria-labelledby": "confirm-text", onCancel: (/** @type {Event} */ event) => {
-            event.preventDefault();
-            end(false);
-        } },
-        h("p", { id: "confirm-text" }, question?.text ?? ""),
-        h("div", { class: "line" },
-            h("button", { type: "button", onClick: () => end(false) }, "Cancel"),
-            h("button", { type: "button", class: "danger", onClick: () => end(true) }, "Do it")));
-    }
-}
-
-/** @param {any} teams the setting */
-function describe(teams) {
-    if (teams === undefined) return "unknown";
-    if (teams === "auto") return "auto";
-    return typeof teams === "number" ? `${teams}` : `${teams.from} to ${teams.to}`;
-}
 
 const fleetSize = () => `${state.robots.length} robots`;
 
@@ -73,8 +20,13 @@ function change(what, service, patch) {
     const fields = Object.keys(patch);
     const isKnown = fields.every((field) => field in present);
     const before = Object.fromEntries(fields.map((field) => [field, present[field]]));
-    return command(what, service, { set: patch }, isKnown ? { set: before } : null);
+    return command(what, service, { set: patch }, isKnown ? [{ service, action: { set: before } }] : []);
 }
+
+/** Asks what a change would do. @param {() => any} patch */
+const ifButton = (patch, name = "", disabled = false) => h("button", {
+    type: "button", id: `if-${name}`, disabled: disabled || !canCommand(), onClick: () => whatIf(patch()),
+}, "What if");
 
 /** @param {any} event */
 const valueOf = (event) => event.target.value;
@@ -104,7 +56,8 @@ class Count extends Component {
             mode === "range" ? h("span", {}, number("from", "Least number of teams"), " to ", number("to", "Largest number of teams")) : null,
             h("button", { type: "button", id: "count-set", disabled: !canCommand(), onClick: () =>
                 confirmThen(`Divide ${fleetSize()} into ${describe(wanted)} teams? It is ${describe(present)} at present.`, () =>
-                    change(`teams = ${describe(wanted)}`, "clusterer", { teams: wanted })) }, "Set number of teams"));
+                    change(`teams = ${describe(wanted)}`, "clusterer", { teams: wanted })) }, "Set number of teams"), " ",
+            ifButton(() => ({ teams: wanted }), "count"));
     }
 }
 
@@ -118,6 +71,15 @@ function weightsNow() {
     const sum = used.reduce((/** @type {number} */ all, /** @type {any} */ one) => all + one[1], 0);
     if (!(sum > 0)) return null;
     return Object.fromEntries(used.map((/** @type {any} */ [name, weight]) => [name, weight / sum]));
+}
+
+/** Weights as people write them. Rounding must not change their sum, which is 1. @param {Record<string, number>} weights */
+function rounded(weights) {
+    const wanted = Object.fromEntries(Object.entries(weights).map(([name, weight]) => [name, Number(weight.toFixed(4))]));
+    const [first] = Object.keys(wanted);
+    const others = Object.entries(wanted).filter(([name]) => name !== first).reduce((all, [, weight]) => all + weight, 0);
+    wanted[first] = Number((1 - others).toFixed(4));
+    return wanted;
 }
 
 class Weights extends Component {
@@ -152,17 +114,12 @@ class Weights extends Component {
                     onInput: (/** @type {any} */ event) => this.#move(weights, name, Number(valueOf(event))) }),
                 h("output", {}, fixed(weights[name]), weights[name] !== present[name] ? ` (is ${fixed(present[name])})` : ""))),
             h("div", { class: "line" },
-                h("button", { type: "button", id: "weights-set", disabled: !canCommand() || !this.state.weights, onClick: () => {
-                    const wanted = Object.fromEntries(Object.entries(weights).map(([name, weight]) => [name, Number(weight.toFixed(4))]));
-                    // Rounding must not change the sum, which is 1.
-                    const [first] = Object.keys(wanted);
-                    const others = Object.entries(wanted).filter(([name]) => name !== first).reduce((all, [, weight]) => all + weight, 0);
-                    wanted[first] = Number((1 - others).toFixed(4));
+                h("button", { type: "button", id: "weights-set", disabled: !canCommand() || !this.state.weights, onClick: () =>
                     confirmThen(`Weigh the modalities anew for ${fleetSize()}?`, () => {
-                        void change("weights", "embedder", { weights: wanted });
+                        void change("weights", "embedder", { weights: rounded(weights) });
                         this.setState({ weights: null });
-                    });
-                } }, "Set weights"),
+                    }) }, "Set weights"),
+                ifButton(() => ({ weights: rounded(weights) }), "weights", !this.state.weights),
                 h("button", { type: "button", disabled: !this.state.weights, onClick: () => this.setState({ weights: null }) }, "Reset")));
     }
 }
@@ -182,25 +139,28 @@ class Limits extends Component {
             type: "number", min: 1, value: this.state[name], id: `limit-${name}`,
             onInput: (/** @type {any} */ event) => this.setState({ [name]: valueOf(event) }) }));
         const number = (/** @type {string} */ text) => (text ? Number(text) : null);
-        const set = () => {
-            const wanted = { min: number(min), max: number(max) };
+        const wanted = { min: number(min), max: number(max) };
+        const patch = () => {
             const sizes = { ...own };
             if (wanted.min === null && wanted.max === null) delete sizes[team];
             else sizes[team] = wanted;
-            const patch = team ? { team_size: sizes } : { size: wanted };
+            return team ? { team_size: sizes } : { size: wanted };
+        };
+        const set = () => {
             const whom = team || "every team";
             confirmThen(`Let ${whom} have ${shown(wanted)} robots?`, () =>
-                change(`size of ${whom} = ${shown(wanted)}`, "clusterer", patch));
+                change(`size of ${whom} = ${shown(wanted)}`, "clusterer", patch()));
         };
         return h("fieldset", {}, h("legend", {}, "Limits of teams"),
             h("p", { id: "limits-now" }, `Every team: ${shown(size)} robots`,
                 Object.entries(own ?? {}).map(([id, one]) => `; ${id}: ${shown(one)}`)),
             h("div", { class: "line" },
-                h("label", {}, "Team", h("select", { value: team, onChange: (/** @type {any} */ event) => this.setState({ team: valueOf(event) }) },
+                h("label", {}, "Team", h("select", { id: "limit-team", value: team, onChange: (/** @type {any} */ event) => this.setState({ team: valueOf(event) }) },
                     h("option", { value: "" }, "every team"),
                     (state.teams?.teams ?? []).map((/** @type {any} */ one) => h("option", { value: one.id }, one.id)))),
                 field("min", "At least"), field("max", "At most"),
-                h("button", { type: "button", id: "limits-set", disabled: !canCommand(), onClick: set }, "Set limits")));
+                h("button", { type: "button", id: "limits-set", disabled: !canCommand(), onClick: set }, "Set limits"),
+                ifButton(patch, "limits")));
     }
 }
 
@@ -213,9 +173,7 @@ class Needs extends Component {
     render() {
         const needs = state.settings.clusterer?.needs ?? [];
         const { skill, min, team, soft } = this.state;
-        const describeNeed = (/** @type {any} */ need) =>
-            `${need.team ?? "every team"}: ${need.skill}, at least ${need.per_team?.min ?? 0}` +
-            `${need.per_team?.max ? `, at most ${need.per_team.max}` : ""}${need.soft ? ", where possible" : ""}`;
+        const need = { skill, per_team: { min: Number(min) }, ...(team ? { team } : {}), ...(soft ? { soft } : {}) };
         const put = (/** @type {any[]} */ wanted, /** @type {string} */ what) => confirmThen(`${what}?`, () =>
             change(what, "clusterer", { needs: wanted }));
         return h("fieldset", {}, h("legend", {}, "Needs of skills"),
@@ -228,15 +186,14 @@ class Needs extends Component {
                     onInput: (/** @type {any} */ event) => this.setState({ skill: valueOf(event) }) })),
                 h("label", {}, "At least", h("input", { type: "number", min: 0, value: min, id: "need-min",
                     onInput: (/** @type {any} */ event) => this.setState({ min: valueOf(event) }) })),
-                h("label", {}, "Team", h("select", { value: team, onChange: (/** @type {any} */ event) => this.setState({ team: valueOf(event) }) },
+                h("label", {}, "Team", h("select", { id: "need-team", value: team, onChange: (/** @type {any} */ event) => this.setState({ team: valueOf(event) }) },
                     h("option", { value: "" }, "every team"),
                     (state.teams?.teams ?? []).map((/** @type {any} */ one) => h("option", { value: one.id }, one.id)))),
-                h("label", { class: "check" }, h("input", { type: "checkbox", checked: soft,
+                h("label", { class: "check" }, h("input", { type: "checkbox", id: "need-soft", checked: soft,
                     onChange: (/** @type {any} */ event) => this.setState({ soft: event.target.checked }) }), "where possible"),
-                h("button", { type: "button", id: "need-add", disabled: !canCommand() || !skill, onClick: () => {
-                    const need = { skill, per_team: { min: Number(min) }, ...(team ? { team } : {}), ...(soft ? { soft } : {}) };
-                    put([...needs, need], `Add the need ${describeNeed(need)}`);
-                } }, "Add need")));
+                h("button", { type: "button", id: "need-add", disabled: !canCommand() || !skill, onClick: () =>
+                    put([...needs, need], `Add the need ${describeNeed(need)}`) }, "Add need"),
+                ifButton(() => ({ needs: [...needs, need] }), "needs", !skill)));
     }
 }
 
@@ -253,7 +210,7 @@ class Wishes extends Component {
         const wish = { kind, robots, ...(where ? { team: where } : {}), ...(note ? { note } : {}),
             ...(minutes ? { expires: now() + 60 * Number(minutes) } : {}) };
         const id = `${kind}-${[...robots.slice(0, 3), where].filter(Boolean).join("-")}`.slice(0, 64);
-        const go = () => command(`${kind} ${robots.join(" ")} ${where ?? ""}`, "clusterer", { wish: { id, wish } }, { withdraw: { id } });
+        const go = () => command(`${kind} ${robots.join(" ")} ${where ?? ""}`, "clusterer", { wish: { id, wish } }, [{ service: "clusterer", action: { withdraw: { id } } }]);
         // What holds a whole team, or takes robots out of the fleet, is asked twice.
         if (kind === "lock" || kind === "reserve" || robots.length > 1) confirmThen(`${kind} ${robots.join(", ")} ${where ?? ""}?`, go);
         else void go();
@@ -273,17 +230,24 @@ class Wishes extends Component {
                     KINDS.map((one) => h("option", { value: one, selected: one === kind }, one)))),
                 hasTeam ? h("label", {}, "Team", h("select", { id: "wish-team", value: team, onChange: (/** @type {any} */ event) => this.setState({ team: valueOf(event) }) },
                     (state.teams?.teams ?? []).map((/** @type {any} */ one) => h("option", { value: one.id, selected: one.id === team }, one.id)))) : null,
-                h("label", {}, "Minutes", h("input", { type: "number", min: 1, value: minutes, placeholder: "no end",
+                h("label", {}, "Minutes", h("input", { type: "number", id: "wish-minutes", min: 1, value: minutes, placeholder: "no end",
                     onInput: (/** @type {any} */ event) => this.setState({ minutes: valueOf(event) }) })),
-                h("label", {}, "Note", h("input", { value: note, maxLength: 256, onInput: (/** @type {any} */ event) => this.setState({ note: valueOf(event) }) })),
+                h("label", {}, "Note", h("input", { id: "wish-note", value: note, maxLength: 256, onInput: (/** @type {any} */ event) => this.setState({ note: valueOf(event) }) })),
                 h("button", { type: "button", id: "wish-put", disabled: !canCommand() || !fits, onClick: () => this.#put() }, "Wish")),
             h("ul", { id: "wishes" }, state.wishes.map((one) => h("li", { key: `${one.operator}/${one.id}`, "data-wish": one.id, "data-state": one.state },
                 h("strong", {}, one.wish.kind), ` ${one.wish.robots.join(" ")} ${one.wish.team ?? ""}: ${one.state}`,
                 one.reason ? ` (${one.reason})` : "", h("span", { class: "dim" }, ` ${one.operator}/${one.id}`,
                     one.wish.expires ? ` for ${age(one.wish.expires - now())}` : "", one.wish.note ? ` “${one.wish.note}”` : ""), " ",
                 one.operator === own ? h("button", { type: "button", disabled: !canCommand(), "aria-label": `Withdraw ${one.id}`, onClick: () =>
-                    confirmThen(`Withdraw ${one.id}?`, () => command(`withdraw ${one.id}`, "clusterer", { withdraw: { id: one.id } }, { wish: { id: one.id, wish: one.wish } })) }, "Withdraw") : null))));
+                    confirmThen(`Withdraw ${one.id}?`, () => command(`withdraw ${one.id}`, "clusterer", { withdraw: { id: one.id } }, [{ service: "clusterer", action: { wish: { id: one.id, wish: one.wish } } }])) }, "Withdraw") : null))));
     }
+}
+
+/** @param {import("./state.js").Order} order */
+async function takeBack(order) {
+    const steps = order.undo;
+    order.undo = [];
+    for (const { service, action } of steps) await command(`undo ${order.what}`, service, action);
 }
 
 function orders() {
@@ -292,18 +256,13 @@ function orders() {
         h("ol", { id: "orders", "aria-live": "polite" }, state.orders.map((one) => h("li", { key: one.id, "data-order": one.state, class: one.state === "refused" || one.state === "unknown" ? "warn" : "" },
             h("span", { class: "dim" }, `${clock(one.at)} `), `${one.what}: `, h("strong", {}, one.state),
             one.reason ? ` – ${one.reason}` : "", one.state === "unknown" ? "; what the services say now is shown above" : "", " ",
-            one.state === "done" && one.undo ? h("button", { type: "button", disabled: !canCommand(), "aria-label": `Undo ${one.what}`, onClick: () =>
-                confirmThen(`Undo ${one.what}?`, () => {
-                    const { undo } = one;
-                    one.undo = null;
-                    void command(`undo ${one.what}`, one.service, undo);
-                }) }, "Undo") : null))));
+            one.state === "done" && one.undo.length ? h("button", { type: "button", disabled: !canCommand(), "aria-label": `Undo ${one.what}`, onClick: () =>
+                confirmThen(`Undo ${one.what}?`, () => void takeBack(one)) }, "Undo") : null))));
 }
 
 export function Control() {
     if (state.hello?.role === "viewer") return h("p", { id: "viewer" }, "You are a viewer: you see everything and command nothing.");
-    // A proposal (what if) has its place here, between what is asked for and what was commanded.
     return h("div", {},
         canCommand() ? null : h("p", { class: "warn" }, state.replay ? "The past is shown; nothing can be commanded." : "There is no link: nothing can be commanded."),
-        h(Count, {}), h(Weights, {}), h(Limits, {}), h(Needs, {}), h(Wishes, {}), orders());
+        h(Count, {}), h(Weights, {}), h(Limits, {}), h(Needs, {}), h(WhatIf, {}), h(Wishes, {}), orders());
 }

@@ -118,19 +118,25 @@ function request(kind, content, isCommand) {
 /** @param {any} content @returns {Promise<any>} */
 export const ask = (content) => request("ask", content, false);
 
+/** Asks for a proposal, or decides on one. @param {string} name @param {any} step @returns {Promise<any>} */
+export const propose = (name, step) => request("propose", { name, step }, step === "accept");
+
 /**
- * Commands a service. It is pending until the service has answered; the page shows what the services say then.
- * @param {string} what in words @param {string} service @param {any} action
- * @param {any} [undo] the action that takes it back
+ * Has something carried out that changes the fleet. It is pending until the service has answered; the page shows what the
+ * services say then.
+ * @param {string} what in words
+ * @param {() => Promise<any>} send
+ * @param {(answer: any) => {service: string, action: any}[]} undo what takes it back
  */
-export async function command(what, service, action, undo = null) {
+export async function carryOut(what, send, undo) {
     /** @type {import("./state.js").Order} */
-    const order = { id: next, what, service, state: "pending", reason: "", undo, at: now() };
+    const order = { id: next, what, state: "pending", reason: "", undo: [], at: now() };
     addOrder(order);
     const wasOpen = state.socket === "open";
     try {
-        await request("command", { service, action }, true);
+        const answer = await send();
         order.state = "done";
+        order.undo = undo(answer);
     } catch (error) {
         const reason = error instanceof Error ? error.message : String(error);
         order.state = wasOpen && reason.startsWith("the console was lost") ? "unknown" : "refused";
@@ -139,6 +145,14 @@ export async function command(what, service, action, undo = null) {
     changed();
     return order;
 }
+
+/**
+ * Commands a service.
+ * @param {string} what in words @param {string} service @param {any} action
+ * @param {{service: string, action: any}[]} [undo] what takes it back
+ */
+export const command = (what, service, action, undo = []) =>
+    carryOut(what, () => request("command", { service, action }, true), () => undo);
 
 /** @param {string} token @returns {Promise<string>} what is wrong; "" if nothing is */
 export async function signIn(token) {

@@ -8,6 +8,8 @@ import { sendView } from "./link.js";
 import { Component, h } from "./vendor/preact.js";
 import { changed, now, select, state } from "./state.js";
 
+/** @typedef {import("./frame.js").Frame} Frame */
+
 /** Above so many robots, points are small and half transparent, so that many in one place are seen as many. */
 const DENSITY_ABOVE = 2000;
 /** Names are written for no more robots than this. */
@@ -65,6 +67,28 @@ function teamAt(index) {
     if (!frame) return "";
     const slot = slotOf(frame, index);
     return slot === 65535 ? "none" : (state.teams?.teams?.[slot]?.id ?? "");
+}
+
+/** A frame with the teams that a proposal would give. @param {Frame} frame @returns {Frame} */
+function proposed(frame) {
+    const { proposal, onMap } = state.whatIf;
+    if (!onMap || !proposal?.division || frame.names !== state.names) return frame;
+    const bytes = frame.bytes.slice();
+    const shorts = new Uint16Array(bytes.buffer);
+    const slots = new Map(teamIds().map((id, slot) => [id, slot]));
+    for (const { robot, to } of proposal.division.moves) {
+        const index = state.index.get(robot);
+        if (index !== undefined && index < frame.count) shorts[4 * index + 2] = slots.get(to) ?? 65535;
+    }
+    return { ...frame, bytes, shorts, words: new Uint32Array(bytes.buffer) };
+}
+
+/** The team of each slot: the live ones, and behind them those that only a shown proposal has. @returns {string[]} */
+function teamIds() {
+    const live = (state.teams?.teams ?? []).map((/** @type {any} */ team) => team.id);
+    const { proposal, onMap } = state.whatIf;
+    const others = onMap ? (proposal?.division?.teams ?? []).map((/** @type {any} */ team) => team.id) : [];
+    return live.concat(others.filter((/** @type {string} */ id) => !live.includes(id)));
 }
 
 const isFiltered = () => Object.values(state.filter).some(Boolean);
@@ -154,12 +178,13 @@ export function draw() {
     }
     if (!view.fitted) fit();
     const dark = document.documentElement.dataset.theme ?? "";
-    const key = `${state.teams?.slots} ${dark}`;
+    const ids = teamIds();
+    const key = `${state.teams?.slots} ${ids.length} ${dark}`;
     if (painted !== key) {
-        painter.setTeams((state.teams?.teams ?? []).map((/** @type {any} */ team) => teamColor(team.id)));
+        painter.setTeams(ids.map(teamColor));
         painted = key;
     }
-    if (frame) painter.setRobots(frame, marks());
+    if (frame) painter.setRobots(proposed(frame), marks());
     const isDense = (frame?.count ?? 0) > DENSITY_ABOVE;
     /** @type {[number, number]} */
     const scale = [(2 * view.zoom) / width, (2 * view.zoom) / height];
@@ -459,6 +484,7 @@ export class MapView extends Component {
             h("canvas", { class: "grid", "aria-hidden": "true" }),
             h("canvas", { class: "gl", "aria-hidden": "true" }),
             h("canvas", { class: "over", tabIndex: 0, role: "application", "aria-label": label, id: "map" }),
-            state.replay && h("div", { class: "watermark", "aria-hidden": "true" }, "REPLAY"));
+            state.replay && h("div", { class: "watermark", "aria-hidden": "true" }, "REPLAY"),
+            state.whatIf.onMap && !state.replay && h("div", { class: "watermark", "aria-hidden": "true" }, "WHAT IF"));
     }
 }

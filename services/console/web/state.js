@@ -15,11 +15,20 @@ import { EMBEDDING, GROUND, LINKS, readFrame } from "./frame.js";
  * @typedef {object} Order a command of this page
  * @property {number} id
  * @property {string} what
- * @property {string} service
  * @property {"pending" | "done" | "refused" | "unknown"} state
  * @property {string} reason
- * @property {any} undo the action that takes it back; null where there is none
+ * @property {{service: string, action: any}[]} undo what takes it back, in this order; none where nothing does
  * @property {number} at
+ */
+
+/**
+ * @typedef {object} WhatIf
+ * @property {Record<string, any>} asked what is to be different
+ * @property {any} proposal what came of it
+ * @property {number} at when it came
+ * @property {string} problem
+ * @property {boolean} isAsking
+ * @property {boolean} onMap whether the map shows it
  */
 
 /** Events that are kept. */
@@ -65,6 +74,7 @@ export const state = {
     view: { embedding: false, /** @type {string} */ links: "" },
     filter: { text: "", team: "", role: "", skill: "", state: "" },
     /** @type {any} a moment of the past that is shown */ replay: null,
+    /** @type {WhatIf} */ whatIf: { asked: {}, proposal: null, at: 0, problem: "", isAsking: false, onMap: false },
 };
 
 /** @type {Set<() => void>} */

@@ -72,3 +72,7 @@ pub const WEIGHTS_PERIOD: Duration = Duration::from_secs(10);
 
 /// When a question that was not answered is asked again: longer than any answer is waited for.
 pub const FETCH_TIMEOUT: Duration = Duration::from_secs(15);
+
+/// Most robots that would move which a proposal names in a browser: with the longest names they take less than half of
+/// [`MAX_REPLY_BYTES`].
+pub const MAX_MOVES_LISTED: usize = 2048;

@@ -5,8 +5,10 @@ use std::str::FromStr as _;
 use muster_model::command::Action;
 use muster_model::header::Revision;
 use muster_model::history::Query;
-use muster_model::id::{Modality, RobotId, ServiceName};
+use muster_model::id::{Modality, OperatorId, ProposalId, RobotId, ServiceName};
+use muster_model::proposal::ProposalRequest;
 use serde::Deserialize;
+use serde_json::Value;
 
 use super::limits::MAX_LINK_ROBOTS;
 
@@ -22,6 +24,8 @@ pub(super) enum Request {
     Command(CommandRequest),
     /// It asks something.
     Ask(AskRequest),
+    /// It asks for a proposal, or decides on one.
+    Propose(ProposeRequest),
 }
 
 /// What a browser shows.
@@ -85,6 +89,82 @@ pub enum Question {
     History(Query),
 }
 
+/// What is wanted of a proposal, as browsers write it.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ProposeRequest {
+    /// Names the request among those of the browser.
+    pub(super) id: u64,
+    /// Names the proposal among those of the operator.
+    name: ProposalId,
+    /// What is wanted of it.
+    pub(super) step: RequestedStep,
+}
+
+/// What is wanted of a proposal, before what it asks for is checked.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum RequestedStep {
+    /// See [`ProposalStep::Ask`].
+    Ask(Value),
+    /// See [`ProposalStep::Show`].
+    Show,
+    /// See [`ProposalStep::Drop`].
+    Drop,
+    /// See [`ProposalStep::Accept`].
+    Accept,
+}
+
+impl RequestedStep {
+    /// Whether it changes the fleet.
+    pub(super) fn accepts(&self) -> bool {
+        *self == Self::Accept
+    }
+}
+
+/// What is wanted of a proposal.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ProposalStep {
+    /// That it is computed. Another one of the same name is forgotten.
+    Ask(Box<ProposalRequest>),
+    /// How far it is.
+    Show,
+    /// That it is forgotten.
+    Drop,
+    /// That the fleet becomes what it says.
+    Accept,
+}
+
+/// What an operator wants of a proposal.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ProposalOrder {
+    /// Who wants it.
+    pub operator: OperatorId,
+    /// The proposal's name.
+    pub id: ProposalId,
+    /// What is wanted.
+    pub step: ProposalStep,
+}
+
+impl ProposeRequest {
+    /// The order, in the name of an operator.
+    ///
+    /// # Errors
+    /// Names the field of what is asked for that makes no sense.
+    pub(super) fn order(self, operator: OperatorId) -> Result<ProposalOrder, String> {
+        let step = match self.step {
+            RequestedStep::Ask(asked) => {
+                let asked = ProposalRequest::from_json(asked).map_err(|error| error.to_string())?;
+                ProposalStep::Ask(Box::new(asked))
+            }
+            RequestedStep::Show => ProposalStep::Show,
+            RequestedStep::Drop => ProposalStep::Drop,
+            RequestedStep::Accept => ProposalStep::Accept,
+        };
+        Ok(ProposalOrder { operator, id: self.name, step })
+    }
+}
+
 impl AskRequest {
     /// The question.
     ///
@@ -136,6 +216,8 @@ mod tests {
             r#"{"view": {"embedding": true, "links": {"modality": "spatial", "robots": ["r1"]}}}"#,
             r#"{"command": {"id": 1, "service": "clusterer", "action": {"set": {"teams": 3}}}}"#,
             r#"{"ask": {"id": 2, "why": "r7"}}"#,
+            r#"{"propose": {"id": 3, "name": "c1", "step": {"ask": {"teams": 3}}}}"#,
+            r#"{"propose": {"id": 4, "name": "c1", "step": "accept"}}"#,
         ] {
             assert!(read(right).is_ok(), "{right}: {:?}", read(right));
         }
@@ -159,6 +241,21 @@ mod tests {
             let problem = read(wrong).unwrap_err();
             assert!(problem.contains(named), "{wrong}: {problem}");
         }
+    }
+
+    #[test]
+    fn what_a_proposal_asks_for_is_checked() {
+        let order = |asked: &str| {
+            let text = format!(r#"{{"propose": {{"id": 1, "name": "c1", "step": {{"ask": {asked}}}}}}}"#);
+            match read(&text).unwrap() {
+                Request::Propose(propose) => propose.order(OperatorId::new("kim").unwrap()),
+                other => panic!("{other:?}"),
+            }
+        };
+        assert!(matches!(order(r#"{"teams": 3}"#).unwrap().step, ProposalStep::Ask(_)));
+        assert!(order(r#"{"teams": 0}"#).unwrap_err().contains("teams"));
+        assert!(order(r#"{"size": {"most": 3}}"#).unwrap_err().contains("size.most"));
+        assert!(read(r#"{"propose": {"id": 1, "name": "C 1", "step": "show"}}"#).is_err());
     }
 
     #[test]

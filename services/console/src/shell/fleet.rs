@@ -4,14 +4,16 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_client::{Client, Config, Error, Latest, Mode, Publication, Staleness, Watch};
+use muster_client::{AppliedPart, Client, Config, Error, Latest, Mode, Publication, Staleness, Watch};
 use muster_model::id::ServiceName;
 use muster_runtime::config::{self, Origin, ProcessConfig};
 use serde_json::Value;
 use tokio::sync::mpsc;
 
 use super::run::Happening;
-use crate::{Command, Fetch, Input, Question, Stale, Ticket};
+use crate::{
+    Command, Fetch, Input, ProposalOrder, ProposalStep, Question, Stale, Ticket, proposal,
+};
 
 /// How often the newest message is shown although its content has not changed, so that its age is right.
 const SHOW_EVERY: Duration = Duration::from_secs(1);
@@ -29,6 +31,8 @@ pub(super) enum Order {
     Command(Ticket, Box<Command>),
     /// Ask something for one browser.
     Ask(Ticket, Question),
+    /// Ask for a proposal, or decide on one.
+    Propose(Ticket, Box<ProposalOrder>),
     /// Ask for what all browsers are shown.
     Fetch(Fetch),
 }
@@ -89,7 +93,9 @@ pub(super) async fn follow(
 async fn unlinked(order: Order, happenings: &Happenings) {
     let problem = || Err("the link to the router is lost; nothing was sent".to_owned());
     let input = match order {
-        Order::Command(ticket, _) | Order::Ask(ticket, _) => Input::Answer(ticket, problem()),
+        Order::Command(ticket, _) | Order::Ask(ticket, _) | Order::Propose(ticket, _) => {
+            Input::Answer(ticket, problem())
+        }
         Order::Fetch(fetch) => Input::Unfetched(fetch),
     };
     let _ = happenings.send(Happening::Core(input)).await;
@@ -175,6 +181,10 @@ async fn carry_out(client: &Client, order: Order) -> Input {
             };
             Input::Answer(ticket, answer.map_err(|error| error.to_string()))
         }
+        Order::Propose(ticket, order) => {
+            let answer = propose(client, *order).await;
+            Input::Answer(ticket, answer.map_err(|error| error.to_string()))
+        }
         Order::Fetch(fetch) => {
             let fetched = fetched(client, &fetch).await;
             fetched.unwrap_or_else(|error| {
@@ -183,6 +193,21 @@ async fn carry_out(client: &Client, order: Order) -> Input {
             })
         }
     }
+}
+
+/// A proposal that is not computed yet is answered with how far it is; the page asks again.
+async fn propose(client: &Client, order: ProposalOrder) -> Result<Value, Error> {
+    let ProposalOrder { operator, id, step } = order;
+    let found = match step {
+        ProposalStep::Ask(asked) => client.propose(&operator, &id, &asked, Duration::ZERO).await?,
+        ProposalStep::Show => client.get_proposal(&operator, &id).await?,
+        ProposalStep::Drop => client.drop_proposal(&operator, &id).await?,
+        ProposalStep::Accept => {
+            let applied = client.accept_proposal(&operator, &id).await?;
+            return Ok(applied.iter().map(AppliedPart::to_json).collect());
+        }
+    };
+    Ok(proposal::brief(&found))
 }
 
 async fn fetched(client: &Client, fetch: &Fetch) -> Result<Input, Error> {

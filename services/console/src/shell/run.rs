@@ -156,6 +156,7 @@ fn perform(
         }
         Output::Command(ticket, command) => Order::Command(ticket, Box::new(command)),
         Output::Ask(ticket, question) => Order::Ask(ticket, question),
+        Output::Propose(ticket, order) => Order::Propose(ticket, Box::new(order)),
         Output::Fetch(fetch) => Order::Fetch(fetch),
     };
     if let Err(error) = orders.try_send(order) {
