@@ -3,7 +3,9 @@
 mod fleet;
 mod http;
 mod options;
+mod page;
 mod run;
 mod socket;
 
 pub use self::options::main;
+pub use self::page::LocalPage;

@@ -17,7 +17,7 @@ use super::run;
 use crate::access::{AccessFile, Door, Hosts};
 
 /// Where the page is served if nothing else is said: only this host reaches it.
-const DEFAULT_ADDRESS: &str = "127.0.0.1:7480";
+pub(super) const DEFAULT_ADDRESS: &str = "127.0.0.1:7480";
 
 /// Largest file of access in bytes.
 const MAX_FILE: u64 = 256 * 1024;

@@ -1,6 +1,7 @@
 //! The loop: inputs into the core, outputs to where they belong.
 
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -11,6 +12,7 @@ use muster_runtime::exit::{Exit, ExitError};
 use muster_runtime::notify;
 use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
+use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 
 use super::fleet::{self, Order};
@@ -65,14 +67,14 @@ impl Shared {
     }
 }
 
-/// Serves the page until it is time to stop.
+/// Runs the program: serves the page until it is time to stop.
 ///
 /// # Errors
 /// If the port cannot be listened at; the text names the flag.
 pub(super) async fn run(
     config: ProcessConfig,
     options: ConsoleOptions,
-    mut stop: Stop,
+    stop: Stop,
 ) -> anyhow::Result<()> {
     let _observatory = Observatory::open(&config, &[])?;
     let fail = |error: std::io::Error| ExitError {
@@ -82,8 +84,22 @@ pub(super) async fn run(
             options.address
         ),
     };
-    let listener = tokio::net::TcpListener::bind(options.address).await.map_err(fail)?;
+    let listener = TcpListener::bind(options.address).await.map_err(fail)?;
     let address = listener.local_addr().map_err(fail)?;
+    notify::ready(&format!("serves the console at http://{address}"));
+    serve(&config, listener, address, options, stop).await;
+    notify::stopping().await;
+    Ok(())
+}
+
+/// Serves the page at a port until it is time to stop.
+pub(super) async fn serve(
+    config: &ProcessConfig,
+    listener: TcpListener,
+    address: SocketAddr,
+    options: ConsoleOptions,
+    mut stop: Stop,
+) {
     let hosts = options.hosts(address);
     let clock = Clock::start();
     let (happenings, mut inbox) = mpsc::channel(MAX_WAITING_INPUTS);
@@ -94,11 +110,10 @@ pub(super) async fn run(
         turned: AtomicU64::new(clock.now().0),
         linked: AtomicBool::new(false),
     });
-    tokio::spawn(http::serve(listener, hosts, Arc::clone(&shared)));
+    let port = tokio::spawn(http::serve(listener, hosts, Arc::clone(&shared)));
     tracing::info!("serves the console at http://{address}");
     let (orders, to_fleet) = mpsc::channel(MAX_WAITING_ORDERS);
-    tokio::spawn(fleet::follow(fleet::client_config(&config), happenings, to_fleet));
-    notify::ready(&format!("serves the console at http://{address}"));
+    tokio::spawn(fleet::follow(fleet::client_config(config), happenings, to_fleet));
     let mut watched = notify::watch();
 
     let mut console = Console::new(config.fleet.value.clone(), env!("CARGO_PKG_VERSION"));
@@ -131,8 +146,7 @@ pub(super) async fn run(
         }
         shared.linked.store(console.is_linked(), Ordering::Relaxed);
     }
-    notify::stopping().await;
-    Ok(())
+    port.abort();
 }
 
 fn perform(
