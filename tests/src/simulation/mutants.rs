@@ -207,6 +207,11 @@ impl Mutator {
         self.published.is_multiple_of(2)
     }
 
+    /// Whether divisions do not reach the console.
+    pub(crate) fn hides_divisions(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Outdated)
+    }
+
     /// Whether a service receives nothing.
     pub(crate) fn isolates(&self, service: ServiceName) -> bool {
         let isolated = match self.mutant {

@@ -69,11 +69,13 @@ pub enum Mutant {
     Reused,
     /// The clusterer reports moves of robots the wrong way round, once settings were changed.
     Reversed,
+    /// The console receives no divisions any more once a service was killed.
+    Outdated,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 32] = [
+    pub const ALL: [Self; 33] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -106,6 +108,7 @@ impl Mutant {
         Self::Silent,
         Self::Reused,
         Self::Reversed,
+        Self::Outdated,
     ];
 
     /// The kinds of faults after which it shows.
@@ -119,7 +122,8 @@ impl Mutant {
             | Self::TermTwice
             | Self::OlderRoster
             | Self::LostRecords
-            | Self::Forgotten => &["kill"],
+            | Self::Forgotten
+            | Self::Outdated => &["kill"],
             Self::WrongSilhouette => &["storm"],
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
             Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
