@@ -417,6 +417,12 @@ impl Cluster {
         Client::open(self.member_config(identity, endpoint, timeout_ms)?, &self.fleet).await
     }
 
+    /// The Zenoh configuration of a member of a secured bus, such as `viewer.wall`; none on a plain one.
+    #[must_use]
+    pub fn identity(&self, identity: &str) -> Option<PathBuf> {
+        self.access.as_ref().map(|access| access.config(identity))
+    }
+
     /// The configuration of such a client.
     ///
     /// # Errors

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use muster_tests::access::{OPERATOR, Security, VIEWER};
 use muster_tests::cluster::{Cluster, ClusterOptions, robots_of};
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
@@ -51,34 +52,17 @@ fn console_types_hold() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
 }
 
-#[test]
-fn console_shows_and_commands_a_fleet_in_a_browser() {
-    let chromium = chromium();
-    let mut cluster = Cluster::start_by(&ClusterOptions {
-        settings: &[("clusterer", "teams=3"), ("ingest", "gone_after_s=6")],
-        ..ClusterOptions::default()
-    })
-    .unwrap();
-    cluster.start_service("historian").unwrap();
-    // The last robot is a process of its own, which is killed.
-    let names: Vec<String> = robots_of(&SCENARIO).unwrap().into_keys().collect();
-    let (last, others) = names.split_last().unwrap();
-    let mut lonely = cluster.robots(&[&SCENARIO[..], &["--only", last]].concat()).unwrap();
-    let _others =
-        cluster.robots(&[&SCENARIO[..], &["--only", &others.join(",")]].concat()).unwrap();
-
-    let (address, viewer_address) = (free_address(), free_address());
-    let mut console = Some(start_console(&cluster, &address, &["--operator", "kim"]));
-    let access = cluster.folder().join("access.toml");
-    std::fs::write(&access, "[[viewer]]\ntoken = \"wall-wall-wall-wall-wall-wall\"\n").unwrap();
-    let _viewers =
-        start_console(&cluster, &viewer_address, &["--access", access.to_str().unwrap()]);
-
-    let script =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../services/console/tests/browser.mjs");
+/// Runs a test of the page in a browser; what it asks for is done by `act`.
+fn run_in_browser(
+    script: &str,
+    addresses: [&str; 2],
+    mut act: impl FnMut(&[&str]) -> Option<Value>,
+) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../services/console/tests");
     let mut node = Command::new("node")
-        .arg(script)
-        .args([chromium.as_os_str(), address.as_ref(), viewer_address.as_ref()])
+        .arg(folder.join(script))
+        .arg(chromium())
+        .args(addresses)
         .args(std::env::var("MUSTER_PICTURES"))
         .env("MUSTER_WEB_PACKAGES", packages())
         .stdin(Stdio::piped())
@@ -94,27 +78,106 @@ fn console_shows_and_commands_a_fleet_in_a_browser() {
         let Some(what) = line.strip_prefix("do ") else { continue };
         let what: Vec<String> = serde_json::from_str(what).unwrap();
         let what: Vec<&str> = what.iter().map(String::as_str).collect();
-        let mut answer = Value::Null;
-        match what[..] {
-            ["muster", ref arguments @ ..] => {
-                let (code, out, err) = cluster.muster(arguments).unwrap();
-                answer = json!({"code": code, "out": out, "err": err});
-            }
-            ["kill-robot"] => lonely.kill().unwrap(),
-            ["kill", service] => cluster.service(service).unwrap().kill().unwrap(),
-            ["start", service] => cluster.start_service(service).unwrap(),
-            ["stop", service] => cluster.service(service).unwrap().signal("STOP").unwrap(),
-            ["continue", service] => cluster.service(service).unwrap().signal("CONT").unwrap(),
-            ["kill-console"] => console.take().unwrap().kill().unwrap(),
-            ["start-console"] => {
-                console = Some(start_console(&cluster, &address, &["--operator", "kim"]));
-            }
-            _ => panic!("nobody knows how to {what:?}"),
-        }
+        let answer = act(&what).unwrap_or_else(|| panic!("nobody knows how to {what:?}"));
         writeln!(answers, "{answer}").unwrap();
     }
     let status = node.wait().unwrap();
     assert!(status.success() && held, "{status}");
+}
+
+/// What `muster` prints about a fleet.
+fn muster(cluster: &Cluster, arguments: &[&str]) -> Value {
+    let (code, out, err) = cluster.muster(arguments).unwrap();
+    json!({"code": code, "out": out, "err": err})
+}
+
+/// A fleet of one robot with the longest name.
+fn long_name(cluster: &Cluster) -> PathBuf {
+    let name = format!("scout-{}", "x".repeat(58));
+    let fleet = json!({"name": "long", "robots": [{"id": name, "role": "scout", "superior": null, "at": [0.0, 0.0]}],
+                       "divisions": [[[name]]]});
+    let path = cluster.folder().join("long.json");
+    std::fs::write(&path, fleet.to_string()).unwrap();
+    path
+}
+
+#[test]
+fn console_shows_and_commands_a_fleet_in_a_browser() {
+    let mut cluster = Cluster::start_by(&ClusterOptions {
+        settings: &[("clusterer", "teams=3"), ("ingest", "gone_after_s=6")],
+        ..ClusterOptions::default()
+    })
+    .unwrap();
+    cluster.start_service("historian").unwrap();
+    cluster.start_service("planner").unwrap();
+    // The last robot is a process of its own, which is killed. Five are medics.
+    let names: Vec<String> = robots_of(&SCENARIO).unwrap().into_keys().collect();
+    let (last, others) = names.split_last().unwrap();
+    let mut lonely = cluster.robots(&[&SCENARIO[..], &["--only", last]].concat()).unwrap();
+    let (medics, others) = others.split_at(5);
+    let (medics, others) = (medics.join(","), others.join(","));
+    let medics = [&SCENARIO[..], &["--only", &medics, "--skills", "medic"]].concat();
+    let _medics = cluster.robots(&medics).unwrap();
+    let _others = cluster.robots(&[&SCENARIO[..], &["--only", &others]].concat()).unwrap();
+    let file = long_name(&cluster);
+    let _long = cluster.robots(&["--file", file.to_str().unwrap()]).unwrap();
+
+    let (address, viewer_address) = (free_address(), free_address());
+    let mut console = Some(start_console(&cluster, &address, &["--operator", "kim"]));
+    let access = cluster.folder().join("access.toml");
+    std::fs::write(&access, "[[viewer]]\ntoken = \"wall-wall-wall-wall-wall-wall\"\n").unwrap();
+    let _viewers =
+        start_console(&cluster, &viewer_address, &["--access", access.to_str().unwrap()]);
+
+    run_in_browser("browser.mjs", [&address, &viewer_address], |what| {
+        let done = |()| Some(Value::Null);
+        match *what {
+            ["muster", ref arguments @ ..] => Some(muster(&cluster, arguments)),
+            ["kill-robot"] => lonely.kill().ok().and_then(done),
+            ["kill", service] => cluster.service(service).unwrap().kill().ok().and_then(done),
+            ["start", service] => cluster.start_service(service).ok().and_then(done),
+            ["stop", service] => cluster.service(service).unwrap().signal("STOP").ok().and_then(done),
+            ["continue", service] => {
+                cluster.service(service).unwrap().signal("CONT").ok().and_then(done)
+            }
+            ["kill-console"] => console.take().unwrap().kill().ok().and_then(done),
+            ["start-console"] => {
+                console = Some(start_console(&cluster, &address, &["--operator", "kim"]));
+                done(())
+            }
+            _ => None,
+        }
+    });
+}
+
+#[test]
+fn console_with_the_certificate_of_a_viewer_commands_nothing_whatever_its_code_says() {
+    let names: Vec<String> = robots_of(&SCENARIO).unwrap().into_keys().collect();
+    let cluster = Cluster::start_by(&ClusterOptions {
+        security: Security::Secured,
+        settings: &[("clusterer", "teams=3")],
+        robots: &names,
+        ..ClusterOptions::default()
+    })
+    .unwrap();
+    let _robots = cluster.robots(&SCENARIO).unwrap();
+    // The console takes itself for that of an operator, and its page does; its certificate is that of a viewer.
+    let (by_viewer, by_operator) = (free_address(), free_address());
+    let identity = |name: &str| cluster.identity(name).unwrap().to_str().unwrap().to_owned();
+    let start = |address: &str, name: &str| {
+        let identity = identity(name);
+        let flags = ["--fleet", &cluster.fleet, "--zenoh-config", &identity, "--serve", address,
+                     "--operator", "operator"];
+        let mut console = Process::start("muster-console", &flags, &[], cluster.folder()).unwrap();
+        console.until_prints("serves the console at", SERVES_WITHIN).unwrap();
+        console
+    };
+    let _viewer = start(&by_viewer, VIEWER);
+    let _operator = start(&by_operator, OPERATOR);
+    run_in_browser("certificate.mjs", [&by_viewer, &by_operator], |what| match *what {
+        ["muster", ref arguments @ ..] => Some(muster(&cluster, arguments)),
+        _ => None,
+    });
 }
 
 #[test]

@@ -8,9 +8,9 @@ import { Drawer } from "./drawer.js";
 import { age, counted } from "./format.js";
 import { History } from "./history.js";
 import { connect, signIn, signOut } from "./link.js";
-import { draw, drawn, fit, MapView, showEmbedding, showLinks } from "./map.js";
+import { draw, drawn, fit, MapView, screenOf, showEmbedding, showLinks } from "./map.js";
 import { Services } from "./services.js";
-import { changed, now, state, subscribe } from "./state.js";
+import { changed, now, select, state, subscribe } from "./state.js";
 import { Teams } from "./teams.js";
 import { Component, h, render } from "./vendor/preact.js";
 
@@ -137,7 +137,7 @@ class App extends Component {
 
 document.documentElement.dataset.theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
 // What tests read; nothing of the page does.
-Object.assign(window, { muster: { state, drawn, draw } });
+Object.assign(window, { muster: { state, drawn, draw, select, screenOf } });
 render(h(App, {}), /** @type {Element} */ (document.getElementById("root")));
 connect(draw);
 // Ages grow although nothing arrives.

@@ -349,6 +349,12 @@ function panBy(x, y) {
     draw();
 }
 
+/** Where a robot stands, in pixels of the map; none if it has no place. @param {string} robot */
+export function screenOf(robot) {
+    const [frame, index] = [frameNow(), state.index.get(robot)];
+    return frame && index !== undefined && hasPlace(frame, index) ? toScreen(...placeOf(frame, index)) : null;
+}
+
 /** Shows a robot in the middle. @param {string} robot */
 export function centre(robot) {
     const [frame, index] = [frameNow(), state.index.get(robot)];
