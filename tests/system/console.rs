@@ -136,7 +136,9 @@ fn console_shows_and_commands_a_fleet_in_a_browser() {
             ["kill-robot"] => lonely.kill().ok().and_then(done),
             ["kill", service] => cluster.service(service).unwrap().kill().ok().and_then(done),
             ["start", service] => cluster.start_service(service).ok().and_then(done),
-            ["stop", service] => cluster.service(service).unwrap().signal("STOP").ok().and_then(done),
+            ["stop", service] => {
+                cluster.service(service).unwrap().signal("STOP").ok().and_then(done)
+            }
             ["continue", service] => {
                 cluster.service(service).unwrap().signal("CONT").ok().and_then(done)
             }
@@ -166,8 +168,16 @@ fn console_with_the_certificate_of_a_viewer_commands_nothing_whatever_its_code_s
     let identity = |name: &str| cluster.identity(name).unwrap().to_str().unwrap().to_owned();
     let start = |address: &str, name: &str| {
         let identity = identity(name);
-        let flags = ["--fleet", &cluster.fleet, "--zenoh-config", &identity, "--serve", address,
-                     "--operator", "operator"];
+        let flags = [
+            "--fleet",
+            &cluster.fleet,
+            "--zenoh-config",
+            &identity,
+            "--serve",
+            address,
+            "--operator",
+            "operator",
+        ];
         let mut console = Process::start("muster-console", &flags, &[], cluster.folder()).unwrap();
         console.until_prints("serves the console at", SERVES_WITHIN).unwrap();
         console

@@ -66,12 +66,16 @@ impl UpArgs {
         match LocalPage::listen(address).await {
             Ok(page) => Ok(Some(page)),
             Err(error) if self.console.is_none() => {
-                tracing::info!("the page for operators is not served at {address}: {error}; see --console");
+                tracing::info!(
+                    "the page for operators is not served at {address}: {error}; see --console"
+                );
                 Ok(None)
             }
             Err(error) => Err(ExitError {
                 exit: Exit::Failure,
-                message: format!("console: cannot listen at {address}: {error}; choose another address"),
+                message: format!(
+                    "console: cannot listen at {address}: {error}; choose another address"
+                ),
             }
             .into()),
         }

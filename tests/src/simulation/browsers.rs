@@ -137,10 +137,8 @@ impl Browsers {
     /// Each browser that draws shows the division that was published last, and no robot is hidden.
     pub(crate) fn check_agreement(&self, published: Option<&Teams>) -> Verified {
         let Some(published) = published else { return Ok(()) };
-        let expected: BTreeMap<&str, &str> = published
-            .assignments()
-            .map(|(robot, team)| (robot.as_str(), team.as_str()))
-            .collect();
+        let expected: BTreeMap<&str, &str> =
+            published.assignments().map(|(robot, team)| (robot.as_str(), team.as_str())).collect();
         for (id, page) in self.pages.iter().filter(|(_, page)| page.pace != Pace::Never) {
             let shown = page.teams();
             if shown != expected {
@@ -157,16 +155,19 @@ impl Browsers {
         // Of too many lost ones, those that left first are forgotten.
         let hidden = self.seen.iter().find(|robot| !shown.contains(robot.as_str()));
         match hidden {
-            Some(robot) if self.seen.len() <= MAX_LOST && !shown.is_empty() => {
-                breach("no browser hides a robot that was lost", format!("browser {id} hides {robot}"))
-            }
+            Some(robot) if self.seen.len() <= MAX_LOST && !shown.is_empty() => breach(
+                "no browser hides a robot that was lost",
+                format!("browser {id} hides {robot}"),
+            ),
             _ => Ok(()),
         }
     }
 
     fn check_answered(&self, now: Micros) -> Verified {
         for (id, page) in self.pages.iter().filter(|(_, page)| page.pace != Pace::Never) {
-            if let Some((number, at)) = page.unanswered.iter().find(|(_, at)| **at + ANSWERED_WITHIN < now) {
+            if let Some((number, at)) =
+                page.unanswered.iter().find(|(_, at)| **at + ANSWERED_WITHIN < now)
+            {
                 let seen = format!("{number} of browser {id} waits since {at}");
                 return breach("whatever a browser asks for is answered", seen);
             }
@@ -183,7 +184,9 @@ impl Browsers {
             0 | 1 => set(page.next_id(now)),
             2 => json!({"ask": {"id": page.next_id(now), "why": "r1"}}),
             3 => json!({"ask": {"id": page.next_id(now), "history": "of=events;limit=10"}}),
-            4 => json!({"propose": {"id": page.next_id(now), "name": "p1", "step": {"ask": {"teams": 2}}}}),
+            4 => {
+                json!({"propose": {"id": page.next_id(now), "name": "p1", "step": {"ask": {"teams": 2}}}})
+            }
             5 => json!({"propose": {"id": page.next_id(now), "name": "p1", "step": "accept"}}),
             6 => json!({"view": {"links": {"modality": "spatial"}}}),
             _ => json!({"credit": 0}),
@@ -204,7 +207,8 @@ impl World {
             }
             BrowserEvent::Opens => self.open_browser(),
             BrowserEvent::Draws { browser, turn } => {
-                let drawn = self.browsers.pages.get_mut(&browser).is_some_and(|page| page.draw(turn));
+                let drawn =
+                    self.browsers.pages.get_mut(&browser).is_some_and(|page| page.draw(turn));
                 if drawn {
                     self.at_console(Input::Text(browser, json!({"credit": turn}).to_string()));
                 }
@@ -212,7 +216,8 @@ impl World {
             BrowserEvent::Sends { browser } => {
                 if let Some(text) = self.browsers.message(self.now, browser) {
                     self.at_console(Input::Text(browser, text));
-                    let after = self.browsers.chance.between(BETWEEN_MESSAGES.0, BETWEEN_MESSAGES.1);
+                    let after =
+                        self.browsers.chance.between(BETWEEN_MESSAGES.0, BETWEEN_MESSAGES.1);
                     self.later(after, BrowserEvent::Sends { browser });
                 }
             }
@@ -274,7 +279,8 @@ impl World {
 
     /// A console receives what crosses the router.
     pub(super) fn console_receives(&mut self, packet: &Packet) {
-        let wanted = [Key::Roster, Key::Teams, Key::Audit, Key::Alerts].map(|key| self.space.format(&key));
+        let wanted =
+            [Key::Roster, Key::Teams, Key::Audit, Key::Alerts].map(|key| self.space.format(&key));
         if !wanted.iter().any(|key| *key == packet.key) {
             return;
         }
@@ -359,7 +365,8 @@ impl World {
             }
             Output::Ask(ticket, _) => {
                 let is_large = self.browsers.chance.percent(LARGE_PERCENT);
-                let bytes = if is_large { self.browsers.chance.between(2, MAX_ANSWER) } else { 200 };
+                let bytes =
+                    if is_large { self.browsers.chance.between(2, MAX_ANSWER) } else { 200 };
                 self.later(answer_in, BrowserEvent::Answered { life, ticket, bytes });
             }
             Output::Fetch(fetch) => {

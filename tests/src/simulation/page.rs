@@ -130,7 +130,8 @@ impl Page {
         }
         if names != self.names.0 || count != self.names.1.len() {
             let known = (self.names.0, self.names.1.len());
-            let seen = format!("a frame of {count} robots of list {names} comes to one with {known:?}");
+            let seen =
+                format!("a frame of {count} robots of list {names} comes to one with {known:?}");
             return breach("a browser has the names of all robots that it draws", seen);
         }
         let slot = |record: &[u8]| u16::from_le_bytes([record[4], record[5]]);
@@ -152,7 +153,10 @@ impl Page {
     pub(crate) fn check_bytes(&self, waiting: usize) -> Verified {
         let all = self.undrawn + waiting;
         if all > limits::MAX_WAITING_BYTES {
-            return breach("a browser that draws nothing costs at most 4 MiB", format!("{all} bytes wait"));
+            return breach(
+                "a browser that draws nothing costs at most 4 MiB",
+                format!("{all} bytes wait"),
+            );
         }
         Ok(())
     }

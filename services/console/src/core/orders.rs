@@ -13,7 +13,13 @@ use super::{BrowserId, Command, Console, Fetch, Output, Pending, Role, Ticket};
 const UNLINKED: &str = "the link to the router is lost; nothing was sent";
 
 impl Console {
-    pub(super) fn receive(&mut self, now: Tick, id: BrowserId, text: &str, outputs: &mut Vec<Output>) {
+    pub(super) fn receive(
+        &mut self,
+        now: Tick,
+        id: BrowserId,
+        text: &str,
+        outputs: &mut Vec<Output>,
+    ) {
         let Some(browser) = self.browsers.get_mut(&id) else { return };
         let refusal = if text.len() > MAX_MESSAGE_BYTES {
             Some("a message was too long")

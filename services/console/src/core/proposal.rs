@@ -67,7 +67,10 @@ mod tests {
         let brief = brief(&proposal);
         assert!(brief.to_string().len() < MAX_REPLY_BYTES / 2);
         let division = &brief["division"];
-        assert_eq!((&division["moved"], &division["teams"][0]["robots"]), (&json!(100_000), &json!(100_000)));
+        assert_eq!(
+            (&division["moved"], &division["teams"][0]["robots"]),
+            (&json!(100_000), &json!(100_000))
+        );
         assert_eq!(division["moves"].as_array().unwrap().len(), MAX_MOVES_LISTED);
         assert_eq!(brief["asked"], json!({"teams": 3}));
     }

@@ -246,7 +246,8 @@ mod tests {
     #[test]
     fn what_a_proposal_asks_for_is_checked() {
         let order = |asked: &str| {
-            let text = format!(r#"{{"propose": {{"id": 1, "name": "c1", "step": {{"ask": {asked}}}}}}}"#);
+            let text =
+                format!(r#"{{"propose": {{"id": 1, "name": "c1", "step": {{"ask": {asked}}}}}}}"#);
             match read(&text).unwrap() {
                 Request::Propose(propose) => propose.order(OperatorId::new("kim").unwrap()),
                 other => panic!("{other:?}"),

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use muster_client::{AppliedPart, Client, Config, Error, Latest, Mode, Publication, Staleness, Watch};
+use muster_client::{
+    AppliedPart, Client, Config, Error, Latest, Mode, Publication, Staleness, Watch,
+};
 use muster_model::id::ServiceName;
 use muster_runtime::config::{self, Origin, ProcessConfig};
 use serde_json::Value;
