@@ -12,6 +12,15 @@ use serde_json::{Value, json};
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "3", "--robots", "12"];
 
+/// An image of one green pixel.
+const GREEN_PNG: &[u8] = &[
+    0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0x00, 0x00, 0x00, 0x0d, 0x49, 0x48, 0x44, 0x52,
+    0x00, 0x00, 0x00, 0x01, 0x00, 0x00, 0x00, 0x01, 0x08, 0x02, 0x00, 0x00, 0x00, 0x90, 0x77, 0x53,
+    0xde, 0x00, 0x00, 0x00, 0x0c, 0x49, 0x44, 0x41, 0x54, 0x78, 0xda, 0x63, 0x60, 0xf8, 0xcf, 0x00,
+    0x00, 0x02, 0x02, 0x01, 0x00, 0x45, 0xf4, 0x52, 0xd4, 0x00, 0x00, 0x00, 0x00, 0x49, 0x45, 0x4e,
+    0x44, 0xae, 0x42, 0x60, 0x82,
+];
+
 /// How long a console may take to serve.
 const SERVES_WITHIN: Duration = Duration::from_secs(20);
 
@@ -126,8 +135,11 @@ fn console_shows_and_commands_a_fleet_in_a_browser() {
     let mut console = Some(start_console(&cluster, &address, &["--operator", "kim"]));
     let access = cluster.folder().join("access.toml");
     std::fs::write(&access, "[[viewer]]\ntoken = \"wall-wall-wall-wall-wall-wall\"\n").unwrap();
-    let _viewers =
-        start_console(&cluster, &viewer_address, &["--access", access.to_str().unwrap()]);
+    let ground = cluster.folder().join("ground.png");
+    std::fs::write(&ground, GREEN_PNG).unwrap();
+    let access = ["--access", access.to_str().unwrap(), "--image", ground.to_str().unwrap()];
+    let access = [&access[..], &["--image-at", "-1000,-1000,1000,1000"]].concat();
+    let _viewers = start_console(&cluster, &viewer_address, &access);
 
     run_in_browser("browser.mjs", [&address, &viewer_address], |what| {
         let done = |()| Some(Value::Null);

@@ -5,7 +5,7 @@
 //! [`Console`] is the core: browsers, messages of the fleet and time are its [`Input`]s, frames and texts for browsers and
 //! commands to the fleet are its [`Output`]s. `fleet` is the fleet as browsers see it, `browser` what one of them may do
 //! and has, `turn` what it is sent next, [`frame`] the bytes of what is drawn, [`limits`] what a browser may cost.
-//! [`access`] says who may come in, [`assets`] is the page. `shell` is everything else: sockets, the bus and the clock.
+//! [`access`] says who may come in, [`assets`] is the page, [`image`] what lies below the map. `shell` is everything else: sockets, the bus and the clock.
 //!
 //! What holds at all times:
 //! - A browser that reads nothing costs at most [`limits::MAX_WAITING_BYTES`], and nobody else any time.
@@ -17,6 +17,7 @@
 pub mod access;
 pub mod assets;
 mod core;
+pub mod image;
 #[cfg(feature = "binary")]
 pub mod shell;
 #[cfg(test)]

@@ -443,6 +443,21 @@ await run(async () => {
     await viewer.locator("#token").fill("wall-wall-wall-wall-wall-wall");
     await viewer.getByRole("button", { name: "Sign in" }).click();
     await until(viewer, () => window.muster.drawn.count > 0);
+    step("an image lies below the map, at a switch");
+    const ground = () => viewer.evaluate(() => {
+        const canvas = document.querySelector("canvas.grid");
+        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        let green = 0;
+        for (let at = 0; at < data.length; at += 4) green += data[at + 1] > 200 && data[at] < 50 && data[at + 3] > 200 ? 1 : 0;
+        return green;
+    });
+    await until(viewer, () => window.muster.state.hello.image?.east === 1000);
+    await viewer.waitForTimeout(1000);
+    assert.ok(await ground() > 10_000);
+    await picture(viewer, "image");
+    await viewer.locator("#image").click();
+    assert.equal(await ground(), 0);
+    await viewer.locator("#image").click();
     await panel(viewer, "Control");
     await viewer.locator("#viewer").waitFor();
     const forged = await viewer.evaluate((host) => new Promise((resolve) => {

@@ -35,6 +35,11 @@ impl Drop for Served {
 
 impl Served {
     fn start(access: Option<&str>) -> Self {
+        Self::start_with(access, None)
+    }
+
+    /// With an image below the map, whose edges lie ten metres around the origin.
+    fn start_with(access: Option<&str>, image: Option<&[u8]>) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_muster-console"));
         command.args(["--serve", "127.0.0.1:0", "--connect", "tcp/127.0.0.1:1", "--log", "info"]);
@@ -42,6 +47,11 @@ impl Served {
             let path = folder.path().join("access.toml");
             std::fs::write(&path, text).unwrap();
             command.arg("--access").arg(path);
+        }
+        if let Some(bytes) = image {
+            let path = folder.path().join("ground.png");
+            std::fs::write(&path, bytes).unwrap();
+            command.arg("--image").arg(path).args(["--image-at", "-10,-10,10,10"]);
         }
         let mut process = command.stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(process.stderr.take().unwrap());
@@ -217,4 +227,17 @@ fn a_message_that_is_too_long_ends_the_browser_and_not_the_console() {
     let mut rest = Vec::new();
     let _ = stream.read_to_end(&mut rest);
     assert_eq!(status(&served.ask("GET /healthz", &[], "").0), 200);
+}
+
+#[test]
+fn an_image_below_the_map_is_for_those_who_may_see_the_fleet() {
+    let png = b"\x89PNG\r\n\x1a\n and more";
+    let open = Served::start_with(None, Some(png));
+    let (head, body) = open.ask("GET /image", &[], "");
+    assert_eq!((status(&head), field(&head, "content-type")), (200, Some("image/png")));
+    assert_eq!(body, png);
+    let text = format!("[[viewer]]\ntoken = \"{WALL}\"\n");
+    let closed = Served::start_with(Some(&text), Some(png));
+    assert_eq!(status(&closed.ask("GET /image", &[], "").0), 401);
+    assert_eq!(status(&Served::start(None).ask("GET /image", &[], "").0), 404);
 }

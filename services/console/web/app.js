@@ -119,6 +119,11 @@ class App extends Component {
                     h("div", { class: "tools" },
                         h("button", { type: "button", onClick: () => { fit(); draw(); } }, "Show all"),
                         h("button", { type: "button", id: "embedding", "aria-pressed": String(state.view.embedding), onClick: () => showEmbedding(!state.view.embedding) }, "Embedding"),
+                        state.hello?.image ? h("button", { type: "button", id: "image", "aria-pressed": String(state.view.image), onClick: () => {
+                            state.view.image = !state.view.image;
+                            changed();
+                            draw();
+                        } }, "Image") : null,
                         h("label", {}, "Links", h("select", { id: "links", value: state.view.links, onChange: (/** @type {any} */ event) => showLinks(event.target.value) },
                             h("option", { value: "" }, "none"), modalities.map((/** @type {string} */ name) => h("option", { value: name }, name)))),
                         h("span", { class: "dim", id: "chosen" }, state.selected.size ? `${state.selected.size} selected` : "")),

@@ -224,6 +224,24 @@ function clear(target, ratio) {
     return pen;
 }
 
+/** The image below the map; none until it has arrived. @type {HTMLImageElement | null} */
+let picture = null;
+
+/** @param {CanvasRenderingContext2D} pen */
+function drawImage(pen) {
+    const edges = state.hello?.image;
+    if (!edges || !state.view.image || state.view.embedding) return;
+    if (!picture) {
+        picture = new Image();
+        picture.onload = draw;
+        picture.src = "image";
+    }
+    if (!picture.complete || !picture.naturalWidth) return;
+    const [left, top] = toScreen(edges.west, edges.north);
+    const [right, low] = toScreen(edges.east, edges.south);
+    pen.drawImage(picture, left, top, right - left, low - top);
+}
+
 /** @param {string} name */
 const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
 
@@ -232,6 +250,7 @@ function drawGrid(target, ratio) {
     const pen = clear(target, ratio);
     const [width, height] = [target.clientWidth, target.clientHeight];
     const step = gridStep();
+    drawImage(pen);
     pen.lineWidth = 1;
     pen.strokeStyle = color("--grid");
     const [left, top] = toGround(0, 0);

@@ -71,7 +71,7 @@ export const state = {
     serverNowAt: 0,
     /** @type {Set<string>} */ selected: new Set(),
     /** @type {string} the robot in the drawer */ opened: "",
-    view: { embedding: false, /** @type {string} */ links: "" },
+    view: { embedding: false, /** @type {string} */ links: "", image: true },
     filter: { text: "", team: "", role: "", skill: "", state: "" },
     /** @type {any} a moment of the past that is shown */ replay: null,
     /** @type {WhatIf} */ whatIf: { asked: {}, proposal: null, at: 0, problem: "", isAsking: false, onMap: false },

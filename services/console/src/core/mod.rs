@@ -31,6 +31,8 @@ use muster_model::time::Tick;
 use muster_model::wish::StandingWish;
 use serde_json::{Value, json};
 
+use crate::image::Edges;
+
 use self::browser::Browser;
 pub use self::browser::Role;
 pub use self::fetches::Fetch;
@@ -136,6 +138,8 @@ struct Pending {
 pub struct Console {
     name: FleetId,
     version: &'static str,
+    /// Where the image below the map lies; none if there is none.
+    image: Option<Edges>,
     browsers: BTreeMap<BrowserId, Browser>,
     fleet: Fleet,
     link: bool,
@@ -170,6 +174,7 @@ impl Console {
         Self {
             name,
             version,
+            image: None,
             browsers: BTreeMap::new(),
             fleet: Fleet::default(),
             link: false,
@@ -191,6 +196,12 @@ impl Console {
             pending: BTreeMap::new(),
             next_ticket: 0,
         }
+    }
+
+    /// The same with an image below its map.
+    #[must_use]
+    pub fn with_image(self, image: Option<Edges>) -> Self {
+        Self { image, ..self }
     }
 
     /// How many browsers are open.
@@ -260,7 +271,7 @@ impl Console {
         };
         let hello = json!({"topic": "hello", "data": {
             "fleet": self.name, "role": role_name, "operator": operator, "version": self.version,
-            "services": ServiceName::ALL,
+            "services": ServiceName::ALL, "image": self.image,
         }});
         let mut browser = Browser::new(role, now);
         browser.reply(hello.to_string().into());

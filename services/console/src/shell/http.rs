@@ -25,6 +25,7 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_tungstenite::tungstenite::handshake::derive_accept_key;
 
+use super::options::GroundImage;
 use super::run::Shared;
 use super::socket;
 use crate::Role;
@@ -64,14 +65,20 @@ type Answer = Response<Full<Bytes>>;
 struct Port {
     hosts: Hosts,
     assets: Vec<Compressed>,
+    image: Option<GroundImage>,
     shared: Arc<Shared>,
     next: AtomicU64,
 }
 
 /// Serves the port until the process ends.
-pub(super) async fn serve(listener: TcpListener, hosts: Hosts, shared: Arc<Shared>) {
+pub(super) async fn serve(
+    listener: TcpListener,
+    hosts: Hosts,
+    image: Option<GroundImage>,
+    shared: Arc<Shared>,
+) {
     let assets = Asset::ALL.iter().map(Compressed::new).collect();
-    let port = Arc::new(Port { hosts, assets, shared, next: AtomicU64::new(1) });
+    let port = Arc::new(Port { hosts, assets, image, shared, next: AtomicU64::new(1) });
     let mut open: VecDeque<JoinHandle<()>> = VecDeque::with_capacity(MAX_CONNECTIONS);
     loop {
         let stream = match listener.accept().await {
@@ -152,6 +159,7 @@ async fn answer(request: Request<Incoming>, port: &Port) -> Answer {
         (Method::GET, "/session") => who(&request, port),
         (Method::POST | Method::DELETE, "/session") => sign(request, port).await,
         (Method::GET, "/live") => upgrade(request, port),
+        (Method::GET | Method::HEAD, "/image") => image(&request, port),
         (Method::GET | Method::HEAD, path) => asset(&request, path, port),
         _ => {
             let mut answer = text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD\n");
@@ -176,6 +184,19 @@ fn asset(request: &Request<Incoming>, path: &str, port: &Port) -> Answer {
     if takes_gzip {
         headers.insert(CONTENT_ENCODING, HeaderValue::from_static("gzip"));
     }
+    answer
+}
+
+/// The image below the map, for those who may see the fleet.
+fn image(request: &Request<Incoming>, port: &Port) -> Answer {
+    if role(request, port).is_none() {
+        return text(StatusCode::UNAUTHORIZED, "sign in first\n");
+    }
+    let Some(image) = &port.image else {
+        return text(StatusCode::NOT_FOUND, "there is no image below the map\n");
+    };
+    let mut answer = Response::new(Full::new(image.bytes.clone()));
+    answer.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(image.kind));
     answer
 }
 

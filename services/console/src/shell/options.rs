@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Parser;
+use hyper::body::Bytes;
 use muster_model::id::OperatorId;
 use muster_runtime::bus::{self, BusConfig};
 use muster_runtime::config::{Environment, Mode, ProcessArgs, ProcessConfig, process_environment};
@@ -15,6 +16,7 @@ use muster_runtime::store::read_at_most;
 
 use super::run;
 use crate::access::{AccessFile, Door, Hosts};
+use crate::image::{Edges, MAX_IMAGE_BYTES, kind};
 
 /// Where the page is served if nothing else is said: only this host reaches it.
 pub(super) const DEFAULT_ADDRESS: &str = "127.0.0.1:7480";
@@ -54,8 +56,23 @@ struct ConsoleArgs {
     /// whose identity --zenoh-config is, else operator]
     #[arg(long, value_name = "NAME")]
     operator: Option<OperatorId>,
+    /// Image of the ground below the map: PNG, JPEG or WebP [MUSTER_CONSOLE_IMAGE]
+    #[arg(long, value_name = "FILE")]
+    image: Option<PathBuf>,
+    /// Where the edges of the image lie, in metres east and north [MUSTER_CONSOLE_IMAGE_AT]
+    #[arg(long, value_name = "WEST,SOUTH,EAST,NORTH", allow_hyphen_values = true)]
+    image_at: Option<String>,
     #[command(flatten)]
     process: ProcessArgs,
+}
+
+/// An image below the map.
+#[derive(Debug, Clone)]
+pub(super) struct GroundImage {
+    pub(super) edges: Edges,
+    /// Its media type.
+    pub(super) kind: &'static str,
+    pub(super) bytes: Bytes,
 }
 
 /// Where the page is served, and for whom.
@@ -64,6 +81,7 @@ pub(super) struct ConsoleOptions {
     pub(super) address: SocketAddr,
     pub(super) further_hosts: Vec<String>,
     pub(super) door: Door,
+    pub(super) image: Option<GroundImage>,
 }
 
 impl ConsoleOptions {
@@ -111,6 +129,7 @@ fn resolve(
             "serve: {text:?} is no address with a port; write one like {DEFAULT_ADDRESS}"
         ))
     })?;
+    let image = image(args, environment)?;
     let path =
         args.access.clone().or_else(|| environment("MUSTER_CONSOLE_ACCESS").map(PathBuf::from));
     let Some(path) = path else {
@@ -121,7 +140,7 @@ fn resolve(
             )));
         }
         let door = Door::Open(operator(args, config, environment)?);
-        return Ok(ConsoleOptions { address, further_hosts: Vec::new(), door });
+        return Ok(ConsoleOptions { address, further_hosts: Vec::new(), door, image });
     };
     let file = read(&path)?;
     let door = file.door();
@@ -131,7 +150,34 @@ fn resolve(
             "hosts: name the hosts with ports that browsers ask for, as base.example:7480";
         return Err(wrong_file(&path, problem));
     }
-    Ok(ConsoleOptions { address, further_hosts: file.hosts, door })
+    Ok(ConsoleOptions { address, further_hosts: file.hosts, door, image })
+}
+
+/// The image below the map, if there is one.
+fn image(
+    args: &ConsoleArgs,
+    environment: Environment<'_>,
+) -> Result<Option<GroundImage>, ExitError> {
+    let path =
+        args.image.clone().or_else(|| environment("MUSTER_CONSOLE_IMAGE").map(PathBuf::from));
+    let at = args.image_at.clone().or_else(|| environment("MUSTER_CONSOLE_IMAGE_AT"));
+    let (path, at) = match (path, at) {
+        (None, None) => return Ok(None),
+        (Some(path), Some(at)) => (path, at),
+        (Some(_), None) => {
+            let problem = "image: say where its edges lie with --image-at WEST,SOUTH,EAST,NORTH";
+            return Err(ExitError::usage(problem));
+        }
+        (None, Some(_)) => return Err(ExitError::usage("image_at: name the file with --image")),
+    };
+    let edges =
+        Edges::parse(&at).map_err(|problem| ExitError::usage(format!("image_at: {problem}")))?;
+    let fail = |problem: String| ExitError::usage(format!("image {}: {problem}", path.display()));
+    let bytes = read_at_most(&path, MAX_IMAGE_BYTES).map_err(|error| fail(error.to_string()))?;
+    let Some(kind) = kind(&bytes) else {
+        return Err(fail("is neither PNG nor JPEG nor WebP".to_owned()));
+    };
+    Ok(Some(GroundImage { edges, kind, bytes: bytes.into() }))
 }
 
 fn wrong_file(path: &Path, problem: &str) -> ExitError {
@@ -190,6 +236,19 @@ mod tests {
         assert!(options(&["--serve", "here"]).unwrap_err().starts_with("serve: "));
 
         let folder = tempfile::tempdir().unwrap();
+        let ground = folder.path().join("ground.png");
+        let image = ["--image", ground.to_str().unwrap(), "--image-at"];
+        let with = |at: &'static str| [&image[..], &[at]].concat();
+        assert!(options(&image[..2]).unwrap_err().contains("--image-at"));
+        assert!(options(&["--image-at", "0,0,1,1"]).unwrap_err().contains("--image"));
+        assert!(options(&with("1,1,0,0")).unwrap_err().starts_with("image_at: "));
+        assert!(options(&with("0,0,1,1")).unwrap_err().starts_with("image "));
+        std::fs::write(&ground, "<svg/>").unwrap();
+        assert!(options(&with("0,0,1,1")).unwrap_err().contains("neither PNG"));
+        std::fs::write(&ground, b"\x89PNG\r\n\x1a\n").unwrap();
+        let options_with_image = options(&with("-9,-9,9,9")).unwrap();
+        assert!(options_with_image.image.is_some_and(|image| image.edges.west < -8.0));
+
         let path = folder.path().join("access.toml");
         let flags = ["--serve", "0.0.0.0:7480", "--access", path.to_str().unwrap()];
         assert!(options(&flags).unwrap_err().starts_with("access "));

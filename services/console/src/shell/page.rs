@@ -56,7 +56,7 @@ impl LocalPage {
     pub async fn serve(self, config: ProcessConfig, operator: OperatorId, stop: Stop) {
         let Self { listener, address } = self;
         let door = Door::Open(operator);
-        let options = ConsoleOptions { address, further_hosts: Vec::new(), door };
+        let options = ConsoleOptions { address, further_hosts: Vec::new(), door, image: None };
         run::serve(&config, listener, address, options, stop).await;
     }
 }

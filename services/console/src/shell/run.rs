@@ -110,13 +110,15 @@ pub(super) async fn serve(
         turned: AtomicU64::new(clock.now().0),
         linked: AtomicBool::new(false),
     });
-    let port = tokio::spawn(http::serve(listener, hosts, Arc::clone(&shared)));
+    let edges = options.image.as_ref().map(|image| image.edges);
+    let port = tokio::spawn(http::serve(listener, hosts, options.image, Arc::clone(&shared)));
     tracing::info!("serves the console at http://{address}");
     let (orders, to_fleet) = mpsc::channel(MAX_WAITING_ORDERS);
     tokio::spawn(fleet::follow(fleet::client_config(config), happenings, to_fleet));
     let mut watched = notify::watch();
 
-    let mut console = Console::new(config.fleet.value.clone(), env!("CARGO_PKG_VERSION"));
+    let mut console =
+        Console::new(config.fleet.value.clone(), env!("CARGO_PKG_VERSION")).with_image(edges);
     let mut browsers: BTreeMap<BrowserId, mpsc::UnboundedSender<ToBrowser>> = BTreeMap::new();
     let mut ticks = tokio::time::interval(TICK);
     ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
