@@ -114,6 +114,19 @@ await run(async () => {
     step("links and embedding");
     await page.locator("#links").selectOption("spatial");
     await until(page, () => window.muster.state.links?.count > 0);
+    // Of a robot that is chosen, its own alone; the drawer names them.
+    const allLinks = await page.evaluate(() => window.muster.state.links.count);
+    await page.locator("#map").focus();
+    await page.keyboard.press("n");
+    await until(page, (count) => window.muster.state.links?.count < count, allLinks);
+    await page.locator("#links-of", { hasText: "%" }).waitFor();
+    await page.keyboard.press("Escape");
+    await until(page, (count) => window.muster.state.links?.count === count, allLinks);
+    // Of a window that shows a part of the fleet, those of that part.
+    for (let press = 0; press < 8; press++) await page.keyboard.press("+");
+    await until(page, (count) => window.muster.state.links?.count < count, allLinks);
+    await page.keyboard.press("f");
+    await until(page, (count) => window.muster.state.links?.count === count, allLinks);
     await page.locator("#embedding").click();
     await until(page, () => window.muster.state.embedding?.count === 13);
     await picture(page, "embedding");
@@ -265,6 +278,13 @@ await run(async () => {
     await until(page, () => !document.querySelector("#wishes li[data-state=active]"));
     assert.deepEqual([await setting("teams"), await setting("size")], [3, { min: null, max: null }]);
     await page.locator("#limit-max").fill("");
+    // What the loss of one robot would do, from its drawer.
+    await page.evaluate((robot) => window.muster.select(robot), robots[1]);
+    await page.locator("#if-lost").click();
+    await page.locator("#if-asked li", { hasText: `without ${robots[1]}` }).waitFor();
+    await page.locator("#if-teams").waitFor();
+    await page.locator("#if-reject").click();
+    await until(page, () => !document.getElementById("if-teams"));
     // What nothing satisfies is refused with the reason.
     await page.locator("#limit-max").fill("2");
     await page.locator("#if-limits").click();

@@ -61,10 +61,15 @@ function banner() {
     return null;
 }
 
+/** @param {string} panel */
+function show(panel) {
+    state.panel = panel;
+    changed();
+}
+
 class App extends Component {
     constructor() {
         super();
-        this.state = { panel: "Teams" };
         subscribe(() => this.setState({}));
     }
 
@@ -72,7 +77,7 @@ class App extends Component {
         document.addEventListener("keydown", (event) => {
             if (!event.altKey || event.ctrlKey || event.metaKey) return;
             const panel = PANELS[Number(event.key) - 1];
-            if (panel) this.setState({ panel: panel[0] });
+            if (panel) show(panel[0]);
             else if (event.key === "m") document.getElementById("map")?.focus();
             else return;
             event.preventDefault();
@@ -84,15 +89,15 @@ class App extends Component {
         const by = event.key === "ArrowRight" ? 1 : event.key === "ArrowLeft" ? -1 : 0;
         if (!by) return;
         event.preventDefault();
-        const at = PANELS.findIndex(([name]) => name === this.state.panel);
+        const at = PANELS.findIndex(([name]) => name === state.panel);
         const [name] = PANELS[(at + by + PANELS.length) % PANELS.length];
-        this.setState({ panel: name });
+        show(name);
         document.getElementById(`tab-${name}`)?.focus();
     }
 
     render() {
         if (state.socket === "sign-in") return h(SignIn, {});
-        const { panel } = this.state;
+        const { panel } = state;
         const Shown = (PANELS.find(([name]) => name === panel) ?? PANELS[0])[1];
         const frame = state.ground;
         const open = (state.alerts?.open ?? []).filter((/** @type {any} */ one) => !one.acknowledged).length;
@@ -132,7 +137,7 @@ class App extends Component {
                     h("div", { role: "tablist", "aria-label": "Panels", onKeyDown: (/** @type {KeyboardEvent} */ event) => this.#tab(event) },
                         PANELS.map(([name]) => h("button", {
                             type: "button", role: "tab", id: `tab-${name}`, "aria-selected": String(name === panel), "aria-controls": "panel",
-                            tabIndex: name === panel ? 0 : -1, onClick: () => this.setState({ panel: name }),
+                            tabIndex: name === panel ? 0 : -1, onClick: () => show(name),
                         }, name, name === "Alerts" && open ? ` (${open})` : ""))),
                     state.opened ? h(Drawer, {}) : null,
                     h("div", { role: "tabpanel", id: "panel", "aria-labelledby": `tab-${panel}`, tabIndex: 0, class: "panel" }, h(Shown, { key: panel })))),

@@ -1,11 +1,13 @@
 // One robot: where it is, why it is in its team, and in which teams it was.
 
+import { canCommand } from "./alerts.js";
 import { age, clock, fixed } from "./format.js";
 import { flagsOf, hasPlace, HELD, LEADER, LOST, PINNED, placeOf, PROVISIONAL, STALE } from "./frame.js";
 import { ask, sendView } from "./link.js";
 import { robotLink, teamName } from "./teams.js";
 import { now, select, state, teamOf } from "./state.js";
 import { Component, h } from "./vendor/preact.js";
+import { whatIf } from "./whatif.js";
 
 /** How often the reason is asked for anew, in milliseconds. */
 const REASON_EVERY = 3000;
@@ -28,6 +30,27 @@ function reasons(why) {
                 h("td", { class: "number" }, fixed(team.spread, 3)),
                 h("td", { class: "number" }, fixed(-team.price, 3)),
                 h("td", { class: "number" }, fixed(team.hysteresis, 3))))))));
+}
+
+/** Links that are listed. */
+const MAX_LINKS = 12;
+
+/** Its strongest links of the modality that the map shows. @param {number} index */
+function links(index) {
+    const frame = state.links;
+    if (!frame || frame.names !== state.names) return "…";
+    const found = [];
+    for (let number = 0; number < frame.count; number++) {
+        const [word, to] = [frame.words[2 * number], frame.words[2 * number + 1]];
+        const from = word & 0xffffff;
+        if (from !== index && to !== index) continue;
+        found.push({ robot: state.robots[from === index ? to : from]?.robot ?? "", share: (word >>> 24) / 255, out: from === index });
+    }
+    found.sort((left, right) => right.share - left.share);
+    if (!found.length) return `none of ${state.view.links}`;
+    return h("span", {}, found.slice(0, MAX_LINKS).map((one, number) =>
+        h("span", { key: number }, number ? ", " : "", one.out ? "→ " : "← ", robotLink(one.robot), ` ${Math.round(100 * one.share)} %`)),
+    found.length > MAX_LINKS ? ` and ${found.length - MAX_LINKS} more` : "", " of the strongest one shown");
 }
 
 export class Drawer extends Component {
@@ -96,7 +119,12 @@ export class Drawer extends Component {
                 line?.superior && [h("dt", {}, "Superior"), h("dd", {}, robotLink(line.superior))],
                 line?.role && [h("dt", {}, "Role"), h("dd", {}, line.role)],
                 line?.skills.length ? [h("dt", {}, "Skills"), h("dd", {}, line.skills.join(", "))] : null,
-                h("dt", {}, "If it is lost"), h("dd", {}, loss ? loss.effect : "it is not among the ten worst losses")),
+                h("dt", {}, "If it is lost"), h("dd", {}, loss ? loss.effect : "it is not among the ten worst losses", " ",
+                    h("button", { type: "button", id: "if-lost", disabled: !canCommand(), onClick: () => {
+                        state.panel = "Control";
+                        whatIf({ without: [robot] });
+                    } }, "What if it is")),
+                h("dt", {}, "Links"), h("dd", { id: "links-of" }, state.view.links ? links(index) : "choose a modality above the map")),
             h("h3", {}, "Why it is in its team"),
             why ? reasons(why) : h("p", { class: "dim" }, problem || "…"),
             h("h3", {}, "Teams it was in"),

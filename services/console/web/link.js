@@ -5,6 +5,8 @@ import { addOrder, changed, now, receive, receiveFrame, state } from "./state.js
 /** Between two attempts to open, in milliseconds. */
 const FIRST_WAIT = 250;
 const LONGEST_WAIT = 2000;
+/** Most robots whose links are asked for by name. */
+export const MAX_LINK_ROBOTS = 400;
 /** A hidden page is not drawn; it is kept up to date this often all the same. */
 const HIDDEN_DRAW = 1000;
 
@@ -91,7 +93,8 @@ function send(message) {
 /** Tells the server what is shown. */
 export function sendView() {
     const { embedding, links } = state.view;
-    const robots = [...state.selected].slice(0, 400);
+    const chosen = state.selected.size ? [...state.selected] : state.visible();
+    const robots = chosen.slice(0, MAX_LINK_ROBOTS);
     send({ view: { embedding, links: links ? { modality: links, robots } : null } });
 }
 

@@ -4,7 +4,7 @@ import { teamColor } from "./colors.js";
 import { age } from "./format.js";
 import { flagsOf, hasPlace, HELD, LEADER, LOST, PINNED, placeOf, PROVISIONAL, slotOf, STALE } from "./frame.js";
 import { Painter } from "./gl.js";
-import { sendView } from "./link.js";
+import { MAX_LINK_ROBOTS, sendView } from "./link.js";
 import { Component, h } from "./vendor/preact.js";
 import { changed, now, select, state } from "./state.js";
 
@@ -16,6 +16,8 @@ const DENSITY_ABOVE = 2000;
 const MAX_LABELS = 80;
 /** Ages are written for no more missing robots than this. */
 const MAX_AGES = 100;
+/** How long the window stands still before links are asked for anew, in milliseconds. */
+const ASK_AFTER = 250;
 /** A click this close to a robot means it, in pixels. */
 const REACH = 14;
 
@@ -142,6 +144,7 @@ export function fit() {
     view.zoom = 0.86 * Math.min(
         canvas.clientWidth / Math.max(right - left, least), canvas.clientHeight / Math.max(high - low, least));
     view.fitted = true;
+    windowMoved();
 }
 
 /** @returns {Float32Array} */
@@ -351,6 +354,28 @@ function selectBox(from, to, add) {
     sendView();
 }
 
+/** The robots in the window; none if all are there, or more than links are asked for by name. @returns {string[]} */
+function visible() {
+    const frame = frameNow();
+    if (!canvas || !frame || frame.names !== state.names) return [];
+    const found = [];
+    for (let index = 0; index < frame.count && found.length <= MAX_LINK_ROBOTS; index++) {
+        if (!hasPlace(frame, index)) continue;
+        const [x, y] = toScreen(...placeOf(frame, index));
+        if (x >= 0 && y >= 0 && x <= canvas.clientWidth && y <= canvas.clientHeight) found.push(state.robots[index].robot);
+    }
+    return found.length <= MAX_LINK_ROBOTS && found.length < frame.count ? found : [];
+}
+state.visible = visible;
+
+let asks = 0;
+
+/** Asks for the links of what is visible, once the window stands still. */
+function windowMoved() {
+    clearTimeout(asks);
+    if (state.view.links && !state.selected.size) asks = window.setTimeout(sendView, ASK_AFTER);
+}
+
 /** @param {number} factor @param {number} x @param {number} y the place that stays, in pixels */
 function zoomBy(factor, x, y) {
     const before = toGround(x, y);
@@ -358,6 +383,7 @@ function zoomBy(factor, x, y) {
     const after = toGround(x, y);
     view.x += before[0] - after[0];
     view.y += before[1] - after[1];
+    windowMoved();
     draw();
 }
 
@@ -365,6 +391,7 @@ function zoomBy(factor, x, y) {
 function panBy(x, y) {
     view.x -= x / view.zoom;
     view.y += y / view.zoom;
+    windowMoved();
     draw();
 }
 

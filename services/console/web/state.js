@@ -71,6 +71,8 @@ export const state = {
     serverNowAt: 0,
     /** @type {Set<string>} */ selected: new Set(),
     /** @type {string} the robot in the drawer */ opened: "",
+    /** the panel on the right */ panel: "Teams",
+    /** @type {() => string[]} the robots in the window of the map; none if that is all or too many */ visible: () => [],
     view: { embedding: false, /** @type {string} */ links: "", image: true },
     filter: { text: "", team: "", role: "", skill: "", state: "" },
     /** @type {any} a moment of the past that is shown */ replay: null,
