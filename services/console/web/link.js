@@ -94,8 +94,10 @@ function send(message) {
 export function sendView() {
     const { embedding, links } = state.view;
     const chosen = state.selected.size ? [...state.selected] : state.visible();
-    const robots = chosen.slice(0, MAX_LINK_ROBOTS);
-    send({ view: { embedding, links: links ? { modality: links, robots } : null } });
+    const robots = (chosen ?? []).slice(0, MAX_LINK_ROBOTS);
+    // Where nobody is visible there is nothing to show.
+    const isShown = links && chosen?.length !== 0;
+    send({ view: { embedding, links: isShown ? { modality: links, robots } : null } });
 }
 
 /** @param {any} reply */

@@ -354,17 +354,17 @@ function selectBox(from, to, add) {
     sendView();
 }
 
-/** The robots in the window; none if all are there, or more than links are asked for by name. @returns {string[]} */
+/** The robots in the window; null if all are there, or more than links are asked for by name. @returns {string[] | null} */
 function visible() {
     const frame = frameNow();
-    if (!canvas || !frame || frame.names !== state.names) return [];
+    if (!canvas || !frame || frame.names !== state.names) return null;
     const found = [];
     for (let index = 0; index < frame.count && found.length <= MAX_LINK_ROBOTS; index++) {
         if (!hasPlace(frame, index)) continue;
         const [x, y] = toScreen(...placeOf(frame, index));
         if (x >= 0 && y >= 0 && x <= canvas.clientWidth && y <= canvas.clientHeight) found.push(state.robots[index].robot);
     }
-    return found.length <= MAX_LINK_ROBOTS && found.length < frame.count ? found : [];
+    return found.length <= MAX_LINK_ROBOTS && found.length < frame.count ? found : null;
 }
 state.visible = visible;
 

@@ -72,7 +72,7 @@ export const state = {
     /** @type {Set<string>} */ selected: new Set(),
     /** @type {string} the robot in the drawer */ opened: "",
     /** the panel on the right */ panel: "Teams",
-    /** @type {() => string[]} the robots in the window of the map; none if that is all or too many */ visible: () => [],
+    /** @type {() => string[] | null} the robots in the window of the map; null if that is all or too many */ visible: () => null,
     view: { embedding: false, /** @type {string} */ links: "", image: true },
     filter: { text: "", team: "", role: "", skill: "", state: "" },
     /** @type {any} a moment of the past that is shown */ replay: null,
