@@ -184,7 +184,7 @@ fn the_containers_run_what_is_built() {
     let compose = compose();
     let containers = compose["services"].as_object().unwrap();
     let names: BTreeSet<_> = containers.keys().map(String::as_str).collect();
-    assert_eq!(names, SERVICES.into_iter().chain(["router"]).collect());
+    assert_eq!(names, SERVICES.into_iter().chain(["router", "console"]).collect());
     let file = read("Containerfile");
     let build = read("build");
     let (_, built) = build.split_once("programs=(").unwrap();
@@ -211,7 +211,9 @@ fn the_containers_run_what_is_built() {
         }
         if name != "router" {
             let connect = text(&own["environment"]["MUSTER_CONNECT"]);
-            assert!(connect.contains("router"), "services reach the router by its name");
+            // The console is on the network of the host, whose port is that of the router.
+            let router = if name == "console" { "127.0.0.1:7447" } else { "router" };
+            assert!(connect.contains(router), "{name} does not reach the router");
             let arguments = ["--check-config", "--connect", connect.as_str()];
             assert_eq!(run(&command[0], &arguments, SOON).unwrap().0, Some(0));
         }
@@ -296,7 +298,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
     let endpoint = free_endpoint().unwrap();
     let mut running = BTreeMap::new();
     // The services first: they are alive while they wait for their router.
-    for name in SERVICES.into_iter().chain(["router"]) {
+    for name in SERVICES.into_iter().chain(["router", "console"]) {
         let own = &containers[name];
         assert!(own["environment"]["MUSTER_HTTP"].is_string(), "{name} has no port to ask");
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
@@ -304,6 +306,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
         let command = texts(&own["command"]);
         let arguments = match name {
             "router" => vec![command[1].as_str(), "--listen", &endpoint],
+            "console" => vec!["--connect", &endpoint, "--serve", "127.0.0.1:0"],
             _ => vec!["--connect", &endpoint, "--state-directory", "none"],
         };
         let process = Process::start(&command[0], &arguments, &environment, folder.path()).unwrap();
@@ -316,6 +319,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
         assert_eq!(code, Some(0), "{name}: {output}");
         let unit = match *name {
             "router" => "systemd/muster-router.service",
+            "console" => "systemd/muster-console.service",
             _ => "systemd/muster@.service",
         };
         let (memory, tasks) = (bytes(&limit(unit, "MemoryMax")), limit(unit, "TasksMax"));

@@ -355,6 +355,8 @@ await run(async () => {
     await until(others[0], () => window.muster.state.settings.clusterer);
     const [mine, yours] = [await seen(page), await seen(others[0])];
     assert.deepEqual([mine.teams, mine.count], [yours.teams, yours.count]);
+    const ages = await page.evaluate(() => window.muster.drawn.ages.sort((one, other) => one - other));
+    console.log(`age of the data on the screen with ten browsers, p95: ${Math.round(1000 * ages[Math.floor(0.95 * ages.length)])} ms`);
     await Promise.all(others.map((other) => other.context().close()));
 
     step("a robot that is killed greys and stays");

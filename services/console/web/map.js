@@ -41,8 +41,8 @@ let box = null;
 /** The list of teams and the theme whose colours the card has. */
 let painted = "";
 /** How many turns were drawn, and when the last hundred were; the tests read it. */
-/** @type {{count: number, at: number[], age: number}} */
-export const drawn = { count: 0, at: [], age: 0 };
+/** @type {{count: number, at: number[], ages: number[]}} */
+export const drawn = { count: 0, at: [], ages: [] };
 
 const frameNow = () => (state.view.embedding ? state.embedding : state.ground);
 
@@ -208,7 +208,8 @@ export function draw() {
         drawn.count += 1;
         drawn.at.push(performance.now());
         if (drawn.at.length > 300) drawn.at.shift();
-        drawn.age = now() - frame.newest;
+        drawn.ages.push(now() - frame.newest);
+        if (drawn.ages.length > 300) drawn.ages.shift();
     }
 }
 
