@@ -1,12 +1,13 @@
 //! The console in a real browser, over a real router, with real services and simulated robots.
 
 use std::io::{BufRead as _, BufReader, Write as _};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use muster_tests::access::{OPERATOR, Security, VIEWER};
-use muster_tests::cluster::{Cluster, ClusterOptions, robots_of};
+use muster_tests::cluster::{Cluster, ClusterOptions, free_endpoint, robots_of};
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 
@@ -212,4 +213,67 @@ fn console_refuses_what_is_unsafe_at_the_start() {
     let (code, out, err) = run("muster-console", &print, Duration::from_secs(20)).unwrap();
     assert_eq!(code, Some(0), "{err}");
     assert!(out.contains("fleet = \"alpha\"") && out.contains("# serves 127.0.0.1:7480"), "{out}");
+}
+
+/// The status and the body of what an address answers.
+fn get(address: &str, path: &str) -> String {
+    use std::io::Read as _;
+    let mut stream = std::net::TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(SERVES_WITHIN)).unwrap();
+    let text = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    stream.write_all(text.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
+}
+
+#[test]
+fn console_comes_along_with_up_and_demo() {
+    let folder = tempfile::tempdir().unwrap();
+    let (endpoint, address) = (free_endpoint().unwrap(), free_address());
+    let up = [
+        "up",
+        "--router",
+        "--listen",
+        &endpoint,
+        "--state-directory",
+        "none",
+        "--console",
+        &address,
+    ];
+    let mut up = Process::start("muster", &up, &[], folder.path()).unwrap();
+    up.until_prints(&format!("console at http://{address}"), SERVES_WITHIN).unwrap();
+    assert!(get(&address, "/").starts_with("HTTP/1.1 200"), "the page is there");
+    assert!(get(&address, "/session").contains("\"operator\""), "whoever is on this host commands");
+    // Where services are named, it comes along only if it is asked for; and never to other hosts.
+    let far = ["up", "--connect", &endpoint, "--console", "0.0.0.0:0"];
+    let (code, _, err) = run("muster", &far, SERVES_WITHIN).unwrap();
+    assert_eq!(code, Some(2), "{err}");
+    assert!(err.contains("console: ") && err.contains("--access"), "{err}");
+    let taken = ["up", "--connect", &endpoint, "--console", &address];
+    let (code, _, err) = run("muster", &taken, SERVES_WITHIN).unwrap();
+    assert_eq!(code, Some(1), "{err}");
+    assert!(err.contains("cannot listen at"), "{err}");
+    up.kill().unwrap();
+
+    // A browser that only writes down what it was asked to open.
+    let (programs, opened) = (folder.path().join("programs"), folder.path().join("opened"));
+    std::fs::create_dir(&programs).unwrap();
+    let browser = programs.join("xdg-open");
+    std::fs::write(&browser, format!("#!/bin/sh\necho \"$1\" > {}\n", opened.display())).unwrap();
+    std::fs::set_permissions(&browser, PermissionsExt::from_mode(0o755)).unwrap();
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+    let demo = ["demo", "--listen", &free_endpoint().unwrap(), "--open"];
+    let mut demo = Process::start("muster", &demo, &[("PATH", &path)], folder.path()).unwrap();
+    demo.until_prints("Ctrl-C ends it\nin a browser: http://127.0.0.1:", SERVES_WITHIN).unwrap();
+    demo.until_prints("from another terminal", SERVES_WITHIN).unwrap();
+    let printed = demo.output();
+    let url = printed.lines().find_map(|line| line.strip_prefix("in a browser: ")).unwrap();
+    let start = std::time::Instant::now();
+    while std::fs::read_to_string(&opened).unwrap_or_default().trim() != url {
+        assert!(start.elapsed() < SERVES_WITHIN, "{url} is not opened");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let address = url.strip_prefix("http://").unwrap();
+    assert!(get(address, "/").starts_with("HTTP/1.1 200"), "the page is there");
 }
