@@ -16,7 +16,9 @@ use muster_console::limits::{
     MAX_MESSAGES_PER_SECOND, MAX_PENDING, MAX_REPLY_BYTES, MAX_TURN_BYTES, MAX_WAITING_BYTES,
     STALLED_AFTER,
 };
-use muster_console::{BrowserId, Command, Console, Fetch, Input, Output, Role, frame};
+use muster_console::{
+    BrowserId, Command, Console, Fetch, Input, Output, ProposalOrder, ProposalStep, Role, frame,
+};
 use muster_model::command::Action;
 use muster_model::graph::{GraphDelta, GraphRow};
 use muster_model::header::{Header, Revision};
@@ -368,6 +370,62 @@ fn a_viewer_commands_nothing_whatever_the_page_sends() {
     // It may ask.
     let outputs = bench.text(1, &json!({"ask": {"id": 9, "why": "r00001"}}));
     assert!(outputs.iter().any(|output| matches!(output, Output::Ask(..))), "{outputs:?}");
+}
+
+fn orders(outputs: &[Output]) -> Vec<(u64, ProposalOrder)> {
+    let order = |output: &Output| match output {
+        Output::Propose(ticket, order) => Some((*ticket, order.clone())),
+        _ => None,
+    };
+    outputs.iter().filter_map(order).collect()
+}
+
+#[test]
+fn a_proposal_is_asked_for_and_decided_on_under_the_name_of_the_operator() {
+    let step = |id: u64, step: Value| json!({"propose": {"id": id, "name": "p1", "step": step}});
+    let mut bench = Bench::new();
+    let outputs = bench.give(Input::Opened(1, kim()));
+    bench.draw(1, outputs);
+    let sent = bench.text(1, &step(1, json!({"ask": {"teams": 3, "without": ["r9", "r7"]}})));
+    let (ticket, order) = orders(&sent).remove(0);
+    assert_eq!((order.operator.as_str(), order.id.as_str()), ("kim", "p1"));
+    let ProposalStep::Ask(asked) = order.step else { panic!("{order:?}") };
+    assert_eq!(asked.without, [robot("r7"), robot("r9")]);
+    let outputs = bench.give(Input::Answer(ticket, Ok(json!({"state": "computing"}))));
+    let (texts, _) = bench.draw(1, outputs);
+    assert_eq!(topic(&texts, "reply")[0]["answer"]["state"], "computing");
+    for (id, name) in [(2, "show"), (3, "accept"), (4, "drop")] {
+        let sent = bench.text(1, &step(id, json!(name)));
+        assert_eq!(orders(&sent).len(), 1, "{name}");
+    }
+    // What an acceptance may have changed is asked for at once.
+    let (ticket, _) = orders(&bench.outputs)
+        .into_iter()
+        .find(|(_, order)| order.step == ProposalStep::Accept)
+        .unwrap();
+    bench.give(Input::Settings(BTreeMap::new()));
+    let outputs = bench.give(Input::Answer(ticket, Ok(json!([]))));
+    assert!(outputs.contains(&Output::Fetch(Fetch::Settings)));
+    // What makes no sense is refused here, with the field.
+    let sent = bench.text(1, &step(5, json!({"ask": {"teams": 0}})));
+    assert!(orders(&sent).is_empty());
+    let (texts, _) = bench.draw(1, [outputs, sent].concat());
+    let refused = topic(&texts, "reply").into_iter().find(|reply| reply["id"] == 5).unwrap();
+    assert!(refused["refused"].as_str().unwrap().contains("teams"), "{refused}");
+
+    let outputs = bench.give(Input::Opened(2, Role::Viewer));
+    bench.draw(2, outputs);
+    for (id, one) in
+        [json!({"ask": {"teams": 3}}), json!("accept"), json!("drop")].into_iter().enumerate()
+    {
+        let sent = bench.text(2, &step(id as u64, one));
+        assert!(orders(&sent).is_empty());
+        let (texts, _) = bench.draw(2, sent);
+        assert!(topic(&texts, "reply")[0]["refused"].as_str().unwrap().contains("viewer"));
+    }
+    // Nothing is sent over a lost link.
+    bench.give(Input::Link(false));
+    assert!(orders(&bench.text(1, &step(9, json!("accept")))).is_empty());
 }
 
 #[test]
