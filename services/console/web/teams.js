@@ -71,6 +71,7 @@ function missing() {
 function choice(label, field, values, any) {
     const filter = /** @type {any} */ (state.filter);
     return h("label", {}, label, h("select", {
+        id: `filter-${field}`,
         value: filter[field],
         onChange: (/** @type {any} */ event) => {
             filter[field] = event.target.value;
