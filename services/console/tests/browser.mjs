@@ -254,7 +254,7 @@ await run(async () => {
     assert.equal(await page.locator("#if-moves li").count(), moved);
     assert.match(await page.locator("#if-quality tbody tr").first().textContent(), /[+-]?0\.\d{3}/);
     await page.locator("#if-map").click();
-    await page.getByText("WHAT IF").waitFor();
+    await page.locator(".watermark", { hasText: "WHAT IF" }).waitFor();
     await picture(page, "what-if");
     await axe(page, "what if");
     await page.locator("#if-reject").click();

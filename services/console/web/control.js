@@ -228,7 +228,7 @@ class Wishes extends Component {
             h("div", { class: "line" },
                 h("label", {}, "Wish", h("select", { id: "wish-kind", value: kind, onChange: (/** @type {any} */ event) => this.setState({ kind: valueOf(event) }) },
                     KINDS.map((one) => h("option", { value: one, selected: one === kind }, one)))),
-                hasTeam ? h("label", {}, "Team", h("select", { id: "wish-team", value: team, onChange: (/** @type {any} */ event) => this.setState({ team: valueOf(event) }) },
+                hasTeam ? h("label", {}, "Team", h("select", { id: "wish-team", value: team || state.teams?.teams?.[0]?.id, onChange: (/** @type {any} */ event) => this.setState({ team: valueOf(event) }) },
                     (state.teams?.teams ?? []).map((/** @type {any} */ one) => h("option", { value: one.id, selected: one.id === team }, one.id)))) : null,
                 h("label", {}, "Minutes", h("input", { type: "number", id: "wish-minutes", min: 1, value: minutes, placeholder: "no end",
                     onInput: (/** @type {any} */ event) => this.setState({ minutes: valueOf(event) }) })),

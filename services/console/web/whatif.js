@@ -101,7 +101,7 @@ function quality(division) {
     const rows = [["mean fit of robots", "mean"], ["least mean fit of a team", "least_team"], ["mean fit by position", "physical_mean"]];
     return h("table", { id: "if-quality" },
         h("caption", {}, "Fit (silhouette, -1 to 1) among the same vectors and robots"),
-        h("thead", {}, h("tr", {}, ["", "now", "proposed", "change"].map((name) => h("th", { scope: "col" }, name)))),
+        h("thead", {}, h("tr", {}, ["fit", "now", "proposed", "change"].map((name) => h("th", { scope: "col" }, name)))),
         h("tbody", {}, rows.map(([words, field]) => h("tr", { key: field },
             h("th", { scope: "row" }, words),
             h("td", { class: "number" }, fixed(division.live[field], 3)),
