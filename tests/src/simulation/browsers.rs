@@ -293,8 +293,12 @@ impl World {
                 browsers.roster = Some(Arc::clone(&roster));
                 Input::Roster(roster, None)
             }
-            Message::Teams { teams, .. } if !self.mutator.hides_divisions() => {
-                let teams = Arc::new(teams.as_ref().clone());
+            Message::Teams { teams, .. } => {
+                let mut teams = teams.as_ref().clone();
+                if self.mutator.misleads() {
+                    teams.teams.iter_mut().for_each(|team| drop(team.members.pop()));
+                }
+                let teams = Arc::new(teams);
                 browsers.teams = Some(Arc::clone(&teams));
                 Input::Teams(teams, None)
             }

@@ -207,9 +207,9 @@ impl Mutator {
         self.published.is_multiple_of(2)
     }
 
-    /// Whether divisions do not reach the console.
-    pub(crate) fn hides_divisions(&self) -> bool {
-        self.active && self.mutant == Some(Mutant::Outdated)
+    /// Whether the console is misled about divisions.
+    pub(crate) fn misleads(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Misled)
     }
 
     /// Whether a service receives nothing.

@@ -69,8 +69,8 @@ pub enum Mutant {
     Reused,
     /// The clusterer reports moves of robots the wrong way round, once settings were changed.
     Reversed,
-    /// The console receives no divisions any more once a service was killed.
-    Outdated,
+    /// The console receives divisions in which a robot is in no team, once a service was killed.
+    Misled,
 }
 
 impl Mutant {
@@ -108,7 +108,7 @@ impl Mutant {
         Self::Silent,
         Self::Reused,
         Self::Reversed,
-        Self::Outdated,
+        Self::Misled,
     ];
 
     /// The kinds of faults after which it shows.
@@ -123,7 +123,7 @@ impl Mutant {
             | Self::OlderRoster
             | Self::LostRecords
             | Self::Forgotten
-            | Self::Outdated => &["kill"],
+            | Self::Misled => &["kill"],
             Self::WrongSilhouette => &["storm"],
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
             Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
