@@ -281,7 +281,7 @@ impl World {
     pub(super) fn console_receives(&mut self, packet: &Packet) {
         let wanted =
             [Key::Roster, Key::Teams, Key::Audit, Key::Alerts].map(|key| self.space.format(&key));
-        if !wanted.iter().any(|key| *key == packet.key) {
+        if !wanted.contains(&packet.key) {
             return;
         }
         // Nobody believes what cannot be read.
@@ -322,9 +322,9 @@ impl World {
             self.console_orders(output);
         }
         let browsers = &self.browsers;
-        let all = browsers.pages.iter();
+        let mut all = browsers.pages.iter();
         let checked: Verified =
-            all.map(|(id, page)| page.check_bytes(browsers.console.waiting_bytes(*id))).collect();
+            all.try_for_each(|(id, page)| page.check_bytes(browsers.console.waiting_bytes(*id)));
         self.require(checked);
     }
 
