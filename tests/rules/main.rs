@@ -24,13 +24,14 @@ fn dependencies(package: &str, flags: &[&str]) -> BTreeSet<String> {
     text.lines().filter_map(|line| line.split(' ').next()).map(str::to_owned).collect()
 }
 
-const SERVICES: [&str; 6] = [
+const SERVICES: [&str; 7] = [
     "muster-ingest",
     "muster-embedder",
     "muster-clusterer",
     "muster-auditor",
     "muster-historian",
     "muster-planner",
+    "muster-console",
 ];
 
 #[test]
@@ -161,6 +162,13 @@ fn the_console_talks_to_a_fleet_through_the_client_alone() {
         }
     }
     assert_eq!(exempt, WITH_A_BUS.len(), "each exemption is needed");
+    // The page as well: its options alone read who commands from the configuration of the bus.
+    let page = root.join("../../console/src").canonicalize().unwrap();
+    for (name, text) in sources(&page, "/options.rs") {
+        for what in BUS {
+            assert!(!text.contains(what), "{name} names {what}");
+        }
+    }
     let probe = std::fs::read_to_string(root.join("doctor/mod.rs")).unwrap();
     assert!(!probe.contains("Bus::open"), "the doctor opens no session of its own");
 }
@@ -201,7 +209,7 @@ fn each_foreign_crate_is_spoken_to_in_one_place() {
 }
 
 /// Crates that run live, in the simulation and from a recording: `clippy.toml` says what they must not do.
-const PURE: [&str; 14] = [
+const PURE: [&str; 15] = [
     "shared/service",
     "shared/division",
     "shared/method",
@@ -212,6 +220,7 @@ const PURE: [&str; 14] = [
     "shared/wire",
     "services/auditor",
     "services/clusterer",
+    "services/console",
     "services/embedder",
     "services/historian",
     "services/ingest",

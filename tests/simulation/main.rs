@@ -299,6 +299,7 @@ fn every_mutant_is_found_and_its_run_made_short() {
         (Mutant::Silent, vec!["an event says that nothing satisfies the limits any more"]),
         (Mutant::Reused, vec!["no id of a team is given to another team"]),
         (Mutant::Reversed, vec!["every event about teams is the difference of two divisions"]),
+        (Mutant::Misled, vec!["browsers that draw show the division that all agree on"]),
         (Mutant::Dependent, vec![settle, "a full disk stops no division"]),
         // Readers refuse a list in which an alert stands twice.
         (Mutant::Doubled, vec!["what a service publishes, others understand"]),

@@ -21,6 +21,9 @@ pub const BUS_VARIABLE: &str = "MUSTER_TEST_BUS";
 /// The operator of every fleet of the tests, which may read everything and change settings.
 pub const OPERATOR: &str = "operator.operator";
 
+/// The viewer of every fleet of the tests, which may read everything and change nothing.
+pub const VIEWER: &str = "viewer.wall";
+
 /// A member that no test counts on, for messages that exceed its rights.
 pub const STRANGER: &str = "stranger";
 
@@ -105,7 +108,7 @@ impl Access {
         let file = folder.join("fleet.toml");
         let names: Vec<&str> = robots.iter().map(String::as_str).chain([STRANGER]).collect();
         let content = format!(
-            "fleet = \"{fleet}\"\nrobots = {names:?}\noperators = [\"operator\"]\n[[routers]]\n\
+            "fleet = \"{fleet}\"\nrobots = {names:?}\noperators = [\"operator\"]\nviewers = [\"wall\"]\n[[routers]]\n\
              name = \"base\"\naddresses = [\"127.0.0.1\"]\nport = {port}\n"
         );
         std::fs::write(&file, content)?;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::net::TcpListener;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context;
@@ -415,6 +415,12 @@ impl Cluster {
         timeout_ms: &str,
     ) -> anyhow::Result<Client> {
         Client::open(self.member_config(identity, endpoint, timeout_ms)?, &self.fleet).await
+    }
+
+    /// The Zenoh configuration of a member of a secured bus, such as `viewer.wall`; none on a plain one.
+    #[must_use]
+    pub fn identity(&self, identity: &str) -> Option<PathBuf> {
+        self.access.as_ref().map(|access| access.config(identity))
     }
 
     /// The configuration of such a client.

@@ -71,7 +71,8 @@ fn install(folder: &Path) -> Vec<PathBuf> {
         std::fs::write(&path, text.replace("/usr/local/bin", &programs)).unwrap();
         path
     };
-    let mut units = vec![write("muster-router.service", read("systemd/muster-router.service"))];
+    let alone = ["muster-router.service", "muster-console.service"];
+    let mut units = alone.map(|unit| write(unit, read(&format!("systemd/{unit}")))).to_vec();
     write("muster@.service", read("systemd/muster@.service"));
     for service in SERVICES {
         let name = format!("muster@{service}.service");
@@ -152,11 +153,13 @@ fn the_units_start_what_there_is() {
         line.split(' ').map(str::to_owned).collect()
     };
     check_command(&line("systemd/muster-router.service", ""));
+    check_command(&line("systemd/muster-console.service", ""));
     for service in SERVICES {
         check_command(&line("systemd/muster@.service", service));
     }
     // A service without a standby that hangs stops the division until it is restarted.
-    for unit in ["systemd/muster-router.service", "systemd/muster@.service"] {
+    for unit in ["muster-router.service", "muster-console.service", "muster@.service"] {
+        let unit = &format!("systemd/{unit}");
         assert!(read(unit).lines().any(|line| line == "WatchdogSec=10"), "{unit}");
     }
 }
@@ -181,7 +184,7 @@ fn the_containers_run_what_is_built() {
     let compose = compose();
     let containers = compose["services"].as_object().unwrap();
     let names: BTreeSet<_> = containers.keys().map(String::as_str).collect();
-    assert_eq!(names, SERVICES.into_iter().chain(["router"]).collect());
+    assert_eq!(names, SERVICES.into_iter().chain(["router", "console"]).collect());
     let file = read("Containerfile");
     let build = read("build");
     let (_, built) = build.split_once("programs=(").unwrap();
@@ -208,7 +211,9 @@ fn the_containers_run_what_is_built() {
         }
         if name != "router" {
             let connect = text(&own["environment"]["MUSTER_CONNECT"]);
-            assert!(connect.contains("router"), "services reach the router by its name");
+            // The console is on the network of the host, whose port is that of the router.
+            let router = if name == "console" { "127.0.0.1:7447" } else { "router" };
+            assert!(connect.contains(router), "{name} does not reach the router");
             let arguments = ["--check-config", "--connect", connect.as_str()];
             assert_eq!(run(&command[0], &arguments, SOON).unwrap().0, Some(0));
         }
@@ -293,7 +298,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
     let endpoint = free_endpoint().unwrap();
     let mut running = BTreeMap::new();
     // The services first: they are alive while they wait for their router.
-    for name in SERVICES.into_iter().chain(["router"]) {
+    for name in SERVICES.into_iter().chain(["router", "console"]) {
         let own = &containers[name];
         assert!(own["environment"]["MUSTER_HTTP"].is_string(), "{name} has no port to ask");
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
@@ -301,6 +306,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
         let command = texts(&own["command"]);
         let arguments = match name {
             "router" => vec![command[1].as_str(), "--listen", &endpoint],
+            "console" => vec!["--connect", &endpoint, "--serve", "127.0.0.1:0"],
             _ => vec!["--connect", &endpoint, "--state-directory", "none"],
         };
         let process = Process::start(&command[0], &arguments, &environment, folder.path()).unwrap();
@@ -313,6 +319,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
         assert_eq!(code, Some(0), "{name}: {output}");
         let unit = match *name {
             "router" => "systemd/muster-router.service",
+            "console" => "systemd/muster-console.service",
             _ => "systemd/muster@.service",
         };
         let (memory, tasks) = (bytes(&limit(unit, "MemoryMax")), limit(unit, "TasksMax"));

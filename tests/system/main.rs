@@ -12,6 +12,7 @@ mod busy;
 mod cli;
 mod client;
 mod conformance;
+mod console;
 mod demo;
 mod deploy;
 mod doctor;

@@ -3,11 +3,13 @@
 //! Nothing is simulated but the robots: every service has a session of its own, and every message
 //! crosses a real socket.
 
-use std::net::TcpListener;
+use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::PathBuf;
+use std::process::Stdio;
 
 use muster_client::Client;
-use muster_model::id::{FleetId, ServiceName};
+use muster_console::shell::LocalPage;
+use muster_model::id::{FleetId, OperatorId, ServiceName};
 use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{
     DEFAULT_ENDPOINT, Origin, ProcessConfig, Sourced, process_environment,
@@ -28,6 +30,9 @@ const RATE_HZ: f64 = 10.0;
 /// The fleet of a demo, unless a flag names another.
 const FLEET: &str = "demo";
 
+/// Who commands from the page of a demo.
+const OPERATOR: &str = "operator";
+
 /// The variables that a demo reads: how it logs. All others may be those of a live fleet, whose operators the
 /// simulated robots must not mislead.
 const VARIABLES: [&str; 2] = ["MUSTER_LOG", "MUSTER_LOG_JSON"];
@@ -43,7 +48,8 @@ const MAX_ROBOTS: usize = 2000;
 #[command(
     after_help = "Two platoons march, split at a crossing, where one squad is handed over for a \
 while, and rejoin. The table is redrawn as the division changes. While it runs, look at it from \
-another terminal with `muster teams --watch --fleet demo`, and likewise `audit`, `graph` and `status`. It has \
+another terminal with `muster teams --watch --fleet demo`, and likewise `audit`, `graph` and `status`, and at the page for \
+operators, whose address it says and which --open opens. It has \
 a router and a fleet of its own: of the environment it reads MUSTER_LOG and MUSTER_LOG_JSON only.\n\n\
 Examples:\n  muster demo\n  muster demo --robots 60 --teams 3 --seconds 60\n  muster demo --json | jq .teams"
 )]
@@ -63,6 +69,9 @@ pub(crate) struct DemoArgs {
     /// Print one line of JSON per change, in the form of json/teams
     #[arg(long)]
     json: bool,
+    /// Open the page for operators in a browser
+    #[arg(long)]
+    open: bool,
     /// Record everything that happens to each service, to FILE.SERVICE, for `muster replay-core`
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
@@ -124,6 +133,11 @@ pub(crate) async fn run(
     let config = config.as_client(endpoints.clone());
     let mut services = up::start(&ServiceName::ALL, &config, &stop, &observatory);
 
+    let page = local_page().await?;
+    let url = page.url();
+    let operator = OperatorId::new(OPERATOR)?;
+    let serving = tokio::spawn(page.serve(config.clone(), operator, stop.clone()));
+
     let client = client_config(&config)?;
     let speaking = Client::open(&client).await.map_err(exit_error)?;
     let console = Client::open(&client).await.map_err(exit_error)?;
@@ -132,10 +146,15 @@ pub(crate) async fn run(
     let robots = SimulatedRobots::join(&speaking, fleet, all).await.map_err(exit_error)?;
     let mut marching = tokio::spawn(robots.run(RATE_HZ, 0.0, seconds, stop.clone()));
     eprintln!(
-        "{} robots and 5 services on a router at {}; Ctrl-C ends it",
+        "{} robots and {} services on a router at {}; Ctrl-C ends it",
         args.robots,
+        ServiceName::ALL.len(),
         endpoints.join(", ")
     );
+    eprintln!("in a browser: {url}");
+    if args.open {
+        open_browser(&url);
+    }
     let connect = endpoints.first().map_or("", String::as_str);
     let elsewhere = ROUTER_VARIABLES.iter().any(|name| process_environment(name).is_some());
     let flag = if connect == DEFAULT_ENDPOINT && !elsewhere {
@@ -155,10 +174,40 @@ pub(crate) async fn run(
         },
     };
     services.shutdown().await;
+    serving.abort();
     speaking.close().await;
     console.close().await;
     router.close().await;
     ended
+}
+
+/// The port of the page: the usual one if it is free, else any.
+async fn local_page() -> anyhow::Result<LocalPage> {
+    match LocalPage::listen(LocalPage::parse(None)?).await {
+        Ok(page) => Ok(page),
+        Err(_) => Ok(LocalPage::listen(SocketAddr::from((Ipv4Addr::LOCALHOST, 0))).await?),
+    }
+}
+
+/// Opens a page in the browser of whoever runs the demo. Without one, the address was said.
+fn open_browser(url: &str) {
+    let (program, arguments): (_, &[&str]) = if cfg!(target_os = "windows") {
+        ("cmd", &["/c", "start", ""])
+    } else if cfg!(target_os = "macos") {
+        ("open", &[])
+    } else {
+        ("xdg-open", &[])
+    };
+    let opened = std::process::Command::new(program)
+        .args(arguments)
+        .arg(url)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn();
+    if let Err(error) = opened {
+        eprintln!("--open: {program} cannot be run ({error}); open {url} yourself");
+    }
 }
 
 /// As many platoons as teams are asked for, where there are robots enough; two otherwise.

@@ -16,7 +16,7 @@ const IDENTITY: &str = "operator.";
 const DEFAULT: &str = "operator";
 
 /// Who commands.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Default, clap::Args)]
 pub(crate) struct OperatorArgs {
     /// Who commands, in a-z 0-9 _ - [MUSTER_OPERATOR] [default: the operator whose identity --zenoh-config is, else
     /// operator]. Where access is controlled, the router lets no one command under another name

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use muster_auditor::Auditor;
 use muster_clusterer::Clusterer;
+use muster_console::shell::LocalPage;
 use muster_embedder::Embedder;
 use muster_historian::Historian;
 use muster_ingest::Ingest;
@@ -13,12 +14,14 @@ use muster_model::id::ServiceName;
 use muster_planner::Planner;
 use muster_runtime::bus::{Bus, ConnectTimeout};
 use muster_runtime::config::{DEFAULT_ENDPOINT, ProcessConfig};
-use muster_runtime::exit::ExitError;
+use muster_runtime::exit::{Exit, ExitError};
 use muster_runtime::observe::Observatory;
 use muster_runtime::recording::RecordTo;
 use muster_runtime::service;
 use muster_runtime::stop::Stop;
 use tokio::task::JoinSet;
+
+use crate::operator::OperatorArgs;
 
 /// Arguments of `muster up`.
 #[derive(Debug, clap::Args)]
@@ -41,6 +44,42 @@ pub(crate) struct UpArgs {
     /// folder every run gets a file of its own
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Serve the page for operators at this address of this host, also where services are named
+    /// [default: 127.0.0.1:7480 if all services run]
+    #[arg(long, value_name = "ADDRESS:PORT", conflicts_with = "no_console")]
+    console: Option<String>,
+    /// Do not serve the page for operators
+    #[arg(long)]
+    no_console: bool,
+}
+
+impl UpArgs {
+    /// The port of the page, if it is wanted. One that nobody asked for is left out where its port is taken.
+    ///
+    /// # Errors
+    /// If an address makes no sense, or cannot be listened at.
+    async fn page(&self) -> anyhow::Result<Option<LocalPage>> {
+        if self.no_console || (self.console.is_none() && !self.services.is_empty()) {
+            return Ok(None);
+        }
+        let address = LocalPage::parse(self.console.as_deref())?;
+        match LocalPage::listen(address).await {
+            Ok(page) => Ok(Some(page)),
+            Err(error) if self.console.is_none() => {
+                tracing::info!(
+                    "the page for operators is not served at {address}: {error}; see --console"
+                );
+                Ok(None)
+            }
+            Err(error) => Err(ExitError {
+                exit: Exit::Failure,
+                message: format!(
+                    "console: cannot listen at {address}: {error}; choose another address"
+                ),
+            }
+            .into()),
+        }
+    }
 }
 
 /// Changes settings by the `SERVICE.FIELD=VALUE` of `--set`.
@@ -129,7 +168,20 @@ pub(crate) async fn run(
         config = config.as_client(endpoints);
         router = Some(bus);
     }
-    wait(start(&services, &config, &stop, &observatory)).await?;
+    let page = args.page().await?;
+    let serving = match page {
+        Some(page) => {
+            let operator = OperatorArgs::default().name(&config)?;
+            writeln!(std::io::stdout(), "console at {}", page.url())?;
+            Some(tokio::spawn(page.serve(config.clone(), operator, stop.clone())))
+        }
+        None => None,
+    };
+    let ended = wait(start(&services, &config, &stop, &observatory)).await;
+    if let Some(serving) = serving {
+        serving.abort();
+    }
+    ended?;
     if let Some(router) = router {
         router.close().await;
     }

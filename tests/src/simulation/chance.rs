@@ -21,6 +21,8 @@ pub(crate) enum Purpose {
     Fault = 6,
     /// Which faults happen to real processes, and when.
     Soak = 7,
+    /// Which browsers are open, how fast they draw, and what they send.
+    Console = 8,
 }
 
 /// A stream of numbers.

@@ -12,9 +12,11 @@
 //!
 //! Services are addressed as (service, instance), each on a machine of its own; every other seed has two
 //! of each, of which one leads and the other is a standby; of the historian each records by itself, on a virtual disk that
-//! outlives its process and may be full. Operators ask the planners what the teams would be.
+//! outlives its process and may be full. Operators ask the planners what the teams would be. The console is the real core as
+//! well, with browsers of every speed.
 
 mod batch;
+mod browsers;
 mod busy;
 pub(crate) mod chance;
 mod clock;
@@ -27,6 +29,7 @@ mod network;
 mod node;
 mod operator;
 pub(crate) mod oracle;
+mod page;
 mod plan;
 mod proposer;
 mod recording;

@@ -211,6 +211,11 @@ impl Mutator {
         self.published.is_multiple_of(2)
     }
 
+    /// Whether the console is misled about divisions.
+    pub(crate) fn misleads(&self) -> bool {
+        self.active && self.mutant == Some(Mutant::Misled)
+    }
+
     /// Whether a service receives nothing.
     pub(crate) fn isolates(&self, service: ServiceName) -> bool {
         let isolated = match self.mutant {

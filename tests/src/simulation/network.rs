@@ -67,6 +67,7 @@ impl World {
                 if let Some(robot) = key.as_ref().and_then(Key::robot) {
                     self.names.insert(robot.clone(), self.now);
                 }
+                self.console_receives(packet);
                 for node in 0..self.nodes.len() {
                     let is_isolated = self.mutator.isolates(self.nodes[node].service);
                     if self.nodes[node].subscribes_to(&packet.key) && !is_isolated {

@@ -12,6 +12,7 @@ use muster_service::{AskId, Stored};
 use muster_wire::{Key, KeySpace, Message, Packet};
 use serde_json::{Value, json};
 
+use super::browsers::{BrowserEvent, Browsers};
 use super::busy::Freshness;
 use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
@@ -78,6 +79,7 @@ pub(super) enum Event {
     WriteRecords { node: usize, life: u32 },
     Written { node: usize, life: u32, report: Box<RecordingReport> },
     DiskHasRoom { node: usize },
+    Browser(BrowserEvent),
     Poll,
 }
 
@@ -151,6 +153,7 @@ pub(super) struct World {
     /// Whether the clocks of all services are right all the time, to some seconds.
     pub(super) clocks_agree: bool,
     pub(super) operator: Operator,
+    pub(super) browsers: Browsers,
     pub(super) pending: BTreeMap<BusGetId, Pending>,
     pub(super) damage: Damage,
     pub(super) mutator: Mutator,
@@ -273,6 +276,7 @@ impl World {
         let teams = clusterer.and_then(|file| file.get("teams")?.as_u64());
         let max_robots =
             files.get(&ServiceName::Ingest).and_then(|file| file.get("max_robots")?.as_u64());
+        let browsers = Browsers::new(seed, space.fleet());
         let mut world = Self {
             seed,
             space,
@@ -281,6 +285,7 @@ impl World {
             scheduled: 0,
             links: links.collect(),
             operator: Operator::new(count - 2, teams),
+            browsers,
             max_robots: usize::try_from(max_robots.unwrap_or_default()).unwrap_or_default(),
             nodes,
             robots,
@@ -334,6 +339,9 @@ impl World {
         }
         for number in 0..self.injections.len() {
             self.schedule(self.injections[number].at, Event::Inject(number));
+        }
+        for (at, event) in self.browsers.agenda(self.storm) {
+            self.schedule(at, Event::Browser(event));
         }
         self.schedule(0, Event::Operate);
         self.schedule(self.storm, Event::StormOver);
@@ -439,6 +447,7 @@ impl World {
             Event::WriteRecords { node, life } => self.write_records(node, life),
             Event::Written { node, life, report } => self.written(node, life, report),
             Event::DiskHasRoom { node } => self.free_disk(node),
+            Event::Browser(event) => self.browser_event(event),
             Event::Poll => self.poll(),
         }
     }
@@ -593,6 +602,11 @@ impl World {
         self.check_alerts(since);
         let settled_for = self.settled.as_ref().map(|(at, _)| since.saturating_sub(*at));
         self.finished &= self.historians_have_recorded(settled_for);
+        if self.finished {
+            let teams = self.oracle.divisions.last().map(|teams| &**teams);
+            let shown = self.browsers.check_agreement(teams);
+            self.require(shown);
+        }
         self.cut_power_if_settled(since);
         if self.settled.is_some() {
             self.rest(settled_for);

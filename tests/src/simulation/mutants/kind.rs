@@ -85,11 +85,13 @@ pub enum Mutant {
     Discreet,
     /// The planner says another division than would come of it, once one was asked for while nothing else changes.
     Misleading,
+    /// The console receives divisions in which a robot is in no team, once a service was killed.
+    Misled,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Self; 40] = [
+    pub const ALL: [Self; 41] = [
         Self::RobotTwice,
         Self::RobotForgotten,
         Self::WrongSilhouette,
@@ -130,6 +132,7 @@ impl Mutant {
         Self::Chorus,
         Self::Discreet,
         Self::Misleading,
+        Self::Misled,
     ];
 
     /// The kinds of faults after which it shows.
@@ -143,7 +146,8 @@ impl Mutant {
             | Self::TermTwice
             | Self::OlderRoster
             | Self::LostRecords
-            | Self::Forgotten => &["kill"],
+            | Self::Forgotten
+            | Self::Misled => &["kill"],
             Self::WrongSilhouette => &["storm"],
             Self::NotANumber => &["robot leaves", "robot leaves and returns", "robot reboots"],
             Self::IsolatedAuditor | Self::NoPositions => &["clean cut", "silent cut"],
