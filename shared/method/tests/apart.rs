@@ -32,7 +32,8 @@ fn robots_that_are_apart_have_a_price_where_that_costs_nothing() {
         let groups = Wishes { wishes: vec![wish], ..Wishes::default() }.check(&rules).unwrap();
         let params = DivisionParams { teams: 3, hysteresis: 0.0, ..DivisionParams::default() };
         let previous = vec![None; robots];
-        let limits = Limits { rules: &rules, groups: &groups, previous: &previous };
+        let limits =
+            Limits { rules: &rules, groups: &groups, previous: &previous, refine_only: false };
         let found = divide_within(&x, &params.check().unwrap(), &limits).unwrap();
         let labels: Vec<usize> = found.labels.iter().flatten().copied().collect();
         let judged = optimality(&x, &labels, &found.centroids, &rules, &groups).unwrap();

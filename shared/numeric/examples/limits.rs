@@ -105,7 +105,8 @@ fn kmeans(file: &str, counts: [usize; 6]) -> Result<(f64, f64), Failure> {
     };
     let options = options.check()?;
     let begun = Instant::now();
-    let limits = KMeansLimits { rules: &rules, reserve_cost: 0.0, previous: None };
+    let limits =
+        KMeansLimits { rules: &rules, reserve_cost: 0.0, previous: None, refine_only: false };
     let found = options.divide_within(&x, &limits)?;
     Ok((begun.elapsed().as_secs_f64(), found.inertia))
 }
