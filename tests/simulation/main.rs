@@ -18,7 +18,8 @@ use muster_ingest::Ingest;
 use muster_model::limits::MAX_ROBOT_PAYLOAD;
 use muster_service::Core;
 use muster_tests::simulation::{
-    Batch, Mutant, Options, Stats, Summary, fault_numbers, has_fault, run_batch, shrink, simulate,
+    Batch, Effort, Mutant, Options, Stats, Summary, fault_numbers, has_fault, run_batch, shrink,
+    simulate,
 };
 use muster_wire::{Key, Pattern};
 
@@ -28,8 +29,8 @@ const SEEDS: u64 = 300;
 /// How many seeds the test command runs that nobody has run before.
 const FRESH_SEEDS: u64 = 100;
 
-/// How long the run of a mutant may be shortened: half a minute on an idle machine, and its time is that of the wall.
-const SHRINK_TIME: Duration = Duration::from_secs(120);
+/// How many runs are tried to shorten that of a mutant. Most take fewer than a hundred.
+const SHRINK_RUNS: usize = 400;
 
 fn batch(first: u64, seeds: u64) -> Batch {
     Batch {
@@ -329,8 +330,8 @@ fn every_mutant_is_found_and_its_run_made_short() {
             .filter_map(|outcome| Some((outcome.seed, outcome.failure?)))
             .find(|(_, failure)| promises.contains(&failure.promise) && failure.happened.len() > 3);
         let (seed, failure) = found.unwrap_or_else(|| panic!("{mutant:?} is not found"));
-        let within = SHRINK_TIME;
-        let shrunk = shrink(seed, &options, Some(mutant), &failure, within);
+        let effort = Effort::Runs(SHRINK_RUNS);
+        let shrunk = shrink(seed, &options, Some(mutant), &failure, effort);
         let left = shrunk.outcome.failure.as_ref().unwrap();
         assert_eq!(left.promise, failure.promise, "{mutant:?}");
         // A second fault may be what lets the first one be seen.

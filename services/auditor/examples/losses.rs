@@ -182,11 +182,11 @@ fn measure(fleet: &Fleet, has_graph: bool) -> (f64, usize) {
     let begun = Instant::now();
     bench.receive(division);
     let seconds = begun.elapsed().as_secs_f64();
-    let audits = bench.published.iter().filter_map(|message| match message {
+    let mut audits = bench.published.iter().filter_map(|message| match message {
         Message::Audit(audit) => Some(audit.losses.len()),
         _ => None,
     });
-    (seconds, audits.last().expect("an audit is published"))
+    (seconds, audits.next_back().expect("an audit is published"))
 }
 
 fn main() {

@@ -7,7 +7,7 @@ use std::sync::PoisonError;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use super::{Mutant, Options, Outcome, Stats, in_ticks, shrink, simulate};
+use super::{Effort, Mutant, Options, Outcome, Stats, in_ticks, shrink, simulate};
 
 /// Most lines of a failing run that are printed; the command that replays it prints them all.
 const MAX_PRINTED: usize = 160;
@@ -145,7 +145,13 @@ pub fn run_batch(
 /// The report of a run that broke a promise.
 fn report(batch: &Batch, outcome: &Outcome) -> String {
     let Some(failure) = &outcome.failure else { return String::new() };
-    let shrunk = shrink(outcome.seed, &batch.options, batch.mutant, failure, batch.shrink_within);
+    let shrunk = shrink(
+        outcome.seed,
+        &batch.options,
+        batch.mutant,
+        failure,
+        Effort::Time(batch.shrink_within),
+    );
     let mut text = format!(
         "seed {} breaks the promise: {}\n  {}\n",
         outcome.seed, failure.promise, failure.seen

@@ -43,7 +43,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 pub use batch::{Batch, Summary, run_batch};
 pub use mutants::Mutant;
-pub use shrink::{Shrunk, shrink};
+pub use shrink::{Effort, Shrunk, shrink};
 
 use chance::{Chance, Purpose};
 use clock::{MS, Micros, SECOND};

@@ -1,13 +1,22 @@
 //! From a failing run to the shortest one that fails in the same way.
 //!
 //! Faults are left out by delta debugging (Zeller and Hildebrandt 2002): first those that come after
-//! the failure, then halves, quarters and so on, and single ones, for as long as the time allows. Then
+//! the failure, then halves, quarters and so on, and single ones, as far as is tried. Then
 //! robots are left out from the end.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use super::{Failure, Mutant, Options, Outcome, simulate};
+
+/// How much is tried to make a run short.
+#[derive(Debug, Clone, Copy)]
+pub enum Effort {
+    /// As much as fits into a time.
+    Time(Duration),
+    /// So many runs: the same on every machine.
+    Runs(usize),
+}
 
 /// A failing run made short.
 #[derive(Debug, Clone)]
@@ -24,21 +33,22 @@ pub struct Shrunk {
     pub tries: usize,
 }
 
-/// Shortens a failing run within a time.
+/// Shortens a failing run.
 #[must_use]
 pub fn shrink(
     seed: u64,
     options: &Options,
     mutant: Option<Mutant>,
     failure: &Failure,
-    within: Duration,
+    effort: Effort,
 ) -> Shrunk {
     let mut search = Search {
         seed,
         options: options.clone(),
         mutant,
         promise: failure.promise,
-        until: Instant::now() + within,
+        begun: Instant::now(),
+        effort,
         tries: 0,
     };
     let of = failure.planned;
@@ -63,7 +73,8 @@ struct Search {
     options: Options,
     mutant: Option<Mutant>,
     promise: &'static str,
-    until: Instant,
+    begun: Instant,
+    effort: Effort,
     tries: usize,
 }
 
@@ -73,7 +84,10 @@ impl Search {
     }
 
     fn is_over(&self) -> bool {
-        Instant::now() >= self.until
+        match self.effort {
+            Effort::Time(time) => self.begun.elapsed() >= time,
+            Effort::Runs(runs) => self.tries >= runs,
+        }
     }
 
     /// Whether the run still breaks the same promise with these faults alone.
