@@ -403,7 +403,8 @@ fn a_proposal_is_asked_for_and_decided_on_under_the_name_of_the_operator() {
         .into_iter()
         .find(|(_, order)| order.step == ProposalStep::Accept)
         .unwrap();
-    bench.give(Input::Settings(BTreeMap::new()));
+    let outputs = bench.give(Input::Settings(BTreeMap::new()));
+    bench.draw(1, outputs);
     let outputs = bench.give(Input::Answer(ticket, Ok(json!([]))));
     assert!(outputs.contains(&Output::Fetch(Fetch::Settings)));
     // What makes no sense is refused here, with the field.

@@ -213,6 +213,7 @@ fn operator(
 }
 
 #[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "a test writes the files that are read")]
 mod tests {
     use super::*;
 
