@@ -160,11 +160,6 @@ impl Mutator {
                 }
                 Message::Alerts(alerts)
             }
-            (Mutant::Unalarmed, Message::Alerts(mut alerts)) => {
-                let list = Arc::make_mut(&mut alerts);
-                list.open.retain(|alert| alert.kind != AlertKind::Infeasible);
-                Message::Alerts(alerts)
-            }
             (Mutant::Meddling, Message::Settings(mut announced)) => {
                 if announced.service == ServiceName::Planner {
                     announced.service = ServiceName::Clusterer;
