@@ -300,8 +300,8 @@ impl Bus {
     /// Hands liveliness tokens to a function, those that are there already as well.
     ///
     /// Those of robots are followed in a session of their own. Zenoh compares an undeclared key of
-    /// a message with all other keys of its session, one by one (`Resource::get_matches` of 1.10.2): in the session that receives the poses of N robots, their N
-    /// tokens would make each pose cost N comparisons. With 5,000 robots at 10 Hz that was more than two
+    /// a message with all other keys of its session, one by one (`Resource::get_matches` of 1.10.2): in
+    /// the session that receives the poses of N robots, their N tokens would make each pose cost N comparisons. With 5,000 robots at 10 Hz that was more than two
     /// cores could do, and most poses were lost.
     ///
     /// # Errors

@@ -3,7 +3,8 @@
 //! It is a crate of its own, below the shell of the services and the client of robots, so that a robot
 //! has the same session with the same defaults, and nothing that only Muster's programs need.
 //! [`config`] chooses the bus; [`Bus`] is the session; `zenoh_config` puts Zenoh's own configuration
-//! together; [`send_queue`] sends without waiting; [`Publishers`] declares the keys that a client puts to; [`handshake`] looks what answers where no session opens.
+//! together; [`send_queue`] sends without waiting; [`Publishers`] declares the keys that a client puts to;
+//! [`handshake`] looks what answers where no session opens.
 
 mod bus;
 pub mod config;
