@@ -94,11 +94,13 @@ impl World {
         let is_seen =
             |answer: &&Arc<Answer>| answer.packets().is_none_or(|packets| !packets.is_empty());
         let seen: Vec<_> = answers.iter().filter(is_seen).collect();
-        if one_led && self.one_plans() && seen.len() > 1 {
+        // One that has just begun refuses what it cannot know. Clients take what another one answers.
+        let given: Vec<_> = seen.iter().filter(|answer| answer.packets().is_some()).collect();
+        if one_led && self.one_plans() && given.len() > 1 {
             let seen = format!("{}/{} is answered {seen:?}", errand.operator, errand.id);
             return self.require(breach(ONE_ANSWERS, seen));
         }
-        match seen.first().map(|answer| answer.as_ref()) {
+        match given.first().copied().or(seen.first()).map(|answer| answer.as_ref()) {
             None if errand.tries < MAX_TRIES => {
                 let again = Errand { tries: errand.tries + 1, ..errand };
                 self.schedule(self.now + SECOND, Event::AskForProposal(Box::new(again)));

@@ -90,7 +90,7 @@ fn the_preset_replaces_the_settings_of_a_saved_fleet_but_for_teams_and_seed() {
 fn each_wrong_line_is_named() {
     let pairs = two_pairs();
     let wrong = [
-        (format!("{pairs}{{}}"), "[1]: is neither a graph"),
+        (format!("{pairs}{{}}"), "[1]: is no graph of `muster graph --json`"),
         (format!("{pairs}["), "[1]: "),
         (format!("{pairs}{}", pairs.replace("\"f\"", "\"g\"")), "[1].fleet: g is another fleet"),
         (pairs.replace("1.0", "-1.0"), "spatial.edges["),
