@@ -235,11 +235,16 @@ impl<'a> Problem<'a> {
             Err(error) => return Ok(Err(error)),
         };
         let Some(kept) = self.with_kept_ids(&found.labels) else { return Ok(Ok(found.labels)) };
-        let better = |before: Division, other: Division| {
-            let stays = before.inertia <= (1.0 + job.settings.hysteresis) * other.inertia;
-            if stays { before.labels } else { other.labels }
+        // A search that ends before it finds anything leaves what was found first.
+        let begun = [&self.previous, &kept].map(|previous| within(previous, true).ok());
+        let least = match begun {
+            [Some(before), Some(other)] => {
+                let stays = before.inertia <= (1.0 + job.settings.hysteresis) * other.inertia;
+                if stays { before } else { other }
+            }
+            [before, other] => before.or(other).unwrap_or(found),
         };
-        Ok(within(&self.previous, true).and_then(|before| Ok(better(before, within(&kept, true)?))))
+        Ok(Ok(least.labels))
     }
 
     /// The columns of the same clusters under the ids that most robots had, where the rules let fewer robots keep theirs.
