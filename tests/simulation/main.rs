@@ -9,6 +9,7 @@
 
 use std::collections::BTreeSet;
 use std::io::Write as _;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use muster_auditor::Auditor;
@@ -31,6 +32,9 @@ const FRESH_SEEDS: u64 = 100;
 
 /// How many runs are tried to shorten that of a mutant. Most take fewer than a hundred.
 const SHRINK_RUNS: usize = 400;
+
+/// How many mutants are looked for at a time: the machines of continuous integration have two cores.
+const MUTANTS_AT_ONCE: usize = 2;
 
 fn batch(first: u64, seeds: u64) -> Batch {
     Batch {
@@ -175,7 +179,7 @@ fn proposals_delay_no_division() {
     assert!(proposals > 0);
 }
 
-/// Proposals that nobody accepts or drops are forgotten, in runs that outlast them.
+/// Proposals that no one accepts or drops are forgotten, in runs that outlast them.
 #[test]
 fn proposals_are_forgotten() {
     let options = Options { robots: Some(4), ..FORGETFUL };
@@ -239,7 +243,7 @@ const MUTANT_SEEDS: u64 = 1000;
 #[test]
 fn every_mutant_is_found_and_its_run_made_short() {
     let settle = "after the last fault all agree within the stated time";
-    for (mutant, promises) in [
+    let all = [
         (Mutant::RobotTwice, vec!["what a service publishes, others understand"]),
         (Mutant::RobotForgotten, vec!["a robot is in exactly one team, or in none"]),
         (Mutant::WrongSilhouette, vec!["silhouettes are those of the definition"]),
@@ -313,36 +317,49 @@ fn every_mutant_is_found_and_its_run_made_short() {
             Mutant::Misleading,
             vec!["an accepted proposal becomes the division, if nothing else changes"],
         ),
-    ] {
-        // MUTANT=Reversed looks for one alone.
-        let wanted = std::env::var("MUTANT");
-        if wanted.is_ok_and(|wanted| wanted != format!("{mutant:?}")) {
-            continue;
+    ];
+    // MUTANT=Reversed looks for one alone.
+    let wanted = std::env::var("MUTANT").ok();
+    let is_wanted =
+        |mutant: Mutant| wanted.as_ref().is_none_or(|wanted| *wanted == format!("{mutant:?}"));
+    let next = AtomicUsize::new(0);
+    std::thread::scope(|scope| {
+        for _ in 0..MUTANTS_AT_ONCE {
+            scope.spawn(|| {
+                while let Some((mutant, promises)) = all.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    if is_wanted(*mutant) {
+                        find_and_shorten(*mutant, promises);
+                    }
+                }
+            });
         }
-        let options = match mutant {
-            // It shows after a minute.
-            Mutant::Nostalgic => Options { robots: Some(6), ..FORGETFUL },
-            _ => Options { robots: Some(6), ..Options::default() },
-        };
-        let seeds = (0..MUTANT_SEEDS).filter(|seed| has_fault(*seed, &options, mutant.after()));
-        let outcomes = seeds.map(|seed| simulate(seed, &options, Some(mutant), false));
-        let found = outcomes
-            .filter_map(|outcome| Some((outcome.seed, outcome.failure?)))
-            .find(|(_, failure)| promises.contains(&failure.promise) && failure.happened.len() > 3);
-        let (seed, failure) = found.unwrap_or_else(|| panic!("{mutant:?} is not found"));
-        let effort = Effort::Runs(SHRINK_RUNS);
-        let shrunk = shrink(seed, &options, Some(mutant), &failure, effort);
-        let left = shrunk.outcome.failure.as_ref().unwrap();
-        assert_eq!(left.promise, failure.promise, "{mutant:?}");
-        // A second fault may be what lets the first one be seen.
-        let faults = &shrunk.outcome.faults;
-        assert!(shrunk.faults.len() <= 2, "{mutant:?} of seed {seed}: {faults:#?}");
-        let is_after = |fault: &String| {
-            mutant.after().iter().any(|kind| fault.contains(&format!(": {kind}: ")))
-        };
-        assert!(faults.iter().any(is_after), "{mutant:?} of seed {seed}: {faults:#?}");
-        assert!(shrunk.outcome.log.last().unwrap().contains("BROKEN"), "{mutant:?}");
-        // Without the mutant the same run breaks no promise.
-        assert_eq!(simulate(seed, &shrunk.options, None, false).failure, None, "{mutant:?}");
-    }
+    });
+}
+
+/// Finds a mutant by one of these promises, and requires that its run is made short.
+fn find_and_shorten(mutant: Mutant, promises: &[&str]) {
+    let options = match mutant {
+        // It shows after a minute.
+        Mutant::Nostalgic => Options { robots: Some(6), ..FORGETFUL },
+        _ => Options { robots: Some(6), ..Options::default() },
+    };
+    let seeds = (0..MUTANT_SEEDS).filter(|seed| has_fault(*seed, &options, mutant.after()));
+    let outcomes = seeds.map(|seed| simulate(seed, &options, Some(mutant), false));
+    let found = outcomes
+        .filter_map(|outcome| Some((outcome.seed, outcome.failure?)))
+        .find(|(_, failure)| promises.contains(&failure.promise) && failure.happened.len() > 3);
+    let (seed, failure) = found.unwrap_or_else(|| panic!("{mutant:?} is not found"));
+    let effort = Effort::Runs(SHRINK_RUNS);
+    let shrunk = shrink(seed, &options, Some(mutant), &failure, effort);
+    let left = shrunk.outcome.failure.as_ref().unwrap();
+    assert_eq!(left.promise, failure.promise, "{mutant:?}");
+    // A second fault may be what lets the first one be seen.
+    let faults = &shrunk.outcome.faults;
+    assert!(shrunk.faults.len() <= 2, "{mutant:?} of seed {seed}: {faults:#?}");
+    let is_after =
+        |fault: &String| mutant.after().iter().any(|kind| fault.contains(&format!(": {kind}: ")));
+    assert!(faults.iter().any(is_after), "{mutant:?} of seed {seed}: {faults:#?}");
+    assert!(shrunk.outcome.log.last().unwrap().contains("BROKEN"), "{mutant:?}");
+    // Without the mutant the same run breaks no promise.
+    assert_eq!(simulate(seed, &shrunk.options, None, false).failure, None, "{mutant:?}");
 }

@@ -31,7 +31,7 @@ const START: Tick = Tick(1_795_208_980_000_000);
 const DIMENSION: u32 = 8;
 
 /// Robots that each robot receives.
-const HEARD: usize = 8;
+const LINKS_EACH: usize = 8;
 
 /// In how many places along the line the robots of a team are that far apart that one of them alone joins two parts.
 const NARROW_EVERY: usize = 40;
@@ -54,7 +54,7 @@ impl Fleet {
     /// Links to the next robots of the same team, but across a narrow place only from one to the next.
     fn graph(&self, epoch: u64) -> Message {
         let row = |from: usize| {
-            let to = (from + 1..self.robots.len().min(from + 1 + HEARD)).filter(|to| {
+            let to = (from + 1..self.robots.len().min(from + 1 + LINKS_EACH)).filter(|to| {
                 let is_narrow = from / NARROW_EVERY != to / NARROW_EVERY;
                 self.team(from) == self.team(*to) && (!is_narrow || *to == from + 1)
             });

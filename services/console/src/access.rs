@@ -25,7 +25,7 @@ pub const MAX_SESSIONS: usize = 256;
 /// How long a session lasts: a shift.
 pub const SESSION_TIME: Duration = Duration::from_secs(12 * 3600);
 
-/// Most attempts to sign in within a minute, of everybody together.
+/// Most attempts to sign in within a minute, of everyone together.
 pub const MAX_SIGN_INS_PER_MINUTE: u32 = 30;
 
 /// The name of the cookie.
@@ -180,7 +180,7 @@ pub enum SignInError {
 }
 
 impl Sessions {
-    /// Nobody is signed in.
+    /// No one is signed in.
     #[must_use]
     pub fn new(door: Door) -> Self {
         Self { door, open: BTreeMap::new(), attempts: (Tick(0), 0) }
@@ -192,7 +192,7 @@ impl Sessions {
         matches!(self.door, Door::Tokens(_))
     }
 
-    /// Signs in by a token, under a session that nobody can guess.
+    /// Signs in by a token, under a session that no one can guess.
     ///
     /// # Errors
     /// [`SignInError`].
@@ -228,7 +228,7 @@ impl Sessions {
         }
     }
 
-    /// What the bearer of a session may do; none if nobody is signed in.
+    /// What the bearer of a session may do; none if no one is signed in.
     #[must_use]
     pub fn role(&self, now: Tick, session: Option<&str>) -> Option<Role> {
         if let Door::Open(operator) = &self.door {

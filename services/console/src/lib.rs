@@ -8,7 +8,7 @@
 //! [`access`] says who may come in, [`assets`] is the page, [`image`] what lies below the map. `shell` is everything else: sockets, the bus and the clock.
 //!
 //! What holds at all times:
-//! - A browser that reads nothing costs at most [`limits::MAX_WAITING_BYTES`], and nobody else any time.
+//! - A browser that reads nothing costs at most [`limits::MAX_WAITING_BYTES`], and no one else any time.
 //! - A browser is never sent anything but the newest state.
 //! - Who is no operator commands nothing, whatever the code in the browser is.
 

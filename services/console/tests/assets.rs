@@ -1,4 +1,4 @@
-//! The page in the program is the folder `web`, small enough, and asks nobody else for anything.
+//! The page in the program is the folder `web`, small enough, and asks no other host for anything.
 
 #![allow(
     clippy::unwrap_used,

@@ -1,4 +1,4 @@
-// A console that shows the certificate of a viewer, and whose code takes itself for an operator's, beside one that shows the
+// A console that shows the certificate of a viewer, and whose code takes itself for an operator's, next to one that shows the
 // certificate of an operator: the router tells them apart.
 //
 //   node certificate.mjs CHROMIUM ADDRESS_OF_VIEWER ADDRESS_OF_OPERATOR

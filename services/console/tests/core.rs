@@ -538,7 +538,7 @@ fn links_come_for_what_a_browser_asked_for_and_the_strongest_of_too_many() {
     let outputs = bench.text(1, &json!({"view": {"links": {"modality": "spatial"}}}));
     assert!(outputs.contains(&Output::Fetch(Fetch::Graph(Modality::spatial()))));
     bench.draw(1, outputs);
-    // A modality that the fleet does not have is asked for nobody.
+    // A modality that the fleet does not have is asked for no one.
     let outputs = bench.text(1, &json!({"view": {"links": {"modality": "gossip"}}}));
     assert!(!outputs.iter().any(|output| matches!(output, Output::Fetch(Fetch::Graph(_)))));
     bench.draw(1, outputs);
@@ -610,7 +610,7 @@ fn nothing_is_asked_for_while_nobody_looks() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever browsers send and in whatever order: nobody waits with more than is allowed, and a viewer commands nothing.
+    /// Whatever browsers send and in whatever order: no one waits with more than is allowed, and a viewer commands nothing.
     #[test]
     fn no_text_breaks_the_core(texts in prop::collection::vec(".{0,80}|\\{\"(credit|view|ask|command)\": [0-9a-z\"{}:, ]{0,60}\\}", 1..60)) {
         let mut bench = Bench::new();

@@ -1,4 +1,4 @@
-// How many frames of 10,000 robots a second the map draws, beside a plain Canvas 2D that draws the same dots; and how large
+// How many frames of 10,000 robots a second the map draws, next to a plain Canvas 2D that draws the same dots; and how large
 // the page is. Started by hand, on an idle machine:
 //
 //   target/debug/muster-console --serve 127.0.0.1:7480 &

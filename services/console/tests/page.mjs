@@ -50,7 +50,7 @@ export async function open(options = {}) {
         const now = Date.now;
         Date.now = () => now() + 3_600_000;
     });
-    // While the page is worked on it may be taken from its folder, without building the program anew.
+    // While the page is worked on it may be taken from its folder, without building the program again.
     if (process.env.MUSTER_WEB_FOLDER) {
         await context.route(/\.(js|css)$/, async (route) => {
             const response = await route.fetch({ maxRetries: 3 });

@@ -115,7 +115,7 @@ class Weights extends Component {
                 h("output", {}, fixed(weights[name]), weights[name] !== present[name] ? ` (is ${fixed(present[name])})` : ""))),
             h("div", { class: "line" },
                 h("button", { type: "button", id: "weights-set", disabled: !canCommand() || !this.state.weights, onClick: () =>
-                    confirmThen(`Weigh the modalities anew for ${fleetSize()}?`, () => {
+                    confirmThen(`Change the weights of the modalities for ${fleetSize()}?`, () => {
                         void change("weights", "embedder", { weights: rounded(weights) });
                         this.setState({ weights: null });
                     }) }, "Set weights"),

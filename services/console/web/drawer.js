@@ -9,7 +9,7 @@ import { now, select, state, teamOf } from "./state.js";
 import { Component, h } from "./vendor/preact.js";
 import { whatIf } from "./whatif.js";
 
-/** How often the reason is asked for anew, in milliseconds. */
+/** How often the reason is asked for again, in milliseconds. */
 const REASON_EVERY = 3000;
 
 /** @param {any} why */

@@ -78,7 +78,7 @@ export class History extends Component {
                     h("tbody", {}, past.teams.map((/** @type {any} */ team) => h("tr", { key: team.id },
                         h("th", { scope: "row" }, teamName(team.id)), h("td", {}, team.leader ?? "–"),
                         h("td", {}, `${team.members.length}: ${team.members.slice(0, 40).join(" ")}${team.members.length > 40 ? " …" : ""}`))))),
-                h("p", {}, `Without a team: ${past.unassigned.join(" ") || "nobody"}. Silent: ${past.stale.join(" ") || "nobody"}.`)) : null,
+                h("p", {}, `Without a team: ${past.unassigned.join(" ") || "none"}. Silent: ${past.stale.join(" ") || "none"}.`)) : null,
             h("h2", {}, "Time line"),
             h("ol", { class: "events", id: "time-line" }, list.map((row, number) => h("li", { key: number },
                 h("button", { class: "link", type: "button", onClick: () => this.#show(row.at) }, moment(row.at)), ` ${row.text}`))));

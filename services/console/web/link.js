@@ -58,7 +58,7 @@ async function reconnect() {
     socket.onclose = () => {
         state.socket = "closed";
         state.link = false;
-        // Nobody knows whether these were carried out. What the services say after the next start decides.
+        // No one knows whether these were carried out. What the services say after the next start decides.
         for (const { reject } of open.values()) reject(new Error("the console was lost before an answer came"));
         open.clear();
         changed();
@@ -95,7 +95,7 @@ export function sendView() {
     const { embedding, links } = state.view;
     const chosen = state.selected.size ? [...state.selected] : state.visible();
     const robots = (chosen ?? []).slice(0, MAX_LINK_ROBOTS);
-    // Where nobody is visible there is nothing to show.
+    // Where no one is visible there is nothing to show.
     const isShown = links && chosen?.length !== 0;
     send({ view: { embedding, links: isShown ? { modality: links, robots } : null } });
 }

@@ -16,7 +16,7 @@ const DENSITY_ABOVE = 2000;
 const MAX_LABELS = 80;
 /** Ages are written for no more missing robots than this. */
 const MAX_AGES = 100;
-/** How long the window stands still before links are asked for anew, in milliseconds. */
+/** How long the window stands still before links are asked for again, in milliseconds. */
 const ASK_AFTER = 250;
 /** A click this close to a robot means it, in pixels. */
 const REACH = 14;
@@ -436,7 +436,7 @@ export class MapView extends Component {
         const root = /** @type {HTMLElement} */ (this.root);
         [below, canvas, overlay] = /** @type {HTMLCanvasElement[]} */ ([...root.querySelectorAll("canvas")]);
         this.#open();
-        // A lost graphics card comes back, and everything is uploaded anew.
+        // A lost graphics card comes back, and everything is uploaded again.
         canvas.addEventListener("webglcontextlost", (event) => {
             event.preventDefault();
             painter = null;

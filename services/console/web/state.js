@@ -88,7 +88,7 @@ export const subscribe = (listener) => {
     listeners.add(listener);
 };
 
-/** Panels are drawn anew a few times a second, whatever arrives; a table of thousands of cells takes longer than a frame. */
+/** Panels are drawn again a few times a second, whatever arrives; a table of thousands of cells takes longer than a frame. */
 export function changed() {
     if (isScheduled) return;
     isScheduled = true;

@@ -57,7 +57,7 @@ function missing() {
     if (!count) return null;
     return h("section", { "aria-labelledby": "missing" },
         h("h2", { id: "missing" }, `Missing: ${counted(count, "robot")}`),
-        state.link ? null : h("p", { class: "warn" }, "The link to the router is lost: whether these robots are, nobody knows."),
+        state.link ? null : h("p", { class: "warn" }, "The link to the router is lost: the state of these robots is not known."),
         h("div", { class: "scroll", tabIndex: 0, role: "group", "aria-label": "Table" }, h("table", { id: "missing-robots" },
             h("thead", {}, h("tr", {}, ["robot", "is", "last seen", "team"].map((name) => h("th", { scope: "col" }, name)))),
             h("tbody", {}, robots.slice(0, MAX_LISTED).map((/** @type {any} */ one) => h("tr", { key: one.robot, "data-robot": one.robot },

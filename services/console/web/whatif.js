@@ -109,7 +109,7 @@ function quality(division) {
             h("td", { class: `number ${division.change[field] < 0 ? "warn" : ""}` }, signed(division.change[field]))))));
 }
 
-/** The live teams beside the proposed ones. @param {any} division */
+/** The live teams next to the proposed ones. @param {any} division */
 function teams(division) {
     const of = (/** @type {any[]} */ list) => new Map(list.map((one) => [one.id, one]));
     const [live, proposed] = [of(division.live_teams), of(division.teams)];
@@ -119,7 +119,7 @@ function teams(division) {
         h("td", { class: "number" }, fixed(one?.mean)),
         h("td", { class: "number" }, fixed(one?.least))];
     return h("table", { id: "if-teams" },
-        h("caption", {}, "The present division beside the proposed one"),
+        h("caption", {}, "The present division and the proposed one"),
         h("thead", {},
             h("tr", {}, h("th", { scope: "col", rowSpan: 2 }, "team"),
                 ["now", "proposed"].map((name) => h("th", { scope: "colgroup", colSpan: 3 }, name))),

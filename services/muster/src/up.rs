@@ -54,7 +54,7 @@ pub(crate) struct UpArgs {
 }
 
 impl UpArgs {
-    /// The port of the page, if it is wanted. One that nobody asked for is left out where its port is taken.
+    /// The port of the page, if it is wanted. One that no one asked for is left out where its port is taken.
     ///
     /// # Errors
     /// If an address makes no sense, or cannot be listened at.

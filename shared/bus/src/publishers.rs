@@ -19,7 +19,7 @@ const MAX_DECLARED_PER_SECOND: u32 = 100;
 /// Puts to keys that are declared one after the other, and until then by their text.
 ///
 /// A router that receives a message under the text of a key compares it with the keys of every robot, for each message
-/// anew (`Resource::get_matches` of Zenoh 1.10.2). A declared one it has compared once.
+/// again (`Resource::get_matches` of Zenoh 1.10.2). A declared one it has compared once.
 #[derive(Debug)]
 pub struct Publishers {
     bus: Bus,

@@ -69,7 +69,7 @@ pub struct Optimality {
     pub class_prices: Vec<PlacePrice>,
     /// The robots that are placed together with others: in groups, or for needs that are no limits of classes. The prices
     /// are those at which all others are where they are cheapest while these stay where they are; none stands for their own
-    /// places. Robots that are to be apart are not among them where that costs nobody anything: the prices stand for their
+    /// places. Robots that are to be apart are not among them where that costs no one anything: the prices stand for their
     /// places as well.
     pub jointly: Vec<usize>,
 }

@@ -267,7 +267,7 @@ impl Solved {
         Self::asked(text, options, &LimitOptions::default(), progress)
     }
 
-    /// The same within limits, wishes and needs beside those of the file.
+    /// The same within limits, wishes and needs in addition to those of the file.
     ///
     /// # Errors
     /// As of [`Solved::new`], and [`SolveError::Conflict`] if nothing satisfies what is asked.

@@ -74,7 +74,7 @@ impl WishOutcome {
 }
 
 impl Within {
-    /// What a place costs robots with a needed skill beside that, in the order of the labels.
+    /// What a place costs robots with a needed skill besides, in the order of the labels.
     pub(super) fn skill_prices(&self) -> &[SkillPrices] {
         &self.limited.skill_prices
     }

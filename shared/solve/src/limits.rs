@@ -34,7 +34,7 @@ pub struct LimitOptions {
     /// of what the file says.
     #[arg(long, value_name = "SKILL=COUNT,…", value_delimiter = ',', value_parser = written::need)]
     pub needs: Vec<Need>,
-    /// A wish beside those of the file: "pin r7 t2", "ban r7 t2", "together r1 r2", "apart r1 r2" or "reserve r9".
+    /// A wish in addition to those of the file: "pin r7 t2", "ban r7 t2", "together r1 r2", "apart r1 r2" or "reserve r9".
     /// May be repeated.
     #[arg(long, value_name = "WISH", value_parser = wish)]
     pub wish: Vec<Wish>,
@@ -81,7 +81,7 @@ fn refuse_lock(wish: &Wish) -> Option<String> {
     (wish.kind == WishKind::Lock).then(|| problem.to_owned())
 }
 
-/// What is asked beside the settings of the clusterer.
+/// What is asked in addition to the settings of the clusterer.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Asks {
     /// The wishes that count.
@@ -164,7 +164,7 @@ impl Asks {
     }
 }
 
-/// What readers know a wish by that nobody has named: its kind and its names.
+/// What readers know a wish by that no one has named: its kind and its names.
 fn name(wish: &Wish) -> String {
     let kind = std::iter::once(wish.kind.name().to_owned());
     let robots = wish.robots.iter().map(ToString::to_string);
@@ -193,7 +193,7 @@ pub(super) fn with_limits(file: &mut File, settings: ClustererSettings) -> Clust
 }
 
 impl Problem {
-    /// Asks for what is given with the command, beside and instead of what the file asks for.
+    /// Asks for what is given with the command, in addition to what the file asks for, or instead of it.
     ///
     /// # Errors
     /// Names the flag that is wrong.

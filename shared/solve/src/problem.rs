@@ -31,7 +31,7 @@ pub(super) struct Problem {
     /// From graphs to vectors; the weights are those of `graphs`, in which edges lead back already.
     pub(super) settings: EmbedderSettings,
     pub(super) division: Division,
-    /// What is asked of the teams beside the settings of the division.
+    /// What is asked of the teams in addition to the settings of the division.
     pub(super) asks: Asks,
     pub(super) emit: BTreeSet<Emit>,
     /// What was chosen by flags.

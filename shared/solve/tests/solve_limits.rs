@@ -236,7 +236,7 @@ fn random(seed: u64) -> Asked {
                 edges.push(json!([format!("r{i}"), format!("r{j}"), draw.random_range(0.1..2.0)]));
             }
         }
-        // Nobody is alone.
+        // No one is alone.
         edges.push(json!([format!("r{i}"), format!("r{}", (i + 1) % robots), 0.3]));
     }
     let mut seen = BTreeSet::new();

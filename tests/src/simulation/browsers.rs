@@ -262,7 +262,7 @@ impl World {
         let browsers = &mut self.browsers;
         browsers.console = Console::new(browsers.fleet.clone(), "simulated");
         browsers.life += 1;
-        // Whom the console before it knew as lost, nobody knows any more.
+        // Whom the console before it knew as lost, no one knows any more.
         browsers.seen.clear();
         let closed = std::mem::take(&mut browsers.pages);
         for _ in closed {
@@ -284,7 +284,7 @@ impl World {
         if !wanted.contains(&packet.key) {
             return;
         }
-        // Nobody believes what cannot be read.
+        // No one believes what cannot be read.
         let Ok(message) = Message::decode(&self.space, packet) else { return };
         let browsers = &mut self.browsers;
         let input = match message {

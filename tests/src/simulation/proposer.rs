@@ -18,7 +18,7 @@ use super::world::{Asker, Event, World};
 /// How long the reply to a get is waited for: the planner replies within three seconds.
 const REPLY_TIME: Micros = 5 * SECOND;
 
-/// How often an unanswered get is repeated: long enough for a planner that was killed, and then nobody waits any more.
+/// How often an unanswered get is repeated: long enough for a planner that was killed, and then no one waits any more.
 const MAX_TRIES: u32 = 8;
 
 /// How long all must have agreed before a proposal at rest is asked for, and after it is accepted before the

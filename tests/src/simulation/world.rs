@@ -621,7 +621,7 @@ impl World {
         is_rested && self.power_cut.is_none() && self.stands.is_none() && !self.operator.is_busy()
     }
 
-    /// Something changes on purpose: all have to agree anew.
+    /// Something changes on purpose: all have to agree again.
     pub(super) fn forget_agreement(&mut self) {
         self.quiet_since = self.now;
         self.settled = None;

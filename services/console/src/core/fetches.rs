@@ -10,7 +10,7 @@ use super::limits::{
     FETCH_TIMEOUT, PICTURE_PERIOD, SETTINGS_PERIOD, STATUS_PERIOD, WEIGHTS_PERIOD, WISHES_PERIOD,
 };
 
-/// What all browsers are shown, and nobody publishes by itself.
+/// What all browsers are shown, and no one publishes by itself.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Fetch {
     /// The states of all instances of services.
@@ -52,7 +52,7 @@ struct Asked {
 pub(super) struct Fetches(BTreeMap<Fetch, Asked>);
 
 impl Fetches {
-    /// What of the wanted is due now; it counts as asked for. What nobody wants is forgotten.
+    /// What of the wanted is due now; it counts as asked for. What no one wants is forgotten.
     pub(super) fn due(&mut self, now: Tick, wanted: Vec<Fetch>) -> Vec<Fetch> {
         self.0.retain(|fetch, _| wanted.contains(fetch));
         let is_due = |asked: &Asked, period: Duration| {

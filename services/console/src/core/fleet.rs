@@ -109,7 +109,7 @@ impl Fleet {
         self.lost.len() != before
     }
 
-    /// Makes the list of names anew where it has changed.
+    /// Makes the list of names again where it has changed.
     pub(super) fn relist(&mut self) {
         let present = self.roster.iter().flat_map(|roster| &roster.robots);
         let mut entries: Vec<&RosterEntry> =
@@ -278,7 +278,7 @@ impl Fleet {
         json!({"names": self.names, "of": self.lines.len(), "from": from, "robots": robots})
     }
 
-    /// Who is silent or has left, the ones that were heard last first.
+    /// Who is silent or has left, the ones that were received last first.
     pub(super) fn missing(&self) -> Value {
         let present = self.roster.iter().flat_map(|roster| &roster.robots);
         let stale = present.filter(|entry| entry.presence == Presence::Stale);

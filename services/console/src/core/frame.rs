@@ -73,7 +73,7 @@ pub struct Head {
 /// One robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dot {
-    /// Its place; none if nobody knows it.
+    /// Its place; none if no one knows it.
     pub place: Option<[f64; 2]>,
     /// The slot of its team, or [`NONE`].
     pub team: u16,

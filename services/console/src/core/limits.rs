@@ -45,7 +45,7 @@ pub const MAX_LOST: usize = 1024;
 /// How long they are: as long as `ingest` lists those that have left.
 pub const LOST_FOR: Duration = Duration::from_secs(3600);
 
-/// Most silent or lost robots that the topic `lost` lists, the ones that were heard last first.
+/// Most silent or lost robots that the topic `lost` lists, the ones that were received last first.
 pub const MAX_LOST_LISTED: usize = 512;
 
 /// How many events are kept for browsers that open later.
@@ -66,7 +66,7 @@ pub const WISHES_PERIOD: Duration = Duration::from_secs(2);
 /// How often the embedding and graphs are, while a browser shows them.
 pub const PICTURE_PERIOD: Duration = Duration::from_secs(1);
 
-/// How often the embedding is asked for while nobody shows it, for the weights that it was made with: seldom, as that of a
+/// How often the embedding is asked for while no one shows it, for the weights that it was made with: seldom, as that of a
 /// large fleet is a megabyte.
 pub const WEIGHTS_PERIOD: Duration = Duration::from_secs(10);
 

@@ -280,6 +280,6 @@ impl Console {
 
     fn close(&mut self, id: BrowserId) {
         self.browsers.remove(&id);
-        // A command that was sent is carried out or not, whoever still listens; its answer finds nobody.
+        // A command that was sent is carried out or not, whoever still listens; its answer finds no one.
     }
 }

@@ -42,7 +42,7 @@ impl Console {
             Ok(Request::Ask(ask)) => self.ask(now, id, &ask, outputs),
             Ok(Request::Propose(propose)) => self.propose(now, id, propose, outputs),
             Err(problem) => {
-                // The page of this version sends nothing that cannot be read; whatever sent it is told what is wrong.
+                // The page of this version sends nothing that cannot be read; whatever sent it learns what is wrong.
                 let problem = plain_reason(&problem);
                 let text = json!({"topic": "problem", "data": problem}).to_string();
                 browser.reply(text.into());

@@ -1,7 +1,7 @@
 //! The two main directions of the embedding, so that it can be drawn.
 //!
 //! Orthogonal iteration on the covariance, begun from the directions before: the picture neither flips nor turns from
-//! frame to frame, as the axes of a decomposition made anew would.
+//! frame to frame, as the axes of a decomposition made again would.
 
 use muster_model::embedding::Embedding;
 

@@ -76,7 +76,7 @@ impl Topics {
         self.versions[topic as usize]
     }
 
-    /// The text of a topic, which is made if nobody has needed it yet.
+    /// The text of a topic, which is made if no one has needed it yet.
     pub(super) fn text(&mut self, topic: Topic, make: impl FnOnce() -> Value) -> Arc<str> {
         let version = self.version(topic);
         let place = &mut self.texts[topic as usize];

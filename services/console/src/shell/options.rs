@@ -24,7 +24,7 @@ pub(super) const DEFAULT_ADDRESS: &str = "127.0.0.1:7480";
 /// Largest file of access in bytes.
 const MAX_FILE: u64 = 256 * 1024;
 
-/// Who commands from a console that asks nobody for a token, where nothing says another name.
+/// Who commands from a console that asks no one for a token, where nothing says another name.
 const DEFAULT_OPERATOR: &str = "operator";
 
 /// How the file of an operator's identity names it.
@@ -106,7 +106,7 @@ fn start(args: &ConsoleArgs) -> anyhow::Result<()> {
     if service::report(&args.process, &config, &[])? {
         if args.process.print_config {
             let who = match &options.door {
-                Door::Open(operator) => format!("everybody on this host, as {operator}"),
+                Door::Open(operator) => format!("everyone on this host, as {operator}"),
                 Door::Tokens(tokens) => format!("{} tokens", tokens.len()),
             };
             writeln!(std::io::stdout(), "# serves {} for {who}", options.address)?;
@@ -192,7 +192,7 @@ fn read(path: &Path) -> Result<AccessFile, ExitError> {
     toml::from_str(&text).map_err(|error: toml::de::Error| fail(error.message().to_owned()))
 }
 
-/// Who commands where nobody is asked for a token.
+/// Who commands where no one is asked for a token.
 fn operator(
     args: &ConsoleArgs,
     config: &ProcessConfig,

@@ -39,7 +39,7 @@ impl LocalPage {
     /// Listens at an address.
     ///
     /// # Errors
-    /// If nobody can, as another program does.
+    /// If no one can, as another program does.
     pub async fn listen(address: SocketAddr) -> std::io::Result<Self> {
         let listener = TcpListener::bind(address).await?;
         let address = listener.local_addr()?;

@@ -83,6 +83,6 @@ pub(super) async fn serve(upgraded: Upgraded, id: BrowserId, role: Role, shared:
         () = reading => {}
         () = writing => {}
     }
-    // The loop ends with the process, and then nobody needs to know.
+    // The loop ends with the process, and then no one needs to know.
     let _ = shared.happenings.send(Happening::Core(Input::Closed(id))).await;
 }
