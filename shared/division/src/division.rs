@@ -223,7 +223,8 @@ pub(crate) fn inertia(x: &DenseMatrix, labels: &[Option<usize>], centroids: &Den
         let centre = centroids.row((*label)?);
         Some(row.iter().zip(centre).map(|(x, mean)| (x - mean).powi(2)).sum::<f64>())
     });
-    squares.sum()
+    // The sum of nothing would be -0.
+    squares.fold(0.0, |sum, square| sum + square)
 }
 
 /// The mean row of each label.

@@ -181,7 +181,8 @@ fn grouped(
         centroids = means(x, &labels, &centroids)?;
     }
     let far = |(row, label): (&[f64], &Option<usize>)| Some(square(row, centroids.row((*label)?)));
-    let inertia = x.iter_rows().zip(&labels).filter_map(far).sum();
+    // The sum of nothing would be -0.
+    let inertia = x.iter_rows().zip(&labels).filter_map(far).fold(0.0, |sum, square| sum + square);
     Ok(Division { labels, centroids, inertia, iterations, converged })
 }
 
