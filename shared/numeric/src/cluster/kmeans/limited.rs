@@ -12,6 +12,8 @@ mod places;
 mod seeding;
 mod start;
 
+use std::collections::BTreeSet;
+
 use rayon::prelude::*;
 use thiserror::Error;
 
@@ -22,7 +24,7 @@ use crate::assignment::{AssignmentError, Column, CostError, CostMatrix, ValidRul
 use crate::linalg::matrix::DenseMatrix;
 use crate::linalg::parallel::Threads;
 use crate::linalg::vector::squared_distance;
-use start::{Divided, Task};
+use start::{Divided, Later, Task};
 
 /// What a division has to respect.
 #[derive(Debug, Clone, Copy)]
@@ -124,20 +126,27 @@ impl ValidKMeansOptions<'_> {
         {
             return Ok(finished(kept, limits.rules, true));
         }
-        let mut best = threads.run(|| task.restart(0))?;
+        let mut visited = BTreeSet::new();
+        let visit = |key: u64| {
+            visited.insert(key);
+            Ok::<(), LimitedKMeansError>(())
+        };
+        let mut best = threads.run(|| task.start(0, visit))?;
         let parallel = threads.count() > 1;
         let batch = if parallel { threads.count() * RESTARTS_PER_THREAD } else { 1 };
         for first in (1..options.restarts).step_by(batch) {
             let numbers = first..options.restarts.min(first + batch);
-            let run = |number: usize| task.restart(number as u64);
-            let found: Result<Vec<Divided>, LimitedKMeansError> = threads.run(|| match parallel {
+            let run = |number: usize| task.later_start(number as u64, &visited);
+            let found: Result<Vec<Later>, LimitedKMeansError> = threads.run(|| match parallel {
                 true => numbers.into_par_iter().map(run).collect(),
                 false => numbers.map(run).collect(),
             });
-            for next in found? {
-                if next.shortfall < best.shortfall
-                    || next.shortfall == best.shortfall
-                        && next.inertia < best.inertia * (1.0 - INERTIA_TIE)
+            for Later { visited: keys, found } in found? {
+                visited.extend(keys);
+                if let Some(next) = found
+                    && (next.shortfall < best.shortfall
+                        || next.shortfall == best.shortfall
+                            && next.inertia < best.inertia * (1.0 - INERTIA_TIE))
                 {
                     best = next;
                 }
@@ -214,4 +223,64 @@ fn spread(x: &DenseMatrix) -> f64 {
 fn cost_unit(points: &Points<'_>) -> f64 {
     // No two points, and no point and a mean, are further apart than twice the longest centred row.
     CostMatrix::unit_for(4.0 * points.squares.iter().fold(0.0, |a: f64, b| a.max(*b)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::assignment::{Bounds, Rules};
+    use crate::cluster::kmeans::options::Init;
+
+    /// A number from 0 to 1 for each pair of numbers.
+    fn noise(a: u64, b: u64) -> f64 {
+        let mixed = (a << 32 | b).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        ((mixed ^ mixed >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 11) as f64 / 2_f64.powi(53)
+    }
+
+    #[test]
+    fn starts_that_are_left_out_would_have_found_nothing_better() {
+        let mut left_out = 0;
+        for case in 0..30 {
+            let at = |row: usize, column: usize| noise(case, (2 * row + column) as u64);
+            let x = DenseMatrix::from_fn(40, 2, |row, column| {
+                at(row, column) + if case % 2 == 0 { 3.0 * (row % 4) as f64 } else { 0.0 }
+            });
+            let rules = Rules { teams: vec![Bounds::new(5, 12); 4], ..Rules::new(40, 4) };
+            let rules = rules.check().unwrap();
+            let options = KMeansOptions {
+                clusters: 4,
+                init: Init::PlusPlus,
+                restarts: 30,
+                max_iterations: 100,
+                seed: case,
+                warm_labels: None,
+                hysteresis: 0.0,
+                threads: 1,
+            };
+            let options = options.check().unwrap();
+            let limits = KMeansLimits {
+                rules: &rules,
+                reserve_cost: 0.0,
+                previous: None,
+                refine_only: false,
+            };
+            let found = options.divide_within(&x, &limits).unwrap();
+            let points = Points::new(&x, 1);
+            let task = Task::new(&points, options.get(), &limits);
+            let mut visited = BTreeSet::new();
+            for number in 0..30 {
+                let every = task.start(number, |_| Ok::<(), LimitedKMeansError>(())).unwrap();
+                assert!(
+                    found.inertia <= every.inertia * (1.0 + 2.0 * INERTIA_TIE),
+                    "case {case}, start {number}: {} and {}",
+                    found.inertia,
+                    every.inertia
+                );
+                let later = task.later_start(number, &visited).unwrap();
+                left_out += usize::from(later.found.is_none());
+                visited.extend(later.visited);
+            }
+        }
+        assert!(left_out > 200, "{left_out} of 900 starts were left out");
+    }
 }

@@ -1,5 +1,8 @@
 //! One start under limits: seeding, exact assignments, exchanges.
 
+use std::collections::BTreeSet;
+use std::hash::{DefaultHasher, Hash, Hasher};
+
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -28,6 +31,34 @@ pub(super) struct Divided {
     pub(super) converged: bool,
     /// Prices of the robots that soft minima lack.
     pub(super) shortfall: i128,
+}
+
+/// What a cold start that is not the first came to.
+pub(super) struct Later {
+    /// The keys of the labels that it had.
+    pub(super) visited: Vec<u64>,
+    /// None if a start before it had the same labels.
+    pub(super) found: Option<Divided>,
+}
+
+/// Why a start has no division.
+enum Ended {
+    /// A start before it had the same labels.
+    Known,
+    Failed(LimitedKMeansError),
+}
+
+impl From<LimitedKMeansError> for Ended {
+    fn from(error: LimitedKMeansError) -> Self {
+        Self::Failed(error)
+    }
+}
+
+/// Two lists of labels with the same key are the same, but for one pair in 2⁶⁴: then a start is missed.
+fn key_of(labels: &[u32]) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    labels.hash(&mut hasher);
+    hasher.finish()
 }
 
 /// What all starts have in common.
@@ -102,8 +133,31 @@ impl<'a> Task<'a> {
         }
     }
 
-    /// Cold start `number`.
-    pub(super) fn restart(&self, number: u64) -> Result<Divided, LimitedKMeansError> {
+    /// Cold start `number`, from the labels of which on it only follows the way of a start before it: it ends there.
+    pub(super) fn later_start(
+        &self,
+        number: u64,
+        before: &BTreeSet<u64>,
+    ) -> Result<Later, LimitedKMeansError> {
+        let mut visited = Vec::new();
+        let visit = |key: u64| {
+            visited.push(key);
+            if before.contains(&key) { Err(Ended::Known) } else { Ok(()) }
+        };
+        let found = match self.start(number, visit) {
+            Ok(found) => Some(found),
+            Err(Ended::Known) => None,
+            Err(Ended::Failed(error)) => return Err(error),
+        };
+        Ok(Later { visited, found })
+    }
+
+    /// Cold start `number`. `visit` is told the key of all labels from which the rest follows.
+    pub(super) fn start<E: From<LimitedKMeansError>>(
+        &self,
+        number: u64,
+        mut visit: impl FnMut(u64) -> Result<(), E>,
+    ) -> Result<Divided, E> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.options.seed);
         rng.set_stream(number);
         let seeds = match self.options.init {
@@ -126,6 +180,9 @@ impl<'a> Task<'a> {
                 let next = self.assigned(&centroids, &mut assigner, 1.0)?;
                 let same = next == labels;
                 labels = next;
+                if self.is_full(&labels) {
+                    visit(key_of(&labels))?;
+                }
                 self.update_means(&labels, &mut centroids);
                 let inertia = self.inertia(&labels, &centroids);
                 // Rounding of costs could make assignments alternate for ever.
@@ -151,6 +208,13 @@ impl<'a> Task<'a> {
                 });
             }
         }
+    }
+
+    /// Whether each team has points, so that their means follow from the labels alone.
+    fn is_full(&self, labels: &[u32]) -> bool {
+        let mut has_points = vec![false; self.limits.rules.get().columns()];
+        labels.iter().for_each(|label| has_points[*label as usize] = true);
+        has_points[..self.teams()].iter().all(|has| *has)
     }
 
     /// The previous division, brought within the limits where it is not, and refined; `None` if there was none.
