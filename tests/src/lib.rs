@@ -4,8 +4,8 @@
 //! would, without Muster's own code between a test and the bus; [`process`] starts, kills and
 //! stops programs; [`cluster`] is a router with the four services, each of which can be killed alone;
 //! [`hosts`] puts them on three hosts and breaks the links between; [`manager`] is what they report
-//! to a service manager; [`process_stats`] is what they take; [`latency`] measures the way from a pose
-//! to a team.
+//! to a service manager; [`process_stats`] is what they take; [`neighbours`] keep the processors busy;
+//! [`latency`] measures the way from a pose to a team.
 //!
 //! And the [`simulation`]: the cores of all services in one thread, on a virtual bus, with seeded
 //! faults.
@@ -16,6 +16,7 @@ pub mod cluster;
 pub mod hosts;
 pub mod latency;
 pub mod manager;
+pub mod neighbours;
 pub mod process;
 pub mod process_stats;
 pub mod relay;

@@ -1,10 +1,10 @@
 //! Hosts that are busy with other work: divisions become rarer, and never stop.
 
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use muster_tests::client::division;
 use muster_tests::cluster::Cluster;
+use muster_tests::neighbours::Neighbours;
 use serde_json::Value;
 
 use crate::pipeline::FORMED_WITHIN;
@@ -25,30 +25,6 @@ const ROBOTS: usize = 200;
 
 const SCENARIO: [&str; 6] = ["--scenario", "clusters", "--teams", "4", "--robots", "200"];
 
-/// Processes that keep all processors busy until they are dropped.
-struct Neighbours(Vec<Child>);
-
-impl Neighbours {
-    fn start() -> Self {
-        let processors = std::thread::available_parallelism().map_or(2, usize::from);
-        let busy = |_| {
-            let mut shell = Command::new("sh");
-            shell.args(["-c", "while :; do :; done"]).stdin(Stdio::null());
-            shell.spawn().unwrap()
-        };
-        Self((0..BUSY_PER_PROCESSOR * processors).map(busy).collect())
-    }
-}
-
-impl Drop for Neighbours {
-    fn drop(&mut self) {
-        for child in &mut self.0 {
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn divisions_go_on_while_every_processor_is_busy() {
     let cluster = Cluster::start("alpha", &[("clusterer", "teams=4")]).unwrap();
@@ -57,7 +33,7 @@ async fn divisions_go_on_while_every_processor_is_busy() {
     let teams = client.watch("json/teams").await.unwrap();
     let has_all = |value: &Value| division(value).len() == ROBOTS;
     teams.until("a division of the fleet", 3 * FORMED_WITHIN, has_all).await.unwrap();
-    let neighbours = Neighbours::start();
+    let neighbours = Neighbours::start(BUSY_PER_PROCESSOR).unwrap();
     let start = Instant::now();
     // When the data of the newest division left `ingest`, and the longest time without newer data.
     let (mut newest, mut since, mut longest, mut divisions) = (now(), now(), 0.0_f64, 0);

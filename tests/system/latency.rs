@@ -14,6 +14,7 @@ async fn every_pose_is_followed_to_a_division() {
         settles: Duration::from_secs(1),
         lasts: Duration::from_secs(4),
         settings: vec![("ingest".to_owned(), "tick_hz=20".to_owned())],
+        busy: 0,
     };
     let measured = run_plan::run(&plan, |_| {}).await.unwrap();
     // Other tests run at the same time: bounds on time are generous.
@@ -26,6 +27,7 @@ async fn every_pose_is_followed_to_a_division() {
     assert!(ways.whole.iter().chain(&ways.beyond).all(|ms| (0.0..5_000.0).contains(ms)));
     assert!(ways.held.iter().all(|ms| *ms >= 0.0));
     assert!(measured.divisions.iter().all(|division| division.robots == 12));
+    assert!((1.0..4_500.0).contains(&measured.longest_pause()), "{}", measured.longest_pause());
     assert!(measured.ages().iter().all(|(_, age)| *age > 0.0));
     assert!(measured.round_trip.iter().all(|trip| trip.p50 > 0.0 && trip.p50 <= trip.p99));
     let names: Vec<_> = measured.taken.iter().map(|taken| taken.name).collect();

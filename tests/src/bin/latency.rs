@@ -24,7 +24,8 @@ const SETTLING_TIME: Duration = Duration::from_secs(5);
 #[command(
     after_help = "Examples:\n  tests/peers/latency                                all sizes, 60 s each\n  \
 tests/peers/latency --robots 500 --seconds 20\n  tests/peers/latency --set embedder.dimension=8\n  \
-tests/peers/latency --set clusterer.teams=5            with a number of teams that is given"
+tests/peers/latency --set clusterer.teams=5            with a number of teams that is given\n  \
+tests/peers/latency --busy 1                       next to a busy process for each processor"
 )]
 struct Options {
     /// Sizes of the fleet, one run for each
@@ -43,6 +44,10 @@ struct Options {
     /// Change a setting of a service, such as ingest.tick_hz=20
     #[arg(long, value_name = "SERVICE.FIELD=VALUE")]
     set: Vec<String>,
+    /// Measure each size a second time, while so many other processes compute for each processor
+    #[arg(long, default_value_t = 0, value_name = "PROCESSES",
+          value_parser = clap::value_parser!(u8).range(0..=16))]
+    busy: u8,
     /// Where the page goes; standard output without it. Its picture has the same name with .svg
     #[arg(long, value_name = "FILE.md")]
     out: Option<PathBuf>,
@@ -73,15 +78,20 @@ fn plans(options: &Options) -> anyhow::Result<Vec<RunPlan>> {
         Ok((service.to_owned(), rest.to_owned()))
     };
     let settings = options.set.iter().map(parted).collect::<anyhow::Result<Vec<_>>>()?;
-    let plan = |robots: &u32| RunPlan {
-        robots: *robots as usize,
+    let plan = |robots: u32, busy: u8| RunPlan {
+        robots: robots as usize,
         teams: options.teams as usize,
         rate_hz: options.rate,
         settles: SETTLING_TIME,
         lasts: Duration::from_secs(options.seconds),
         settings: settings.clone(),
+        busy: busy.into(),
     };
-    Ok(options.robots.iter().map(plan).collect())
+    let runs = options.robots.iter().flat_map(|robots| {
+        let alone = std::iter::once(plan(*robots, 0));
+        alone.chain((options.busy > 0).then(|| plan(*robots, options.busy)))
+    });
+    Ok(runs.collect())
 }
 
 #[tokio::main]
@@ -123,7 +133,8 @@ async fn main() -> anyhow::Result<ExitCode> {
     if let Some(picture) = &picture {
         std::fs::write(picture, report::plot(&all))?;
     }
-    let missed: Vec<_> = all.iter().flat_map(report::goals).filter(|goal| !goal.reached).collect();
+    let mut missed = report::goals(&all);
+    missed.retain(|goal| !goal.reached);
     for goal in &missed {
         writeln!(std::io::stderr(), "missed: {}: {}", goal.wanted, goal.measured)?;
     }

@@ -22,6 +22,10 @@ const MIN_DIVISION_RATE_HZ: f64 = 2.0;
 /// noticed, and a fit through some hundred divisions is not better than that.
 const MAX_AGE_GROWTH_MS: f64 = 100.0;
 
+/// With busy neighbours, divisions may rest on data that is so many times as old as without, and no older: the
+/// rate falls in proportion to the processor time that is left, and never to nothing.
+const MAX_BUSY_AGE_RATIO: f64 = 10.0;
+
 /// A goal, what was measured, and whether it is reached.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Goal {
@@ -33,9 +37,37 @@ pub struct Goal {
     pub reached: bool,
 }
 
-/// The goals of a run.
+/// The goals of all runs.
 #[must_use]
-pub fn goals(measured: &Measured) -> Vec<Goal> {
+pub fn goals(all: &[Measured]) -> Vec<Goal> {
+    let (busy, alone): (Vec<_>, Vec<_>) = all.iter().partition(|measured| measured.plan.busy > 0);
+    let mut goals: Vec<_> = alone.iter().flat_map(|measured| goals_alone(measured)).collect();
+    for measured in busy {
+        let same = alone.iter().find(|other| other.plan.robots == measured.plan.robots);
+        goals.extend(same.map(|alone| goal_busy(alone, measured)));
+    }
+    goals
+}
+
+/// That divisions go on with neighbours: how long until the next one, next to the age of the data without them.
+fn goal_busy(alone: &Measured, busy: &Measured) -> Goal {
+    let p50 = |measured: &Measured| Spread::of(measured.ages().into_iter().map(|(_, age)| age)).p50;
+    let most = MAX_BUSY_AGE_RATIO * p50(alone);
+    let pause = busy.longest_pause();
+    let oldest = busy.ages().into_iter().map(|(_, age)| age).fold(0.0, f64::max);
+    Goal {
+        wanted: format!(
+            "{} robots, with neighbours: divisions at most {most:.0} ms apart, and their data no older \
+             ({MAX_BUSY_AGE_RATIO} times its age without them)",
+            busy.plan.robots
+        ),
+        measured: format!("{pause:.0} ms apart, data {oldest:.0} ms old"),
+        reached: pause <= most && oldest <= most,
+    }
+}
+
+/// The goals of a run without neighbours.
+fn goals_alone(measured: &Measured) -> Vec<Goal> {
     let robots = measured.plan.robots;
     let mut goals = Vec::new();
     for (_, most) in GOALS_MS.iter().filter(|(of, _)| *of == robots) {
@@ -143,8 +175,8 @@ pub fn page(
         let settings = plan.settings.iter().map(|(service, set)| format!(", {service} {set}"));
         writeln!(
             page,
-            "- {} robots: march in {} teams, {} poses per second each, {:.0} s{}",
-            plan.robots,
+            "- {}: march in {} teams, {} poses per second each, {:.0} s{}",
+            robots(measured),
             plan.teams,
             plan.rate_hz,
             measured.seconds,
@@ -170,7 +202,8 @@ A router, the four services and all robots run as processes of one host, over TC
 default settings, by which the number of teams is chosen as well. The robots march in squads and move with every pose; \
 each has a phase of its own. They join 1,000 a second. They also put links twice a second and ranks \
 once. The heading of a pose is its number, which the roster contains, and the header of each division \
-names its frame: which poses are in a division is known, not estimated.
+names its frame: which poses are in a division is known, not estimated. *busy*: so many other processes for each processor \
+compute all the time.
 
 - **pose → division**: from the put of a pose to the arrival, at a client of the same router, of the \
 first message on `teams` that uses it or, if the robot has put another meanwhile, that one.
@@ -184,9 +217,17 @@ processes that do nothing else; without robots (idle), and with them (loaded).
 All times are in milliseconds.
 ";
 
+/// How many robots a run had, and whether it had neighbours.
+fn robots(measured: &Measured) -> String {
+    match measured.plan.busy {
+        0 => format!("{} robots", measured.plan.robots),
+        busy => format!("{} robots, {busy} busy", measured.plan.robots),
+    }
+}
+
 fn goals_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
     writeln!(page, "## Goals\n\n| goal | measured | |\n| --- | --- | --- |")?;
-    for goal in all.iter().flat_map(goals) {
+    for goal in goals(all) {
         let verdict = if goal.reached { "reached" } else { "**missed**" };
         writeln!(page, "| {} | {} | {verdict} |", goal.wanted, goal.measured)?;
     }
@@ -205,7 +246,7 @@ fn ways_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
         writeln!(
             page,
             "| {} | {:.1} | {} | {} | {} ({}) | {:.2} / {:.2} | {:.2} / {:.2} |",
-            measured.plan.robots,
+            robots(measured),
             measured.rate(),
             spread(Spread::of(measured.ways.whole.iter().copied())),
             spread(Spread::of(measured.ways.beyond.iter().copied())),
@@ -222,12 +263,16 @@ fn ways_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
 
 fn ages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
     writeln!(page, "## Age of the data at the decision\n")?;
-    writeln!(page, "| robots | p50 | p99 | max | growth, ms per minute |")?;
-    writeln!(page, "| --- | --- | --- | --- | --- |")?;
+    writeln!(
+        page,
+        "| robots | p50 | p99 | max | growth, ms per minute | longest pause between divisions |"
+    )?;
+    writeln!(page, "| --- | --- | --- | --- | --- | --- |")?;
     for measured in all {
         let ages = Spread::of(measured.ages().into_iter().map(|(_, age)| age));
         let growth = measured.growth();
-        writeln!(page, "| {} | {} | {growth:+.1} |", measured.plan.robots, spread(ages))?;
+        let pause = measured.longest_pause();
+        writeln!(page, "| {} | {} | {growth:+.1} | {pause:.1} |", robots(measured), spread(ages))?;
     }
     writeln!(page)
 }
@@ -238,7 +283,7 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
         let cells: Vec<_> = all.iter().map(of).collect();
         writeln!(page, "| {name} | {} |", cells.join(" | "))
     };
-    row("robots", &|measured| measured.plan.robots.to_string())?;
+    row("robots", &robots)?;
     row("---", &|_| "---".to_owned())?;
     row("robot → ingest", &|measured| pair(Spread::of(measured.ways.to_ingest.iter().copied())))?;
     row("in ingest until the frame", &|measured| {
@@ -264,13 +309,13 @@ fn stages_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
          previous job.\n"
     )?;
     for measured in all {
-        let robots = measured.plan.robots;
+        let robots = robots(measured);
         let modes: Vec<_> =
             measured.modes.iter().map(|(mode, count)| format!("{count} {mode}")).collect();
         let (least, most) = measured.dimensions;
         writeln!(
             page,
-            "- {robots} robots: {:.1} embeddings/s ({}), vectors of length {least} to {most}, largest \
+            "- {robots}: {:.1} embeddings/s ({}), vectors of length {least} to {most}, largest \
              residual {:.1e}; {:.1} audits/s",
             measured.modes.values().sum::<usize>() as f64 / measured.seconds,
             modes.join(", "),
@@ -297,7 +342,7 @@ fn poses_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
         writeln!(
             page,
             "| {} | {} | {:.0} | {} | {} | {} | {} | {} | {} |",
-            measured.plan.robots,
+            robots(measured),
             measured.poses,
             measured.poses as f64 / measured.seconds,
             measured.ways.beyond.len(),
@@ -322,7 +367,7 @@ fn processes_table(page: &mut String, all: &[Measured]) -> std::fmt::Result {
             .taken
             .iter()
             .map(|taken| format!(" {:.1} / {:.0} |", taken.processors * 100.0, taken.memory));
-        writeln!(page, "| {} |{}", measured.plan.robots, cells.collect::<String>())?;
+        writeln!(page, "| {} |{}", robots(measured), cells.collect::<String>())?;
     }
     writeln!(
         page,
@@ -355,11 +400,11 @@ pub fn plot(all: &[Measured]) -> String {
         let places: Vec<_> = places.collect();
         svg += &format!(
             "<polyline fill=\"none\" stroke=\"{colour}\" points=\"{}\"/>\n<text x=\"{}\" y=\"{}\" \
-             fill=\"{colour}\">{} robots</text>\n",
+             fill=\"{colour}\">{}</text>\n",
             places.join(" "),
             WIDTH + 6.0,
             40 + 18 * number,
-            measured.plan.robots
+            robots(measured)
         );
     }
     svg + "</svg>\n"

@@ -13,6 +13,7 @@ use super::listen::{Listener, Received};
 use super::{echo, now_us};
 use crate::client::Client;
 use crate::cluster::{Cluster, SERVICES};
+use crate::neighbours::Neighbours;
 use crate::process::Process;
 use crate::process_stats::{ProcessStats, process_stats, quantile, slope};
 
@@ -48,6 +49,8 @@ pub struct RunPlan {
     pub lasts: Duration,
     /// Changes of settings, such as `("ingest", "tick_hz=20")`.
     pub settings: Vec<(String, String)>,
+    /// How many other processes compute all the time, for each processor, from before the robots join.
+    pub busy: usize,
 }
 
 /// Some percentiles.
@@ -91,6 +94,8 @@ pub struct Taken {
 pub struct Measured {
     /// What was run.
     pub plan: RunPlan,
+    /// When it was measured, in microseconds since 1970.
+    pub window: (u64, u64),
     /// How long was measured, in seconds.
     pub seconds: f64,
     /// Poses that were put.
@@ -150,6 +155,22 @@ impl Measured {
         self.divisions.iter().filter_map(age).collect()
     }
 
+    /// The longest time in milliseconds without a division of newer data than those before, from the beginning of
+    /// what was measured to its end.
+    #[must_use]
+    pub fn longest_pause(&self) -> f64 {
+        let (begin, end) = self.window;
+        let (mut newest, mut since, mut longest) = (0, begin, 0);
+        for division in &self.divisions {
+            let made = division.stages[0].1;
+            if made > newest {
+                longest = longest.max(division.arrived.saturating_sub(since));
+                (newest, since) = (made, division.arrived);
+            }
+        }
+        longest.max(end.saturating_sub(since)) as f64 / 1e3
+    }
+
     /// By how many milliseconds the age grows in a minute, by the straight line that fits best.
     #[must_use]
     pub fn growth(&self) -> f64 {
@@ -182,6 +203,7 @@ pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Me
     }
     let size = drive::pose_json([100.0; 2], 100, "0123456789abc", now_us()).len();
     let (idle, _) = echo::ping(&client, size, plan.settles).await?;
+    let neighbours = Neighbours::start(plan.busy)?;
 
     let listener = Listener::start(&client, robots).await?;
     let folder = cluster.folder().join("robots");
@@ -215,6 +237,7 @@ pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Me
     let samples = watch(&processes, plan.lasts).await?;
     let window = (window, now_us());
     let (loaded, pings_missing) = pinging.await??;
+    drop(neighbours);
 
     drive::stop(&folder)?;
     let mut puts = None;
@@ -295,6 +318,7 @@ fn measured(
     }
     Measured {
         plan: plan.clone(),
+        window,
         seconds: (window.1 - window.0) as f64 / 1e6,
         poses,
         ways,
