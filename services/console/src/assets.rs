@@ -34,6 +34,7 @@ impl Asset {
         SCRIPT "colors.js",
         SCRIPT "confirm.js",
         SCRIPT "control.js",
+        SCRIPT "density.js",
         SCRIPT "drawer.js",
         SCRIPT "format.js",
         SCRIPT "frame.js",

@@ -13,12 +13,13 @@ layout(location = 2) in float heading;
 layout(location = 3) in float flags;
 layout(location = 4) in float mark;
 uniform vec2 origin, scale, shift;
-uniform float width, size, lightest;
+uniform float width, size, lightest, sized;
 uniform sampler2D teams;
 out vec3 color;
 out float angle;
 flat out int state, chosen;
 out float faint;
+flat out float across;
 void main() {
     bool placed = cell.x < 65534.5;
     vec2 at = (origin + cell * width) * scale + shift;
@@ -27,7 +28,10 @@ void main() {
     chosen = int(mark) & 1;
     faint = (int(mark) & 2) != 0 ? 0.12 : 1.0;
     bool lead = (state & 16) != 0;
-    gl_PointSize = size * (lead ? 1.35 : 1.0) * (chosen == 1 ? 1.25 : 1.0);
+    across = size * (lead ? 1.35 : 1.0) * (chosen == 1 ? 1.25 : 1.0);
+    // A disc of a map of density has its size in the upper six bits of the mark.
+    if (sized > 0.5) across = size * (0.25 + 0.75 * float(int(mark) >> 2) / 63.0);
+    gl_PointSize = across;
     color = slot > 65534.5 ? vec3(lightest) : texelFetch(teams, ivec2(int(slot) % ${MAX_TEAMS}, 0), 0).rgb;
     if ((state & 3) != 0) color = vec3(0.55);
     angle = heading > 254.5 ? -1.0 : heading / 255.0 * 6.2831853;
@@ -39,7 +43,8 @@ in vec3 color;
 in float angle;
 flat in int state, chosen;
 in float faint;
-uniform float size, alpha;
+flat in float across;
+uniform float alpha;
 uniform vec3 ink, ground;
 out vec4 pixel;
 void main() {
@@ -48,8 +53,8 @@ void main() {
     if (far > 1.0) discard;
     vec3 fill = color;
     float shown = alpha;
-    if (size > 7.0) {
-        float rim = 1.0 - 3.6 / size;
+    if (across > 7.0) {
+        float rim = 1.0 - 3.6 / across;
         float turn = atan(at.y, at.x);
         if (far > rim) {
             // The outline says the state: white-on-dark for a choice, dashes for silence, dots for what is provisional.
@@ -60,11 +65,11 @@ void main() {
             if (chosen == 1) fill = ink;
         } else if ((state & 2) != 0) {
             // Lost: a cross.
-            if (min(abs(at.x - at.y), abs(at.x + at.y)) < 2.4 / size) fill = ground;
-        } else if (angle >= 0.0 && size > 9.0) {
+            if (min(abs(at.x - at.y), abs(at.x + at.y)) < 2.4 / across) fill = ground;
+        } else if (angle >= 0.0 && across > 9.0) {
             vec2 way = vec2(cos(angle), -sin(angle));
             float along = dot(at, way);
-            if (along > 0.0 && length(at - way * along) < 2.2 / size) fill = ground;
+            if (along > 0.0 && length(at - way * along) < 2.2 / across) fill = ground;
         }
         if ((state & 16) != 0 && far < 0.28) fill = ink;
     } else if (chosen == 1) {
@@ -180,10 +185,11 @@ export class Painter {
      * @param {Float32Array} what.ends x, y and weight of each end of each line
      * @param {[number, number]} what.scale @param {[number, number]} what.shift to the corners of the canvas at ±1
      * @param {[number, number]} what.middle what lies in the middle; lines count from there
-     * @param {number} what.size of a point in pixels @param {number} what.alpha
+     * @param {number} what.size of a point in pixels, the largest if `sized` @param {number} what.alpha
+     * @param {boolean} [what.sized] whether the marks have a size for each point
      * @param {[number, number, number]} what.ink @param {[number, number, number]} what.ground
      */
-    paint({ frame, ends, scale, shift, middle, size, alpha, ink, ground }) {
+    paint({ frame, ends, scale, shift, middle, size, alpha, sized = false, ink, ground }) {
         const { gl } = this;
         gl.viewport(0, 0, gl.drawingBufferWidth, gl.drawingBufferHeight);
         gl.clearColor(ground[0], ground[1], ground[2], 0);
@@ -201,7 +207,7 @@ export class Painter {
             // The card counts in single precision: what is far from the origin is brought near before.
             const origin = [frame.origin[0] - middle[0], frame.origin[1] - middle[1]];
             this.#set(this.points, {
-                origin, scale, shift, width: frame.cell, size, alpha, ink, ground, lightest: 0.75,
+                origin, scale, shift, width: frame.cell, size, alpha, sized: Number(sized), ink, ground, lightest: 0.75,
             });
             gl.bindTexture(gl.TEXTURE_2D, this.teams);
             gl.bindVertexArray(this.pointArray);

@@ -1,6 +1,7 @@
 // The map: one canvas for robots and links, and one above it for the grid, the scale, names and the box of a selection.
 
 import { teamColor } from "./colors.js";
+import { discs, SQUARE } from "./density.js";
 import { age } from "./format.js";
 import { flagsOf, hasPlace, HELD, LEADER, LOST, PINNED, placeOf, PROVISIONAL, slotOf, STALE } from "./frame.js";
 import { Painter } from "./gl.js";
@@ -10,7 +11,7 @@ import { changed, now, select, state } from "./state.js";
 
 /** @typedef {import("./frame.js").Frame} Frame */
 
-/** Above so many robots, points are small and half transparent, so that many in one place are seen as many. */
+/** Where more robots than this are in the window, it shows how many are where, and not each of them. */
 const DENSITY_ABOVE = 2000;
 /** Names are written for no more robots than this. */
 const MAX_LABELS = 80;
@@ -40,9 +41,10 @@ let below = null;
 let box = null;
 /** The list of teams and the theme whose colours the card has. */
 let painted = "";
-/** How many turns were drawn, and when the last hundred were; the tests read it. */
-/** @type {{count: number, at: number[], ages: number[]}} */
-export const drawn = { count: 0, at: [], ages: [] };
+/** How many turns were drawn, when the last hundreds were and how old they were, and how many discs of density stood for
+ * the robots; the tests read it. */
+/** @type {{count: number, at: number[], ages: number[], discs: number}} */
+export const drawn = { count: 0, at: [], ages: [], discs: 0 };
 
 const frameNow = () => (state.view.embedding ? state.embedding : state.ground);
 
@@ -167,6 +169,15 @@ function lineEnds() {
     return ends.subarray(0, length);
 }
 
+/** The map of density; none if few enough robots are in the window. @param {Frame} frame @param {number} width @param {number} height */
+function density(frame, width, height) {
+    const [left, top] = toGround(0, 0);
+    const pixel = 1 / (view.zoom * frame.cell);
+    const corner = /** @type {[number, number]} */ ([(left - frame.origin[0]) / frame.cell, (top - frame.origin[1]) / frame.cell]);
+    const made = discs(frame, marks(), corner, pixel, [width, height]);
+    return made.robots > DENSITY_ABOVE ? made : null;
+}
+
 /** Draws the newest state. */
 export function draw() {
     if (!canvas || !overlay || !below || !painter) return;
@@ -187,17 +198,20 @@ export function draw() {
         painter.setTeams(ids.map(teamColor));
         painted = key;
     }
-    if (frame) painter.setRobots(proposed(frame), marks());
-    const isDense = (frame?.count ?? 0) > DENSITY_ABOVE;
+    const shown = frame && proposed(frame);
+    const dense = shown && shown.count > DENSITY_ABOVE ? density(shown, width, height) : null;
+    if (dense) painter.setRobots(dense.frame, dense.marks);
+    else if (shown) painter.setRobots(shown, marks());
     /** @type {[number, number]} */
     const scale = [(2 * view.zoom) / width, (2 * view.zoom) / height];
     painter.paint({
-        frame,
+        frame: dense ? dense.frame : shown,
         ends: lineEnds(),
         scale,
         shift: [0, 0],
-        size: ratio * (isDense ? Math.min(10, Math.max(3, 4 * view.zoom)) : 15),
-        alpha: isDense ? 0.55 : 1,
+        size: ratio * (dense ? SQUARE : 15),
+        sized: dense !== null,
+        alpha: 1,
         ink: css("--ink"),
         ground: css("--map"),
         middle: [view.x, view.y],
@@ -206,6 +220,7 @@ export function draw() {
     drawOverlay(overlay, ratio);
     if (frame) {
         drawn.count += 1;
+        drawn.discs = dense?.frame.count ?? 0;
         drawn.at.push(performance.now());
         if (drawn.at.length > 300) drawn.at.shift();
         drawn.ages.push(now() - frame.newest);
