@@ -110,6 +110,55 @@ await run(async () => {
     await until(page, () => window.muster.state.selected.size === 1);
     await page.keyboard.press("Escape");
 
+    step("many robots are shown by how many are where");
+    const dense = await page.evaluate(async () => {
+        const [{ HEAD, RECORD, readFrame, LOST }, { discs, SQUARE }, { draw, drawn, fit }] = await Promise.all(
+            ["/frame.js", "/density.js", "/map.js"].map((one) => import(one)));
+        // 3,000 robots of one team and 999 of another, each in a square kilometre, and one that is lost among the first.
+        const count = 4000;
+        const buffer = new ArrayBuffer(HEAD + RECORD * count);
+        const data = new DataView(buffer);
+        data.setUint8(0, 1);
+        data.setUint8(1, 1);
+        data.setUint32(12, count, true);
+        data.setFloat64(32, 1, true);
+        for (let index = 0; index < count; index++) {
+            const [at, second] = [HEAD + RECORD * index, index >= 3000 && index < 3999];
+            data.setUint16(at, (index * 7919) % 1000 + (second ? 4000 : 0), true);
+            data.setUint16(at + 2, (index * 104729) % 997, true);
+            data.setUint16(at + 4, second ? 1 : 0, true);
+            data.setUint8(at + 6, 255);
+            data.setUint8(at + 7, index === 3999 ? LOST : 0);
+        }
+        const frame = readFrame(buffer);
+        const marks = new Uint8Array(count);
+        const window = [5000, 1000].map((metres) => metres / 5);
+        const whole = discs(frame, marks, [0, 999], 5, window);
+        const flags = Array.from({ length: whole.frame.count }, (_, disc) => whole.frame.bytes[RECORD * disc + 7]);
+        const half = discs(frame, marks, [3000, 999], 5, window);
+        marks.fill(2, 0, 3000);
+        const filtered = discs(frame, marks, [0, 999], 5, window);
+        const { state } = globalThis.window.muster;
+        const kept = state.ground;
+        state.ground = frame;
+        fit();
+        draw();
+        const shown = drawn.discs;
+        state.ground = kept;
+        fit();
+        draw();
+        return {
+            robots: [whole, half, filtered].map((one) => one.robots), lost: flags.filter((flag) => flag & LOST).length,
+            discs: whole.frame.count, most: Math.ceil(1000 / SQUARE) * Math.ceil(200 / SQUARE), shown, after: drawn.discs,
+            last: flags.at(-1),
+        };
+    });
+    assert.deepEqual(dense.robots, [4000, 999, 1000]);
+    assert.ok(dense.discs > 100 && dense.discs <= dense.most + 1, JSON.stringify(dense));
+    // The lost one has a disc of its own, above the others.
+    assert.deepEqual([dense.lost, dense.last], [1, 2]);
+    assert.ok(dense.shown > 100 && dense.shown < 2000 && dense.after === 0, JSON.stringify(dense));
+
     step("links and embedding");
     await page.locator("#links").selectOption("spatial");
     await until(page, () => window.muster.state.links?.count > 0);

@@ -18,6 +18,7 @@ const result = await page.evaluate(async ([count, seconds]) => {
     const { Painter } = await import("/gl.js");
     const { readFrame, HEAD, RECORD } = await import("/frame.js");
     const { teamColor } = await import("/colors.js");
+    const { discs, SQUARE } = await import("/density.js");
     const colors = Array.from({ length: 20 }, (_, team) => teamColor(`t${team + 1}`));
     const shift = new Float32Array(2 * count).map(() => Math.random());
     /** A frame as the server sends it, a little further on each time. */
@@ -69,6 +70,17 @@ const result = await page.evaluate(async ([count, seconds]) => {
         // Waits until the card has drawn.
         painter.gl.readPixels(0, 0, 1, 1, painter.gl.RGBA, painter.gl.UNSIGNED_BYTE, pixel);
     });
+    // What the page does with so many robots in the window.
+    const density = await measure((buffer) => {
+        const frame = readFrame(buffer);
+        const made = discs(frame, marks, [0, 62000], 62000 / 720, [1280, 720]);
+        painter.setRobots(made.frame, made.marks);
+        painter.paint({
+            frame: made.frame, ends: new Float32Array(), scale, shift: [0, 0], middle: [310, 310], size: SQUARE, sized: true,
+            alpha: 1, ink: [1, 1, 1], ground: [0, 0, 0],
+        });
+        painter.gl.readPixels(0, 0, 1, 1, painter.gl.RGBA, painter.gl.UNSIGNED_BYTE, pixel);
+    });
     const plain = canvas();
     const pen = plain.getContext("2d");
     const styles = colors.map((color) => `rgb(${color.join(" ")})`);
@@ -91,7 +103,7 @@ const result = await page.evaluate(async ([count, seconds]) => {
         pen.getImageData(0, 0, 1, 1);
     });
     const bytes = performance.getEntriesByType("resource").reduce((sum, one) => sum + one.encodedBodySize, 0);
-    return { robots: count, ours: Math.round(ours), baseline: Math.round(10 * baseline) / 10, times: Math.round((10 * ours) / baseline) / 10, page_bytes: bytes };
+    return { robots: count, dots: Math.round(ours), density: Math.round(density), baseline: Math.round(10 * baseline) / 10, times: Math.round((10 * ours) / baseline) / 10, page_bytes: bytes };
 }, [Number(count), Number(seconds)]);
 console.log(JSON.stringify(result));
 await browser.close();
