@@ -89,11 +89,14 @@ impl<C: Core> Host<C> {
     pub fn handle(&mut self, now: Tick, input: Input) -> Vec<Command> {
         self.core.before_input(now);
         self.facilities.now = now;
+        let was_leading = self.facilities.replica.election.is_leading();
         if self.facilities.replica.election.notice_pause(now) {
             if self.facilities.replica.election.is_linked() {
                 self.ask_for_leader();
             }
-            self.report_connectivity(Connectivity::Paused);
+            if was_leading {
+                self.report_connectivity(Connectivity::Paused);
+            }
         }
         self.dispatch(input);
         self.handle_fetched();

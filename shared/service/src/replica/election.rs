@@ -200,8 +200,8 @@ impl Election {
         }
     }
 
-    /// The instance runs now. True if it was paused for so long that it stopped being a leader: it is
-    /// suspect from now on. A standby gives its leader the whole lease again.
+    /// The instance runs now. True if it was a leader or suspect and was paused for so long that another one may lead:
+    /// it is suspect from now on, and has to ask. A standby gives its leader the whole lease again.
     pub(crate) fn notice_pause(&mut self, now: Tick) -> bool {
         let paused = now.since(self.last_run) >= PAUSE;
         self.last_run = now;
@@ -212,19 +212,13 @@ impl Election {
         paused && self.become_suspect()
     }
 
-    /// A leader becomes suspect; whether it was one.
+    /// A leader becomes suspect, and what a suspect has asked proves nothing any more; whether it is suspect now.
     fn become_suspect(&mut self) -> bool {
-        if self.replication == Replication::EveryInstance {
+        if self.replication == Replication::EveryInstance || !self.has_term() {
             return false;
         }
-        if let State::Suspect(suspicion) = &mut self.state {
-            *suspicion = Suspicion::default();
-        }
-        let led = self.is_leading();
-        if led {
-            self.state = State::Suspect(Suspicion::default());
-        }
-        led
+        self.state = State::Suspect(Suspicion::default());
+        true
     }
 
     /// A query for the current leader goes out.

@@ -168,6 +168,19 @@ fn an_unanswered_query_on_a_link_that_turns_out_to_be_lost_proves_nothing() {
 }
 
 #[test]
+fn a_suspect_that_is_paused_before_its_query_is_answered_asks_again() {
+    let mut election = leading();
+    election.link_lost();
+    election.link_restored(at(1.0));
+    election.leader_query_sent(1);
+    assert!(election.notice_pause(at(4.0)), "it is to ask again");
+    election.leader_query_unanswered(1);
+    assert!(!election.confirm(at(9.0)), "whoever took over during the pause was not asked");
+    unanswered(&mut election, 2);
+    assert!(election.confirm(at(4.0).after(LINK_PROOF)));
+}
+
+#[test]
 fn an_instance_that_never_had_peers_does_not_wait() {
     let mut election = Election::new(name("b"), START, Replication::OneLeads);
     election.lead(START);
