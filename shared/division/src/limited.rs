@@ -60,8 +60,8 @@ pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionErro
 }
 
 /// Gives new teams the ids of those that ended, where most of their robots are back in one, and the limits of the old team
-/// allow it; `stands` if no rules hold for now. Wishes that name such a team count from the next division on, which follows
-/// at once.
+/// and the wishes of these robots allow it; `stands` if no rules hold for now. Wishes of other robots that name such a team
+/// count from the next division on, which follows at once.
 fn revive(
     job: &Job,
     rules: &TeamRules,
@@ -83,8 +83,10 @@ fn revive(
     for (id, cluster, _) in job.memory.revivable(&clusters, &unassigned) {
         // Also while no rules hold no team has more robots than it may have.
         let robots = clusters[cluster].len();
-        let is_sound = || rules.has_room(id, robots) && rules.fill_needs(id, &clusters[cluster]);
-        let has_room = || is_sound() || stands && robots <= rules.bounds(id).upper;
+        let mut after = ids.to_vec();
+        after[cluster].clone_from(id);
+        let is_sound = rules.admits(id, &clusters[cluster], &after);
+        let has_room = || is_sound || stands && robots <= rules.bounds(id).upper;
         if !lives(id) && !lives(&ids[cluster]) && has_room() {
             ids[cluster] = id.clone();
         }

@@ -480,11 +480,6 @@ impl TeamRules {
         format!("{noun} {}", crate::words::list(&names))
     }
 
-    /// Whether robots may be a team that lives again, by its needs.
-    pub(crate) fn fill_needs(&self, team: &TeamId, robots: &[&RobotId]) -> bool {
-        self.needs.are_filled_by(team, robots)
-    }
-
     /// Whether these robots may be a team of these.
     pub(crate) fn admits(&self, team: &TeamId, robots: &[&RobotId], columns: &[TeamId]) -> bool {
         let is_here = |column: Column| matches!(column, Column::Team(at) if columns[at] == *team);

@@ -183,6 +183,19 @@ fn a_team_whose_robots_are_all_in_reserve_has_no_seat() {
 }
 
 #[test]
+fn a_team_does_not_come_back_with_a_robot_that_may_not_be_in_it() {
+    let (mut bench, before) = divided(fixed(), &embedding(1, &[("a", WEST), ("m", EAST)]));
+    assert_eq!(short(&before), "t1: a | t2: m");
+    put(&mut bench, "alice/w", &json!({"kind": "reserve", "robots": ["m"]})).unwrap();
+    assert_eq!(short(&bench.division()), "t1: a | - m");
+    put(&mut bench, "alice/w", &json!({"kind": "ban", "robots": ["m"], "team": "t2"})).unwrap();
+    for (teams, _) in bench.take().teams {
+        assert!(teams.robot_team(&robot("m")).unwrap().team != Some(TeamId::numbered(2)));
+    }
+    assert_eq!(settle(&mut bench, &[("a", WEST), ("m", EAST)]), "t1: a | t3: m");
+}
+
+#[test]
 fn a_wish_for_who_is_not_there_waits() {
     let (mut bench, _) = divided(fixed(), &six(1));
     let waits = put(&mut bench, "alice/p1", &pin(&["r9"], "t2")).unwrap();
