@@ -14,7 +14,7 @@ use super::busy::Load;
 use super::chance::{Chance, Purpose};
 use super::clock::{HostClock, MS, Micros, SECOND};
 use super::link::{State, Storm, Way};
-use super::plan::{Fault, Forgery, OutputKind, Rubbish, Then};
+use super::plan::{Fault, Forgery, Injection, OutputKind, Place, Rubbish, Then};
 use super::proposer::{AtRest, Errand};
 use super::recording::Disk;
 use super::robots::{RobotStream, packet};
@@ -253,7 +253,10 @@ impl World {
             self.oracle.recorded.forget(node.instance);
         }
         let (service, instance) = (node.service, node.instance);
-        if !self.clocks_agree || self.oracle.had_forged_terms() {
+        let place = Place::Service(service, instance);
+        let sets_its_clock = |injection: &Injection| matches!(injection.fault, Fault::Clock { at, .. } if at == place);
+        let is_right = self.clocks_agree && !self.injections.iter().any(sets_its_clock);
+        if !is_right || self.oracle.had_forged_terms() {
             self.oracle.forget_order(service, instance);
         }
         self.operator.forgets(service);

@@ -249,7 +249,11 @@ impl World {
             .collect();
         if proposed != live || division.unassigned != last.unassigned {
             let asked = &proposal.asked;
-            let seen = format!("{asked:?} was to be {proposed:?}, and is {live:?}");
+            let (would, is) = (&division.conflict, &last.limited);
+            let seen = format!(
+                "{asked:?} was to be {proposed:?}, {would:?}, and is {live:?}, {is:?} of {}",
+                last.requested
+            );
             self.require(breach(AS_PROPOSED, seen));
         }
     }

@@ -1,7 +1,10 @@
 //! Limits on the robots of teams hold, or the division and an event say why not.
 //!
-//! So are pins and bans that the process has published as granted. The limits are those that the publishing process itself has announced. A division that was made before they were
-//! changed may be repeated until the first one that obeys the new ones.
+//! So are pins and bans that the process has published as granted. The limits are those that the publishing process
+//! itself has announced. A division that was made before they were changed may be repeated until the first one that obeys
+//! the new ones.
+
+use std::collections::BTreeMap;
 
 use muster_model::event::EventKind;
 use muster_model::settings::ClustererSettings;
@@ -27,6 +30,8 @@ const MAX_CHANGES: usize = 64;
 #[derive(Debug, Default)]
 pub(crate) struct Limits {
     publisher: Option<Publisher>,
+    /// What other processes have said: two leaders may publish in turn until one hears of the other.
+    others: BTreeMap<Publisher, Limits>,
     /// The settings that may still be in force, the newest last.
     announced: Vec<ClustererSettings>,
     /// The wishes that it has published last.
@@ -40,11 +45,18 @@ pub(crate) struct Limits {
 }
 
 impl Limits {
-    /// A process publishes: what was known of another one counts no longer.
+    /// A process publishes: what counts is what it has said before, whoever has published meanwhile.
     fn follow(&mut self, publisher: Publisher) {
-        if self.publisher != Some(publisher) {
-            *self = Self { publisher: Some(publisher), ..Self::default() };
+        if self.publisher == Some(publisher) {
+            return;
         }
+        let mut others = std::mem::take(&mut self.others);
+        let before = std::mem::take(self);
+        others.extend(before.publisher.map(|of| (of, before)));
+        *self = others
+            .remove(&publisher)
+            .unwrap_or_else(|| Self { publisher: Some(publisher), ..Self::default() });
+        self.others = others;
     }
 
     /// A process has announced the settings of the clusterer.

@@ -27,8 +27,8 @@ pub(crate) struct Order {
     given: BTreeMap<(ServiceName, usize, String), Revision>,
     /// The last of another service's that a process went by.
     taken: BTreeMap<(Publisher, &'static str), Revision>,
-    /// The last publisher of each key, and its highest term.
-    publishers: BTreeMap<String, (Publisher, u64)>,
+    /// The last publisher of each key, and the highest term of each that has published on it.
+    publishers: BTreeMap<String, (Publisher, BTreeMap<Publisher, u64>)>,
     /// When each process last renewed its lease.
     renewals: BTreeMap<Publisher, Micros>,
     /// Until when something may keep an instance of a service from receiving a lease renewal.
@@ -140,12 +140,17 @@ impl Order {
             | Message::Audit(_) => {}
             _ => return Ok(()),
         }
-        let before = self.publishers.get(key).copied();
-        let highest = before.map_or(0, |(_, highest)| highest);
-        self.publishers.insert(key.to_owned(), (publisher, highest.max(revision.term)));
-        let Some((former, highest)) = before.filter(|(former, _)| *former != publisher) else {
+        let (last, terms) =
+            self.publishers.entry(key.to_owned()).or_insert_with(|| (publisher, BTreeMap::new()));
+        let former = std::mem::replace(last, publisher);
+        let own = terms.entry(publisher).or_default();
+        *own = revision.term.max(*own);
+        if former == publisher {
             return Ok(());
-        };
+        }
+        // Two that began at once: the one of the higher term goes on, in its own term.
+        let of_others = terms.iter().filter(|(of, _)| **of != publisher).map(|(_, term)| *term);
+        let highest = of_others.max().unwrap_or(0);
         let Some(renewed) = self.renewals.get(&former) else { return Ok(()) };
         let disturbed_until = self.disturbed_until.get(&publisher.service).copied();
         if *renewed < disturbed_until.unwrap_or_default() || now < renewed + RENEWAL_DELAY {
