@@ -83,13 +83,14 @@ impl CostMatrix {
         }
         let mut rounded = Vec::with_capacity(values.len());
         for (at, value) in values.iter().enumerate() {
-            let value = (value / unit).round();
+            let value = value / unit;
             // Written so that NaN fails the comparison too.
             if !matches!(value.abs(), size if size <= MAX_COST as f64) {
                 let (robot, column) = (at / columns, at % columns);
                 return Err(CostError::Cost { robot, column, value });
             }
-            rounded.push(value as i64);
+            // `round` is a call without SSE 4.1, which not every machine has.
+            rounded.push((value + 0.5_f64.copysign(value)) as i64);
         }
         Ok(Self { robots, columns, values: rounded })
     }

@@ -138,7 +138,8 @@ impl Task<'_> {
         }
     }
 
-    /// The points of every column with the least loss in every other one, columns × columns.
+    /// The points of every column with the least loss in every other one, columns × columns; none for two columns of
+    /// which neither is tight.
     fn candidates(
         &self,
         labels: &[u32],
@@ -147,10 +148,14 @@ impl Task<'_> {
     ) -> Vec<Vec<Candidate>> {
         let columns = places.sizes.len();
         let mut lists: Vec<Vec<Candidate>> = vec![Vec::new(); columns * columns];
+        let tight: Vec<bool> = (0..columns).map(|column| places.is_tight(column)).collect();
+        if !tight.contains(&true) {
+            return lists;
+        }
         for (point, label) in labels.iter().enumerate() {
             let from = *label as usize;
             let own = self.cost(point, from, centroids);
-            for to in (0..columns).filter(|to| *to != from) {
+            for to in (0..columns).filter(|to| *to != from && (tight[from] || tight[*to])) {
                 let loss = self.cost(point, to, centroids) - own;
                 let list = &mut lists[from * columns + to];
                 let full = list.len() == SWAP_CANDIDATES;

@@ -109,6 +109,13 @@ impl<'a> Places<'a> {
         self.rules.restrictions.allows(point, column)
     }
 
+    /// True if limits may keep a point from leaving the column, or another from coming, so that two may have to change
+    /// places.
+    pub(super) fn is_tight(&self, column: usize) -> bool {
+        let (bounds, size) = (self.bounds[column], self.sizes[column]);
+        size <= bounds.lower || size >= bounds.upper || !self.class_bounds.is_empty()
+    }
+
     /// Prices of the robots that soft minima lack.
     pub(super) fn shortfall(&self) -> i128 {
         let cells = self.class_wanted.iter().zip(&self.class_sizes);
