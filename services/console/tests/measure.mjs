@@ -1,5 +1,6 @@
-// How many frames of 10,000 robots a second the map draws, next to a plain Canvas 2D that draws the same dots; and how large
-// the page is. Started by hand, on an idle machine:
+// How many frames of 10,000 robots a second the map draws, next to a plain Canvas 2D that draws the same dots; how large
+// the page is; and, where the console has a fleet, how soon and how old the page shows it. Started by hand, on an idle
+// machine:
 //
 //   target/debug/muster-console --serve 127.0.0.1:7480 &
 //   MUSTER_WEB_PACKAGES=target/web/node_modules node services/console/tests/measure.mjs /usr/bin/chromium 127.0.0.1:7480
@@ -103,8 +104,32 @@ const result = await page.evaluate(async ([count, seconds]) => {
         pen.getImageData(0, 0, 1, 1);
     });
     const bytes = performance.getEntriesByType("resource").reduce((sum, one) => sum + one.encodedBodySize, 0);
-    return { robots: count, dots: Math.round(ours), density: Math.round(density), baseline: Math.round(10 * baseline) / 10, times: Math.round((10 * ours) / baseline) / 10, page_bytes: bytes };
+    return { robots: count, dots: Math.round(ours), density: Math.round(density), baseline: Math.round(10 * baseline) / 10, times: { dots: Math.round((10 * ours) / baseline) / 10, density: Math.round((10 * density) / baseline) / 10 }, page_bytes: bytes };
 }, [Number(count), Number(seconds)]);
 console.log(JSON.stringify(result));
+await page.close();
+
+// The page as operators have it, if the fleet of the console has robots: how soon it shows them, how old what it shows is,
+// and how often it draws.
+const live = await browser.newPage({ viewport: { width: 1280, height: 720 } });
+const begun = performance.now();
+await live.goto(`http://${address}/`);
+const shows = () => live.waitForFunction(() => window.muster?.drawn.count > 0, null, { timeout: 5_000, polling: 20 });
+if (await shows().then(() => true, () => false)) {
+    const first = performance.now() - begun;
+    await live.waitForTimeout(3_000);
+    const before = await live.evaluate(() => window.muster.drawn.count);
+    await live.waitForTimeout(1_000 * Number(seconds));
+    const [after, ages, robots, discs] = await live.evaluate(() => {
+        const { drawn, state } = window.muster;
+        return [drawn.count, drawn.ages, state.ground?.count, drawn.discs];
+    });
+    ages.sort((left, right) => left - right);
+    const age = (share) => Math.round(1_000 * ages[Math.floor(share * (ages.length - 1))]);
+    console.log(JSON.stringify({
+        robots, discs, first_picture_ms: Math.round(first), frames_per_second: (after - before) / Number(seconds),
+        age_ms: { p50: age(0.5), p95: age(0.95) },
+    }));
+}
 await browser.close();
 process.exit(0);
