@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use muster_model::id::{RobotId, ServiceName};
+use muster_model::id::{RobotId, ServiceName, TeamId};
 use muster_model::proposal::{Proposal, ProposalRequest, ProposalState};
 use muster_model::role::ReplicaState;
+use muster_model::teams::Teams;
 use muster_model::time::Tick;
 use serde_json::{Value, json};
 
@@ -218,7 +219,8 @@ impl World {
     }
 
     /// The division is what was proposed. A proposal of several commands, or one that changes the vectors, is one of
-    /// several steps, of which each begins where the one before has ended.
+    /// several steps, of which each begins where the one before has ended. A planner that did not run all the time, or was
+    /// cut off, does not know which teams are absent or have ended lately: their seats are kept, and their ids given back.
     fn compare(&mut self, proposal: &Proposal) {
         let parts = ProposalRequest::SERVICES.map(|service| proposal.asked.patch(service));
         let commands = parts.iter().filter(|patch| !patch.is_empty()).count()
@@ -227,26 +229,35 @@ impl World {
         else {
             return;
         };
-        if commands > 1 || division.embedded {
+        let based_on = self.oracle.divisions.named(division.based_on);
+        let has_free_seats = |teams: &Teams| teams.requested as usize != teams.teams.len();
+        if commands > 1
+            || division.embedded
+            || has_free_seats(last)
+            || based_on.iter().any(|teams| has_free_seats(teams))
+        {
             return;
         }
-        self.stats.proposals_compared += 1;
-        let names = |members: Vec<&RobotId>| -> Vec<String> {
-            members.into_iter().map(ToString::to_string).collect()
+        let was_there = |id: &TeamId| {
+            based_on.iter().any(|teams| teams.teams.iter().any(|team| team.id == *id))
         };
-        let proposed: Vec<_> = division
+        self.stats.proposals_compared += 1;
+        // Members, and the id of a team that goes on.
+        let mut proposed: Vec<(Vec<&RobotId>, Option<&TeamId>)> = division
             .teams
             .iter()
-            .map(|team| (team.id.to_string(), names(team.members.iter().collect())))
+            .map(|team| (team.members.iter().collect(), Some(&team.id).filter(|id| was_there(id))))
             .collect();
-        let live: Vec<_> = last
+        let mut live: Vec<_> = last
             .teams
             .iter()
             .map(|team| {
                 let members = team.members.iter().map(|member| &member.robot).collect();
-                (team.id.to_string(), names(members))
+                (members, Some(&team.id).filter(|id| was_there(id)))
             })
             .collect();
+        proposed.sort();
+        live.sort();
         if proposed != live || division.unassigned != last.unassigned {
             let asked = &proposal.asked;
             let (would, is) = (&division.conflict, &last.limited);
