@@ -259,7 +259,26 @@ impl World {
         if !is_right || self.oracle.had_forged_terms() {
             self.oracle.forget_order(service, instance);
         }
+        if service == ServiceName::Clusterer && !self.is_remembered_by_others() {
+            self.oracle.forget_ids();
+        }
         self.operator.forgets(service);
+    }
+
+    /// Whether a service that has lost its disk hears from others what it had published: auditors and its own standbys
+    /// answer that, unless they are killed or their links fail.
+    fn is_remembered_by_others(&self) -> bool {
+        let answers = |place| {
+            matches!(place, Place::Service(ServiceName::Auditor | ServiceName::Clusterer, _))
+        };
+        self.injections.iter().all(|injection| match injection.fault {
+            Fault::Storm { at, .. }
+            | Fault::Cut { at, .. }
+            | Fault::Kill { at, .. }
+            | Fault::Hang { at, .. } => !answers(at),
+            Fault::Router { .. } | Fault::Busy { .. } => false,
+            _ => true,
+        })
     }
 
     /// All services are killed while all agree. What was agreed on stands from now on: the disks have it.

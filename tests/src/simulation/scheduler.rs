@@ -292,8 +292,11 @@ impl World {
             }
             (Message::Wishes(list), Some(process)) => {
                 let counts = list.wishes.iter().filter(|one| one.state != WishState::Expired);
-                let named =
-                    |one: &StandingWish| (format!("{}/{}", one.operator, one.id), one.wish.clone());
+                // A wish for a team that is there at last counts from then on, as if it had just been put.
+                let named = |one: &StandingWish| {
+                    let waits = one.state == WishState::Waiting;
+                    (format!("{}/{} {waits}", one.operator, one.id), one.wish.clone())
+                };
                 let wishes: Vec<_> = counts.map(named).collect();
                 if wishes != process.wishes {
                     process.wishes = wishes;

@@ -76,6 +76,8 @@ impl Clusterer {
             return false;
         };
         if newest.embedding.robots.is_empty() {
+            // Those that were there have left again: the time counts from the next one on.
+            reunion.begun = None;
             return true;
         }
         let begun = *reunion.begun.get_or_insert(now);
@@ -89,7 +91,10 @@ impl Clusterer {
 
     /// Whether robots that return are awaited until something relates them to others.
     pub(super) fn awaits_relations(&mut self, now: Tick) -> bool {
-        let (Some(newest), Some(division)) = (&self.newest, &self.division) else { return false };
+        let (Some(newest), Some(division)) = (&self.newest, &self.division) else {
+            self.returning_since = None;
+            return false;
+        };
         let robots = newest.embedding.robots.iter().zip(&newest.embedding.without_embedding);
         let loose = robots.filter(|(_, without)| **without).map(|(robot, _)| robot);
         let mut back = loose.filter(|robot| self.memory.last_team(robot).is_some()).peekable();

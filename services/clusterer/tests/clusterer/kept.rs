@@ -81,6 +81,22 @@ fn who_is_not_back_in_time_keeps_its_seat() {
 }
 
 #[test]
+fn who_comes_and_leaves_again_is_awaited_from_the_next_one_on() {
+    let (bench, _) = divided(settings(), &embedding(1, &ALL));
+    let mut next = restarted(settings(), &bench.kept.clone().unwrap());
+    next.receive_embedding(&later(2, &[("a", WEST)]));
+    next.wait(1.0);
+    next.receive_embedding(&later(3, &[]));
+    // It sleeps, and is not woken again and again for what has passed.
+    next.wait(60.0);
+    next.receive_embedding(&later(4, &[("x y z", NORTH)]));
+    next.wait(2.9);
+    assert!(next.take().teams.is_empty());
+    next.wait(0.2);
+    assert_eq!(short(&next.take().division()), "t3: x y z");
+}
+
+#[test]
 fn nobody_is_awaited_where_the_services_before_have_lived_on() {
     let (bench, last) = divided(settings(), &embedding(1, &ALL));
     let on_disk = bench.kept.clone().unwrap();
