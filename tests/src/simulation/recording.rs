@@ -207,7 +207,8 @@ impl World {
     /// itself. True if nothing is left to wait for.
     pub(super) fn historians_have_recorded(&mut self, settled_for: Option<Micros>) -> bool {
         let catch_up = Micros::try_from(CATCH_UP_TIME.as_micros()).unwrap_or(Micros::MAX);
-        let has_robots = self.oracle.divisions.last().is_some_and(|teams| !teams.teams.is_empty());
+        // A division of robots that have all left need not be replaced, where nobody is left who knows it.
+        let has_robots = !self.robots.alive().is_empty();
         let mut all = true;
         for index in 0..self.nodes.len() {
             let node = &self.nodes[index];
