@@ -110,7 +110,7 @@ fn every_promise_holds_for_three_hundred_seeds() {
 
 /// About two fresh seeds in a thousand break a promise; what is known of them: a change that was confirmed just before
 /// its leader was killed is not known to the next one (85000861), a fleet with needs is divided otherwise after a restart of
-/// everything (85001035, 85002789), and 85002256 and 85002870, which nobody has explained. One of a hundred is
+/// everything (85001035, 85002789), and 85002256 and 85002870, which are not explained yet. One of a hundred is
 /// printed; two are a fault that is not known.
 const KNOWN_FAILURES: usize = 1;
 

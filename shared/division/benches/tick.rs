@@ -3,6 +3,9 @@
 
 #![allow(clippy::unwrap_used, missing_docs, reason = "a benchmark fails by panicking")]
 
+#[path = "../tests/vectors/mod.rs"]
+mod vectors;
+
 use std::hint::black_box;
 use std::sync::Arc;
 
@@ -12,12 +15,11 @@ use muster_division::memory::Memory;
 use muster_division::needs::Needs;
 use muster_division::rules::{Asked, TeamRules};
 use muster_model::content::Checked;
-use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
-use muster_model::header::{Header, Revision};
-use muster_model::id::{FleetId, RobotId};
+use muster_model::embedding::Embedding;
 use muster_model::settings::{ClustererSettings, TeamSize};
 use muster_model::teams::Teams;
 use muster_model::wish::{Wish, WishKind};
+use vectors::noise;
 
 /// Length of a vector, as the embedder chooses it for some teams.
 const DIMENSION: usize = 10;
@@ -34,13 +36,6 @@ enum Asks {
     Pins,
 }
 
-/// A number from 0 to 1 for each pair of numbers.
-fn noise(a: usize, b: usize) -> f64 {
-    let mixed = (a as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)
-        ^ (b as u64).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    (mixed.wrapping_mul(0x94d0_49bb_1331_11eb) >> 11) as f64 / (1_u64 << 53) as f64
-}
-
 /// Robots around as many places as there are teams, at a moment.
 fn embedding(robots: usize, teams: usize, moment: usize) -> Embedding {
     let value = |robot: usize, at: usize| {
@@ -48,37 +43,7 @@ fn embedding(robots: usize, teams: usize, moment: usize) -> Embedding {
         middle + 0.5 * noise(robot, at) + 0.01 * noise(robot * DIMENSION + at, moment + 1)
     };
     let values = (0..robots).flat_map(|robot| (0..DIMENSION).map(move |at| value(robot, at)));
-    Embedding {
-        header: Header {
-            fleet: FleetId::new("bench").unwrap(),
-            revision: Revision::default(),
-            oldest: None,
-            newest: None,
-            stages: Vec::new(),
-        },
-        roster: Revision::default(),
-        graphs: Vec::new(),
-        robots: (0..robots).map(|robot| RobotId::new(format!("r{robot:06}")).unwrap()).collect(),
-        dimension: DIMENSION as u32,
-        values: values.collect(),
-        without_embedding: vec![false; robots],
-        provisional: vec![false; robots],
-        centrality: Vec::new(),
-        quality: EmbeddingQuality {
-            spectral_radius: (1.0, 1.0),
-            alpha: 0.9,
-            singular_values: vec![1.0; DIMENSION / 2],
-            next_singular_value: 0.0,
-            residual: 0.0,
-            katz_residual: 0.0,
-            gap: 1.0,
-            ambiguous: false,
-            mode: EmbeddingMode::Dense,
-            teams_shown: None,
-            team_scores: Vec::new(),
-            stage_us: [0; 3],
-        },
-    }
+    vectors::embedding(DIMENSION, values.collect())
 }
 
 /// The job of a moment.

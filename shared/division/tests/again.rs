@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, missing_docs, reason = "a test fails by panicking")]
 
+mod vectors;
+
 use std::sync::Arc;
 
 use muster_division::division::{Job, divide};
@@ -9,56 +11,13 @@ use muster_division::memory::Memory;
 use muster_division::needs::Needs;
 use muster_division::rules::{Asked, TeamRules};
 use muster_model::content::Checked;
-use muster_model::embedding::{Embedding, EmbeddingMode, EmbeddingQuality};
-use muster_model::header::{Header, Revision};
-use muster_model::id::{FleetId, RobotId, TeamId};
+use muster_model::id::TeamId;
 use muster_model::settings::{ClustererSettings, TeamSize};
 use muster_model::teams::Teams;
 use muster_model::wish::{Wish, WishKind};
+use vectors::{embedding, noise};
 
 const DIMENSION: usize = 4;
-
-/// A number from 0 to 1 for each pair of numbers.
-fn noise(a: usize, b: usize) -> f64 {
-    let mixed = (a as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)
-        ^ (b as u64).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    (mixed.wrapping_mul(0x94d0_49bb_1331_11eb) >> 11) as f64 / (1_u64 << 53) as f64
-}
-
-fn embedding(robots: usize, case: usize) -> Embedding {
-    let values = (0..robots * DIMENSION).map(|at| noise(case, at));
-    Embedding {
-        header: Header {
-            fleet: FleetId::new("bench").unwrap(),
-            revision: Revision::default(),
-            oldest: None,
-            newest: None,
-            stages: Vec::new(),
-        },
-        roster: Revision::default(),
-        graphs: Vec::new(),
-        robots: (0..robots).map(|robot| RobotId::new(format!("r{robot:06}")).unwrap()).collect(),
-        dimension: DIMENSION as u32,
-        values: values.collect(),
-        without_embedding: vec![false; robots],
-        provisional: vec![false; robots],
-        centrality: Vec::new(),
-        quality: EmbeddingQuality {
-            spectral_radius: (1.0, 1.0),
-            alpha: 0.9,
-            singular_values: vec![1.0; DIMENSION / 2],
-            next_singular_value: 0.0,
-            residual: 0.0,
-            katz_residual: 0.0,
-            gap: 1.0,
-            ambiguous: false,
-            mode: EmbeddingMode::Dense,
-            teams_shown: None,
-            team_scores: Vec::new(),
-            stage_us: [0; 3],
-        },
-    }
-}
 
 fn short(teams: &Teams) -> String {
     let team = |team: &muster_model::teams::Team| {
@@ -78,7 +37,8 @@ fn the_same_again_is_divided_as_it_was() {
         if case % 2 == 0 {
             settings.size = TeamSize { min: Some(1), max: Some((robots / teams + 1) as u32) };
         }
-        let embedding = embedding(robots, case);
+        let values = (0..robots * DIMENSION).map(|at| noise(case, at)).collect();
+        let embedding = embedding(DIMENSION, values);
         let wish = |kind, robot: usize, team: u64| Asked {
             name: format!("alice/{robot}-{team}"),
             wish: Wish {

@@ -152,7 +152,7 @@ impl<'a> Task<'a> {
         Ok(Later { visited, found })
     }
 
-    /// Cold start `number`. `visit` is told the key of all labels from which the rest follows.
+    /// Cold start `number`. `visit` receives the key of all labels from which the rest follows.
     pub(super) fn start<E: From<LimitedKMeansError>>(
         &self,
         number: u64,
