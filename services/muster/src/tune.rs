@@ -9,11 +9,13 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use muster_client::Client;
 use muster_model::id::ServiceName;
+use muster_model::roster::RosterEntry;
 use muster_model::time::Tick;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 use muster_solve::{SolveError, TuneOptions, Tuning, read_file, tune};
 use muster_wire::json::EdgeJson as _;
+use serde_json::{Value, json};
 
 use crate::console;
 use crate::operator::OperatorArgs;
@@ -23,11 +25,13 @@ use crate::operator::OperatorArgs;
 #[command(
     after_help = "Each setting of a grid divides the fleet into as many teams as the settings in force. The \
 table has those with the best mean silhouette, each among its own vectors, and how stable their divisions are: the \
-mean adjusted Rand index with the divisions of four fifths of the robots, drawn at random; 1 is the same. The best \
+mean adjusted Rand index with the divisions of four fifths of the robots, drawn at random; 1 is the same. All \
+divisions but these respect limits, wishes and needs. The best \
 one that is as stable as the settings in force is proposed. A silhouette tells how far teams are apart, and not \
 whether they are the right ones: look at who would move before you apply it.\n\n\
 Examples:\n  muster tune\n  muster tune --apply\n  muster tune fleet.json --teams 4\n  \
-(muster graph --json; muster set embedder --json; muster set clusterer --json) > fleet.jsonl; muster tune fleet.jsonl"
+(muster graph --json; muster set embedder --json; muster set clusterer --json; muster status --json; \
+muster wish list --json) > fleet.jsonl; muster tune fleet.jsonl"
 )]
 pub(crate) struct TuneArgs {
     /// A saved fleet, or a file of `muster solve`, or - for standard input; the live fleet if none is named
@@ -99,7 +103,8 @@ pub(crate) async fn of_fleet(args: &TuneArgs, config: &ProcessConfig) -> anyhow:
     Ok(())
 }
 
-/// The live fleet as a saved one: its graphs, and the settings of embedder and clusterer, a line each.
+/// The live fleet as a saved one, a line each: its graphs, the settings of embedder and clusterer, the robots with
+/// their skills, and the wishes.
 async fn saved(client: &Client) -> anyhow::Result<Vec<u8>> {
     let graphs = client.get_graphs(None).await.map_err(console::exit_error)?;
     let mut text = Vec::new();
@@ -107,13 +112,18 @@ async fn saved(client: &Client) -> anyhow::Result<Vec<u8>> {
         text.extend(graph.to_json(Tick(0)).context("a graph has no form as JSON")?);
         text.push(b'\n');
     }
+    let mut lines = Vec::new();
     for service in [ServiceName::Embedder, ServiceName::Clusterer] {
-        let mut settings = client.get_settings(service).await.map_err(console::exit_error)?;
-        // The search tries divisions without limits, and needs rest on skills, which are in none of these lines.
-        if let Some(needs) = settings.get_mut("needs") {
-            *needs = serde_json::Value::Array(Vec::new());
-        }
-        text.extend(settings.to_string().into_bytes());
+        lines.push(client.get_settings(service).await.map_err(console::exit_error)?);
+    }
+    let roster = client.get_roster().await.map_err(console::exit_error)?;
+    let robot = |entry: &RosterEntry| json!({ "robot": entry.robot, "presence": entry.presence, "skills": entry.skills });
+    let robots: Vec<Value> = roster.robots.iter().map(robot).collect();
+    lines.push(json!({ "robot_tokens": robots.len(), "robots": robots }));
+    let wishes = client.get_wishes().await.map_err(console::exit_error)?;
+    lines.extend(wishes.into_iter().map(|wish| json!(wish)));
+    for line in lines {
+        text.extend(line.to_string().into_bytes());
         text.push(b'\n');
     }
     Ok(text)

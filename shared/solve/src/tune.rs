@@ -6,20 +6,24 @@
 //! setting may have fine silhouettes because it looks at one modality alone; so the best ones are
 //! cross-checked by their *stability*: how far their division stays the same when a part of the robots is
 //! drawn and divided again. One is proposed only if it is as stable as the settings in force.
+//!
+//! Every division respects the limits, wishes and needs of the fleet, since no other would ever hold. The stability
+//! is that of the divisions without them: four fifths of the robots need not satisfy what all do.
 //! [`page`] shows what was found.
 
 mod grid;
 mod page;
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 
 use muster_method::division::divide;
-use muster_method::embedding::embed;
+use muster_method::embedding::{Embedded, embed};
 use muster_method::params::{DivisionParams, EmbeddingParams};
 use muster_method::silhouettes::{SilhouetteParams, silhouettes};
 use muster_method::{Frame, Graph as FrameGraph, MethodError};
-use muster_model::settings::{EmbedderSettings, TeamCount};
+use muster_model::settings::{ClustererSettings, EmbedderSettings, TeamCount};
 use muster_numeric::agreement::adjusted_rand_index;
 use muster_numeric::matching::{match_by_overlap, overlap_table};
 use muster_numeric::matrix::SparseMatrix;
@@ -29,6 +33,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 
 use super::error::{SolveError, refuse};
+use super::limited::{self, Within};
 use super::options::Options;
 use super::problem::{Division, Problem};
 
@@ -106,6 +111,26 @@ pub struct Tuned {
     /// Robots that have another team than by the settings in force.
     pub moved: usize,
     labels: Vec<Option<usize>>,
+    /// The division without limits; none where there are no limits, and `labels` are it.
+    unlimited: Option<Vec<Option<usize>>>,
+}
+
+impl Tuned {
+    /// Robots of the largest team.
+    #[must_use]
+    pub fn largest_team(&self) -> usize {
+        let mut sizes = BTreeMap::new();
+        for team in self.labels.iter().flatten() {
+            *sizes.entry(team).or_insert(0_usize) += 1;
+        }
+        sizes.into_values().max().unwrap_or(0)
+    }
+
+    /// Robots in no team: they have no vector, or limits and wishes leave them out.
+    #[must_use]
+    pub fn unassigned(&self) -> usize {
+        self.labels.iter().filter(|team| team.is_none()).count()
+    }
 }
 
 /// What a search has found.
@@ -184,6 +209,8 @@ struct Fleet<'a> {
     teams: usize,
     /// Starts of k-means that the clusterer has.
     starts: usize,
+    /// The settings of the clusterer with `teams`.
+    wanted: ClustererSettings,
 }
 
 impl<'a> Fleet<'a> {
@@ -201,6 +228,7 @@ impl<'a> Fleet<'a> {
                 "are a division; a fleet to be tuned has \"teams\" or nothing",
             );
         };
+        let wanted = wanted.clone();
         let graphs = problem.graphs.iter();
         let graph = |matrix: &Arc<SparseMatrix>| FrameGraph::Matrix(Arc::clone(matrix));
         let frame = Frame {
@@ -212,7 +240,11 @@ impl<'a> Fleet<'a> {
             .map_err(MethodError::from)
             .and_then(|params| embed(&frame, &params, &mut |_| {}))
             .or_else(of_method)?;
-        let teams = found.decomposition.teams.teams as usize;
+        let mut teams = found.decomposition.teams.teams as usize;
+        if let Some(rules) = limited::rules(problem, &wanted)? {
+            // Limits may leave room for another number only.
+            teams = limited::divide(problem, &wanted, &found, rules)?.ids.iter().flatten().count();
+        }
         if teams < 2 {
             return refuse(
                 "teams",
@@ -224,38 +256,59 @@ impl<'a> Fleet<'a> {
             let problem = format!("{teams} teams of {robots} robots leave too few in each");
             return refuse("teams", problem);
         }
-        Ok(Self { problem, frame, teams, starts: wanted.restarts as usize })
+        let starts = wanted.restarts as usize;
+        let teams_wanted = TeamCount::Fixed(u32::try_from(teams).unwrap_or(u32::MAX));
+        Ok(Self {
+            problem,
+            frame,
+            teams,
+            starts,
+            wanted: ClustererSettings { teams: teams_wanted, ..wanted },
+        })
     }
 
     /// Divides the whole fleet by other settings.
     fn divide(&self, settings: &EmbedderSettings, starts: usize) -> Result<Tuned, SolveError> {
-        let (labels, silhouette) = self.divided(&self.frame, settings, starts)?;
+        let embedded = self.embed(&self.frame, settings)?;
+        let found = self.unlimited(&embedded, starts)?;
+        let wanted = ClustererSettings {
+            restarts: u32::try_from(starts).unwrap_or(u32::MAX),
+            ..self.wanted.clone()
+        };
+        let (labels, unlimited) = match limited::rules(self.problem, &wanted)? {
+            Some(rules) => {
+                let within = limited::divide(self.problem, &wanted, &embedded, rules)?;
+                (of_teams(&within), Some(found))
+            }
+            None => (found, None),
+        };
+        let silhouette = mean_silhouette(&embedded, &labels);
         let settings = settings.clone();
-        Ok(Tuned { settings, silhouette, stability: None, moved: 0, labels })
+        Ok(Tuned { settings, silhouette, stability: None, moved: 0, labels, unlimited })
     }
 
-    /// The team of each robot of a frame, and the mean silhouette.
-    fn divided(
-        &self,
-        frame: &Frame,
-        settings: &EmbedderSettings,
-        starts: usize,
-    ) -> Result<(Vec<Option<usize>>, Option<f64>), SolveError> {
+    /// The vectors of a frame.
+    fn embed(&self, frame: &Frame, settings: &EmbedderSettings) -> Result<Embedded, SolveError> {
         let params = EmbeddingParams {
             tolerance: settings.residual_tolerance,
-            ..EmbeddingParams::once(settings, TeamCount::Fixed(self.teams_u32()))
+            ..EmbeddingParams::once(settings, self.wanted.teams)
         };
         let params = params.check().map_err(MethodError::from);
-        let found = params.and_then(|params| embed(frame, &params, &mut |_| {}));
-        let found = found.or_else(of_method)?;
-        let Division::Wanted(wanted) = &self.problem.division else { return Ok((vec![], None)) };
-        let params = DivisionParams { restarts: starts, ..DivisionParams::new(wanted, self.teams) };
+        params.and_then(|params| embed(frame, &params, &mut |_| {})).or_else(of_method)
+    }
+
+    /// The team of each robot of a frame without limits.
+    fn unlimited(
+        &self,
+        embedded: &Embedded,
+        starts: usize,
+    ) -> Result<Vec<Option<usize>>, SolveError> {
+        let params =
+            DivisionParams { restarts: starts, ..DivisionParams::new(&self.wanted, self.teams) };
         let params = params.check().or_else(|error| refuse("teams", error.to_string()))?;
-        let division = divide(&found.x, &found.without_embedding, &params, None, &mut |_| {})
-            .or_else(|error| refuse("teams", error.to_string()))?;
-        let numbered = division.numbered().labels;
-        let scores = silhouettes(&found.x, &numbered, &SilhouetteParams::default());
-        Ok((division.labels, scores.ok().map(|scores| scores.mean)))
+        let (x, without) = (&embedded.x, &embedded.without_embedding);
+        let division = divide(x, without, &params, None, &mut |_| {});
+        Ok(division.or_else(|error| refuse("teams", error.to_string()))?.labels)
     }
 
     /// The mean adjusted Rand index of a division with those of robots that are drawn.
@@ -268,14 +321,16 @@ impl<'a> Fleet<'a> {
             reason = "a share of a few thousand robots"
         )]
         let drawn = (robots as f64 * DRAWN_SHARE).round() as usize;
+        let whole = tuned.unlimited.as_ref().unwrap_or(&tuned.labels);
         let mut sum = 0.0;
         for draw in 0..draws {
             let mut random = ChaCha8Rng::seed_from_u64(u64::from(draw));
             let mut kept = sample(&mut random, robots, drawn).into_vec();
             kept.sort_unstable();
-            let (labels, _) = self.divided(&self.of_some(&kept)?, &tuned.settings, GRID_STARTS)?;
+            let embedded = self.embed(&self.of_some(&kept)?, &tuned.settings)?;
+            let labels = self.unlimited(&embedded, GRID_STARTS)?;
             let both = kept.iter().zip(labels).filter_map(|(robot, label)| {
-                Some((tuned.labels.get(*robot).copied().flatten()?, label?))
+                Some((whole.get(*robot).copied().flatten()?, label?))
             });
             sum += adjusted_rand_index(both);
         }
@@ -296,10 +351,20 @@ impl<'a> Fleet<'a> {
         let robots = kept.iter().map(|robot| self.frame.robots[*robot].clone());
         Ok(Frame { robots: robots.collect(), graphs })
     }
+}
 
-    fn teams_u32(&self) -> u32 {
-        u32::try_from(self.teams).unwrap_or(u32::MAX)
-    }
+/// The labels of a division under limits; none for robots without a team.
+fn of_teams(within: &Within) -> Vec<Option<usize>> {
+    let has_team = |label: &usize| within.ids.get(*label).is_some_and(Option::is_some);
+    within.labels.iter().map(|label| Some(*label).filter(has_team)).collect()
+}
+
+/// The mean silhouette of the robots that have a team, among their vectors; none for fewer than two teams.
+fn mean_silhouette(embedded: &Embedded, labels: &[Option<usize>]) -> Option<f64> {
+    let rows: Vec<usize> = (0..labels.len()).filter(|row| labels[*row].is_some()).collect();
+    let labels: Vec<usize> = labels.iter().flatten().copied().collect();
+    let x = embedded.x.select_rows(&rows);
+    silhouettes(&x, &labels, &SilhouetteParams::default()).ok().map(|scores| scores.mean)
 }
 
 /// Keeps the settings with the best silhouettes, best first; of those with the same division, the best one.

@@ -51,6 +51,42 @@ fn weights_that_divide_better_are_proposed() {
     assert_eq!(json, tuned(&fleet(0.03)).to_json(), "the same fleet has the same result");
 }
 
+/// How many robots that `robots` names share a team, at most, in a division that is shown.
+fn largest(json: &Value) -> u64 {
+    json["largest_team"].as_u64().unwrap()
+}
+
+#[test]
+fn every_division_respects_limits_and_wishes() {
+    let mut file: Value = serde_json::from_str(&fleet(0.03)).unwrap();
+    let free = tuned(&file.to_string()).to_json();
+    assert!(free["best"].as_array().unwrap().iter().any(|entry| largest(entry) == 8), "{free}");
+    file["size"] = json!({"min": 7, "max": 10});
+    file["wishes"] = json!([{"kind": "reserve", "robots": ["r03", "r13"]}]);
+    let found = tuned(&file.to_string());
+    let json = found.to_json();
+    let all = json["best"].as_array().unwrap().iter().chain([&json["present"]]);
+    for entry in all {
+        assert_eq!(entry["unassigned"], 2, "{entry}");
+        assert!((8..=10).contains(&largest(entry)), "{entry}");
+        // The teams of the right modality lose two robots and no more.
+        assert!(entry["stability"].as_f64().is_some(), "{entry}");
+    }
+    let proposed = found.proposed().unwrap();
+    assert!(proposed.silhouette > found.present.silhouette, "{}", found.summary());
+    // Limits may leave room for another number of teams than the fleet shows.
+    file["teams"] = json!({"from": 2, "to": 6});
+    file["size"] = json!({"min": 5, "max": 6});
+    let options = TuneOptions { teams: None, ..OPTIONS };
+    let found = Tuning::new(file.to_string().as_bytes(), &options, &mut |_| {}).unwrap();
+    assert_eq!(found.teams, 4, "22 robots in teams of 5 or 6");
+    // What nothing satisfies is said with its numbers.
+    file["size"] = json!({"min": 9});
+    file["teams"] = json!(3);
+    let refused = Tuning::new(file.to_string().as_bytes(), &OPTIONS, &mut |_| {}).unwrap_err();
+    assert!(refused.to_string().contains("27"), "{refused}");
+}
+
 #[test]
 fn each_division_is_shown_once() {
     let found = tuned(&fleet(0.5));

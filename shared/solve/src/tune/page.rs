@@ -103,5 +103,7 @@ fn entry(tuned: &Tuned) -> Value {
         "silhouette": tuned.silhouette,
         "stability": tuned.stability,
         "moved": tuned.moved,
+        "largest_team": tuned.largest_team(),
+        "unassigned": tuned.unassigned(),
     })
 }
