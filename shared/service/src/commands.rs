@@ -91,7 +91,7 @@ impl Commands {
         self.pending.remove(&get)
     }
 
-    /// Remembers an outcome. Returns whether it was not known.
+    /// Remembers an outcome. Returns whether it was not known, and there was room for it.
     pub(crate) fn remember(&mut self, outcome: Arc<CommandOutcome>) -> bool {
         let name = (outcome.operator.clone(), outcome.id.clone());
         match self.outcomes.get(&name) {
@@ -106,11 +106,15 @@ impl Commands {
         if outcome.refused.is_some() && refusals >= MAX_REMEMBERED_REFUSALS
             || self.order.len() >= MAX_REMEMBERED_COMMANDS
         {
-            // Of all, the oldest that was refused; else the oldest.
+            // The oldest that was refused gives way; one that was carried out gives way to no refusal.
             let is_refused = |name| {
                 self.outcomes.get(name).is_some_and(|known: &Arc<_>| known.refused.is_some())
             };
-            self.forget(self.order.iter().position(is_refused).unwrap_or(0));
+            match self.order.iter().position(is_refused) {
+                Some(place) => self.forget(place),
+                None if outcome.refused.is_some() => return false,
+                None => self.forget(0),
+            }
         }
         self.order.push_back(name.clone());
         self.outcomes.insert(name, outcome);

@@ -18,6 +18,9 @@ use crate::facilities::{Facilities, ReplyKind};
 use crate::gets::{Get, encode_answer};
 use crate::replica::settings::problem_json;
 
+/// The action, as JSON, of a command that could not be decoded or was not looked at.
+const UNKNOWN_ACTION: &str = "null";
+
 /// What is answered to a change that is no command.
 const NO_COMMAND: &str =
     "is changed by commands: get command/{service}/{operator}/{id} with the command as payload";
@@ -116,19 +119,27 @@ impl<C: Core> Host<C> {
                 return refused("(command)", "is being carried out; ask again in a moment");
             }
             Admission::Full => {
-                return refused("(command)", "too many commands within ten minutes; wait a while");
+                let problem =
+                    problem_json("(command)", "too many commands within ten minutes; wait a while");
+                let refusal = Refusal { command: None, problem, may_be_repeated: true };
+                return Err(NotBegun::Refused(facilities.report_refusal(&name, refusal).1));
             }
         }
         let payload = get.request.payload.clone().unwrap_or_default();
         let command = match decode(&payload) {
             Ok(command) => command,
-            Err(error) => return refused(&error.field, &error.problem),
+            Err(error) => {
+                let problem = problem_json(&error.field, &error.problem);
+                let refusal = Refusal { command: None, problem, may_be_repeated: false };
+                return Err(NotBegun::Refused(facilities.refuse_command(&name, refusal)));
+            }
         };
         let term = facilities.replica.revision().term;
         if let Err(wrong) = command.check(C::SERVICE, facilities.now, term) {
             let problem = problem_json(wrong.field, &wrong.problem);
-            facilities.refuse_command(name, &command, problem.clone(), wrong.passes());
-            return Err(NotBegun::Refused(problem));
+            let may_be_repeated = wrong.passes();
+            let refusal = Refusal { command: Some(&command), problem, may_be_repeated };
+            return Err(NotBegun::Refused(facilities.refuse_command(&name, refusal)));
         }
         let (key, payload) = carried_out_by(C::SERVICE, &name.0, &command.action);
         let text = facilities.replica.space.format(&key);
@@ -151,50 +162,63 @@ enum NotBegun {
     Known(Arc<CommandOutcome>),
 }
 
+/// A command that is refused before it begins.
+struct Refusal<'a> {
+    /// What was commanded; none where that is not known.
+    command: Option<&'a OperatorCommand>,
+    /// Why, as JSON.
+    problem: String,
+    /// Whether the same id may be sent again.
+    may_be_repeated: bool,
+}
+
 impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
     /// The event of a command.
-    fn report_command(
-        &mut self,
-        name: &CommandName,
-        command: &OperatorCommand,
-        refused: Option<&str>,
-    ) {
+    fn report_command(&mut self, name: &CommandName, action: String, refused: Option<&str>) {
         let kind = EventKind::Commanded {
             operator: name.0.clone(),
             command: name.1.clone(),
-            action: action_text(command),
+            action,
             refused: refused.map(str::to_owned),
         };
         let severity = if refused.is_some() { Severity::Warning } else { Severity::Info };
         self.publish_event(severity, kind);
     }
 
-    /// Remembers that a command was refused before it began, and tells standbys and operators. It is on the disk with the
-    /// next one that is carried out.
-    fn refuse_command(
+    /// Publishes to operators and standbys that a command is refused before it begins. Returns the outcome and the
+    /// problem.
+    fn report_refusal(
         &mut self,
-        name: CommandName,
-        command: &OperatorCommand,
-        problem: String,
-        may_be_repeated: bool,
-    ) {
+        name: &CommandName,
+        refusal: Refusal<'_>,
+    ) -> (Arc<CommandOutcome>, String) {
+        let Refusal { command, problem, may_be_repeated } = refusal;
+        let action = command.map_or_else(|| UNKNOWN_ACTION.to_owned(), action_text);
         let outcome = Arc::new(CommandOutcome {
             header: self.replica.own_header(self.now, self.replica.revision()),
             service: self.replica.service,
             operator: name.0.clone(),
             id: name.1.clone(),
             // What the operator sent may be no time at all.
-            expires: command.expires.clamp(0.0, MAX_EXPIRY_S),
-            based_on: command.based_on,
-            action: action_text(command),
+            expires: command.map_or(0.0, |command| command.expires.clamp(0.0, MAX_EXPIRY_S)),
+            based_on: command.and_then(|command| command.based_on),
+            action: action.clone(),
             refused: remembered(&problem).or_else(|| Some(problem_json("(command)", "is refused"))),
             answer: None,
             may_be_repeated,
         });
-        self.operator_commands.remember(Arc::clone(&outcome));
-        self.publish_as_leader(Message::Outcome(outcome));
+        self.publish_as_leader(Message::Outcome(Arc::clone(&outcome)));
         self.replica.add("commands_refused", 1);
-        self.report_command(&name, command, Some(&problem));
+        self.report_command(name, action, Some(&problem));
+        (outcome, problem)
+    }
+
+    /// Refuses a command before it begins, and remembers that. It is on the disk with the next one that is carried out.
+    /// Returns the problem.
+    fn refuse_command(&mut self, name: &CommandName, refusal: Refusal<'_>) -> String {
+        let (outcome, problem) = self.report_refusal(name, refusal);
+        self.operator_commands.remember(outcome);
+        problem
     }
 
     /// Answers a command that was given before as it was answered then.
@@ -238,7 +262,7 @@ impl<S: Settings, F: Copy + Eq, J> Facilities<S, F, J> {
         self.operator_commands.remember(Arc::clone(&outcome));
         self.store();
         self.publish_as_leader(Message::Outcome(Arc::clone(&outcome)));
-        self.report_command(&name, &command, outcome.refused.as_deref());
+        self.report_command(&name, outcome.action.clone(), outcome.refused.as_deref());
         answer?;
         let space = &self.replica.space;
         encode_answer(space, &request, &[Message::Outcome(outcome)], self.now)
