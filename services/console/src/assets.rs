@@ -42,6 +42,7 @@ impl Asset {
         SCRIPT "history.js",
         SCRIPT "link.js",
         SCRIPT "map.js",
+        SCRIPT "past.js",
         SCRIPT "services.js",
         SCRIPT "state.js",
         STYLE "style.css",

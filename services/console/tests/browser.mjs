@@ -465,6 +465,20 @@ await run(async () => {
     await page.locator("#past").waitFor();
     await page.locator(".banner.replay").waitFor();
     await page.locator(".watermark").waitFor();
+    // The robots stand still, so that those on the map of the past are where they are now.
+    await page.locator("#past", { hasText: "The map shows the positions of" }).waitFor();
+    const past = await page.evaluate(async () => {
+        const { placeOf, hasPlace } = await import("/frame.js");
+        const { state } = window.muster;
+        const place = (world, robot) => {
+            const index = world.index.get(robot);
+            return index === undefined || !hasPlace(world.ground, index) ? null : placeOf(world.ground, index);
+        };
+        const both = state.robots.map(({ robot }) => [place(state.replay.world, robot), place(state, robot)]);
+        const known = both.filter(([was, is]) => was && is);
+        return { count: known.length, apart: Math.max(...known.map(([was, is]) => Math.hypot(was[0] - is[0], was[1] - is[1]))) };
+    });
+    assert.ok(past.count >= 10 && past.apart < 2, JSON.stringify(past));
     await picture(page, "replay");
     await axe(page, "replay");
     await page.locator("#leave-replay").click();

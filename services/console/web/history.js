@@ -2,8 +2,10 @@
 
 import { counted, fixed, moment, words } from "./format.js";
 import { ask } from "./link.js";
+import { showReplay } from "./map.js";
+import { pastWorld } from "./past.js";
 import { teamName } from "./teams.js";
-import { changed, now, state } from "./state.js";
+import { now, state } from "./state.js";
 import { Component, h } from "./vendor/preact.js";
 
 /** How far back the time line goes at first, in seconds. */
@@ -22,8 +24,7 @@ export class History extends Component {
     }
 
     componentWillUnmount() {
-        state.replay = null;
-        changed();
+        showReplay(null);
     }
 
     #load() {
@@ -40,16 +41,15 @@ export class History extends Component {
         this.setState({ at });
         ask({ history: `as_of=${at.toFixed(6)}` }).then((answer) => {
             if (this.state.at !== at) return;
-            state.replay = { at, division: answer.rows.as_of ?? null };
-            this.setState({ past: answer.rows.as_of ?? null, problem: answer.rows.as_of ? "" : "nothing was recorded until then" });
-            changed();
+            const past = answer.rows.as_of ?? null;
+            showReplay({ at, world: past && pastWorld(past) });
+            this.setState({ past, problem: past ? "" : "nothing was recorded until then" });
         }, (error) => this.setState({ problem: error.message }));
     }
 
     #leave() {
-        state.replay = null;
+        showReplay(null);
         this.setState({ at: 0, past: null });
-        changed();
     }
 
     render() {
@@ -73,7 +73,7 @@ export class History extends Component {
             past ? h("section", { id: "past", "aria-labelledby": "past-title" },
                 h("h2", { id: "past-title" }, `REPLAY: the division at ${moment(at)}`),
                 h("p", {}, `Recorded at ${moment(past.at / 1e6)}. `, past.audit ? `Mean silhouette ${fixed(past.audit.mean)}, ${past.audit.verdict}.` : "",
-                    " Positions are not recorded."),
+                    past.positions_at === null ? " No positions were recorded until then." : ` The map shows the positions of ${moment(past.positions_at / 1e6)}.`),
                 h("table", {}, h("thead", {}, h("tr", {}, ["team", "leader", "robots"].map((name) => h("th", { scope: "col" }, name)))),
                     h("tbody", {}, past.teams.map((/** @type {any} */ team) => h("tr", { key: team.id },
                         h("th", { scope: "row" }, teamName(team.id)), h("td", {}, team.leader ?? "–"),

@@ -46,7 +46,11 @@ let painted = "";
 /** @type {{count: number, at: number[], ages: number[], discs: number}} */
 export const drawn = { count: 0, at: [], ages: [], discs: 0 };
 
-const frameNow = () => (state.view.embedding ? state.embedding : state.ground);
+/** What the map shows: the fleet as it is, or as it was at the moment of the past that is shown. @returns {any} */
+const world = () => state.replay?.world ?? state;
+
+/** @returns {Frame | null} */
+const frameNow = () => (state.view.embedding && !state.replay ? state.embedding : world().ground);
 
 /** @param {string} name */
 function css(name) {
@@ -58,7 +62,7 @@ function css(name) {
 /** Whether the filter shows a robot. @param {number} index @param {number} flags */
 function passes(index, flags) {
     const { text, team, role, skill, state: wanted } = state.filter;
-    const robot = state.robots[index];
+    const robot = world().robots[index];
     if (!robot) return true;
     return (!text || robot.robot.includes(text)) && (!team || teamAt(index) === team) &&
         (!role || robot.role === role) && (!skill || robot.skills.includes(skill)) &&
@@ -70,18 +74,18 @@ function teamAt(index) {
     const frame = frameNow();
     if (!frame) return "";
     const slot = slotOf(frame, index);
-    return slot === 65535 ? "none" : (state.teams?.teams?.[slot]?.id ?? "");
+    return slot === 65535 ? "none" : (world().teams?.teams?.[slot]?.id ?? "");
 }
 
 /** A frame with the teams that a proposal would give. @param {Frame} frame @returns {Frame} */
 function proposed(frame) {
     const { proposal, onMap } = state.whatIf;
-    if (!onMap || !proposal?.division || frame.names !== state.names) return frame;
+    if (!onMap || state.replay || !proposal?.division || frame.names !== world().names) return frame;
     const bytes = frame.bytes.slice();
     const shorts = new Uint16Array(bytes.buffer);
     const slots = new Map(teamIds().map((id, slot) => [id, slot]));
     for (const { robot, to } of proposal.division.moves) {
-        const index = state.index.get(robot);
+        const index = world().index.get(robot);
         if (index !== undefined && index < frame.count) shorts[4 * index + 2] = slots.get(to) ?? 65535;
     }
     return { ...frame, bytes, shorts, words: new Uint32Array(bytes.buffer) };
@@ -89,9 +93,9 @@ function proposed(frame) {
 
 /** The team of each slot: the live ones, and behind them those that only a shown proposal has. @returns {string[]} */
 function teamIds() {
-    const live = (state.teams?.teams ?? []).map((/** @type {any} */ team) => team.id);
+    const live = (world().teams?.teams ?? []).map((/** @type {any} */ team) => team.id);
     const { proposal, onMap } = state.whatIf;
-    const others = onMap ? (proposal?.division?.teams ?? []).map((/** @type {any} */ team) => team.id) : [];
+    const others = onMap && !state.replay ? (proposal?.division?.teams ?? []).map((/** @type {any} */ team) => team.id) : [];
     return live.concat(others.filter((/** @type {string} */ id) => !live.includes(id)));
 }
 
@@ -101,9 +105,9 @@ const isFiltered = () => Object.values(state.filter).some(Boolean);
 function marks() {
     const frame = frameNow();
     const all = new Uint8Array(frame?.count ?? 0);
-    if (!frame || frame.names !== state.names) return all;
+    if (!frame || frame.names !== world().names) return all;
     for (const robot of state.selected) {
-        const index = state.index.get(robot);
+        const index = world().index.get(robot);
         if (index !== undefined) all[index] = 1;
     }
     if (isFiltered()) {
@@ -151,7 +155,7 @@ export function fit() {
 
 /** @returns {Float32Array} */
 function lineEnds() {
-    const [links, frame] = [state.links, frameNow()];
+    const [links, frame] = [world().links, frameNow()];
     if (!state.view.links || !links || !frame || links.names !== frame.names) return new Float32Array();
     const ends = new Float32Array(6 * links.count);
     let length = 0;
@@ -193,7 +197,7 @@ export function draw() {
     if (!view.fitted) fit();
     const dark = document.documentElement.dataset.theme ?? "";
     const ids = teamIds();
-    const key = `${state.teams?.slots} ${ids.length} ${dark}`;
+    const key = `${world().teams?.slots} ${ids.length} ${dark}`;
     if (painted !== key) {
         painter.setTeams(ids.map(teamColor));
         painted = key;
@@ -218,7 +222,7 @@ export function draw() {
     });
     drawGrid(below, ratio);
     drawOverlay(overlay, ratio);
-    if (frame) {
+    if (frame && !state.replay) {
         drawn.count += 1;
         drawn.discs = dense?.frame.count ?? 0;
         drawn.at.push(performance.now());
@@ -320,28 +324,28 @@ function drawOverlay(target, ratio) {
 /** @param {CanvasRenderingContext2D} pen @param {string} text @param {string} warn */
 function drawLabels(pen, text, warn) {
     const frame = frameNow();
-    if (!frame || frame.names !== state.names) return;
+    if (!frame || frame.names !== world().names) return;
     const label = (/** @type {string} */ robot, /** @type {string} */ more) => {
-        const index = state.index.get(robot);
+        const index = world().index.get(robot);
         if (index === undefined || index >= frame.count || !hasPlace(frame, index)) return;
         const [x, y] = toScreen(...placeOf(frame, index));
         pen.fillText(more ? `${robot} ${more}` : robot, x + 10, y - 8);
     };
     pen.fillStyle = warn;
     const missing = new Set();
-    for (const one of state.lost.robots.slice(0, MAX_AGES)) {
+    for (const one of world().lost.robots.slice(0, MAX_AGES)) {
         missing.add(one.robot);
         label(one.robot, age(now() - one.last_seen));
     }
     pen.fillStyle = text;
-    const named = frame.count <= MAX_LABELS ? state.robots.map((one) => one.robot) : [...state.selected].slice(0, MAX_LABELS);
+    const named = frame.count <= MAX_LABELS ? world().robots.map((one) => one.robot) : [...state.selected].slice(0, MAX_LABELS);
     for (const robot of named) if (!missing.has(robot)) label(robot, "");
 }
 
 /** The robot nearest to a place on the screen. @param {number} x @param {number} y */
 function robotAt(x, y) {
     const frame = frameNow();
-    if (!frame || frame.names !== state.names) return "";
+    if (!frame || frame.names !== world().names) return "";
     let best = -1;
     let least = REACH;
     for (let index = 0; index < frame.count; index++) {
@@ -350,20 +354,20 @@ function robotAt(x, y) {
         const far = Math.hypot(atX - x, atY - y);
         if (far < least) [best, least] = [index, far];
     }
-    return best < 0 ? "" : state.robots[best].robot;
+    return best < 0 ? "" : world().robots[best].robot;
 }
 
 /** @param {[number, number]} from @param {[number, number]} to @param {boolean} add */
 function selectBox(from, to, add) {
     const frame = frameNow();
-    if (!frame || frame.names !== state.names) return;
+    if (!frame || frame.names !== world().names) return;
     const [left, right] = [Math.min(from[0], to[0]), Math.max(from[0], to[0])];
     const [top, low] = [Math.min(from[1], to[1]), Math.max(from[1], to[1])];
     if (!add) state.selected.clear();
     for (let index = 0; index < frame.count; index++) {
         if (!hasPlace(frame, index) || !passes(index, flagsOf(frame, index))) continue;
         const [x, y] = toScreen(...placeOf(frame, index));
-        if (x >= left && x <= right && y >= top && y <= low) state.selected.add(state.robots[index].robot);
+        if (x >= left && x <= right && y >= top && y <= low) state.selected.add(world().robots[index].robot);
     }
     state.opened = state.selected.size === 1 ? [...state.selected][0] : "";
     changed();
@@ -373,12 +377,12 @@ function selectBox(from, to, add) {
 /** The robots in the window; null if all are there, or more than links are asked for by name. @returns {string[] | null} */
 function visible() {
     const frame = frameNow();
-    if (!canvas || !frame || frame.names !== state.names) return null;
+    if (!canvas || !frame || frame.names !== world().names) return null;
     const found = [];
     for (let index = 0; index < frame.count && found.length <= MAX_LINK_ROBOTS; index++) {
         if (!hasPlace(frame, index)) continue;
         const [x, y] = toScreen(...placeOf(frame, index));
-        if (x >= 0 && y >= 0 && x <= canvas.clientWidth && y <= canvas.clientHeight) found.push(state.robots[index].robot);
+        if (x >= 0 && y >= 0 && x <= canvas.clientWidth && y <= canvas.clientHeight) found.push(world().robots[index].robot);
     }
     return found.length <= MAX_LINK_ROBOTS && found.length < frame.count ? found : null;
 }
@@ -413,13 +417,13 @@ function panBy(x, y) {
 
 /** Where a robot stands, in pixels of the map; none if it has no place. @param {string} robot */
 export function screenOf(robot) {
-    const [frame, index] = [frameNow(), state.index.get(robot)];
+    const [frame, index] = [frameNow(), world().index.get(robot)];
     return frame && index !== undefined && hasPlace(frame, index) ? toScreen(...placeOf(frame, index)) : null;
 }
 
 /** Shows a robot in the middle. @param {string} robot */
 export function centre(robot) {
-    const [frame, index] = [frameNow(), state.index.get(robot)];
+    const [frame, index] = [frameNow(), world().index.get(robot)];
     if (!frame || index === undefined || index >= frame.count || !hasPlace(frame, index)) return;
     [view.x, view.y] = placeOf(frame, index);
     draw();
@@ -440,6 +444,14 @@ export function showLinks(modality) {
     state.view.links = modality;
     state.links = null;
     sendView();
+    changed();
+}
+
+/** Shows a moment of the past, or the present again. @param {any} replay */
+export function showReplay(replay) {
+    if (!state.replay !== !replay) view.fitted = false;
+    state.replay = replay;
+    draw();
     changed();
 }
 
@@ -535,10 +547,10 @@ export class MapView extends Component {
 
     /** Chooses the next robot in the order of names. @param {number} by */
     #step(by) {
-        const count = state.robots.length;
+        const count = world().robots.length;
         if (!count) return;
-        const at = state.opened ? (state.index.get(state.opened) ?? 0) + by : 0;
-        select(state.robots[((at % count) + count) % count].robot);
+        const at = state.opened ? (world().index.get(state.opened) ?? 0) + by : 0;
+        select(world().robots[((at % count) + count) % count].robot);
         centre(state.opened);
         sendView();
     }

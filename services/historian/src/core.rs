@@ -24,6 +24,7 @@ use muster_wire::{Key, Message, Pattern};
 use crate::audits::Audits;
 use crate::divisions::Divisions;
 use crate::fleet::Fleet;
+use crate::positions::Positions;
 
 /// Most events that wait for the core: those of a fleet whose robots all change their team at once.
 const QUEUE_EVENTS: usize = 4096;
@@ -65,6 +66,7 @@ pub struct Historian {
     divisions: Divisions,
     audits: Audits,
     fleet: Fleet,
+    positions: Positions,
     /// The settings of each service as recorded.
     settings: BTreeMap<ServiceName, String>,
     /// The newest report of the store.
@@ -343,6 +345,7 @@ impl Core for Historian {
         self.damaged = report.damaged.clone().or(self.damaged.take());
         // What comes next rests on nothing otherwise.
         if report.lost > 0 {
+            self.positions.forget();
             self.record_whole(context, SnapshotCause::Gap);
         }
         self.report = Some(report);
@@ -371,6 +374,12 @@ impl Core for Historian {
         if let Some(audit) = self.audits.take(context.now(), interval) {
             record(context, Record::Audit(audit));
         }
+        let interval = seconds(context.settings().positions_interval_s);
+        if let Some(roster) = self.fleet.roster()
+            && let Some(positions) = self.positions.take(context.now(), interval, roster)
+        {
+            record(context, Record::Positions(positions));
+        }
     }
 
     fn deadline(&self, view: &View<'_, Self>) -> Option<Tick> {
@@ -391,7 +400,7 @@ impl Core for Historian {
 
     fn memory_use(&self) -> MemoryUse {
         MemoryUse {
-            robots: self.fleet.robots() + self.divisions.robots(),
+            robots: self.fleet.robots() + self.divisions.robots() + self.positions.robots(),
             messages: self.settings.len() + self.lookups.len(),
             ..MemoryUse::default()
         }

@@ -68,6 +68,11 @@ impl Fleet {
         left
     }
 
+    /// The newest roster.
+    pub(crate) fn roster(&self) -> Option<&Roster> {
+        self.roster.as_deref()
+    }
+
     /// All robots, if a roster was received.
     pub(crate) fn present(&self) -> Option<Record> {
         let roster = self.roster.as_ref()?;

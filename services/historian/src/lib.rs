@@ -19,6 +19,7 @@ mod audits;
 mod core;
 mod divisions;
 mod fleet;
+mod positions;
 #[cfg(feature = "store")]
 mod store;
 

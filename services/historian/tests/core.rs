@@ -123,7 +123,10 @@ struct Recording {
 
 impl Recording {
     fn start(answers: Vec<Message>) -> Self {
-        let settings = HistorianSettings::default();
+        Self::start_with(HistorianSettings::default(), answers)
+    }
+
+    fn start_with(settings: HistorianSettings, answers: Vec<Message>) -> Self {
         let bench = Bench::leading(fleet(), instance(), NOW, settings, answers);
         let (queue, store) = (RecordQueue::default(), MemoryRecords::default());
         let mut recording = Self { bench, queue, store, appended: Vec::new() };
@@ -271,6 +274,62 @@ fn scores_are_recorded_at_most_once_in_an_interval_unless_the_verdict_changes() 
     assert!(matches!(&recording.take()[..], [Record::Audit(audit)] if audit.mean == Some(0.31)));
     recording.pass(60 * S);
     assert!(recording.take().is_empty(), "nothing has changed");
+}
+
+/// A roster of robots at places, in metres east.
+fn roster_at(epoch: u64, east: &[f64]) -> Message {
+    let Message::Roster(roster) = roster(epoch, 0..east.len()) else { panic!() };
+    let mut roster = Roster::clone(&roster);
+    for (entry, east) in roster.robots.iter_mut().zip(east) {
+        entry.position = Some([*east, 2.0, 0.0]);
+    }
+    Message::Roster(Checked::new(roster).unwrap())
+}
+
+#[test]
+fn positions_are_recorded_where_robots_have_moved_and_found_as_of_a_moment() {
+    let positions = |recording: &mut Recording| -> Vec<(bool, Vec<i64>)> {
+        let of = |record: &Record| match record {
+            Record::Positions(positions) => {
+                let east = positions.robots.iter().map(|(_, [east, _])| *east).collect();
+                Some((positions.is_whole, east))
+            }
+            _ => None,
+        };
+        recording.take().iter().filter_map(of).collect()
+    };
+    let mut recording = Recording::start(vec![roster_at(1, &[0.0, 10.0, 20.0])]);
+    recording.receive(division(1, &[&[0, 1], &[2]]));
+    assert_eq!(positions(&mut recording), [(true, vec![0, 1000, 2000])]);
+    // Noise is no motion, and a record comes once in an interval.
+    recording.receive(roster_at(2, &[0.4, 10.0, 20.0]));
+    recording.pass(30 * S);
+    recording.receive(roster_at(3, &[0.4, 10.2, 20.0]));
+    assert_eq!(positions(&mut recording), []);
+    recording.pass(29 * S);
+    recording.receive(roster_at(4, &[3.0, 10.0, 20.0]));
+    assert_eq!(positions(&mut recording), []);
+    recording.pass(S);
+    recording.receive(roster_at(5, &[3.0, 10.0, 20.0]));
+    assert_eq!(positions(&mut recording), [(false, vec![300])]);
+    recording.receive(roster_at(6, &[9.0, 19.0, 20.0]));
+    recording.pass(30 * S);
+    assert_eq!(positions(&mut recording), [(true, vec![900, 1900, 2000])]);
+    recording.write();
+    let mut east_at = |back: Duration| {
+        let moment = recording.bench.now.before(back);
+        let Rows::AsOf(Some(past)) = recording.rows(Subject::AsOf(moment)) else { panic!() };
+        past.positions.values().map(|[east, _]| *east).collect::<Vec<_>>()
+    };
+    assert_eq!(east_at(Duration::ZERO), [9.0, 19.0, 20.0]);
+    assert_eq!(east_at(S), [3.0, 10.0, 20.0], "from the whole record and the last one");
+    assert_eq!(east_at(31 * S), [0.0, 10.0, 20.0]);
+    // None where the setting says so.
+    let never = HistorianSettings { positions_interval_s: 0.0, ..HistorianSettings::default() };
+    let mut recording = Recording::start_with(never, vec![roster_at(1, &[0.0, 10.0])]);
+    recording.pass(60 * S);
+    recording.receive(roster_at(2, &[90.0, 190.0]));
+    assert_eq!(positions(&mut recording), []);
 }
 
 #[test]

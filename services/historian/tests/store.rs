@@ -10,8 +10,8 @@ use muster_model::audit::Quality;
 use muster_model::event::{Event, EventKind, Severity};
 use muster_model::header::{Header, Revision};
 use muster_model::history::{
-    AuditRecord, DivisionRecord, Entry, EventRecord, LeaveReason, PastDivision, Place, Query,
-    Record, Retention, Rows, SnapshotCause, Subject, TeamLine,
+    AuditRecord, DivisionRecord, Entry, EventRecord, LeaveReason, PastDivision, Place,
+    PositionsRecord, Query, Record, Retention, Rows, SnapshotCause, Subject, TeamLine,
 };
 use muster_model::id::{CommandId, FleetId, InstanceId, OperatorId, RobotId, ServiceName, TeamId};
 use muster_model::settings::HistorianSettings;
@@ -103,6 +103,8 @@ enum Happening {
     Present(u8),
     Reopen,
     Forget(u64),
+    /// Robots are at other places; whether all are recorded.
+    Survey([i64; 6], bool),
 }
 
 fn happening() -> impl Strategy<Value = (Happening, i64)> {
@@ -116,6 +118,7 @@ fn happening() -> impl Strategy<Value = (Happening, i64)> {
         1 => any::<u8>().prop_map(Happening::Present),
         1 => Just(Happening::Reopen),
         1 => (0_u64..90).prop_map(Happening::Forget),
+        3 => (prop::array::uniform6(-3_i64..3), any::<bool>()).prop_map(|(at, whole)| Happening::Survey(at, whole)),
     ];
     // Now and then the clock goes back, by up to an hour.
     let step = prop_oneof![9 => 0_i64..400_000_000, 1 => -3_600_000_000_i64..0];
@@ -173,6 +176,8 @@ proptest! {
         let (mut now, mut teams, mut epoch) = (START, Teams::default(), 0);
         let mut history: Vec<(Tick, Teams)> = Vec::new();
         let mut forgot = false;
+        let mut surveys: Vec<(Tick, [i64; 6])> = Vec::new();
+        let mut whole: Option<[i64; 6]> = None;
         let write = |file: &mut FileRecords, memory: &mut MemoryRecords, at, record| {
             let entries = [Entry { at: Tick(at), record }];
             file.write(&entries).unwrap();
@@ -214,6 +219,15 @@ proptest! {
                 Happening::Present(bits) => {
                     Record::Present((0..6).filter(|at| bits & (1 << at) != 0).map(robot).collect())
                 }
+                Happening::Survey(places, all) => {
+                    surveys.push((Tick(now), *places));
+                    let is_whole = *all || whole.is_none();
+                    let base = whole.filter(|_| !is_whole);
+                    if is_whole { whole = Some(*places); }
+                    let is_there = |at: &usize| base.is_none_or(|base| base[*at] != places[*at]);
+                    let robots = (0..6).filter(is_there).map(|at| (robot(at), [places[at], -7]));
+                    Record::Positions(PositionsRecord { is_whole, robots: robots.collect() })
+                }
                 Happening::Reopen => {
                     drop(std::mem::replace(&mut file, FileRecords::open(
                         None, &FleetId::new("f").unwrap(), &InstanceId::new("i-1").unwrap(),
@@ -249,6 +263,20 @@ proptest! {
                 let found = ask(&mut file, &query);
                 prop_assert_eq!(&found, &ask(&mut memory, &query));
                 let Rows::AsOf(found) = found else { panic!("{found:?}") };
+                if let Some(found) = found.as_deref().filter(|_| !forgot) {
+                    let survey = surveys.iter().rev().find(|(at, _)| *at <= moment);
+                    prop_assert_eq!(found.positions_at, survey.map(|(at, _)| *at));
+                    let (_, places) = survey.copied().unwrap_or_default();
+                    for (name, [east, north]) in &found.positions {
+                        let at = (0..6).find(|at| robot(*at) == *name).unwrap();
+                        prop_assert_eq!((*east, *north), (places[at] as f64 / 100.0, -0.07));
+                    }
+                    let there = found.teams.iter().flat_map(|team| &team.members);
+                    let there = there.chain(&found.unassigned).filter(|_| survey.is_some());
+                    for name in there {
+                        prop_assert!(found.positions.contains_key(name));
+                    }
+                }
                 let found = found.as_deref().map(teams_of);
                 if !forgot {
                     prop_assert_eq!(found, naive(&history, moment));

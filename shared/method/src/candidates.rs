@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use muster_model::settings::{ClustererSettings, Dimension};
-use muster_numeric::dimension::{Spectrum, choose_covering_dimension};
+use muster_numeric::dimension::{Coverage, Spectrum};
 use muster_numeric::embedding::embed_powers;
 use muster_numeric::katz_svd::KatzSvd;
 use muster_numeric::matrix::SparseMatrix;
@@ -106,9 +106,16 @@ impl Candidates {
         let linked = frame.linked.iter().filter(|linked| **linked).count();
         let most = (*range.end()).min(u32::try_from(linked).unwrap_or(u32::MAX));
         self.known.retain(|teams, _| *teams <= most);
+        let coverage = Coverage::new(svd, frame.linked, most as usize);
+        let graphs: Vec<(Modularity<'_>, f64)> = frame
+            .relations
+            .iter()
+            .filter_map(|(graph, weight)| Some((Modularity::new(graph)?, *weight)))
+            .collect();
         for teams in self.renewed(svd.nodes(), most, frame) {
-            let candidate = self.divide(svd, teams, frame)?;
-            self.known.insert(teams, candidate);
+            let labels = self.divide(svd, &coverage, teams, frame)?;
+            let modularity = mean_modularity(&graphs, &labels);
+            self.known.insert(teams, Candidate { labels, modularity });
         }
         let modularity: Vec<f64> = self.known.values().map(|known| known.modularity).collect();
         let gaps = gaps(svd.singular_values(), frame.alpha);
@@ -140,21 +147,19 @@ impl Candidates {
         numbers
     }
 
-    /// The division of a frame into so many teams.
-    fn divide(
+    /// The labels of a division of a frame into so many teams.
+    fn divide<S: Triplets>(
         &self,
-        svd: &impl Triplets,
+        svd: &S,
+        coverage: &Coverage<'_, S>,
         teams: u32,
         frame: Counted<'_>,
-    ) -> Result<Candidate, MethodError> {
-        let Counted { params, linked, .. } = frame;
+    ) -> Result<Vec<Option<usize>>, MethodError> {
+        let params = frame.params;
         let most = svd.singular_values().len().min(svd.nodes());
         let rank = match params.dimension {
             Dimension::Fixed(dimension) => dimension as usize / 2,
-            Dimension::Auto => {
-                let choice = choose_covering_dimension(svd, linked, teams as usize, None);
-                choice.dimension.min(params.max_rank)
-            }
+            Dimension::Auto => coverage.choose(teams as usize, None).dimension.min(params.max_rank),
         };
         let embedded = embed_powers(&svd.leading(rank.clamp(1, most))?, params.power, params.rows);
         let before = self.known.get(&teams).map(|known| &known.labels[..]);
@@ -165,16 +170,15 @@ impl Candidates {
             ..DivisionParams::new(&ClustererSettings::default(), teams as usize)
         };
         let found = divide(&embedded.x, &embedded.weak, &division.check()?, before, &mut |_| {})?;
-        let (mut sum, mut weights) = (0.0, 0.0);
-        for (graph, weight) in frame.relations {
-            if let Some(modularity) = Modularity::new(graph) {
-                sum += weight * modularity.of(&found.labels, RESOLUTION);
-                weights += weight;
-            }
-        }
-        let modularity = if weights > 0.0 { sum / weights } else { 0.0 };
-        Ok(Candidate { labels: found.labels, modularity })
+        Ok(found.labels)
     }
+}
+
+/// The mean modularity of a division by graphs with weights; 0 without any.
+fn mean_modularity(graphs: &[(Modularity<'_>, f64)], labels: &[Option<usize>]) -> f64 {
+    let weights: f64 = graphs.iter().map(|(_, weight)| weight).sum();
+    let sum: f64 = graphs.iter().map(|(graph, weight)| weight * graph.of(labels, RESOLUTION)).sum();
+    if weights > 0.0 { sum / weights } else { 0.0 }
 }
 
 /// What a division of so many robots costs.

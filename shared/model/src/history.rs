@@ -3,6 +3,8 @@
 //! Records hold what changed. A division is recorded when a robot's place or a team's leader is another than
 //! before, and from time to time as a whole, so that a moment is found without reading everything before it.
 
+use std::collections::BTreeMap;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -87,6 +89,16 @@ pub struct AuditRecord {
     pub per_team: Vec<(TeamId, f64)>,
 }
 
+/// Where robots were, in centimetres east and north of the origin of their frame.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PositionsRecord {
+    /// Whether these are all robots with a position; otherwise they are those that were elsewhere than in the last whole
+    /// record.
+    pub is_whole: bool,
+    /// The robots, ordered by name.
+    pub robots: Vec<(RobotId, [i64; 2])>,
+}
+
 /// Something that happened.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EventRecord {
@@ -154,6 +166,8 @@ pub enum Record {
         /// How many of them are sure to be lost; divisions that rested on them are lost as well.
         records: u64,
     },
+    /// Robots are elsewhere than before.
+    Positions(PositionsRecord),
 }
 
 /// A record with its moment.
@@ -343,6 +357,10 @@ pub struct PastDivision {
     pub stale: Vec<RobotId>,
     /// The last scores that were recorded until then; null if there are none.
     pub audit: Option<PastAudit>,
+    /// When the last positions until then were recorded, in microseconds since the Unix epoch; null if there are none.
+    pub positions_at: Option<Tick>,
+    /// Where its robots and the stale ones were then: metres east and north, by robot.
+    pub positions: BTreeMap<RobotId, [f64; 2]>,
 }
 
 /// A division that changed something.

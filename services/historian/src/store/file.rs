@@ -40,6 +40,9 @@ const BUSY_TIMEOUT: Duration = Duration::from_secs(2);
 
 const SCHEMA: &str = include_str!("schema.sql");
 
+/// Tables that came later within the version.
+const LATER_SCHEMA: &str = include_str!("positions.sql");
+
 /// The file of this instance, and its lock.
 #[derive(Debug)]
 pub(super) struct HistoryFile {
@@ -229,6 +232,9 @@ fn prepare(connection: &Connection, fleet: &FleetId) -> rusqlite::Result<()> {
         making.pragma_update(None, "application_id", APPLICATION_ID)?;
         making.pragma_update(None, "user_version", SCHEMA_VERSION)?;
         making.commit()?;
+    }
+    if version <= SCHEMA_VERSION {
+        connection.execute_batch(LATER_SCHEMA)?;
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! How records are forgotten: whole minutes, the oldest first.
 //!
-//! Of divisions, the last whole one before what is kept stays, with what rests on it: without it, what is kept could
-//! not be read.
+//! Of divisions and positions, the last whole ones before what is kept stay, with what rests on them: without them, what
+//! is kept could not be read.
 
 use muster_model::history::Retention;
 use rusqlite::{Connection, OptionalExtension as _};
@@ -100,6 +100,14 @@ fn forget(connection: &mut Connection, count: i64, stay: i64) -> rusqlite::Resul
     ] {
         deleting.execute(statement, [base])?;
     }
+    let whole: Option<i64> = deleting.query_row(
+        "SELECT max(seq) FROM surveys WHERE is_whole AND seq <= ?1",
+        [cut],
+        |row| row.get(0),
+    )?;
+    let whole = whole.unwrap_or(0);
+    deleting.execute("DELETE FROM positions WHERE survey < ?1", [whole])?;
+    deleting.execute("DELETE FROM surveys WHERE seq < ?1", [whole])?;
     for statement in [
         "DELETE FROM audit_teams WHERE audit < ?1",
         "DELETE FROM audits WHERE seq < ?1",
@@ -115,7 +123,7 @@ fn forget(connection: &mut Connection, count: i64, stay: i64) -> rusqlite::Resul
     // An era ends where the next begins.
     deleting.execute(
         "DELETE FROM eras WHERE era < (SELECT max(era) FROM eras WHERE first_seq <= ?1)",
-        [base.min(cut)],
+        [base.min(whole).min(cut)],
     )?;
     deleting.commit()?;
     Ok(true)

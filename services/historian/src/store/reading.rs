@@ -8,7 +8,7 @@ use muster_model::history::{
 };
 use muster_model::id::{RobotId, TeamId};
 use muster_model::time::Tick;
-use muster_service::records::{DivisionHead, MAX_PAGE_BYTES, past_division};
+use muster_service::records::{DivisionHead, MAX_PAGE_BYTES, PastPositions, past_division};
 use rusqlite::{Connection, OptionalExtension as _, Params, Row, params};
 
 use super::values::{moment, number, read, read_some, revision, signed, some_moment, unsigned};
@@ -187,7 +187,36 @@ fn as_of(connection: &Connection, moment: Tick) -> rusqlite::Result<Option<PastD
         None => None,
     };
     let leader = |team: &TeamId| leaders.get(team).cloned().flatten();
-    Ok(Some(past_division(head, places.into_values(), leader, audit)))
+    let positions = positions(connection, moment)?;
+    Ok(Some(past_division(head, places.into_values(), leader, audit, positions)))
+}
+
+/// The last positions until a moment.
+fn positions(connection: &Connection, moment: Tick) -> rusqlite::Result<PastPositions> {
+    let Some(last) = last_until(connection, "surveys", moment)? else {
+        return Ok(PastPositions::default());
+    };
+    let mut known = PastPositions {
+        at: connection.query_row("SELECT at_us FROM surveys WHERE seq = ?1", [last], |row| {
+            self::moment(row, 0).map(Some)
+        })?,
+        ..PastPositions::default()
+    };
+    let whole: Option<i64> = connection.query_row(
+        "SELECT max(seq) FROM surveys WHERE is_whole AND seq <= ?1",
+        [last],
+        |row| row.get(0),
+    )?;
+    let mut found = connection
+        .prepare_cached("SELECT robot, east_cm, north_cm FROM positions WHERE survey = ?1")?;
+    for survey in whole.into_iter().chain([last]) {
+        let place = |row: &Row<'_>| Ok((read(row, 0)?, [row.get(1)?, row.get(2)?]));
+        for found in found.query_map([survey], place)? {
+            let (robot, at) = found?;
+            known.robots.insert(robot, at);
+        }
+    }
+    Ok(known)
 }
 
 fn past_audit(connection: &Connection, sequence: i64) -> rusqlite::Result<PastAudit> {

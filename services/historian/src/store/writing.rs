@@ -1,7 +1,8 @@
 //! How records are written: many in one transaction.
 
 use muster_model::history::{
-    AuditRecord, Coverage, DivisionRecord, Entry, EventCoverage, EventRecord, LeaveReason, Record,
+    AuditRecord, Coverage, DivisionRecord, Entry, EventCoverage, EventRecord, LeaveReason,
+    PositionsRecord, Record,
 };
 use muster_model::id::{InstanceId, RobotId};
 use muster_model::time::Tick;
@@ -106,6 +107,7 @@ impl Writing<'_> {
             Record::Audit(audit) => self.audit(era, at, audit),
             Record::Event(event) => self.event(at, event),
             Record::Present(robots) => self.present(at, robots),
+            Record::Positions(positions) => self.positions(era, at, positions),
             Record::Joined(robot) => self.begin_stay(at, robot, Some(at)),
             Record::Left { robot, last_seen, reason } => {
                 self.begin_stay(at, robot, None)?;
@@ -226,6 +228,22 @@ impl Writing<'_> {
         self.coverage.events.retain(|of| of.source != record.source);
         self.coverage.events.push(newest);
         self.coverage.events.sort_by_key(|of| of.source);
+        Ok(())
+    }
+
+    fn positions(&mut self, era: i64, at: i64, record: &PositionsRecord) -> rusqlite::Result<()> {
+        let sequence = signed(self.position.sequence);
+        self.to.prepare_cached("INSERT INTO surveys VALUES (?1, ?2, ?3, ?4)")?.execute(params![
+            sequence,
+            era,
+            at,
+            record.is_whole
+        ])?;
+        let mut positions =
+            self.to.prepare_cached("INSERT INTO positions VALUES (?1, ?2, ?3, ?4)")?;
+        for (robot, [east, north]) in &record.robots {
+            positions.execute(params![sequence, robot.as_str(), east, north])?;
+        }
         Ok(())
     }
 

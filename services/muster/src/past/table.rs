@@ -43,7 +43,8 @@ fn names(robots: &[RobotId]) -> String {
 pub(super) fn csv(rows: &Rows) -> Vec<String> {
     match rows {
         Rows::AsOf(division) => {
-            let mut lines = vec![line(["robot", "team", "leader", "stale", "at"])];
+            let mut lines =
+                vec![line(["robot", "team", "leader", "stale", "at", "east_m", "north_m"])];
             let Some(division) = division else { return lines };
             let at = exact(division.at);
             let mut robots: Vec<(&RobotId, String, bool)> = Vec::new();
@@ -55,7 +56,11 @@ pub(super) fn csv(rows: &Rows) -> Vec<String> {
             robots.sort();
             lines.extend(robots.into_iter().map(|(robot, team, leads)| {
                 let stale = division.stale.binary_search(robot).is_ok();
-                line([robot.as_str(), &team, &leads.to_string(), &stale.to_string(), &at])
+                let place =
+                    division.positions.get(robot).map(|at| at.map(|metres| metres.to_string()));
+                let [east, north] = place.unwrap_or_default();
+                let (leads, stale) = (leads.to_string(), stale.to_string());
+                line([robot.as_str(), &team, &leads, &stale, &at, &east, &north])
             }));
             lines
         }

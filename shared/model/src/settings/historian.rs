@@ -18,11 +18,14 @@ pub struct HistorianSettings {
     /// Scores of divisions are recorded at most once in this many seconds, and whenever the verdict changes.
     #[schemars(range(min = 1, max = 3600))]
     pub audit_interval_s: f64,
+    /// Positions of robots are recorded once in this many seconds, where they have changed; 0: never.
+    #[schemars(range(min = 0, max = 3600))]
+    pub positions_interval_s: f64,
 }
 
 impl Default for HistorianSettings {
     fn default() -> Self {
-        Self { keep_days: 30.0, max_mb: 2048.0, audit_interval_s: 10.0 }
+        Self { keep_days: 30.0, max_mb: 2048.0, audit_interval_s: 10.0, positions_interval_s: 30.0 }
     }
 }
 
@@ -30,6 +33,7 @@ impl Settings for HistorianSettings {
     fn check(&self) -> Result<(), SettingsError> {
         check_range("keep_days", self.keep_days, 0.01..=3650.0)?;
         check_range("max_mb", self.max_mb, 4.0..=1_000_000.0)?;
-        check_range("audit_interval_s", self.audit_interval_s, 1.0..=3600.0)
+        check_range("audit_interval_s", self.audit_interval_s, 1.0..=3600.0)?;
+        check_range("positions_interval_s", self.positions_interval_s, 0.0..=3600.0)
     }
 }

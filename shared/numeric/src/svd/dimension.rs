@@ -86,11 +86,7 @@ pub fn least_rank(n: usize, teams: usize) -> usize {
 /// node) has a non-zero embedding in the K leading triplets, or as many of them as is possible
 /// within the numeric rank and [`MAX_COVERING_DIMENSION`].
 ///
-/// `svd` must know [`least_rank`] triplets or all. `previous` is the K of the previous frame. It is
-/// kept if as many nodes have a non-zero embedding with it, and one of two conditions holds. Either
-/// it is within the range of the rule, not below its K, with a drop that is large except for
-/// [`KEPT_DROP_SHARE`]. Or it is above the raised K, with a value σ within 2 % of the one there, so that the
-/// last groups may change places.
+/// `svd` must know [`least_rank`] triplets or all. For `previous` see [`Coverage::choose`].
 #[must_use]
 pub fn choose_covering_dimension(
     svd: &impl Spectrum,
@@ -98,40 +94,80 @@ pub fn choose_covering_dimension(
     teams: usize,
     previous: Option<usize>,
 ) -> Choice {
-    let sigma = svd.singular_values();
-    let (n, noise) = (svd.nodes(), svd.noise());
-    let rank = rank(sigma, noise);
-    let ruled = ruled(sigma, n, noise, teams).min(sigma.len());
-    let found = |dimension| Choice { dimension, short: false };
-    if n <= 2 || rank == 0 {
-        return found(ruled);
+    Coverage::new(svd, related, teams).choose(teams, previous)
+}
+
+/// How many nodes the leading triplets of an SVD cover: from it K follows for several numbers of teams.
+#[derive(Debug)]
+pub struct Coverage<'a, S> {
+    svd: &'a S,
+    /// How many nodes are related.
+    related: usize,
+    /// Values above the noise.
+    rank: usize,
+    /// Related nodes with a non-zero embedding in the k leading triplets, for k from 1 on.
+    embedded: Vec<usize>,
+}
+
+impl<'a, S: Spectrum> Coverage<'a, S> {
+    /// That of an SVD, for up to `most_teams` teams. `related` has one entry per node: whether it has an edge.
+    #[must_use]
+    pub fn new(svd: &'a S, related: &[bool], most_teams: usize) -> Self {
+        let n = svd.nodes();
+        let rank = rank(svd.singular_values(), svd.noise());
+        let limit = if n <= 2 { 0 } else { limit(n, most_teams) };
+        let embedded = embedded_counts(svd, related, rank.min(MAX_COVERING_DIMENSION.max(limit)));
+        let related = related.iter().filter(|related| **related).count();
+        Self { svd, related, rank, embedded }
     }
-    let limit = limit(n, teams);
-    let embedded = embedded_counts(svd, related, rank.min(MAX_COVERING_DIMENSION.max(limit)));
-    let count = |k: usize| embedded[k.clamp(1, embedded.len()) - 1];
-    let most = (ruled..=rank.min(MAX_COVERING_DIMENSION)).map(count).fold(count(ruled), usize::max);
-    // The last known value has no successor to compare it with.
-    let all = rank == sigma.len() && sigma.len() < n.min(MAX_COVERING_DIMENSION + 1);
-    let short = all && most < related.iter().filter(|related| **related).count();
-    let raised = (ruled..=rank).find(|k| count(*k) >= most).unwrap_or(ruled);
-    let Some(previous) = previous.filter(|k| (2..=embedded.len()).contains(k) && count(*k) >= most)
-    else {
-        return Choice { dimension: raised, short };
-    };
-    // Positive up to the rank, and infinite after it.
-    let ratio = |k: usize| match sigma.get(k) {
-        Some(next) if k < rank => sigma[k - 1] / next,
-        _ if k >= rank && rank < sigma.len() => f64::INFINITY,
-        _ if sigma.len() == n => f64::INFINITY,
-        _ => 1.0,
-    };
-    let largest = (2..=limit).map(ratio).fold(1.0, f64::max).ln();
-    let as_good = (ruled..=limit).contains(&previous)
-        && ratio(previous).ln() >= (LARGE_DROP_SHARE - KEPT_DROP_SHARE) * largest;
-    let swapped = previous > raised
-        && raised > ruled
-        && sigma[previous - 1] >= (1.0 - SWAP_RATIO) * sigma[raised - 1];
-    Choice { dimension: if as_good || swapped { previous } else { raised }, short }
+
+    /// K for so many teams, as [`choose_covering_dimension`] has it.
+    ///
+    /// `previous` is the K of the previous frame. It is
+    /// kept if as many nodes have a non-zero embedding with it, and one of two conditions holds. Either
+    /// it is within the range of the rule, not below its K, with a drop that is large except for
+    /// [`KEPT_DROP_SHARE`]. Or it is above the raised K, with a value σ within 2 % of the one there, so that the
+    /// last groups may change places.
+    #[must_use]
+    pub fn choose(&self, teams: usize, previous: Option<usize>) -> Choice {
+        let Self { svd, related, rank, embedded } = self;
+        let rank = *rank;
+        let sigma = svd.singular_values();
+        let n = svd.nodes();
+        let ruled = ruled(sigma, n, svd.noise(), teams).min(sigma.len());
+        let found = |dimension| Choice { dimension, short: false };
+        if n <= 2 || rank == 0 {
+            return found(ruled);
+        }
+        let limit = limit(n, teams);
+        let embedded = &embedded[..embedded.len().min(MAX_COVERING_DIMENSION.max(limit))];
+        let count = |k: usize| embedded[k.clamp(1, embedded.len()) - 1];
+        let most =
+            (ruled..=rank.min(MAX_COVERING_DIMENSION)).map(count).fold(count(ruled), usize::max);
+        // The last known value has no successor to compare it with.
+        let all = rank == sigma.len() && sigma.len() < n.min(MAX_COVERING_DIMENSION + 1);
+        let short = all && most < *related;
+        let raised = (ruled..=rank).find(|k| count(*k) >= most).unwrap_or(ruled);
+        let Some(previous) =
+            previous.filter(|k| (2..=embedded.len()).contains(k) && count(*k) >= most)
+        else {
+            return Choice { dimension: raised, short };
+        };
+        // Positive up to the rank, and infinite after it.
+        let ratio = |k: usize| match sigma.get(k) {
+            Some(next) if k < rank => sigma[k - 1] / next,
+            _ if k >= rank && rank < sigma.len() => f64::INFINITY,
+            _ if sigma.len() == n => f64::INFINITY,
+            _ => 1.0,
+        };
+        let largest = (2..=limit).map(ratio).fold(1.0, f64::max).ln();
+        let as_good = (ruled..=limit).contains(&previous)
+            && ratio(previous).ln() >= (LARGE_DROP_SHARE - KEPT_DROP_SHARE) * largest;
+        let swapped = previous > raised
+            && raised > ruled
+            && sigma[previous - 1] >= (1.0 - SWAP_RATIO) * sigma[raised - 1];
+        Choice { dimension: if as_good || swapped { previous } else { raised }, short }
+    }
 }
 
 /// Largest K of the rule.

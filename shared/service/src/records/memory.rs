@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use muster_model::history::{
     AuditRecord, Coverage, DivisionRecord, DivisionRow, Entry, EventCoverage, EventRow,
-    LeaveReason, Page, PastAudit, PastDivision, PastTeam, Place, PlaceRow, Query, Record,
-    Retention, Rows, SnapshotCause, StayRow, Subject, TeamMean, TeamRow,
+    LeaveReason, Page, PastAudit, PastDivision, PastTeam, Place, PlaceRow, PositionsRecord, Query,
+    Record, Retention, Rows, SnapshotCause, StayRow, Subject, TeamMean, TeamRow,
 };
 use muster_model::id::{RobotId, TeamId};
 use muster_model::time::Tick;
@@ -63,7 +63,7 @@ impl MemoryRecords {
                 self.begin_stay(robot, at, None);
                 self.end_stay(robot, at, Some(*last_seen), *reason);
             }
-            Record::Settings { .. } | Record::Gap { .. } => {}
+            Record::Settings { .. } | Record::Gap { .. } | Record::Positions(_) => {}
         }
         self.records.push(Numbered { sequence, at, record });
         self.coverage.recorded_from.get_or_insert(at);
@@ -126,6 +126,25 @@ impl MemoryRecords {
         })
     }
 
+    fn positions(&self) -> impl DoubleEndedIterator<Item = (&Numbered, &PositionsRecord)> {
+        self.records.iter().filter_map(|numbered| match &numbered.record {
+            Record::Positions(positions) => Some((numbered, positions)),
+            _ => None,
+        })
+    }
+
+    /// The last positions until a moment.
+    fn positions_as_of(&self, moment: Tick) -> PastPositions {
+        let all: Vec<_> = self.positions().collect();
+        let Some(last) = all.iter().rposition(|(numbered, _)| numbered.at <= moment) else {
+            return PastPositions::default();
+        };
+        let whole = all[..=last].iter().rposition(|(_, positions)| positions.is_whole);
+        let records = whole.into_iter().chain([last]);
+        let robots = records.flat_map(|at| all[at].1.robots.iter().cloned()).collect();
+        PastPositions { at: Some(all[last].0.at), robots }
+    }
+
     fn as_of(&self, moment: Tick) -> Option<PastDivision> {
         let all: Vec<_> = self.divisions().collect();
         let last = all.iter().rposition(|(numbered, _)| numbered.at <= moment)?;
@@ -162,6 +181,7 @@ impl MemoryRecords {
                     .map(|(team, mean)| TeamMean { team: team.clone(), mean: *mean })
                     .collect(),
             }),
+            self.positions_as_of(moment),
         ))
     }
 
@@ -243,10 +263,15 @@ impl MemoryRecords {
             numbered.sequence <= sequence && division.snapshot.is_some()
         };
         let base = self.divisions().rev().find(is_base).map_or(0, |(base, _)| base.sequence);
+        let is_whole = |(numbered, positions): &(&Numbered, &PositionsRecord)| {
+            numbered.sequence <= sequence && positions.is_whole
+        };
+        let whole = self.positions().rev().find(is_whole).map_or(0, |(whole, _)| whole.sequence);
         let moment = self.records.iter().find(|numbered| numbered.sequence >= sequence);
         let moment = moment.map_or(Tick(0), |numbered| numbered.at);
         self.records.retain(|numbered| match numbered.record {
             Record::Division(_) => numbered.sequence >= base,
+            Record::Positions(_) => numbered.sequence >= whole,
             _ => numbered.sequence >= sequence,
         });
         self.stays.retain(|stay| stay.left.is_none_or(|left| left >= moment));
@@ -273,16 +298,32 @@ pub struct DivisionHead {
     pub requested: u32,
 }
 
+/// Where robots were at a moment.
+#[derive(Debug, Clone, Default)]
+pub struct PastPositions {
+    /// When it was recorded.
+    pub at: Option<Tick>,
+    /// Centimetres east and north, by robot.
+    pub robots: BTreeMap<RobotId, [i64; 2]>,
+}
+
 /// A past division out of the last place of each robot, ordered by name.
 pub fn past_division(
     head: DivisionHead,
     places: impl Iterator<Item = Place>,
     leader: impl Fn(&TeamId) -> Option<RobotId>,
     audit: Option<PastAudit>,
+    mut known: PastPositions,
 ) -> PastDivision {
     let mut teams: BTreeMap<TeamId, Vec<RobotId>> = BTreeMap::new();
     let (mut unassigned, mut stale) = (Vec::new(), Vec::new());
+    let mut positions = BTreeMap::new();
     for place in places {
+        if (place.stale || place.present)
+            && let Some((robot, at)) = known.robots.remove_entry(&place.robot)
+        {
+            positions.insert(robot, at.map(metres));
+        }
         // A stale robot may belong to no division any more.
         if place.stale {
             stale.push(place.robot.clone());
@@ -306,7 +347,14 @@ pub fn past_division(
         unassigned,
         stale,
         audit,
+        positions_at: known.at,
+        positions,
     }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "coordinates are far below 2⁵³ centimetres")]
+fn metres(centimetres: i64) -> f64 {
+    centimetres as f64 / 100.0
 }
 
 /// The rows that a question selects, with the number before which there are further ones.

@@ -9,7 +9,7 @@ mod recorder;
 
 use muster_model::history::{Coverage, Entry, Page, Query, Retention};
 
-pub use memory::{DivisionHead, MemoryRecords, past_division};
+pub use memory::{DivisionHead, MemoryRecords, PastPositions, past_division};
 pub use queue::{MAX_BATCH_RECORDS, RecordQueue};
 pub use recorder::{COMMIT_INTERVAL, RETRY_INTERVAL, Recorder, Step};
 

@@ -42,6 +42,7 @@ fn weight(entry: &Entry) -> usize {
         Record::Division(division) => division.places.len() + division.lines.len(),
         Record::Audit(audit) => audit.per_team.len(),
         Record::Present(robots) => robots.len(),
+        Record::Positions(positions) => positions.robots.len(),
         Record::Event(event) => event.detail.len() / LINE_BYTES,
         Record::Settings { settings, .. } => settings.len() / LINE_BYTES,
         Record::Joined(_) | Record::Left { .. } | Record::Gap { .. } => 0,

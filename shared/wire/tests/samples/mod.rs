@@ -471,6 +471,8 @@ fn history() -> HistoryAnswer {
         unassigned: vec![robot("r3")],
         stale: vec![robot("r2")],
         audit: Some(audit),
+        positions_at: Some(Tick(NOW.0 - 25_000_000)),
+        positions: [(robot("r1"), [1.25, -30.0]), (robot("r2"), [0.0, 4.5])].into(),
     };
     HistoryAnswer {
         fleet: fleet(),
