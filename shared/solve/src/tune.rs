@@ -329,9 +329,10 @@ impl<'a> Fleet<'a> {
             kept.sort_unstable();
             let embedded = self.embed(&self.of_some(&kept)?, &tuned.settings)?;
             let labels = self.unlimited(&embedded, GRID_STARTS)?;
-            let both = kept.iter().zip(labels).filter_map(|(robot, label)| {
-                Some((whole.get(*robot).copied().flatten()?, label?))
-            });
+            let both = kept
+                .iter()
+                .zip(labels)
+                .filter_map(|(robot, label)| Some((whole.get(*robot).copied().flatten()?, label?)));
             sum += adjusted_rand_index(both);
         }
         Ok(sum / f64::from(draws))
