@@ -15,6 +15,7 @@ async fn every_pose_is_followed_to_a_division() {
         lasts: Duration::from_secs(4),
         settings: vec![("ingest".to_owned(), "tick_hz=20".to_owned())],
         busy: 0,
+        pins: 4,
     };
     let measured = run_plan::run(&plan, |_| {}).await.unwrap();
     // Other tests run at the same time: bounds on time are generous.

@@ -25,7 +25,8 @@ const SETTLING_TIME: Duration = Duration::from_secs(5);
     after_help = "Examples:\n  tests/peers/latency                                all sizes, 60 s each\n  \
 tests/peers/latency --robots 500 --seconds 20\n  tests/peers/latency --set embedder.dimension=8\n  \
 tests/peers/latency --set clusterer.teams=5            with a number of teams that is given\n  \
-tests/peers/latency --busy 1                       next to a busy process for each processor"
+tests/peers/latency --busy 1                       next to a busy process for each processor\n  \
+tests/peers/latency --robots 500 --pins 20         with wishes, next to the same without"
 )]
 struct Options {
     /// Sizes of the fleet, one run for each
@@ -48,6 +49,10 @@ struct Options {
     #[arg(long, default_value_t = 0, value_name = "PROCESSES",
           value_parser = clap::value_parser!(u8).range(0..=16))]
     busy: u8,
+    /// Measure each size once more, while wishes pin so many robots to their teams
+    #[arg(long, default_value_t = 0, value_name = "ROBOTS",
+          value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pins: u32,
     /// Where the page goes; standard output without it. Its picture has the same name with .svg
     #[arg(long, value_name = "FILE.md")]
     out: Option<PathBuf>,
@@ -78,7 +83,7 @@ fn plans(options: &Options) -> anyhow::Result<Vec<RunPlan>> {
         Ok((service.to_owned(), rest.to_owned()))
     };
     let settings = options.set.iter().map(parted).collect::<anyhow::Result<Vec<_>>>()?;
-    let plan = |robots: u32, busy: u8| RunPlan {
+    let plan = |robots: u32, busy: u8, pins: u32| RunPlan {
         robots: robots as usize,
         teams: options.teams as usize,
         rate_hz: options.rate,
@@ -86,10 +91,13 @@ fn plans(options: &Options) -> anyhow::Result<Vec<RunPlan>> {
         lasts: Duration::from_secs(options.seconds),
         settings: settings.clone(),
         busy: busy.into(),
+        pins: pins as usize,
     };
     let runs = options.robots.iter().flat_map(|robots| {
-        let alone = std::iter::once(plan(*robots, 0));
-        alone.chain((options.busy > 0).then(|| plan(*robots, options.busy)))
+        let alone = std::iter::once(plan(*robots, 0, 0));
+        alone
+            .chain((options.busy > 0).then(|| plan(*robots, options.busy, 0)))
+            .chain((options.pins > 0).then(|| plan(*robots, 0, options.pins)))
     });
     Ok(runs.collect())
 }

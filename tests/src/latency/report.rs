@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::process::Command;
 
-use super::run_plan::{Measured, Spread};
+use super::run_plan::{Measured, RunPlan, Spread};
 
 /// `ingest`'s tick in milliseconds, by its default of 10 Hz: a pose waits for the next frame up to this
 /// long, half of it on average.
@@ -26,6 +26,9 @@ const MAX_AGE_GROWTH_MS: f64 = 100.0;
 /// rate falls in proportion to the processor time that is left, and never to nothing.
 const MAX_BUSY_AGE_RATIO: f64 = 10.0;
 
+/// How much longer a pose may take to its division with wishes than without, in milliseconds at the 99th percentile.
+const MAX_WISHES_COST_MS: f64 = 3.0;
+
 /// A goal, what was measured, and whether it is reached.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Goal {
@@ -40,13 +43,33 @@ pub struct Goal {
 /// The goals of all runs.
 #[must_use]
 pub fn goals(all: &[Measured]) -> Vec<Goal> {
-    let (busy, alone): (Vec<_>, Vec<_>) = all.iter().partition(|measured| measured.plan.busy > 0);
+    let is_alone = |measured: &&Measured| measured.plan.busy == 0 && measured.plan.pins == 0;
+    let (alone, others): (Vec<_>, Vec<_>) = all.iter().partition(is_alone);
     let mut goals: Vec<_> = alone.iter().flat_map(|measured| goals_alone(measured)).collect();
-    for measured in busy {
+    for measured in others {
         let same = alone.iter().find(|other| other.plan.robots == measured.plan.robots);
-        goals.extend(same.map(|alone| goal_busy(alone, measured)));
+        let goal = if measured.plan.busy > 0 { goal_busy } else { goal_wishes };
+        goals.extend(same.map(|alone| goal(alone, measured)));
     }
     goals
+}
+
+/// That wishes cost little time.
+fn goal_wishes(without: &Measured, with: &Measured) -> Goal {
+    let beyond = |measured: &Measured| Spread::of(measured.ways.beyond.iter().copied());
+    let (without, with, plan) = (beyond(without), beyond(with), &with.plan);
+    Goal {
+        wanted: format!(
+            "{} robots of which {} are pinned: p99 at most {MAX_WISHES_COST_MS} ms more beyond the frame",
+            plan.robots, plan.pins
+        ),
+        measured: format!(
+            "{:+.1} ms, p50 {:+.1} ms",
+            with.p99 - without.p99,
+            with.p50 - without.p50
+        ),
+        reached: with.p99 - without.p99 <= MAX_WISHES_COST_MS,
+    }
 }
 
 /// That divisions go on with neighbours: how long until the next one, next to the age of the data without them.
@@ -203,7 +226,7 @@ default settings, by which the number of teams is chosen as well. The robots mar
 each has a phase of its own. They join 1,000 a second. They also put links twice a second and ranks \
 once. The heading of a pose is its number, which the roster contains, and the header of each division \
 names its frame: which poses are in a division is known, not estimated. *busy*: so many other processes for each processor \
-compute all the time.
+compute all the time. *pinned*: wishes hold so many robots in their teams.
 
 - **pose → division**: from the put of a pose to the arrival, at a client of the same router, of the \
 first message on `teams` that uses it or, if the robot has put another meanwhile, that one.
@@ -217,11 +240,13 @@ processes that do nothing else; without robots (idle), and with them (loaded).
 All times are in milliseconds.
 ";
 
-/// How many robots a run had, and whether it had neighbours.
+/// How many robots a run had, whether it had neighbours, and how many were pinned.
 fn robots(measured: &Measured) -> String {
-    match measured.plan.busy {
-        0 => format!("{} robots", measured.plan.robots),
-        busy => format!("{} robots, {busy} busy", measured.plan.robots),
+    let RunPlan { robots, busy, pins, .. } = measured.plan;
+    match (busy, pins) {
+        (0, 0) => format!("{robots} robots"),
+        (0, pins) => format!("{robots} robots, {pins} pinned"),
+        (busy, _) => format!("{robots} robots, {busy} busy"),
     }
 }
 

@@ -51,6 +51,8 @@ pub struct RunPlan {
     pub settings: Vec<(String, String)>,
     /// How many other processes compute all the time, for each processor, from before the robots join.
     pub busy: usize,
+    /// How many robots wishes pin to the teams that they are in, from before anything is measured.
+    pub pins: usize,
 }
 
 /// Some percentiles.
@@ -222,6 +224,10 @@ pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Me
     .await?;
     progress(format!("{robots} robots: divided; measuring for {:.0} s", plan.lasts.as_secs_f64()));
     tokio::time::sleep(plan.settles).await;
+    if plan.pins > 0 {
+        pin(&cluster, plan)?;
+        tokio::time::sleep(plan.settles).await;
+    }
 
     let mut processes = vec![("router", cluster.router_id()), ("robots", fleet.id())];
     for service in SERVICES {
@@ -263,6 +269,24 @@ pub async fn run(plan: &RunPlan, progress: impl Fn(String)) -> anyhow::Result<Me
         received,
         SideMeasurements { samples, counters, idle, loaded, pings_missing },
     ))
+}
+
+/// Pins robots to the teams that they are in, as many in each.
+fn pin(cluster: &Cluster, plan: &RunPlan) -> anyhow::Result<()> {
+    let (_, out, err) = cluster.muster(&["teams", "--json"])?;
+    let division: Value = serde_json::from_str(&out).with_context(|| format!("no teams: {err}"))?;
+    let teams = division["teams"].as_array().context("a division without teams")?;
+    let each = plan.pins.div_ceil(teams.len().max(1));
+    let members = |team: &Value| team["members"].as_array().cloned().unwrap_or_default();
+    let all = teams.iter().flat_map(|team| {
+        members(team).into_iter().take(each).map(|member| (member, team["id"].clone()))
+    });
+    for (robot, team) in all.take(plan.pins) {
+        let (robot, team) = (robot.as_str().context("a member")?, team.as_str().context("an id")?);
+        let (code, _, err) = cluster.muster(&["wish", "pin", robot, team])?;
+        anyhow::ensure!(code == Some(0), "{robot} is not pinned: {err}");
+    }
+    Ok(())
 }
 
 /// What was measured besides the messages.
