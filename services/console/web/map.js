@@ -338,7 +338,7 @@ function drawLabels(pen, text, warn) {
         label(one.robot, age(now() - one.last_seen));
     }
     pen.fillStyle = text;
-    const named = frame.count <= MAX_LABELS ? world().robots.map((one) => one.robot) : [...state.selected].slice(0, MAX_LABELS);
+    const named = frame.count <= MAX_LABELS ? world().robots.map((/** @type {any} */ one) => one.robot) : [...state.selected].slice(0, MAX_LABELS);
     for (const robot of named) if (!missing.has(robot)) label(robot, "");
 }
 

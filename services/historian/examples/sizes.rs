@@ -2,7 +2,8 @@
 //! `cargo run --release -p muster-historian --no-default-features --features store --example sizes`.
 //!
 //! Two fleets are recorded for a simulated day, with 1 % of the robots in another team each minute, scores every ten
-//! seconds, an event for each move, and a whole division every ten minutes. With `--quick` it is an hour of 500 robots, and
+//! seconds, an event for each move, a whole division every ten minutes, and positions of all robots, which march, twice a
+//! minute. With `--quick` it is an hour of 500 robots, and
 //! the size is that of a day in proportion.
 
 #![expect(clippy::expect_used, reason = "a program that measures ends where it cannot")]
@@ -14,8 +15,8 @@ use muster_model::audit::Quality;
 use muster_model::event::Severity;
 use muster_model::header::Revision;
 use muster_model::history::{
-    AuditRecord, DivisionRecord, Entry, EventRecord, Place, Query, Record, Rows, SnapshotCause,
-    Subject, TeamLine,
+    AuditRecord, DivisionRecord, Entry, EventRecord, Place, PositionsRecord, Query, Record, Rows,
+    SnapshotCause, Subject, TeamLine,
 };
 use muster_model::id::{FleetId, InstanceId, RobotId, ServiceName, TeamId};
 use muster_model::time::Tick;
@@ -137,6 +138,16 @@ impl Fleet {
         };
         self.add(at, Record::Audit(record));
     }
+
+    /// All robots, a kilometre further than an hour before.
+    fn positions(&mut self, at: u64) {
+        let east = (at / 3_600) as i64 / 10;
+        let place = |(number, robot): (usize, &RobotId)| {
+            (robot.clone(), [east + 300 * (number as i64 % 100), 300 * (number as i64 / 100)])
+        };
+        let robots = self.robots.iter().enumerate().map(place).collect();
+        self.add(at, Record::Positions(PositionsRecord { is_whole: true, robots }));
+    }
 }
 
 fn measure(robots: usize, teams: usize, minutes: u64) {
@@ -156,6 +167,8 @@ fn measure(robots: usize, teams: usize, minutes: u64) {
         for second in 0..6 {
             fleet.audit(at + second * 10_000_000);
         }
+        fleet.positions(at);
+        fleet.positions(at + MINUTE_US / 2);
         for number in 0..moves {
             fleet.move_one(at + number * (MINUTE_US / moves), minute * moves + number);
         }
@@ -175,7 +188,8 @@ fn measure(robots: usize, teams: usize, minutes: u64) {
             let page = store.answer(&Query::of(Subject::AsOf(moment))).expect("an answer");
             let took = begun.elapsed().as_secs_f64() * 1e3;
             assert!(
-                matches!(page.rows, Rows::AsOf(Some(division)) if division.teams.len() == teams)
+                matches!(page.rows, Rows::AsOf(Some(division)) if division.teams.len() == teams
+                    && division.positions.len() == robots)
             );
             took
         })

@@ -480,6 +480,25 @@ fn a_file_of_another_fleet_version_or_program_is_left_as_it_is() {
 }
 
 #[test]
+fn a_file_that_is_older_than_positions_gets_their_tables() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut teams = Teams::default();
+    teams[0] = Some(0);
+    let start = division(&teams, &teams, 1, Some(SnapshotCause::Start));
+    open(folder.path()).write(&[Entry { at: Tick(START), record: start }]).unwrap();
+    let path = folder.path().join("history.sqlite");
+    let drop_tables = "DROP TABLE positions; DROP TABLE surveys";
+    rusqlite::Connection::open(&path).unwrap().execute_batch(drop_tables).unwrap();
+    let mut store = open(folder.path());
+    let at = Tick(START + 1);
+    let positions = PositionsRecord { is_whole: true, robots: vec![(robot(0), [150, -20])] };
+    store.write(&[Entry { at, record: Record::Positions(positions) }]).unwrap();
+    let Rows::AsOf(Some(found)) = ask(&mut store, &Query::of(Subject::AsOf(at))) else { panic!() };
+    assert_eq!(found.positions_at, Some(at));
+    assert_eq!(found.positions.into_iter().collect::<Vec<_>>(), [(robot(0), [1.5, -0.2])]);
+}
+
+#[test]
 fn above_its_size_the_oldest_minutes_go_and_the_disk_gets_their_room_back() {
     let folder = tempfile::tempdir().unwrap();
     let mut store = open(folder.path());
