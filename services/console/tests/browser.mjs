@@ -69,7 +69,6 @@ await run(async () => {
     await page.locator("#search").fill("");
 
     step("filters by team, role, skill and state");
-    const found = async () => Number(/(\d+)/.exec(await page.locator("#found").textContent())[1]);
     const filtered = async (field, value, count) => {
         await page.locator(`#filter-${field}`).selectOption(value);
         await until(page, (count) => document.getElementById("found")?.textContent.includes(`Found: ${count} robot`), count);
@@ -83,8 +82,10 @@ await run(async () => {
     await filtered("role", "scout", 1);
     await filtered("state", "leader", 3);
     await page.locator("#filter-team").selectOption(firstTeam);
-    await page.locator("#found").waitFor();
-    assert.ok(Math.abs(await found() - size) <= 1);
+    await until(page, (size) => {
+        const number = /(\d+)/.exec(document.getElementById("found")?.textContent ?? "");
+        return number && Math.abs(Number(number[1]) - size) <= 1;
+    }, size);
     await page.getByRole("button", { name: "Select all" }).click();
     assert.match(await page.locator("#chosen").textContent(), /^\d+ selected$/);
     await page.locator("#filter-team").selectOption("");

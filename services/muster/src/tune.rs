@@ -10,6 +10,7 @@ use anyhow::Context as _;
 use muster_client::Client;
 use muster_model::id::ServiceName;
 use muster_model::roster::RosterEntry;
+use muster_model::settings::ClustererSettings;
 use muster_model::time::Tick;
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
@@ -85,11 +86,17 @@ pub(crate) fn of_file(args: &TuneArgs) -> anyhow::Result<()> {
 pub(crate) async fn of_fleet(args: &TuneArgs, config: &ProcessConfig) -> anyhow::Result<()> {
     let operator = args.operator.name(config)?;
     let client = console::open(config).await?;
-    let text = saved(&client).await?;
     let (options, is_shown) = (args.options, args.shows_progress());
     // On a thread of its own, so that a signal ends the command.
-    let search = tokio::task::spawn_blocking(move || tune(&text, &options, is_shown));
-    let tuning = search.await?.map_err(|error| usage(&error, "the live fleet"))?;
+    let search =
+        |text: Vec<u8>| tokio::task::spawn_blocking(move || tune(&text, &options, is_shown));
+    let mut tuning = search(saved(&client, true).await?).await?;
+    if let Err(conflict @ SolveError::Conflict(_)) = &tuning {
+        // The live fleet goes on with an alert, and so does this.
+        eprintln!("the divisions respect no limits, wishes and needs: {conflict}");
+        tuning = search(saved(&client, false).await?).await?;
+    }
+    let tuning = tuning.map_err(|error| usage(&error, "the live fleet"))?;
     args.print(&tuning)?;
     if args.apply
         && let Some(proposed) = tuning.proposed()
@@ -104,8 +111,8 @@ pub(crate) async fn of_fleet(args: &TuneArgs, config: &ProcessConfig) -> anyhow:
 }
 
 /// The live fleet as a saved one, a line each: its graphs, the settings of embedder and clusterer, the robots with
-/// their skills, and the wishes.
-async fn saved(client: &Client) -> anyhow::Result<Vec<u8>> {
+/// their skills, and the wishes; or without all that is asked of the teams.
+async fn saved(client: &Client, has_rules: bool) -> anyhow::Result<Vec<u8>> {
     let graphs = client.get_graphs(None).await.map_err(console::exit_error)?;
     let mut text = Vec::new();
     for graph in graphs {
@@ -114,7 +121,17 @@ async fn saved(client: &Client) -> anyhow::Result<Vec<u8>> {
     }
     let mut lines = Vec::new();
     for service in [ServiceName::Embedder, ServiceName::Clusterer] {
-        lines.push(client.get_settings(service).await.map_err(console::exit_error)?);
+        let mut settings = client.get_settings(service).await.map_err(console::exit_error)?;
+        if !has_rules && service == ServiceName::Clusterer {
+            let free = json!(ClustererSettings::default());
+            for field in ["size", "team_size", "needs"] {
+                settings[field] = free[field].clone();
+            }
+        }
+        lines.push(settings);
+    }
+    if !has_rules {
+        return Ok(with_lines(text, &lines));
     }
     let roster = client.get_roster().await.map_err(console::exit_error)?;
     let robot = |entry: &RosterEntry| json!({ "robot": entry.robot, "presence": entry.presence, "skills": entry.skills });
@@ -122,11 +139,15 @@ async fn saved(client: &Client) -> anyhow::Result<Vec<u8>> {
     lines.push(json!({ "robot_tokens": robots.len(), "robots": robots }));
     let wishes = client.get_wishes().await.map_err(console::exit_error)?;
     lines.extend(wishes.into_iter().map(|wish| json!(wish)));
+    Ok(with_lines(text, &lines))
+}
+
+fn with_lines(mut text: Vec<u8>, lines: &[Value]) -> Vec<u8> {
     for line in lines {
         text.extend(line.to_string().into_bytes());
         text.push(b'\n');
     }
-    Ok(text)
+    text
 }
 
 fn usage(error: &SolveError, name: &str) -> anyhow::Error {

@@ -43,13 +43,16 @@ pub struct Goal {
 /// The goals of all runs.
 #[must_use]
 pub fn goals(all: &[Measured]) -> Vec<Goal> {
-    let is_alone = |measured: &&Measured| measured.plan.busy == 0 && measured.plan.pins == 0;
-    let (alone, others): (Vec<_>, Vec<_>) = all.iter().partition(is_alone);
-    let mut goals: Vec<_> = alone.iter().flat_map(|measured| goals_alone(measured)).collect();
-    for measured in others {
-        let same = alone.iter().find(|other| other.plan.robots == measured.plan.robots);
-        let goal = if measured.plan.busy > 0 { goal_busy } else { goal_wishes };
-        goals.extend(same.map(|alone| goal(alone, measured)));
+    let (busy, quiet): (Vec<_>, Vec<_>) = all.iter().partition(|measured| measured.plan.busy > 0);
+    let mut goals: Vec<_> = quiet.iter().flat_map(|measured| goals_quiet(measured)).collect();
+    let (pinned, alone): (Vec<_>, Vec<_>) =
+        quiet.into_iter().partition(|measured| measured.plan.pins > 0);
+    let same = |robots| alone.iter().find(|other| other.plan.robots == robots);
+    for measured in pinned {
+        goals.extend(same(measured.plan.robots).map(|alone| goal_wishes(alone, measured)));
+    }
+    for measured in busy {
+        goals.extend(same(measured.plan.robots).map(|alone| goal_busy(alone, measured)));
     }
     goals
 }
@@ -90,36 +93,32 @@ fn goal_busy(alone: &Measured, busy: &Measured) -> Goal {
 }
 
 /// The goals of a run without neighbours.
-fn goals_alone(measured: &Measured) -> Vec<Goal> {
-    let robots = measured.plan.robots;
+fn goals_quiet(measured: &Measured) -> Vec<Goal> {
+    let (robots, named) = (measured.plan.robots, robots(measured));
     let mut goals = Vec::new();
     for (_, most) in GOALS_MS.iter().filter(|(of, _)| *of == robots) {
         let p99 = Spread::of(measured.ways.beyond.iter().copied()).p99;
         goals.push(Goal {
-            wanted: format!("{robots} robots: p99 at most {most} ms beyond the frame"),
+            wanted: format!("{named}: p99 at most {most} ms beyond the frame"),
             measured: format!("{p99:.1} ms"),
             reached: p99 <= *most,
         });
     }
     if robots >= LARGE_FLEET_ROBOTS {
         goals.push(Goal {
-            wanted: format!(
-                "{robots} robots: at least {MIN_DIVISION_RATE_HZ} divisions per second"
-            ),
+            wanted: format!("{named}: at least {MIN_DIVISION_RATE_HZ} divisions per second"),
             measured: format!("{:.1}", measured.rate()),
             reached: measured.rate() >= MIN_DIVISION_RATE_HZ,
         });
     }
     goals.push(Goal {
-        wanted: format!(
-            "{robots} robots: the age does not grow (at most {MAX_AGE_GROWTH_MS} ms/min)"
-        ),
+        wanted: format!("{named}: the age does not grow (at most {MAX_AGE_GROWTH_MS} ms/min)"),
         measured: format!("{:+.0} ms/min", measured.growth()),
         reached: measured.growth() <= MAX_AGE_GROWTH_MS,
     });
     let lost = measured.lost_on_the_way.max(0);
     goals.push(Goal {
-        wanted: format!("{robots} robots: nothing lost but superseded poses"),
+        wanted: format!("{named}: nothing lost but superseded poses"),
         measured: format!(
             "{} poses without a division, {lost} messages lost on the way, dropped or refused: {:?}",
             measured.ways.missing, measured.dropped
