@@ -60,6 +60,8 @@ pub(crate) enum Purpose<F> {
     TakeOver,
     /// A suspect asks who leads. The number names the query.
     Leader(u64),
+    /// A standby asks for the settings of its leader.
+    Settings,
     /// A leader asks what readers have seen of its output.
     TermCheck,
     /// The core's own.

@@ -103,6 +103,7 @@ impl<C: Core> Host<C> {
         if self.facilities.replica.election.takes_over(now) {
             self.inquire();
         }
+        self.ask_for_settings();
         self.core.after_input(&mut Context(&mut self.facilities));
         self.renew();
         self.handle_fetched();
@@ -341,6 +342,7 @@ impl<C: Core> Host<C> {
                 self.facilities.replica.election.leader_query_unanswered(query);
                 self.confirm_leadership();
             }
+            Purpose::Settings => self.adopt_all(&answers),
             Purpose::TermCheck => self.term_checked(answers),
             Purpose::Core(fetch) => {
                 self.core.on_answers(&mut Context(&mut self.facilities), fetch, answers);

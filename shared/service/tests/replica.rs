@@ -9,9 +9,8 @@ use std::time::Duration;
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
-use muster_service::Input;
-use muster_service::Stored;
-use muster_wire::Key;
+use muster_service::{Ask, Input, Stored};
+use muster_wire::{Key, Message, Pattern};
 use small::{ONE_LEADS, header, output, renewal, settings, token};
 
 type Driven = small::Driven<ONE_LEADS>;
@@ -308,4 +307,61 @@ fn a_leader_without_state_is_replaced_by_an_instance_that_has_it() {
     assert_eq!(receive_settings(&mut follower, 900, 3, 4), 4);
     assert_eq!(receive_settings(&mut follower, 0, 0, 3), 4);
     assert!(follower.asks.is_empty());
+}
+
+/// The answer to its first question and all announcements since were lost: whoever leads next must know them all the same.
+#[test]
+fn a_standby_asks_for_the_settings_of_its_leader_until_they_come() {
+    let asked = |driven: &mut Driven| -> Vec<Ask> {
+        let of_settings = |ask: &mut Ask| ask.pattern == Pattern::One(SETTINGS);
+        driven.asks.extract_if(.., of_settings).collect()
+    };
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5)]);
+    driven.receive(token("a", true));
+    assert!(asked(&mut driven).is_empty(), "it has just asked");
+    let pass = |driven: &mut Driven, epoch: u64| {
+        driven.wait(0.5);
+        driven.receive(renewal("a", 7, epoch));
+        asked(driven)
+    };
+    for epoch in [6, 7] {
+        let questions = pass(&mut driven, epoch);
+        assert_eq!(questions.len(), 1);
+        driven.answer(&questions[0], Vec::new());
+    }
+    let question = pass(&mut driven, 8).remove(0);
+    driven.answer(&question, vec![settings(7, 8, 5)]);
+    assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Standby, 5));
+    assert!((9..30).all(|epoch| pass(&mut driven, epoch).is_empty()));
+    // One that never answers is asked for some seconds, and each leader anew.
+    let mut driven = Driven::answered(vec![renewal("a", 7, 5)]);
+    driven.receive(token("a", true));
+    let questions: usize = (6..40).map(|epoch| pass(&mut driven, epoch).len()).sum();
+    assert_eq!(questions, 10);
+    driven.receive(token("c", true));
+    driven.receive(renewal("c", 8, 0));
+    driven.wait(0.5);
+    assert_eq!(asked(&mut driven).len(), 1);
+}
+
+/// What operators changed is on the disk of the leader before alone, and comes back with it.
+#[test]
+fn an_instance_that_never_received_the_settings_of_its_leader_announces_none() {
+    let successor = |announced: Option<Message>| {
+        let mut driven = Driven::answered(vec![renewal("a", 7, 5)]);
+        driven.receive(token("a", true));
+        announced.into_iter().for_each(|announced| driven.receive(announced));
+        driven.receive(token("a", false));
+        driven.wait(0.5);
+        driven.answer_all(Vec::new());
+        assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
+        let of_settings = |message: &Message| {
+            let Message::Settings(announced) = message else { return None };
+            Some(announced.header.revision.term)
+        };
+        driven.published.iter().find_map(of_settings)
+    };
+    assert_eq!(successor(None), Some(0));
+    assert_eq!(successor(Some(settings(7, 5, 5))), Some(8));
+    assert_eq!(successor(Some(settings(0, 0, 5))), Some(8), "its leader had none");
 }

@@ -2,13 +2,14 @@
 
 use muster_model::event::{EventKind, Severity};
 use muster_model::header::Revision;
-use muster_model::role::LeaseRenewal;
+use muster_model::role::{LeaseRenewal, ReplicaState};
 use muster_wire::envelope::AnnouncedSettings;
 use muster_wire::{Key, Message, Pattern};
 
 use super::Host;
 use crate::core::{Connectivity, Context, Core};
 use crate::fetches::Purpose;
+use crate::replica::Replica;
 use crate::replica::election::{Decision, Reconnection, RenewalSource, Rivalry};
 use crate::replica::lease::TermCheck;
 use crate::replica::settings::Adoption;
@@ -117,12 +118,36 @@ impl<C: Core> Host<C> {
     /// changed. An instance that has kept it, and nothing of this leader, takes over.
     pub(super) fn replace_leader_without_state(&mut self, announced: &AnnouncedSettings) {
         let replica = &mut self.facilities.replica;
+        if announced.header.revision.term > 0 || replica.election.has_term() {
+            return;
+        }
+        replica.settings.note_loss();
         let Some(leader) = replica.election.followed() else { return };
-        if announced.header.revision.term == 0
-            && replica.settings.are_known()
-            && replica.settings.adopted().term < leader.term
-        {
+        if replica.settings.are_known() && replica.settings.adopted().term < leader.term {
             replica.election.replace_leader(self.facilities.now);
+        }
+    }
+
+    /// A standby that has not received the settings of its leader asks for them.
+    pub(super) fn ask_for_settings(&mut self) {
+        let facilities = &mut self.facilities;
+        let Replica { election, settings, .. } = &mut facilities.replica;
+        if election.state() == ReplicaState::Standby
+            && let Some(leader) = election.followed()
+            && settings.are_asked_for(facilities.now, leader)
+        {
+            facilities.fetch(Purpose::Settings, vec![Pattern::One(Key::Settings(C::SERVICE))]);
+        }
+    }
+
+    /// Adopts the settings among answers.
+    pub(super) fn adopt_all(&mut self, answers: &[Message]) {
+        for answer in answers {
+            if let Message::Settings(announced) = answer
+                && announced.service == C::SERVICE
+            {
+                self.adopt(announced);
+            }
         }
     }
 

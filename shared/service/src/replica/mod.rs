@@ -101,8 +101,7 @@ impl<S: Settings> Replica<S> {
         let term = known.saturating_add(1);
         let term = if self.stored_term == 0 { term.max(clock_term(now)) } else { term };
         if self.election.highest_term() > 0 {
-            // It has followed a leader, and adopted what that announced.
-            self.settings.set_known();
+            self.settings.succeed();
         }
         self.revision = Revision { term, epoch: 0 };
         self.event_epoch = 0;

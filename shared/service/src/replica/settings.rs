@@ -3,10 +3,13 @@
 
 use muster_model::header::Revision;
 use muster_model::settings::Settings;
+use muster_model::time::Tick;
 use muster_wire::envelope::{AnnouncedSettings, MAX_SMALL_PAYLOAD};
 use muster_wire::json::Problem;
 use muster_wire::message::quoted;
 use serde_json::{Map, Value};
+
+use super::lease::RENEWAL_INTERVAL;
 
 /// Largest patch of settings in bytes.
 const MAX_PATCH_BYTES: usize = MAX_SMALL_PAYLOAD;
@@ -19,6 +22,10 @@ const REPEATED_ANNOUNCEMENTS: u8 = 3;
 /// After how many lease renewals below it in a row the revision in force counts as forged. One or two that
 /// an announcement has overtaken are normal.
 const RENEWALS_BELOW: u8 = 3;
+
+/// How often a standby asks one leader for its settings, with the interval of renewals in between: by then the leader
+/// announces them by itself.
+const MAX_QUERIES: u8 = 10;
 
 /// The settings of one instance.
 #[derive(Debug)]
@@ -42,6 +49,19 @@ pub(crate) struct ReplicaSettings<S> {
     of_next_leader: Option<AnnouncedSettings>,
     /// How many lease renewals are still to be followed by an announcement.
     announcements_left: u8,
+    /// Whether a leader was received that has no settings of the fleet either.
+    are_lost: bool,
+    /// What a standby asks its leader.
+    queries: Queries,
+}
+
+/// The questions of a standby for the settings of its leader.
+#[derive(Debug, Default)]
+struct Queries {
+    /// The term of that leader.
+    term: u64,
+    left: u8,
+    next: Tick,
 }
 
 /// What became of an announcement of the leader's settings.
@@ -77,6 +97,8 @@ impl<S: Settings> ReplicaSettings<S> {
             are_known: revision.term > 0,
             of_next_leader: None,
             announcements_left: 0,
+            are_lost: false,
+            queries: Queries::default(),
         }
     }
 
@@ -104,6 +126,8 @@ impl<S: Settings> ReplicaSettings<S> {
         self.renewals_below = 0;
         self.of_next_leader = None;
         self.announcements_left = 0;
+        self.are_lost = false;
+        self.queries = Queries::default();
     }
 
     /// Whether an instance that leads with these settings may announce them as the fleet's.
@@ -111,9 +135,34 @@ impl<S: Settings> ReplicaSettings<S> {
         self.are_known
     }
 
-    /// The settings are those of the fleet from now on.
-    pub(crate) fn set_known(&mut self) {
-        self.are_known = true;
+    /// A leader has announced settings without a term: it has lost those of the fleet, or there never were any.
+    pub(crate) fn note_loss(&mut self) {
+        self.are_lost = true;
+    }
+
+    /// This instance leads after another one. Settings that it has adopted are those of the fleet, and so are its own where
+    /// nobody has others. Those of a leader that it never received are not: an instance that has kept them takes over.
+    pub(crate) fn succeed(&mut self) {
+        self.are_known |= self.are_lost;
+    }
+
+    /// Whether a standby asks its leader now: the answer to its first question and the announcement of the term may both be
+    /// lost, and the leader right after that.
+    pub(crate) fn are_asked_for(&mut self, now: Tick, leader: Revision) -> bool {
+        if self.adopted.term >= leader.term || self.are_lost {
+            return false;
+        }
+        if self.queries.term != leader.term {
+            // What it asked as it began may still be answered.
+            let next = now.after(RENEWAL_INTERVAL);
+            self.queries = Queries { term: leader.term, left: MAX_QUERIES, next };
+        }
+        let is_due = self.queries.left > 0 && now >= self.queries.next;
+        if is_due {
+            self.queries.left -= 1;
+            self.queries.next = now.after(RENEWAL_INTERVAL);
+        }
+        is_due
     }
 
     /// The revision of the announcement that the settings are from.
