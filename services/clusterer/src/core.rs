@@ -117,9 +117,9 @@ pub struct Clusterer {
     divided: Option<Checked<Embedding>>,
     /// What is on disk.
     keeping: Keeping,
-    /// The robots of the division that was found on disk are awaited.
+    /// The robots of the division of an earlier leader are awaited.
     reunion: Option<Reunion>,
-    /// Seats that the division on disk kept for absent teams.
+    /// Seats that the division of an earlier leader kept for absent teams.
     vacancies: Vacancies,
     /// Since when robots that return have no relations yet.
     returning_since: Option<Tick>,

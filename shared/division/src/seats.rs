@@ -124,7 +124,7 @@ impl Seats {
     }
 }
 
-/// Seats that were kept for absent teams when the division was written that was found on disk. Which robots
+/// Seats that were kept for absent teams in a division of an earlier leader. Which robots
 /// they are kept for is not known any more: whoever returns is a newcomer.
 #[derive(Debug, Clone, Default)]
 pub struct Vacancies {
@@ -133,7 +133,7 @@ pub struct Vacancies {
 }
 
 impl Vacancies {
-    /// Those of a division that was found on disk.
+    /// Those of a division of an earlier leader.
     pub fn of(found: &Teams) -> Self {
         let teams = u32::try_from(found.teams.len()).unwrap_or(u32::MAX);
         // A file may say anything.

@@ -9,7 +9,7 @@ use muster_model::time::Tick;
 
 use super::Clusterer;
 
-/// How long the robots of a division that was found on disk are awaited before the first division, from the
+/// How long the robots of the division of an earlier leader are awaited before the first division, from the
 /// first robot on. Robots connect again within a second or two of the router's return, and repeat their links and
 /// ranks as often: before that, what relates them is not what it was when they were divided.
 const REUNION_TIME: Duration = Duration::from_secs(REUNION_SECONDS as u64);
@@ -28,7 +28,7 @@ const FRAMES_OF_REUNION: f64 = REUNION_SECONDS as f64 * MAX_TICK_HZ;
 /// have their old one.
 const RELATION_TIME: Duration = Duration::from_secs(1);
 
-/// The robots of a division that was found on disk are awaited.
+/// The robots of the division of an earlier leader are awaited.
 #[derive(Debug, Default)]
 pub(super) struct Reunion {
     /// When the first of them was there.
@@ -44,7 +44,7 @@ impl Reunion {
 }
 
 impl Clusterer {
-    /// Whether `ingest` or `embedder` have lived on since the division that was found on disk: then there is
+    /// Whether `ingest` or `embedder` have lived on since the division of an earlier leader: then there is
     /// no robot to wait for; robots and relations are those of before.
     #[expect(clippy::cast_precision_loss, reason = "frames are few")]
     fn others_lived_on(&self) -> bool {
@@ -66,7 +66,7 @@ impl Clusterer {
         })
     }
 
-    /// Whether the robots of the division that was found on disk are still awaited.
+    /// Whether the robots of the division of an earlier leader are still awaited.
     pub(super) fn awaits_robots(&mut self, now: Tick) -> bool {
         if self.reunion.is_some() && self.others_lived_on() {
             self.reunion = None;

@@ -145,15 +145,19 @@ impl Clusterer {
         self.received_by_others = self.division.clone();
     }
 
-    /// Takes over the division on disk, if no service holds one that is as new.
+    /// Takes over the division on disk, if no service holds one that is as new, and what a division alone says: which
+    /// seats it keeps, and which robots there were.
     fn inherit_kept(&mut self) {
-        let Some(kept) = self.keeping.division() else { return };
         let last = self.division.as_ref().map(|division| division.header.revision);
-        if last.is_none_or(|last| kept.header.revision >= last) {
-            self.vacancies = Vacancies::of(kept);
+        if let Some(kept) = self.keeping.division()
+            && last.is_none_or(|last| kept.header.revision >= last)
+        {
             self.division = Some(kept.clone());
-            // Nobody else remembers it, or only from a disk as well: all services were restarted, and receive one
-            // robot after the other.
+        }
+        if let Some(division) = &self.division {
+            self.vacancies = Vacancies::of(division);
+            // Whoever remembers it may have it from a disk as well: then all services were restarted, and receive one robot
+            // after the other.
             self.reunion = Some(Reunion::default());
         }
     }

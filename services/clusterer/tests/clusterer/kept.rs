@@ -133,6 +133,23 @@ fn the_seat_of_a_team_that_was_absent_is_kept_for_a_minute() {
     assert_eq!(teams.teams.len(), 3, "{}", short(&teams));
 }
 
+/// Of two instances the one with the older file takes over: what the other one answers is from a disk as well.
+#[test]
+fn what_another_instance_has_from_its_disk_keeps_its_seats_as_well() {
+    let (mut bench, _) = divided(settings(), &embedding(1, &ALL));
+    let older = bench.kept.clone().unwrap();
+    bench.receive_embedding(&embedding(2, &ALL[..2]));
+    bench.wait(1.0);
+    let last = bench.take().teams.pop().unwrap().0;
+    let mut next = Bench::new(settings());
+    next.input(Input::Restored(older));
+    next.start(vec![mirrored(&last)]);
+    next.receive_embedding(&later(3, &ALL[..2]));
+    assert!(next.take().teams.is_empty(), "the robots are awaited");
+    next.wait(1.6);
+    assert_eq!(short(&next.take().division()), short(&last), "no robot fills the seat");
+}
+
 #[test]
 fn no_number_is_given_twice_though_the_last_writes_are_lost() {
     let (mut bench, _) = divided(settings(), &embedding(1, &[("a b c", WEST)]));
