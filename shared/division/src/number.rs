@@ -102,9 +102,13 @@ impl Situation<'_> {
             let best = best_number(demand.wanted, shown, demand.current);
             let rules = rules.clone().resolved(self.division, self.memory, self.embedding);
             let possible = self.placeable(&rules).possible(demand, best);
-            if let Some(best) = possible_number(&possible, best, &quality.team_scores) {
-                shown = Some(best);
-                last = demand.current.filter(|teams| possible.contains(teams));
+            match possible_number(&possible, best, &quality.team_scores) {
+                Some(best) => {
+                    shown = Some(best);
+                    last = demand.current.filter(|teams| possible.contains(teams));
+                }
+                // The last division stands, and so does its number, whatever the evidence is.
+                None => shown = last.or(shown),
             }
         }
         Evidence { demand, shown, last }
