@@ -7,6 +7,7 @@ use muster_method::limited::{
     LimitedError, Limits, Optimality, PlacePrice, divide_within, optimality, rows_of,
 };
 use muster_method::params::DivisionParams;
+use muster_model::content::Checked;
 use muster_model::embedding::Embedding;
 use muster_model::id::{RobotId, SkillId, TeamId};
 use muster_model::limits::MAX_CONFLICT_LENGTH;
@@ -17,13 +18,62 @@ use muster_numeric::assignment::{
 use muster_numeric::kmeans::LimitedKMeansError;
 use muster_numeric::matrix::DenseMatrix;
 
-use crate::division::{DivisionError, Job, assemble};
+use crate::division::{DivisionError, Job, assemble, changes as changes_since};
 use crate::identity;
 use crate::rules::TeamRules;
 use crate::seats::last_of;
 
+/// Most divisions of the same vectors, each from the one before. Nearly always the second one is the first one.
+const MAX_TURNS: usize = 4;
+
 /// Divides the robots that have a non-zero embedding. While nothing satisfies the rules the last division stands.
+///
+/// Teams do not swap their ids for a few robots, so that what is found depends on where robots were: from what was found
+/// something better may be found that was out of reach before. What is returned is found again from itself, or else it
+/// would change as soon as it is divided once more, such as after a restart, though nothing has changed.
 pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
+    let mut found = divide_once(job, rules)?;
+    // Wishes for a team that is new, or lives again, count from the next division on: it keeps a robot of before until then.
+    let Some(first) = job.previous.as_deref().filter(|first| has_same_teams(first, &found)) else {
+        return Ok(found);
+    };
+    let mut is_settled = is_kept(first, &found);
+    for _ in 1..MAX_TURNS {
+        if is_settled || found.limited.as_ref().is_some_and(Limited::stands) {
+            break;
+        }
+        let again =
+            Job { previous: Some(Checked::new_unchecked(found.clone())), ..Job::clone(job) };
+        let rules = rules.clone().resolved(Some(&found), &job.memory, &job.embedding);
+        // A search may end before it finds anything; what was found stands.
+        let Ok(next) = divide_once(&again, &rules) else { break };
+        if !has_same_teams(&found, &next) {
+            break;
+        }
+        is_settled = is_kept(&found, &next);
+        let changes = std::mem::take(&mut found.changes);
+        found = Teams { changes, ..next };
+        found.changes = changes_since(&found, Some(first));
+    }
+    Ok(found)
+}
+
+/// Whether two divisions have teams with the same ids.
+fn has_same_teams(left: &Teams, right: &Teams) -> bool {
+    let ids = |teams: &'_ Teams| -> Vec<TeamId> {
+        teams.teams.iter().map(|team| team.id.clone()).collect()
+    };
+    ids(left) == ids(right)
+}
+
+/// Whether every robot of a division was in its team before.
+fn is_kept(before: &Teams, now: &Teams) -> bool {
+    let team_of: BTreeMap<&RobotId, &TeamId> = before.assignments().collect();
+    now.assignments().all(|(robot, team)| team_of.get(robot) == Some(&team))
+}
+
+/// One division, from the last one.
+fn divide_once(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
     let embedding = &*job.embedding;
     let rows = rules.rows(embedding);
     let solved = if rows.is_empty() { Solved::default() } else { solve(job, rules, &rows)? };
