@@ -260,7 +260,7 @@ impl TeamRules {
     /// The teams of the next division. Of those that robots were in so many stay as there are to be: teams that rules
     /// name before others, then those with most robots. New ones get the next numbers, and so do teams that ended, as long
     /// as it is not known whether most of their robots are in them again. A team in which no robot may be any more makes
-    /// room for another one.
+    /// room for another one, and so does one whose limits leave robots without a place, or places without robots.
     pub(crate) fn columns(
         &self,
         teams: usize,
@@ -278,7 +278,7 @@ impl TeamRules {
         let mut known: Vec<(&TeamId, usize)> = members.into_iter().collect();
         known.sort_by_key(|&(id, count)| (!self.names(id), Reverse(count), identity::order(id)));
         let mut closed = BTreeSet::new();
-        // Each turn closes a team, so there are no more turns than teams.
+        // Each turn but the last leaves out a team, so there are no more turns than teams.
         loop {
             let mut numbers = Numbers::after(previous, memory);
             let column = |(id, _): &(&TeamId, usize)| {
@@ -292,12 +292,42 @@ impl TeamRules {
             columns.sort_by(|left, right| {
                 identity::order(&left.team).cmp(&identity::order(&right.team))
             });
-            let Some(id) = self.closed(&columns, robots) else {
+            if let Some(id) = self.closed(&columns, robots) {
+                known.retain(|(other, _)| **other != id);
+                closed.insert(id);
+                continue;
+            }
+            let others: Vec<&TeamId> = known.iter().skip(teams).map(|(id, _)| *id).collect();
+            let Some(id) = self.misfit(&columns, &others, robots.len()) else {
                 return Columns { columns, closed };
             };
             known.retain(|(other, _)| **other != id);
-            closed.insert(id);
         }
+    }
+
+    /// Of the teams that robots were in the one whose limits fit so many robots least, where they do not fit and one of the
+    /// others fits better. Teams that wishes name stay.
+    fn misfit(&self, columns: &[TeamColumn], others: &[&TeamId], robots: usize) -> Option<TeamId> {
+        let all = || columns.iter().map(|column| self.bounds(&column.team));
+        let known = || {
+            let last =
+                columns.iter().filter_map(|column| Some((&column.team, column.last.clone()?)));
+            last.filter(|(_, last)| !self.is_wished(last))
+        };
+        let others = || others.iter().map(|id| self.bounds(id));
+        let most = all().fold(0_usize, |most, bounds| most.saturating_add(bounds.upper));
+        let least = all().fold(0_usize, |least, bounds| least.saturating_add(bounds.lower));
+        if robots > most {
+            let room = others().map(|bounds| bounds.upper).max()?;
+            let tight = known().min_by_key(|(team, _)| self.bounds(team).upper);
+            return tight.filter(|(team, _)| self.bounds(team).upper < room).map(|(_, id)| id);
+        }
+        if robots > 0 && robots < least {
+            let need = others().map(|bounds| bounds.lower).min()?;
+            let large = known().max_by_key(|(team, _)| self.bounds(team).lower);
+            return large.filter(|(team, _)| self.bounds(team).lower > need).map(|(_, id)| id);
+        }
+        None
     }
 
     /// The first team that robots were in and in which none may be: each is banned from there, or must be in another one.

@@ -125,6 +125,27 @@ fn without_robots_any_limit_is_accepted() {
     assert!(bench.take().events.iter().all(|kind| !matches!(kind, EventKind::Infeasible { .. })));
 }
 
+/// Of 10 robots no more than 9 have a place. The evidence for two teams would take theirs from a third of them.
+#[test]
+fn while_nothing_satisfies_the_limits_the_number_of_teams_stands_whatever_the_evidence_is() {
+    let shown = |epoch, groups: &[(&str, [f64; 2])]| {
+        let mut embedding = Embedding::clone(&embedding(epoch, groups));
+        embedding.quality.teams_shown = Some(2);
+        Checked::new_unchecked(embedding)
+    };
+    let settings = ClustererSettings {
+        teams: TeamCount::Between { from: 1, to: 3 },
+        ..limited(3, None, Some(3))
+    };
+    let groups = [("a b c", WEST), ("m n o", EAST), ("x y z", NORTH)];
+    let (mut bench, before) = divided(settings, &shown(1, &groups));
+    bench.receive_embedding(&shown(2, &[("a b c", WEST), ("m n o p", EAST), ("x y z", NORTH)]));
+    bench.wait(5.0);
+    let last = bench.take().teams.pop().unwrap().0;
+    assert_eq!(short(&last), format!("{} | - p", short(&before)));
+    assert!(conflict(&last).is_some());
+}
+
 #[test]
 fn while_nothing_satisfies_the_limits_the_division_stands_and_an_event_says_why() {
     let settings = limited(2, None, Some(3));
@@ -182,6 +203,24 @@ fn the_number_of_teams_is_one_that_the_limits_allow() {
     assert_eq!((two.requested, two.teams.len(), conflict(&two)), (2, 2, None));
     let (_, four) = divided(automatic(TeamSize { min: None, max: Some(2) }), &scored(&scores));
     assert_eq!((four.requested, four.teams.len(), conflict(&four)), (4, 4, None));
+}
+
+/// A team that is too small for all is no reason to keep two, whichever of them has more robots.
+#[test]
+fn a_team_that_is_too_small_makes_room_for_one_that_is_not() {
+    let shown = |epoch, count, groups: &[(&str, [f64; 2])]| {
+        let mut embedding = Embedding::clone(&embedding(epoch, groups));
+        embedding.quality.teams_shown = Some(count);
+        Checked::new_unchecked(embedding)
+    };
+    let settings = ClustererSettings { teams: TeamCount::Auto, ..teams(1) };
+    let (mut bench, before) = divided(settings, &shown(1, 2, &[("a b c", WEST), ("x y", EAST)]));
+    assert_eq!(short(&before), "t1: a b c | t2: x y");
+    set(&mut bench, r#"{"team_size":{"t1":{"max":3}}}"#).unwrap();
+    bench.receive_embedding(&shown(2, 1, &[("a b c x y", WEST)]));
+    bench.wait(1.0);
+    let last = bench.take().teams.pop().unwrap().0;
+    assert_eq!((short(&last).as_str(), conflict(&last)), ("t2: a b c x y", None));
 }
 
 #[test]
