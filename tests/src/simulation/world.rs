@@ -176,6 +176,8 @@ pub(super) struct World {
     /// What all had agreed on when the power was cut, until they agree again.
     pub(super) stands: Option<Agreed>,
     settled: Option<(Micros, Agreed)>,
+    /// A console is to join now that all have agreed.
+    joins_late: bool,
     differs: String,
     finished: bool,
     breach: Option<Breach>,
@@ -309,6 +311,7 @@ impl World {
             at_rest: None,
             stands: None,
             settled: None,
+            joins_late: false,
             differs: String::new(),
             finished: false,
             breach: None,
@@ -565,9 +568,7 @@ impl World {
         match (agreed, self.settled.take()) {
             (Ok(now), None) => {
                 self.log.line(self.now, format_args!("all agree"));
-                if now.has_robots() {
-                    self.join_late();
-                }
+                self.joins_late = now.has_robots();
                 if let Some(before) = self.stands.take() {
                     let stood = self.oracle.stood(&before);
                     self.require(stood);
@@ -585,6 +586,12 @@ impl World {
                 }
                 self.differs = differs;
             }
+        }
+        // A console without a link cannot join; its link is back long before the run ends.
+        let is_linked = self.links[self.operator.link].state == State::Up;
+        if self.joins_late && self.settled.is_some() && is_linked {
+            self.joins_late = false;
+            self.join_late();
         }
         if since > limit && self.settled.is_none() {
             let promise = "after the last fault all agree within the stated time";
