@@ -51,6 +51,9 @@ struct Tape {
     events: BTreeSet<(ServiceName, Revision)>,
     /// What the process has received and not promised yet, with the moment by its clock.
     awaited: VecDeque<(Tick, Received)>,
+    /// The newest division that it has received and promised. A leader of a lower term may lead again after a higher one
+    /// was killed; a reader does not go back to what it publishes, and a historian does not either.
+    newest: Option<Revision>,
 }
 
 /// Every event that was published, as the bus has it in JSON.
@@ -83,6 +86,7 @@ impl Recorded {
     pub(crate) fn killed(&mut self, instance: usize, records: usize) {
         let tape = self.tapes.entry(instance).or_default();
         tape.awaited.clear();
+        tape.newest = None;
         tape.begun_at = records;
     }
 
@@ -130,7 +134,9 @@ impl Oracle {
             *at < before
                 && match received {
                     Received::Event(..) => true,
-                    Received::Division(revision) => !tape.shows(*revision, &self.divisions),
+                    Received::Division(revision) => {
+                        Some(*revision) > tape.newest && !tape.shows(*revision, &self.divisions)
+                    }
                 }
         };
         // Of divisions the newest counts: those before it may be gone from the picture.
@@ -220,6 +226,12 @@ impl Tape {
     ) -> Verified {
         let count = self.awaited.iter().take_while(|(at, _)| Some(*at) <= through).count();
         let promised: Vec<_> = self.awaited.drain(..count).collect();
+        let revisions = promised.iter().filter_map(|(_, received)| match received {
+            Received::Division(revision) => Some(*revision),
+            Received::Event(..) => None,
+        });
+        let newest = revisions.max().filter(|revision| Some(*revision) > self.newest);
+        self.newest = self.newest.max(newest);
         if !whole {
             return Ok(());
         }
@@ -227,11 +239,7 @@ impl Tape {
             Received::Event(source, revision) => !self.events.contains(&(*source, *revision)),
             Received::Division(_) => false,
         });
-        let newest = promised.iter().filter_map(|(_, received)| match received {
-            Received::Division(revision) => Some(*revision),
-            Received::Event(..) => None,
-        });
-        if let Some(revision) = newest.max().filter(|revision| !self.shows(*revision, divisions)) {
+        if let Some(revision) = newest.filter(|revision| !self.shows(*revision, divisions)) {
             let seen = format!("division {revision:?} is not, up to {through:?}");
             return breach(WHOLE, seen);
         }
