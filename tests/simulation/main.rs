@@ -108,11 +108,27 @@ fn every_promise_holds_for_three_hundred_seeds() {
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
-/// About two fresh seeds in a thousand break a promise; what is known of them: a change that was confirmed just before
-/// its leader was killed is not known to the next one (85000861), a fleet with needs is divided otherwise after a restart of
-/// everything (85001035, 85002789), and 85002256 and 85002870, which are not explained yet. One of a hundred is
-/// printed; two are a fault that is not known.
-const KNOWN_FAILURES: usize = 1;
+/// How many of the fresh seeds may break a promise: as many as are known to do so and are not mended. None is.
+const KNOWN_FAILURES: usize = 0;
+
+/// Seeds that broke a promise once, and what it was.
+const ONCE_BROKEN: [(u64, &str); 7] = [
+    (85_000_861, "a standby never received the settings of its leader, and led with its own"),
+    (85_001_035, "the last division was none that is found again from itself"),
+    (85_002_256, "the evidence took a team away while nothing satisfied the limits"),
+    (85_002_789, "what another instance had from its disk kept no seat for a team that is absent"),
+    (85_002_870, "a console was to join over a link that was down"),
+    (90_000_091, "which numbers of teams are possible depended on which team was the largest"),
+    (91_000_051, "a historian was to go back to a division of a lower term"),
+];
+
+#[test]
+fn seeds_that_broke_a_promise_once_break_none() {
+    for (seed, cause) in ONCE_BROKEN {
+        let outcome = simulate(seed, &Options::default(), None, false);
+        assert_eq!(outcome.failure, None, "seed {seed}, once: {cause}");
+    }
+}
 
 /// The fixed seeds pass, or a change was not finished. What nobody has looked at are others: each run of the
 /// test command draws some, and prints the first one, so that a failure can be repeated.
