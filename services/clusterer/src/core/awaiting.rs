@@ -11,17 +11,16 @@ use super::Clusterer;
 
 /// How long the robots of the division of an earlier leader are awaited before the first division, from the
 /// first robot on. Robots connect again within a second or two of the router's return, and repeat their links and
-/// ranks as often: before that, what relates them is not what it was when they were divided.
-const REUNION_TIME: Duration = Duration::from_secs(REUNION_SECONDS as u64);
-
-const REUNION_SECONDS: u32 = 3;
+/// ranks as often: before that, what relates them is not what it was when they were divided. Services that start
+/// have looked for a leader for two seconds by then and received robots; both together stay below five seconds.
+const REUNION_TIME: Duration = Duration::from_millis(2500);
 
 /// How long they are awaited where all of them are there and related to others: each stream of each robot has been repeated
 /// by then.
 const WHOLE_REUNION_TIME: Duration = Duration::from_millis(1500);
 
 /// After so many frames an `ingest` has run for longer than that, however fast it is: it knows its robots.
-const FRAMES_OF_REUNION: f64 = REUNION_SECONDS as f64 * MAX_TICK_HZ;
+const FRAMES_OF_REUNION: f64 = REUNION_TIME.as_secs_f64() * MAX_TICK_HZ;
 
 /// How long robots that return are awaited until something relates them to others: their next report, and the
 /// frame that holds it. Without that they would be told that they have no team, and a moment later that they

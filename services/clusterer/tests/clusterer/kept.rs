@@ -72,7 +72,7 @@ fn who_is_not_back_in_time_keeps_its_seat() {
     assert!(next.take().teams.is_empty(), "no robot was there yet");
     let there = later(3, &[("a b c", WEST), ("x", NORTH)]);
     next.receive_embedding(&there);
-    next.wait(2.9);
+    next.wait(2.4);
     assert!(next.take().teams.is_empty());
     next.wait(0.2);
     assert_eq!(short(&next.take().division()), "t1: a b c | t3: x");
@@ -90,7 +90,7 @@ fn who_comes_and_leaves_again_is_awaited_from_the_next_one_on() {
     // It sleeps, and is not woken again and again for what has passed.
     next.wait(60.0);
     next.receive_embedding(&later(4, &[("x y z", NORTH)]));
-    next.wait(2.9);
+    next.wait(2.4);
     assert!(next.take().teams.is_empty());
     next.wait(0.2);
     assert_eq!(short(&next.take().division()), "t3: x y z");
