@@ -71,7 +71,7 @@ fn install(folder: &Path) -> Vec<PathBuf> {
         std::fs::write(&path, text.replace("/usr/local/bin", &programs)).unwrap();
         path
     };
-    let alone = ["muster-router.service", "muster-console.service"];
+    let alone = ["muster-router.service", "muster-console.service", "muster-ros2.service"];
     let mut units = alone.map(|unit| write(unit, read(&format!("systemd/{unit}")))).to_vec();
     write("muster@.service", read("systemd/muster@.service"));
     for service in SERVICES {
@@ -123,6 +123,7 @@ fn shipped(installed: &str) -> String {
     let name = installed.rsplit('/').next().unwrap();
     let place = match name {
         "router.json5" => "router/plain.json5".to_owned(),
+        "ros2-topics.toml" => "ros2/topics.toml".to_owned(),
         toml => format!("config/{toml}"),
     };
     deploy().join(place).to_str().unwrap().to_owned()
@@ -154,11 +155,17 @@ fn the_units_start_what_there_is() {
     };
     check_command(&line("systemd/muster-router.service", ""));
     check_command(&line("systemd/muster-console.service", ""));
+    check_command(&line("systemd/muster-ros2.service", ""));
     for service in SERVICES {
         check_command(&line("systemd/muster@.service", service));
     }
     // A service without a standby that hangs stops the division until it is restarted.
-    for unit in ["muster-router.service", "muster-console.service", "muster@.service"] {
+    for unit in [
+        "muster-router.service",
+        "muster-console.service",
+        "muster-ros2.service",
+        "muster@.service",
+    ] {
         let unit = &format!("systemd/{unit}");
         assert!(read(unit).lines().any(|line| line == "WatchdogSec=10"), "{unit}");
     }

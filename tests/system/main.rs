@@ -35,6 +35,7 @@ mod presence;
 mod propose;
 mod record;
 mod restarts;
+mod ros2;
 mod routers;
 mod schema;
 mod secured;

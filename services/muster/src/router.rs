@@ -3,7 +3,7 @@
 use std::io::Write as _;
 use std::time::Duration;
 
-use muster_runtime::bus::{Bus, ConnectTimeout};
+use muster_runtime::bus::{Bus, BusConfig, ConnectTimeout};
 use muster_runtime::config::ProcessConfig;
 use muster_runtime::exit::ExitError;
 use muster_runtime::notify;
@@ -20,16 +20,21 @@ const TURN_INTERVAL: Duration = Duration::from_secs(1);
     after_help = "Robots and services connect to a router of their host or site, and routers \
 connect to each other.\n\nExamples:\n  muster router                                    for this host only\n  \
 muster router --listen tcp/0.0.0.0:7447          for the network\n  \
-muster router --listen tcp/0.0.0.0:7447 --connect tcp/base:7447"
+muster router --listen tcp/0.0.0.0:7447 --connect tcp/base:7447\n  \
+muster router --listen tcp/0.0.0.0:7447 --ros    where robots of ROS 2 meet"
 )]
-pub(crate) struct RouterArgs {}
+pub(crate) struct RouterArgs {
+    /// Tell programs of ROS 2 of each other, as rmw_zenohd does: they link directly, and reach each other only so
+    #[arg(long)]
+    ros: bool,
+}
 
 /// Runs a router until it is time to stop.
 ///
 /// # Errors
 /// If it cannot listen where it should.
 pub(crate) async fn run(
-    _: &RouterArgs,
+    args: &RouterArgs,
     config: &ProcessConfig,
     mut stop: Stop,
 ) -> anyhow::Result<()> {
@@ -37,8 +42,9 @@ pub(crate) async fn run(
         return Err(ExitError::usage("mode: a router runs in mode router; leave --mode out").into());
     }
     let observatory = Observatory::open(config, &[])?;
+    let bus = BusConfig { gossip: args.ros, ..BusConfig::from(config) };
     let bus = tokio::select! {
-        bus = Bus::open(config, ConnectTimeout::Never) => bus?,
+        bus = Bus::open(bus, ConnectTimeout::Never) => bus?,
         () = stop.stopped() => return Ok(()),
     };
     let listening = format!("router listens at {}", bus.locators().await.join(", "));

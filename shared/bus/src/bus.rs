@@ -78,6 +78,12 @@ pub struct Subscription {
     _subscriber: zenoh::pubsub::Subscriber<()>,
 }
 
+impl Subscription {
+    pub(crate) fn new(subscriber: zenoh::pubsub::Subscriber<()>) -> Self {
+        Self { _subscriber: subscriber }
+    }
+}
+
 /// Whether a packet may wait behind large ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Urgency {
@@ -294,7 +300,7 @@ impl Bus {
             .callback(move |sample| receive(packet(&sample, limit)))
             .await
             .map_err(|error| anyhow::anyhow!("cannot subscribe to {text}: {error}"))?;
-        Ok(Subscription { _subscriber: subscriber })
+        Ok(Subscription::new(subscriber))
     }
 
     /// Hands liveliness tokens to a function, those that are there already as well.

@@ -67,4 +67,6 @@ pub struct BusConfig {
     pub listen: Choice<Vec<String>>,
     /// A file with Zenoh's own configuration, for everything else.
     pub zenoh_config: Option<PathBuf>,
+    /// Whether a router tells its peers of each other, so that they link directly: what those of ROS 2 rely on.
+    pub gossip: bool,
 }

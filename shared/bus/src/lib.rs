@@ -4,11 +4,12 @@
 //! has the same session with the same defaults, and nothing that only Muster's programs need.
 //! [`config`] chooses the bus; [`Bus`] is the session; `zenoh_config` puts Zenoh's own configuration
 //! together; [`send_queue`] sends without waiting; [`Publishers`] declares the keys that a client puts to;
-//! [`handshake`] looks what answers where no session opens.
+//! `foreign` has what is particular to keys of other programs; [`handshake`] looks what answers where no session opens.
 
 mod bus;
 pub mod config;
 mod error;
+mod foreign;
 mod get;
 pub mod handshake;
 mod opening;

@@ -71,6 +71,7 @@ pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenErro
     };
     let mut values = built_in_values();
     let endpoints = |list: &[String]| serde_json::json!(list).to_string();
+    values.push(("scouting/gossip/enabled", config.gossip.to_string()));
     values.push(("mode", format!("\"{}\"", config.mode.value)));
     values.push(("connect/endpoints", endpoints(&config.connect.value)));
     values.push(("listen/endpoints", endpoints(&config.listen.value)));
@@ -78,6 +79,7 @@ pub(crate) fn zenoh_config(config: &BusConfig) -> Result<zenoh::Config, OpenErro
         "mode" => config.mode.chosen,
         "connect/endpoints" => config.connect.chosen,
         "listen/endpoints" => config.listen.chosen,
+        "scouting/gossip/enabled" => config.gossip,
         _ => false,
     };
     for (key, value) in values {
@@ -154,7 +156,6 @@ fn built_in_values() -> Vec<(&'static str, String)> {
     );
     vec![
         ("scouting/multicast/enabled", "false".to_owned()),
-        ("scouting/gossip/enabled", "false".to_owned()),
         // A router waits so long for others before it opens; without scouting none comes.
         ("scouting/delay", "1".to_owned()),
         ("connect/timeout_ms", "-1".to_owned()),
@@ -186,6 +187,7 @@ mod tests {
             connect: Choice::default(Vec::new()),
             listen,
             zenoh_config: file.map(Into::into),
+            gossip: false,
         }
     }
 
@@ -205,8 +207,25 @@ mod tests {
         // Also by itself, as Zenoh's own router reads it.
         let alone = zenoh::Config::from_file(shipped).unwrap();
         let ours = zenoh_config(&built_in).unwrap();
-        for (key, _) in built_in_values() {
+        let gossip = ("scouting/gossip/enabled", String::new());
+        for (key, _) in built_in_values().into_iter().chain([gossip]) {
             assert_eq!(alone.get_json(key).unwrap(), ours.get_json(key).unwrap(), "{key}");
+        }
+    }
+
+    #[test]
+    fn a_router_for_ros_tells_its_peers_of_each_other_whatever_a_file_says() {
+        let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/router/plain.json5");
+        let gossips = |gossip: bool, file: Option<&str>| {
+            let config =
+                BusConfig { gossip, ..router(Choice::default(list(DEFAULT_ENDPOINT)), file) };
+            zenoh_config(&config).unwrap().get_json("scouting/gossip/enabled").unwrap()
+        };
+        for file in [None, Some(shipped)] {
+            assert_eq!(
+                (gossips(false, file), gossips(true, file)),
+                ("false".into(), "true".into())
+            );
         }
     }
 

@@ -163,6 +163,7 @@ impl Config {
             connect,
             listen: Choice { value: self.listen.clone(), chosen: !self.listen.is_empty() },
             zenoh_config: self.zenoh_config.clone(),
+            gossip: false,
         })
     }
 

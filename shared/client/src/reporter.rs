@@ -118,17 +118,25 @@ impl Reporter {
             boot: Some(self.boot.clone()),
             seq: Some(*number),
         };
-        let message = Message::Report(report.with_provenance(provenance)?);
-        let field = stream.list_field();
-        let outbound = message.encode(message.keys().0, self.format, now);
-        let outbound = outbound.map_err(|error| Error::input(field, error.to_string()))?;
-        let (size, limit) = (outbound.payload.len(), outbound.key.payload_limit());
-        if size > limit {
-            let problem = format!("takes {size} bytes, more than the limit of {limit}");
-            return Err(Error::input(field, problem));
-        }
-        Ok(outbound)
+        encode(report.with_provenance(provenance)?, self.format, now)
     }
+}
+
+/// A report as a message, with boot id, sequence number and stamp as they are.
+///
+/// # Errors
+/// [`Error::Input`] if it is too large.
+pub(crate) fn encode(report: CheckedReport, format: Format, now: Tick) -> Result<Outbound, Error> {
+    let field = report.stream().list_field();
+    let message = Message::Report(report);
+    let outbound = message.encode(message.keys().0, format, now);
+    let outbound = outbound.map_err(|error| Error::input(field, error.to_string()))?;
+    let (size, limit) = (outbound.payload.len(), outbound.key.payload_limit());
+    if size > limit {
+        let problem = format!("takes {size} bytes, more than the limit of {limit}");
+        return Err(Error::input(field, problem));
+    }
+    Ok(outbound)
 }
 
 #[cfg(test)]

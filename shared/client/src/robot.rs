@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 
 use muster_bus::{Subscription, Token};
 use muster_model::id::{Modality, RobotId};
-use muster_model::observation::{Link, Links, Pose, Rank, Relation, Report, Stream};
+use muster_model::observation::{
+    CheckedReport, Link, Links, Pose, Provenance, Rank, Relation, Report, Stream,
+};
 use muster_model::teams::RobotTeam;
 use muster_wire::{Key, KeySpace, Message, Packet, Pattern};
 use tokio::sync::watch;
@@ -17,7 +19,7 @@ use crate::client::Client;
 use crate::config::Config;
 use crate::error::Error;
 use crate::feed::Refusals;
-use crate::reporter::Reporter;
+use crate::reporter::{Reporter, encode, wall_clock};
 use crate::send_queue::SendQueue;
 use crate::watch::Watch;
 
@@ -102,6 +104,27 @@ impl Client {
     pub async fn join(&self, robot: &str) -> Result<Robot, Error> {
         let robot = RobotId::new(robot).map_err(Error::id("robot"))?;
         Robot::begin(self.clone(), robot, false).await
+    }
+
+    /// Puts what a robot reports that speaks another protocol, for a program that bridges it. Boot id and sequence
+    /// number are those of the robot's own program, so that several bridges may relay the same; the robot has no token, so
+    /// that its presence follows from what is put.
+    ///
+    /// # Errors
+    /// [`Error::Input`] names the field that is wrong, also if the report has no boot id or sequence number, and nothing
+    /// is sent; [`Error::Closed`] if the client was closed.
+    pub fn relay(&self, robot: RobotId, report: Report) -> Result<(), Error> {
+        let Provenance { boot, seq, .. } = report.provenance();
+        if boot.is_none() || seq.is_none() {
+            let field = if boot.is_none() { "boot" } else { "seq" };
+            return Err(Error::input(
+                field,
+                "a report that is relayed has that of its robot".to_owned(),
+            ));
+        }
+        let report = CheckedReport::new(robot, report)?;
+        let message = encode(report, self.config().format, wall_clock())?;
+        self.queue().push(message).map_err(|_| Error::Closed)
     }
 
     /// Joins the fleet as a robot that only reports: it has no team, republishes nothing, and does not

@@ -19,6 +19,9 @@ pub const MAX_ATTACHMENT_BYTES: usize = 1024;
 /// The first chunk of Muster's own keys.
 const OWN_ROOT: &str = "muster";
 
+/// The second chunk of each of them.
+const OWN_VERSION: &str = "v1";
+
 /// Why a text is no [`ForeignKey`] or no [`ForeignPattern`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ForeignKeyError {
@@ -37,8 +40,10 @@ pub enum ForeignKeyError {
          a chunk, and */** instead of **/*"
     )]
     Wildcards(String),
-    /// The first chunk of the pattern has wildcards, so that it might match Muster's own keys.
-    #[error("the first chunk of a pattern must have no wildcards")]
+    /// The first chunk of the pattern has wildcards, and so might match Muster's own keys.
+    #[error(
+        "where the first chunk of a pattern has wildcards, the second must be another one than {OWN_VERSION} and have none"
+    )]
     WildRoot,
     /// The key stands under `muster/`.
     #[error("keys under {OWN_ROOT}/ are Muster's own")]
@@ -50,7 +55,7 @@ pub enum ForeignKeyError {
 #[serde(try_from = "String")]
 pub struct ForeignKey(String);
 
-/// A set of keys outside of `muster/`: a canonical key expression whose first chunk has no wildcards.
+/// A set of keys outside of `muster/v1/`: a canonical key expression whose first or second chunk has no wildcards.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String")]
 pub struct ForeignPattern(String);
@@ -80,14 +85,20 @@ impl ForeignPattern {
     /// Checks and wraps the text of a key expression.
     ///
     /// # Errors
-    /// [`ForeignKeyError`] if the text is no canonical key expression, its first chunk has wildcards, or
-    /// it stands under `muster/`.
+    /// [`ForeignKeyError`] if the text is no canonical key expression, might match keys of Muster's, or stands under
+    /// `muster/`.
     pub fn new(text: impl Into<String>) -> Result<Self, ForeignKeyError> {
         let text = text.into();
         check(&text)?;
+        let is_wild = |chunk: &str| chunk.contains(['*', '$']);
         let mut chunks = text.split('/');
-        if chunks.next().is_some_and(|root| root.contains(['*', '$'])) {
-            return Err(ForeignKeyError::WildRoot);
+        let root = chunks.next().unwrap_or_default();
+        if is_wild(root) {
+            let second = chunks.clone().next();
+            let is_other = second.is_some_and(|chunk| !is_wild(chunk) && chunk != OWN_VERSION);
+            if !is_canonical(root) || root == "**" || !is_other {
+                return Err(ForeignKeyError::WildRoot);
+            }
         }
         let mut after_double = false;
         for chunk in chunks {
@@ -259,7 +270,22 @@ mod tests {
         for text in ["0/**/*", "0/**/**", "0/$*", "0/a$*$*", "0/a*", "0/***", "0/a$", "0/$*$"] {
             assert_eq!(ForeignPattern::new(text), Err(ForeignKeyError::Wildcards(text.into())));
         }
-        for text in ["*", "**", "*/v1/alpha/teams", "m$*", "$*"] {
+        // A bridge puts the topics of robots under their names.
+        for text in ["*/odom", "r$*/odom/**", "*/fmu/out/*"] {
+            assert!(ForeignPattern::new(text).is_ok(), "{text}");
+        }
+        for text in [
+            "*",
+            "**",
+            "*/v1/alpha/teams",
+            "m$*",
+            "$*",
+            "*/*",
+            "*/v$*/x",
+            "**/odom",
+            "$*/odom",
+            "*/**",
+        ] {
             assert_eq!(ForeignPattern::new(text), Err(ForeignKeyError::WildRoot), "{text}");
         }
         assert_eq!(ForeignPattern::new("muster/**"), Err(ForeignKeyError::Own));

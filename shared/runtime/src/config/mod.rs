@@ -84,6 +84,7 @@ impl From<&ProcessConfig> for BusConfig {
             connect: choice(&config.connect),
             listen: choice(&config.listen),
             zenoh_config: config.zenoh_config.value.clone(),
+            gossip: false,
         }
     }
 }

@@ -1,0 +1,280 @@
+//! Samples of ROS on their way to reports: the newest of each robot and topic waits for the next tick.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use muster_model::id::RobotId;
+use muster_model::observation::{CheckedReport, Report};
+use muster_model::time::Tick;
+use muster_ros::key::parse_dds_key;
+use muster_ros::{Attachment, Dialect, TopicKey, TypeHash, Value, cdr};
+use muster_wire::{Packet, Source};
+
+use super::extract::{self, Stamped};
+use super::frames::Frames;
+use crate::config::{Content, Setup};
+
+/// Most topics of robots that are read: a fleet of 5,000 robots has four each.
+const MAX_KEYS: usize = 65_536;
+
+/// How long a topic without data is remembered, so that those of robots that are gone take no memory.
+const FORGET_AFTER: Duration = Duration::from_secs(60);
+
+/// How often what is not needed any more is looked for.
+const FORGET_EVERY: Duration = Duration::from_secs(10);
+
+/// A sample that is not taken.
+#[derive(Debug)]
+pub(super) struct Refused {
+    /// Its key.
+    pub(super) key: String,
+    /// Why.
+    pub(super) reason: String,
+}
+
+/// One topic of one robot, or one that all share.
+#[derive(Debug)]
+struct Topic {
+    source: usize,
+    /// The name in ROS; empty where all robots share the topic.
+    name: String,
+    /// None where all robots share the topic.
+    robot: Option<RobotId>,
+    last: Tick,
+    /// The newest sample that is not taken yet.
+    waiting: Option<Waiting>,
+    /// How many were taken without a number of their own.
+    taken: u64,
+    /// The key in its parts; none with a bridge of DDS.
+    key: Option<TopicKey>,
+}
+
+/// A topic that is read from now on, or no longer.
+#[derive(Debug)]
+pub(super) enum Reading {
+    Begins(TopicKey),
+    Ends(TopicKey),
+}
+
+#[derive(Debug)]
+struct Waiting {
+    payload: Vec<u8>,
+    attachment: Option<Attachment>,
+}
+
+/// The topics and frames of all robots.
+#[derive(Debug)]
+pub(super) struct Intake {
+    setup: Arc<Setup>,
+    /// Names this run, where publishers have no names.
+    boot: String,
+    topics: BTreeMap<String, Topic>,
+    /// By the name of the robot in ROS; empty where all robots share a tree.
+    frames: BTreeMap<String, Frames>,
+    /// The robots that were heard of lately, with their names in ROS.
+    robots: BTreeMap<RobotId, String>,
+    forget_due: Tick,
+    /// What the graph of ROS is not shown yet.
+    readings: Vec<Reading>,
+}
+
+impl Intake {
+    pub(super) fn new(setup: Arc<Setup>, boot: String) -> Self {
+        Self {
+            setup,
+            boot,
+            topics: BTreeMap::new(),
+            frames: BTreeMap::new(),
+            robots: BTreeMap::new(),
+            forget_due: Tick::default(),
+            readings: Vec::new(),
+        }
+    }
+
+    /// The topics that are read since this was last asked, and those that are no longer.
+    pub(super) fn take_readings(&mut self) -> Vec<Reading> {
+        std::mem::take(&mut self.readings)
+    }
+
+    pub(super) fn robots(&self) -> &BTreeMap<RobotId, String> {
+        &self.robots
+    }
+
+    /// A sample of a source arrived. Transforms are taken at once, all else waits for [`Intake::take`].
+    pub(super) fn receive(
+        &mut self,
+        now: Tick,
+        source: usize,
+        packet: Packet,
+    ) -> Result<(), Refused> {
+        let Packet { key, payload, attachment, source: from, .. } = packet;
+        if from != Source::Put {
+            return Ok(());
+        }
+        let refuse = |reason: String| Refused { key: key.clone(), reason };
+        let payload =
+            payload.map_err(|size| refuse(format!("{size} bytes are too many for one message")))?;
+        let attachment = match self.setup.dialect {
+            Dialect::Ros2Dds => None,
+            Dialect::RmwZenoh => Some(attachment.map_or_else(
+                || Err(refuse(NO_ATTACHMENT.to_owned())),
+                |bytes| Attachment::parse(bytes.as_bytes()).map_err(|e| refuse(e.to_string())),
+            )?),
+        };
+        if !self.topics.contains_key(&key) {
+            let topic = self.open(now, source, &key).map_err(&refuse)?;
+            self.readings.extend(topic.key.clone().map(Reading::Begins));
+            self.topics.insert(key.clone(), topic);
+        }
+        let Some(topic) = self.topics.get_mut(&key) else { return Ok(()) };
+        topic.last = now;
+        let setup = &self.setup;
+        let Some(description) = setup.sources.get(topic.source) else { return Ok(()) };
+        if let Content::Transforms { is_static } = description.content {
+            let value = cdr::decode(&description.layout, &payload);
+            let value = value.map_err(|error| refuse(error.to_string()))?;
+            let frames = self.frames.entry(topic.name.clone()).or_default();
+            return take_transforms(now, frames, &value, is_static).map_err(&refuse);
+        }
+        topic.waiting = Some(Waiting { payload, attachment });
+        Ok(())
+    }
+
+    /// The topic of a key that was not seen before.
+    fn open(&mut self, now: Tick, source: usize, key: &str) -> Result<Topic, String> {
+        let description = self.setup.sources.get(source).ok_or("this is no source")?;
+        let (topic, parsed) = match self.setup.dialect {
+            Dialect::RmwZenoh => {
+                let parsed = TopicKey::parse(key).map_err(|error| error.to_string())?;
+                if parsed.type_name != *description.layout.name() {
+                    return Err(format!("the type is {}", parsed.type_name));
+                }
+                if parsed.hash != description.hash && parsed.hash != TypeHash::NotSupported {
+                    return Err(format!(
+                        "the robot has another definition of {} than this bridge: its hash is {}, not {}; add its .msg \
+                         text as definition",
+                        parsed.type_name, parsed.hash, description.hash
+                    ));
+                }
+                (parsed.topic.clone(), Some(parsed))
+            }
+            Dialect::Ros2Dds => {
+                let key = match &self.setup.namespace {
+                    Some(namespace) => {
+                        let rest = key.strip_prefix(namespace.as_str());
+                        rest.and_then(|rest| rest.strip_prefix('/')).unwrap_or(key)
+                    }
+                    None => key,
+                };
+                (parse_dds_key(key).map_err(|error| error.to_string())?, None)
+            }
+        };
+        let name = description.topic.robot_of(topic.as_str()).ok_or("this is another topic")?;
+        let robot = if name.is_empty() { None } else { Some(self.join(name)?) };
+        if self.topics.len() >= MAX_KEYS {
+            return Err(format!("more than {MAX_KEYS} topics are not read"));
+        }
+        let name = name.to_owned();
+        Ok(Topic { source, name, robot, last: now, waiting: None, taken: 0, key: parsed })
+    }
+
+    /// The id of a robot of ROS, whose names may have capitals.
+    fn join(&mut self, name: &str) -> Result<RobotId, String> {
+        let robot = RobotId::new(name.to_ascii_lowercase()).map_err(|error| error.to_string())?;
+        match self.robots.get(&robot) {
+            Some(known) if known != name => {
+                Err(format!("{name} and {known} would both be the robot {robot}; rename one"))
+            }
+            Some(_) => Ok(robot),
+            None => {
+                self.robots.insert(robot.clone(), name.to_owned());
+                Ok(robot)
+            }
+        }
+    }
+
+    /// The reports of the newest samples that were not taken yet, and what is refused of them.
+    pub(super) fn take(&mut self, now: Tick) -> (Vec<(RobotId, Report)>, Vec<Refused>) {
+        let (mut reports, mut refused) = (Vec::new(), Vec::new());
+        for (key, topic) in &mut self.topics {
+            let Some(waiting) = topic.waiting.take() else { continue };
+            topic.taken += 1;
+            let (Some(robot), Some(source)) = (&topic.robot, self.setup.sources.get(topic.source))
+            else {
+                continue;
+            };
+            let stamped = Stamped {
+                now,
+                boot: waiting.attachment.map_or_else(|| self.boot.clone(), |a| a.gid.to_string()),
+                seq: waiting.attachment.map_or(topic.taken, |a| a.sequence.unsigned_abs()),
+            };
+            let scope = if self.setup.prefix.is_some() { "" } else { topic.name.as_str() };
+            let frames = self.frames.get(scope);
+            let report = cdr::decode(&source.layout, &waiting.payload)
+                .map_err(|error| error.to_string())
+                .and_then(|value| {
+                    extract::report(
+                        &self.setup,
+                        &source.content,
+                        &topic.name,
+                        frames,
+                        &value,
+                        stamped,
+                    )
+                })
+                .and_then(|report| {
+                    // What the fleet would refuse anyway, with the name of the field.
+                    let checked = CheckedReport::new(robot.clone(), report);
+                    Ok(checked.map_err(|error| error.to_string())?.into_parts())
+                });
+            match report {
+                Ok(report) => reports.push(report),
+                Err(reason) => refused.push(Refused { key: key.clone(), reason }),
+            }
+        }
+        self.forget(now);
+        (reports, refused)
+    }
+
+    fn forget(&mut self, now: Tick) {
+        if now < self.forget_due {
+            return;
+        }
+        self.forget_due = now.after(FORGET_EVERY);
+        let readings = &mut self.readings;
+        self.topics.retain(|_, topic| {
+            let stays = now.since(topic.last) <= FORGET_AFTER;
+            if !stays {
+                readings.extend(topic.key.take().map(Reading::Ends));
+            }
+            stays
+        });
+        let topics = &self.topics;
+        self.robots
+            .retain(|robot, _| topics.values().any(|topic| topic.robot.as_ref() == Some(robot)));
+        // A static transform comes once: it stays for as long as its robot has any topic.
+        let robots: Vec<&String> = self.robots.values().collect();
+        self.frames.retain(|name, frames| {
+            frames.forget(now, FORGET_AFTER);
+            name.is_empty() || robots.contains(&name) || !frames.is_empty()
+        });
+    }
+}
+
+/// Why a message without an attachment is not taken.
+const NO_ATTACHMENT: &str = "the message has no attachment, so that rmw_zenoh drops it as well; does a program put it \
+     by hand, or is the dialect ros2dds?";
+
+fn take_transforms(
+    now: Tick,
+    frames: &mut Frames,
+    message: &Value,
+    is_static: bool,
+) -> Result<(), String> {
+    for transform in extract::transforms(message)? {
+        let extract::NamedTransform { parent, child, transform } = transform;
+        frames.receive(now, parent, child, transform, is_static);
+    }
+    Ok(())
+}

@@ -1,0 +1,207 @@
+//! The core: what comes of samples of ROS and of messages of the fleet, without bus and clock.
+
+mod extract;
+pub mod frames;
+pub mod geometry;
+mod intake;
+mod outgoing;
+mod publishers;
+mod refusals;
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use muster_model::audit::Audit;
+use muster_model::id::{InstanceId, RobotId};
+use muster_model::observation::{Rank, Report};
+use muster_model::roster::Roster;
+use muster_model::teams::Teams;
+use muster_model::time::Tick;
+use muster_wire::{Attachment, Packet};
+
+use self::intake::Intake;
+use self::outgoing::Outgoing;
+use self::publishers::Publishers;
+pub use self::refusals::Refusal;
+use self::refusals::Refusals;
+use crate::config::Setup;
+
+/// How often superiors that never change are put, so that a service that lost them has them again.
+const RANKS_EVERY: Duration = Duration::from_secs(10);
+
+/// What happens.
+#[derive(Debug)]
+pub enum Input {
+    /// A sample of a source, by its number in the setup.
+    Sample(usize, Packet),
+    /// Time passes. It comes as often as the newest of each robot is put.
+    Tick,
+    /// The newest division, and whether it may not be valid any more.
+    Teams(Arc<Teams>, bool),
+    /// The newest audit.
+    Audit(Arc<Audit>),
+    /// The newest roster.
+    Roster(Arc<Roster>),
+}
+
+/// What is to be done.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Output {
+    /// Put what a robot reports. Boot and sequence are those of the robot's publisher.
+    Report(RobotId, Report),
+    /// Put a message of ROS.
+    Publish {
+        /// The key.
+        key: String,
+        /// The message in CDR.
+        payload: Vec<u8>,
+        /// Its number; none with `ros2dds`.
+        attachment: Option<Attachment>,
+    },
+    /// Declare a liveliness token.
+    Declare(String),
+    /// Withdraw a liveliness token.
+    Withdraw(String),
+    /// Say why something of ROS is not taken.
+    Refused(Refusal),
+}
+
+/// What has been counted since the start.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Samples that arrived.
+    pub received: u64,
+    /// Reports that were put.
+    pub reported: u64,
+    /// Samples that were refused.
+    pub refused: u64,
+}
+
+/// The bridge between ROS and a fleet.
+#[derive(Debug)]
+pub struct Bridge {
+    setup: Arc<Setup>,
+    intake: Intake,
+    refusals: Refusals,
+    publishers: Publishers,
+    outgoing: Outgoing,
+    /// Names this run in reports that have no publisher's number.
+    boot: String,
+    /// How many ranks have been put.
+    ranks_put: u64,
+    ranks_due: Tick,
+    counts: Counts,
+}
+
+impl Bridge {
+    /// A bridge to which nothing has happened. `session` is the id of the session in ROS, `instance` names this run.
+    #[must_use]
+    pub fn new(setup: Arc<Setup>, session: &str, instance: &InstanceId) -> Self {
+        Self {
+            intake: Intake::new(Arc::clone(&setup), instance.to_string()),
+            refusals: Refusals::default(),
+            publishers: Publishers::new(&setup, session),
+            outgoing: Outgoing::default(),
+            boot: instance.to_string(),
+            ranks_put: 0,
+            ranks_due: Tick::default(),
+            counts: Counts::default(),
+            setup,
+        }
+    }
+
+    /// What is to be done before anything happens: the tokens of the node and of its publishers.
+    #[must_use]
+    pub fn start(&self) -> Vec<Output> {
+        self.publishers.start()
+    }
+
+    /// Handles what happens. `now` is the moment by the clock of this host.
+    #[must_use]
+    pub fn handle(&mut self, now: Tick, input: Input) -> Vec<Output> {
+        match input {
+            Input::Sample(source, packet) => {
+                self.counts.received += 1;
+                match self.intake.receive(now, source, packet) {
+                    Ok(()) => Vec::new(),
+                    Err(refused) => self.refuse(now, refused),
+                }
+            }
+            Input::Tick => self.tick(now),
+            Input::Teams(teams, is_stale) => {
+                self.outgoing.set_teams(teams, is_stale);
+                self.publish(now, false)
+            }
+            Input::Audit(audit) => {
+                self.outgoing.set_audit(audit);
+                Vec::new()
+            }
+            Input::Roster(roster) => {
+                self.outgoing.set_roster(roster);
+                Vec::new()
+            }
+        }
+    }
+
+    /// What has been counted.
+    #[must_use]
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// Robots that ROS has brought lately, with the names that they have there.
+    #[must_use]
+    pub fn robots(&self) -> &BTreeMap<RobotId, String> {
+        self.intake.robots()
+    }
+
+    fn tick(&mut self, now: Tick) -> Vec<Output> {
+        let mut outputs = Vec::new();
+        let (reports, refused) = self.intake.take(now);
+        self.counts.reported += reports.len() as u64;
+        outputs.extend(reports.into_iter().map(|(robot, report)| Output::Report(robot, report)));
+        for refused in refused {
+            outputs.extend(self.refuse(now, refused));
+        }
+        for reading in self.intake.take_readings() {
+            outputs.extend(self.publishers.show(reading));
+        }
+        if now >= self.ranks_due && !self.setup.ranks.is_empty() {
+            self.ranks_due = now.after(RANKS_EVERY);
+            outputs.extend(self.ranks());
+        }
+        outputs.extend(self.publish(now, true));
+        self.refusals.forget(now);
+        outputs
+    }
+
+    /// Superiors that never change, of the robots that are there.
+    fn ranks(&mut self) -> Vec<Output> {
+        self.ranks_put += 1;
+        let (boot, seq) = (Some(self.boot.clone()), Some(self.ranks_put));
+        let there =
+            self.setup.ranks.iter().filter(|(robot, _)| self.intake.robots().contains_key(*robot));
+        let rank = |(robot, superior): (&RobotId, &Option<RobotId>)| {
+            let rank = Rank { boot: boot.clone(), seq, ..Rank::under(superior.clone()) };
+            Output::Report(robot.clone(), Report::Rank(rank))
+        };
+        there.map(rank).collect()
+    }
+
+    fn publish(&mut self, now: Tick, is_tick: bool) -> Vec<Output> {
+        self.outgoing.publish(
+            now,
+            is_tick,
+            &self.setup,
+            &mut self.publishers,
+            self.intake.robots(),
+            &self.refusals,
+        )
+    }
+
+    fn refuse(&mut self, now: Tick, refused: intake::Refused) -> Vec<Output> {
+        self.counts.refused += 1;
+        self.refusals.add(now, refused).map(Output::Refused).into_iter().collect()
+    }
+}

@@ -1,0 +1,78 @@
+//! What is not taken, and why: said at a bounded rate, and kept for those who look.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use muster_model::time::Tick;
+use muster_wire::message::quoted;
+
+use super::intake::Refused;
+
+/// How often the same topic is complained of.
+const SAY_EVERY: Duration = Duration::from_secs(10);
+
+/// How long a reason is kept after it last applied.
+const KEEP: Duration = Duration::from_secs(30);
+
+/// Most topics whose reasons are kept.
+const MAX_TOPICS: usize = 1024;
+
+/// Why samples of a topic are not taken.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refusal {
+    /// The key of the topic, cut short, without control characters.
+    pub key: String,
+    /// What is wrong, and what would be right.
+    pub reason: String,
+    /// How many samples were not taken since this was last said.
+    pub count: u64,
+}
+
+#[derive(Debug)]
+struct Kept {
+    reason: String,
+    last: Tick,
+    said: Tick,
+    count: u64,
+}
+
+/// The reasons that apply now.
+#[derive(Debug, Default)]
+pub(super) struct Refusals {
+    topics: BTreeMap<String, Kept>,
+}
+
+impl Refusals {
+    /// Notes a refusal; it is returned if it is to be said.
+    pub(super) fn add(&mut self, now: Tick, refused: Refused) -> Option<Refusal> {
+        let Refused { key, reason } = refused;
+        let key = quoted(&key);
+        if let Some(kept) = self.topics.get_mut(&key) {
+            kept.count += 1;
+            kept.last = now;
+            kept.reason = reason;
+            if now.since(kept.said) < SAY_EVERY {
+                return None;
+            }
+            kept.said = now;
+            let (count, reason) = (std::mem::take(&mut kept.count), kept.reason.clone());
+            return Some(Refusal { key, reason, count });
+        }
+        if self.topics.len() >= MAX_TOPICS {
+            return None;
+        }
+        let kept = Kept { reason: reason.clone(), last: now, said: now, count: 0 };
+        self.topics.insert(key.clone(), kept);
+        Some(Refusal { key, reason, count: 1 })
+    }
+
+    /// Drops what has not applied for a while.
+    pub(super) fn forget(&mut self, now: Tick) {
+        self.topics.retain(|_, kept| now.since(kept.last) <= KEEP);
+    }
+
+    /// Topics and reasons that apply now, by the order of the topics.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.topics.iter().map(|(key, kept)| (key.as_str(), kept.reason.as_str()))
+    }
+}

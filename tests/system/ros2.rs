@@ -1,0 +1,276 @@
+//! Robots and consoles of ROS 2 that are none of ours, at a fleet by `muster-ros2`.
+//!
+//! Both are programs of `zenoh-ros2-sdk` (`tests/peers/ros_peer.py`), which writes its messages by `rosbags`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use muster_tests::client::{Watch, division};
+use muster_tests::cluster::Cluster;
+use muster_tests::process::{Process, python};
+use serde_json::Value;
+
+/// How long a fleet may take to be divided: two programs of Python start first.
+const SOON: Duration = Duration::from_secs(60);
+
+/// Two pairs of robots, far apart, in the frame `map`.
+const PAIRS: [&str; 4] = ["r1:0:0", "r2:2:1", "s1:40:0", "s2:41:2"];
+
+/// A cluster, and a bridge at it.
+struct Fleet {
+    cluster: Cluster,
+    bridge: Process,
+}
+
+impl Fleet {
+    fn start(topics: &str) -> Self {
+        let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
+        let bridge = start_bridge(&cluster, topics);
+        Self { cluster, bridge }
+    }
+
+    fn peer(&self, what: &str, rest: &[&str]) -> Process {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
+        let script = root.join("tests/peers/ros_peer.py");
+        let port = self.cluster.endpoint.rsplit(':').next().unwrap();
+        let arguments = [&[script.to_str().unwrap(), what, port], rest].concat();
+        let folder = self.cluster.folder();
+        Process::start_at(&python().unwrap(), what, &arguments, &[], folder).unwrap()
+    }
+
+    async fn roster(&self) -> Watch {
+        self.cluster.client().await.unwrap().watch("roster?format=json").await.unwrap()
+    }
+}
+
+fn start_bridge(cluster: &Cluster, topics: &str) -> Process {
+    let path = cluster.folder().join("ros2.toml");
+    std::fs::write(&path, topics).unwrap();
+    let arguments = [
+        "--connect",
+        &cluster.endpoint,
+        "--fleet",
+        &cluster.fleet,
+        "--topics",
+        path.to_str().unwrap(),
+    ];
+    Process::start("muster-ros2", &arguments, &[], cluster.folder()).unwrap()
+}
+
+/// Whether the pairs are two teams, and nobody else is there.
+fn are_pairs(teams: &Value) -> bool {
+    let division = division(teams);
+    division.len() == 4
+        && division["r1"].is_some()
+        && division["r1"] == division["r2"]
+        && division["s1"] == division["s2"]
+        && division["r1"] != division["s1"]
+}
+
+/// Where the robots are, in the newest roster.
+async fn positions(cluster: &Cluster) -> BTreeMap<String, [f64; 2]> {
+    let client = cluster.client().await.unwrap();
+    let roster = client.get_one("roster?format=json").await.unwrap();
+    let robots = roster["robots"].as_array().unwrap().iter();
+    robots
+        .filter_map(|robot| {
+            let at = robot["position"].as_array()?;
+            let name = robot["robot"].as_str()?.to_owned();
+            Some((name, [at[0].as_f64()?, at[1].as_f64()?]))
+        })
+        .collect()
+}
+
+fn is_near(at: [f64; 2], wanted: [f64; 2]) -> bool {
+    (at[0] - wanted[0]).hypot(at[1] - wanted[1]) < 1e-6
+}
+
+/// Waits until a peer has printed a line of JSON that is right.
+async fn printed(peer: &mut Process, what: &str, right: impl Fn(&Value) -> bool) -> Value {
+    let start = Instant::now();
+    loop {
+        let output = peer.output();
+        let values = output.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        let found = values.filter(|value| value["what"] == what || what.is_empty()).find(&right);
+        if let Some(value) = found {
+            return value;
+        }
+        assert!(peer.is_running().unwrap() || what.is_empty(), "{what}: it has ended:\n{output}");
+        assert!(start.elapsed() < SOON, "{what}: it has printed only\n{output}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn robots_of_ros_are_divided_where_they_are_and_a_console_of_ros_sees_it() {
+    let fleet = Fleet::start("");
+    let client = fleet.cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let mut console = fleet.peer("console", &["r1", "s1"]);
+    let mut robots = fleet.peer("robots", &PAIRS);
+    let formed = teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
+
+    // The frame odom of each is turned and far away: as they are, the positions would be others.
+    let positions = positions(&fleet.cluster).await;
+    for (robot, wanted) in
+        [("r1", [0.0, 0.0]), ("r2", [2.0, 1.0]), ("s1", [40.0, 0.0]), ("s2", [41.0, 2.0])]
+    {
+        assert!(is_near(positions[robot], wanted), "{robot}: {positions:?}");
+    }
+
+    // A console of ROS sees the division, the team of each robot, the diagnostics and the markers.
+    let division = division(&formed);
+    let team_of = |robot: &str| division[robot].clone().unwrap();
+    printed(&mut console, "teams", |value| {
+        serde_json::from_str(value["text"].as_str().unwrap()).is_ok_and(|teams| are_pairs(&teams))
+    })
+    .await;
+    for robot in ["r1", "s1"] {
+        printed(&mut console, "team", |value| {
+            let text: Value = serde_json::from_str(value["text"].as_str().unwrap()).unwrap();
+            value["robot"] == robot && text["team"] == team_of(robot).as_str()
+        })
+        .await;
+    }
+    let named = |robot: &str| format!("muster: team {}", team_of(robot));
+    printed(&mut console, "diagnostics", |value| {
+        let statuses = &value["statuses"];
+        ["r1", "s1"].iter().all(|robot| statuses[named(robot)][0] == 0)
+            && statuses["muster: topics"][0] == 0
+    })
+    .await;
+    printed(&mut console, "markers", |value| {
+        let count = |team: &Value| team.as_array().unwrap().len();
+        let points = value["points"].as_array().unwrap();
+        value["frame"] == "map" && points.len() == 2 && points.iter().all(|team| count(team) == 2)
+    })
+    .await;
+
+    // Its tools see the node and its topics.
+    let mut graph = fleet.peer("graph", &[]);
+    let graph = printed(&mut graph, "", |value| value["nodes"].is_array()).await;
+    assert!(graph["nodes"].as_array().unwrap().contains(&Value::from("muster")), "{graph}");
+    let publishers = |topic: &str| graph["publishers"][topic].clone();
+    let string = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
+    assert_eq!(
+        publishers("/muster/teams"),
+        serde_json::json!([["muster", "std_msgs/msg/String", string, "::,10:,:,:,,"]])
+    );
+    assert_eq!(publishers("/r1/team")[0][0], "muster", "{graph}");
+    assert_eq!(graph["subscriptions"]["/r1/odom"], serde_json::json!(["muster"]), "{graph}");
+
+    // Robots that restart have other publishers, and are believed at once.
+    robots.kill().unwrap();
+    let moved = ["r1:0:0", "r2:41:1", "s1:40:0", "s2:2:2"];
+    let _robots = fleet.peer("robots", &moved);
+    let swapped = |teams: &Value| {
+        let division = muster_tests::client::division(teams);
+        division.len() == 4 && division["r1"] == division["s2"] && division["s1"] == division["r2"]
+    };
+    teams.until("the teams of robots that have moved", SOON, swapped).await.unwrap();
+    assert!(!fleet.bridge.output().contains("WARN"), "{}", fleet.bridge.output());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_taken_is_refused_with_its_reason() {
+    let fleet = Fleet::start("");
+    let client = fleet.cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let mut console = fleet.peer("console", &[]);
+    let wrong = ["lost:7:7:none", "bare:8:8:bare", "other:9:9:other"];
+    let _robots = fleet.peer("robots", &[&PAIRS[..], &wrong].concat());
+    teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
+    let reasons = [
+        ("0/lost/odom/", "no transforms lead from the frame odom to map"),
+        ("0/bare/odom/", "the message has no attachment"),
+        ("0/other/odom/", "another definition of nav_msgs/msg/Odometry"),
+    ];
+    let seen = printed(&mut console, "diagnostics", |value| {
+        value["statuses"]["muster: topics"][1] == "3 topics are not taken"
+    })
+    .await;
+    assert_eq!(seen["statuses"]["muster: topics"][0], 1);
+    let output = fleet.bridge.output();
+    for (topic, reason) in reasons {
+        let said = |line: &&str| line.contains(topic) && line.contains(reason);
+        assert!(output.lines().any(|line| said(&line)), "{reason}:\n{output}");
+    }
+    // None of them is in the fleet.
+    let there: BTreeSet<_> = positions(&fleet.cluster).await.into_keys().collect();
+    assert_eq!(there, BTreeSet::from(["r1", "r2", "s1", "s2"].map(str::to_owned)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_bridge_finds_static_transforms_and_humble_is_read() {
+    let cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
+    let bridge = Process::start("muster", &["--version"], &[], cluster.folder()).unwrap();
+    let mut fleet = Fleet { cluster, bridge };
+    let client = fleet.cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let robots = ["r1:0:0:static", "r2:2:1:humble", "s1:40:0:static", "s2:41:2:tf"];
+    let mut robots = fleet.peer("robots", &robots);
+    robots.until_prints("4 robots publish", SOON).unwrap();
+    // The transforms were put once, and nobody was there.
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    fleet.bridge = start_bridge(&fleet.cluster, "");
+    teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
+    let positions = positions(&fleet.cluster).await;
+    assert!(
+        is_near(positions["r1"], [0.0, 0.0]) && is_near(positions["r2"], [2.0, 1.0]),
+        "{positions:?}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn robots_that_share_a_tree_and_robots_behind_a_bridge_of_dds_are_read() {
+    let shared = "frames = { tf = \"/tf\", tf_static = \"/tf_static\" }\n";
+    let fleet = Fleet::start(shared);
+    let client = fleet.cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let mut robots = fleet.peer("robots", &[&PAIRS[..], &["--shared"]].concat());
+    teams.until("two teams with one tree of frames", SOON, are_pairs).await.unwrap();
+    robots.kill().unwrap();
+    drop(fleet);
+
+    let fleet = Fleet::start("dialect = \"ros2dds\"\n");
+    let client = fleet.cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let pairs = PAIRS.map(|robot| format!("{robot}:dds"));
+    let _robots = fleet.peer("robots", &pairs.each_ref().map(String::as_str));
+    teams.until("two teams behind a bridge of DDS", SOON, are_pairs).await.unwrap();
+}
+
+/// Whether a program of ROS receives another one's messages through a router, within a while.
+async fn peers_reach_each_other(flags: &[&str]) -> bool {
+    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = [&["router", "--listen", &endpoint], flags].concat();
+    let mut router = Process::start("muster", &arguments, &[], folder.path()).unwrap();
+    router.until_prints("router listens at", SOON).unwrap();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
+    let script = root.join("tests/peers/ros_peer.py");
+    let port = endpoint.rsplit(':').next().unwrap();
+    let start = |what: &str, rest: &[&str]| {
+        let arguments = [&[script.to_str().unwrap(), what, port], rest].concat();
+        Process::start_at(&python().unwrap(), what, &arguments, &[], folder.path()).unwrap()
+    };
+    let mut echo = start("echo", &["r1"]);
+    echo.until_prints("listens", SOON).unwrap();
+    let mut robots = start("robots", &["r1:0:0"]);
+    robots.until_prints("1 robots publish", SOON).unwrap();
+    let begin = Instant::now();
+    while begin.elapsed() < Duration::from_secs(6) {
+        if echo.output().contains("received") {
+            return true;
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    false
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn programs_of_ros_reach_each_other_at_a_router_for_ros_alone() {
+    assert!(peers_reach_each_other(&["--ros"]).await);
+    assert!(!peers_reach_each_other(&[]).await, "then the flag would be of no use");
+}
