@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use muster_tests::client::{Watch, division};
+use muster_tests::client::{division, is_event_of_robots, robots_of_event};
 use muster_tests::cluster::Cluster;
 use muster_tests::process::{Process, python};
 use serde_json::Value;
@@ -37,10 +37,6 @@ impl Fleet {
         let arguments = [&[script.to_str().unwrap(), what, port], rest].concat();
         let folder = self.cluster.folder();
         Process::start_at(&python().unwrap(), what, &arguments, &[], folder).unwrap()
-    }
-
-    async fn roster(&self) -> Watch {
-        self.cluster.client().await.unwrap().watch("roster?format=json").await.unwrap()
     }
 }
 
@@ -120,8 +116,8 @@ async fn robots_of_ros_are_divided_where_they_are_and_a_console_of_ros_sees_it()
     }
 
     // A console of ROS sees the division, the team of each robot, the diagnostics and the markers.
-    let division = division(&formed);
-    let team_of = |robot: &str| division[robot].clone().unwrap();
+    let placed = division(&formed);
+    let team_of = |robot: &str| placed[robot].clone().unwrap();
     printed(&mut console, "teams", |value| {
         serde_json::from_str(value["text"].as_str().unwrap()).is_ok_and(|teams| are_pairs(&teams))
     })
@@ -165,11 +161,44 @@ async fn robots_of_ros_are_divided_where_they_are_and_a_console_of_ros_sees_it()
     let moved = ["r1:0:0", "r2:41:1", "s1:40:0", "s2:2:2"];
     let _robots = fleet.peer("robots", &moved);
     let swapped = |teams: &Value| {
-        let division = muster_tests::client::division(teams);
+        let division = division(teams);
         division.len() == 4 && division["r1"] == division["s2"] && division["s1"] == division["r2"]
     };
     teams.until("the teams of robots that have moved", SOON, swapped).await.unwrap();
     assert!(!fleet.bridge.output().contains("WARN"), "{}", fleet.bridge.output());
+
+    // A bridge that is killed and started again goes on where it was: nobody refuses what it relays.
+    let client = fleet.cluster.client().await.unwrap();
+    let refused = client.watch("robot/*/refused").await.unwrap();
+    let mut bridge = fleet.bridge;
+    bridge.kill().unwrap();
+    let events = client.watch("json/event").await.unwrap();
+    let is = |event: &Value, kind: &str| {
+        is_event_of_robots(event, kind) && robots_of_event(event).contains(&"r1".to_owned())
+    };
+    events.until("a silent robot", SOON, |event| is(event, "robot_stale")).await.unwrap();
+    let _bridge = start_bridge(&fleet.cluster, "");
+    events.until("the robot again", SOON, |event| is(event, "robot_recovered")).await.unwrap();
+    assert!(refused.newest().is_none(), "{:?}", refused.newest());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn robots_of_ros_are_read_at_routers_of_other_versions() {
+    for version in ["1.7.2", "1.9.0", "1.10.2"] {
+        let cluster = crate::routers::start(version);
+        let bridge = start_bridge(&cluster, "");
+        let fleet = Fleet { cluster, bridge };
+        let client = fleet.cluster.client().await.unwrap();
+        let teams = client.watch("json/teams").await.unwrap();
+        let mut console = fleet.peer("console", &["r1"]);
+        let _robots = fleet.peer("robots", &PAIRS);
+        let all = |teams: &Value| {
+            let division = division(teams);
+            division.len() == 4 && division.values().all(Option::is_some)
+        };
+        teams.until(&format!("robots at a router of Zenoh {version}"), SOON, all).await.unwrap();
+        printed(&mut console, "team", |value| value["robot"] == "r1").await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

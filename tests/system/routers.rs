@@ -18,7 +18,7 @@ const LOSES_ANSWERS: &str = "1.7.2";
 const SOON: Duration = Duration::from_secs(60);
 
 /// Starts the router of a version, and services at it.
-fn start(version: &str) -> Cluster {
+pub(crate) fn start(version: &str) -> Cluster {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
     let packages = root.join("target/routers").join(version);
     assert!(

@@ -156,6 +156,9 @@ fn a_pose_without_a_way_to_the_world_is_refused_and_never_taken_as_it_is() {
     let mut world = World::new("");
     let message = world.odometry("odom", 1.0, 2.0);
     world.put("r1/odom", &message);
+    assert_eq!(world.tick(), (Vec::new(), Vec::new()), "a robot that starts has a moment");
+    world.pass(3.0);
+    world.put("r1/odom", &message);
     assert!(world.reason().starts_with("no transforms lead from the frame odom to map"));
     // Those of another robot lead nowhere.
     world.localise("r2/tf", "map", "odom");
@@ -252,6 +255,9 @@ fn robots_share_a_tree_with_their_names_before_the_frames() {
     }
     // The frame of another robot, which has no transforms, is not taken for it.
     let message = world.odometry("odom", 1.0, 2.0);
+    world.put("r2/odom", &message);
+    assert_eq!(world.reason(), "");
+    world.pass(3.0);
     world.put("r2/odom", &message);
     assert!(world.reason().contains("from the frame r2/odom to map"));
 }

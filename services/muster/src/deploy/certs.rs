@@ -55,7 +55,7 @@ const SECONDS_PER_DAY: i64 = 24 * 60 * 60;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Makes OUT/authority (keep its key.pem off the network: it can forge every identity), and for \
-each router, service, robot, operator and viewer a folder such as OUT/robot.r1 with certificate.pem, \
+each router, service, robot, operator, viewer and bridge a folder such as OUT/robot.r1 with certificate.pem, \
 key.pem, authority.pem and, for clients, zenoh.json5, which embeds all of them. Valid \
 certificates are kept; the authority is never replaced.\n\nExamples:\n  \
 muster deploy certs --fleet-file fleet.toml --out identities\n  \

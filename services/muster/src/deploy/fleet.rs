@@ -39,6 +39,8 @@ pub(super) enum Kind {
     Operator,
     /// May read everything.
     Viewer,
+    /// Puts what robots report that speak another protocol.
+    Bridge,
 }
 
 impl fmt::Display for Kind {
@@ -49,6 +51,7 @@ impl fmt::Display for Kind {
             Self::Robot => "robot",
             Self::Operator => "operator",
             Self::Viewer => "viewer",
+            Self::Bridge => "bridge",
         })
     }
 }
@@ -149,6 +152,9 @@ pub(super) struct FleetFile {
     /// Its viewers.
     #[serde(default)]
     pub(super) viewers: Vec<String>,
+    /// Its bridges to robots that speak another protocol, such as `muster-ros2`.
+    #[serde(default)]
+    pub(super) bridges: Vec<String>,
     /// Declared relations that robots may report.
     #[serde(default)]
     pub(super) modalities: Vec<Modality>,
@@ -267,6 +273,7 @@ impl FleetFile {
                 Kind::Robot => "robots",
                 Kind::Operator => "operators",
                 Kind::Viewer => "viewers",
+                Kind::Bridge => "bridges",
             };
             check_id(&identity.name).or_else(|error| refuse(field, error.to_string()))?;
             let length = self.common_name(&identity).len();
@@ -294,6 +301,7 @@ impl FleetFile {
         all.extend(self.robots.iter().map(|robot| of(Kind::Robot, robot.as_str())));
         all.extend(self.operators.iter().map(|name| of(Kind::Operator, name)));
         all.extend(self.viewers.iter().map(|name| of(Kind::Viewer, name)));
+        all.extend(self.bridges.iter().map(|name| of(Kind::Bridge, name)));
         all
     }
 

@@ -50,6 +50,7 @@ impl Rights {
             }
             Kind::Operator => Some(of_operator(&space, &identity.name)),
             Kind::Viewer => Some(of_viewer(&space)),
+            Kind::Bridge => Some(of_bridge(&space)),
         }
     }
 }
@@ -161,6 +162,19 @@ fn of_viewer(space: &KeySpace) -> Rights {
     let keys = keys.iter().map(|key| space.format(key));
     let wildcards = ["robot/**", "graph/*", "service/**", "json/*", "history/**", "wish/*/*"];
     Rights { get: keys.chain(wildcards.map(all)).collect(), ..of_reader(space) }
+}
+
+/// A bridge speaks for robots, whichever they are, and reads the division. It declares no token: the presence of its robots
+/// follows from what it puts.
+fn of_bridge(space: &KeySpace) -> Rights {
+    let streams = Stream::BUILT_IN.into_iter().map(Pattern::Stream);
+    let read = [Key::Teams, Key::Audit, Key::Roster].map(|key| space.format(&key)).to_vec();
+    Rights {
+        put: streams.map(|stream| space.pattern(&stream)).collect(),
+        get: read.clone(),
+        subscribe: read,
+        ..Rights::default()
+    }
 }
 
 /// What all who read everything may do.
@@ -308,6 +322,20 @@ mod tests {
         let may = Rights::of(&fleet, &robot).unwrap();
         assert_eq!(may.put[3], "muster/v1/default/robot/r1/relation/thermal");
         assert!(may.subscribe.contains(&"muster/v1/default/json/teams".to_owned()));
+    }
+
+    #[test]
+    fn a_bridge_speaks_for_robots_and_reads_the_division() {
+        let mut fleet = fleet();
+        fleet.bridges = vec!["ros2".to_owned()];
+        let bridge = Identity { kind: Kind::Bridge, name: "ros2".to_owned() };
+        assert!(fleet.identities().contains(&bridge));
+        let may = Rights::of(&fleet, &bridge).unwrap();
+        let of = |tails: [&str; 3]| tails.map(|tail| format!("muster/v1/default/{tail}")).to_vec();
+        assert_eq!(may.put, of(["robot/*/pose", "robot/*/links", "robot/*/rank"]));
+        assert_eq!(may.subscribe, of(["teams", "audit", "roster"]));
+        assert_eq!(may.get, may.subscribe);
+        assert!(may.declare_token.is_empty() && may.watch_token.is_empty() && may.reply.is_empty());
     }
 
     #[test]

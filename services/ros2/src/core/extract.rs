@@ -6,7 +6,7 @@ use muster_model::time::Tick;
 use muster_ros::{Place, Value};
 use muster_wire::message::quoted;
 
-use super::frames::Frames;
+use super::frames::{ChainError, Frames};
 use super::geometry::{Geodetic, MAX_DATUM_DISTANCE_M, Rotation, Transform};
 use crate::config::{Axes, Content, PoseForm, Setup, Unit};
 
@@ -19,6 +19,27 @@ pub(super) struct Stamped {
     pub(super) now: Tick,
     pub(super) boot: String,
     pub(super) seq: u64,
+}
+
+/// Why a message leads to no report.
+#[derive(Debug)]
+pub(super) struct Problem {
+    /// What is wrong, and what would be right.
+    pub(super) reason: String,
+    /// Whether it may pass by itself while a robot starts: its transforms may come after its odometry.
+    pub(super) may_pass: bool,
+}
+
+impl From<String> for Problem {
+    fn from(reason: String) -> Self {
+        Self { reason, may_pass: false }
+    }
+}
+
+impl From<&str> for Problem {
+    fn from(reason: &str) -> Self {
+        reason.to_owned().into()
+    }
 }
 
 /// A transform out of a message.
@@ -106,7 +127,7 @@ pub(super) fn report(
     frames: Option<&Frames>,
     value: &Value,
     stamped: Stamped,
-) -> Result<Report, String> {
+) -> Result<Report, Problem> {
     let Stamped { now, boot, seq } = stamped;
     let (boot, seq) = (Some(boot), Some(seq));
     // The clocks of robots may be wrong: the order follows from the numbers alone, and the age from the arrival.
@@ -145,7 +166,7 @@ pub(super) fn report(
             let superior = (!superior.is_empty()).then(|| robot_id(superior)).transpose()?;
             Report::Rank(Rank { boot, seq, ..Rank::under(superior) })
         }
-        Content::Transforms { .. } => return Err("transforms are no report".to_owned()),
+        Content::Transforms { .. } => return Err("transforms are no report".into()),
     })
 }
 
@@ -178,7 +199,7 @@ impl Reading<'_> {
         frame: Option<&str>,
         axes: Axes,
         value: &Value,
-    ) -> Result<Placed, String> {
+    ) -> Result<Placed, Problem> {
         let (pose, own_frame, has_heading) = match form {
             PoseForm::Framed { frame, position, rotation } => {
                 let translation = numbers(value, position, "the position")?;
@@ -194,7 +215,7 @@ impl Reading<'_> {
                 (Transform { translation, rotation }, frame, !is_unknown)
             }
             PoseForm::Fix { status, place, datum } => {
-                return self.fix(value, status, place, datum);
+                return Ok(self.fix(value, status, place, datum)?);
             }
             PoseForm::Named { ground, height, heading } => {
                 let [x, y] = numbers(value, ground, "a coordinate")?;
@@ -206,7 +227,7 @@ impl Reading<'_> {
             }
         };
         if !pose.is_finite() {
-            return Err("a coordinate is no finite number".to_owned());
+            return Err("a coordinate is no finite number".into());
         }
         let pose = match axes {
             Axes::EastNorthUp => pose,
@@ -214,7 +235,7 @@ impl Reading<'_> {
         };
         let frame = frame.unwrap_or(own_frame);
         if frame.is_empty() {
-            return Err("the pose names no frame; name it in the configuration".to_owned());
+            return Err("the pose names no frame; name it in the configuration".into());
         }
         let world = pose.within(self.chain(frame)?);
         let heading = world.rotation.heading().filter(|_| has_heading);
@@ -222,7 +243,7 @@ impl Reading<'_> {
     }
 
     /// How a frame that a robot names lies in the world.
-    fn chain(&self, frame: &str) -> Result<Transform, String> {
+    fn chain(&self, frame: &str) -> Result<Transform, Problem> {
         let Setup { world, prefix, max_age, .. } = self.setup;
         let frame = frame_name(frame);
         if frame == world {
@@ -243,7 +264,10 @@ impl Reading<'_> {
         let empty = Frames::default();
         let frames = self.frames.unwrap_or(&empty);
         let chain = frames.chain(self.now, &full, world, *max_age);
-        chain.map_err(|error| muster_wire::message::plain_reason(&error.to_string()))
+        chain.map_err(|error| Problem {
+            reason: muster_wire::message::plain_reason(&error.to_string()),
+            may_pass: matches!(error, ChainError::Apart { .. }),
+        })
     }
 
     fn fix(

@@ -11,7 +11,7 @@ use muster_ros::key::parse_dds_key;
 use muster_ros::{Attachment, Dialect, TopicKey, TypeHash, Value, cdr};
 use muster_wire::{Packet, Source};
 
-use super::extract::{self, Stamped};
+use super::extract::{self, Problem, Stamped};
 use super::frames::Frames;
 use crate::config::{Content, Setup};
 
@@ -20,6 +20,9 @@ const MAX_KEYS: usize = 65_536;
 
 /// How long a topic without data is remembered, so that those of robots that are gone take no memory.
 const FORGET_AFTER: Duration = Duration::from_secs(60);
+
+/// How long the odometry of a robot that starts may wait for its transforms before that is a fault.
+const START_TIME: Duration = Duration::from_secs(2);
 
 /// How often what is not needed any more is looked for.
 const FORGET_EVERY: Duration = Duration::from_secs(10);
@@ -41,6 +44,7 @@ struct Topic {
     name: String,
     /// None where all robots share the topic.
     robot: Option<RobotId>,
+    first: Tick,
     last: Tick,
     /// The newest sample that is not taken yet.
     waiting: Option<Waiting>,
@@ -176,7 +180,16 @@ impl Intake {
             return Err(format!("more than {MAX_KEYS} topics are not read"));
         }
         let name = name.to_owned();
-        Ok(Topic { source, name, robot, last: now, waiting: None, taken: 0, key: parsed })
+        Ok(Topic {
+            source,
+            name,
+            robot,
+            first: now,
+            last: now,
+            waiting: None,
+            taken: 0,
+            key: parsed,
+        })
     }
 
     /// The id of a robot of ROS, whose names may have capitals.
@@ -211,18 +224,7 @@ impl Intake {
             };
             let scope = if self.setup.prefix.is_some() { "" } else { topic.name.as_str() };
             let frames = self.frames.get(scope);
-            let report = cdr::decode(&source.layout, &waiting.payload)
-                .map_err(|error| error.to_string())
-                .and_then(|value| {
-                    extract::report(
-                        &self.setup,
-                        &source.content,
-                        &topic.name,
-                        frames,
-                        &value,
-                        stamped,
-                    )
-                })
+            let report = read(&self.setup, source, topic, frames, &waiting.payload, stamped)
                 .and_then(|report| {
                     // What the fleet would refuse anyway, with the name of the field.
                     let checked = CheckedReport::new(robot.clone(), report);
@@ -230,7 +232,8 @@ impl Intake {
                 });
             match report {
                 Ok(report) => reports.push(report),
-                Err(reason) => refused.push(Refused { key: key.clone(), reason }),
+                Err(problem) if problem.may_pass && now.since(topic.first) <= START_TIME => {}
+                Err(Problem { reason, .. }) => refused.push(Refused { key: key.clone(), reason }),
             }
         }
         self.forget(now);
@@ -260,6 +263,19 @@ impl Intake {
             name.is_empty() || robots.contains(&name) || !frames.is_empty()
         });
     }
+}
+
+/// What a robot reports by the bytes of a message.
+fn read(
+    setup: &Setup,
+    source: &crate::config::Source,
+    topic: &Topic,
+    frames: Option<&Frames>,
+    payload: &[u8],
+    stamped: Stamped,
+) -> Result<Report, Problem> {
+    let value = cdr::decode(&source.layout, payload).map_err(|error| error.to_string())?;
+    extract::report(setup, &source.content, &topic.name, frames, &value, stamped)
 }
 
 /// Why a message without an attachment is not taken.
