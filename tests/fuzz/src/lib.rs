@@ -25,6 +25,7 @@ pub mod mutate;
 mod packets;
 mod recording;
 mod replica;
+mod ros;
 pub mod seeds;
 mod settings;
 mod solve;
@@ -59,7 +60,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 20] = [
+pub const TARGETS: [Target; 21] = [
     target("packet", packets::packet, 2048, 30_000),
     target("envelope", packets::envelope, 2048, 30_000),
     target("robot_team", packets::robot_team, 2048, 20_000),
@@ -80,6 +81,7 @@ pub const TARGETS: [Target; 20] = [
     target("clusterer", cores::clusterer, 4096, 400),
     target("auditor", cores::auditor, 4096, 400),
     target("planner", cores::planner, 6144, 400),
+    target("ros", ros::ros, 2048, 20_000),
 ];
 
 const fn target(

@@ -126,6 +126,8 @@ pub fn all() -> Vec<Seed> {
             add(target, format!("random-{number}"), &bytes);
         }
     }
+    let ros = crate::ros::seeds().into_iter();
+    seeds.extend(ros.map(|(name, bytes)| Seed { target: "ros", name, bytes }));
     seeds.extend(pipeline());
     seeds.extend(recordings());
     seeds
