@@ -56,6 +56,15 @@ mod tests {
     }
 
     #[test]
+    fn the_shipped_file_is_the_built_in_one_and_the_document_s_is_accepted() {
+        let shipped = include_str!("../../../../deploy/ros2/topics.toml");
+        assert_eq!(toml::from_str::<File>(shipped).unwrap(), File::default());
+        let (_, document) = include_str!("../../README.md").split_once("```toml\n").unwrap();
+        let setup = check(document.split("```").next().unwrap()).unwrap();
+        assert_eq!(setup.sources.len(), 2 + 3 + 1 + 1);
+    }
+
+    #[test]
     fn every_kind_of_source_is_accepted() {
         let text = r#"
             domains = [0, 7]
