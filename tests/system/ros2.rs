@@ -54,7 +54,7 @@ fn start_bridge(cluster: &Cluster, topics: &str) -> Process {
     Process::start("muster-ros2", &arguments, &[], cluster.folder()).unwrap()
 }
 
-/// Whether the pairs are two teams, and nobody else is there.
+/// Whether the pairs are two teams, and no other robot is there.
 fn are_pairs(teams: &Value) -> bool {
     let division = division(teams);
     division.len() == 4
@@ -167,7 +167,7 @@ async fn robots_of_ros_are_divided_where_they_are_and_a_console_of_ros_sees_it()
     teams.until("the teams of robots that have moved", SOON, swapped).await.unwrap();
     assert!(!fleet.bridge.output().contains("WARN"), "{}", fleet.bridge.output());
 
-    // A bridge that is killed and started again goes on where it was: nobody refuses what it relays.
+    // A bridge that is killed and started again goes on where it was: what it relays is not refused.
     let client = fleet.cluster.client().await.unwrap();
     let refused = client.watch("robot/*/refused").await.unwrap();
     let mut bridge = fleet.bridge;
@@ -240,7 +240,7 @@ async fn a_late_bridge_finds_static_transforms_and_humble_is_read() {
     let robots = ["r1:0:0:static", "r2:2:1:humble", "s1:40:0:static", "s2:41:2:tf"];
     let mut robots = fleet.peer("robots", &robots);
     robots.until_prints("4 robots publish", SOON).unwrap();
-    // The transforms were put once, and nobody was there.
+    // The transforms were put once, and no bridge was there.
     tokio::time::sleep(Duration::from_secs(1)).await;
     fleet.bridge = start_bridge(&fleet.cluster, "");
     teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();

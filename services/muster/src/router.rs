@@ -24,7 +24,7 @@ muster router --listen tcp/0.0.0.0:7447 --connect tcp/base:7447\n  \
 muster router --listen tcp/0.0.0.0:7447 --ros    where robots of ROS 2 meet"
 )]
 pub(crate) struct RouterArgs {
-    /// Tell programs of ROS 2 of each other, as rmw_zenohd does: they link directly, and reach each other only so
+    /// Announce programs of ROS 2 to each other, as rmw_zenohd does: they link directly, and reach each other only so
     #[arg(long)]
     ros: bool,
 }

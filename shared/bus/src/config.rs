@@ -67,6 +67,6 @@ pub struct BusConfig {
     pub listen: Choice<Vec<String>>,
     /// A file with Zenoh's own configuration, for everything else.
     pub zenoh_config: Option<PathBuf>,
-    /// Whether a router tells its peers of each other, so that they link directly: what those of ROS 2 rely on.
+    /// Whether a router announces its peers to each other, so that they link directly: those of ROS 2 rely on it.
     pub gossip: bool,
 }

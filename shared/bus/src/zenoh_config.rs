@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_router_for_ros_tells_its_peers_of_each_other_whatever_a_file_says() {
+    fn a_router_for_ros_announces_its_peers_to_each_other_whatever_a_file_says() {
         let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../../deploy/router/plain.json5");
         let gossips = |gossip: bool, file: Option<&str>| {
             let config =

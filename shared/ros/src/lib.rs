@@ -2,7 +2,7 @@
 //!
 //! Two programs bring ROS 2 to Zenoh, and so there are two [`Dialect`]s. With `rmw_zenoh` every ROS program is on the
 //! bus itself: a [`TopicKey`] names domain, topic, type and the hash of the type, an [`Attachment`] numbers the
-//! messages of a publisher, and [`token`]s tell the graph of nodes and topics. `zenoh-bridge-ros2dds` forwards topics
+//! messages of a publisher, and [`token`]s describe the graph of nodes and topics. `zenoh-bridge-ros2dds` forwards topics
 //! of DDS under their plain names, without any of these. Both carry the same CDR.
 //!
 //! Nothing of ROS is needed: [`definition`] reads the `.msg` text of any message, [`layout`] resolves it with the

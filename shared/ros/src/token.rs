@@ -1,4 +1,4 @@
-//! Liveliness tokens of `rmw_zenoh`, which tell the graph of nodes, publishers and subscriptions.
+//! Liveliness tokens of `rmw_zenoh`, which describe the graph of nodes, publishers and subscriptions.
 //!
 //! Data alone is received by whoever subscribes, but `ros2 node list` and `ros2 topic list` show only what has a token.
 //! A node has nine parts, all else thirteen; a later version may append more, which are kept, since the [`Gid`] of a

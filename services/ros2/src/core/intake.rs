@@ -76,7 +76,7 @@ pub(super) struct Intake {
     topics: BTreeMap<String, Topic>,
     /// By the name of the robot in ROS; empty where all robots share a tree.
     frames: BTreeMap<String, Frames>,
-    /// The robots that were heard of lately, with their names in ROS.
+    /// The robots with a topic that has data, with their names in ROS.
     robots: BTreeMap<RobotId, String>,
     forget_due: Tick,
     /// What the graph of ROS is not shown yet.

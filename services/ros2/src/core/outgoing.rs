@@ -140,7 +140,7 @@ impl Outgoing {
             }
             stays
         });
-        // No robot is told a team that may not be valid any more.
+        // A team that may not be valid any more is not published to robots.
         if self.is_stale {
             return outputs;
         }

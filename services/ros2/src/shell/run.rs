@@ -47,7 +47,7 @@ fn client_config(config: &ProcessConfig) -> Config {
     }
 }
 
-/// The key expressions of a source: any hash, so that a robot with another one is told of.
+/// The key expressions of a source: any hash, so that a robot with another one is seen and refused.
 fn patterns(setup: &Setup, source: &Source) -> Vec<String> {
     let robots = source.topic.with("*");
     match setup.dialect {
