@@ -17,7 +17,7 @@ use tokio::sync::watch;
 
 use crate::config::Config;
 use crate::error::Error;
-use crate::feed::{self, Events, Feed, ReceivedPose, Refusals};
+use crate::feed::{self, Events, Feed, ReceivedJson, ReceivedPose, Refusals};
 use crate::freshness::Publication;
 use crate::send_queue::SendQueue;
 use crate::watch::Watch;
@@ -160,6 +160,15 @@ impl Client {
     ) -> Result<Feed<ReceivedPose>, Error> {
         let keys = robots.into_iter().map(|robot| Key::Stream(robot, Stream::Pose));
         Feed::subscribe(self.bus(), keys, feed::pose).await
+    }
+
+    /// Subscribes to everything of robots and consoles that has a form in JSON, from now on: the streams of robots, their
+    /// teams and refusals, and all keys below `json/`. For recordings.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn json_messages(&self) -> Result<Feed<ReceivedJson>, Error> {
+        Feed::of_json(self.bus(), feed::json).await
     }
 
     /// Subscribes to why messages of a robot are refused, from now on.

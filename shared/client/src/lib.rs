@@ -126,7 +126,7 @@ pub use crate::changes::Change;
 pub use crate::client::Client;
 pub use crate::config::{Config, Mode};
 pub use crate::error::Error;
-pub use crate::feed::{Events, Feed, ReceivedPose, Refusals};
+pub use crate::feed::{Events, Feed, ReceivedJson, ReceivedPose, Refusals};
 pub use crate::freshness::{Latest, Publication, Staleness};
 pub use crate::get::{FleetPresence, ServiceInstance};
 pub use crate::propose::AppliedPart;

@@ -7,6 +7,7 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 use muster_model::id::{Modality, RobotId};
 use muster_model::limits::MAX_DECLARED_MODALITIES;
 use muster_model::observation::{CheckedReport, Provenance, Report, Stream};
+use muster_model::replay::REPLAY_PREFIX;
 use muster_model::time::Tick;
 use muster_wire::{Format, Message, Outbound};
 
@@ -45,6 +46,12 @@ pub(crate) fn wall_clock() -> Tick {
 impl Reporter {
     pub(crate) fn new(robot: RobotId, format: Format) -> Self {
         Self { robot, format, boot: new_boot(), sequences: BTreeMap::new(), valid: BTreeMap::new() }
+    }
+
+    /// The same for a robot of a recording: its boot id says so.
+    pub(crate) fn replay(robot: RobotId, format: Format) -> Self {
+        let boot = format!("{REPLAY_PREFIX}{}", new_boot());
+        Self { boot, ..Self::new(robot, format) }
     }
 
     /// The robot.

@@ -9,6 +9,7 @@ use muster_model::id::{Modality, RobotId};
 use muster_model::observation::{
     CheckedReport, Link, Links, Pose, Provenance, Rank, Relation, Report, Stream,
 };
+use muster_model::replay::{REPLAY_PREFIX, is_replay};
 use muster_model::teams::RobotTeam;
 use muster_wire::{Key, KeySpace, Message, Packet, Pattern};
 use tokio::sync::watch;
@@ -65,6 +66,11 @@ pub struct RobotPublisher {
 impl RobotPublisher {
     pub(crate) async fn join(client: Client, id: RobotId) -> Result<Self, Error> {
         let reporter = Reporter::new(id, client.config().format);
+        Self::declare(&client, reporter).await
+    }
+
+    async fn replay(client: Client, id: RobotId) -> Result<Self, Error> {
+        let reporter = Reporter::replay(id, client.config().format);
         Self::declare(&client, reporter).await
     }
 
@@ -134,6 +140,22 @@ impl Client {
     /// [`Error::Bus`] if the bus fails.
     pub async fn join_as_publisher(&self, robot: RobotId) -> Result<RobotPublisher, Error> {
         RobotPublisher::join(self.clone(), robot).await
+    }
+
+    /// The same for a robot of a recording that is played: every report says so in its boot id, which begins with
+    /// [`REPLAY_PREFIX`].
+    ///
+    /// # Errors
+    /// [`Error::Input`] if the fleet is none for recordings: its name must begin with [`REPLAY_PREFIX`]. [`Error::Bus`]
+    /// if the bus fails.
+    pub async fn join_as_replay(&self, robot: RobotId) -> Result<RobotPublisher, Error> {
+        let fleet = self.config().fleet()?;
+        if !is_replay(&fleet) {
+            let problem =
+                format!("{fleet} is not for recordings; its name must begin with {REPLAY_PREFIX}");
+            return Err(Error::input("fleet", problem));
+        }
+        RobotPublisher::replay(self.clone(), robot).await
     }
 }
 

@@ -28,6 +28,7 @@ pub mod observation;
 pub mod orders;
 pub mod proposal;
 pub mod refused;
+pub mod replay;
 pub mod role;
 pub mod roster;
 mod schema;
