@@ -24,7 +24,7 @@ fn dependencies(package: &str, flags: &[&str]) -> BTreeSet<String> {
     text.lines().filter_map(|line| line.split(' ').next()).map(str::to_owned).collect()
 }
 
-const SERVICES: [&str; 8] = [
+const SERVICES: [&str; 9] = [
     "muster-ingest",
     "muster-embedder",
     "muster-clusterer",
@@ -33,6 +33,7 @@ const SERVICES: [&str; 8] = [
     "muster-planner",
     "muster-console",
     "muster-ros2",
+    "muster-foxglove",
 ];
 
 #[test]

@@ -1,0 +1,196 @@
+//! Parameters: the settings that viewers show and change, always as the services confirmed them.
+
+use std::collections::BTreeMap;
+
+use muster_model::id::ServiceName;
+use serde_json::{Map, Value, json};
+
+use super::limits::MAX_PARAMETERS;
+
+/// The number of teams.
+pub const TEAMS: &str = "clusterer.teams";
+
+/// What the name of a modality's weight begins with.
+pub const WEIGHT: &str = "embedder.weights.";
+
+/// One parameter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameter {
+    /// Its name.
+    pub name: String,
+    /// Its value: a whole number or a text for the number of teams, a number for a weight. None is one that is not set.
+    pub value: Option<Value>,
+}
+
+/// The services that have parameters.
+pub(super) const SERVICES: [ServiceName; 2] = [ServiceName::Clusterer, ServiceName::Embedder];
+
+/// The settings as their services confirmed them.
+#[derive(Debug, Default)]
+pub(super) struct Confirmed(BTreeMap<ServiceName, Value>);
+
+impl Confirmed {
+    /// Whether all services have answered.
+    pub(super) fn is_complete(&self) -> bool {
+        SERVICES.iter().all(|service| self.0.contains_key(service))
+    }
+
+    /// Takes the settings of a service, and returns the parameters that have other values than before.
+    pub(super) fn confirm(&mut self, service: ServiceName, settings: Value) -> Vec<Parameter> {
+        let before = self.all();
+        self.0.insert(service, settings);
+        let after = self.all();
+        let is_new = |parameter: &Parameter| !before.contains(parameter);
+        after.into_iter().filter(is_new).collect()
+    }
+
+    /// All parameters.
+    pub(super) fn all(&self) -> Vec<Parameter> {
+        let teams = self.0.get(&ServiceName::Clusterer).and_then(|settings| settings.get("teams"));
+        let teams =
+            teams.map(|teams| Parameter { name: TEAMS.to_owned(), value: Some(shown(teams)) });
+        let weight = |(modality, weight): (&String, &Value)| Parameter {
+            name: format!("{WEIGHT}{modality}"),
+            value: weight.as_f64().map(|weight| json!(weight)),
+        };
+        let weights = self.weights().into_iter().flatten();
+        teams.into_iter().chain(weights.map(weight)).take(MAX_PARAMETERS).collect()
+    }
+
+    /// Some parameters by name, all for no name; what does not exist is left out.
+    pub(super) fn some(&self, names: &[String]) -> Vec<Parameter> {
+        let mut all = self.all();
+        all.retain(|parameter| names.is_empty() || names.contains(&parameter.name));
+        all
+    }
+
+    fn weights(&self) -> Option<&Map<String, Value>> {
+        self.0.get(&ServiceName::Embedder)?.get("weights")?.as_object()
+    }
+
+    /// What services must be commanded for some parameters: the fields of each to change.
+    ///
+    /// # Errors
+    /// Says which parameter is wrong.
+    pub(super) fn patches(
+        &self,
+        parameters: &[Parameter],
+    ) -> Result<BTreeMap<ServiceName, Value>, String> {
+        if parameters.len() > MAX_PARAMETERS {
+            return Err(format!("at most {MAX_PARAMETERS} parameters can be changed at once"));
+        }
+        let mut patches: BTreeMap<ServiceName, Value> = BTreeMap::new();
+        let mut weights: Option<Map<String, Value>> = None;
+        for Parameter { name, value } in parameters {
+            let value = value.as_ref().ok_or_else(|| format!("{name}: cannot be removed"))?;
+            if name == TEAMS {
+                patches.insert(ServiceName::Clusterer, json!({"teams": teams(value)?}));
+            } else if let Some(modality) = name.strip_prefix(WEIGHT) {
+                // The service replaces the weights as a whole: those that were not named stay.
+                let known = self.weights().ok_or("the weights are not known yet; try again")?;
+                if !known.contains_key(modality) {
+                    return Err(format!("{name}: there is no such weight"));
+                }
+                let all = weights.get_or_insert_with(|| known.clone());
+                all.insert(modality.to_owned(), value.clone());
+            } else {
+                return Err(format!("{name}: there is no such parameter"));
+            }
+        }
+        if let Some(weights) = weights {
+            patches.insert(ServiceName::Embedder, json!({ "weights": weights }));
+        }
+        Ok(patches)
+    }
+}
+
+/// A number of teams as it is shown: bounds have no form of their own among parameters.
+fn shown(teams: &Value) -> Value {
+    match (teams.get("from"), teams.get("to")) {
+        (Some(from), Some(to)) => json!(format!("{from}..{to}")),
+        _ => teams.clone(),
+    }
+}
+
+/// A number of teams as the service reads it: 3, auto, or 2..6. A viewer may send a number as a text.
+fn teams(value: &Value) -> Result<Value, String> {
+    let Some(text) = value.as_str() else {
+        // Viewers know no whole numbers.
+        let whole = value.as_f64().filter(|number| number.fract() == 0.0 && number.abs() < 1e9);
+        return Ok(whole.map_or_else(|| value.clone(), |number| json!(number as i64)));
+    };
+    if let Some((from, to)) = text.split_once("..") {
+        let bound = |text: &str| {
+            text.trim().parse::<u32>().map_err(|_| format!("{TEAMS}: must be 3, auto or 2..6"))
+        };
+        return Ok(json!({"from": bound(from)?, "to": bound(to)?}));
+    }
+    Ok(text.trim().parse::<u32>().map_or_else(|_| value.clone(), |number| json!(number)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn confirmed() -> Confirmed {
+        let mut confirmed = Confirmed::default();
+        confirmed.confirm(ServiceName::Clusterer, json!({"teams": 2, "dwell_s": 1.0}));
+        let weights = json!({"weights": {"spatial": 0.5, "hierarchy": 1}});
+        confirmed.confirm(ServiceName::Embedder, weights);
+        confirmed
+    }
+
+    fn parameter(name: &str, value: Value) -> Parameter {
+        Parameter { name: name.to_owned(), value: Some(value) }
+    }
+
+    #[test]
+    fn what_changed_is_returned_and_nothing_else() {
+        let mut confirmed = confirmed();
+        assert!(confirmed.is_complete());
+        let changed = confirmed.confirm(ServiceName::Clusterer, json!({"teams": "auto"}));
+        assert_eq!(changed, [parameter(TEAMS, json!("auto"))]);
+        assert!(confirmed.confirm(ServiceName::Clusterer, json!({"teams": "auto"})).is_empty());
+        let range = json!({"teams": {"from": 2, "to": 6}});
+        assert_eq!(confirmed.confirm(ServiceName::Clusterer, range)[0].value, Some(json!("2..6")));
+        let all = confirmed.some(&[]);
+        assert_eq!(all.len(), 3);
+        assert_eq!(
+            confirmed.some(&["embedder.weights.hierarchy".to_owned()])[0].value,
+            Some(json!(1.0))
+        );
+    }
+
+    #[test]
+    fn a_patch_keeps_the_weights_that_were_not_named() {
+        let patches = confirmed().patches(&[
+            parameter("embedder.weights.spatial", json!(0.25)),
+            parameter(TEAMS, json!("3")),
+        ]);
+        let patches = patches.unwrap();
+        assert_eq!(
+            patches[&ServiceName::Embedder],
+            json!({"weights": {"spatial": 0.25, "hierarchy": 1}})
+        );
+        assert_eq!(patches[&ServiceName::Clusterer], json!({"teams": 3}));
+    }
+
+    #[test]
+    fn what_is_no_parameter_is_refused() {
+        for (wrong, problem) in [
+            (parameter("clusterer.dwell_s", json!(1)), "no such parameter"),
+            (parameter("embedder.weights.radar", json!(1)), "no such weight"),
+            (Parameter { name: TEAMS.to_owned(), value: None }, "cannot be removed"),
+            (parameter(TEAMS, json!("2..x")), "must be 3, auto or 2..6"),
+        ] {
+            let found = confirmed().patches(std::slice::from_ref(&wrong)).unwrap_err();
+            assert!(found.contains(problem) && found.contains(&wrong.name), "{found}");
+        }
+        let many = vec![parameter(TEAMS, json!(1)); MAX_PARAMETERS + 1];
+        assert!(confirmed().patches(&many).unwrap_err().contains("at most"));
+        // What the service refuses is its business.
+        assert_eq!(teams(&json!(2.0)), Ok(json!(2)));
+        assert_eq!(teams(&json!(2.5)), Ok(json!(2.5)));
+        assert_eq!(teams(&json!("many")), Ok(json!("many")));
+    }
+}

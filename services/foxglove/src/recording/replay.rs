@@ -1,0 +1,234 @@
+//! Plays a recording into a fleet of its own.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Write as _;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use muster_client::{Client, Config, Error, RobotPublisher};
+use muster_model::id::{FleetId, RobotId};
+use muster_model::replay::{REPLAY_PREFIX, is_replay};
+use muster_model::roster::Presence;
+use muster_runtime::config::{Origin, ProcessConfig};
+use muster_runtime::exit::{Exit, ExitError};
+use muster_runtime::stop::Stop;
+use tokio::sync::mpsc;
+use tokio::time::Instant;
+
+use super::file::{End, Item, read};
+use super::options::ReplayArgs;
+use super::play::{Overview, Pace, Reports, Step, overview};
+use crate::shell::fleet::client_config;
+
+/// Most steps that are read ahead.
+const MAX_AHEAD: usize = 4096;
+
+/// How often is looked whether live robots have come into the fleet of the replay.
+const LOOK_EVERY: Duration = Duration::from_secs(2);
+
+/// Longest name of a fleet.
+const MAX_NAME: usize = muster_model::limits::MAX_ID_LENGTH;
+
+/// The fleet in which a recording is played.
+///
+/// # Errors
+/// If a flag names one that is not for recordings.
+fn fleet_of(config: &ProcessConfig, recorded: Option<&FleetId>) -> Result<FleetId, ExitError> {
+    let named = &config.fleet.value;
+    if is_replay(named) {
+        return Ok(named.clone());
+    }
+    if config.fleet.origin == Origin::Flag {
+        return Err(ExitError::usage(format!(
+            "fleet: a recording is never played into {named}: robots that are not there would be taken for live ones. \
+             Name a fleet that begins with {REPLAY_PREFIX}, or none"
+        )));
+    }
+    let recorded = recorded.unwrap_or(named).as_str();
+    // The recording of a replay has the name already.
+    let recorded = recorded.strip_prefix(REPLAY_PREFIX).unwrap_or(recorded);
+    let name: String = format!("{REPLAY_PREFIX}{recorded}").chars().take(MAX_NAME).collect();
+    FleetId::new(&name).map_err(|error| ExitError::usage(error.to_string()))
+}
+
+/// Refuses a fleet in which there are robots that this replay has not put there.
+///
+/// # Errors
+/// Names the first of them.
+async fn refuse_live(client: &Client, own: &BTreeSet<RobotId>) -> anyhow::Result<()> {
+    let mut live = client.get_joined_robots().await?;
+    match client.get_roster().await {
+        Ok(roster) => {
+            let active = roster.robots.iter().filter(|entry| entry.presence == Presence::Active);
+            // Robots of this replay that have just left are there for a moment longer.
+            live.extend(active.map(|entry| entry.robot.clone()).filter(|_| own.is_empty()));
+        }
+        Err(Error::Unanswered { .. }) => {}
+        Err(error) => return Err(error.into()),
+    }
+    match live.difference(own).next() {
+        Some(robot) => Err(ExitError::usage(format!(
+            "there are live robots in this fleet, such as {robot}: a recording is not played among them. Name another \
+             fleet with --fleet {REPLAY_PREFIX}NAME, or end what plays there"
+        ))
+        .into()),
+        None => Ok(()),
+    }
+}
+
+/// One recording of all its parts.
+fn overview_of(args: &ReplayArgs, reports: &Reports) -> Result<Overview, ExitError> {
+    let mut whole: Option<Overview> = None;
+    for path in &args.files {
+        let part = overview(path, reports).map_err(|error| {
+            ExitError::usage(format!(
+                "{}: is no recording that can be read: {error}",
+                path.display()
+            ))
+        })?;
+        if part.end == End::Cut {
+            eprintln!(
+                "{}: ends in the middle; what was recorded until then is played",
+                path.display()
+            );
+        }
+        whole = Some(match whole {
+            None => part,
+            Some(before) => {
+                let mut robots = before.robots;
+                for (robot, at) in part.robots {
+                    let seen = robots.entry(robot).or_default();
+                    *seen = at.max(*seen);
+                }
+                let spans = before.span.into_iter().chain(part.span);
+                let span = spans.reduce(|all, one| (all.0.min(one.0), all.1.max(one.1)));
+                Overview { fleet: before.fleet.or(part.fleet), span, robots, end: part.end }
+            }
+        });
+    }
+    let whole = whole.filter(|whole| whole.span.is_some());
+    whole.ok_or_else(|| ExitError::usage("the recording has no robots: there is nothing to play"))
+}
+
+/// Reads the steps of all parts, as fast as they are taken.
+fn read_ahead(
+    files: &[PathBuf],
+    reports: &Reports,
+    mut pace: Pace,
+    steps: &mpsc::Sender<(Duration, Step)>,
+) -> Result<(), mcap::McapError> {
+    for path in files {
+        let end = read(path, |item| {
+            let Item::Message(entry) = item else { return ControlFlow::Continue(()) };
+            let Some((robot, report)) = reports.of(&entry) else {
+                return ControlFlow::Continue(());
+            };
+            for step in pace.steps(entry.at, robot, report) {
+                if steps.blocking_send(step).is_err() {
+                    return ControlFlow::Break(());
+                }
+            }
+            ControlFlow::Continue(())
+        })?;
+        if end == End::Stopped {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Plays a recording until it ends, or it is time to stop.
+///
+/// # Errors
+/// If a file is none, no router answers, or there are live robots in the fleet.
+pub(super) async fn run(
+    args: &ReplayArgs,
+    config: ProcessConfig,
+    mut stop: Stop,
+) -> anyhow::Result<()> {
+    let reports = Reports::new(config.fleet.value.clone());
+    let overview = overview_of(args, &reports)?;
+    let fleet = fleet_of(&config, overview.fleet.as_ref())?;
+    let client_config = Config { fleet: fleet.to_string(), ..client_config(&config) };
+    let unreachable = |error: Error| ExitError::unreachable(error.to_string());
+    let client = Client::open(&client_config).await.map_err(unreachable)?;
+    refuse_live(&client, &BTreeSet::new()).await?;
+    if client.get_instances().await?.is_empty() {
+        eprintln!("no service serves {fleet} yet: start some with `muster up --fleet {fleet}`");
+    }
+    let pace = Pace::new(&overview, args.speed);
+    let seconds = overview.span.map_or(0.0, |(_, last)| pace.after(last).as_secs_f64());
+    writeln!(
+        std::io::stdout(),
+        "REPLAY: {} robots for {seconds:.0} s in fleet {fleet}, at {} times their speed; Ctrl-C ends it",
+        overview.robots.len(),
+        args.speed
+    )?;
+    let (steps, mut ahead) = mpsc::channel(MAX_AHEAD);
+    let files = args.files.clone();
+    let reading = tokio::task::spawn_blocking(move || read_ahead(&files, &reports, pace, &steps));
+    let mut robots: BTreeMap<RobotId, RobotPublisher> = BTreeMap::new();
+    let mut own: BTreeSet<RobotId> = BTreeSet::new();
+    let start = Instant::now();
+    let mut looks = tokio::time::interval_at(start + LOOK_EVERY, LOOK_EVERY);
+    looks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
+    let mut next: Option<(Instant, Step)> = None;
+    let ended = loop {
+        if next.is_none() {
+            next = ahead.recv().await.map(|(after, step)| (start + after, step));
+        }
+        let Some((at, step)) = next.take() else { break Ok(()) };
+        tokio::select! {
+            () = stop.stopped() => break Ok(()),
+            _ = looks.tick() => {
+                next = Some((at, step));
+                if let Err(problem) = refuse_live(&client, &own).await {
+                    break Err(problem);
+                }
+            }
+            () = tokio::time::sleep_until(at) => {
+                if let Err(problem) = perform(&client, step, &mut robots, &mut own).await {
+                    break Err(problem);
+                }
+            }
+        }
+    };
+    drop(ahead);
+    for (_, robot) in robots {
+        robot.leave().await;
+    }
+    client.close().await;
+    ended?;
+    reading.await?.map_err(|error| ExitError {
+        exit: Exit::Failure,
+        message: format!("the recording cannot be read any further: {error}"),
+    })?;
+    Ok(())
+}
+
+async fn perform(
+    client: &Client,
+    step: Step,
+    robots: &mut BTreeMap<RobotId, RobotPublisher>,
+    own: &mut BTreeSet<RobotId>,
+) -> anyhow::Result<()> {
+    match step {
+        Step::Leave(robot) => {
+            if let Some(publisher) = robots.remove(&robot) {
+                publisher.leave().await;
+            }
+        }
+        Step::Put(robot, report) => {
+            if !robots.contains_key(&robot) {
+                own.insert(robot.clone());
+                let publisher = client.join_as_replay(robot.clone()).await?;
+                robots.insert(robot.clone(), publisher);
+            }
+            if let Some(publisher) = robots.get(&robot) {
+                publisher.put(report)?;
+            }
+        }
+    }
+    Ok(())
+}
