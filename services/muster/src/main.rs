@@ -4,12 +4,13 @@
 //! one was ([`past`]), changes its settings ([`set`]) and wishes ([`wish`]), prepares hosts ([`deploy`]), tells
 //! container managers whether a process is
 //! alive ([`probe`]), prints the form of messages ([`schema`]),
-//! runs the method once on a file ([`solve`]), searches for better settings ([`tune`]), replays the recording of a service ([`replay`]), and
+//! runs the method once on a file ([`solve`]), searches for better settings ([`tune`]), records and replays fleets by another program ([`companions`]), replays the recording of a service ([`replay`]), and
 //! describes itself to shells and manuals ([`describe`]). It is the one program that knows all services:
 //! it composes them and adds nothing to them. It talks to a fleet through `muster-client` ([`console`]);
 //! only what runs services or a router, and the doctor's probe of a router, know the bus.
 
 mod alerts;
+mod companions;
 mod console;
 mod demo;
 mod deploy;
@@ -102,6 +103,10 @@ enum Command {
     Solve(solve::SolveArgs),
     /// Find weights, decay and dimension that divide the fleet better
     Tune(tune::TuneArgs),
+    /// Record a live fleet in MCAP, for Foxglove, PlotJuggler and replay
+    Record(companions::PassedArgs),
+    /// Play a recording of a fleet into a fleet of its own
+    Replay(companions::PassedArgs),
     /// Feed a recording of a service to its core again, and compare what comes out
     ReplayCore(replay::ReplayArgs),
     /// Print completions for a shell
@@ -121,6 +126,13 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             return describe::completions(args, Arguments::command());
         }
         Some(Command::Manual(args)) => return describe::manual(args, Arguments::command()),
+        // Another program reads its own options.
+        Some(Command::Record(args)) => {
+            return companions::run_mcap("record", args, &arguments.process);
+        }
+        Some(Command::Replay(args)) => {
+            return companions::run_mcap("replay", args, &arguments.process);
+        }
         _ => {}
     }
     let default_mode = match &arguments.command {
@@ -187,6 +199,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
             console(&config, async |config| propose::run(args, &config).await)
         }
         Command::Probe(args) => probe::run(args, &config),
+        Command::Record(args) => companions::run_mcap("record", args, &arguments.process),
+        Command::Replay(args) => companions::run_mcap("replay", args, &arguments.process),
         Command::ReplayCore(args) => replay::run(args),
         Command::Schema(args) => schema::run(args),
         Command::Completions(args) => describe::completions(args, Arguments::command()),

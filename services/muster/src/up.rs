@@ -21,6 +21,7 @@ use muster_runtime::service;
 use muster_runtime::stop::Stop;
 use tokio::task::JoinSet;
 
+use crate::companions::{Companion, Companions};
 use crate::operator::OperatorArgs;
 
 /// Arguments of `muster up`.
@@ -28,6 +29,7 @@ use crate::operator::OperatorArgs;
 #[command(
     after_help = "Examples:\n  muster up --router                  all services and a router: enough for one host\n  \
 muster up embedder clusterer        two of them; the others run on other hosts\n  \
+muster up --router --with foxglove  and the live fleet for Foxglove, at ws://127.0.0.1:8765\n  \
 muster up --router --set clusterer.teams=3"
 )]
 pub(crate) struct UpArgs {
@@ -51,6 +53,9 @@ pub(crate) struct UpArgs {
     /// Do not serve the page for operators
     #[arg(long)]
     no_console: bool,
+    /// Run these programs beside the services, several with commas; they are built on their own
+    #[arg(long, value_name = "PROGRAM", value_delimiter = ',')]
+    with: Vec<Companion>,
 }
 
 impl UpArgs {
@@ -152,6 +157,8 @@ pub(crate) async fn run(
     mut config: ProcessConfig,
     stop: Stop,
 ) -> anyhow::Result<()> {
+    // What is missing is named before anything runs.
+    let companions = Companions::find(&args.with)?;
     let services =
         if args.services.is_empty() { ServiceName::ALL.to_vec() } else { args.services.clone() };
     config.record = args.record.clone().map(|path| RecordTo { path, several: true });
@@ -177,7 +184,11 @@ pub(crate) async fn run(
         }
         None => None,
     };
-    let ended = wait(start(&services, &config, &stop, &observatory)).await;
+    let mut tasks = start(&services, &config, &stop, &observatory);
+    if !args.with.is_empty() {
+        tasks.spawn(companions.run(config.clone(), stop.clone()));
+    }
+    let ended = wait(tasks).await;
     if let Some(serving) = serving {
         serving.abort();
     }
