@@ -203,6 +203,7 @@ fn each_foreign_crate_is_spoken_to_in_one_place() {
         ("bincode::", "shared/wire"),
         ("faer::", "shared/numeric"),
         ("rusqlite::", "services/historian"),
+        ("mcap::", "services/foxglove"),
     ] {
         for folder in ["services", "shared"] {
             for (name, text) in sources(&root.join(folder), place) {

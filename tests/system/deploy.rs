@@ -71,7 +71,12 @@ fn install(folder: &Path) -> Vec<PathBuf> {
         std::fs::write(&path, text.replace("/usr/local/bin", &programs)).unwrap();
         path
     };
-    let alone = ["muster-router.service", "muster-console.service", "muster-ros2.service"];
+    let alone = [
+        "muster-router.service",
+        "muster-console.service",
+        "muster-ros2.service",
+        "muster-foxglove.service",
+    ];
     let mut units = alone.map(|unit| write(unit, read(&format!("systemd/{unit}")))).to_vec();
     write("muster@.service", read("systemd/muster@.service"));
     for service in SERVICES {
@@ -156,16 +161,18 @@ fn the_units_start_what_there_is() {
     check_command(&line("systemd/muster-router.service", ""));
     check_command(&line("systemd/muster-console.service", ""));
     check_command(&line("systemd/muster-ros2.service", ""));
+    check_command(&line("systemd/muster-foxglove.service", ""));
     for service in SERVICES {
         check_command(&line("systemd/muster@.service", service));
     }
     // A service without a standby that hangs stops the division until it is restarted.
-    for unit in [
+    let alone = [
         "muster-router.service",
         "muster-console.service",
         "muster-ros2.service",
-        "muster@.service",
-    ] {
+        "muster-foxglove.service",
+    ];
+    for unit in alone.into_iter().chain(["muster@.service"]) {
         let unit = &format!("systemd/{unit}");
         assert!(read(unit).lines().any(|line| line == "WatchdogSec=10"), "{unit}");
     }
@@ -191,7 +198,7 @@ fn the_containers_run_what_is_built() {
     let compose = compose();
     let containers = compose["services"].as_object().unwrap();
     let names: BTreeSet<_> = containers.keys().map(String::as_str).collect();
-    assert_eq!(names, SERVICES.into_iter().chain(["router", "console"]).collect());
+    assert_eq!(names, SERVICES.into_iter().chain(["router", "console", "foxglove"]).collect());
     let file = read("Containerfile");
     let build = read("build");
     let (_, built) = build.split_once("programs=(").unwrap();
@@ -218,8 +225,9 @@ fn the_containers_run_what_is_built() {
         }
         if name != "router" {
             let connect = text(&own["environment"]["MUSTER_CONNECT"]);
-            // The console is on the network of the host, whose port is that of the router.
-            let router = if name == "console" { "127.0.0.1:7447" } else { "router" };
+            // Those for this host alone are on its network, whose port is that of the router.
+            let is_on_host = matches!(name.as_str(), "console" | "foxglove");
+            let router = if is_on_host { "127.0.0.1:7447" } else { "router" };
             assert!(connect.contains(router), "{name} does not reach the router");
             let arguments = ["--check-config", "--connect", connect.as_str()];
             assert_eq!(run(&command[0], &arguments, SOON).unwrap().0, Some(0));
@@ -305,7 +313,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
     let endpoint = free_endpoint().unwrap();
     let mut running = BTreeMap::new();
     // The services first: they are alive while they wait for their router.
-    for name in SERVICES.into_iter().chain(["router", "console"]) {
+    for name in SERVICES.into_iter().chain(["router", "console", "foxglove"]) {
         let own = &containers[name];
         assert!(own["environment"]["MUSTER_HTTP"].is_string(), "{name} has no port to ask");
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
@@ -313,7 +321,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
         let command = texts(&own["command"]);
         let arguments = match name {
             "router" => vec![command[1].as_str(), "--listen", &endpoint],
-            "console" => vec!["--connect", &endpoint, "--serve", "127.0.0.1:0"],
+            "console" | "foxglove" => vec!["--connect", &endpoint, "--serve", "127.0.0.1:0"],
             _ => vec!["--connect", &endpoint, "--state-directory", "none"],
         };
         let process = Process::start(&command[0], &arguments, &environment, folder.path()).unwrap();
@@ -327,6 +335,7 @@ fn the_health_check_of_each_container_tells_a_process_that_hangs() {
         let unit = match *name {
             "router" => "systemd/muster-router.service",
             "console" => "systemd/muster-console.service",
+            "foxglove" => "systemd/muster-foxglove.service",
             _ => "systemd/muster@.service",
         };
         let (memory, tasks) = (bytes(&limit(unit, "MemoryMax")), limit(unit, "TasksMax"));

@@ -127,6 +127,15 @@ async fn a_recording_is_read_by_others_and_its_replay_gives_the_same_divisions()
     let gone = |roster: &Value| list(&roster["robots"]).is_empty();
     until_gone(&played, gone).await;
 
+    let doctor =
+        ["doctor", "--json", "--listen-for", "1", "--connect", &cluster.endpoint, "--fleet"];
+    let finds = |fleet: &str| {
+        let (_, out, err) = run("muster", &[&doctor[..], &[fleet]].concat(), SOON).unwrap();
+        let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
+        list(&report["findings"]).iter().any(|finding| finding["id"] == "replay")
+    };
+    assert!(finds("replay-alpha") && !finds("alpha"));
+
     poses.clear();
     let again = played.watch("json/teams").await.unwrap();
     let start = std::time::Instant::now();

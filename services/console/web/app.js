@@ -49,6 +49,7 @@ function banner() {
     if (state.replay) return h("p", { class: "banner replay", role: "status" }, "REPLAY – this is the past");
     if (state.socket !== "open") return h("p", { class: "banner lost", role: "status" }, "The console is not reached. What is shown is old; it connects again by itself.");
     if (!state.link) return h("p", { class: "banner lost", role: "status" }, "The link to the router is lost. What is shown is old.");
+    if (state.hello?.fleet.startsWith("replay-")) return h("p", { class: "banner replay", role: "status" }, "REPLAY – this fleet is a recording that is played");
     const old = Object.entries(state.fleet?.stale ?? {}).filter(([, why]) => why).map(([name]) => name);
     if (old.length) return h("p", { class: "banner stale", role: "status" }, `No service says anything newer: ${old.join(", ")} may be old.`);
     const idle = ["ingest", "embedder", "clusterer", "auditor"].filter((name) => state.services && !leads(name));

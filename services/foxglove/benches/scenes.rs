@@ -1,4 +1,5 @@
-//! How long scenes take: `cargo bench --package muster-foxglove`. The goal is 20 ms for one turn of 10,000 robots.
+//! How long scenes take: `cargo bench --package muster-foxglove --no-default-features
+//! --features messages`. The goal is 20 ms for one turn of 10,000 robots.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;

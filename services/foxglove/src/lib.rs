@@ -14,7 +14,7 @@
 #![warn(clippy::disallowed_methods, clippy::disallowed_types, clippy::iter_over_hash_type)]
 
 mod core;
-#[cfg(feature = "binary")]
+#[cfg(feature = "messages")]
 pub mod messages;
 #[cfg(feature = "binary")]
 pub mod recording;

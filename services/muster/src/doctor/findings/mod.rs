@@ -5,6 +5,7 @@ mod robots;
 mod router;
 mod services;
 
+use muster_model::replay::is_replay;
 use serde::Serialize;
 
 pub(super) use self::router::{of_endpoint, session};
@@ -72,6 +73,7 @@ pub(super) fn of_fleet(look: &Look) -> Vec<Finding> {
         // Nothing else can be found in a fleet that is not there.
         return vec![wrong];
     }
+    found.extend(replay(look));
     found.extend(services::services(look));
     found.extend(services::denied(look));
     found.extend(services::clocks(look));
@@ -82,6 +84,18 @@ pub(super) fn of_fleet(look: &Look) -> Vec<Finding> {
     found.extend(robots::teams(look));
     found.extend(division::division(look));
     found
+}
+
+/// What is seen is no live fleet.
+fn replay(look: &Look) -> Option<Finding> {
+    is_replay(&look.fleet).then(|| {
+        warning(
+            "replay",
+            format!("fleet {} is a recording that is played, and no live fleet", look.fleet),
+            "name the live fleet with --fleet; `muster replay` ends with Ctrl-C where it runs",
+        )
+        .about([&look.fleet])
+    })
 }
 
 fn wrong_fleet(look: &Look) -> Option<Finding> {
