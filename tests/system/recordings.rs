@@ -115,7 +115,7 @@ async fn a_recording_is_read_by_others_and_its_replay_gives_the_same_divisions()
     ];
     let _services = Process::start("muster", &services, &[], cluster.folder()).unwrap();
     let stranger =
-        ["robot", "--fleet", "replay-alpha", "--connect", &cluster.endpoint, "--robots", "2"];
+        ["robot", "--fleet", "replay-alpha", "--connect", &cluster.endpoint, "--robots", "4"];
     let mut stranger = Process::start("muster", &stranger, &[], cluster.folder()).unwrap();
     let played = Client::connect(&cluster.endpoint, "replay-alpha").await.unwrap();
     let poses = played.watch("robot/*/pose").await.unwrap();

@@ -9,7 +9,7 @@ use muster_foxglove::limits::{
 };
 use muster_foxglove::scene::{Entity, Message, Scene, Transform};
 use muster_foxglove::{
-    Access, Bridge, Fetch, Input, Output, Parameter, TEAMS, Ticket, Topic, team_color,
+    Access, Bridge, Fetch, Input, Output, Parameter, TEAMS, Ticket, Topic, WEIGHTS, team_color,
 };
 use muster_model::audit::{Audit, Flapping, Quality, SilhouetteReport, Space};
 use muster_model::event::{Event, EventKind, Severity};
@@ -334,7 +334,7 @@ fn a_question_for_parameters_waits_for_the_settings_but_not_forever() {
     bridge.handle(at(10), Input::Settings(ServiceName::Clusterer, json!({"teams": 2})));
     let weights = json!({"weights": {"spatial": 0.5}});
     let outputs = bridge.handle(at(20), Input::Settings(ServiceName::Embedder, weights));
-    let all = vec![parameter(TEAMS, json!(2)), parameter("embedder.weights.spatial", json!(0.5))];
+    let all = vec![parameter(TEAMS, json!(2)), parameter(WEIGHTS, json!({"spatial": 0.5}))];
     assert!(outputs.contains(&Output::Respond(7, all)), "{outputs:?}");
     let one = bridge.handle(at(30), Input::Get(8, vec![TEAMS.to_owned(), "other".to_owned()]));
     assert!(one.contains(&Output::Respond(8, vec![parameter(TEAMS, json!(2))])));

@@ -85,7 +85,7 @@ for (const topic of ["/tf", "/teams", "/links/spatial"]) {
 
 step("parameters are what the services have");
 viewer.client.getParameters([], "all");
-await viewer.until("parameters", () => viewer.parameters.has("embedder.weights.spatial"));
+await viewer.until("parameters", () => viewer.parameters.has("embedder.weights"));
 assert.equal(viewer.parameters.get("clusterer.teams"), 3);
 const names = [...viewer.parameters.keys()];
 viewer.client.subscribeParameterUpdates(names);
@@ -98,17 +98,21 @@ await viewer.until("two teams", () => {
     const { entities } = viewer.newest.get("/teams");
     return entities.filter((one) => one.id.startsWith("team/")).length === 2;
 });
-viewer.client.setParameters([{ name: "embedder.weights.connectivity", value: 0.25, type: "float64" }], "w");
-await viewer.until("the weight", () => viewer.parameters.get("embedder.weights.connectivity") === 0.25);
-const weights = (await act("settings", "embedder")).weights;
-assert.equal(weights.connectivity, 0.25);
-assert.ok(Object.keys(weights).length > 1, "the other weights stay");
+const weights = { spatial: 0.5, connectivity: 0.25, hierarchy: 0.25 };
+viewer.client.setParameters([{ name: "embedder.weights", value: weights }], "w");
+await viewer.until("the weights", () => viewer.parameters.get("embedder.weights").connectivity === 0.25);
+assert.deepEqual((await act("settings", "embedder")).weights, weights);
 
 step("what the service refuses is refused with its reason");
 viewer.statuses.length = 0;
 viewer.client.setParameters([{ name: "clusterer.teams", value: 0 }], "bad");
 const refusal = await viewer.until("a refusal", () => viewer.statuses.find((one) => one.level === 2));
 assert.match(refusal.message, /teams/);
+viewer.statuses.length = 0;
+viewer.client.setParameters([{ name: "embedder.weights", value: { spatial: 0.5 } }], "sum");
+const sum = await viewer.until("a refusal", () => viewer.statuses.find((one) => one.level === 2));
+assert.match(sum.message, /must sum to 1/);
+assert.deepEqual(viewer.parameters.get("embedder.weights"), weights);
 assert.equal((await act("settings", "clusterer")).teams, 2);
 assert.equal(viewer.parameters.get("clusterer.teams"), 2);
 

@@ -6,6 +6,7 @@ use muster_wire::message::plain_reason;
 use serde_json::Value;
 
 use super::limits::{MAX_PENDING_CHANGES, MAX_PENDING_QUESTIONS, PARAMETERS_WITHIN};
+use super::parameters::Confirmed;
 use super::{Access, Bridge, Output, Parameter, RequestId, Ticket};
 
 /// Why nothing is changed by default.
@@ -85,7 +86,7 @@ impl Bridge {
                 Err("nothing was changed: too many changes wait for their answer".to_owned())
             }
             Access::Changes(operator) => {
-                self.confirmed.patches(parameters).map(|patches| (operator.clone(), patches))
+                Confirmed::patches(parameters).map(|patches| (operator.clone(), patches))
             }
         };
         match patches {

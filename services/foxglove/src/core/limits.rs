@@ -59,5 +59,5 @@ pub const MAX_PENDING_CHANGES: usize = 16;
 /// Most questions for parameters that wait for the first settings.
 pub const MAX_PENDING_QUESTIONS: usize = 64;
 
-/// Most parameters in one change: all weights that a fleet may have, and the number of teams.
-pub const MAX_PARAMETERS: usize = 64;
+/// Most parameters in one change: more than there are.
+pub const MAX_PARAMETERS: usize = 16;

@@ -34,7 +34,7 @@ use self::fleet::Fleet;
 use self::links::Links;
 use self::news::News;
 use self::parameters::Confirmed;
-pub use self::parameters::{Parameter, TEAMS, WEIGHT};
+pub use self::parameters::{Parameter, TEAMS, WEIGHTS};
 use self::scene::{Level, Message};
 use self::sending::Sent;
 pub use self::topic::Topic;

@@ -3,22 +3,23 @@
 use std::collections::BTreeMap;
 
 use muster_model::id::ServiceName;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use super::limits::MAX_PARAMETERS;
 
 /// The number of teams.
 pub const TEAMS: &str = "clusterer.teams";
 
-/// What the name of a modality's weight begins with.
-pub const WEIGHT: &str = "embedder.weights.";
+/// The weights of the modalities, as one table: they sum to 1, so that none can be changed alone. An empty one means that the
+/// service chooses them.
+pub const WEIGHTS: &str = "embedder.weights";
 
 /// One parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameter {
     /// Its name.
     pub name: String,
-    /// Its value: a whole number or a text for the number of teams, a number for a weight. None is one that is not set.
+    /// Its value: a whole number or a text for the number of teams, a table for the weights. None is one that is not set.
     pub value: Option<Value>,
 }
 
@@ -46,15 +47,12 @@ impl Confirmed {
 
     /// All parameters.
     pub(super) fn all(&self) -> Vec<Parameter> {
-        let teams = self.0.get(&ServiceName::Clusterer).and_then(|settings| settings.get("teams"));
-        let teams =
-            teams.map(|teams| Parameter { name: TEAMS.to_owned(), value: Some(shown(teams)) });
-        let weight = |(modality, weight): (&String, &Value)| Parameter {
-            name: format!("{WEIGHT}{modality}"),
-            value: weight.as_f64().map(|weight| json!(weight)),
-        };
-        let weights = self.weights().into_iter().flatten();
-        teams.into_iter().chain(weights.map(weight)).take(MAX_PARAMETERS).collect()
+        let field = |service: ServiceName, name: &str| self.0.get(&service)?.get(name);
+        let teams = field(ServiceName::Clusterer, "teams").map(shown);
+        let weights = field(ServiceName::Embedder, "weights").cloned();
+        let all = [(TEAMS, teams), (WEIGHTS, weights)].into_iter();
+        let named = all.filter_map(|(name, value)| Some((name, value?)));
+        named.map(|(name, value)| Parameter { name: name.to_owned(), value: Some(value) }).collect()
     }
 
     /// Some parameters by name, all for no name; what does not exist is left out.
@@ -64,41 +62,24 @@ impl Confirmed {
         all
     }
 
-    fn weights(&self) -> Option<&Map<String, Value>> {
-        self.0.get(&ServiceName::Embedder)?.get("weights")?.as_object()
-    }
-
     /// What services must be commanded for some parameters: the fields of each to change.
     ///
     /// # Errors
     /// Says which parameter is wrong.
     pub(super) fn patches(
-        &self,
         parameters: &[Parameter],
     ) -> Result<BTreeMap<ServiceName, Value>, String> {
         if parameters.len() > MAX_PARAMETERS {
             return Err(format!("at most {MAX_PARAMETERS} parameters can be changed at once"));
         }
         let mut patches: BTreeMap<ServiceName, Value> = BTreeMap::new();
-        let mut weights: Option<Map<String, Value>> = None;
         for Parameter { name, value } in parameters {
             let value = value.as_ref().ok_or_else(|| format!("{name}: cannot be removed"))?;
-            if name == TEAMS {
-                patches.insert(ServiceName::Clusterer, json!({"teams": teams(value)?}));
-            } else if let Some(modality) = name.strip_prefix(WEIGHT) {
-                // The service replaces the weights as a whole: those that were not named stay.
-                let known = self.weights().ok_or("the weights are not known yet; try again")?;
-                if !known.contains_key(modality) {
-                    return Err(format!("{name}: there is no such weight"));
-                }
-                let all = weights.get_or_insert_with(|| known.clone());
-                all.insert(modality.to_owned(), value.clone());
-            } else {
-                return Err(format!("{name}: there is no such parameter"));
-            }
-        }
-        if let Some(weights) = weights {
-            patches.insert(ServiceName::Embedder, json!({ "weights": weights }));
+            match name.as_str() {
+                TEAMS => patches.insert(ServiceName::Clusterer, json!({"teams": teams(value)?})),
+                WEIGHTS => patches.insert(ServiceName::Embedder, json!({"weights": value})),
+                _ => return Err(format!("{name}: there is no such parameter")),
+            };
         }
         Ok(patches)
     }
@@ -135,7 +116,7 @@ mod tests {
     fn confirmed() -> Confirmed {
         let mut confirmed = Confirmed::default();
         confirmed.confirm(ServiceName::Clusterer, json!({"teams": 2, "dwell_s": 1.0}));
-        let weights = json!({"weights": {"spatial": 0.5, "hierarchy": 1}});
+        let weights = json!({"weights": {"spatial": 0.5, "hierarchy": 0.5}});
         confirmed.confirm(ServiceName::Embedder, weights);
         confirmed
     }
@@ -153,25 +134,17 @@ mod tests {
         assert!(confirmed.confirm(ServiceName::Clusterer, json!({"teams": "auto"})).is_empty());
         let range = json!({"teams": {"from": 2, "to": 6}});
         assert_eq!(confirmed.confirm(ServiceName::Clusterer, range)[0].value, Some(json!("2..6")));
-        let all = confirmed.some(&[]);
-        assert_eq!(all.len(), 3);
-        assert_eq!(
-            confirmed.some(&["embedder.weights.hierarchy".to_owned()])[0].value,
-            Some(json!(1.0))
-        );
+        assert_eq!(confirmed.some(&[]).len(), 2);
+        let weights = confirmed.some(&[WEIGHTS.to_owned()]);
+        assert_eq!(weights, [parameter(WEIGHTS, json!({"spatial": 0.5, "hierarchy": 0.5}))]);
     }
 
     #[test]
-    fn a_patch_keeps_the_weights_that_were_not_named() {
-        let patches = confirmed().patches(&[
-            parameter("embedder.weights.spatial", json!(0.25)),
-            parameter(TEAMS, json!("3")),
-        ]);
-        let patches = patches.unwrap();
-        assert_eq!(
-            patches[&ServiceName::Embedder],
-            json!({"weights": {"spatial": 0.25, "hierarchy": 1}})
-        );
+    fn each_service_gets_its_own_patch() {
+        let weights = json!({"spatial": 0.25, "hierarchy": 0.75});
+        let all = [parameter(WEIGHTS, weights.clone()), parameter(TEAMS, json!("3"))];
+        let patches = Confirmed::patches(&all).unwrap();
+        assert_eq!(patches[&ServiceName::Embedder], json!({"weights": weights}));
         assert_eq!(patches[&ServiceName::Clusterer], json!({"teams": 3}));
     }
 
@@ -179,15 +152,15 @@ mod tests {
     fn what_is_no_parameter_is_refused() {
         for (wrong, problem) in [
             (parameter("clusterer.dwell_s", json!(1)), "no such parameter"),
-            (parameter("embedder.weights.radar", json!(1)), "no such weight"),
+            (parameter("embedder.weights.radar", json!(1)), "no such parameter"),
             (Parameter { name: TEAMS.to_owned(), value: None }, "cannot be removed"),
             (parameter(TEAMS, json!("2..x")), "must be 3, auto or 2..6"),
         ] {
-            let found = confirmed().patches(std::slice::from_ref(&wrong)).unwrap_err();
+            let found = Confirmed::patches(std::slice::from_ref(&wrong)).unwrap_err();
             assert!(found.contains(problem) && found.contains(&wrong.name), "{found}");
         }
         let many = vec![parameter(TEAMS, json!(1)); MAX_PARAMETERS + 1];
-        assert!(confirmed().patches(&many).unwrap_err().contains("at most"));
+        assert!(Confirmed::patches(&many).unwrap_err().contains("at most"));
         // What the service refuses is its business.
         assert_eq!(teams(&json!(2.0)), Ok(json!(2)));
         assert_eq!(teams(&json!(2.5)), Ok(json!(2.5)));

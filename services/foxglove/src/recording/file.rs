@@ -69,6 +69,9 @@ fn open(path: &Path) -> Result<(Writer<BufWriter<File>>, File), McapError> {
     let file = File::options().write(true).create_new(true).open(path)?;
     let options = WriteOptions::new()
         .compression(Some(Compression::Lz4))
+        // A chunk stays in memory until it is whole. Otherwise its head, which is written first and mended at the end, would
+        // say after a kill that it is longer than any file.
+        .disable_seeking(true)
         .profile("")
         .library(concat!("muster ", env!("CARGO_PKG_VERSION")));
     Ok((options.create(BufWriter::new(file.try_clone()?))?, file))
@@ -328,6 +331,25 @@ mod tests {
         }
         std::fs::write(&cut, b"no recording").unwrap();
         assert!(messages(&cut).1.is_err());
+    }
+
+    #[test]
+    fn a_recorder_that_is_killed_leaves_no_half_of_a_chunk() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.mcap");
+        let mut recording = Recording::create(&path, BTreeMap::new()).unwrap();
+        let write = |recording: &mut Recording, at: u64| {
+            let text = format!("{{\"x\":{}.0,\"y\":{}.0}}", at * 7_919 % 1_000, at * 104_729 % 977);
+            let entry = Entry { topic: "/robot/r1/pose", at, bytes: text.as_bytes() };
+            recording.write(&entry, form).unwrap();
+        };
+        write(&mut recording, 0);
+        recording.flush().unwrap();
+        // Less than a chunk, and more than any buffer before the file.
+        (1..6_000).for_each(|at| write(&mut recording, at));
+        std::mem::forget(recording);
+        let (all, end) = messages(&path);
+        assert_eq!((all.len(), end.unwrap()), (1, End::Cut));
     }
 
     #[test]

@@ -232,3 +232,42 @@ async fn perform(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use muster_runtime::config::{Mode, ProcessArgs};
+
+    use super::*;
+
+    fn fleet(
+        flag: Option<&str>,
+        variable: Option<&str>,
+        recorded: Option<&str>,
+    ) -> Result<String, String> {
+        let args = ProcessArgs { fleet: flag.map(str::to_owned), ..ProcessArgs::default() };
+        let environment =
+            |name: &str| variable.filter(|_| name == "MUSTER_FLEET").map(str::to_owned);
+        let config = ProcessConfig::resolve(&args, Mode::Client, &environment);
+        let recorded = recorded.map(|name| FleetId::new(name).unwrap());
+        let fleet = fleet_of(&config.map_err(|error| error.message)?, recorded.as_ref());
+        fleet.map(|fleet| fleet.to_string()).map_err(|error| error.message)
+    }
+
+    #[test]
+    fn a_recording_is_played_in_a_fleet_that_says_so_and_in_no_other() {
+        let played = |name: &str| Ok(name.to_owned());
+        assert_eq!(fleet(None, None, Some("alpha")), played("replay-alpha"));
+        assert_eq!(fleet(None, None, Some("replay-alpha")), played("replay-alpha"));
+        assert_eq!(fleet(None, None, None), played("replay-default"));
+        // The environment of a live fleet does not lead there.
+        assert_eq!(fleet(None, Some("beta"), Some("alpha")), played("replay-alpha"));
+        assert_eq!(fleet(Some("replay-b"), Some("beta"), Some("alpha")), played("replay-b"));
+        let long = "a".repeat(MAX_NAME);
+        assert_eq!(fleet(None, None, Some(&long)).unwrap().len(), MAX_NAME);
+        let refused = fleet(Some("alpha"), None, Some("alpha")).unwrap_err();
+        assert!(
+            refused.contains("never played into alpha") && refused.contains("replay-"),
+            "{refused}"
+        );
+    }
+}

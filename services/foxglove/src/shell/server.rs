@@ -120,28 +120,42 @@ impl ParameterHandler for Callbacks {
     }
 }
 
-fn value(value: ParameterValue) -> Value {
-    match value {
+fn value(sent: ParameterValue) -> Value {
+    match sent {
         ParameterValue::Integer(number) => json!(number),
         ParameterValue::Float64(number) => json!(number),
         ParameterValue::Bool(flag) => json!(flag),
         ParameterValue::String(text) => json!(text),
-        // No parameter is a list or a table: the service says what is wrong with one.
-        ParameterValue::Array(all) => json!(all.len()),
-        ParameterValue::Dict(all) => json!(all.keys().collect::<Vec<_>>()),
+        ParameterValue::Array(all) => all.into_iter().map(value).collect(),
+        ParameterValue::Dict(all) => {
+            Value::Object(all.into_iter().map(|(name, one)| (name, value(one))).collect())
+        }
     }
 }
 
-fn parameter(parameter: Parameter) -> foxglove::websocket::Parameter {
-    type Shown = foxglove::websocket::Parameter;
-    let Parameter { name, value } = parameter;
-    match value {
-        Some(Value::Number(number)) => match number.as_i64() {
-            Some(whole) => Shown::integer(name, whole),
-            None => Shown::float64(name, number.as_f64().unwrap_or_default()),
+/// A value as viewers read it; none for what they have no form for.
+fn shown(value: Value) -> Option<ParameterValue> {
+    Some(match value {
+        Value::Null => return None,
+        Value::Bool(flag) => ParameterValue::Bool(flag),
+        Value::Number(number) => match number.as_i64() {
+            Some(whole) => ParameterValue::Integer(whole),
+            None => ParameterValue::Float64(number.as_f64()?),
         },
-        Some(Value::String(text)) => Shown::string(name, text),
-        _ => Shown::empty(name),
+        Value::String(text) => ParameterValue::String(text),
+        Value::Array(all) => ParameterValue::Array(all.into_iter().filter_map(shown).collect()),
+        Value::Object(all) => {
+            let all = all.into_iter().filter_map(|(name, one)| Some((name, shown(one)?)));
+            ParameterValue::Dict(all.collect())
+        }
+    })
+}
+
+fn parameter(parameter: Parameter) -> foxglove::websocket::Parameter {
+    let Parameter { name, value } = parameter;
+    foxglove::websocket::Parameter {
+        value: value.and_then(shown),
+        ..foxglove::websocket::Parameter::empty(name)
     }
 }
 
