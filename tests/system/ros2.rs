@@ -271,10 +271,10 @@ async fn robots_that_share_a_tree_and_robots_behind_a_bridge_of_dds_are_read() {
 }
 
 /// Whether a program of ROS receives another one's messages through a router, within a while.
-async fn peers_reach_each_other(flags: &[&str]) -> bool {
+async fn peers_reach_each_other(command: &[&str]) -> bool {
     let endpoint = muster_tests::cluster::free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let arguments = [&["router", "--listen", &endpoint], flags].concat();
+    let arguments = [command, &["--listen", &endpoint]].concat();
     let mut router = Process::start("muster", &arguments, &[], folder.path()).unwrap();
     router.until_prints("router listens at", SOON).unwrap();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
@@ -300,6 +300,8 @@ async fn peers_reach_each_other(flags: &[&str]) -> bool {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn programs_of_ros_reach_each_other_at_a_router_for_ros_alone() {
-    assert!(peers_reach_each_other(&["--ros"]).await);
-    assert!(!peers_reach_each_other(&[]).await, "then the flag would be of no use");
+    assert!(peers_reach_each_other(&["router", "--ros"]).await);
+    let up = ["up", "--router", "--with", "ros2", "--no-console", "--state-directory", "none"];
+    assert!(peers_reach_each_other(&up).await);
+    assert!(!peers_reach_each_other(&["router"]).await, "then the flag would be of no use");
 }

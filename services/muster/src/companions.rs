@@ -34,6 +34,10 @@ pub(crate) struct Program {
 const FOXGLOVE: Program =
     Program { name: "muster-foxglove", package: "muster-foxglove", folder: "services/foxglove" };
 
+/// Robots that run ROS 2.
+const ROS2: Program =
+    Program { name: "muster-ros2", package: "muster-ros2", folder: "services/ros2" };
+
 /// Recordings in MCAP.
 const MCAP: Program =
     Program { name: "muster-mcap", package: "muster-foxglove", folder: "services/foxglove" };
@@ -90,12 +94,15 @@ fn flags_before(args: &ProcessArgs) -> Vec<OsString> {
 pub(crate) enum Companion {
     /// The live fleet for Foxglove and Lichtblick
     Foxglove,
+    /// Robots that run ROS 2; a router that --router runs passes on who of ROS is there
+    Ros2,
 }
 
 impl Companion {
     const fn program(self) -> Program {
         match self {
             Self::Foxglove => FOXGLOVE,
+            Self::Ros2 => ROS2,
         }
     }
 }

@@ -12,7 +12,7 @@ use muster_historian::Historian;
 use muster_ingest::Ingest;
 use muster_model::id::ServiceName;
 use muster_planner::Planner;
-use muster_runtime::bus::{Bus, ConnectTimeout};
+use muster_runtime::bus::{Bus, BusConfig, ConnectTimeout};
 use muster_runtime::config::{DEFAULT_ENDPOINT, ProcessConfig};
 use muster_runtime::exit::{Exit, ExitError};
 use muster_runtime::observe::Observatory;
@@ -30,6 +30,7 @@ use crate::operator::OperatorArgs;
     after_help = "Examples:\n  muster up --router                  all services and a router: enough for one host\n  \
 muster up embedder clusterer        two of them; the others run on other hosts\n  \
 muster up --router --with foxglove  and the live fleet for Foxglove, at ws://127.0.0.1:8765\n  \
+muster up --router --with ros2      and robots that run ROS 2\n  \
 muster up --router --set clusterer.teams=3"
 )]
 pub(crate) struct UpArgs {
@@ -169,7 +170,9 @@ pub(crate) async fn run(
             [] => vec![DEFAULT_ENDPOINT.to_owned()],
             listen => listen.to_vec(),
         };
-        let bus = Bus::open(&config.as_router(listen), ConnectTimeout::Never).await?;
+        let has_ros = args.with.contains(&Companion::Ros2);
+        let bus = BusConfig { gossip: has_ros, ..BusConfig::from(&config.as_router(listen)) };
+        let bus = Bus::open(bus, ConnectTimeout::Never).await?;
         let endpoints = bus.locators().await;
         writeln!(std::io::stdout(), "router listens at {}", endpoints.join(", "))?;
         config = config.as_client(endpoints);
