@@ -490,7 +490,7 @@ impl Core for Clusterer {
             }
             (None, Some(_)) => "dividing the first embedding".to_owned(),
             (Some(_), None) if self.reunion.is_some() => {
-                "waiting for the robots of the kept division".to_owned()
+                "waiting for the robots of the last division".to_owned()
             }
             (_, None) => "waiting for an embedding".to_owned(),
         }

@@ -23,39 +23,30 @@ use crate::identity;
 use crate::rules::TeamRules;
 use crate::seats::last_of;
 
-/// Most divisions of the same vectors, each from the one before. Nearly always the second one is the first one.
-const MAX_TURNS: usize = 4;
-
 /// Divides the robots that have a non-zero embedding. While nothing satisfies the rules the last division stands.
 ///
 /// Teams do not swap their ids for a few robots, so that what is found depends on where robots were: from what was found
-/// something better may be found that was out of reach before. What is returned is found again from itself, or else it
-/// would change as soon as it is divided once more, such as after a restart, though nothing has changed.
+/// something better may be found that was out of reach before. So it is divided once more, and seldom changes again as the
+/// same vectors are divided another time, such as after a restart.
 pub(crate) fn divide(job: &Job, rules: &TeamRules) -> Result<Teams, DivisionError> {
-    let mut found = divide_once(job, rules)?;
+    let found = divide_once(job, rules)?;
     // Wishes for a team that is new, or lives again, count from the next division on: it keeps a robot of before until then.
     let Some(first) = job.previous.as_deref().filter(|first| has_same_teams(first, &found)) else {
         return Ok(found);
     };
-    let mut is_settled = is_kept(first, &found);
-    for _ in 1..MAX_TURNS {
-        if is_settled || found.limited.as_ref().is_some_and(Limited::stands) {
-            break;
-        }
-        let again =
-            Job { previous: Some(Checked::new_unchecked(found.clone())), ..Job::clone(job) };
-        let rules = rules.clone().resolved(Some(&found), &job.memory, &job.embedding);
-        // A search may end before it finds anything; what was found stands.
-        let Ok(next) = divide_once(&again, &rules) else { break };
-        if !has_same_teams(&found, &next) {
-            break;
-        }
-        is_settled = is_kept(&found, &next);
-        let changes = std::mem::take(&mut found.changes);
-        found = Teams { changes, ..next };
-        found.changes = changes_since(&found, Some(first));
+    if is_kept(first, &found) || found.limited.as_ref().is_some_and(Limited::stands) {
+        return Ok(found);
     }
-    Ok(found)
+    let again = Job { previous: Some(Checked::new_unchecked(found.clone())), ..Job::clone(job) };
+    let rules = rules.clone().resolved(Some(&found), &job.memory, &job.embedding);
+    match divide_once(&again, &rules) {
+        Ok(next) if has_same_teams(&found, &next) && keeps_ids(&found, &next) => {
+            let next = Teams { changes: found.changes, ..next };
+            Ok(Teams { changes: changes_since(&next, Some(first)), ..next })
+        }
+        // A search may end before it finds anything; what was found stands.
+        _ => Ok(found),
+    }
 }
 
 /// Whether two divisions have teams with the same ids.
@@ -70,6 +61,25 @@ fn has_same_teams(left: &Teams, right: &Teams) -> bool {
 fn is_kept(before: &Teams, now: &Teams) -> bool {
     let team_of: BTreeMap<&RobotId, &TeamId> = before.assignments().collect();
     now.assignments().all(|(robot, team)| team_of.get(robot) == Some(&team))
+}
+
+/// Whether no two teams exchange their ids, at once or bit by bit: of more than two robots fewer went from one to the other
+/// than stayed.
+fn keeps_ids(before: &Teams, now: &Teams) -> bool {
+    let team_of: BTreeMap<&RobotId, &TeamId> = before.assignments().collect();
+    let mut counts: BTreeMap<(&TeamId, &TeamId), usize> = BTreeMap::new();
+    for (robot, team) in now.assignments() {
+        if let Some(last) = team_of.get(robot) {
+            *counts.entry((*last, team)).or_default() += 1;
+        }
+    }
+    let count = |from: &TeamId, to: &TeamId| counts.get(&(from, to)).copied().unwrap_or_default();
+    let fits = |(a, b): (&TeamId, &TeamId)| {
+        let (crossed, stayed) = (count(a, b) + count(b, a), count(a, a) + count(b, b));
+        crossed < stayed || crossed == stayed && crossed <= 2
+    };
+    let ids: Vec<&TeamId> = now.teams.iter().map(|team| &team.id).collect();
+    ids.iter().enumerate().all(|(at, a)| ids[..at].iter().all(|b| fits((a, b))))
 }
 
 /// One division, from the last one.

@@ -48,7 +48,7 @@ fn ids_and_numbers_outlive_the_process() {
     assert!(next.take().teams.is_empty());
     assert_eq!(next.get("teams", None).unwrap().len(), 1);
     assert_eq!(next.get("robot/a/team", None).unwrap().len(), 1);
-    assert_eq!(next.status().state, "waiting for an embedding");
+    assert_eq!(next.status().state, "waiting for the robots of the last division");
     assert_eq!(next.host.deadline(), Some(START.after(muster_service::RENEWAL_INTERVAL)));
 
     next.receive_embedding(&again(&first, 1, 2));
