@@ -482,6 +482,14 @@ await run(async () => {
     assert.ok(past.count >= 10 && past.apart < 2, JSON.stringify(past));
     await picture(page, "replay");
     await axe(page, "replay");
+    // Where nothing was recorded, the map is empty, and does not show the present as the past.
+    await page.locator("#moment").evaluate((slider) => {
+        slider.min = "1000";
+        slider.value = "2000";
+        slider.dispatchEvent(new Event("change", { bubbles: true }));
+    });
+    await page.getByText("nothing was recorded until then").waitFor();
+    assert.equal(await page.evaluate(() => window.muster.state.replay.world.ground.count), 0);
     await page.locator("#leave-replay").click();
     await until(page, () => !document.querySelector(".banner"));
 

@@ -12,11 +12,17 @@ import { Component, h } from "./vendor/preact.js";
 const SPANS = [600, 3600, 6 * 3600, 24 * 3600, 7 * 24 * 3600];
 const MAX_ROWS = 200;
 
+/** The fleet where nothing was recorded. */
+const NOTHING = { sequence: 0, at: 0, teams: [], unassigned: [], stale: [], positions: {} };
+
 export class History extends Component {
+    /** Whether the panel was left: what was asked for is of no use any more. */
+    isGone = false;
+
     constructor() {
         super();
         /** @type {Record<string, any>} */
-        this.state = { span: 600, at: 0, past: null, rows: [], events: [], problem: "" };
+        this.state = { span: 600, at: 0, shown: 0, past: null, rows: [], events: [], problem: "" };
     }
 
     componentDidMount() {
@@ -24,6 +30,7 @@ export class History extends Component {
     }
 
     componentWillUnmount() {
+        this.isGone = true;
         showReplay(null);
     }
 
@@ -40,10 +47,10 @@ export class History extends Component {
     #show(at) {
         this.setState({ at });
         ask({ history: `as_of=${at.toFixed(6)}` }).then((answer) => {
-            if (this.state.at !== at) return;
+            if (this.isGone || this.state.at !== at) return;
             const past = answer.rows.as_of ?? null;
-            showReplay({ at, world: past && pastWorld(past) });
-            this.setState({ past, problem: past ? "" : "nothing was recorded until then" });
+            showReplay({ at, world: pastWorld(past ?? NOTHING) });
+            this.setState({ shown: at, past, problem: past ? "" : "nothing was recorded until then" });
         }, (error) => this.setState({ problem: error.message }));
     }
 
@@ -53,7 +60,7 @@ export class History extends Component {
     }
 
     render() {
-        const { span, at, past, rows, events, problem } = this.state;
+        const { span, at, shown, past, rows, events, problem } = this.state;
         const end = now();
         const list = [
             ...rows.map((/** @type {any} */ row) => ({ at: row.at / 1e6, text: row.snapshot ? `${counted(row.teams, "team")} of ${row.robots} robots (${words(row.snapshot)})` : `${counted(row.changed, "robot")} in another place; ${counted(row.teams, "team")}` })),
@@ -71,7 +78,7 @@ export class History extends Component {
                 onChange: (/** @type {any} */ event) => this.#show(Number(event.target.value)) })),
             problem ? h("p", { class: "warn" }, problem) : null,
             past ? h("section", { id: "past", "aria-labelledby": "past-title" },
-                h("h2", { id: "past-title" }, `REPLAY: the division at ${moment(at)}`),
+                h("h2", { id: "past-title" }, `REPLAY: the division at ${moment(shown)}`),
                 h("p", {}, `Recorded at ${moment(past.at / 1e6)}. `, past.audit ? `Mean silhouette ${fixed(past.audit.mean)}, ${past.audit.verdict}.` : "",
                     past.positions_at === null ? " No positions were recorded until then." : ` The map shows the positions of ${moment(past.positions_at / 1e6)}.`),
                 h("table", {}, h("thead", {}, h("tr", {}, ["team", "leader", "robots"].map((name) => h("th", { scope: "col" }, name)))),

@@ -8,6 +8,9 @@ use muster_model::id::RobotId;
 use muster_model::roster::Roster;
 use muster_model::time::Tick;
 
+/// How often all positions are recorded, so that old ones can be forgotten and a moment rests on two records.
+const WHOLE_INTERVAL: Duration = Duration::from_secs(3600);
+
 /// How far a robot is from where it was recorded before it is recorded again, in centimetres along an axis: what noise
 /// moves is not worth a row.
 const MOVED_CM: u64 = 50;
@@ -22,6 +25,8 @@ pub(crate) struct Positions {
     whole: BTreeMap<RobotId, [i64; 2]>,
     /// Those of the last record that differ from it.
     moved: Vec<(RobotId, [i64; 2])>,
+    /// When they were last recorded as a whole.
+    whole_at: Option<Tick>,
     /// When positions were last looked at.
     looked_at: Option<Tick>,
 }
@@ -46,16 +51,25 @@ impl Positions {
             .filter_map(|entry| Some((entry.robot.clone(), entry.position.map(centimetres)?)))
             .collect();
         let has_moved = |(robot, at): &(&RobotId, &[i64; 2])| {
-            self.whole.get(*robot).is_none_or(|before| {
-                before.iter().zip(*at).any(|(before, at)| before.abs_diff(*at) > MOVED_CM)
-            })
+            self.whole.get(*robot).is_none_or(|before| is_far(before, at))
         };
-        let moved: Vec<_> =
+        let mut moved: Vec<_> =
             present.iter().filter(has_moved).map(|(robot, at)| (robot.clone(), *at)).collect();
-        if 2 * moved.len() > present.len() {
+        let is_old = self.whole_at.is_none_or(|at| at > now || now.since(at) >= WHOLE_INTERVAL);
+        if !present.is_empty() && (is_old || 2 * moved.len() > present.len()) {
+            self.whole_at = Some(now);
             self.whole.clone_from(&present);
             self.moved.clear();
             return Some(PositionsRecord { is_whole: true, robots: present.into_iter().collect() });
+        }
+        // What noise moves stays where it was recorded.
+        for (robot, at) in &mut moved {
+            let known = self.moved.binary_search_by(|(other, _)| other.cmp(robot));
+            if let Some((_, before)) = known.ok().map(|place| &self.moved[place])
+                && !is_far(before, at)
+            {
+                *at = *before;
+            }
         }
         if moved == self.moved {
             return None;
@@ -73,6 +87,11 @@ impl Positions {
     pub(crate) fn robots(&self) -> usize {
         self.whole.len() + self.moved.len()
     }
+}
+
+/// Whether two places are further from each other than noise.
+fn is_far(left: &[i64; 2], right: &[i64; 2]) -> bool {
+    left.iter().zip(right).any(|(left, right)| left.abs_diff(*right) > MOVED_CM)
 }
 
 /// Centimetres east and north.

@@ -312,7 +312,11 @@ fn positions_are_recorded_where_robots_have_moved_and_found_as_of_a_moment() {
     recording.pass(S);
     recording.receive(roster_at(5, &[3.0, 10.0, 20.0]));
     assert_eq!(positions(&mut recording), [(false, vec![300])]);
-    recording.receive(roster_at(6, &[9.0, 19.0, 20.0]));
+    // A robot that has moved once is not recorded again for its noise.
+    recording.receive(roster_at(6, &[3.1, 10.0, 20.0]));
+    recording.pass(30 * S);
+    assert_eq!(positions(&mut recording), []);
+    recording.receive(roster_at(7, &[9.0, 19.0, 20.0]));
     recording.pass(30 * S);
     assert_eq!(positions(&mut recording), [(true, vec![900, 1900, 2000])]);
     recording.write();
@@ -323,7 +327,10 @@ fn positions_are_recorded_where_robots_have_moved_and_found_as_of_a_moment() {
     };
     assert_eq!(east_at(Duration::ZERO), [9.0, 19.0, 20.0]);
     assert_eq!(east_at(S), [3.0, 10.0, 20.0], "from the whole record and the last one");
-    assert_eq!(east_at(31 * S), [0.0, 10.0, 20.0]);
+    assert_eq!(east_at(61 * S), [0.0, 10.0, 20.0]);
+    // Every hour all of them are recorded, wherever they are.
+    recording.pass(3600 * S);
+    assert_eq!(positions(&mut recording), [(true, vec![900, 1900, 2000])]);
     // None where the setting says so.
     let never = HistorianSettings { positions_interval_s: 0.0, ..HistorianSettings::default() };
     let mut recording = Recording::start_with(never, vec![roster_at(1, &[0.0, 10.0])]);

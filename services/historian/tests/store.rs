@@ -499,6 +499,40 @@ fn a_file_that_is_older_than_positions_gets_their_tables() {
 }
 
 #[test]
+fn positions_go_with_their_minutes_but_for_those_that_others_rest_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path());
+    let mut teams = Teams::default();
+    teams[0] = Some(0);
+    teams[1] = Some(0);
+    let start = division(&teams, &teams, 1, Some(SnapshotCause::Start));
+    let survey = |minute: u64, robots: &[usize]| {
+        let place = |at: &usize| (robot(*at), [minute as i64, *at as i64]);
+        let robots = robots.iter().map(place).collect();
+        let positions = PositionsRecord { is_whole: minute == 0, robots };
+        Entry { at: Tick(START + minute * MINUTE_US), record: Record::Positions(positions) }
+    };
+    let mut entries = vec![Entry { at: Tick(START), record: start }, survey(0, &[0, 1])];
+    entries.extend((1..=600).map(|minute| survey(minute, &[0])));
+    store.write(&entries).unwrap();
+    let before = Tick(START + 500 * MINUTE_US);
+    while store.retain(&Retention { before, max_bytes: u64::MAX }).unwrap() {}
+    let path = folder.path().join("history.sqlite");
+    let count = |table: &str| -> i64 {
+        let count = format!("SELECT count(*) FROM {table}");
+        rusqlite::Connection::open(&path).unwrap().query_row(&count, [], |row| row.get(0)).unwrap()
+    };
+    assert!((100..=103).contains(&count("surveys")), "{}", count("surveys"));
+    assert!((101..=104).contains(&count("positions")), "{}", count("positions"));
+    for minute in [501, 600] {
+        let query = Query::of(Subject::AsOf(Tick(START + minute * MINUTE_US)));
+        let Rows::AsOf(Some(found)) = ask(&mut store, &query) else { panic!() };
+        let east: Vec<f64> = found.positions.values().map(|[east, _]| *east).collect();
+        assert_eq!(east, [minute as f64 / 100.0, 0.0]);
+    }
+}
+
+#[test]
 fn above_its_size_the_oldest_minutes_go_and_the_disk_gets_their_room_back() {
     let folder = tempfile::tempdir().unwrap();
     let mut store = open(folder.path());

@@ -107,6 +107,9 @@ impl HistoryFile {
         match opened {
             Ok(connection) => {
                 check_kind(&connection, &self.path, fleet)?;
+                connection.execute_batch(LATER_SCHEMA).map_err(|error| {
+                    format!("cannot add tables to {}: {error}", self.path.display())
+                })?;
                 Ok((connection, None))
             }
             Err(error) if is_damage(&error) => {
@@ -225,6 +228,7 @@ fn prepare(connection: &Connection, fleet: &FleetId) -> rusqlite::Result<()> {
     if version == 0 {
         let making = connection.unchecked_transaction()?;
         making.execute_batch(SCHEMA)?;
+        making.execute_batch(LATER_SCHEMA)?;
         making.execute(
             "INSERT INTO meta (key, value) VALUES ('fleet', ?1), ('sequence', 0)",
             [fleet.as_str()],
@@ -232,9 +236,6 @@ fn prepare(connection: &Connection, fleet: &FleetId) -> rusqlite::Result<()> {
         making.pragma_update(None, "application_id", APPLICATION_ID)?;
         making.pragma_update(None, "user_version", SCHEMA_VERSION)?;
         making.commit()?;
-    }
-    if version <= SCHEMA_VERSION {
-        connection.execute_batch(LATER_SCHEMA)?;
     }
     Ok(())
 }

@@ -105,9 +105,13 @@ fn forget(connection: &mut Connection, count: i64, stay: i64) -> rusqlite::Resul
         [cut],
         |row| row.get(0),
     )?;
-    let whole = whole.unwrap_or(0);
-    deleting.execute("DELETE FROM positions WHERE survey < ?1", [whole])?;
-    deleting.execute("DELETE FROM surveys WHERE seq < ?1", [whole])?;
+    // Positions rest on the last whole survey alone, so that of the others the last one until the cut is enough.
+    let newest: Option<i64> =
+        deleting
+            .query_row("SELECT max(seq) FROM surveys WHERE seq <= ?1", [cut], |row| row.get(0))?;
+    let kept = [cut, whole.unwrap_or(cut), newest.unwrap_or(cut)];
+    deleting.execute("DELETE FROM positions WHERE survey < ?1 AND survey NOT IN (?2, ?3)", kept)?;
+    deleting.execute("DELETE FROM surveys WHERE seq < ?1 AND seq NOT IN (?2, ?3)", kept)?;
     for statement in [
         "DELETE FROM audit_teams WHERE audit < ?1",
         "DELETE FROM audits WHERE seq < ?1",
@@ -123,7 +127,7 @@ fn forget(connection: &mut Connection, count: i64, stay: i64) -> rusqlite::Resul
     // An era ends where the next begins.
     deleting.execute(
         "DELETE FROM eras WHERE era < (SELECT max(era) FROM eras WHERE first_seq <= ?1)",
-        [base.min(whole).min(cut)],
+        [base.min(whole.unwrap_or(cut)).min(cut)],
     )?;
     deleting.commit()?;
     Ok(true)

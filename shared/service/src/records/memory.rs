@@ -266,12 +266,16 @@ impl MemoryRecords {
         let is_whole = |(numbered, positions): &(&Numbered, &PositionsRecord)| {
             numbered.sequence <= sequence && positions.is_whole
         };
-        let whole = self.positions().rev().find(is_whole).map_or(0, |(whole, _)| whole.sequence);
+        let whole = self.positions().rev().find(is_whole).map(|(whole, _)| whole.sequence);
+        let newest = self.positions().map(|(one, _)| one.sequence).filter(|one| *one <= sequence);
+        let surveys = [whole, newest.max()];
         let moment = self.records.iter().find(|numbered| numbered.sequence >= sequence);
         let moment = moment.map_or(Tick(0), |numbered| numbered.at);
         self.records.retain(|numbered| match numbered.record {
             Record::Division(_) => numbered.sequence >= base,
-            Record::Positions(_) => numbered.sequence >= whole,
+            Record::Positions(_) => {
+                numbered.sequence >= sequence || surveys.contains(&Some(numbered.sequence))
+            }
             _ => numbered.sequence >= sequence,
         });
         self.stays.retain(|stay| stay.left.is_none_or(|left| left >= moment));
