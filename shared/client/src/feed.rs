@@ -199,7 +199,7 @@ pub(crate) fn json(space: &KeySpace, packet: &Packet) -> Result<Option<ReceivedJ
         let message = Message::decode(space, packet)?;
         let encoded = message.encode(key, Format::Json, received);
         let encoded =
-            encoded.map_err(|error| Rejection::new(space, &packet.key, &error.to_string()))?;
+            encoded.map_err(|error| Rejection::new(space, &packet.key, error.to_string()))?;
         encoded.payload.into()
     };
     let key = packet.key.splitn(4, '/').nth(3).unwrap_or_default().to_owned();

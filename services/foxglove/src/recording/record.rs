@@ -185,12 +185,8 @@ impl Scenes {
                         writing.send(Job::Scene(topic, now, bytes));
                     }
                 }
-                Output::Fetch(fetch) => {
-                    // The core asks again for what no one answers.
-                    if self.orders.try_send(Order::Fetch(fetch)).is_err() {
-                        tracing::debug!("a question is not asked");
-                    }
-                }
+                // The core asks again for what no one answers, and for what found no room here.
+                Output::Fetch(fetch) => drop(self.orders.try_send(Order::Fetch(fetch))),
                 // There are no viewers.
                 _ => {}
             }
