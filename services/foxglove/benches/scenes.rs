@@ -1,6 +1,8 @@
 //! How long scenes take: `cargo bench --package muster-foxglove --no-default-features
 //! --features messages`. The goal is 20 ms for one turn of 10,000 robots.
 
+#![allow(clippy::unwrap_used, missing_docs, reason = "a benchmark fails by panicking")]
+
 use std::collections::BTreeSet;
 use std::sync::Arc;
 

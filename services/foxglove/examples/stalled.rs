@@ -3,6 +3,8 @@
 //!
 //! `cargo run --release --package muster-foxglove --no-default-features --features messages --example stalled`
 
+#![allow(clippy::unwrap_used, reason = "a measurement fails by panicking")]
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -1,5 +1,7 @@
 //! The core: what is sent when, what scenes show, and how parameters are changed.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -110,7 +112,7 @@ fn what_no_one_watches_is_not_made() {
 #[test]
 fn scenes_come_ten_times_a_second_and_no_turn_has_more_than_may_wait() {
     let modalities: Vec<Modality> =
-        (0..20).map(|at| Modality::new(&format!("m{at}")).unwrap()).collect();
+        (0..20).map(|at| Modality::new(format!("m{at}")).unwrap()).collect();
     let mut watched = vec![Topic::Transforms, Topic::Teams, Topic::Quality, Topic::Events];
     watched.extend(modalities.iter().cloned().map(Topic::Links));
     let mut bridge = bridge(Access::ReadOnly, &watched);

@@ -26,7 +26,7 @@ pub(crate) fn header(term: u64, epoch: u64) -> Header {
 }
 
 pub(crate) fn robot(node: u32) -> RobotId {
-    RobotId::new(&format!("r{node:05}")).unwrap()
+    RobotId::new(format!("r{node:05}")).unwrap()
 }
 
 /// A robot of the grid.
@@ -64,7 +64,7 @@ pub(crate) fn teams(robots: u32, count: u32) -> Arc<Teams> {
         let each = robots / count;
         let member = |node| Member { robot: robot(node), margin: 0.5 };
         Team {
-            id: TeamId::new(&format!("t{}", number + 1)).unwrap(),
+            id: TeamId::new(format!("t{}", number + 1)).unwrap(),
             members: (number * each..(number + 1) * each).map(member).collect(),
             leader: robot(number * each),
             centroid: Vec::new(),
