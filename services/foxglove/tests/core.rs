@@ -292,7 +292,7 @@ fn graphs_are_asked_for_while_they_are_watched_and_settings_always() {
     assert!(fetched(bridge.handle(at(150), Input::Tick)).is_empty(), "they are asked for");
     bridge.handle(at(200), Input::Watched(BTreeSet::from([links()])));
     let graph = Fetch::Graph(Modality::spatial());
-    assert_eq!(fetched(bridge.handle(at(300), Input::Tick)), [graph.clone()]);
+    assert_eq!(fetched(bridge.handle(at(300), Input::Tick)), std::slice::from_ref(&graph));
     bridge.handle(at(300), Input::Unfetched(graph.clone()));
     assert!(fetched(bridge.handle(at(400), Input::Tick)).is_empty(), "once a second");
     assert_eq!(fetched(bridge.handle(at(1_400), Input::Tick)), [graph]);
