@@ -100,7 +100,8 @@ async fn printed(peer: &mut Process, what: &str, right: impl Fn(&Value) -> bool)
 
 #[tokio::test(flavor = "multi_thread")]
 async fn robots_of_ros_are_divided_where_they_are_and_a_console_of_ros_sees_it() {
-    let fleet = Fleet::start("");
+    // The machine may be so busy that a robot's transforms come seconds after each other.
+    let fleet = Fleet::start("[frames]\nmax_age_s = 10.0\n");
     let client = fleet.cluster.client().await.unwrap();
     let teams = client.watch("json/teams").await.unwrap();
     let mut console = fleet.peer("console", &["r1", "s1"]);
@@ -156,6 +157,8 @@ async fn robots_of_ros_are_divided_where_they_are_and_a_console_of_ros_sees_it()
     assert_eq!(publishers("/r1/team")[0][0], "muster", "{graph}");
     assert_eq!(graph["subscriptions"]["/r1/odom"], serde_json::json!(["muster"]), "{graph}");
 
+    assert!(!fleet.bridge.output().contains("WARN"), "{}", fleet.bridge.output());
+
     // Robots that restart have other publishers, and are believed at once.
     robots.kill().unwrap();
     let moved = ["r1:0:0", "r2:41:1", "s1:40:0", "s2:2:2"];
@@ -165,7 +168,6 @@ async fn robots_of_ros_are_divided_where_they_are_and_a_console_of_ros_sees_it()
         division.len() == 4 && division["r1"] == division["s2"] && division["s1"] == division["r2"]
     };
     teams.until("the teams of robots that have moved", SOON, swapped).await.unwrap();
-    assert!(!fleet.bridge.output().contains("WARN"), "{}", fleet.bridge.output());
 
     // A bridge that is killed and started again goes on where it was: what it relays is not refused.
     let client = fleet.cluster.client().await.unwrap();
