@@ -72,8 +72,8 @@ fn most(service: ServiceName, bounds: Bounds) -> MemoryUse {
             offenders: OFFENDERS,
         },
         ServiceName::Historian => MemoryUse {
-            // The newest roster and division, and the tokens.
-            robots: 3 * robots,
+            // The newest roster and division, the tokens, and positions as they were recorded.
+            robots: 5 * robots,
             edges: 0,
             // The settings of the services, and gets that wait.
             messages: 4 + 64,
