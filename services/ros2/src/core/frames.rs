@@ -151,9 +151,13 @@ impl Frames {
         Ok(whole)
     }
 
-    /// Drops what is not static and older than an age, so that frames of robots that are gone take no memory.
-    pub fn forget(&mut self, now: Tick, age: Duration) {
-        self.links.retain(|_, link| link.is_static || now.since(link.received) <= age);
+    /// Drops what is older than an age, so that frames of robots that are gone take no memory. Static ones have an age of
+    /// their own, or stay.
+    pub fn forget(&mut self, now: Tick, age: Duration, static_age: Option<Duration>) {
+        self.links.retain(|_, link| {
+            let age = if link.is_static { static_age } else { Some(age) };
+            age.is_none_or(|age| now.since(link.received) <= age)
+        });
     }
 
     /// How many frames have a transform.
@@ -230,8 +234,13 @@ mod tests {
         assert!(matches!(x(&frames, at(1), "a", "map"), Err(ChainError::Circle(_))));
         assert_eq!(frames.len(), 2, "no frame is its own parent");
         frames.receive(at(1), "map", "lidar", shift(1.0), true);
-        frames.forget(at(9), SECOND);
+        frames.forget(at(9), SECOND, None);
         assert_eq!(frames.len(), 1);
+        frames.forget(at(9), SECOND, Some(8 * SECOND));
+        assert_eq!(frames.len(), 1, "it has eight seconds");
+        frames.forget(at(10), SECOND, Some(8 * SECOND));
+        assert_eq!(frames.len(), 0, "nor does a static one stay for ever, where it may not");
+        frames.receive(at(1), "map", "lidar", shift(1.0), true);
         frames.receive(at(1), "map", "far", shift(f64::NAN), true);
         assert_eq!(frames.len(), 1);
     }

@@ -1,6 +1,6 @@
 //! Samples of ROS on their way to reports: the newest of each robot and topic waits for the next tick.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -13,6 +13,7 @@ use muster_wire::{Packet, Source};
 
 use super::extract::{self, Problem, Stamped};
 use super::frames::Frames;
+use super::robots::{Robots, Stream};
 use crate::config::{Content, Setup};
 
 /// Most topics of robots that are read: a fleet of 5,000 robots has four each.
@@ -20,6 +21,10 @@ const MAX_KEYS: usize = 65_536;
 
 /// How long a topic without data is remembered, so that those of robots that are gone take no memory.
 const FORGET_AFTER: Duration = Duration::from_secs(60);
+
+/// How long a static transform of a tree that all robots share stays after it last arrived: its publisher is asked for it
+/// every ten seconds, and one that is silent for so long is gone.
+const FORGET_STATIC_AFTER: Duration = Duration::from_secs(3600);
 
 /// How long the odometry of a robot that starts may wait for its transforms before that is a fault.
 const START_TIME: Duration = Duration::from_secs(2);
@@ -42,14 +47,14 @@ struct Topic {
     source: usize,
     /// The name in ROS; empty where all robots share the topic.
     name: String,
+    /// 0 with a bridge of DDS, which knows none.
+    domain: u32,
     /// None where all robots share the topic.
     robot: Option<RobotId>,
     first: Tick,
     last: Tick,
     /// The newest sample that is not taken yet.
     waiting: Option<Waiting>,
-    /// How many were taken without a number of their own.
-    taken: u64,
     /// The key in its parts; none with a bridge of DDS.
     key: Option<TopicKey>,
 }
@@ -74,10 +79,12 @@ pub(super) struct Intake {
     /// Names this run, where publishers have no names.
     boot: String,
     topics: BTreeMap<String, Topic>,
-    /// By the name of the robot in ROS; empty where all robots share a tree.
-    frames: BTreeMap<String, Frames>,
-    /// The robots with a topic that has data, with their names in ROS.
-    robots: BTreeMap<RobotId, String>,
+    /// By domain and name of the robot in ROS; the name is empty where all robots share a tree.
+    frames: BTreeMap<(u32, String), Frames>,
+    robots: Robots,
+    /// How many samples were taken. It numbers those without a number of their own, over all robots and topics, so that it
+    /// goes on where a topic is forgotten and comes again.
+    taken: u64,
     forget_due: Tick,
     /// What the graph of ROS is not shown yet.
     readings: Vec<Reading>,
@@ -90,7 +97,8 @@ impl Intake {
             boot,
             topics: BTreeMap::new(),
             frames: BTreeMap::new(),
-            robots: BTreeMap::new(),
+            robots: Robots::default(),
+            taken: 0,
             forget_due: Tick::default(),
             readings: Vec::new(),
         }
@@ -101,7 +109,7 @@ impl Intake {
         std::mem::take(&mut self.readings)
     }
 
-    pub(super) fn robots(&self) -> &BTreeMap<RobotId, String> {
+    pub(super) fn robots(&self) -> &Robots {
         &self.robots
     }
 
@@ -123,7 +131,7 @@ impl Intake {
             Dialect::Ros2Dds => None,
             Dialect::RmwZenoh => Some(attachment.map_or_else(
                 || Err(refuse(NO_ATTACHMENT.to_owned())),
-                |bytes| Attachment::parse(bytes.as_bytes()).map_err(|e| refuse(e.to_string())),
+                |bytes| parse_attachment(bytes.as_bytes()).map_err(&refuse),
             )?),
         };
         if !self.topics.contains_key(&key) {
@@ -138,7 +146,8 @@ impl Intake {
         if let Content::Transforms { is_static } = description.content {
             let value = cdr::decode(&description.layout, &payload);
             let value = value.map_err(|error| refuse(error.to_string()))?;
-            let frames = self.frames.entry(topic.name.clone()).or_default();
+            let frames = self.frames.entry((topic.domain, topic.name.clone()));
+            let frames = frames.or_default();
             return take_transforms(now, frames, &value, is_static).map_err(&refuse);
         }
         topic.waiting = Some(Waiting { payload, attachment });
@@ -175,55 +184,40 @@ impl Intake {
             }
         };
         let name = description.topic.robot_of(topic.as_str()).ok_or("this is another topic")?;
-        let robot = if name.is_empty() { None } else { Some(self.join(name)?) };
+        let domain = parsed.as_ref().map_or(0, |key| key.domain);
         if self.topics.len() >= MAX_KEYS {
             return Err(format!("more than {MAX_KEYS} topics are not read"));
         }
+        let robot = (!name.is_empty()).then(|| self.robots.join(name, domain)).transpose()?;
         let name = name.to_owned();
-        Ok(Topic {
-            source,
-            name,
-            robot,
-            first: now,
-            last: now,
-            waiting: None,
-            taken: 0,
-            key: parsed,
-        })
-    }
-
-    /// The id of a robot of ROS, whose names may have capitals.
-    fn join(&mut self, name: &str) -> Result<RobotId, String> {
-        let robot = RobotId::new(name.to_ascii_lowercase()).map_err(|error| error.to_string())?;
-        match self.robots.get(&robot) {
-            Some(known) if known != name => {
-                Err(format!("{name} and {known} would both be the robot {robot}; rename one"))
-            }
-            Some(_) => Ok(robot),
-            None => {
-                self.robots.insert(robot.clone(), name.to_owned());
-                Ok(robot)
-            }
-        }
+        Ok(Topic { source, name, domain, robot, first: now, last: now, waiting: None, key: parsed })
     }
 
     /// The reports of the newest samples that were not taken yet, and what is refused of them.
     pub(super) fn take(&mut self, now: Tick) -> (Vec<(RobotId, Report)>, Vec<Refused>) {
         let (mut reports, mut refused) = (Vec::new(), Vec::new());
-        for (key, topic) in &mut self.topics {
+        // Sources come as the file lists them: of each robot and stream the first that brings something is read.
+        let mut topics: Vec<_> =
+            self.topics.iter_mut().filter(|(_, topic)| topic.waiting.is_some()).collect();
+        topics.sort_by_key(|(_, topic)| topic.source);
+        for (key, topic) in topics {
             let Some(waiting) = topic.waiting.take() else { continue };
-            topic.taken += 1;
             let (Some(robot), Some(source)) = (&topic.robot, self.setup.sources.get(topic.source))
             else {
                 continue;
             };
+            let Some(stream) = Stream::of(&source.content) else { continue };
+            if !self.robots.is_read(now, robot, stream, topic.source) {
+                continue;
+            }
+            self.taken += 1;
             let stamped = Stamped {
                 now,
                 boot: waiting.attachment.map_or_else(|| self.boot.clone(), |a| a.gid.to_string()),
-                seq: waiting.attachment.map_or(topic.taken, |a| a.sequence.unsigned_abs()),
+                seq: waiting.attachment.map_or(self.taken, |a| a.sequence.unsigned_abs()),
             };
-            let scope = if self.setup.prefix.is_some() { "" } else { topic.name.as_str() };
-            let frames = self.frames.get(scope);
+            let tree = if self.setup.prefix.is_some() { "" } else { topic.name.as_str() };
+            let frames = self.frames.get(&(topic.domain, tree.to_owned()));
             let report = read(&self.setup, source, topic, frames, &waiting.payload, stamped)
                 .and_then(|report| {
                     // What the fleet would refuse anyway, with the name of the field.
@@ -231,7 +225,10 @@ impl Intake {
                     Ok(checked.map_err(|error| error.to_string())?.into_parts())
                 });
             match report {
-                Ok(report) => reports.push(report),
+                Ok(report) => {
+                    self.robots.reported(now, robot, stream, topic.source);
+                    reports.push(report);
+                }
                 Err(problem) if problem.may_pass && now.since(topic.first) <= START_TIME => {}
                 Err(Problem { reason, .. }) => refused.push(Refused { key: key.clone(), reason }),
             }
@@ -253,15 +250,28 @@ impl Intake {
             }
             stays
         });
-        let topics = &self.topics;
-        self.robots
-            .retain(|robot, _| topics.values().any(|topic| topic.robot.as_ref() == Some(robot)));
-        // A static transform comes once: it stays for as long as its robot has any topic.
-        let robots: Vec<&String> = self.robots.values().collect();
-        self.frames.retain(|name, frames| {
-            frames.forget(now, FORGET_AFTER);
-            name.is_empty() || robots.contains(&name) || !frames.is_empty()
+        let stay: BTreeSet<&RobotId> =
+            self.topics.values().filter_map(|topic| topic.robot.as_ref()).collect();
+        self.robots.keep(&stay);
+        let places = self.robots.places();
+        self.frames.retain(|(domain, name), frames| {
+            if name.is_empty() {
+                frames.forget(now, FORGET_AFTER, Some(FORGET_STATIC_AFTER));
+                return !frames.is_empty();
+            }
+            // A static transform comes once: it stays for as long as its robot has any topic.
+            frames.forget(now, FORGET_AFTER, None);
+            places.contains(&(*domain, name.as_str()))
         });
+    }
+}
+
+/// The attachment of a message; publishers count from 1.
+fn parse_attachment(bytes: &[u8]) -> Result<Attachment, String> {
+    let attachment = Attachment::parse(bytes).map_err(|error| error.to_string())?;
+    match attachment.sequence {
+        1.. => Ok(attachment),
+        number => Err(format!("the number of the message is {number}; publishers count from 1")),
     }
 }
 

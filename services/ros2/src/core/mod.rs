@@ -7,8 +7,8 @@ mod intake;
 mod outgoing;
 mod publishers;
 mod refusals;
+mod robots;
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -25,10 +25,15 @@ use self::outgoing::Outgoing;
 use self::publishers::Publishers;
 pub use self::refusals::Refusal;
 use self::refusals::Refusals;
+pub use self::robots::Robots;
 use crate::config::Setup;
 
 /// How often superiors that never change are put, so that a service that lost them has them again.
 const RANKS_EVERY: Duration = Duration::from_secs(10);
+
+/// How old the last report of a robot may be whose superior is put: what is put makes the robot present, which transforms
+/// and refused poses do not.
+const REPORTED_WITHIN: Duration = Duration::from_secs(10);
 
 /// What happens.
 #[derive(Debug)]
@@ -150,9 +155,9 @@ impl Bridge {
         self.counts
     }
 
-    /// Robots that ROS has brought lately, with the names that they have there.
+    /// Robots that ROS has brought lately.
     #[must_use]
-    pub fn robots(&self) -> &BTreeMap<RobotId, String> {
+    pub fn robots(&self) -> &Robots {
         self.intake.robots()
     }
 
@@ -169,19 +174,21 @@ impl Bridge {
         }
         if now >= self.ranks_due && !self.setup.ranks.is_empty() {
             self.ranks_due = now.after(RANKS_EVERY);
-            outputs.extend(self.ranks());
+            outputs.extend(self.ranks(now));
         }
         outputs.extend(self.publish(now, true));
         self.refusals.forget(now);
         outputs
     }
 
-    /// Superiors that never change, of the robots that are there.
-    fn ranks(&mut self) -> Vec<Output> {
+    /// Superiors that never change, of the robots that report and do not name theirs themselves.
+    fn ranks(&mut self, now: Tick) -> Vec<Output> {
         self.ranks_put += 1;
         let (boot, seq) = (Some(self.boot.clone()), Some(self.ranks_put));
-        let there =
-            self.setup.ranks.iter().filter(|(robot, _)| self.intake.robots().contains_key(*robot));
+        let robots = self.intake.robots();
+        let there = self.setup.ranks.iter().filter(|(robot, _)| {
+            robots.has_reported(now, robot, REPORTED_WITHIN) && !robots.has_rank(robot)
+        });
         let rank = |(robot, superior): (&RobotId, &Option<RobotId>)| {
             let rank = Rank { boot: boot.clone(), seq, ..Rank::under(superior.clone()) };
             Output::Report(robot.clone(), Report::Rank(rank))

@@ -18,6 +18,7 @@ use muster_wire::json::EdgeJson as _;
 use super::Output;
 use super::publishers::Publishers;
 use super::refusals::Refusals;
+use super::robots::Robots;
 use crate::config::Setup;
 
 /// How often everything is shown although nothing has changed: for those who come late, and so that the age is right.
@@ -94,7 +95,7 @@ impl Outgoing {
         is_tick: bool,
         setup: &Setup,
         publishers: &mut Publishers,
-        robots: &BTreeMap<RobotId, String>,
+        robots: &Robots,
         refusals: &Refusals,
     ) -> Vec<Output> {
         let is_due = now.since(self.shown) >= SHOW_EVERY;
@@ -127,14 +128,14 @@ impl Outgoing {
         now: Tick,
         setup: &Setup,
         publishers: &mut Publishers,
-        robots: &BTreeMap<RobotId, String>,
+        robots: &Robots,
     ) -> Vec<Output> {
         let (Some(template), Some(teams)) = (&setup.publish.team, &self.teams) else {
             return Vec::new();
         };
         let mut outputs = Vec::new();
         self.robot_topics.retain(|robot, topic| {
-            let stays = robots.contains_key(robot);
+            let stays = robots.contains(robot);
             if !stays {
                 outputs.extend(publishers.withdraw(topic));
             }
@@ -144,7 +145,7 @@ impl Outgoing {
         if self.is_stale {
             return outputs;
         }
-        for (robot, name) in robots {
+        for (robot, name) in robots.iter() {
             let Some(team) = teams.robot_team(robot) else { continue };
             let Ok(topic) = TopicName::new(&template.with(name)) else { continue };
             let json = team.to_json(now).ok().and_then(|bytes| String::from_utf8(bytes).ok());
@@ -315,16 +316,12 @@ impl Shown<'_> {
     }
 
     fn intake_status(&self) -> Result<Value, MessageError> {
-        let reasons: Vec<(&str, String)> = self
-            .refusals
-            .iter()
-            .take(MAX_REASONS)
-            .map(|(key, reason)| (key, reason.to_owned()))
-            .collect();
-        let (level, message) = match reasons.len() {
+        let (level, message) = match self.refusals.len() {
             0 => (level::OK, "all topics are taken".to_owned()),
             count => (level::WARN, format!("{count} topics are not taken")),
         };
+        let reasons = self.refusals.iter().take(MAX_REASONS);
+        let reasons = reasons.map(|(key, reason)| (key, reason.to_owned())).collect();
         self.status("muster: topics".to_owned(), level, message, reasons)
     }
 

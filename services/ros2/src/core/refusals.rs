@@ -71,6 +71,11 @@ impl Refusals {
         self.topics.retain(|_, kept| now.since(kept.last) <= KEEP);
     }
 
+    /// How many topics have a reason that applies now.
+    pub(super) fn len(&self) -> usize {
+        self.topics.len()
+    }
+
     /// Topics and reasons that apply now, by the order of the topics.
     pub(super) fn iter(&self) -> impl Iterator<Item = (&str, &str)> {
         self.topics.iter().map(|(key, kept)| (key.as_str(), kept.reason.as_str()))

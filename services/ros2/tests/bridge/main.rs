@@ -7,133 +7,16 @@
     reason = "a test fails by panicking"
 )]
 
-use std::sync::Arc;
-use std::time::Duration;
+mod robots;
+mod world;
 
-use muster_model::id::{InstanceId, RobotId};
-use muster_model::observation::{Links, Pose, Rank, Report};
-use muster_model::time::Tick;
-use muster_ros::{Attachment, Catalog, Gid, Message, Token, TypeHash, TypeName, Value};
-use muster_ros2::config::{File, Setup};
-use muster_ros2::core::{Bridge, Input, Output};
+use muster_model::id::RobotId;
+use muster_model::observation::{Links, Rank, Report};
+use muster_ros::{Attachment, Catalog, Token, TypeName, Value};
+use muster_ros2::core::{Input, Output};
 use muster_wire::{Packet, Source};
 
-/// A publisher of ROS.
-const GID: Gid = Gid([7; 16]);
-
-struct World {
-    setup: Arc<Setup>,
-    bridge: Bridge,
-    now: Tick,
-    sequence: i64,
-}
-
-fn quarter_turn() -> Value {
-    let half = std::f64::consts::FRAC_1_SQRT_2;
-    Value::Struct([0.0, 0.0, half, half].map(Value::from).to_vec())
-}
-
-impl World {
-    fn new(topics: &str) -> Self {
-        let file: File = toml::from_str(topics).unwrap();
-        let setup = Arc::new(file.check().unwrap());
-        let instance = InstanceId::new("host-1").unwrap();
-        let bridge = Bridge::new(Arc::clone(&setup), "abc", &instance);
-        Self { setup, bridge, now: Tick(0).after(Duration::from_secs(1000)), sequence: 0 }
-    }
-
-    fn pass(&mut self, seconds: f64) {
-        self.now = self.now.after(Duration::from_secs_f64(seconds));
-    }
-
-    fn message(&self, type_name: &str) -> Message {
-        Message::new(&self.setup.catalog, type_name).unwrap()
-    }
-
-    fn key(message: &Message, topic: &str) -> String {
-        let layout = message.layout();
-        format!("0/{topic}/{}/{}", layout.name().to_dds(), TypeHash::of(layout))
-    }
-
-    fn packet(&mut self, key: String, message: &Message) -> Packet {
-        self.sequence += 1;
-        let attachment = Attachment { sequence: self.sequence, stamp_ns: 0, gid: GID };
-        let attachment = muster_wire::Attachment::new(attachment.to_bytes()).ok();
-        Packet { attachment, ..Packet::put(key, "", message.encode().unwrap()) }
-    }
-
-    /// The source that a topic belongs to, by its place in the setup.
-    fn source(&self, topic: &str) -> usize {
-        let found = self.setup.sources.iter().position(|one| one.topic.robot_of(topic).is_some());
-        found.unwrap_or_else(|| panic!("no source has {topic}"))
-    }
-
-    fn put(&mut self, topic: &str, message: &Message) -> Vec<Output> {
-        let key = Self::key(message, topic);
-        let packet = self.packet(key, message);
-        self.bridge.handle(self.now, Input::Sample(self.source(topic), packet))
-    }
-
-    fn odometry(&self, frame: &str, x: f64, y: f64) -> Message {
-        let mut message = self.message("nav_msgs/Odometry");
-        message.set("header.frame_id", frame).unwrap();
-        message.set("pose.pose.position.x", x).unwrap();
-        message.set("pose.pose.position.y", y).unwrap();
-        message
-    }
-
-    fn transform(&self, parent: &str, child: &str, x: f64, rotation: Value) -> Message {
-        let mut one = self.message("geometry_msgs/TransformStamped");
-        one.set("header.frame_id", parent).unwrap();
-        one.set("child_frame_id", child).unwrap();
-        one.set("transform.translation.x", x).unwrap();
-        one.set("transform.rotation", rotation).unwrap();
-        let mut message = self.message("tf2_msgs/TFMessage");
-        message.set("transforms", Value::List(vec![one.into_value()])).unwrap();
-        message
-    }
-
-    fn localise(&mut self, topic: &str, parent: &str, child: &str) {
-        let message = self.transform(parent, child, 10.0, quarter_turn());
-        assert_eq!(self.put(topic, &message), []);
-    }
-
-    /// Reports and reasons of the next tick.
-    fn tick(&mut self) -> (Vec<(String, Report)>, Vec<String>) {
-        let (mut reports, mut reasons) = (Vec::new(), Vec::new());
-        for output in self.bridge.handle(self.now, Input::Tick) {
-            match output {
-                Output::Report(robot, report) => reports.push((robot.to_string(), report)),
-                Output::Refused(refusal) => reasons.push(refusal.reason),
-                _ => {}
-            }
-        }
-        (reports, reasons)
-    }
-
-    fn pose(&mut self) -> Pose {
-        let (reports, reasons) = self.tick();
-        match &reports[..] {
-            [(_, Report::Pose(pose))] => pose.clone(),
-            other => panic!("{other:?} {reasons:?}"),
-        }
-    }
-
-    fn reason(&mut self) -> String {
-        let (reports, reasons) = self.tick();
-        assert_eq!(reports, []);
-        reasons.concat()
-    }
-}
-
-fn near(pose: &Pose, x: f64, y: f64, heading: Option<f64>) {
-    assert!((pose.x - x).abs() < 1e-9 && (pose.y - y).abs() < 1e-9, "{pose:?}");
-    let same = match (pose.heading, heading) {
-        (Some(own), Some(wanted)) => (own - wanted).abs() < 1e-6,
-        (own, wanted) => own == wanted,
-    };
-    assert!(same, "{pose:?}");
-}
+use self::world::{GID, World, near};
 
 #[test]
 fn the_newest_pose_is_moved_into_the_world_with_the_number_of_its_publisher() {
@@ -314,6 +197,8 @@ fn px4_fixes_links_and_ranks_are_read() {
     fix.set("latitude", 48.0).unwrap();
     fix.set("longitude", 11.0).unwrap();
     fix.set("altitude", 501.0).unwrap();
+    // The first source of its poses must be silent.
+    world.pass(4.0);
     world.put("r1/fix", &fix);
     let pose = world.pose();
     assert!(pose.x.abs() < 1e-6 && pose.y.abs() < 1e-6 && (pose.z.unwrap() - 1.0).abs() < 1e-6);
@@ -346,20 +231,21 @@ fn px4_fixes_links_and_ranks_are_read() {
 
     let mut superior = world.message("std_msgs/String");
     superior.set("data", "r1").unwrap();
-    world.put("r2/superior", &superior);
+    world.put("r3/superior", &superior);
+    world.put("r2/local", &px4);
     world.pass(11.0);
     let (reports, _) = world.tick();
     let ranks: Vec<_> = reports
         .into_iter()
-        .map(|(robot, report)| match report {
-            Report::Rank(Rank { superior, boot, .. }) => (robot, superior, boot.unwrap()),
-            other => panic!("{other:?}"),
+        .filter_map(|(robot, report)| match report {
+            Report::Rank(Rank { superior, boot, .. }) => Some((robot, superior, boot.unwrap())),
+            _ => None,
         })
         .collect();
     let r1 = Some(RobotId::new("r1").unwrap());
     // That of the topic, and that of the file for the robot that is there; r9 is not.
     let expected = [
-        ("r2".to_owned(), r1.clone(), GID.to_string()),
+        ("r3".to_owned(), r1.clone(), GID.to_string()),
         ("r2".to_owned(), r1, "host-1".to_owned()),
     ];
     assert_eq!(ranks, expected);

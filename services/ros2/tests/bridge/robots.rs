@@ -1,0 +1,195 @@
+//! Which robots are there, and by which of their topics.
+
+use muster_model::observation::Report;
+use muster_ros::Value;
+use muster_ros2::core::{Input, Output};
+use muster_wire::Packet;
+
+use super::world::{World, near};
+
+/// Ticks each second.
+fn idle(world: &mut World, seconds: u32) -> Vec<(String, Report)> {
+    let mut reports = Vec::new();
+    for _ in 0..seconds {
+        world.pass(1.0);
+        reports.extend(world.tick().0);
+    }
+    reports
+}
+
+fn ranks(reports: &[(String, Report)]) -> usize {
+    reports.iter().filter(|(_, report)| matches!(report, Report::Rank(_))).count()
+}
+
+#[test]
+fn numbers_of_the_bridge_never_begin_again() {
+    let mut world = World::new(
+        r#"
+        dialect = "ros2dds"
+        [[pose]]
+        topic = "/{robot}/odom"
+        type = "nav_msgs/Odometry"
+        [[pose]]
+        topic = "/{robot}/other"
+        type = "nav_msgs/Odometry"
+        "#,
+    );
+    let message = world.odometry("map", 1.0, 2.0);
+    let mut last = 0;
+    for topic in ["r1/odom", "r1/odom", "r1/other", "r1/odom"] {
+        let packet = Packet::put(topic, "", message.encode().unwrap());
+        let source = world.source(topic);
+        assert_eq!(world.bridge.handle(world.now, Input::Sample(source, packet)), []);
+        let seq = world.pose().seq.unwrap();
+        assert!(seq > last, "{topic}: {seq} follows {last}");
+        last = seq;
+        idle(&mut world, 75);
+        assert!(world.bridge.robots().is_empty(), "the topic is forgotten");
+    }
+}
+
+#[test]
+fn static_frames_go_with_their_robot() {
+    let mut world = World::new("");
+    world.localise("r1/tf_static", "map", "odom");
+    let message = world.odometry("odom", 1.0, 2.0);
+    world.put("r1/odom", &message);
+    near(&world.pose(), 8.0, 1.0, Some(std::f64::consts::FRAC_PI_2));
+    idle(&mut world, 75);
+    world.put("r1/odom", &message);
+    assert_eq!(world.tick().0, [], "the robot that is there now has said nothing of its frames");
+}
+
+#[test]
+fn only_robots_that_report_have_a_rank_of_the_file() {
+    let mut world = World::new("ranks = { r1 = \"\" }");
+    let message = world.odometry("nowhere", 1.0, 2.0);
+    for _ in 0..25 {
+        world.localise("r1/tf", "map", "odom");
+        world.put("r1/odom", &message);
+        assert_eq!(idle(&mut world, 1), [], "transforms and refused poses are no robot");
+    }
+    let message = world.odometry("map", 1.0, 2.0);
+    world.put("r1/odom", &message);
+    let reports = idle(&mut world, 9);
+    world.put("r1/odom", &message);
+    let reports = [reports, idle(&mut world, 9)].concat();
+    assert!(ranks(&reports) > 0, "{reports:?}");
+    idle(&mut world, 10);
+    assert_eq!(ranks(&idle(&mut world, 30)), 0, "it reports nothing any more");
+}
+
+#[test]
+fn one_source_of_a_robot_is_read_and_the_next_when_it_is_silent() {
+    let mut world = World::new(
+        r#"
+        [[pose]]
+        topic = "/{robot}/odom"
+        type = "nav_msgs/Odometry"
+        [[pose]]
+        topic = "/{robot}/amcl"
+        type = "nav_msgs/Odometry"
+        "#,
+    );
+    let (first, second) = (world.odometry("map", 1.0, 0.0), world.odometry("map", 2.0, 0.0));
+    for _ in 0..20 {
+        world.put("r1/amcl", &second);
+        world.put("r1/odom", &first);
+        near(&world.pose(), 1.0, 0.0, Some(0.0));
+        world.pass(0.5);
+        world.put("r1/amcl", &second);
+        assert_eq!(world.tick().0, [], "the other one waits");
+        world.pass(0.5);
+    }
+    world.pass(5.0);
+    world.put("r1/amcl", &second);
+    near(&world.pose(), 2.0, 0.0, Some(0.0));
+    world.put("r2/amcl", &second);
+    near(&world.pose(), 2.0, 0.0, Some(0.0));
+    world.put("r1/odom", &first);
+    near(&world.pose(), 1.0, 0.0, Some(0.0));
+}
+
+#[test]
+fn a_superior_that_a_robot_names_wins_over_that_of_the_file() {
+    let mut world = World::new(
+        r#"
+        [[rank]]
+        topic = "/{robot}/superior"
+        type = "std_msgs/String"
+        superior = "data"
+        [ranks]
+        r2 = "r9"
+        "#,
+    );
+    let mut superior = world.message("std_msgs/String");
+    superior.set("data", "r1").unwrap();
+    let mut reports = Vec::new();
+    for _ in 0..25 {
+        world.put("r2/superior", &superior);
+        reports.extend(idle(&mut world, 1));
+    }
+    assert_eq!(reports.len(), 25);
+    for (_, report) in reports {
+        let Report::Rank(rank) = report else { panic!("{report:?}") };
+        assert_eq!(rank.superior.unwrap().as_str(), "r1");
+    }
+}
+
+#[test]
+fn a_robot_is_of_one_domain() {
+    let mut world = World::new("domains = [0, 7]");
+    world.localise("r1/tf", "map", "odom");
+    let message = world.odometry("odom", 1.0, 2.0);
+    world.put("r1/odom", &message);
+    near(&world.pose(), 8.0, 1.0, Some(std::f64::consts::FRAC_PI_2));
+    for topic in ["r1/tf", "r1/odom"] {
+        let message = if topic == "r1/odom" {
+            message.clone()
+        } else {
+            world.transform("map", "odom", 0.0, turn(1.0))
+        };
+        let key = World::key(&message, topic).replacen('0', "7", 1);
+        let packet = world.packet(key, &message);
+        let source = world.source(topic);
+        let outputs = world.bridge.handle(world.now, Input::Sample(source, packet));
+        let [Output::Refused(refusal)] = &outputs[..] else { panic!("{outputs:?}") };
+        assert!(refusal.reason.contains("domain 0"), "{}", refusal.reason);
+    }
+    world.put("r1/odom", &message);
+    near(&world.pose(), 8.0, 1.0, Some(std::f64::consts::FRAC_PI_2));
+}
+
+#[test]
+fn trees_that_robots_share_are_those_of_their_domain() {
+    let topics = "domains = [0, 7]\nframes = { tf = \"/tf\", tf_static = \"/tf_static\" }";
+    let mut world = World::new(topics);
+    world.localise("tf", "map", "r1/odom");
+    let message = world.transform("map", "r1/odom", 0.0, turn(1.0));
+    let key = World::key(&message, "tf").replacen('0', "7", 1);
+    let packet = world.packet(key, &message);
+    let source = world.source("tf");
+    assert_eq!(world.bridge.handle(world.now, Input::Sample(source, packet)), []);
+    let message = world.odometry("odom", 1.0, 2.0);
+    world.put("r1/odom", &message);
+    near(&world.pose(), 8.0, 1.0, Some(std::f64::consts::FRAC_PI_2));
+}
+
+/// A rotation about the vertical by no angle, with a length.
+fn turn(w: f64) -> Value {
+    Value::Struct([0.0, 0.0, 0.0, w].map(Value::from).to_vec())
+}
+
+#[test]
+fn the_number_of_a_publisher_begins_with_one() {
+    let mut world = World::new("");
+    let message = world.odometry("map", 1.0, 2.0);
+    for sequence in [0, -5] {
+        world.pass(11.0);
+        world.sequence = sequence - 1;
+        let outputs = world.put("r1/odom", &message);
+        let [Output::Refused(refusal)] = &outputs[..] else { panic!("{outputs:?}") };
+        assert!(refusal.reason.contains("number"), "{}", refusal.reason);
+        assert_eq!(world.tick().0, []);
+    }
+}
