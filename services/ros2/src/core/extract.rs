@@ -13,6 +13,9 @@ use crate::config::{Axes, Content, PoseForm, Setup, Unit};
 /// The range of a received signal strength in dBm: below is less than the noise, above more than is sent.
 const DBM_RANGE: std::ops::RangeInclusive<f64> = -200.0..=50.0;
 
+/// Longest name of a frame in bytes: as long as a name of ROS may be in DDS.
+const MAX_FRAME_NAME_BYTES: usize = 255;
+
 /// When, and as which message of which publisher, a sample is taken.
 #[derive(Debug)]
 pub(super) struct Stamped {
@@ -55,41 +58,47 @@ fn frame_name(text: &str) -> &str {
     text.strip_prefix('/').unwrap_or(text)
 }
 
-/// The transforms of a `tf2_msgs/TFMessage`.
-pub(super) fn transforms(message: &Value) -> Result<Vec<NamedTransform<'_>>, String> {
-    let wrong = || "this is no list of transforms".to_owned();
-    let Value::Struct(outer) = message else { return Err(wrong()) };
-    let list = outer.first().and_then(Value::as_list).ok_or_else(wrong)?;
-    let mut found = Vec::with_capacity(list.len());
-    for one in list {
-        // Header (stamp, frame), child, transform (translation, rotation): the layout is built in.
-        let Value::Struct(parts) = one else { return Err(wrong()) };
-        let [Value::Struct(header), Value::Text(child), Value::Struct(transform)] = &parts[..]
-        else {
-            return Err(wrong());
-        };
-        let ([_, Value::Text(parent)], [translation, rotation]) = (&header[..], &transform[..])
-        else {
-            return Err(wrong());
-        };
-        let numbers = |value: &Value| -> Option<Vec<f64>> {
-            let Value::Struct(fields) = value else { return None };
-            fields.iter().map(Value::as_f64).collect()
-        };
-        let translation = numbers(translation).and_then(|v| v.try_into().ok()).ok_or_else(wrong)?;
-        let rotation: [f64; 4] =
-            numbers(rotation).and_then(|v| v.try_into().ok()).ok_or_else(wrong)?;
-        let rotation = Rotation::new(rotation).ok_or_else(|| {
-            format!("the rotation of {} is no quaternion of length 1", quoted(child))
-        })?;
-        let transform = Transform { translation, rotation };
-        found.push(NamedTransform {
-            parent: frame_name(parent),
-            child: frame_name(child),
-            transform,
-        });
+/// The transforms of a `tf2_msgs/TFMessage`, each by itself: one that is wrong leaves the others as they are.
+pub(super) fn transforms(
+    message: &Value,
+) -> Result<impl Iterator<Item = Result<NamedTransform<'_>, String>>, String> {
+    let list = match message {
+        Value::Struct(outer) => outer.first().and_then(Value::as_list),
+        _ => None,
+    };
+    Ok(list.ok_or_else(no_transforms)?.iter().map(named_transform))
+}
+
+fn no_transforms() -> String {
+    "this is no list of transforms".to_owned()
+}
+
+/// Header (stamp, frame), child, transform (translation, rotation): the layout is built in.
+fn named_transform(one: &Value) -> Result<NamedTransform<'_>, String> {
+    let wrong = no_transforms;
+    let Value::Struct(parts) = one else { return Err(wrong()) };
+    let [Value::Struct(header), Value::Text(child), Value::Struct(transform)] = &parts[..] else {
+        return Err(wrong());
+    };
+    let ([_, Value::Text(parent)], [translation, rotation]) = (&header[..], &transform[..]) else {
+        return Err(wrong());
+    };
+    if let Some(long) = [parent, child].into_iter().find(|name| name.len() > MAX_FRAME_NAME_BYTES) {
+        let name = quoted(long);
+        return Err(format!(
+            "the name of the frame {name} has more than {MAX_FRAME_NAME_BYTES} bytes"
+        ));
     }
-    Ok(found)
+    let numbers = |value: &Value| -> Option<Vec<f64>> {
+        let Value::Struct(fields) = value else { return None };
+        fields.iter().map(Value::as_f64).collect()
+    };
+    let translation = numbers(translation).and_then(|v| v.try_into().ok()).ok_or_else(wrong)?;
+    let rotation: [f64; 4] = numbers(rotation).and_then(|v| v.try_into().ok()).ok_or_else(wrong)?;
+    let rotation = Rotation::new(rotation)
+        .ok_or_else(|| format!("the rotation of {} is no quaternion of length 1", quoted(child)))?;
+    let transform = Transform { translation, rotation };
+    Ok(NamedTransform { parent: frame_name(parent), child: frame_name(child), transform })
 }
 
 fn number(value: &Value, place: &Place, what: &str) -> Result<f64, String> {
@@ -222,6 +231,8 @@ impl Reading<'_> {
                 let z = height.as_ref().map(|place| number(value, place, "the height"));
                 let angle = heading.as_ref().map(|place| number(value, place, "the heading"));
                 let (z, angle) = (z.transpose()?.unwrap_or(0.0), angle.transpose()?);
+                // PX4 has NaN where it knows no heading.
+                let angle = angle.filter(|angle| angle.is_finite());
                 let rotation = Rotation::about_z(angle.unwrap_or(0.0));
                 (Transform { translation: [x, y, z], rotation }, "", angle.is_some())
             }
@@ -229,9 +240,12 @@ impl Reading<'_> {
         if !pose.is_finite() {
             return Err("a coordinate is no finite number".into());
         }
-        let pose = match axes {
-            Axes::EastNorthUp => pose,
-            Axes::NorthEastDown => pose.from_north_east_down(),
+        let (pose, has_heading) = match axes {
+            Axes::EastNorthUp => (pose, has_heading),
+            // What points straight up or down has no heading, and none can be made of it.
+            Axes::NorthEastDown => {
+                (pose.from_north_east_down(), has_heading && pose.rotation.heading().is_some())
+            }
         };
         let frame = frame.unwrap_or(own_frame);
         if frame.is_empty() {
@@ -261,7 +275,7 @@ impl Reading<'_> {
             }
             None => frame.to_owned(),
         };
-        let empty = Frames::default();
+        let empty = Frames::new(0);
         let frames = self.frames.unwrap_or(&empty);
         let chain = frames.chain(self.now, &full, world, *max_age);
         chain.map_err(|error| Problem {

@@ -7,8 +7,11 @@ use muster_model::time::Tick;
 
 use super::geometry::Transform;
 
-/// Most frames of one tree. An arm has some dozens; a tree that all robots share has those of each.
-pub const MAX_FRAMES: usize = 65_536;
+/// Most frames of one robot: a humanoid with two hands has about a hundred.
+pub const MAX_ROBOT_FRAMES: usize = 1024;
+
+/// Most frames of a tree that all robots share: a dozen of each of 5,000 robots.
+pub const MAX_SHARED_FRAMES: usize = 65_536;
 
 /// Longest chain from a frame to its root.
 pub const MAX_CHAIN: usize = 64;
@@ -56,14 +59,29 @@ pub enum ChainError {
     Circle(String),
 }
 
+/// A tree has as many frames as it may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("more than {0} frames in one tree are not taken")]
+pub struct TooManyFrames(usize);
+
 /// The newest transform of each frame.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Frames {
     links: BTreeMap<String, Link>,
+    limit: usize,
 }
 
 impl Frames {
-    /// A transform arrived. One of a frame that is its own parent, or one frame too many, is left out.
+    /// A tree without frames, which may have so many.
+    #[must_use]
+    pub fn new(limit: usize) -> Self {
+        Self { links: BTreeMap::new(), limit }
+    }
+
+    /// A transform arrived. One of a frame that is its own parent is left out.
+    ///
+    /// # Errors
+    /// If the frame is new and one too many.
     pub fn receive(
         &mut self,
         now: Tick,
@@ -71,20 +89,23 @@ impl Frames {
         child: &str,
         transform: Transform,
         is_static: bool,
-    ) {
+    ) -> Result<(), TooManyFrames> {
         if parent == child || !transform.is_finite() {
-            return;
+            return Ok(());
         }
         if let Some(link) = self.links.get_mut(child) {
             (link.transform, link.received, link.is_static) = (transform, now, is_static);
             if link.parent != parent {
                 parent.clone_into(&mut link.parent);
             }
-        } else if self.links.len() < MAX_FRAMES {
+        } else if self.links.len() >= self.limit {
+            return Err(TooManyFrames(self.limit));
+        } else {
             let parent = parent.to_owned();
             let link = Link { parent, transform, received: now, is_static };
             self.links.insert(child.to_owned(), link);
         }
+        Ok(())
     }
 
     /// How a frame lies in the world, by the newest transforms.
@@ -194,54 +215,82 @@ mod tests {
 
     #[test]
     fn the_newest_chain_leads_to_the_world_wherever_that_is() {
-        let mut frames = Frames::default();
-        frames.receive(at(1), "earth", "map", shift(100.0), true);
-        frames.receive(at(1), "map", "odom", shift(10.0), false);
-        frames.receive(at(1), "odom", "base_link", shift(1.0), false);
-        frames.receive(at(1), "earth", "utm", shift(7.0), true);
+        let mut frames = Frames::new(MAX_ROBOT_FRAMES);
+        frames.receive(at(1), "earth", "map", shift(100.0), true).unwrap();
+        frames.receive(at(1), "map", "odom", shift(10.0), false).unwrap();
+        frames.receive(at(1), "odom", "base_link", shift(1.0), false).unwrap();
+        frames.receive(at(1), "earth", "utm", shift(7.0), true).unwrap();
         for (world, expected) in
             [("odom", 1.0), ("map", 11.0), ("earth", 111.0), ("utm", 104.0), ("base_link", 0.0)]
         {
             assert_eq!(x(&frames, at(1), "base_link", world), Ok(expected), "{world}");
         }
-        frames.receive(at(2), "map", "odom", shift(20.0), false);
+        frames.receive(at(2), "map", "odom", shift(20.0), false).unwrap();
         assert_eq!(x(&frames, at(2), "odom", "map"), Ok(20.0));
         assert_eq!(x(&frames, at(2), "map", "map"), Ok(0.0), "the world itself needs no transform");
     }
 
     #[test]
+    fn turns_and_shifts_of_a_chain_follow_one_another_from_the_frame_to_the_world() {
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let quarter = |axis: usize| {
+            let mut turn = [0.0, 0.0, 0.0, half];
+            turn[axis] = half;
+            Rotation::new(turn).unwrap()
+        };
+        let mut frames = Frames::new(MAX_ROBOT_FRAMES);
+        let odom = Transform { translation: [100.0, 0.0, 0.0], rotation: quarter(2) };
+        let base = Transform { translation: [0.0, 10.0, 0.0], rotation: quarter(0) };
+        frames.receive(at(1), "map", "odom", odom, false).unwrap();
+        frames.receive(at(1), "odom", "base_link", base, false).unwrap();
+        let near = |frame: &str, world: &str, expected: [f64; 3]| {
+            let chain = frames.chain(at(1), frame, world, SECOND).unwrap();
+            let point = Transform { translation: [1.0, 2.0, 3.0], rotation: Rotation::IDENTITY };
+            let found = point.within(chain).translation;
+            let is_near = (0..3).all(|axis| (found[axis] - expected[axis]).abs() < 1e-9);
+            assert!(is_near, "{frame} in {world}: {found:?} is not {expected:?}");
+        };
+        // About x, a quarter turn takes y to z and z to -y: (1, -3, 2), shifted to (1, 7, 2). About z, it takes x to y and y
+        // to -x: (-7, 1, 2), shifted to (93, 1, 2).
+        near("base_link", "odom", [1.0, 7.0, 2.0]);
+        near("base_link", "map", [93.0, 1.0, 2.0]);
+        // And back: (-99, 2, 3) turned to (2, 99, 3), (2, 89, 3) turned to (2, 3, -89).
+        near("map", "base_link", [2.0, 3.0, -89.0]);
+    }
+
+    #[test]
     fn a_frame_without_a_chain_and_an_old_one_are_refused() {
-        let mut frames = Frames::default();
-        frames.receive(at(1), "odom", "base_link", shift(1.0), false);
+        let mut frames = Frames::new(MAX_ROBOT_FRAMES);
+        frames.receive(at(1), "odom", "base_link", shift(1.0), false).unwrap();
         let apart = x(&frames, at(1), "base_link", "map").unwrap_err().to_string();
         assert!(
             apart.contains("from the frame base_link to map; the chain ends at odom"),
             "{apart}"
         );
-        frames.receive(at(1), "map", "odom", shift(1.0), false);
+        frames.receive(at(1), "map", "odom", shift(1.0), false).unwrap();
         let old = x(&frames, at(3), "odom", "map").unwrap_err().to_string();
         assert_eq!(old, "the transform of odom in map is 2.0 s old, more than 1 s");
-        frames.receive(at(1), "map", "odom", shift(1.0), true);
+        frames.receive(at(1), "map", "odom", shift(1.0), true).unwrap();
         assert!(x(&frames, at(3), "odom", "map").is_ok(), "a static one grows not old");
     }
 
     #[test]
     fn circles_and_memory_are_bounded() {
-        let mut frames = Frames::default();
-        frames.receive(at(1), "a", "b", shift(1.0), false);
-        frames.receive(at(1), "b", "a", shift(1.0), false);
-        frames.receive(at(1), "c", "c", shift(1.0), false);
+        let mut frames = Frames::new(MAX_ROBOT_FRAMES);
+        frames.receive(at(1), "a", "b", shift(1.0), false).unwrap();
+        frames.receive(at(1), "b", "a", shift(1.0), false).unwrap();
+        frames.receive(at(1), "c", "c", shift(1.0), false).unwrap();
         assert!(matches!(x(&frames, at(1), "a", "map"), Err(ChainError::Circle(_))));
         assert_eq!(frames.len(), 2, "no frame is its own parent");
-        frames.receive(at(1), "map", "lidar", shift(1.0), true);
+        frames.receive(at(1), "map", "lidar", shift(1.0), true).unwrap();
         frames.forget(at(9), SECOND, None);
         assert_eq!(frames.len(), 1);
         frames.forget(at(9), SECOND, Some(8 * SECOND));
         assert_eq!(frames.len(), 1, "it has eight seconds");
         frames.forget(at(10), SECOND, Some(8 * SECOND));
         assert_eq!(frames.len(), 0, "nor does a static one stay for ever, where it may not");
-        frames.receive(at(1), "map", "lidar", shift(1.0), true);
-        frames.receive(at(1), "map", "far", shift(f64::NAN), true);
+        frames.receive(at(1), "map", "lidar", shift(1.0), true).unwrap();
+        frames.receive(at(1), "map", "far", shift(f64::NAN), true).unwrap();
         assert_eq!(frames.len(), 1);
     }
 }

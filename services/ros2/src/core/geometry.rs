@@ -116,7 +116,7 @@ impl Transform {
     }
 
     /// The same pose where it was given with axes north, east and down, and with a heading clockwise from north, as PX4
-    /// has it.
+    /// has it. One that points straight up or down has no heading, and is not turned.
     #[must_use]
     pub fn from_north_east_down(self) -> Self {
         let [north, east, down] = self.translation;

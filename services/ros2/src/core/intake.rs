@@ -12,12 +12,16 @@ use muster_ros::{Attachment, Dialect, TopicKey, TypeHash, Value, cdr};
 use muster_wire::{Packet, Source};
 
 use super::extract::{self, Problem, Stamped};
-use super::frames::Frames;
+use super::frames::{Frames, MAX_ROBOT_FRAMES, MAX_SHARED_FRAMES};
 use super::robots::{Robots, Stream};
 use crate::config::{Content, Setup};
 
 /// Most topics of robots that are read: a fleet of 5,000 robots has four each.
 const MAX_KEYS: usize = 65_536;
+
+/// Most bytes of samples that wait for the next tick: poses of 5,000 robots have less than 5 MB, and one sample may have
+/// 256 KiB.
+const MAX_WAITING_BYTES: usize = 64 * 1024 * 1024;
 
 /// How long a topic without data is remembered, so that those of robots that are gone take no memory.
 const FORGET_AFTER: Duration = Duration::from_secs(60);
@@ -85,6 +89,8 @@ pub(super) struct Intake {
     /// How many samples were taken. It numbers those without a number of their own, over all robots and topics, so that it
     /// goes on where a topic is forgotten and comes again.
     taken: u64,
+    /// How many bytes wait, over all topics.
+    waiting_bytes: usize,
     forget_due: Tick,
     /// What the graph of ROS is not shown yet.
     readings: Vec<Reading>,
@@ -99,6 +105,7 @@ impl Intake {
             frames: BTreeMap::new(),
             robots: Robots::default(),
             taken: 0,
+            waiting_bytes: 0,
             forget_due: Tick::default(),
             readings: Vec::new(),
         }
@@ -146,10 +153,17 @@ impl Intake {
         if let Content::Transforms { is_static } = description.content {
             let value = cdr::decode(&description.layout, &payload);
             let value = value.map_err(|error| refuse(error.to_string()))?;
+            let limit = if topic.robot.is_some() { MAX_ROBOT_FRAMES } else { MAX_SHARED_FRAMES };
             let frames = self.frames.entry((topic.domain, topic.name.clone()));
-            let frames = frames.or_default();
+            let frames = frames.or_insert_with(|| Frames::new(limit));
             return take_transforms(now, frames, &value, is_static).map_err(&refuse);
         }
+        let replaced = topic.waiting.as_ref().map_or(0, |waiting| waiting.payload.len());
+        let bytes = self.waiting_bytes.saturating_sub(replaced).saturating_add(payload.len());
+        if bytes > MAX_WAITING_BYTES {
+            return Err(refuse(format!("more than {MAX_WAITING_BYTES} bytes may not wait")));
+        }
+        self.waiting_bytes = bytes;
         topic.waiting = Some(Waiting { payload, attachment });
         Ok(())
     }
@@ -200,6 +214,7 @@ impl Intake {
         let mut topics: Vec<_> =
             self.topics.iter_mut().filter(|(_, topic)| topic.waiting.is_some()).collect();
         topics.sort_by_key(|(_, topic)| topic.source);
+        self.waiting_bytes = 0;
         for (key, topic) in topics {
             let Some(waiting) = topic.waiting.take() else { continue };
             let (Some(robot), Some(source)) = (&topic.robot, self.setup.sources.get(topic.source))
@@ -292,15 +307,21 @@ fn read(
 const NO_ATTACHMENT: &str = "the message has no attachment, so that rmw_zenoh drops it as well; does a program put it \
      by hand, or is the dialect ros2dds?";
 
+/// Takes the transforms of a message that are right.
 fn take_transforms(
     now: Tick,
     frames: &mut Frames,
     message: &Value,
     is_static: bool,
 ) -> Result<(), String> {
+    let mut problem = Ok(());
     for transform in extract::transforms(message)? {
-        let extract::NamedTransform { parent, child, transform } = transform;
-        frames.receive(now, parent, child, transform, is_static);
+        let taken = transform.and_then(|named| {
+            let extract::NamedTransform { parent, child, transform } = named;
+            let taken = frames.receive(now, parent, child, transform, is_static);
+            taken.map_err(|error| error.to_string())
+        });
+        problem = problem.and(taken);
     }
-    Ok(())
+    problem
 }
