@@ -149,9 +149,9 @@ async fn a_recording_is_read_by_others_and_its_replay_gives_the_same_divisions()
     assert!(took > Duration::from_secs(6) && took < Duration::from_secs(20), "{took:?}");
     // The last division of all of them; when they have left there are others.
     let whole = again.all().into_iter().map(|(_, teams)| teams);
-    let whole =
+    let mut whole =
         whole.filter(|teams| division(teams).iter().map(Vec::len).sum::<usize>() == names.len());
-    let last = whole.last().expect("a division of all robots");
+    let last = whole.next_back().expect("a division of all robots");
     assert_eq!(division(&last), recorded);
     assert_eq!(last["fleet"], "replay-alpha", "what follows says what it is");
     // Each robot was where it had been, and says that it is none.
