@@ -39,7 +39,7 @@ impl Fleet {
     fn new(case: usize) -> Self {
         let (robots, teams) = (4 + case % 5, 2 + case % 3);
         let mut settings = ClustererSettings::default();
-        if case % 2 == 0 {
+        if case.is_multiple_of(2) {
             settings.size = TeamSize { min: Some(1), max: Some((robots / teams + 1) as u32) };
         }
         Self { case, robots, teams, settings }
