@@ -162,6 +162,14 @@ impl Client {
         Feed::subscribe(self.bus(), keys, feed::pose).await
     }
 
+    /// Subscribes to the poses of all robots, whether they have joined or not, from now on.
+    ///
+    /// # Errors
+    /// [`Error::Bus`] if the bus fails.
+    pub async fn all_poses(&self) -> Result<Feed<ReceivedPose>, Error> {
+        Feed::of_poses(self.bus(), feed::pose).await
+    }
+
     /// Subscribes to everything of robots and consoles that has a form in JSON, from now on: the streams of robots, their
     /// teams and refusals, and all keys below `json/`. For recordings.
     ///

@@ -86,6 +86,14 @@ impl<T: Clone + Send + 'static> Feed<T> {
         Self::of(bus, all, read, MAX_WAITING_RECORDS).await
     }
 
+    /// Subscribes to the poses of all robots.
+    pub(crate) async fn of_poses(
+        bus: &Bus,
+        read: fn(&KeySpace, &Packet) -> Result<Option<T>, Rejection>,
+    ) -> Result<Self, Error> {
+        Self::of(bus, [Pattern::Stream(RobotStream::Pose)], read, MAX_WAITING_RECORDS).await
+    }
+
     async fn of(
         bus: &Bus,
         patterns: impl IntoIterator<Item = Pattern>,

@@ -93,6 +93,12 @@ impl RobotPublisher {
         self.queue.push(message).map_err(|_| Error::Closed)
     }
 
+    /// The boot id of its reports.
+    #[must_use]
+    pub fn boot(&self) -> String {
+        lock(&self.reporter).boot().to_owned()
+    }
+
     /// Leaves the fleet on purpose. What is queued is sent all the same.
     pub async fn leave(self) {
         if let Err(error) = self.token.withdraw().await {

@@ -1,14 +1,12 @@
-//! Files of recordings: chunks that are whole on the disk soon after they began, and readers that take what is there.
+//! Writes recordings: chunks that are whole on the disk soon after they began.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::io::{BufWriter, Read as _};
-use std::ops::ControlFlow;
+use std::io::{BufWriter, ErrorKind};
 use std::path::{Path, PathBuf};
 
-use mcap::records::{MessageHeader, Metadata, Record};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use crate::messages::Form;
@@ -26,8 +24,8 @@ pub const MAX_TOPICS: usize = 60_000;
 /// six hours of a small fleet.
 const MAX_INDEX_ENTRIES: usize = 4_000_000;
 
-/// Longest record that is read, in bytes: the longest message of the bus.
-const MAX_RECORD_BYTES: usize = 64 * 1024 * 1024;
+/// Highest number of a part: months of a small fleet, so that looking for a free number ends.
+const MAX_PARTS: u32 = 10_000;
 
 /// A message that is to be recorded.
 #[derive(Debug, Clone)]
@@ -166,9 +164,20 @@ impl Recording {
     fn next_part(&mut self) -> Result<(), McapError> {
         self.writer.finish()?;
         self.file.sync_all()?;
-        self.part += 1;
-        let path = part_of(&self.path, self.part);
-        (self.writer, self.file) = open(&path)?;
+        let path = loop {
+            self.part += 1;
+            let path = part_of(&self.path, self.part);
+            match open(&path) {
+                Ok(opened) => {
+                    (self.writer, self.file) = opened;
+                    break path;
+                }
+                // Another recording has that part: the next number is taken.
+                Err(McapError::Io(error))
+                    if error.kind() == ErrorKind::AlreadyExists && self.part < MAX_PARTS => {}
+                Err(error) => return Err(error),
+            }
+        };
         self.topics.clear();
         self.index_entries = 0;
         tracing::info!("the recording goes on in {}", path.display());
@@ -194,84 +203,12 @@ pub fn part_of(path: &Path, part: u32) -> PathBuf {
     path.with_file_name(format!("{name}.{part}.{ending}"))
 }
 
-/// What is read of a recording.
-#[derive(Debug)]
-pub enum Item<'a> {
-    /// What was recorded.
-    Facts(&'a BTreeMap<String, String>),
-    /// A message.
-    Message(Entry<'a>),
-}
-
-/// How a file ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum End {
-    /// As it should.
-    Whole,
-    /// Before its end: the recorder was killed. What came before is there.
-    Cut,
-    /// The reader wanted no more.
-    Stopped,
-}
-
-/// Reads a recording from its begin, message by message.
-///
-/// # Errors
-/// If the file cannot be read, or is none. One that ends too early is no error.
-pub fn read(
-    path: &Path,
-    mut take: impl FnMut(Item<'_>) -> ControlFlow<()>,
-) -> Result<End, McapError> {
-    let mut file = File::open(path)?;
-    let options = LinearReaderOptions::default()
-        .with_record_length_limit(MAX_RECORD_BYTES)
-        .with_validate_chunk_crcs(true);
-    let mut reader = LinearReader::new_with_options(options);
-    let mut topics: BTreeMap<u16, String> = BTreeMap::new();
-    let mut is_recording = false;
-    while let Some(event) = reader.next_event() {
-        let (opcode, data) = match event {
-            Ok(LinearReadEvent::ReadRequest(wanted)) => {
-                let count = file.read(reader.insert(wanted))?;
-                reader.notify_read(count);
-                continue;
-            }
-            Ok(LinearReadEvent::Record { opcode, data }) => (opcode, data),
-            // A file that was cut within a record, or between two; one that never began is none.
-            Err(McapError::UnexpectedEof | McapError::UnexpectedEoc) if is_recording => {
-                return Ok(End::Cut);
-            }
-            Err(error) => return Err(error),
-        };
-        is_recording = true;
-        let flow = match mcap::parse_record(opcode, data)? {
-            Record::Channel(channel) => {
-                topics.insert(channel.id, channel.topic);
-                ControlFlow::Continue(())
-            }
-            Record::Metadata(metadata) if metadata.name == METADATA => {
-                take(Item::Facts(&metadata.metadata))
-            }
-            Record::Message { header, data } => match topics.get(&header.channel_id) {
-                Some(topic) => {
-                    take(Item::Message(Entry { topic, at: header.log_time, bytes: &data }))
-                }
-                None => ControlFlow::Continue(()),
-            },
-            // What follows is the index.
-            Record::DataEnd(_) => return Ok(End::Whole),
-            _ => ControlFlow::Continue(()),
-        };
-        if flow.is_break() {
-            return Ok(End::Stopped);
-        }
-    }
-    Ok(End::Whole)
-}
-
 #[cfg(test)]
 #[expect(clippy::disallowed_methods, reason = "a test cuts the files that are read")]
 mod tests {
+    use std::ops::ControlFlow;
+
+    use super::super::reading::{End, Item, read};
     use super::*;
 
     fn form() -> Form {
@@ -350,6 +287,20 @@ mod tests {
         std::mem::forget(recording);
         let (all, end) = messages(&path);
         assert_eq!((all.len(), end.unwrap()), (1, End::Cut));
+    }
+
+    #[test]
+    fn a_part_that_is_there_is_left_alone_and_the_next_number_is_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.mcap");
+        std::fs::write(part_of(&path, 2), b"of another").unwrap();
+        let mut recording = Recording::create(&path, BTreeMap::new()).unwrap();
+        recording.next_part().unwrap();
+        let entry = Entry { topic: "/robot/r1/pose", at: 7, bytes: b"{}" };
+        recording.write(&entry, form).unwrap();
+        recording.finish().unwrap();
+        assert_eq!(std::fs::read(part_of(&path, 2)).unwrap(), b"of another");
+        assert_eq!(messages(&part_of(&path, 3)).0, [("/robot/r1/pose".to_owned(), 7)]);
     }
 
     #[test]

@@ -12,7 +12,8 @@ use muster_model::observation::{Provenance, Report};
 use muster_wire::packet::JSON;
 use muster_wire::{KeySpace, Message, Packet};
 
-use super::file::{End, Entry, Item, read};
+use super::file::Entry;
+use super::reading::{End, Item, read};
 
 /// How long after its last message a robot leaves, in the time of the recording: about as long as `ingest` takes to notice
 /// that one is silent.

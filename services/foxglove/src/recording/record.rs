@@ -144,7 +144,10 @@ pub(super) async fn run(
             () = stop.stopped() => break,
             () = &mut end => break,
             // It ends by itself only if it fails.
-            _ = &mut writer => anyhow::bail!("{name}: the disk takes no more; what was written until then is there"),
+            written = &mut writer => return match written? {
+                Ok(_) => Ok(()),
+                Err(error) => anyhow::bail!("{name}: {error}; what was written until then is there"),
+            },
             _ = flushes.tick() => writing.send(Job::Flush),
             _ = turns.tick() => scenes.handle(clock.now(), Input::Tick, &mut writing),
             Some(input) = inbox.recv() => scenes.handle(clock.now(), input, &mut writing),

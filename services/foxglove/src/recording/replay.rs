@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use muster_client::{Client, Config, Error, RobotPublisher};
 use muster_model::id::{FleetId, RobotId};
+use muster_model::observation::Pose;
 use muster_model::replay::{REPLAY_PREFIX, is_replay};
 use muster_model::roster::Presence;
 use muster_runtime::config::{Origin, ProcessConfig};
@@ -16,9 +17,9 @@ use muster_runtime::stop::Stop;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 
-use super::file::{End, Item, read};
 use super::options::ReplayArgs;
 use super::play::{Overview, Pace, Reports, Step, overview};
+use super::reading::{End, Item, read};
 use crate::shell::fleet::client_config;
 
 /// Most steps that are read ahead.
@@ -52,46 +53,75 @@ fn fleet_of(config: &ProcessConfig, recorded: Option<&FleetId>) -> Result<FleetI
     FleetId::new(&name).map_err(|error| ExitError::usage(error.to_string()))
 }
 
-/// Refuses a fleet in which there are robots that this replay has not put there.
+/// Why a recording is not played among live robots.
+fn refused(robot: &RobotId) -> anyhow::Error {
+    ExitError::usage(format!(
+        "there are live robots in this fleet, such as {robot}: a recording is not played among them. Name another \
+         fleet with --fleet {REPLAY_PREFIX}NAME, or end what plays there"
+    ))
+    .into()
+}
+
+/// Refuses a fleet in which there are robots before the begin.
 ///
 /// # Errors
 /// Names the first of them.
-async fn refuse_live(client: &Client, own: &BTreeSet<RobotId>) -> anyhow::Result<()> {
+async fn refuse_live(client: &Client) -> anyhow::Result<()> {
     let mut live = client.get_joined_robots().await?;
     match client.get_roster().await {
         Ok(roster) => {
             let active = roster.robots.iter().filter(|entry| entry.presence == Presence::Active);
-            // Robots of this replay that have just left are there for a moment longer.
-            live.extend(active.map(|entry| entry.robot.clone()).filter(|_| own.is_empty()));
+            live.extend(active.map(|entry| entry.robot.clone()));
         }
         Err(Error::Unanswered { .. }) => {}
         Err(error) => return Err(error.into()),
     }
-    match live.difference(own).next() {
-        Some(robot) => Err(ExitError::usage(format!(
-            "there are live robots in this fleet, such as {robot}: a recording is not played among them. Name another \
-             fleet with --fleet {REPLAY_PREFIX}NAME, or end what plays there"
-        ))
-        .into()),
-        None => Ok(()),
+    live.first().map_or(Ok(()), |robot| Err(refused(robot)))
+}
+
+/// Refuses robots that have joined since, and that this replay has not put there.
+///
+/// # Errors
+/// Names the first of them.
+async fn refuse_joined(client: &Client, own: &Own) -> anyhow::Result<()> {
+    let joined = client.get_joined_robots().await?;
+    let stranger = joined.iter().find(|robot| !own.robots.contains(robot));
+    stranger.map_or(Ok(()), |robot| Err(refused(robot)))
+}
+
+/// Who this replay has put into the fleet: robots that have just left are there for a moment longer.
+#[derive(Debug, Default)]
+struct Own {
+    robots: BTreeSet<RobotId>,
+    boots: BTreeSet<String>,
+}
+
+impl Own {
+    /// Whether a pose is one of this replay; that of a live robot of the same id is not.
+    fn has(&self, pose: &Pose) -> bool {
+        pose.boot.as_ref().is_some_and(|boot| self.boots.contains(boot))
     }
 }
 
 /// One recording of all its parts.
-fn overview_of(args: &ReplayArgs, reports: &Reports) -> Result<Overview, ExitError> {
+fn overview_of(files: &[PathBuf], reports: &Reports) -> Result<Overview, ExitError> {
     let mut whole: Option<Overview> = None;
-    for path in &args.files {
+    for path in files {
         let part = overview(path, reports).map_err(|error| {
             ExitError::usage(format!(
                 "{}: is no recording that can be read: {error}",
                 path.display()
             ))
         })?;
-        if part.end == End::Cut {
-            eprintln!(
-                "{}: ends in the middle; what was recorded until then is played",
-                path.display()
-            );
+        let path = path.display();
+        match &part.end {
+            End::Cut => {
+                eprintln!("{path}: ends in the middle; what was recorded until then is played");
+            }
+            End::Damaged(why) => {
+                eprintln!("{path}: is damaged, and only what came before is played: {why}")
+            }
+            End::Whole | End::Stopped => {}
         }
         whole = Some(match whole {
             None => part,
@@ -147,13 +177,23 @@ pub(super) async fn run(
     config: ProcessConfig,
     mut stop: Stop,
 ) -> anyhow::Result<()> {
-    let reports = Reports::new(config.fleet.value.clone());
-    let overview = overview_of(args, &reports)?;
+    let (files, of) = (args.files.clone(), config.fleet.value.clone());
+    let overview = tokio::task::spawn_blocking(move || {
+        let reports = Reports::new(of);
+        overview_of(&files, &reports).map(|overview| (overview, reports))
+    });
+    let (overview, reports) = tokio::select! {
+        // Who reads is left behind: the process ends.
+        () = stop.stopped() => return Ok(()),
+        overview = overview => overview??,
+    };
     let fleet = fleet_of(&config, overview.fleet.as_ref())?;
     let client_config = Config { fleet: fleet.to_string(), ..client_config(&config) };
     let unreachable = |error: Error| ExitError::unreachable(error.to_string());
     let client = Client::open(&client_config).await.map_err(unreachable)?;
-    refuse_live(&client, &BTreeSet::new()).await?;
+    // From now on, so that none is missed between the look and the begin.
+    let mut poses = client.all_poses().await?;
+    refuse_live(&client).await?;
     if client.get_instances().await?.is_empty() {
         eprintln!("no service serves {fleet} yet: start some with `muster up --fleet {fleet}`");
     }
@@ -169,25 +209,37 @@ pub(super) async fn run(
     let files = args.files.clone();
     let reading = tokio::task::spawn_blocking(move || read_ahead(&files, &reports, pace, &steps));
     let mut robots: BTreeMap<RobotId, RobotPublisher> = BTreeMap::new();
-    let mut own: BTreeSet<RobotId> = BTreeSet::new();
+    let mut own = Own::default();
     let start = Instant::now();
     let mut looks = tokio::time::interval_at(start + LOOK_EVERY, LOOK_EVERY);
     looks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
     let mut next: Option<(Instant, Step)> = None;
     let ended = loop {
-        if next.is_none() {
-            next = ahead.recv().await.map(|(after, step)| (start + after, step));
-        }
-        let Some((at, step)) = next.take() else { break Ok(()) };
+        let due = next.as_ref().map(|(at, _)| *at);
+        let arrives = async {
+            match due {
+                Some(at) => tokio::time::sleep_until(at).await,
+                None => std::future::pending().await,
+            }
+        };
         tokio::select! {
             () = stop.stopped() => break Ok(()),
             _ = looks.tick() => {
-                next = Some((at, step));
-                if let Err(problem) = refuse_live(&client, &own).await {
+                if let Err(problem) = refuse_joined(&client, &own).await {
                     break Err(problem);
                 }
             }
-            () = tokio::time::sleep_until(at) => {
+            received = poses.next() => match received {
+                Ok(received) if own.has(&received.pose) => {}
+                Ok(received) => break Err(refused(&received.robot)),
+                Err(error) => break Err(error.into()),
+            },
+            step = ahead.recv(), if due.is_none() => match step {
+                Some((after, step)) => next = Some((start + after, step)),
+                None => break Ok(()),
+            },
+            () = arrives => {
+                let Some((_, step)) = next.take() else { continue };
                 if let Err(problem) = perform(&client, step, &mut robots, &mut own).await {
                     break Err(problem);
                 }
@@ -211,7 +263,7 @@ async fn perform(
     client: &Client,
     step: Step,
     robots: &mut BTreeMap<RobotId, RobotPublisher>,
-    own: &mut BTreeSet<RobotId>,
+    own: &mut Own,
 ) -> anyhow::Result<()> {
     match step {
         Step::Leave(robot) => {
@@ -221,8 +273,9 @@ async fn perform(
         }
         Step::Put(robot, report) => {
             if !robots.contains_key(&robot) {
-                own.insert(robot.clone());
+                own.robots.insert(robot.clone());
                 let publisher = client.join_as_replay(robot.clone()).await?;
+                own.boots.insert(publisher.boot());
                 robots.insert(robot.clone(), publisher);
             }
             if let Some(publisher) = robots.get(&robot) {
@@ -269,5 +322,14 @@ mod tests {
             refused.contains("never played into alpha") && refused.contains("replay-"),
             "{refused}"
         );
+    }
+
+    #[test]
+    fn only_poses_of_the_replay_itself_are_its_own() {
+        let own = Own { boots: BTreeSet::from(["replay-1".to_owned()]), ..Own::default() };
+        let of = |boot: Option<&str>| Pose { boot: boot.map(str::to_owned), ..Pose::at(0.0, 0.0) };
+        assert!(own.has(&of(Some("replay-1"))));
+        // A live robot of a recorded id, one that is relayed, and one of another replay.
+        assert!(!own.has(&of(Some("1"))) && !own.has(&of(None)) && !own.has(&of(Some("replay-2"))));
     }
 }
