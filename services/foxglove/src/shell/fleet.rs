@@ -8,6 +8,7 @@ use muster_model::id::{OperatorId, ServiceName};
 use muster_runtime::config::{self, Origin, ProcessConfig};
 use serde_json::Value;
 use tokio::sync::mpsc;
+use tokio::task::JoinSet;
 
 use crate::{Fetch, Input, Stale, Ticket};
 
@@ -59,8 +60,15 @@ pub(crate) async fn follow(config: Config, inputs: Inputs, mut orders: mpsc::Rec
             }
         }
     };
-    if let Err(error) = subscribe(&client, &inputs).await {
-        return tracing::error!("{error}");
+    // What an attempt that failed has begun ends before the next one.
+    let mut following = JoinSet::new();
+    while let Err(error) = subscribe(&client, &inputs, &mut following).await {
+        tracing::warn!("the fleet cannot be followed: {error}");
+        following.shutdown().await;
+        if inputs.is_closed() {
+            return;
+        }
+        tokio::time::sleep(OPEN_AGAIN).await;
     }
     while let Some(order) = orders.recv().await {
         let (client, inputs) = (client.clone(), inputs.clone());
@@ -74,12 +82,16 @@ pub(crate) async fn follow(config: Config, inputs: Inputs, mut orders: mpsc::Rec
     client.close().await;
 }
 
-async fn subscribe(client: &Client, inputs: &Inputs) -> Result<(), Error> {
-    pass_on(client.rosters().await?, inputs, Input::Roster);
-    pass_on(client.teams().await?, inputs, Input::Teams);
-    pass_on(client.audits().await?, inputs, Input::Audit);
+async fn subscribe(
+    client: &Client,
+    inputs: &Inputs,
+    following: &mut JoinSet<()>,
+) -> Result<(), Error> {
+    following.spawn(pass_on(client.rosters().await?, inputs.clone(), Input::Roster));
+    following.spawn(pass_on(client.teams().await?, inputs.clone(), Input::Teams));
+    following.spawn(pass_on(client.audits().await?, inputs.clone(), Input::Audit));
     let (mut events, to) = (client.events().await?, inputs.clone());
-    tokio::spawn(async move {
+    following.spawn(async move {
         while let Ok(event) = events.next().await {
             if to.send(Input::Event(Box::new(event))).await.is_err() {
                 return;
@@ -87,7 +99,7 @@ async fn subscribe(client: &Client, inputs: &Inputs) -> Result<(), Error> {
         }
     });
     let (mut link, to) = (client.link(), inputs.clone());
-    tokio::spawn(async move {
+    following.spawn(async move {
         loop {
             let linked = *link.borrow_and_update();
             if to.send(Input::Link(linked)).await.is_err() || link.changed().await.is_err() {
@@ -107,28 +119,25 @@ fn stale(staleness: Option<Staleness>) -> Stale {
 }
 
 /// Passes on the newest message whenever it changes, and from time to time.
-fn pass_on<T: Publication>(
+async fn pass_on<T: Publication>(
     mut watch: Watch<T>,
-    inputs: &Inputs,
+    to: Inputs,
     input: fn(Arc<T>, Stale) -> Input,
 ) {
-    let to = inputs.clone();
-    tokio::spawn(async move {
-        loop {
-            let changed = tokio::time::timeout(LOOK_EVERY, watch.changed()).await;
-            let latest: Option<Latest<T>> = match changed {
-                Ok(Ok(latest)) => Some(latest),
-                Ok(Err(_)) => return,
-                Err(_) => watch.latest(),
-            };
-            if let Some(latest) = latest {
-                // While the core is busy, newer messages take the place of this one in the watch.
-                if to.send(input(latest.value, stale(latest.stale))).await.is_err() {
-                    return;
-                }
+    loop {
+        let changed = tokio::time::timeout(LOOK_EVERY, watch.changed()).await;
+        let latest: Option<Latest<T>> = match changed {
+            Ok(Ok(latest)) => Some(latest),
+            Ok(Err(_)) => return,
+            Err(_) => watch.latest(),
+        };
+        if let Some(latest) = latest {
+            // While the core is busy, newer messages take the place of this one in the watch.
+            if to.send(input(latest.value, stale(latest.stale))).await.is_err() {
+                return;
             }
         }
-    });
+    }
 }
 
 async fn carry_out(client: &Client, order: Order) -> Input {
