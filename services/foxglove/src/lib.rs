@@ -24,5 +24,5 @@ pub mod shell;
 
 pub use crate::core::{
     Access, Bridge, Fetch, Input, Output, Parameter, RequestId, Stale, TEAMS, Ticket, Topic,
-    WEIGHTS, limits, scene, team_color,
+    WEIGHTS, are_bounded, limits, scene, team_color,
 };

@@ -61,3 +61,9 @@ pub const MAX_PENDING_QUESTIONS: usize = 64;
 
 /// Most parameters in one change: more than there are.
 pub const MAX_PARAMETERS: usize = 16;
+
+/// Longest name of a parameter in bytes: longer than any there is.
+pub const MAX_PARAMETER_NAME_BYTES: usize = 128;
+
+/// Longest value of a parameter in JSON, in bytes: weights of a hundred modalities fit.
+pub const MAX_PARAMETER_BYTES: usize = 16 * 1024;

@@ -34,7 +34,7 @@ use self::fleet::Fleet;
 use self::links::Links;
 use self::news::News;
 use self::parameters::Confirmed;
-pub use self::parameters::{Parameter, TEAMS, WEIGHTS};
+pub use self::parameters::{Parameter, TEAMS, WEIGHTS, are_bounded};
 use self::scene::{Level, Message};
 use self::sending::Sent;
 pub use self::topic::Topic;
@@ -197,8 +197,15 @@ impl Bridge {
             }
             Input::Audit(audit, stale) => {
                 self.fresh("audit", stale);
+                let is_new = self
+                    .audit
+                    .as_ref()
+                    .is_none_or(|known| known.header.revision != audit.header.revision);
                 self.audit = Some(audit);
-                self.sent.change(&Topic::Quality);
+                // It is looked at every second, whether it is another one or not.
+                if is_new {
+                    self.sent.change(&Topic::Quality);
+                }
             }
             Input::Event(event) => self.note(&event),
             Input::Settings(service, settings) => {

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use muster_model::id::ServiceName;
 use serde_json::{Value, json};
 
-use super::limits::MAX_PARAMETERS;
+use super::limits::{MAX_PARAMETER_BYTES, MAX_PARAMETER_NAME_BYTES, MAX_PARAMETERS};
 
 /// The number of teams.
 pub const TEAMS: &str = "clusterer.teams";
@@ -21,6 +21,12 @@ pub struct Parameter {
     pub name: String,
     /// Its value: a whole number or a text for the number of teams, a table for the weights. None is one that is not set.
     pub value: Option<Value>,
+}
+
+/// Whether names of parameters are few and short enough to be kept until they are answered.
+#[must_use]
+pub fn are_bounded<'a>(mut names: impl ExactSizeIterator<Item = &'a str>) -> bool {
+    names.len() <= MAX_PARAMETERS && names.all(|name| name.len() <= MAX_PARAMETER_NAME_BYTES)
 }
 
 /// The services that have parameters.
@@ -75,6 +81,9 @@ impl Confirmed {
         let mut patches: BTreeMap<ServiceName, Value> = BTreeMap::new();
         for Parameter { name, value } in parameters {
             let value = value.as_ref().ok_or_else(|| format!("{name}: cannot be removed"))?;
+            if value.to_string().len() > MAX_PARAMETER_BYTES {
+                return Err(format!("{name}: is longer than {MAX_PARAMETER_BYTES} bytes"));
+            }
             match name.as_str() {
                 TEAMS => patches.insert(ServiceName::Clusterer, json!({"teams": teams(value)?})),
                 WEIGHTS => patches.insert(ServiceName::Embedder, json!({"weights": value})),
@@ -159,6 +168,12 @@ mod tests {
             let found = Confirmed::patches(std::slice::from_ref(&wrong)).unwrap_err();
             assert!(found.contains(problem) && found.contains(&wrong.name), "{found}");
         }
+        let long = parameter(WEIGHTS, json!({"spatial": "1".repeat(MAX_PARAMETER_BYTES)}));
+        assert!(Confirmed::patches(&[long]).unwrap_err().contains("is longer than"));
+        assert!(are_bounded([TEAMS; MAX_PARAMETERS].into_iter()));
+        assert!(!are_bounded([TEAMS; MAX_PARAMETERS + 1].into_iter()));
+        let name = "n".repeat(MAX_PARAMETER_NAME_BYTES + 1);
+        assert!(are_bounded([&name[1..]].into_iter()) && !are_bounded([name.as_str()].into_iter()));
         let many = vec![parameter(TEAMS, json!(1)); MAX_PARAMETERS + 1];
         assert!(Confirmed::patches(&many).unwrap_err().contains("at most"));
         // What the service refuses is its business.

@@ -21,7 +21,7 @@ use tokio::sync::mpsc;
 use crate::limits::MAX_WAITING_MESSAGES;
 use crate::messages::{bytes, form, nanoseconds};
 use crate::scene::{Level, Message};
-use crate::{Input, Parameter, RequestId, Topic};
+use crate::{Input, Parameter, RequestId, Topic, are_bounded};
 
 /// Most requests that wait for their answer; the crate lets each viewer have 32.
 const MAX_REQUESTS: usize = 256;
@@ -93,6 +93,10 @@ impl ParameterHandler for Callbacks {
         _: Option<String>,
         responder: GetParametersResponder,
     ) {
+        // Dropping the responder says to the viewer that it failed.
+        if !are_bounded(names.iter().map(String::as_str)) {
+            return;
+        }
         if let Some(id) = self.0.wait(Responder::Get(responder))
             && !self.0.pass_on(Input::Get(id, names))
         {
@@ -107,6 +111,10 @@ impl ParameterHandler for Callbacks {
         _: Option<String>,
         responder: SetParametersResponder,
     ) {
+        if !are_bounded(parameters.iter().map(|parameter| parameter.name.as_str())) {
+            return client
+                .send_error("nothing was changed: too many names, or too long ones".to_owned());
+        }
         let read = |parameter: foxglove::websocket::Parameter| Parameter {
             name: parameter.name,
             value: parameter.value.map(value),
