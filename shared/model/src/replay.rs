@@ -2,10 +2,11 @@
 
 use crate::id::FleetId;
 
-/// What the name of a fleet begins with in which a recording is played, and of no other.
+/// What the name of a fleet begins with in which a recording is played: `muster replay` plays into no other. Nothing stops
+/// live robots from joining such a fleet; whoever names one so is shown that it is a replay.
 pub const REPLAY_PREFIX: &str = "replay-";
 
-/// Whether a recording is played in a fleet.
+/// Whether a fleet is one for recordings, by its name.
 #[must_use]
 pub fn is_replay(fleet: &FleetId) -> bool {
     fleet.as_str().starts_with(REPLAY_PREFIX)
