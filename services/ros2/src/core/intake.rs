@@ -281,12 +281,14 @@ impl Intake {
     }
 }
 
-/// The attachment of a message; publishers count from 1.
+/// The attachment of a message; publishers count from 1, and those of some programs from 0.
 fn parse_attachment(bytes: &[u8]) -> Result<Attachment, String> {
     let attachment = Attachment::parse(bytes).map_err(|error| error.to_string())?;
     match attachment.sequence {
-        1.. => Ok(attachment),
-        number => Err(format!("the number of the message is {number}; publishers count from 1")),
+        0.. => Ok(attachment),
+        number => {
+            Err(format!("the number of the message is {number}; publishers count from 0 or 1"))
+        }
     }
 }
 
