@@ -181,10 +181,10 @@ fn turn(w: f64) -> Value {
 }
 
 #[test]
-fn the_number_of_a_publisher_begins_with_one() {
+fn the_number_of_a_publisher_is_not_negative() {
     let mut world = World::new("");
     let message = world.odometry("map", 1.0, 2.0);
-    for sequence in [0, -5] {
+    for sequence in [-1, -5] {
         world.pass(11.0);
         world.sequence = sequence - 1;
         let outputs = world.put("r1/odom", &message);
