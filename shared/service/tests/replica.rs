@@ -333,7 +333,7 @@ fn a_standby_asks_for_the_settings_of_its_leader_until_they_come() {
     driven.answer(&question, vec![settings(7, 8, 5)]);
     assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Standby, 5));
     assert!((9..30).all(|epoch| pass(&mut driven, epoch).is_empty()));
-    // One that never answers is asked for some seconds, and each leader anew.
+    // One that never answers is asked for some seconds, and each leader again.
     let mut driven = Driven::answered(vec![renewal("a", 7, 5)]);
     driven.receive(token("a", true));
     let questions: usize = (6..40).map(|epoch| pass(&mut driven, epoch).len()).sum();

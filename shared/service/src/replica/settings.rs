@@ -141,7 +141,7 @@ impl<S: Settings> ReplicaSettings<S> {
     }
 
     /// This instance leads after another one. Settings that it has adopted are those of the fleet, and so are its own where
-    /// nobody has others. Those of a leader that it never received are not: an instance that has kept them takes over.
+    /// no instance has others. Those of a leader that it never received are not: an instance that has kept them takes over.
     pub(crate) fn succeed(&mut self) {
         self.are_known |= self.are_lost;
     }
