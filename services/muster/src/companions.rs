@@ -257,6 +257,10 @@ mod tests {
     #[test]
     fn another_program_finds_the_same_fleet() {
         assert_eq!(flags_of(&[]), ["--fleet", "default"]);
+        // A process reads the file when it starts, so it must be there.
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("z.json5");
+        std::fs::write(&file, "{}").unwrap();
         let all = [
             "--fleet",
             "alpha",
@@ -265,7 +269,7 @@ mod tests {
             "--mode",
             "peer",
             "--zenoh-config",
-            "z.json5",
+            file.to_str().unwrap(),
             "--log",
             "debug",
             "--log-json",
