@@ -157,6 +157,25 @@ fn an_instance_that_takes_over_adopts_what_a_suspect_could_not_announce() {
     assert_eq!(driven.teams(), 5);
 }
 
+/// A leader whose link is back just as another instance is about to begin was not there when that asked.
+#[test]
+fn an_instance_that_is_about_to_lead_asks_once_more_where_another_one_has_appeared() {
+    let mut driven = Driven::new();
+    driven.now = small::START.before(Duration::from_secs(2));
+    driven.input(Input::Started { linked: true });
+    driven.receive(token("c", true));
+    driven.now = small::START;
+    driven.answer_all(Vec::new());
+    assert_eq!(driven.host.replica_state(), ReplicaState::Starting);
+    // Tokens that come and go keep it from leading no longer than that.
+    driven.receive(token("c", false));
+    driven.receive(token("c", true));
+    driven.answer_all(vec![settings(7, 5, 5)]);
+    driven.wait(3.0);
+    driven.answer_all(vec![settings(7, 5, 5)]);
+    assert_eq!((driven.host.replica_state(), driven.teams()), (ReplicaState::Leading, 5));
+}
+
 #[test]
 fn the_settings_of_an_instance_without_a_term_are_answered_and_not_adopted() {
     let mut driven = Driven::new();

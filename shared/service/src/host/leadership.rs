@@ -184,6 +184,9 @@ impl<C: Core> Host<C> {
         if decision == Decision::Wait {
             return;
         }
+        if decision == Decision::Lead && self.facilities.replica.election.asks_again() {
+            return self.inquire();
+        }
         let mut wanted = Vec::new();
         for answer in answers {
             match answer {

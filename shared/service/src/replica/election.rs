@@ -58,6 +58,10 @@ struct Candidate {
     asking: bool,
     /// Whether the standbys before it had time to take over.
     waited: bool,
+    /// Whether another instance has appeared since the inquiry began: it may not have been asked.
+    appeared: bool,
+    /// Whether it has asked once more because of that.
+    asked_again: bool,
     /// How many renewals in a row were of a term that this instance began itself, or of a lower one.
     outdated_renewals: u32,
     /// The term of a leader that this instance takes over from, though that lives.
@@ -252,7 +256,16 @@ impl Election {
     pub(crate) fn inquire(&mut self) -> bool {
         let Some(candidate) = self.candidate_mut() else { return false };
         candidate.asking = true;
+        candidate.appeared = false;
         candidate.waited
+    }
+
+    /// Whether an instance that is about to lead asks once more: another one has appeared meanwhile. A leader that was cut off
+    /// for a moment has settings that nobody else may have received. Once is enough, so that tokens that come and go
+    /// keep nobody from leading.
+    pub(crate) fn asks_again(&mut self) -> bool {
+        let Some(candidate) = self.candidate_mut() else { return false };
+        candidate.appeared && !std::mem::replace(&mut candidate.asked_again, true)
     }
 
     /// Whether the answers of an inquiry are still wanted; they are taken once.
@@ -364,6 +377,9 @@ impl Election {
             return;
         }
         if alive {
+            if let Some(candidate) = self.candidate_mut() {
+                candidate.appeared = true;
+            }
             return self.peers.appeared(instance);
         }
         self.peers.lost(&instance);
@@ -504,6 +520,8 @@ impl Candidate {
             take_over_at: now,
             asking: false,
             waited: false,
+            appeared: false,
+            asked_again: false,
             outdated_renewals: 0,
             replaces: None,
         }
