@@ -40,6 +40,10 @@ const KEPT_TIME: Micros = 2 * SECOND;
 /// was agreed on before changes then, whether the power is cut or not.
 const ORDERS_TIME: Micros = 14 * SECOND;
 
+/// For how long after the last fault a seat may still be kept for a team that is absent: a minute from its last robot on, which
+/// is known to have left within eight seconds, and a second until that is divided.
+const SEATS_TIME: Micros = 69 * SECOND;
+
 /// One run in so many continues past the time within which all must have agreed.
 const LONG_RUN_EVERY: u64 = 8;
 
@@ -577,8 +581,12 @@ impl World {
             }
             (Ok(now), Some((at, before))) => match self.oracle.unchanged(&before) {
                 Ok(()) => self.settled = Some((at, before)),
-                Err(breach) if since > limit => self.require(Err(breach)),
-                Err(_) => self.settled = Some((since, now)),
+                Err(_) if since <= limit => self.settled = Some((since, now)),
+                // The seat of a team that is absent may end, and its place may be filled.
+                Err(_) if before.has_free_seats() && since <= SEATS_TIME => {
+                    self.settled = Some((at, now));
+                }
+                Err(breach) => self.require(Err(breach)),
             },
             (Err(differs), _) => {
                 if differs != self.differs {

@@ -56,6 +56,11 @@ impl Agreed {
         self.division.is_some()
     }
 
+    /// Whether there are fewer teams than were asked for, so that seats may be kept for teams that are absent: they end.
+    pub(crate) fn has_free_seats(&self) -> bool {
+        self.division.as_ref().is_some_and(|teams| teams.requested as usize > teams.teams.len())
+    }
+
     /// No robot of a division is in another team than it was.
     pub(crate) fn stands(&self, now: &Teams) -> Verified {
         let Some(before) = &self.division else { return Ok(()) };
