@@ -90,6 +90,15 @@ await run(async () => {
     assert.match(await page.locator("#chosen").textContent(), /^\d+ selected$/);
     await page.locator("#filter-team").selectOption("");
 
+    step("positions of two frames are called that, and the filter shows one of them");
+    assert.equal(await page.locator("#frames").count(), 0);
+    // All robots of the fleet say "map"; the page is made to believe something else of one of them.
+    await page.evaluate(() => { window.muster.state.robots[0].frame = "odom"; });
+    await page.locator("#frames", { hasText: "Positions of 2 frames (map, odom)" }).waitFor();
+    await filtered("frame", "odom", 1);
+    await page.evaluate(() => { window.muster.state.robots[0].frame = "map"; });
+    await until(page, () => !document.getElementById("frames"));
+
     step("pan, zoom, fit, a click and a box on the map");
     const box = await page.locator("#map").boundingBox();
     await page.getByRole("button", { name: "Show all" }).click();
@@ -350,6 +359,28 @@ await run(async () => {
     await page.locator("#limit-max").fill("");
     await page.locator("#if-asked button").first().click();
     await until(page, () => window.muster.state.teams.teams.length === 3);
+    // A need: five robots are medics, and each of the three teams is to have one.
+    await page.locator("#need-skill").fill("medic");
+    await page.locator("#need-min").fill("1");
+    await page.locator("#need-team").selectOption("");
+    await page.locator("#need-soft").uncheck();
+    await page.locator("#if-needs").click();
+    await proposed(1);
+    assert.deepEqual(await setting("needs"), []);
+    assert.match(await page.locator("#if-asked li").textContent(), /every team: medic, at least 1/);
+    await page.locator("#if-accept").click();
+    await confirm(page);
+    await page.locator("#needs li", { hasText: "medic" }).waitFor();
+    assert.deepEqual((await setting("needs")).map((need) => [need.skill, need.team ?? null, need.per_team.min, need.soft]), [["medic", null, 1, false]]);
+    await until(page, () => {
+        const { teams, robots, ground } = window.muster.state;
+        const slots = robots.flatMap((one, index) => (one.skills.includes("medic") ? [ground.shorts[4 * index + 2]] : []));
+        return teams.teams.every((_, slot) => slots.includes(slot));
+    });
+    await page.getByRole("button", { name: /^Undo proposal: every team: medic/ }).click();
+    await confirm(page);
+    await until(page, () => document.querySelectorAll("#needs li").length === 0);
+    assert.deepEqual(await setting("needs"), []);
 
     step("a pin is granted and withdrawn");
     const team = await page.evaluate((robot) => {

@@ -8,7 +8,7 @@ import { Drawer } from "./drawer.js";
 import { age, counted } from "./format.js";
 import { History } from "./history.js";
 import { connect, signIn, signOut } from "./link.js";
-import { draw, drawn, fit, MapView, screenOf, showEmbedding, showLinks } from "./map.js";
+import { draw, drawn, fit, frames, MapView, screenOf, showEmbedding, showLinks } from "./map.js";
 import { Services } from "./services.js";
 import { changed, now, select, state, subscribe } from "./state.js";
 import { Teams } from "./teams.js";
@@ -104,6 +104,7 @@ class App extends Component {
         const open = (state.alerts?.open ?? []).filter((/** @type {any} */ one) => !one.acknowledged).length;
         const fresh = frame ? now() - frame.newest : NaN;
         const modalities = state.fleet?.modalities ?? [];
+        const places = frames();
         return h("div", { class: `page ${state.replay ? "is-replay" : ""}` },
             h("header", {},
                 h("h1", {}, "Muster ", h("span", { class: "dim" }, state.hello?.fleet ?? "")),
@@ -132,6 +133,9 @@ class App extends Component {
                         } }, "Image") : null,
                         h("label", {}, "Links", h("select", { id: "links", value: state.view.links, onChange: (/** @type {any} */ event) => showLinks(event.target.value) },
                             h("option", { value: "" }, "none"), modalities.map((/** @type {string} */ name) => h("option", { value: name }, name)))),
+                        places.length > 1 && !state.view.embedding && !state.filter.frame && !state.replay
+                            ? h("span", { class: "warn", id: "frames" }, `Positions of ${places.length} frames (${places.slice(0, 3).join(", ")}${places.length > 3 ? " …" : ""}) are drawn as if they were one; the filter shows one of them.`)
+                            : null,
                         h("span", { class: "dim", id: "chosen" }, state.selected.size ? `${state.selected.size} selected` : "")),
                     h(MapView, {})),
                 h("section", { class: "right", "aria-label": "Panel" },

@@ -59,14 +59,26 @@ function css(name) {
     return /** @type {[number, number, number]} */ (parts ? parts.slice(1).map((part) => parseInt(part, 16) / 255) : [0, 0, 0]);
 }
 
-/** Whether the filter shows a robot. @param {number} index @param {number} flags */
-function passes(index, flags) {
-    const { text, team, role, skill, state: wanted } = state.filter;
+/** Whether the filter lets a robot pass. @param {import("./state.js").Robot} robot @param {string} team its team @param {number} flags */
+export function passes(robot, team, flags) {
+    const wanted = state.filter;
+    return (!wanted.text || robot.robot.includes(wanted.text)) && (!wanted.team || (team || "none") === wanted.team) &&
+        (!wanted.role || robot.role === wanted.role) && (!wanted.skill || robot.skills.includes(wanted.skill)) &&
+        (!wanted.frame || (robot.frame ?? "none") === wanted.frame) && (!wanted.state || (flags & STATES[wanted.state]) !== 0);
+}
+
+/** Whether the filter lets a robot on the map pass. @param {number} index @param {number} flags */
+function isWanted(index, flags) {
     const robot = world().robots[index];
-    if (!robot) return true;
-    return (!text || robot.robot.includes(text)) && (!team || teamAt(index) === team) &&
-        (!role || robot.role === role) && (!skill || robot.skills.includes(skill)) &&
-        (!wanted || (flags & STATES[wanted]) !== 0);
+    return !robot || passes(robot, teamAt(index), flags);
+}
+
+/** The coordinate frames of the positions on the ground; "none" for robots that name none. @returns {string[]} */
+export function frames() {
+    const { ground, robots } = state;
+    if (!ground || ground.names !== state.names) return [];
+    const placed = robots.filter((_, index) => index < ground.count && hasPlace(ground, index));
+    return [...new Set(placed.map((one) => one.frame ?? "none"))].sort();
 }
 
 /** @param {number} index */
@@ -112,7 +124,7 @@ function marks() {
     }
     if (isFiltered()) {
         for (let index = 0; index < frame.count; index++) {
-            if (!passes(index, flagsOf(frame, index))) all[index] |= 2;
+            if (!isWanted(index, flagsOf(frame, index))) all[index] |= 2;
         }
     }
     return all;
@@ -365,7 +377,7 @@ function selectBox(from, to, add) {
     const [top, low] = [Math.min(from[1], to[1]), Math.max(from[1], to[1])];
     if (!add) state.selected.clear();
     for (let index = 0; index < frame.count; index++) {
-        if (!hasPlace(frame, index) || !passes(index, flagsOf(frame, index))) continue;
+        if (!hasPlace(frame, index) || !isWanted(index, flagsOf(frame, index))) continue;
         const [x, y] = toScreen(...placeOf(frame, index));
         if (x >= left && x <= right && y >= top && y <= low) state.selected.add(world().robots[index].robot);
     }

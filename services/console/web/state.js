@@ -74,7 +74,7 @@ export const state = {
     /** the panel on the right */ panel: "Teams",
     /** @type {() => string[] | null} the robots in the window of the map; null if that is all or too many */ visible: () => null,
     view: { embedding: false, /** @type {string} */ links: "", image: true },
-    filter: { text: "", team: "", role: "", skill: "", state: "" },
+    filter: { text: "", team: "", role: "", skill: "", frame: "", state: "" },
     /** @type {any} a moment of the past that is shown */ replay: null,
     /** @type {WhatIf} */ whatIf: { asked: {}, proposal: null, at: 0, problem: "", isAsking: false, onMap: false },
 };

@@ -2,7 +2,8 @@
 
 import { teamStyle } from "./colors.js";
 import { age, counted, fixed } from "./format.js";
-import { centre, draw, STATES } from "./map.js";
+import { flagsOf } from "./frame.js";
+import { centre, draw, frames, passes, STATES } from "./map.js";
 import { sendView } from "./link.js";
 import { changed, now, select, state, teamOf } from "./state.js";
 import { h } from "./vendor/preact.js";
@@ -85,6 +86,7 @@ function filter() {
     const roles = [...new Set(state.robots.map((one) => one.role).filter(Boolean))].sort();
     const skills = [...new Set(state.robots.flatMap((one) => one.skills))].sort();
     const teams = (state.teams?.teams ?? []).map((/** @type {any} */ team) => team.id).concat("none");
+    const places = frames();
     return h("form", { class: "filter", role: "search", onSubmit: (/** @type {Event} */ event) => event.preventDefault() },
         h("label", {}, "Name", h("input", {
             id: "search", type: "search", value: state.filter.text, autocomplete: "off",
@@ -97,17 +99,14 @@ function filter() {
         choice("Team", "team", teams, "all"),
         choice("Role", "role", /** @type {string[]} */ (roles), "all"),
         choice("Skill", "skill", skills, "all"),
+        places.length > 1 || state.filter.frame ? choice("Frame", "frame", places, "all") : null,
         choice("State", "state", Object.keys(STATES), "all"));
 }
 
 function found() {
-    const { text, team, role, skill } = state.filter;
-    if (!text && !team && !role && !skill && !state.filter.state) return null;
+    if (!Object.values(state.filter).some(Boolean)) return null;
     const frame = state.ground;
-    const list = state.robots.filter((one, index) =>
-        (!text || one.robot.includes(text)) && (!team || (teamOf(index) || "none") === team) &&
-        (!role || one.role === role) && (!skill || one.skills.includes(skill)) &&
-        (!state.filter.state || (frame && index < frame.count && frame.bytes[8 * index + 7] & STATES[state.filter.state])));
+    const list = state.robots.filter((one, index) => passes(one, teamOf(index), frame && index < frame.count ? flagsOf(frame, index) : 0));
     return h("section", { "aria-labelledby": "found" },
         h("h2", { id: "found" }, `Found: ${counted(list.length, "robot")}`),
         h("button", { type: "button", onClick: () => {

@@ -11,6 +11,7 @@ use muster_model::id::ServiceName;
 use muster_runtime::config::{self, Origin, ProcessConfig};
 use serde_json::Value;
 use tokio::sync::mpsc;
+use tokio::task::JoinSet;
 
 use super::run::Happening;
 use crate::{
@@ -64,21 +65,20 @@ pub(super) async fn follow(
     let client = loop {
         match Client::open(&config).await {
             Ok(client) => break client,
-            Err(error) => {
-                tracing::warn!("{error}");
-                // What was ordered meanwhile cannot be done.
-                while let Ok(order) = orders.try_recv() {
-                    unlinked(order, &happenings).await;
-                }
-                if happenings.is_closed() {
-                    return;
-                }
-                tokio::time::sleep(OPEN_AGAIN).await;
-            }
+            Err(error) => tracing::warn!("{error}"),
+        }
+        if !waits_to_try_again(&mut orders, &happenings).await {
+            return;
         }
     };
-    if let Err(error) = subscribe(&client, &happenings).await {
-        return tracing::error!("{error}");
+    // What an attempt that failed has begun ends before the next one.
+    let mut following = JoinSet::new();
+    while let Err(error) = subscribe(&client, &happenings, &mut following).await {
+        tracing::warn!("the fleet cannot be followed: {error}");
+        following.shutdown().await;
+        if !waits_to_try_again(&mut orders, &happenings).await {
+            return;
+        }
     }
     while let Some(order) = orders.recv().await {
         let (client, happenings) = (client.clone(), happenings.clone());
@@ -92,6 +92,18 @@ pub(super) async fn follow(
     client.close().await;
 }
 
+/// Answers what was ordered meanwhile, and waits. False if nobody is there any more.
+async fn waits_to_try_again(orders: &mut mpsc::Receiver<Order>, happenings: &Happenings) -> bool {
+    while let Ok(order) = orders.try_recv() {
+        unlinked(order, happenings).await;
+    }
+    if happenings.is_closed() {
+        return false;
+    }
+    tokio::time::sleep(OPEN_AGAIN).await;
+    true
+}
+
 async fn unlinked(order: Order, happenings: &Happenings) {
     let problem = || Err("the link to the router is lost; nothing was sent".to_owned());
     let input = match order {
@@ -103,13 +115,17 @@ async fn unlinked(order: Order, happenings: &Happenings) {
     let _ = happenings.send(Happening::Core(input)).await;
 }
 
-async fn subscribe(client: &Client, happenings: &Happenings) -> Result<(), Error> {
-    pass_on(client.rosters().await?, happenings, Input::Roster);
-    pass_on(client.teams().await?, happenings, Input::Teams);
-    pass_on(client.audits().await?, happenings, Input::Audit);
-    pass_on(client.alerts().await?, happenings, Input::Alerts);
+async fn subscribe(
+    client: &Client,
+    happenings: &Happenings,
+    following: &mut JoinSet<()>,
+) -> Result<(), Error> {
+    following.spawn(pass_on(client.rosters().await?, happenings.clone(), Input::Roster));
+    following.spawn(pass_on(client.teams().await?, happenings.clone(), Input::Teams));
+    following.spawn(pass_on(client.audits().await?, happenings.clone(), Input::Audit));
+    following.spawn(pass_on(client.alerts().await?, happenings.clone(), Input::Alerts));
     let (mut events, to) = (client.events().await?, happenings.clone());
-    tokio::spawn(async move {
+    following.spawn(async move {
         while let Ok(event) = events.next().await {
             if to.send(Happening::Core(Input::Event(Box::new(event)))).await.is_err() {
                 return;
@@ -117,7 +133,7 @@ async fn subscribe(client: &Client, happenings: &Happenings) -> Result<(), Error
         }
     });
     let (mut link, to) = (client.link(), happenings.clone());
-    tokio::spawn(async move {
+    following.spawn(async move {
         loop {
             let linked = *link.borrow_and_update();
             let sent = to.send(Happening::Core(Input::Link(linked))).await;
@@ -138,29 +154,26 @@ fn stale(staleness: Option<Staleness>) -> Stale {
 }
 
 /// Passes on the newest message whenever it changes, and from time to time.
-fn pass_on<T: Publication>(
+async fn pass_on<T: Publication>(
     mut watch: Watch<T>,
-    happenings: &Happenings,
+    to: Happenings,
     input: fn(Arc<T>, Stale) -> Input,
 ) {
-    let to = happenings.clone();
-    tokio::spawn(async move {
-        loop {
-            let changed = tokio::time::timeout(SHOW_EVERY, watch.changed()).await;
-            let latest: Option<Latest<T>> = match changed {
-                Ok(Ok(latest)) => Some(latest),
-                Ok(Err(_)) => return,
-                Err(_) => watch.latest(),
-            };
-            if let Some(latest) = latest {
-                let input = input(latest.value, stale(latest.stale));
-                // While the core is busy, newer messages take the place of this one in the watch.
-                if to.send(Happening::Core(input)).await.is_err() {
-                    return;
-                }
+    loop {
+        let changed = tokio::time::timeout(SHOW_EVERY, watch.changed()).await;
+        let latest: Option<Latest<T>> = match changed {
+            Ok(Ok(latest)) => Some(latest),
+            Ok(Err(_)) => return,
+            Err(_) => watch.latest(),
+        };
+        if let Some(latest) = latest {
+            let input = input(latest.value, stale(latest.stale));
+            // While the core is busy, newer messages take the place of this one in the watch.
+            if to.send(Happening::Core(input)).await.is_err() {
+                return;
             }
         }
-    });
+    }
 }
 
 async fn carry_out(client: &Client, order: Order) -> Input {
