@@ -30,7 +30,12 @@ fn cut_off(driven: &mut Driven) {
 #[test]
 fn a_leader_announces_its_settings_at_intervals() {
     let mut driven = Driven::leading();
-    driven.wait(4.5);
+    // Whoever stands down for it has received the first announcement too early.
+    for _ in 0..2 {
+        driven.wait(0.5);
+        assert_eq!(driven.announced(), [small::AUTO]);
+    }
+    driven.wait(3.5);
     assert!(driven.announced().is_empty());
     driven.wait(0.5);
     assert_eq!(driven.announced(), [small::AUTO]);

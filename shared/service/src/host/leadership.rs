@@ -229,6 +229,7 @@ impl<C: Core> Host<C> {
         facilities.publish_event(Severity::Info, EventKind::ServiceStarted { term });
         facilities.report_state_loss();
         facilities.announce_settings();
+        facilities.replica.settings.repeat_announcement();
         for field in facilities.replica.settings.take_dropped() {
             let kind = EventKind::SettingDropped { field };
             facilities.publish_event(Severity::Warning, kind);

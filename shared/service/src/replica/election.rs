@@ -261,8 +261,8 @@ impl Election {
     }
 
     /// Whether an instance that is about to lead asks once more: another one has appeared meanwhile. A leader that was cut off
-    /// for a moment has settings that nobody else may have received. Once is enough, so that tokens that come and go
-    /// keep nobody from leading.
+    /// for a moment has settings that nobody else may have received. Once for each link is enough, so that tokens that come
+    /// and go keep nobody from leading.
     pub(crate) fn asks_again(&mut self) -> bool {
         let Some(candidate) = self.candidate_mut() else { return false };
         candidate.appeared && !std::mem::replace(&mut candidate.asked_again, true)
@@ -333,6 +333,10 @@ impl Election {
         self.linked = true;
         self.distrust_silence(now);
         self.extend_grace(now);
+        if let Some(candidate) = self.candidate_mut() {
+            // What was asked over the link that was lost says nothing of who is at the other end now.
+            candidate.asked_again = false;
+        }
         match &mut self.state {
             State::Suspect(_) => Reconnection::AskForLeader,
             State::Starting(candidate) if !candidate.asking && candidate.waited => {

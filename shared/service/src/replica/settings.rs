@@ -14,9 +14,10 @@ use super::lease::RENEWAL_INTERVAL;
 /// Largest patch of settings in bytes.
 const MAX_PATCH_BYTES: usize = MAX_SMALL_PAYLOAD;
 
-/// How many of its next lease renewals a leader sends together with changed settings. One announcement
-/// may be lost, and the leader right after it: the standby would then lead with the old settings. Three
-/// more within 1.5 s are rarely all lost, and a leader is rarely lost so soon after a change.
+/// How many of its next lease renewals a leader sends together with its settings, after a change and after it has begun. One
+/// announcement may be lost, and the leader right after it: the standby would then lead with the old settings. A leader
+/// that stands down for a new one receives the announcement of that before it follows it. Three more within 1.5 s are
+/// rarely all lost, and a leader is rarely lost so soon.
 const REPEATED_ANNOUNCEMENTS: u8 = 3;
 
 /// After how many lease renewals below it in a row the revision in force counts as forged. One or two that
@@ -189,10 +190,15 @@ impl<S: Settings> ReplicaSettings<S> {
     pub(crate) fn change(&mut self, settings: S) {
         self.accept(settings);
         self.are_known = true;
+        self.repeat_announcement();
+    }
+
+    /// The settings are announced now, and with the next lease renewals.
+    pub(crate) fn repeat_announcement(&mut self) {
         self.announcements_left = REPEATED_ANNOUNCEMENTS;
     }
 
-    /// Whether changed settings are announced again, now that the lease is renewed.
+    /// Whether the settings are announced again, now that the lease is renewed.
     pub(crate) fn are_announced_again(&mut self) -> bool {
         let is_due = self.announcements_left > 0;
         self.announcements_left = self.announcements_left.saturating_sub(1);

@@ -279,3 +279,22 @@ fn who_began_a_term_as_high_takes_over_from_a_leader_that_never_learned_of_it() 
     renew(&mut election, 3.1, 7);
     assert_eq!(election.decide(at(3.2)), Decision::Lead);
 }
+
+#[test]
+fn an_instance_asks_once_more_over_each_link_where_another_one_has_appeared() {
+    let mut election = Election::new(name("b"), START, Replication::OneLeads);
+    let begins = |election: &mut Election, seconds: f64| {
+        election.inquire();
+        election.token(at(seconds), name("c"), false);
+        election.token(at(seconds), name("c"), true);
+        assert!(election.inquiry_answered());
+        assert_eq!(election.decide(at(seconds)), Decision::Lead);
+        election.asks_again()
+    };
+    assert!(begins(&mut election, 0.1));
+    assert!(!begins(&mut election, 1.0));
+    election.link_lost();
+    assert_eq!(election.link_restored(at(5.0)), Reconnection::Inquire);
+    assert!(begins(&mut election, 5.1));
+    assert!(!begins(&mut election, 6.0));
+}
