@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use muster_tests::client::{Client, Watch};
 use muster_tests::cluster::{Cluster, ClusterOptions, free_endpoint, robots_of};
@@ -192,6 +192,19 @@ fn foxglove_refuses_what_is_unsafe_at_the_start() {
     assert!(err.contains("cannot listen at"), "{err}");
 }
 
+/// The processes that a process has started, by `/proc`.
+fn children(parent: u32) -> Vec<u32> {
+    let all = std::fs::read_dir("/proc")
+        .unwrap()
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok()?.parse().ok());
+    let parent_of = |id: &u32| {
+        let stat = std::fs::read_to_string(format!("/proc/{id}/stat")).ok()?;
+        // The name stands in brackets, and may hold anything; the state and the parent follow.
+        stat.rsplit_once(')')?.1.split_whitespace().nth(1)?.parse::<u32>().ok()
+    };
+    all.filter(|id| parent_of(id) == Some(parent)).collect()
+}
+
 #[test]
 fn foxglove_comes_along_with_up_if_it_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
@@ -202,6 +215,16 @@ fn foxglove_comes_along_with_up_if_it_is_asked_for() {
     let mut up = Process::start("muster", &with, &environment, folder.path()).unwrap();
     up.until_prints(&format!("serves viewers at ws://{address}"), SERVES_WITHIN).unwrap();
     assert!(std::net::TcpStream::connect(&address).is_ok());
+    // Once it has run for some seconds, its end is not that of the services: it is started again.
+    std::thread::sleep(Duration::from_secs(5));
+    let child = children(up.id())[0].to_string();
+    assert!(Command::new("kill").args(["-KILL", &child]).status().unwrap().success());
+    up.until_prints("muster-foxglove ended by itself: signal: 9", SERVES_WITHIN).unwrap();
+    let begin = Instant::now();
+    while std::net::TcpStream::connect(&address).is_err() {
+        assert!(begin.elapsed() < SERVES_WITHIN, "{}", up.output());
+        std::thread::sleep(Duration::from_millis(100));
+    }
     // It ends with the services.
     up.signal("TERM").unwrap();
     assert!(up.wait(Duration::from_secs(10)).unwrap().success());

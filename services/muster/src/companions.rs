@@ -17,6 +17,15 @@ const STOP_WITHIN: Duration = Duration::from_secs(3);
 /// How often is looked whether a program still runs.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
+/// A program that ends so soon after its first start cannot run here at all: a setting is wrong, or its address is taken.
+const BEGINS_WITHIN: Duration = Duration::from_secs(5);
+
+/// How long after its end a program is started again the first time. Each further pause is twice as long.
+const FIRST_PAUSE: Duration = Duration::from_secs(1);
+
+/// The longest pause, and how long a program must have run to begin with the first pause again.
+const LONGEST_PAUSE: Duration = Duration::from_secs(60);
+
 /// Variables that are meant for this process and not for one beside it: only one of them can listen there.
 const OWN_VARIABLES: [&str; 2] = ["MUSTER_HTTP", "MUSTER_LISTEN"];
 
@@ -167,33 +176,24 @@ impl Companions {
         Ok(Self(found))
     }
 
-    /// Runs the programs until it is time to stop, or one of them ends.
+    /// Runs the programs until it is time to stop. The services do not need them: one that ends after it has begun well is
+    /// started again, and the services go on.
     ///
     /// # Errors
-    /// If one does not start, or ends by itself.
+    /// If one does not start, or ends just after its first start.
     pub(crate) async fn run(self, config: ProcessConfig, mut stop: Stop) -> anyhow::Result<()> {
+        let flags = flags(&config);
         let mut running = Running(Vec::new());
         for (program, path) in self.0 {
-            let mut command = Command::new(path);
-            command.args(flags(&config)).stdin(Stdio::null());
-            for variable in OWN_VARIABLES {
-                command.env_remove(variable);
-            }
-            let child = command.spawn().map_err(|error| ExitError {
-                exit: Exit::Failure,
-                message: format!("{} does not start: {error}", program.name),
-            })?;
-            running.0.push((program, child));
+            running.0.push(Process::start(program, path, &flags)?);
         }
         loop {
             tokio::select! {
                 () = stop.stopped() => break,
                 () = tokio::time::sleep(LOOK_EVERY) => {}
             }
-            for (program, child) in &mut running.0 {
-                if let Some(status) = child.try_wait()? {
-                    anyhow::bail!("{} ended by itself: {status}", program.name);
-                }
+            for process in &mut running.0 {
+                process.look(&flags, Instant::now())?;
             }
         }
         running.end().await;
@@ -201,23 +201,104 @@ impl Companions {
     }
 }
 
+/// A program beside the services, which is started again when it ends.
+#[derive(Debug)]
+struct Process {
+    program: Program,
+    path: PathBuf,
+    /// None between its end and its next start.
+    child: Option<Child>,
+    first_start: Instant,
+    /// When it was started, or is to be.
+    start: Instant,
+    /// How long it is waited after its next end.
+    pause: Duration,
+}
+
+impl Process {
+    fn start(program: Program, path: PathBuf, flags: &[OsString]) -> Result<Self, ExitError> {
+        let child = spawn(&path, flags).map_err(|error| ExitError {
+            exit: Exit::Failure,
+            message: format!("{} does not start: {error}", program.name),
+        })?;
+        let now = Instant::now();
+        Ok(Self {
+            program,
+            path,
+            child: Some(child),
+            first_start: now,
+            start: now,
+            pause: FIRST_PAUSE,
+        })
+    }
+
+    /// Looks whether it has ended, and starts it again when it is time.
+    ///
+    /// # Errors
+    /// If it has ended just after its first start.
+    fn look(&mut self, flags: &[OsString], now: Instant) -> anyhow::Result<()> {
+        let name = self.program.name;
+        let Some(child) = &mut self.child else {
+            if now >= self.start {
+                match spawn(&self.path, flags) {
+                    Ok(child) => self.child = Some(child),
+                    Err(error) => self.wait(&format!("does not start: {error}"), now),
+                }
+            }
+            return Ok(());
+        };
+        if let Some(status) = child.try_wait()? {
+            if now - self.first_start < BEGINS_WITHIN {
+                anyhow::bail!("{name} ended by itself: {status}");
+            }
+            self.child = None;
+            if now - self.start >= LONGEST_PAUSE {
+                self.pause = FIRST_PAUSE;
+            }
+            self.wait(&format!("ended by itself: {status}"), now);
+        }
+        Ok(())
+    }
+
+    fn wait(&mut self, why: &str, now: Instant) {
+        let name = self.program.name;
+        tracing::warn!("{name} {why}; it is started again in {} s", self.pause.as_secs());
+        self.start = now + self.pause;
+        self.pause = (2 * self.pause).min(LONGEST_PAUSE);
+    }
+
+    fn has_ended(&mut self) -> bool {
+        self.child.as_mut().is_none_or(|child| matches!(child.try_wait(), Ok(Some(_))))
+    }
+}
+
+fn spawn(path: &Path, flags: &[OsString]) -> std::io::Result<Child> {
+    let mut command = Command::new(path);
+    command.args(flags).stdin(Stdio::null());
+    for variable in OWN_VARIABLES {
+        command.env_remove(variable);
+    }
+    command.spawn()
+}
+
 /// Programs that run. What still runs when this is dropped is killed.
 #[derive(Debug)]
-struct Running(Vec<(Program, Child)>);
+struct Running(Vec<Process>);
 
 impl Running {
     /// Asks all to end, and waits a moment until they have.
     async fn end(mut self) {
-        for (program, child) in &self.0 {
+        for process in &self.0 {
+            let Some(child) = &process.child else { continue };
             // A signal of a terminal has reached them already; a second one changes nothing.
             let asked = Command::new("kill").arg(child.id().to_string()).status();
             if let Err(error) = asked {
-                tracing::warn!("{} cannot be asked to end: {error}", program.name);
+                tracing::warn!("{} cannot be asked to end: {error}", process.program.name);
             }
         }
         let start = Instant::now();
         while start.elapsed() < STOP_WITHIN {
-            if self.0.iter_mut().all(|(_, child)| matches!(child.try_wait(), Ok(Some(_)))) {
+            if self.0.iter_mut().all(Process::has_ended) {
                 return;
             }
             tokio::time::sleep(LOOK_EVERY).await;
@@ -227,7 +308,7 @@ impl Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        for (_, child) in &mut self.0 {
+        for child in self.0.iter_mut().filter_map(|process| process.child.as_mut()) {
             // One that has ended cannot be killed, and is waited for at once.
             let _ = child.kill();
             let _ = child.wait();
@@ -304,5 +385,34 @@ mod tests {
         );
         assert!(error.contains("cargo build --release --package muster-nothing"), "{error}");
         assert!(error.contains("cargo install --path services/nothing"), "{error}");
+    }
+
+    #[test]
+    fn a_program_that_ends_is_started_again_after_growing_pauses() {
+        let mut process = Process::start(FOXGLOVE, PathBuf::from("/bin/false"), &[]).unwrap();
+        let begin = process.first_start;
+        while !process.has_ended() {
+            std::thread::yield_now();
+        }
+        let soon = process.look(&[], begin + Duration::from_secs(1)).unwrap_err();
+        assert!(soon.to_string().starts_with("muster-foxglove ended by itself: exit status: 1"));
+        let mut now = begin + BEGINS_WITHIN;
+        for seconds in [1, 2, 4, 8, 16, 32, 60, 60] {
+            process.look(&[], now).unwrap();
+            assert!(process.child.is_none());
+            now += Duration::from_secs(seconds);
+            process.look(&[], now - Duration::from_millis(1)).unwrap();
+            assert!(process.child.is_none(), "before {seconds} s");
+            process.look(&[], now).unwrap();
+            assert!(process.child.is_some(), "after {seconds} s");
+            while !process.has_ended() {
+                std::thread::yield_now();
+            }
+        }
+        // After a minute of work the first pause counts again.
+        now += LONGEST_PAUSE;
+        process.look(&[], now).unwrap();
+        process.look(&[], now + FIRST_PAUSE).unwrap();
+        assert!(process.child.is_some());
     }
 }
