@@ -108,12 +108,12 @@ fn every_promise_holds_for_three_hundred_seeds() {
     assert!(total.events > SEEDS * 2000, "{}", total.events);
 }
 
-/// How many of the fresh seeds may break a promise. 179549396280 does: a fleet of three robots with a need and a number by
-/// itself is one team, and then two, on unchanged input. Of the present code only some hundred have been run.
+/// How many of the fresh seeds may break a promise. Of some ten thousand fresh ones about one in a thousand did, each with a
+/// cause of its own; those are mended, and of the present code no seed is known that breaks one.
 const KNOWN_FAILURES: usize = 1;
 
 /// Seeds that broke a promise once, and what it was.
-const ONCE_BROKEN: [(u64, &str); 9] = [
+const ONCE_BROKEN: [(u64, &str); 10] = [
     (85_000_861, "a standby never received the settings of its leader, and led with its own"),
     (85_001_035, "the last division was none that is found again from itself"),
     (85_002_256, "the evidence took a team away while nothing satisfied the limits"),
@@ -121,6 +121,10 @@ const ONCE_BROKEN: [(u64, &str); 9] = [
     (85_002_870, "a console was to join over a link that was down"),
     (90_000_091, "which numbers of teams are possible depended on which team was the largest"),
     (91_000_051, "a historian was to go back to a division of a lower term"),
+    (
+        110_000_011,
+        "a leader without state was taken for one with settings, as its announcement came before it was followed",
+    ),
     (
         110_000_099,
         "a leader that came back while another began was not asked for the settings it had confirmed",

@@ -180,6 +180,8 @@ pub(super) struct World {
     /// What all had agreed on when the power was cut, until they agree again.
     pub(super) stands: Option<Agreed>,
     settled: Option<(Micros, Agreed)>,
+    /// When a team last took the place of one that is absent, after an agreement.
+    seat_filled: Micros,
     /// A console is to join now that all have agreed.
     joins_late: bool,
     differs: String,
@@ -315,6 +317,7 @@ impl World {
             at_rest: None,
             stands: None,
             settled: None,
+            seat_filled: 0,
             joins_late: false,
             differs: String::new(),
             finished: false,
@@ -584,6 +587,7 @@ impl World {
                 Err(_) if since <= limit => self.settled = Some((since, now)),
                 // The seat of a team that is absent may end, and its place may be filled.
                 Err(_) if before.has_free_seats() && since <= SEATS_TIME => {
+                    self.seat_filled = self.now;
                     self.settled = Some((at, now));
                 }
                 Err(breach) => self.require(Err(breach)),
@@ -612,7 +616,9 @@ impl World {
             let is_long = self.seed.is_multiple_of(LONG_RUN_EVERY);
             let is_over =
                 if is_long { since > limit + LONG_RUN_TIME } else { since >= at + AGREED_TIME };
-            self.finished = is_over && self.power_cut.is_none();
+            // Whoever draws slowly is to see that as well.
+            let is_shown = self.now >= self.seat_filled + AGREED_TIME;
+            self.finished = is_over && is_shown && self.power_cut.is_none();
         }
         self.check_alerts(since);
         let settled_for = self.settled.as_ref().map(|(at, _)| since.saturating_sub(*at));
