@@ -20,6 +20,7 @@ VALIDATED = 20
 
 def main(path, is_cut):
     schemas, channels, counts, newest, poses = {}, {}, {}, {}, {}
+    links, ranks = {}, {}
     found = {"metadata": {}, "attachments": [], "first": None, "last": None, "cut": False}
     validators = {}
     with open(path, "rb") as file:
@@ -58,8 +59,15 @@ def main(path, is_cut):
                     if schema.id not in validators:
                         validators[schema.id] = jsonschema.Draft202012Validator(relaxed(json.loads(schema.data)))
                     validators[schema.id].validate(content)
-                if topic.startswith("/robot/") and topic.endswith("/pose"):
-                    poses.setdefault(topic.split("/")[2], []).append([content["x"], content["y"]])
+                if not topic.startswith("/robot/"):
+                    continue
+                _, _, robot, stream = topic.split("/", 3)
+                if stream == "pose":
+                    poses.setdefault(robot, []).append([content["x"], content["y"]])
+                elif stream == "links":
+                    links.setdefault(robot, []).append(content["links"])
+                elif stream == "rank":
+                    ranks.setdefault(robot, []).append(content.get("superior"))
     if not is_cut:
         with open(path, "rb") as file:
             reader = make_reader(file)
@@ -70,7 +78,7 @@ def main(path, is_cut):
             indexed = sum(1 for _ in reader.iter_messages(topics=[f"/robot/{one}/pose"]))
             assert indexed == len(poses[one]), "a topic is not found by the index"
     encodings = {channel.topic: [channel.message_encoding, schemas[channel.schema_id].name] for channel in channels.values()}
-    found.update(counts=counts, topics=encodings, poses=poses, teams=newest.get("/json/teams"))
+    found.update(counts=counts, topics=encodings, poses=poses, links=links, ranks=ranks, teams=newest.get("/json/teams"))
     json.dump(found, sys.stdout)
 
 

@@ -264,6 +264,12 @@ impl Cluster {
         self.access.is_some()
     }
 
+    /// The flags by which a program takes part as a member, such as `viewer.wall`; on a plain bus all are the same.
+    #[must_use]
+    pub fn flags_of(&self, identity: &str) -> Vec<String> {
+        self.connects(identity, &self.endpoint)
+    }
+
     /// The flags by which a member connects to an endpoint.
     fn connects(&self, identity: &str, endpoint: &str) -> Vec<String> {
         let mut flags = vec!["--fleet".to_owned(), self.fleet.clone()];

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use muster_tests::access::{OPERATOR, VIEWER};
 use muster_tests::client::{Client, Watch};
-use muster_tests::cluster::{Cluster, ClusterOptions, free_endpoint, robots_of};
+use muster_tests::cluster::{Cluster, free_endpoint, robots_of};
 use muster_tests::process::{Process, run};
 use serde_json::{Value, json};
 
@@ -47,9 +48,10 @@ fn node(script: &str, arguments: &[&str]) -> Command {
     node
 }
 
-fn start_foxglove(cluster: &Cluster, address: &str, further: &[&str]) -> Process {
-    let flags = ["--fleet", &cluster.fleet, "--connect", &cluster.endpoint, "--serve", address];
-    let arguments = [&flags, further].concat();
+fn start_foxglove(cluster: &Cluster, identity: &str, address: &str, further: &[&str]) -> Process {
+    let flags = cluster.flags_of(identity);
+    let flags: Vec<&str> = flags.iter().map(String::as_str).collect();
+    let arguments = [&flags, &["--serve", address][..], further].concat();
     let mut program = Process::start("muster-foxglove", &arguments, &[], cluster.folder()).unwrap();
     program.until_prints("serves viewers at", SERVES_WITHIN).unwrap();
     program
@@ -96,11 +98,8 @@ async fn settings(client: &Client, service: &str) -> Value {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn foxglove_shows_and_changes_a_fleet_in_a_client_of_others() {
-    let mut cluster = Cluster::start_by(&ClusterOptions {
-        settings: &[("clusterer", "teams=3"), ("ingest", "gone_after_s=4")],
-        ..ClusterOptions::default()
-    })
-    .unwrap();
+    let flags = [("clusterer", "teams=3"), ("ingest", "gone_after_s=4")];
+    let mut cluster = Cluster::start_drawn("foxglove_shows_a_fleet", &flags, &SCENARIO).unwrap();
     let client = cluster.client().await.unwrap();
     let put = client.watch("robot/*/pose").await.unwrap();
     let divisions = client.watch("json/teams").await.unwrap();
@@ -113,8 +112,8 @@ async fn foxglove_shows_and_changes_a_fleet_in_a_client_of_others() {
     divisions.until("three teams", SERVES_WITHIN, three).await.unwrap();
 
     let (address, read_only) = (free_address(), free_address());
-    let served = start_foxglove(&cluster, &address, &["--allow-changes", "--operator", "kim"]);
-    let _guests = start_foxglove(&cluster, &read_only, &[]);
+    let served = start_foxglove(&cluster, OPERATOR, &address, &["--allow-changes"]);
+    let _guests = start_foxglove(&cluster, VIEWER, &read_only, &[]);
     let mut stalled = None;
     let mut viewer = node("viewer.mjs", &[&address, &read_only, TOPICS])
         .stdin(Stdio::piped())

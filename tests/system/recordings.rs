@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use muster_tests::client::{Client, now};
+use muster_tests::access::VIEWER;
+use muster_tests::client::{Client, Watch, now};
 use muster_tests::cluster::{Cluster, robots_of};
 use muster_tests::process::{Process, python, run};
 use serde_json::Value;
@@ -49,8 +50,9 @@ fn division(teams: &Value) -> BTreeSet<Vec<String>> {
 }
 
 fn record(cluster: &Cluster, file: &Path, further: &[&str]) -> Process {
-    let connects = ["--fleet", &cluster.fleet, "--connect", &cluster.endpoint];
-    let arguments = [&["record", file.to_str().unwrap()][..], &connects, further].concat();
+    let flags = cluster.flags_of(VIEWER);
+    let flags: Vec<&str> = flags.iter().map(String::as_str).collect();
+    let arguments = [&["record", file.to_str().unwrap()][..], &flags, further].concat();
     let mut process = Process::start("muster", &arguments, &[], cluster.folder()).unwrap();
     process.until_prints("records fleet alpha in", SOON).unwrap();
     process
@@ -140,6 +142,8 @@ async fn a_recording_is_read_by_others_and_its_replay_gives_the_same_divisions()
     assert!(finds("replay-alpha") && !finds("alpha"));
 
     poses.clear();
+    let links = played.watch("robot/*/links").await.unwrap();
+    let ranks = played.watch("robot/*/rank").await.unwrap();
     let again = played.watch("json/teams").await.unwrap();
     let start = std::time::Instant::now();
     let (code, out, err) = replay(&cluster, &[path]);
@@ -165,6 +169,19 @@ async fn a_recording_is_read_by_others_and_its_replay_gives_the_same_divisions()
     }
     let put: usize = names.iter().map(|robot| list(&found["poses"][robot]).len()).sum();
     assert!(count * 10 >= put * 9, "{count} of {put} poses");
+    for robot in &names {
+        let of = |watch: &Watch, field: &str| -> Vec<Value> {
+            let all = watch.all().into_iter();
+            let all = all.filter(|(key, _)| key.rsplit('/').nth(1) == Some(robot));
+            all.map(|(_, report)| report[field].clone()).collect()
+        };
+        // All of them, in their order: a link that is lost, or a superior that is another one, divides the fleet otherwise.
+        assert_eq!(of(&links, "links"), list(&found["links"][robot]), "links of {robot}");
+        assert_eq!(of(&ranks, "superior"), list(&found["ranks"][robot]), "ranks of {robot}");
+        assert!(
+            !list(&found["links"][robot]).is_empty() && !list(&found["ranks"][robot]).is_empty()
+        );
+    }
 }
 
 async fn until_gone(client: &Client, gone: impl Fn(&Value) -> bool) {
@@ -181,7 +198,9 @@ async fn until_gone(client: &Client, gone: impl Fn(&Value) -> bool) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_kill_of_the_recorder_loses_less_than_a_second() {
-    let cluster = Cluster::start("alpha", &[("clusterer", "teams=3")]).unwrap();
+    let cluster =
+        Cluster::start_drawn("a_kill_of_the_recorder", &[("clusterer", "teams=3")], &SCENARIO)
+            .unwrap();
     let client = cluster.client().await.unwrap();
     let divisions = client.watch("json/teams").await.unwrap();
     let _robots = cluster.robots(&SCENARIO).unwrap();
