@@ -241,6 +241,18 @@ impl World {
         let was_there = |id: &TeamId| {
             based_on.iter().any(|teams| teams.teams.iter().any(|team| team.id == *id))
         };
+        // Rules name teams that have ended: one of them may be given its id again, whose limits are others than those of a new
+        // team.
+        let is_back = |id: &TeamId| {
+            let number =
+                id.as_str().strip_prefix('t').and_then(|number| number.parse::<u64>().ok());
+            let was_given =
+                based_on.iter().any(|teams| number.is_some_and(|of| of < teams.next_team));
+            was_given && !was_there(id)
+        };
+        if last.teams.iter().any(|team| is_back(&team.id)) {
+            return;
+        }
         self.stats.proposals_compared += 1;
         // Members, and the id of a team that goes on.
         let mut proposed: Vec<(Vec<&RobotId>, Option<&TeamId>)> = division
