@@ -303,10 +303,16 @@ impl World {
         let token = robot.token(&self.space);
         if let (true, Some(key)) = (politely, token) {
             self.send(link, Way::Up, &Carried::Token { key: key.into(), alive: false });
-        } else if self.links[link].state == State::Up {
+        } else if self.links[link].state != State::Down {
             let keys = self.router.tokens_of(link);
-            let seen = self.now + chance.between(KILL_NOTICED.0, KILL_NOTICED.1);
-            self.schedule(seen, Event::TokensGone { link, keys });
+            let is_silent = self.links[link].state == State::Silent;
+            // The end of a process is noticed over a link that works, and so after the cut, unless the lease ends before.
+            let from = if is_silent { self.links[link].cut_until.max(self.now) } else { self.now };
+            let seen = from + chance.between(KILL_NOTICED.0, KILL_NOTICED.1);
+            let is_back = back.is_some_and(|lasts| self.now + lasts.max(MIN_DOWN_TIME) <= seen);
+            if !is_back {
+                self.schedule(seen, Event::TokensGone { link, keys });
+            }
         }
         if let Some(lasts) = back {
             let event = Event::RobotStarts { robot: index, life };
