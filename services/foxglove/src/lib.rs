@@ -16,7 +16,7 @@
 mod core;
 #[cfg(feature = "messages")]
 pub mod messages;
-#[cfg(feature = "binary")]
+#[cfg(feature = "reading")]
 pub mod recording;
 pub mod schema;
 #[cfg(feature = "binary")]

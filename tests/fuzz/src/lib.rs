@@ -21,6 +21,7 @@ mod cores;
 mod draw;
 mod kept;
 mod keys;
+mod mcap;
 pub mod mutate;
 mod packets;
 mod recording;
@@ -60,7 +61,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 21] = [
+pub const TARGETS: [Target; 22] = [
     target("packet", packets::packet, 2048, 30_000),
     target("envelope", packets::envelope, 2048, 30_000),
     target("robot_team", packets::robot_team, 2048, 20_000),
@@ -82,6 +83,7 @@ pub const TARGETS: [Target; 21] = [
     target("auditor", cores::auditor, 4096, 400),
     target("planner", cores::planner, 6144, 400),
     target("ros", ros::ros, 2048, 20_000),
+    target("mcap", mcap::mcap, 2048, 10_000),
 ];
 
 const fn target(

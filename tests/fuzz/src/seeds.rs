@@ -128,6 +128,8 @@ pub fn all() -> Vec<Seed> {
     }
     let ros = crate::ros::seeds().into_iter();
     seeds.extend(ros.map(|(name, bytes)| Seed { target: "ros", name, bytes }));
+    let mcap = crate::mcap::seeds().into_iter();
+    seeds.extend(mcap.map(|(name, bytes)| Seed { target: "mcap", name, bytes }));
     seeds.extend(pipeline());
     seeds.extend(recordings());
     seeds

@@ -9,16 +9,11 @@ use std::path::{Path, PathBuf};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
+use super::{Entry, MAX_TOPICS, METADATA};
 use crate::messages::Form;
-
-/// The name of the metadata that says what was recorded.
-pub const METADATA: &str = "muster";
 
 /// The name of the attachment with the whole JSON Schema of the bus.
 pub const SCHEMA: &str = "muster-schema.json";
-
-/// Most topics of one file: MCAP numbers them with 16 bits, and some are for what comes later.
-pub const MAX_TOPICS: usize = 60_000;
 
 /// Most entries of the index that a file keeps in memory until its end; then the next file begins. They take about 150 MB:
 /// six hours of a small fleet.
@@ -26,17 +21,6 @@ const MAX_INDEX_ENTRIES: usize = 4_000_000;
 
 /// Highest number of a part: months of a small fleet, so that looking for a free number ends.
 const MAX_PARTS: u32 = 10_000;
-
-/// A message that is to be recorded.
-#[derive(Debug, Clone)]
-pub struct Entry<'a> {
-    /// Its topic.
-    pub topic: &'a str,
-    /// When it was there, in nanoseconds since 1970.
-    pub at: u64,
-    /// Its bytes.
-    pub bytes: &'a [u8],
-}
 
 /// A recording that is written.
 pub struct Recording {
@@ -217,7 +201,7 @@ mod tests {
 
     fn messages(path: &Path) -> (Vec<(String, u64)>, Result<End, McapError>) {
         let mut all = Vec::new();
-        let end = read(path, |item| {
+        let end = read(File::open(path).unwrap(), |item| {
             if let Item::Message(entry) = item {
                 all.push((entry.topic.to_owned(), entry.at));
             }

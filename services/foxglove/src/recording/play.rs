@@ -1,8 +1,8 @@
 //! What of a recording is put when: poses, links, ranks and relations of its robots, at the pace that was asked for.
 
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::ops::ControlFlow;
-use std::path::Path;
 use std::time::Duration;
 
 use mcap::McapError;
@@ -12,7 +12,7 @@ use muster_model::observation::{Provenance, Report};
 use muster_wire::packet::JSON;
 use muster_wire::{KeySpace, Message, Packet};
 
-use super::file::Entry;
+use super::Entry;
 use super::reading::{End, Item, read};
 
 /// How long after its last message a robot leaves, in the time of the recording: about as long as `ingest` takes to notice
@@ -63,10 +63,10 @@ impl Reports {
 ///
 /// # Errors
 /// If a file is no recording.
-pub fn overview(path: &Path, reports: &Reports) -> Result<Overview, McapError> {
+pub fn overview(file: impl Read, reports: &Reports) -> Result<Overview, McapError> {
     let mut overview =
         Overview { fleet: None, span: None, robots: BTreeMap::new(), end: End::Whole };
-    overview.end = read(path, |item| {
+    overview.end = read(file, |item| {
         match item {
             Item::Facts(facts) => {
                 let fleet = facts.get("fleet").and_then(|name| FleetId::new(name).ok());

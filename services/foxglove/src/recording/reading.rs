@@ -1,17 +1,15 @@
 //! Reads recordings, also those that were cut, were damaged, or were made to do harm.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::Read as _;
+use std::io::{ErrorKind, Read};
 use std::ops::ControlFlow;
-use std::path::Path;
 
 use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use muster_model::limits::MAX_ID_LENGTH;
 
-use super::file::{Entry, MAX_TOPICS, METADATA};
+use super::{Entry, MAX_TOPICS, METADATA, lengths};
 
 /// Longest record that is read, in bytes: the longest message of the bus. A chunk is kept whole, packed and unpacked, and is
 /// no longer: the recorder ends it after about a megabyte.
@@ -73,7 +71,7 @@ impl<F: FnMut(Item<'_>) -> ControlFlow<()>> Taking<F> {
         if !matches!(opcode, op::CHANNEL | op::MESSAGE | op::METADATA) {
             return Ok(());
         }
-        let flow = match mcap::parse_record(opcode, data)? {
+        let flow = match parsed(opcode, data)? {
             Record::Channel(channel) => {
                 let topic = channel.topic;
                 self.topics.remove(&channel.id);
@@ -100,7 +98,7 @@ impl<F: FnMut(Item<'_>) -> ControlFlow<()>> Taking<F> {
 
     /// Takes the records of a chunk, or none of them if it is damaged.
     fn chunk(&mut self, data: &[u8]) -> Result<(), Halt> {
-        let Record::Chunk { header, .. } = mcap::parse_record(op::CHUNK, data)? else {
+        let Record::Chunk { header, .. } = parsed(op::CHUNK, data)? else {
             return Ok(());
         };
         // The reader of the library miscounts chunks that are not compressed.
@@ -128,6 +126,16 @@ impl<F: FnMut(Item<'_>) -> ControlFlow<()>> Taking<F> {
     }
 }
 
+/// Reads a record whose texts are as long as they say.
+fn parsed(opcode: u8, record: &[u8]) -> Result<Record<'_>, McapError> {
+    if lengths::fit(opcode, record) {
+        mcap::parse_record(opcode, record)
+    } else {
+        let problem = "a text is longer than its record";
+        Err(std::io::Error::new(ErrorKind::InvalidData, problem).into())
+    }
+}
+
 fn options() -> LinearReaderOptions {
     LinearReaderOptions::default().with_record_length_limit(MAX_RECORD_BYTES)
 }
@@ -136,8 +144,10 @@ fn options() -> LinearReaderOptions {
 ///
 /// # Errors
 /// If the file cannot be read, or is none. One that ends too early, or has damage behind its first message, is no error.
-pub fn read(path: &Path, take: impl FnMut(Item<'_>) -> ControlFlow<()>) -> Result<End, McapError> {
-    let mut file = File::open(path)?;
+pub fn read(
+    mut file: impl Read,
+    take: impl FnMut(Item<'_>) -> ControlFlow<()>,
+) -> Result<End, McapError> {
     let mut taking = Taking { take, topics: BTreeMap::new(), has_messages: false };
     match read_all(&mut file, &mut taking) {
         Halt::End(end) => Ok(end),
@@ -147,7 +157,7 @@ pub fn read(path: &Path, take: impl FnMut(Item<'_>) -> ControlFlow<()>) -> Resul
 }
 
 fn read_all<F: FnMut(Item<'_>) -> ControlFlow<()>>(
-    file: &mut File,
+    file: &mut impl Read,
     taking: &mut Taking<F>,
 ) -> Halt {
     let mut reader = LinearReader::new_with_options(options().with_emit_chunks(true));
@@ -178,13 +188,12 @@ fn read_all<F: FnMut(Item<'_>) -> ControlFlow<()>>(
 }
 
 #[cfg(test)]
-#[expect(clippy::disallowed_methods, reason = "a test makes the files that are read")]
 mod tests {
     use super::*;
 
-    fn messages(path: &Path) -> (Vec<(String, u64)>, Result<End, McapError>) {
+    fn messages(file: &[u8]) -> (Vec<(String, u64)>, Result<End, McapError>) {
         let mut all = Vec::new();
-        let end = read(path, |item| {
+        let end = read(file, |item| {
             if let Item::Message(entry) = item {
                 all.push((entry.topic.to_owned(), entry.at));
             }
@@ -219,10 +228,7 @@ mod tests {
     }
 
     fn made_of(parts: &[Vec<u8>]) -> (Vec<(String, u64)>, Result<End, McapError>) {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("made.mcap");
-        std::fs::write(&path, [mcap::MAGIC, &parts.concat()].concat()).unwrap();
-        messages(&path)
+        messages(&[mcap::MAGIC, &parts.concat()].concat())
     }
 
     #[test]

@@ -13,7 +13,8 @@ use muster_runtime::exit::{Exit, ExitError};
 use muster_runtime::stop::Stop;
 use tokio::sync::mpsc;
 
-use super::file::{Entry, Recording};
+use super::Entry;
+use super::file::Recording;
 use super::options::RecordArgs;
 use crate::messages::{bytes, form, json_form, nanoseconds};
 use crate::shell::fleet::{self, Order, client_config};

@@ -1,11 +1,13 @@
 //! Plays a recording into a fleet of its own.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
 use std::io::Write as _;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use mcap::McapError;
 use muster_client::{Client, Config, Error, RobotPublisher};
 use muster_model::id::{FleetId, RobotId};
 use muster_model::observation::Pose;
@@ -107,7 +109,8 @@ impl Own {
 fn overview_of(files: &[PathBuf], reports: &Reports) -> Result<Overview, ExitError> {
     let mut whole: Option<Overview> = None;
     for path in files {
-        let part = overview(path, reports).map_err(|error| {
+        let file = File::open(path).map_err(McapError::from);
+        let part = file.and_then(|file| overview(file, reports)).map_err(|error| {
             ExitError::usage(format!(
                 "{}: is no recording that can be read: {error}",
                 path.display()
@@ -147,9 +150,9 @@ fn read_ahead(
     reports: &Reports,
     mut pace: Pace,
     steps: &mpsc::Sender<(Duration, Step)>,
-) -> Result<(), mcap::McapError> {
+) -> Result<(), McapError> {
     for path in files {
-        let end = read(path, |item| {
+        let end = read(File::open(path)?, |item| {
             let Item::Message(entry) = item else { return ControlFlow::Continue(()) };
             let Some((robot, report)) = reports.of(&entry) else {
                 return ControlFlow::Continue(());
