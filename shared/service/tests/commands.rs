@@ -8,12 +8,13 @@ use std::sync::Arc;
 
 use muster_model::command::{CommandOutcome, MAX_REMEMBERED_COMMANDS, MAX_REMEMBERED_REFUSALS};
 use muster_model::event::EventKind;
+use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_model::role::ReplicaState;
 use muster_service::{Command, GetId, IncomingGet, Input, Stored};
 use muster_wire::Message;
 use serde_json::{Value, json};
-use small::{Driven, ONE_LEADS, renewal, token};
+use small::{Driven, ONE_LEADS, renewal, settings, token};
 
 /// Sends a command and returns its answer.
 fn command(driven: &mut Driven, key: &str, content: &Value) -> Result<Value, String> {
@@ -236,4 +237,78 @@ fn refused_commands_are_remembered_in_a_bounded_number_and_displace_none_that_wa
     for number in 2..MAX_REMEMBERED_COMMANDS {
         set(&mut driven, &format!("kim/c{number}"), &json!({"teams": 9})).unwrap();
     }
+}
+
+/// A standby of a leader that had five teams, which has confirmed another number, and the outcome of that command.
+fn after_a_change(teams: u32) -> (Driven<ONE_LEADS>, Arc<CommandOutcome>) {
+    let mut leader = Driven::<ONE_LEADS>::leading();
+    set(&mut leader, "kim/c1", &json!({"teams": teams})).unwrap();
+    let outcome = outcomes(&leader)[0].clone();
+    let Revision { term, epoch } = outcome.header.revision;
+    let standby = Driven::answered(vec![renewal("a", term, epoch), settings(term, epoch, 5)]);
+    assert_eq!((standby.host.replica_state(), standby.teams()), (ReplicaState::Standby, 5));
+    (standby, outcome)
+}
+
+/// The leader is gone, and nobody answers.
+fn take_over(driven: &mut Driven<ONE_LEADS>) {
+    driven.receive(token("a", true));
+    driven.receive(token("a", false));
+    driven.wait(0.5);
+    driven.answer_all(Vec::new());
+    assert_eq!(driven.host.replica_state(), ReplicaState::Leading);
+}
+
+#[test]
+fn a_change_whose_announcement_was_lost_with_the_leader_holds_by_its_outcome() {
+    let (mut standby, outcome) = after_a_change(7);
+    standby.receive(Message::Outcome(Arc::clone(&outcome)));
+    assert_eq!(standby.teams(), 5, "the leader says what holds");
+    take_over(&mut standby);
+    assert_eq!((standby.teams(), standby.announced()[0]), (7, 7));
+    // What the leader announced later counts, and no change before that.
+    let (mut standby, outcome) = after_a_change(7);
+    let Revision { term, epoch } = outcome.header.revision;
+    standby.receive(Message::Outcome(outcome));
+    standby.receive(settings(term, epoch, 7));
+    standby.receive(settings(term, epoch + 1, 6));
+    take_over(&mut standby);
+    assert_eq!(standby.teams(), 6);
+}
+
+#[test]
+fn a_leader_that_is_back_says_what_it_had_confirmed() {
+    let mut old = Driven::<ONE_LEADS>::leading();
+    set(&mut old, "kim/c1", &json!({"teams": 7})).unwrap();
+    let said = outcomes(&old);
+    old.receive(token("a", true));
+    // What nobody answers is asked for again for two seconds.
+    for epoch in 5..11 {
+        old.receive(renewal("a", said[0].header.revision.term + 1, epoch));
+        old.answer_all(Vec::new());
+        old.wait(0.5);
+    }
+    assert_eq!(old.host.replica_state(), ReplicaState::Standby);
+    assert_eq!(outcomes(&old), [Arc::clone(&said[0]), Arc::clone(&said[0])]);
+
+    let (mut new, outcome) = after_a_change(7);
+    take_over(&mut new);
+    assert_eq!((new.teams(), new.announced().pop()), (5, Some(5)));
+    new.receive(Message::Outcome(Arc::clone(&outcome)));
+    assert_eq!((new.teams(), new.announced()), (7, vec![7]));
+    new.receive(Message::Outcome(outcome));
+    assert!(new.announced().is_empty(), "it was known");
+
+    // What was commanded since stays, and so do settings that are of after the change.
+    let (mut new, outcome) = after_a_change(7);
+    take_over(&mut new);
+    set(&mut new, "lee/c9", &json!({"teams": 9})).unwrap();
+    new.receive(Message::Outcome(outcome));
+    assert_eq!(new.teams(), 9);
+    let (mut new, outcome) = after_a_change(7);
+    let Revision { term, epoch } = outcome.header.revision;
+    new.receive(settings(term, epoch + 1, 6));
+    take_over(&mut new);
+    new.receive(Message::Outcome(outcome));
+    assert_eq!(new.teams(), 6);
 }

@@ -301,13 +301,15 @@ impl World {
         robot.life += 1;
         let (link, life) = (robot.link, robot.life);
         let token = robot.token(&self.space);
-        if let (true, Some(key)) = (politely, token) {
-            self.send(link, Way::Up, &Carried::Token { key: key.into(), alive: false });
+        if let (true, Some(key)) = (politely, &token) {
+            self.send(link, Way::Up, &Carried::Token { key: key.as_str().into(), alive: false });
         } else if self.links[link].state != State::Down {
-            let keys = self.router.tokens_of(link);
+            let keys: Vec<Arc<str>> = token.into_iter().map(Arc::from).collect();
             let is_silent = self.links[link].state == State::Silent;
-            // The end of a process is noticed over a link that works, and so after the cut, unless the lease ends before.
-            let from = if is_silent { self.links[link].cut_until.max(self.now) } else { self.now };
+            // The end of a process is noticed behind all that it has sent, and over a link that works: after a cut, unless
+            // the lease ends before.
+            let sent = self.links[link].arrived_at(Way::Up).max(self.now);
+            let from = if is_silent { self.links[link].cut_until.max(sent) } else { sent };
             let seen = from + chance.between(KILL_NOTICED.0, KILL_NOTICED.1);
             let is_back = back.is_some_and(|lasts| self.now + lasts.max(MIN_DOWN_TIME) <= seen);
             if !is_back {

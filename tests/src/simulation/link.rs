@@ -150,6 +150,11 @@ impl Link {
         arrivals
     }
 
+    /// When everything that was sent by now has arrived.
+    pub(crate) fn arrived_at(&self, way: Way) -> Micros {
+        self.free[way as usize]
+    }
+
     /// Ends the session: what is under way is lost.
     pub(crate) fn end_session(&mut self) {
         self.session += 1;

@@ -96,20 +96,33 @@ impl<C: Core> Host<C> {
             let problem = "settings are changed on exactly one key, without wildcards";
             return Context::<C>(facilities).reply_error(get, problem_json("(key)", problem));
         }
-        let core = &self.core;
-        let change = facilities.replica.settings.changed(payload).and_then(|settings| {
-            let checked = core.check_settings(&View(facilities), &settings);
-            checked.map_err(|error| problem_json(&error.field, &error.problem))?;
-            Ok(settings)
-        });
-        match change {
-            Ok(settings) => facilities.replica.settings.change(settings),
-            Err(problem) => return Context::<C>(facilities).reply_error(get, problem),
+        let payload = payload.clone();
+        match self.checked_settings(&payload) {
+            Ok(settings) => self.facilities.replica.settings.change(settings),
+            Err(problem) => {
+                return Context::<C>(&mut self.facilities).reply_error(get, problem);
+            }
         }
+        let facilities = &mut self.facilities;
         // What came of a command is stored together with what it has changed.
         let settings = facilities.replica.settings_message(facilities.now);
         facilities.reply(get.id, Ok(vec![settings]), ReplyKind::ConfirmsStore);
         facilities.replica.add("settings_changed", 1);
+        self.settings_changed();
+    }
+
+    /// The settings with a patch, if it makes sense and the core can work with it.
+    pub(super) fn checked_settings(&self, payload: &[u8]) -> Result<C::Settings, String> {
+        let facilities = &self.facilities;
+        let settings = facilities.replica.settings.changed(payload)?;
+        let checked = self.core.check_settings(&View(facilities), &settings);
+        checked.map_err(|error| problem_json(&error.field, &error.problem))?;
+        Ok(settings)
+    }
+
+    /// Announces changed settings, and lets the core work with them.
+    pub(super) fn settings_changed(&mut self) {
+        let facilities = &mut self.facilities;
         if facilities.replica.election.has_term() {
             facilities.announce_settings();
             let settings = facilities.replica.settings.to_json();

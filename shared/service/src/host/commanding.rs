@@ -10,12 +10,14 @@ use muster_model::settings::Settings;
 use muster_model::wish::MAX_EXPIRY_S;
 use muster_wire::command::{STARTING, carried_out_by, decode, remembered};
 use muster_wire::{Key, Message, Packet, Request};
+use serde_json::{Map, Value};
 
 use super::Host;
 use crate::commands::{Admission, CommandName, Pending};
 use crate::core::{Context, Core};
 use crate::facilities::{Facilities, ReplyKind};
 use crate::gets::{Get, encode_answer};
+use crate::replica::missed_changes::{MAX_MISSED, confirmed_patch};
 use crate::replica::settings::problem_json;
 
 /// The action, as JSON, of a command that could not be decoded or was not looked at.
@@ -79,13 +81,68 @@ impl<C: Core> Host<C> {
         Context::<C>(&mut self.facilities).reply_error(get, problem_json("(key)", NO_COMMAND));
     }
 
-    /// Remembers what the leader has answered to a command, so that it is not carried out again once this instance leads.
+    /// Remembers what a leader has answered to a command, so that it is not carried out again once this instance leads, and
+    /// so that a change that was confirmed is not lost with that leader.
     pub(super) fn learn_outcome(&mut self, outcome: Arc<CommandOutcome>) {
-        let leads = self.facilities.replica.election.has_term();
+        let facilities = &mut self.facilities;
+        if !facilities.operator_commands.remember(Arc::clone(&outcome)) {
+            return;
+        }
         // What was refused has changed nothing, and any number of such may come: it is not worth a write.
-        let counts = outcome.refused.is_none();
-        if !leads && self.facilities.operator_commands.remember(outcome) && counts {
-            self.facilities.store();
+        if outcome.refused.is_some() {
+            return;
+        }
+        if facilities.replica.election.has_term() {
+            self.make_up_for(&outcome);
+        } else {
+            facilities.replica.settings.note_outcome(&outcome);
+        }
+        self.facilities.store();
+    }
+
+    /// A leader before this one is back, and says what it had confirmed: what of that this one does not know, and has not
+    /// changed since, holds from now on.
+    fn make_up_for(&mut self, outcome: &CommandOutcome) {
+        let facilities = &mut self.facilities;
+        let term = facilities.replica.revision().term;
+        let Some(mut patch) = facilities.replica.settings.missed_by(outcome, term) else { return };
+        let own = facilities.operator_commands.outcomes();
+        let own = own.filter(|outcome| outcome.header.revision.term == term);
+        for changed in own.filter_map(|outcome| confirmed_patch(outcome)) {
+            patch.retain(|field, _| !changed.contains_key(field));
+        }
+        if !patch.is_empty() && self.change_confirmed(patch) {
+            self.settings_changed();
+        }
+    }
+
+    /// Changes the settings by what another instance has confirmed. Returns whether that is possible.
+    pub(super) fn change_confirmed(&mut self, patch: Map<String, Value>) -> bool {
+        let changed = self.checked_settings(Value::Object(patch).to_string().as_bytes());
+        let replica = &mut self.facilities.replica;
+        match changed {
+            Ok(settings) => {
+                replica.settings.change(settings);
+                replica.add("settings_recovered", 1);
+                true
+            }
+            Err(_) => {
+                replica.add("settings_not_recovered", 1);
+                false
+            }
+        }
+    }
+
+    /// Says again what this instance has confirmed in its last term: whoever leads now may not have received it.
+    pub(super) fn repeat_confirmed_changes(&mut self) {
+        let facilities = &mut self.facilities;
+        let term = facilities.replica.revision().term;
+        let is_own = |outcome: &&Arc<CommandOutcome>| {
+            outcome.header.revision.term == term && confirmed_patch(outcome).is_some()
+        };
+        let own: Vec<_> = facilities.operator_commands.outcomes().filter(is_own).cloned().collect();
+        for outcome in own.into_iter().rev().take(MAX_MISSED).rev() {
+            facilities.publish(Message::Outcome(outcome));
         }
     }
 

@@ -204,6 +204,7 @@ impl<C: Core> Host<C> {
         match decision {
             Decision::Lead => self.lead(wanted, occasion),
             Decision::StandBy | Decision::Wait => {
+                self.repeat_confirmed_changes();
                 self.core.on_follow(&mut Context(&mut self.facilities), wanted);
             }
         }
@@ -215,6 +216,9 @@ impl<C: Core> Host<C> {
         // A standby that takes over may never have led on this host.
         if occasion == Occasion::Start {
             self.facilities.notice_state_loss(seen);
+        }
+        for patch in self.facilities.replica.settings.take_missed() {
+            self.change_confirmed(patch);
         }
         self.begin_term(seen);
         self.core.on_lead(&mut Context(&mut self.facilities), answers);

@@ -3,6 +3,7 @@
 
 pub(crate) mod election;
 pub(crate) mod lease;
+pub(crate) mod missed_changes;
 pub(crate) mod peers;
 pub(crate) mod refusals;
 pub(crate) mod settings;
@@ -103,6 +104,7 @@ impl<S: Settings> Replica<S> {
         if self.election.highest_term() > 0 {
             self.settings.succeed();
         }
+        self.settings.term_began();
         self.revision = Revision { term, epoch: 0 };
         self.event_epoch = 0;
         self.stored_term = self.revision.term;

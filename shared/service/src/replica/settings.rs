@@ -1,6 +1,7 @@
 //! The settings in force: what file and flags say, what operators have changed, and what a standby
 //! adopts from its leader.
 
+use muster_model::command::CommandOutcome;
 use muster_model::header::Revision;
 use muster_model::settings::Settings;
 use muster_model::time::Tick;
@@ -10,6 +11,7 @@ use muster_wire::message::quoted;
 use serde_json::{Map, Value};
 
 use super::lease::RENEWAL_INTERVAL;
+use super::missed_changes::{MissedChanges, confirmed_patch};
 
 /// Largest patch of settings in bytes.
 const MAX_PATCH_BYTES: usize = MAX_SMALL_PAYLOAD;
@@ -54,6 +56,10 @@ pub(crate) struct ReplicaSettings<S> {
     are_lost: bool,
     /// What a standby asks its leader.
     queries: Queries,
+    /// What a standby knows of changes that its leader has confirmed, and not announced as far as it has received.
+    missed: MissedChanges,
+    /// The revision of the settings with which this instance began its term.
+    basis: Revision,
 }
 
 /// The questions of a standby for the settings of its leader.
@@ -100,6 +106,8 @@ impl<S: Settings> ReplicaSettings<S> {
             announcements_left: 0,
             are_lost: false,
             queries: Queries::default(),
+            missed: MissedChanges::default(),
+            basis: revision,
         }
     }
 
@@ -129,6 +137,36 @@ impl<S: Settings> ReplicaSettings<S> {
         self.announcements_left = 0;
         self.are_lost = false;
         self.queries = Queries::default();
+        self.missed = MissedChanges::default();
+    }
+
+    /// This instance begins a term with the settings that it has.
+    pub(crate) fn term_began(&mut self) {
+        self.basis = self.adopted;
+    }
+
+    /// A standby has received the outcome of a command.
+    pub(crate) fn note_outcome(&mut self, outcome: &CommandOutcome) {
+        if outcome.header.revision >= self.adopted {
+            self.missed.note(outcome);
+        }
+    }
+
+    /// The changes that were confirmed after the settings that this instance has, the oldest first; they are given once.
+    pub(crate) fn take_missed(&mut self) -> Vec<Map<String, Value>> {
+        self.missed.take_since(self.adopted)
+    }
+
+    /// What a leader before this one, of a lower term than `term`, has changed after the settings with which that began. None
+    /// if it is in them, or changed nothing.
+    pub(crate) fn missed_by(
+        &self,
+        outcome: &CommandOutcome,
+        term: u64,
+    ) -> Option<Map<String, Value>> {
+        let revision = outcome.header.revision;
+        let is_missed = revision.term < term && revision >= self.basis;
+        confirmed_patch(outcome).filter(|patch| is_missed && !has(&self.current, patch))
     }
 
     /// Whether an instance that leads with these settings may announce them as the fleet's.
@@ -241,6 +279,8 @@ impl<S: Settings> ReplicaSettings<S> {
         self.accept(settings);
         self.adopted = revision;
         self.are_known = true;
+        let current = &self.current;
+        self.missed.adopted(revision, |patch| has(current, patch));
         if self.patch == before { Adoption::Unchanged } else { Adoption::Changed }
     }
 }
@@ -257,6 +297,12 @@ impl<S: Settings> ReplicaSettings<S> {
         }
         self.of_next_leader.take_if(|waiting| waiting.header.revision.term <= leader.term)
     }
+}
+
+/// Whether a patch would change nothing.
+fn has<S: Settings>(settings: &S, patch: &Map<String, Value>) -> bool {
+    let patched = settings.patched(&Value::Object(patch.clone()));
+    patched.is_ok_and(|patched| difference(settings, &patched).is_empty())
 }
 
 /// The JSON text of a problem with a field.

@@ -155,7 +155,7 @@ pub(crate) struct Oracle {
     pub(crate) alerts: alerts::AlertLog,
     changes: changes::Changes,
     /// The commands that each process has carried out.
-    carried_out: BTreeSet<(Publisher, OperatorId, CommandId)>,
+    carried_out: BTreeMap<(Publisher, OperatorId, CommandId), CommandOutcome>,
     /// Whether limits of teams hold.
     limits: limits::Limits,
     /// Whether their needs are filled.
@@ -266,7 +266,9 @@ impl Oracle {
     /// A process carries a command out once, however often it arrives.
     fn check_outcome(&mut self, publisher: Publisher, outcome: &CommandOutcome) -> Verified {
         let name = (publisher, outcome.operator.clone(), outcome.id.clone());
-        if self.carried_out.insert(name) {
+        // Said again, it is the same to the time at which it was carried out.
+        let before = self.carried_out.insert(name, outcome.clone());
+        if before.is_none_or(|before| before == *outcome) {
             return Ok(());
         }
         breach(

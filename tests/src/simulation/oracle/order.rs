@@ -2,7 +2,9 @@
 //! begins with.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
+use muster_model::command::CommandOutcome;
 use muster_model::header::Revision;
 use muster_model::id::ServiceName;
 use muster_wire::Message;
@@ -29,6 +31,8 @@ pub(crate) struct Order {
     taken: BTreeMap<(Publisher, &'static str), Revision>,
     /// The last publisher of each key, and the highest term of each that has published on it.
     publishers: BTreeMap<String, (Publisher, BTreeMap<Publisher, u64>)>,
+    /// What an instance said that came of each command, by its key.
+    outcomes: BTreeMap<(ServiceName, usize, String), Arc<CommandOutcome>>,
     /// When each process last renewed its lease.
     renewals: BTreeMap<Publisher, Micros>,
     /// Until when something may keep an instance of a service from receiving a lease renewal.
@@ -54,6 +58,18 @@ impl Order {
         }
     }
 
+    /// Whether what came of a command was published before: an instance that led says it again to whoever leads now.
+    fn is_repeated(
+        &mut self,
+        publisher: Publisher,
+        key: &str,
+        outcome: &Arc<CommandOutcome>,
+    ) -> bool {
+        let place = (publisher.service, publisher.instance, key.to_owned());
+        let before = self.outcomes.insert(place, Arc::clone(outcome));
+        before.is_some_and(|before| before == *outcome)
+    }
+
     /// Checks what a service publishes.
     pub(crate) fn check(
         &mut self,
@@ -70,6 +86,11 @@ impl Order {
             );
         }
         let key = message.keys().0.to_string();
+        if let Message::Outcome(outcome) = message
+            && self.is_repeated(publisher, &key, outcome)
+        {
+            return Ok(());
+        }
         self.check_takeover(now, publisher, &key, message, revision)?;
         // Robots receive the division of that revision, and a lease renewal names the last output;
         // settings may change between two outputs, and events have a count of their own.
