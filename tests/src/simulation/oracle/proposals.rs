@@ -26,6 +26,9 @@ const FORGOTTEN: &str = "a proposal is forgotten 60 s after it was computed";
 /// How long they may be there: a second more than is promised, for clocks that drift.
 const LIFETIME: Micros = 61 * SECOND;
 
+/// How much younger a proposal may say that it is than it is, for clocks that drift.
+const CLOCKS_DIFFER_S: f64 = 0.5;
+
 /// What is promised of what they say.
 const DIFFERENCE: &str = "a proposal says who would move";
 
@@ -95,7 +98,8 @@ impl ProposalLog {
         Ok(())
     }
 
-    /// A proposal that is computed is read within its lifetime. One that is younger than the one before is another one.
+    /// A proposal that is computed is read within its lifetime. One that is younger than the one before would be by now is
+    /// another one.
     fn check_age(&mut self, now: Micros, publisher: Publisher, proposal: &Proposal) -> Verified {
         let name = (publisher, proposal.operator.clone(), proposal.id.clone());
         if proposal.division.is_none() {
@@ -104,7 +108,8 @@ impl ProposalLog {
         }
         let age_s = proposal.age_s;
         let first = self.read.entry(name).or_insert(FirstRead { at: now, age_s });
-        if age_s < first.age_s {
+        let age_by_now = first.age_s + (now - first.at) as f64 / SECOND as f64;
+        if age_s + CLOCKS_DIFFER_S < age_by_now {
             *first = FirstRead { at: now, age_s };
         }
         if now > first.at + LIFETIME {
