@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use muster_tests::client::{division, is_event_of_robots, robots_of_event};
 use muster_tests::cluster::Cluster;
-use muster_tests::process::{Process, python};
+use muster_tests::process::{Process, python, run};
 use serde_json::Value;
 
 /// How long a fleet may take to be divided: two programs of Python start first.
@@ -200,6 +200,9 @@ async fn robots_of_ros_are_read_at_routers_of_other_versions() {
         };
         teams.until(&format!("robots at a router of Zenoh {version}"), SOON, all).await.unwrap();
         printed(&mut console, "team", |value| value["robot"] == "r1").await;
+        let found = doctor_finds(&fleet.cluster.endpoint);
+        assert_eq!(found.contains_key("router_old"), version == "1.7.2", "{version}: {found:?}");
+        assert!(found.contains_key("ros_unannounced"), "{version}: {found:?}");
     }
 }
 
@@ -272,7 +275,99 @@ async fn robots_that_share_a_tree_and_robots_behind_a_bridge_of_dds_are_read() {
     teams.until("two teams behind a bridge of DDS", SOON, are_pairs).await.unwrap();
 }
 
-/// Whether a program of ROS receives another one's messages through a router, within a while.
+/// The findings of the doctor by name: what they concern, what is seen, and what to do.
+fn doctor_finds(endpoint: &str) -> BTreeMap<String, (Vec<String>, String)> {
+    let arguments =
+        ["doctor", "--json", "--fleet", "alpha", "--connect", endpoint, "--listen-for", "1"];
+    let (_, out, err) = run("muster", &arguments, SOON).unwrap();
+    let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
+    let findings = report["findings"].as_array().unwrap().iter();
+    let finding = |finding: &Value| {
+        let text = |name: &str| finding[name].as_str().unwrap().to_owned();
+        let subjects = finding["subjects"].as_array().unwrap().iter();
+        let subjects = subjects.map(|subject| subject.as_str().unwrap().to_owned()).collect();
+        (text("id"), (subjects, format!("{} {}", text("seen"), text("remedy"))))
+    };
+    findings.map(finding).collect()
+}
+
+/// Waits until what the doctor finds is right.
+async fn until_doctor_finds(
+    endpoint: &str,
+    right: impl Fn(&BTreeMap<String, (Vec<String>, String)>) -> bool,
+) {
+    let start = Instant::now();
+    loop {
+        let found = tokio::task::block_in_place(|| doctor_finds(endpoint));
+        if right(&found) {
+            return;
+        }
+        assert!(start.elapsed() < SOON, "{found:#?}");
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_doctor_says_what_does_not_suit_robots_of_ros() {
+    let mut cluster = Cluster::start("alpha", &[("clusterer", "teams=2")]).unwrap();
+    cluster.kill_router().unwrap();
+    let router = |arguments: &[&str]| {
+        let arguments = [&["router", "--listen", &cluster.endpoint], arguments].concat();
+        let mut router = Process::start("muster", &arguments, &[], cluster.folder()).unwrap();
+        router.until_prints("router listens at", SOON).unwrap();
+        router
+    };
+    let config = cluster.folder().join("router.json5");
+    std::fs::write(&config, r#"{"transport": {"link": {"tx": {"lease": 60000}}}}"#).unwrap();
+    let mut slow = router(&["--zenoh-config", config.to_str().unwrap()]);
+    let bridge = start_bridge(&cluster, "");
+    let fleet = Fleet { cluster, bridge };
+    let endpoint = fleet.cluster.endpoint.clone();
+    // One program of ROS is nothing that could miss another.
+    let wrong = ["lost:7:7:none", "bare:8:8:bare", "other:9:9:other"];
+    let mut robots = fleet.peer("robots", &[&PAIRS[..], &wrong].concat());
+    let expected = [
+        ("router_lease", "tcp/", "muster-ros2 goes by the age of their data"),
+        ("ros_no_chain", "0/lost/odom/", "from the frame odom to map"),
+        ("ros_no_attachment", "0/bare/odom/", "zenoh-bridge-ros2dds"),
+        ("ros_type_hash", "0/other/odom/", "`definition`"),
+    ];
+    until_doctor_finds(&endpoint, |found| {
+        let is_found = |(id, subject, text): &(&str, &str, &str)| {
+            found.get(*id).is_some_and(|(subjects, said)| {
+                subjects.len() == 1 && subjects[0].starts_with(subject) && said.contains(text)
+            })
+        };
+        expected.iter().all(is_found) && !found.contains_key("ros_unannounced")
+    })
+    .await;
+    let mut console = fleet.peer("console", &["r1"]);
+    until_doctor_finds(&endpoint, |found| {
+        let unannounced = found.get("ros_unannounced");
+        unannounced.is_some_and(|(_, said)| said.contains("muster router --ros"))
+    })
+    .await;
+
+    // With such a router, and robots that are right, nothing of it is left.
+    robots.kill().unwrap();
+    console.kill().unwrap();
+    slow.kill().unwrap();
+    let arguments = ["router", "--ros", "--listen", &endpoint];
+    let _router = Process::start("muster", &arguments, &[], fleet.cluster.folder()).unwrap();
+    let client = fleet.cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let _console = fleet.peer("console", &["r1"]);
+    let _robots = fleet.peer("robots", &PAIRS);
+    teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
+    until_doctor_finds(&endpoint, |found| {
+        let is_of_ros = |id: &String| id.starts_with("ros_") || id.starts_with("router_");
+        !found.contains_key("service_silent") && !found.keys().any(is_of_ros)
+    })
+    .await;
+}
+
+/// Whether a program of ROS receives another one's messages through a router, within a while. The doctor says the same of
+/// the router.
 async fn peers_reach_each_other(command: &[&str]) -> bool {
     let endpoint = muster_tests::cluster::free_endpoint().unwrap();
     let folder = tempfile::tempdir().unwrap();
@@ -290,6 +385,13 @@ async fn peers_reach_each_other(command: &[&str]) -> bool {
     echo.until_prints("listens", SOON).unwrap();
     let mut robots = start("robots", &["r1:0:0"]);
     robots.until_prints("1 robots publish", SOON).unwrap();
+    let unannounced = doctor_finds(&endpoint).contains_key("ros_unannounced");
+    let reached = is_received(&echo).await;
+    assert_eq!(unannounced, !reached, "the doctor sees whether they reach each other");
+    reached
+}
+
+async fn is_received(echo: &Process) -> bool {
     let begin = Instant::now();
     while begin.elapsed() < Duration::from_secs(6) {
         if echo.output().contains("received") {

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
+use muster_model::bridge::TopicFault;
 use muster_model::id::RobotId;
 use muster_model::observation::{CheckedReport, Report};
 use muster_model::time::Tick;
@@ -42,7 +43,7 @@ pub(super) struct Refused {
     /// Its key.
     pub(super) key: String,
     /// Why.
-    pub(super) reason: String,
+    pub(super) problem: Problem,
 }
 
 /// One topic of one robot, or one that all share.
@@ -131,14 +132,14 @@ impl Intake {
         if from != Source::Put {
             return Ok(());
         }
-        let refuse = |reason: String| Refused { key: key.clone(), reason };
-        let payload =
-            payload.map_err(|size| refuse(format!("{size} bytes are too many for one message")))?;
+        let refuse = |problem: Problem| Refused { key: key.clone(), problem };
+        let payload = payload
+            .map_err(|size| refuse(format!("{size} bytes are too many for one message").into()))?;
         let attachment = match self.setup.dialect {
             Dialect::Ros2Dds => None,
             Dialect::RmwZenoh => Some(attachment.map_or_else(
-                || Err(refuse(NO_ATTACHMENT.to_owned())),
-                |bytes| parse_attachment(bytes.as_bytes()).map_err(&refuse),
+                || Err(refuse(Problem::new(TopicFault::NoAttachment, NO_ATTACHMENT))),
+                |bytes| parse_attachment(bytes.as_bytes()).map_err(|text| refuse(text.into())),
             )?),
         };
         if !self.topics.contains_key(&key) {
@@ -152,16 +153,17 @@ impl Intake {
         let Some(description) = setup.sources.get(topic.source) else { return Ok(()) };
         if let Content::Transforms { is_static } = description.content {
             let value = cdr::decode(&description.layout, &payload);
-            let value = value.map_err(|error| refuse(error.to_string()))?;
+            let value = value.map_err(|error| refuse(error.to_string().into()))?;
             let limit = if topic.robot.is_some() { MAX_ROBOT_FRAMES } else { MAX_SHARED_FRAMES };
             let frames = self.frames.entry((topic.domain, topic.name.clone()));
             let frames = frames.or_insert_with(|| Frames::new(limit));
-            return take_transforms(now, frames, &value, is_static).map_err(&refuse);
+            let taken = take_transforms(now, frames, &value, is_static);
+            return taken.map_err(|text| refuse(text.into()));
         }
         let replaced = topic.waiting.as_ref().map_or(0, |waiting| waiting.payload.len());
         let bytes = self.waiting_bytes.saturating_sub(replaced).saturating_add(payload.len());
         if bytes > MAX_WAITING_BYTES {
-            return Err(refuse(format!("more than {MAX_WAITING_BYTES} bytes may not wait")));
+            return Err(refuse(format!("more than {MAX_WAITING_BYTES} bytes may not wait").into()));
         }
         self.waiting_bytes = bytes;
         topic.waiting = Some(Waiting { payload, attachment });
@@ -169,20 +171,21 @@ impl Intake {
     }
 
     /// The topic of a key that was not seen before.
-    fn open(&mut self, now: Tick, source: usize, key: &str) -> Result<Topic, String> {
+    fn open(&mut self, now: Tick, source: usize, key: &str) -> Result<Topic, Problem> {
         let description = self.setup.sources.get(source).ok_or("this is no source")?;
         let (topic, parsed) = match self.setup.dialect {
             Dialect::RmwZenoh => {
                 let parsed = TopicKey::parse(key).map_err(|error| error.to_string())?;
                 if parsed.type_name != *description.layout.name() {
-                    return Err(format!("the type is {}", parsed.type_name));
+                    return Err(format!("the type is {}", parsed.type_name).into());
                 }
                 if parsed.hash != description.hash && parsed.hash != TypeHash::NotSupported {
-                    return Err(format!(
+                    let reason = format!(
                         "the robot has another definition of {} than this bridge: its hash is {}, not {}; add its .msg \
                          text as definition",
                         parsed.type_name, parsed.hash, description.hash
-                    ));
+                    );
+                    return Err(Problem::new(TopicFault::TypeHash, reason));
                 }
                 (parsed.topic.clone(), Some(parsed))
             }
@@ -200,7 +203,7 @@ impl Intake {
         let name = description.topic.robot_of(topic.as_str()).ok_or("this is another topic")?;
         let domain = parsed.as_ref().map_or(0, |key| key.domain);
         if self.topics.len() >= MAX_KEYS {
-            return Err(format!("more than {MAX_KEYS} topics are not read"));
+            return Err(format!("more than {MAX_KEYS} topics are not read").into());
         }
         let robot = (!name.is_empty()).then(|| self.robots.join(name, domain)).transpose()?;
         let name = name.to_owned();
@@ -244,8 +247,8 @@ impl Intake {
                     self.robots.reported(now, robot, stream, topic.source);
                     reports.push(report);
                 }
-                Err(problem) if problem.may_pass && now.since(topic.first) <= START_TIME => {}
-                Err(Problem { reason, .. }) => refused.push(Refused { key: key.clone(), reason }),
+                Err(problem) if problem.may_pass() && now.since(topic.first) <= START_TIME => {}
+                Err(problem) => refused.push(Refused { key: key.clone(), problem }),
             }
         }
         self.forget(now);

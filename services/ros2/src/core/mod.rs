@@ -13,6 +13,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use muster_model::audit::Audit;
+use muster_model::bridge::{BridgeState, MAX_REFUSED_TOPICS, RefusedTopic, TopicFault};
 use muster_model::id::{InstanceId, RobotId};
 use muster_model::observation::{Rank, Report};
 use muster_model::roster::Roster;
@@ -91,8 +92,8 @@ pub struct Bridge {
     refusals: Refusals,
     publishers: Publishers,
     outgoing: Outgoing,
-    /// Names this run in reports that have no publisher's number.
-    boot: String,
+    /// Names this run, also in reports that have no publisher's number.
+    instance: InstanceId,
     /// How many ranks have been put.
     ranks_put: u64,
     ranks_due: Tick,
@@ -108,7 +109,7 @@ impl Bridge {
             refusals: Refusals::default(),
             publishers: Publishers::new(&setup, session),
             outgoing: Outgoing::default(),
-            boot: instance.to_string(),
+            instance: instance.clone(),
             ranks_put: 0,
             ranks_due: Tick::default(),
             counts: Counts::default(),
@@ -155,6 +156,25 @@ impl Bridge {
         self.counts
     }
 
+    /// What this bridge says of itself.
+    #[must_use]
+    pub fn state(&self) -> BridgeState {
+        let topic = |(topic, fault, reason): (&str, TopicFault, &str)| RefusedTopic {
+            topic: topic.to_owned(),
+            fault,
+            reason: reason.to_owned(),
+        };
+        BridgeState {
+            instance: self.instance.clone(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            robots: self.intake.robots().len() as u64,
+            received: self.counts.received,
+            reported: self.counts.reported,
+            refused_topics: self.refusals.len() as u64,
+            refused: self.refusals.iter().take(MAX_REFUSED_TOPICS).map(topic).collect(),
+        }
+    }
+
     /// Robots that ROS has brought lately.
     #[must_use]
     pub fn robots(&self) -> &Robots {
@@ -184,7 +204,7 @@ impl Bridge {
     /// Superiors that never change, of the robots that report and do not name theirs themselves.
     fn ranks(&mut self, now: Tick) -> Vec<Output> {
         self.ranks_put += 1;
-        let (boot, seq) = (Some(self.boot.clone()), Some(self.ranks_put));
+        let (boot, seq) = (Some(self.instance.to_string()), Some(self.ranks_put));
         let robots = self.intake.robots();
         let there = self.setup.ranks.iter().filter(|(robot, _)| {
             robots.has_reported(now, robot, REPORTED_WITHIN) && !robots.has_rank(robot)

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use muster_client::{Client, Config, Mode};
+use muster_client::{BridgeGets, Client, Config, Mode};
 use muster_model::time::Tick;
 use muster_ros::Dialect;
 use muster_runtime::bus::{Bus, BusConfig, ConnectTimeout, Subscription, Token, Urgency};
@@ -114,7 +114,8 @@ pub(super) async fn run(
     };
     drop(watched);
     let setup = Arc::new(options.setup);
-    let bridge = Bridge::new(Arc::clone(&setup), &ros.session_id(), &instance_name());
+    let instance = instance_name();
+    let bridge = Bridge::new(Arc::clone(&setup), &ros.session_id(), &instance);
     let shared = Arc::new(Shared { bridge: Mutex::new(bridge), clock: Clock::start() });
     let queue = SendQueue::default();
     let sending = ros.clone();
@@ -123,13 +124,14 @@ pub(super) async fn run(
             tracing::debug!("{error:#}");
         }
     })?;
+    let gets = client.serve_bridge(&instance).await?;
     let mut hands = Hands { client, ros, queue, tokens: BTreeMap::new() };
     let outputs = shared.bridge().start();
     hands.perform(outputs).await;
     let subscriptions = subscribe(&hands.ros, &setup, &shared).await?;
     let asking = tokio::spawn(ask_kept(hands.ros.clone(), Arc::clone(&setup), Arc::clone(&shared)));
     notify::ready(&format!("reads {} kinds of topics of ROS", setup.sources.len()));
-    let result = turn(&mut hands, &shared, &observatory, setup.every, &mut stop).await;
+    let result = turn(&mut hands, gets, &shared, &observatory, setup.every, &mut stop).await;
     asking.abort();
     drop(subscriptions);
     notify::stopping().await;
@@ -157,6 +159,7 @@ async fn open(config: &Config, ros: BusConfig) -> anyhow::Result<(Client, Bus)> 
 
 async fn turn(
     hands: &mut Hands,
+    mut gets: BridgeGets,
     shared: &Shared,
     observatory: &Observatory,
     every: Duration,
@@ -185,6 +188,11 @@ async fn turn(
                     hands.perform(outputs).await;
                 }
                 Input::Tick
+            }
+            get = gets.next() => {
+                let state = shared.bridge().state();
+                get.answer(state);
+                continue;
             }
             latest = teams.changed() => {
                 let latest = latest?;
