@@ -122,8 +122,10 @@ async fn unannounced(endpoints: &[Endpoint], look: &Look) -> Vec<Finding> {
     for Endpoint { name, reach } in endpoints {
         if matches!(reach, Reach::Zenoh { router: true, .. })
             && let Some(announcing) = handshake::announces_peers(name, REACH_TIMEOUT).await
+            && !announcing.is_on
         {
-            found.extend(findings::unannounced(name, &announcing, &look.ros, &look.routers));
+            let router = &announcing.router;
+            found.extend(findings::unannounced(name, router, &look.ros, &look.routers));
         }
     }
     found

@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use muster_client::RouterState;
 use muster_model::bridge::{BridgeState, RefusedTopic, TopicFault};
-use muster_runtime::bus::handshake::Announcing;
 
 use super::{Finding, warning};
 use crate::show::page::names;
@@ -59,17 +58,17 @@ impl RosPrograms {
     }
 }
 
-/// A router at which programs of ROS cannot find each other.
+/// A router, by its endpoint and its id, that does not announce its peers, at which programs of ROS cannot find each other.
 pub(in crate::doctor) fn unannounced(
     endpoint: &str,
-    announcing: &Announcing,
+    id: &str,
     programs: &RosPrograms,
     routers: &[RouterState],
 ) -> Option<Finding> {
     // A router that tells its links, and has no two peers, keeps nobody apart.
-    let known = routers.iter().find(|router| router.id == announcing.router);
+    let known = routers.iter().find(|router| router.id == id);
     let keeps_apart = known.is_none_or(|router| router.peers >= TWO);
-    if announcing.is_on || !programs.several() || !keeps_apart {
+    if !programs.several() || !keeps_apart {
         return None;
     }
     let count = programs.sessions.len();
@@ -197,22 +196,19 @@ mod tests {
 
     #[test]
     fn two_programs_at_a_router_that_does_not_announce_are_found() {
-        let off = Announcing { router: "ab".to_owned(), is_on: false };
-        let on = Announcing { is_on: true, ..off.clone() };
         let none = RosPrograms::default();
         let two = RosPrograms::of_tokens(&[token("a1", "%", "talker"), token("b2", "%", "rviz")]);
         let router =
             |peers| RouterState { id: "ab".to_owned(), version: "1.10.2".to_owned(), peers };
-        let found = |announcing: &Announcing, programs: &RosPrograms, routers: &[RouterState]| {
-            unannounced("tcp/a:1", announcing, programs, routers)
+        let found = |programs: &RosPrograms, routers: &[RouterState]| {
+            unannounced("tcp/a:1", "ab", programs, routers)
         };
-        let finding = found(&off, &two, &[]).unwrap();
+        let finding = found(&two, &[]).unwrap();
         assert!(finding.seen.contains("rviz talker"), "{}", finding.seen);
         assert!(finding.remedy.contains("muster router --ros"));
-        assert!(found(&off, &two, &[router(2)]).is_some());
-        assert!(found(&off, &two, &[router(1)]).is_none(), "its programs are clients");
-        assert!(found(&off, &none, &[]).is_none(), "there is no program of ROS");
-        assert!(found(&on, &two, &[]).is_none());
+        assert!(found(&two, &[router(2)]).is_some());
+        assert!(found(&two, &[router(1)]).is_none(), "its programs are clients");
+        assert!(found(&none, &[]).is_none(), "there is no program of ROS");
     }
 
     #[test]
