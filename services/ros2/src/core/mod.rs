@@ -5,6 +5,7 @@ pub mod frames;
 pub mod geometry;
 mod intake;
 mod outgoing;
+mod phase;
 mod publishers;
 mod refusals;
 mod robots;
@@ -23,6 +24,7 @@ use muster_wire::{Attachment, Packet};
 
 use self::intake::Intake;
 use self::outgoing::Outgoing;
+use self::phase::Phase;
 use self::publishers::Publishers;
 pub use self::refusals::Refusal;
 use self::refusals::Refusals;
@@ -71,6 +73,8 @@ pub enum Output {
     Withdraw(String),
     /// Say why something of ROS is not taken.
     Refused(Refusal),
+    /// Let the next tick come so many seconds later, or sooner if that is negative, and those after it from there.
+    Shift(f64),
 }
 
 /// What has been counted since the start.
@@ -92,6 +96,7 @@ pub struct Bridge {
     refusals: Refusals,
     publishers: Publishers,
     outgoing: Outgoing,
+    phase: Phase,
     /// Names this run, also in reports that have no publisher's number.
     instance: InstanceId,
     /// How many ranks have been put.
@@ -109,6 +114,7 @@ impl Bridge {
             refusals: Refusals::default(),
             publishers: Publishers::new(&setup, session),
             outgoing: Outgoing::default(),
+            phase: Phase::default(),
             instance: instance.clone(),
             ranks_put: 0,
             ranks_due: Tick::default(),
@@ -144,8 +150,9 @@ impl Bridge {
                 Vec::new()
             }
             Input::Roster(roster) => {
+                let shift = self.phase.shift(self.setup.every, &roster, self.intake.robots());
                 self.outgoing.set_roster(roster);
-                Vec::new()
+                shift.map(Output::Shift).into_iter().collect()
             }
         }
     }

@@ -15,6 +15,7 @@ use muster_runtime::notify;
 use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
 use muster_wire::{ForeignKey, ForeignPattern, Key, Packet};
+use tokio::time::Instant;
 
 use super::options::Ros2Options;
 use super::queue::SendQueue;
@@ -169,8 +170,7 @@ async fn turn(
     let mut audits = hands.client.audits().await?;
     let mut rosters = hands.client.rosters().await?;
     let mut watched = notify::watch();
-    let mut ticks = tokio::time::interval(every);
-    ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
+    let mut next_tick = Instant::now();
     loop {
         let input = tokio::select! {
             () = stop.stopped() => return Ok(()),
@@ -178,7 +178,9 @@ async fn turn(
                 watched.report();
                 continue;
             }
-            _ = ticks.tick() => {
+            () = tokio::time::sleep_until(next_tick) => {
+                // Ticks that were missed are left out.
+                next_tick = (next_tick + every).max(Instant::now());
                 // Who asks for the health of the process is answered by this loop.
                 observatory.router_turned();
                 // The same division again has younger data behind it.
@@ -203,6 +205,17 @@ async fn turn(
         };
         let now = shared.now();
         let outputs = shared.bridge().handle(now, input);
+        for output in &outputs {
+            if let Output::Shift(seconds) = output {
+                let shift = Duration::from_secs_f64(seconds.abs());
+                let shifted = if *seconds < 0.0 {
+                    next_tick.checked_sub(shift)
+                } else {
+                    next_tick.checked_add(shift)
+                };
+                next_tick = shifted.unwrap_or(next_tick);
+            }
+        }
         hands.perform(outputs).await;
     }
 }
@@ -282,7 +295,7 @@ impl Hands {
                         tracing::debug!("{error:#}");
                     }
                 }
-                Output::Refused(_) => {}
+                Output::Refused(_) | Output::Shift(_) => {}
             }
         }
     }
