@@ -82,6 +82,17 @@ fn is_near(at: [f64; 2], wanted: [f64; 2]) -> bool {
     (at[0] - wanted[0]).hypot(at[1] - wanted[1]) < 1e-6
 }
 
+/// The pairs are where the peer put them: the frame odom of each is turned and far away, so that the positions would be others
+/// as they are.
+async fn pairs_stand_where_they_are(cluster: &Cluster) {
+    let positions = positions(cluster).await;
+    for pair in PAIRS {
+        let parts: Vec<&str> = pair.split(':').collect();
+        let wanted = [parts[1], parts[2]].map(|number| number.parse().unwrap());
+        assert!(is_near(positions[parts[0]], wanted), "{pair}: {positions:?}");
+    }
+}
+
 /// Waits until a peer has printed a line of JSON that is right.
 async fn printed(peer: &mut Process, what: &str, right: impl Fn(&Value) -> bool) -> Value {
     let start = Instant::now();
@@ -108,13 +119,7 @@ async fn robots_of_ros_are_divided_where_they_are_and_a_console_of_ros_sees_it()
     let mut robots = fleet.peer("robots", &PAIRS);
     let formed = teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
 
-    // The frame odom of each is turned and far away: as they are, the positions would be others.
-    let positions = positions(&fleet.cluster).await;
-    for (robot, wanted) in
-        [("r1", [0.0, 0.0]), ("r2", [2.0, 1.0]), ("s1", [40.0, 0.0]), ("s2", [41.0, 2.0])]
-    {
-        assert!(is_near(positions[robot], wanted), "{robot}: {positions:?}");
-    }
+    pairs_stand_where_they_are(&fleet.cluster).await;
 
     // A console of ROS sees the division, the team of each robot, the diagnostics and the markers.
     let placed = division(&formed);
@@ -199,6 +204,7 @@ async fn robots_of_ros_are_read_at_routers_of_other_versions() {
             division.len() == 4 && division.values().all(Option::is_some)
         };
         teams.until(&format!("robots at a router of Zenoh {version}"), SOON, all).await.unwrap();
+        pairs_stand_where_they_are(&fleet.cluster).await;
         printed(&mut console, "team", |value| value["robot"] == "r1").await;
         let found = doctor_finds(&fleet.cluster.endpoint);
         assert_eq!(found.contains_key("router_old"), version == "1.7.2", "{version}: {found:?}");
@@ -245,15 +251,18 @@ async fn a_late_bridge_finds_static_transforms_and_humble_is_read() {
     let robots = ["r1:0:0:static", "r2:2:1:humble", "s1:40:0:static", "s2:41:2:tf"];
     let mut robots = fleet.peer("robots", &robots);
     robots.until_prints("4 robots publish", SOON).unwrap();
-    // The transforms were put once, and no bridge was there.
+    // The transforms and the superiors were put once, and no bridge was there.
     tokio::time::sleep(Duration::from_secs(1)).await;
-    fleet.bridge = start_bridge(&fleet.cluster, "");
+    let ranks = "[[rank]]\ntopic = \"/{robot}/superior\"\ntype = \"std_msgs/String\"\nsuperior = \"data\"\n";
+    fleet.bridge = start_bridge(&fleet.cluster, ranks);
     teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
-    let positions = positions(&fleet.cluster).await;
-    assert!(
-        is_near(positions["r1"], [0.0, 0.0]) && is_near(positions["r2"], [2.0, 1.0]),
-        "{positions:?}"
-    );
+    pairs_stand_where_they_are(&fleet.cluster).await;
+    let is_led = |roster: &Value, robot: &str, superior: &str| {
+        let robots = roster["robots"].as_array().unwrap();
+        robots.iter().any(|one| one["robot"] == robot && one["superior"] == superior)
+    };
+    let led = |roster: &Value| is_led(roster, "r1", "r2") && is_led(roster, "s1", "s2");
+    client.until("roster?format=json", SOON, led).await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -264,6 +273,7 @@ async fn robots_that_share_a_tree_and_robots_behind_a_bridge_of_dds_are_read() {
     let teams = client.watch("json/teams").await.unwrap();
     let mut robots = fleet.peer("robots", &[&PAIRS[..], &["--shared"]].concat());
     teams.until("two teams with one tree of frames", SOON, are_pairs).await.unwrap();
+    pairs_stand_where_they_are(&fleet.cluster).await;
     robots.kill().unwrap();
     drop(fleet);
 
@@ -273,6 +283,7 @@ async fn robots_that_share_a_tree_and_robots_behind_a_bridge_of_dds_are_read() {
     let pairs = PAIRS.map(|robot| format!("{robot}:dds"));
     let _robots = fleet.peer("robots", &pairs.each_ref().map(String::as_str));
     teams.until("two teams behind a bridge of DDS", SOON, are_pairs).await.unwrap();
+    pairs_stand_where_they_are(&fleet.cluster).await;
 }
 
 /// The findings of the doctor by name: what they concern, what is seen, and what to do.

@@ -9,12 +9,12 @@ use muster_model::id::RobotId;
 use muster_model::observation::{CheckedReport, Report};
 use muster_model::time::Tick;
 use muster_ros::key::parse_dds_key;
-use muster_ros::{Attachment, Dialect, TopicKey, TypeHash, Value, cdr};
+use muster_ros::{Attachment, Dialect, Gid, TopicKey, TypeHash, Value, cdr};
 use muster_wire::{Packet, Source};
 
 use super::extract::{self, Problem, Stamped};
-use super::frames::{Frames, MAX_ROBOT_FRAMES, MAX_SHARED_FRAMES};
-use super::robots::{Robots, Stream};
+use super::frames::{Frames, MAX_ROBOT_FRAMES, MAX_SHARED_FRAMES, Number};
+use super::robots::{Robots, SWITCH_AFTER, Stream};
 use crate::config::{Content, Setup};
 
 /// Most topics of robots that are read: a fleet of 5,000 robots has four each.
@@ -60,8 +60,73 @@ struct Topic {
     last: Tick,
     /// The newest sample that is not taken yet.
     waiting: Option<Waiting>,
+    authors: Authors,
     /// The key in its parts; none with a bridge of DDS.
     key: Option<TopicKey>,
+}
+
+/// Most publishers of one topic that are remembered as replaced: of more, two programs alternate in any case.
+const MAX_REPLACED: usize = 8;
+
+/// How many messages in a row may be late. A network reorders a few; a program that numbers by hand may give all one number.
+const MAX_LATE: u32 = 10;
+
+/// Messages that come again more rarely than this are kept by their publisher, and were asked for.
+const KEPT_EVERY: Duration = Duration::from_secs(5);
+
+/// The publishers of a topic of one robot. One counts at a time: the last that appeared, since a robot that starts again has
+/// a publisher of another name. One that was replaced and goes on alternates with the other, and is refused while that one is
+/// heard, as `ingest` would.
+#[derive(Debug, Default)]
+struct Authors {
+    current: Option<Author>,
+    replaced: Vec<Gid>,
+}
+
+#[derive(Debug)]
+struct Author {
+    gid: Gid,
+    /// The number of its newest message.
+    sequence: i64,
+    /// How many messages in a row were none newer, but for those that are kept.
+    late: u32,
+    last: Tick,
+}
+
+impl Authors {
+    /// Whether a message is the newest of the publisher that counts. One that is kept comes again and again, and one may
+    /// come late.
+    fn accept(&mut self, now: Tick, attachment: &Attachment) -> Result<bool, String> {
+        let Attachment { gid, sequence, .. } = *attachment;
+        if let Some(current) = &mut self.current {
+            if current.gid == gid {
+                let pause = now.since(std::mem::replace(&mut current.last, now));
+                let is_newer = sequence > current.sequence;
+                if is_newer {
+                    (current.sequence, current.late) = (sequence, 0);
+                } else if pause < KEPT_EVERY {
+                    current.late += 1;
+                }
+                return if current.late < MAX_LATE {
+                    Ok(is_newer)
+                } else {
+                    Err(format!("the numbers of its publisher do not grow: {sequence} came again"))
+                };
+            }
+            if now.since(current.last) > SWITCH_AFTER {
+                self.replaced.clear();
+            } else if self.replaced.contains(&gid) {
+                return Err(format!(
+                    "two programs publish this topic: {}, which came last, counts, and {gid} does not; end one of them",
+                    current.gid
+                ));
+            } else if self.replaced.len() < MAX_REPLACED {
+                self.replaced.push(current.gid);
+            }
+        }
+        self.current = Some(Author { gid, sequence, late: 0, last: now });
+        Ok(true)
+    }
 }
 
 /// A topic that is read from now on, or no longer.
@@ -157,8 +222,14 @@ impl Intake {
             let limit = if topic.robot.is_some() { MAX_ROBOT_FRAMES } else { MAX_SHARED_FRAMES };
             let frames = self.frames.entry((topic.domain, topic.name.clone()));
             let frames = frames.or_insert_with(|| Frames::new(limit));
-            let taken = take_transforms(now, frames, &value, is_static);
+            let number = attachment.map(|a| Number { publisher: a.gid, sequence: a.sequence });
+            let taken = take_transforms(now, frames, &value, is_static, number);
             return taken.map_err(|text| refuse(text.into()));
+        }
+        if let Some(attachment) = &attachment
+            && !topic.authors.accept(now, attachment).map_err(|text| refuse(text.into()))?
+        {
+            return Ok(());
         }
         let replaced = topic.waiting.as_ref().map_or(0, |waiting| waiting.payload.len());
         let bytes = self.waiting_bytes.saturating_sub(replaced).saturating_add(payload.len());
@@ -207,7 +278,18 @@ impl Intake {
         }
         let robot = (!name.is_empty()).then(|| self.robots.join(name, domain)).transpose()?;
         let name = name.to_owned();
-        Ok(Topic { source, name, domain, robot, first: now, last: now, waiting: None, key: parsed })
+        let authors = Authors::default();
+        Ok(Topic {
+            source,
+            name,
+            domain,
+            robot,
+            first: now,
+            last: now,
+            waiting: None,
+            authors,
+            key: parsed,
+        })
     }
 
     /// The reports of the newest samples that were not taken yet, and what is refused of them.
@@ -318,12 +400,13 @@ fn take_transforms(
     frames: &mut Frames,
     message: &Value,
     is_static: bool,
+    number: Option<Number>,
 ) -> Result<(), String> {
     let mut problem = Ok(());
     for transform in extract::transforms(message)? {
         let taken = transform.and_then(|named| {
             let extract::NamedTransform { parent, child, transform } = named;
-            let taken = frames.receive(now, parent, child, transform, is_static);
+            let taken = frames.receive(now, parent, child, transform, is_static, number);
             taken.map_err(|error| error.to_string())
         });
         problem = problem.and(taken);

@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use muster_client::{BridgeGets, Client, Config, Mode};
 use muster_model::time::Tick;
-use muster_ros::Dialect;
 use muster_runtime::bus::{Bus, BusConfig, ConnectTimeout, Subscription, Token, Urgency};
 use muster_runtime::clock::Clock;
 use muster_runtime::config::{self, Origin, ProcessConfig};
@@ -14,19 +13,19 @@ use muster_runtime::instance::instance_name;
 use muster_runtime::notify;
 use muster_runtime::observe::Observatory;
 use muster_runtime::stop::Stop;
-use muster_wire::{ForeignKey, ForeignPattern, Key, Packet};
+use muster_wire::{ForeignKey, Key, Packet};
 use tokio::time::Instant;
 
 use super::options::Ros2Options;
 use super::queue::SendQueue;
-use crate::config::{Content, Setup, Source};
+use crate::config::{Content, Setup};
 use crate::core::{Bridge, Input, Output};
 
 /// Largest message of ROS in bytes that is read: transforms of a thousand frames.
 const MAX_SAMPLE_BYTES: usize = 256 * 1024;
 
-/// How often publishers are asked for the static transforms that they keep: one that was lost with a link is there again
-/// before an operator looks.
+/// How often publishers are asked for the static transforms, links and superiors that they keep: one that was lost with a link
+/// is there again before an operator looks.
 const ASK_KEPT_EVERY: Duration = Duration::from_secs(10);
 
 /// When a process that waits for its router counts as started.
@@ -45,22 +44,6 @@ fn client_config(config: &ProcessConfig) -> Config {
         mode: if config.mode.value == config::Mode::Peer { Mode::Peer } else { Mode::Client },
         listen: config.listen.value.clone(),
         ..Config::default()
-    }
-}
-
-/// The key expressions of a source: any hash, so that a robot with another one is seen and refused.
-fn patterns(setup: &Setup, source: &Source) -> Vec<String> {
-    let robots = source.topic.with("*");
-    match setup.dialect {
-        Dialect::RmwZenoh => {
-            let type_name = source.layout.name().to_dds();
-            let domains = setup.domains.iter();
-            domains.map(|domain| format!("{domain}/{robots}/{type_name}/*")).collect()
-        }
-        Dialect::Ros2Dds => match &setup.namespace {
-            Some(namespace) => vec![format!("{}/{robots}", namespace.as_str())],
-            None => vec![robots],
-        },
     }
 }
 
@@ -228,17 +211,25 @@ async fn subscribe(
 ) -> anyhow::Result<Vec<Subscription>> {
     let mut subscriptions = Vec::new();
     for (number, source) in setup.sources.iter().enumerate() {
-        for text in patterns(setup, source) {
-            let pattern = ForeignPattern::new(text)?;
+        for pattern in &source.patterns {
             let shared = Arc::clone(shared);
             let receive = move |packet| shared.receive(number, packet);
-            subscriptions.push(ros.listen_foreign(&pattern, MAX_SAMPLE_BYTES, receive).await?);
+            subscriptions.push(ros.listen_foreign(pattern, MAX_SAMPLE_BYTES, receive).await?);
         }
     }
     Ok(subscriptions)
 }
 
-/// Asks for the static transforms that publishers keep, again and again.
+/// Whether publishers may keep what is said once for those that come late: what holds until something else is said.
+fn is_kept(content: &Content) -> bool {
+    match content {
+        Content::Transforms { is_static } => *is_static,
+        Content::Links { .. } | Content::Rank { .. } => true,
+        Content::Pose { .. } => false,
+    }
+}
+
+/// Asks for what publishers keep, again and again.
 async fn ask_kept(ros: Bus, setup: Arc<Setup>, shared: Arc<Shared>) {
     let mut rounds = tokio::time::interval(ASK_KEPT_EVERY);
     let mut link = ros.link();
@@ -250,12 +241,11 @@ async fn ask_kept(ros: Bus, setup: Arc<Setup>, shared: Arc<Shared>) {
             },
         }
         for (number, source) in setup.sources.iter().enumerate() {
-            if !matches!(source.content, Content::Transforms { is_static: true }) {
+            if !is_kept(&source.content) {
                 continue;
             }
-            for text in patterns(&setup, source) {
-                let Ok(pattern) = ForeignPattern::new(text) else { continue };
-                match ros.get_kept(&pattern, MAX_SAMPLE_BYTES, ASK_KEPT_WITHIN).await {
+            for pattern in &source.patterns {
+                match ros.get_kept(pattern, MAX_SAMPLE_BYTES, ASK_KEPT_WITHIN).await {
                     Ok(kept) => kept.into_iter().for_each(|packet| shared.receive(number, packet)),
                     Err(error) => tracing::debug!("{error:#}"),
                 }
