@@ -6,8 +6,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use muster_tests::access::{BRIDGE, Security};
 use muster_tests::client::{division, is_event_of_robots, robots_of_event};
-use muster_tests::cluster::Cluster;
+use muster_tests::cluster::{Cluster, ClusterOptions};
 use muster_tests::process::{Process, python, run};
 use serde_json::Value;
 
@@ -31,19 +32,23 @@ impl Fleet {
     }
 
     fn peer(&self, what: &str, rest: &[&str]) -> Process {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
-        let script = root.join("tests/peers/ros_peer.py");
-        let port = self.cluster.endpoint.rsplit(':').next().unwrap();
-        let arguments = [&[script.to_str().unwrap(), what, port], rest].concat();
-        let folder = self.cluster.folder();
-        Process::start_at(&python().unwrap(), what, &arguments, &[], folder).unwrap()
+        start_peer(self.cluster.folder(), &self.cluster.endpoint, what, rest)
     }
+}
+
+/// Starts a program of ROS at a router.
+fn start_peer(folder: &Path, endpoint: &str, what: &str, rest: &[&str]) -> Process {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
+    let script = root.join("tests/peers/ros_peer.py");
+    let port = endpoint.rsplit(':').next().unwrap();
+    let arguments = [&[script.to_str().unwrap(), what, port], rest].concat();
+    Process::start_at(&python().unwrap(), what, &arguments, &[], folder).unwrap()
 }
 
 fn start_bridge(cluster: &Cluster, topics: &str) -> Process {
     let path = cluster.folder().join("ros2.toml");
     std::fs::write(&path, topics).unwrap();
-    let arguments = [
+    let mut arguments = vec![
         "--connect",
         &cluster.endpoint,
         "--fleet",
@@ -51,6 +56,10 @@ fn start_bridge(cluster: &Cluster, topics: &str) -> Process {
         "--topics",
         path.to_str().unwrap(),
     ];
+    let identity = cluster.identity(BRIDGE);
+    if let Some(identity) = &identity {
+        arguments.extend(["--zenoh-config", identity.to_str().unwrap()]);
+    }
     Process::start("muster-ros2", &arguments, &[], cluster.folder()).unwrap()
 }
 
@@ -286,6 +295,43 @@ async fn robots_that_share_a_tree_and_robots_behind_a_bridge_of_dds_are_read() {
     pairs_stand_where_they_are(&fleet.cluster).await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_bridge_is_a_member_of_a_secured_fleet_and_robots_of_ros_meet_at_a_router_of_their_own() {
+    let settings = [("clusterer", "teams=2")];
+    let options = ClusterOptions {
+        security: Security::Secured,
+        settings: &settings,
+        ..ClusterOptions::default()
+    };
+    let cluster = Cluster::start_by(&options).unwrap();
+    let endpoint = muster_tests::cluster::free_endpoint().unwrap();
+    let arguments = ["router", "--ros", "--listen", &endpoint];
+    let mut router = Process::start("muster", &arguments, &[], cluster.folder()).unwrap();
+    router.until_prints("router listens at", SOON).unwrap();
+    let bridge = start_bridge(&cluster, &format!("connect = [\"{endpoint}\"]\n"));
+    let peer = |what: &str, rest: &[&str]| start_peer(cluster.folder(), &endpoint, what, rest);
+    let client = cluster.client().await.unwrap();
+    let teams = client.watch("json/teams").await.unwrap();
+    let mut console = peer("console", &["r1"]);
+    let _robots = peer("robots", &[&PAIRS[..], &["lost:7:7:none"]].concat());
+    teams.until("two teams of robots of ROS", SOON, are_pairs).await.unwrap();
+    pairs_stand_where_they_are(&cluster).await;
+    printed(&mut console, "team", |value| value["robot"] == "r1").await;
+    // Its answers reach an operator, whose doctor sees nothing of the programs of ROS behind it.
+    let start = Instant::now();
+    loop {
+        let (_, out, err) = cluster.muster(&["doctor", "--json", "--listen-for", "1"]).unwrap();
+        let report: Value = serde_json::from_str(&out).unwrap_or_else(|_| panic!("{out}{err}"));
+        let findings = report["findings"].as_array().unwrap();
+        let has = |id: &str| findings.iter().any(|finding| finding["id"] == id);
+        assert!(!has("ros_unannounced") && !has("access_denied"), "{report:#}");
+        if has("ros_no_chain") {
+            break;
+        }
+        assert!(start.elapsed() < SOON, "{report:#}{}", bridge.output());
+    }
+}
+
 /// The findings of the doctor by name: what they concern, what is seen, and what to do.
 fn doctor_finds(endpoint: &str) -> BTreeMap<String, (Vec<String>, String)> {
     let arguments =
@@ -385,16 +431,9 @@ async fn peers_reach_each_other(command: &[&str]) -> bool {
     let arguments = [command, &["--listen", &endpoint]].concat();
     let mut router = Process::start("muster", &arguments, &[], folder.path()).unwrap();
     router.until_prints("router listens at", SOON).unwrap();
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
-    let script = root.join("tests/peers/ros_peer.py");
-    let port = endpoint.rsplit(':').next().unwrap();
-    let start = |what: &str, rest: &[&str]| {
-        let arguments = [&[script.to_str().unwrap(), what, port], rest].concat();
-        Process::start_at(&python().unwrap(), what, &arguments, &[], folder.path()).unwrap()
-    };
-    let mut echo = start("echo", &["r1"]);
+    let mut echo = start_peer(folder.path(), &endpoint, "echo", &["r1"]);
     echo.until_prints("listens", SOON).unwrap();
-    let mut robots = start("robots", &["r1:0:0"]);
+    let mut robots = start_peer(folder.path(), &endpoint, "robots", &["r1:0:0"]);
     robots.until_prints("1 robots publish", SOON).unwrap();
     let unannounced = doctor_finds(&endpoint).contains_key("ros_unannounced");
     let reached = is_received(&echo).await;
